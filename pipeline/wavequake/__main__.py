@@ -1,0 +1,5 @@
+"""Run the command line as ``python -m wavequake``."""
+
+from wavequake.cli import main
+
+main()

@@ -1,0 +1,1 @@
+"""Point spread functions, exposures and measures of resolution."""

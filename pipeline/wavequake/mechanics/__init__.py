@@ -1,0 +1,1 @@
+"""Disturbances and structural dynamics (SI units)."""

@@ -1,0 +1,1 @@
+"""Surfaces, systems, segments, pupils, wavefronts (lengths in mm)."""

@@ -1,0 +1,1 @@
+"""Study files, the case table, the Dask engine, the store, and the workflows themselves."""

@@ -1,0 +1,55 @@
+"""What the engine asks of a workflow: four functions and three small records."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+TODO, DONE, RAISED, CRASHED, TIMED_OUT, DIVERGED = range(6)
+STATUS_MEANINGS = "todo done raised crashed timed_out diverged"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One stored array: ``dims`` without the leading ``case``, their sizes, the dtype and attributes (units, long_name)."""
+
+    dims: tuple[str, ...]
+    shape: tuple[int, ...]
+    attrs: Mapping[str, str]
+    dtype: str = "float64"
+
+
+@dataclass(frozen=True)
+class Template:
+    """Everything a store holds: arrays per case, and coordinates and arrays that do not depend on the case."""
+
+    per_case: Mapping[str, Variable]
+    fixed: Mapping[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ChunkResult:
+    """The numbers of some cases: arrays (case, ...) for each per-case variable, a status and a message per case."""
+
+    arrays: Mapping[str, NDArray[Any]]
+    status: NDArray[np.int8]
+    messages: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Workflow:
+    """A workflow as module-level functions (so that Dask sends them by reference).
+
+    ``study`` is the canonical JSON text of the effective study without what does not belong to its identity; a workflow may
+    cache on it. ``case_table(study, first, last)`` gives the coordinates of cases first <= id < last, each array of length
+    last - first (str, int or float). ``compute(study, cases, device)`` is a pure function of the study and the case ids:
+    a case's bits depend on nothing else. It marks a case that fails for a known reason in ``status``; an exception means that
+    the engine tries the chunk's cases one by one.
+    """
+
+    name: str
+    template: Callable[[str], Template]
+    case_table: Callable[[str, int, int], dict[str, NDArray[Any]]]
+    compute: Callable[[str, NDArray[np.int64], str], ChunkResult]
