@@ -1,0 +1,38 @@
+"""Wavequake: what does vibration do to the image, and which model, mirror or controller is good enough?
+
+>>> import wavequake as wq
+>>> ds = wq.run("tmt-segments", cases=100)          # doctest: +SKIP
+>>> ds = wq.open_store("runs/tmt-segments-1a2b3c4d")  # doctest: +SKIP
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from wavequake.errors import StoreDamageError, UserError
+
+if TYPE_CHECKING:
+    from wavequake.workflows.campaign import plan, run
+    from wavequake.workflows.store import open_store
+    from wavequake.workflows.study import Study, load_study
+
+__version__ = "0.1.0"
+__all__ = ["StoreDamageError", "Study", "UserError", "load_study", "open_store", "plan", "run"]
+
+# Heavy modules are imported when a name is first used, so that `import wavequake` and `wavequake --version` stay quick.
+_HOMES = {
+    "Study": "wavequake.workflows.study",
+    "load_study": "wavequake.workflows.study",
+    "open_store": "wavequake.workflows.store",
+    "plan": "wavequake.workflows.campaign",
+    "run": "wavequake.workflows.campaign",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'wavequake' has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]
