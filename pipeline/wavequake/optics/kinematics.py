@@ -1,0 +1,180 @@
+"""From motions of segments and surfaces to the transforms that the ray trace reads.
+
+A transform (12 numbers) maps a point as q = A p + o: nine entries of A by rows, then o. It leads from the
+frame in which a ray arrives to that of the displaced surface, so that the trace meets every surface in its
+own frame.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.errors import UserError
+from wavequake.kernels.tiles import TILE, to_tiles
+from wavequake.optics.segments import Segments
+from wavequake.optics.systems import OpticalSystem
+
+Array = NDArray[np.float64]
+
+
+def cardan(angles: Array) -> Array:
+    """Return rotation matrices of Cardan angles: R = Rx(alpha) Ry(beta) Rz(gamma).
+
+    Parameters
+    ----------
+    angles : ndarray, shape (..., 3)
+        alpha, beta, gamma in rad.
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        ``R @ e_z`` is the normal of Störkle 2018, Eq. 3.10.
+    """
+    w, vector = _quaternion(*np.moveaxis(angles, -1, 0))
+    difference = np.moveaxis(np.array(_rotation_minus_one(w, *vector)), 0, -1)
+    rotation: Array = difference.reshape(*angles.shape[:-1], 3, 3) + np.eye(3)
+    return rotation
+
+
+def _require_motions(what: str, motion: Array, count: int) -> None:
+    if motion.ndim != 3 or motion.shape[1:] != (count, 6) or len(motion) % TILE:
+        raise UserError(
+            f"the array of {what} motions has the shape {motion.shape}, "
+            f"it must be (whole number of tiles of {TILE}, {count}, 6)"
+        )
+
+
+def _quaternion(alpha: Array, beta: Array, gamma: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+    """Return the unit quaternion (scalar, vector) of Cardan angles, from half angles: nothing cancels."""
+    (sin_a, sin_b, sin_c), (cos_a, cos_b, cos_c) = (
+        [f(angle / 2) for angle in (alpha, beta, gamma)] for f in (np.sin, np.cos)
+    )
+    both_cos, both_sin = cos_a * cos_b, sin_a * sin_b
+    only_a, only_b = sin_a * cos_b, cos_a * sin_b
+    vector = (
+        only_a * cos_c + only_b * sin_c,
+        only_b * cos_c - only_a * sin_c,
+        both_cos * sin_c + both_sin * cos_c,
+    )
+    return both_cos * cos_c - both_sin * sin_c, vector
+
+
+def _rotation_minus_one(w: Array, x: Array, y: Array, z: Array) -> list[Array]:
+    """Return the nine entries (by rows) of R - I for a unit quaternion, small numbers for small rotations."""
+    x2, y2, z2, w2 = 2 * x, 2 * y, 2 * z, 2 * w
+    xx, yy, zz = x2 * x, y2 * y, z2 * z
+    xy, xz, yz = x2 * y, x2 * z, y2 * z
+    wx, wy, wz = w2 * x, w2 * y, w2 * z
+    return [-(yy + zz), xy - wz, xz + wy, xy + wz, -(xx + zz), yz - wx, xz - wy, yz + wx, -(xx + yy)]
+
+
+def segment_poses(segments: Segments, motion: Array, frame: str = "local") -> Array:
+    """Return the transforms from the optics frame of M1 to the parent frame of every displaced segment.
+
+    A point q of the undisturbed segment moves to c + t + R (q - c) with the pivot c = ``segments.centers[k]``
+    (Störkle 2018, Eq. 4.6). The transform undoes this motion, ``A = R^T`` and ``o = c - R^T (c + t)``; o is
+    computed as ``-(R - I)^T (c + t) - t``, which keeps its digits for motions of nanometers and nanoradians.
+
+    Parameters
+    ----------
+    segments : Segments
+    motion : ndarray, shape (batch, S, 6)
+        dx, dy, dz in mm and Cardan angles rx, ry, rz in rad; the batch is a whole number of tiles.
+    frame : "local" or "global"
+        Axes of the motion: each segment's own (the normal points to the sky) or those of the optics frame.
+
+    Returns
+    -------
+    ndarray, shape (batch / 16, S, 12, 16)
+
+    Raises
+    ------
+    UserError
+        If the frame is unknown or the motion has the wrong shape.
+    """
+    batch, count = motion.shape[0], len(segments)
+    if frame not in ("local", "global"):
+        raise UserError(f"the frame of a segment motion is {frame!r}, it must be 'local' or 'global'")
+    _require_motions("segment", motion, count)
+    # Component-major (6, segment, instant): long contiguous inner loops, one segment's constants per row.
+    shift_x, shift_y, shift_z, *angles = np.ascontiguousarray(motion.transpose(2, 1, 0), dtype=np.float64)
+    shift: tuple[Array, ...] = (shift_x, shift_y, shift_z)
+    w, vector = _quaternion(*angles)
+    if frame == "local":
+        # A reflection (z to the sky -> z along the light): a rotation vector, being axial, changes its sign.
+        to_optics = segments.axes * np.array([1.0, 1.0, -1.0])[:, None]
+        shift, vector = _turn(to_optics, shift), _turn(-to_optics, vector)
+    entries = _rotation_minus_one(w, *vector)
+    x, y, z = (segments.centers[:, axis, None] + shift[axis] for axis in range(3))
+
+    poses = np.empty((batch // TILE, count, 12, TILE))
+    by_segment = poses.transpose(1, 2, 0, 3)  # a view (segment, entry, tile, lane)
+    tiled = (count, batch // TILE, TILE)
+    for row in range(3):
+        for column in range(3):
+            entry = entries[3 * column + row]  # transposed
+            by_segment[:, 3 * row + column] = (entry + 1.0 if row == column else entry).reshape(tiled)
+        offset = -(entries[row] * x + entries[3 + row] * y + entries[6 + row] * z) - shift[row]
+        by_segment[:, 9 + row] = offset.reshape(tiled)
+    return poses
+
+
+def _turn(matrices: Array, vector: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+    """Return matrices (S, 3, 3) times vectors given by components (S, batch)."""
+    x, y, z = vector
+    a, b, c = (
+        matrices[:, row, 0, None] * x + matrices[:, row, 1, None] * y + matrices[:, row, 2, None] * z
+        for row in range(3)
+    )
+    return a, b, c
+
+
+def surface_poses(system: OpticalSystem, motion: Array) -> Array:
+    """Return the transforms to every displaced surface after M1 from its predecessor.
+
+    The first one leads from the optics frame of M1. Every surface moves about its own vertex in the axes of
+    the optics frame; the relative transforms follow from the absolute poses (Störkle 2018, Eq. 4.2-4.4).
+
+    Parameters
+    ----------
+    system : OpticalSystem
+    motion : ndarray, shape (batch, L, 6)
+        dx, dy, dz in mm and Cardan angles rx, ry, rz in rad of M2, M3, ..., image; the batch is a whole
+        number of tiles.
+
+    Returns
+    -------
+    ndarray, shape (batch / 16, L, 12, 16)
+
+    Raises
+    ------
+    UserError
+        If the motion has the wrong shape.
+    """
+    batch, count = motion.shape[0], len(system.surfaces)
+    _require_motions("surface", motion, count)
+    position = np.array([surface.position for surface in system.surfaces]) + motion[..., :3]
+    rotation = cardan(motion[..., 3:]) @ np.array([surface.rotation for surface in system.surfaces])
+    before_position = np.concatenate([np.zeros((batch, 1, 3)), position[:, :-1]], axis=1)
+    before_rotation = np.concatenate([np.broadcast_to(np.eye(3), (batch, 1, 3, 3)), rotation[:, :-1]], axis=1)
+    inverse = np.swapaxes(rotation, -1, -2)
+    poses = np.empty((batch, count, 12))
+    poses[..., :9] = (inverse @ before_rotation).reshape(batch, count, 9)
+    poses[..., 9:] = (inverse @ (before_position - position)[..., None])[..., 0]
+    return to_tiles(poses)
+
+
+def field_directions(field: Array) -> Array:
+    """Return the unit vectors of incoming light.
+
+    Parameters
+    ----------
+    field : ndarray, shape (batch, 2)
+        Angles in rad to the z axis in the x-z and y-z planes; the batch is a whole number of tiles.
+
+    Returns
+    -------
+    ndarray, shape (batch / 16, 3, 16)
+    """
+    slopes = np.tan(field)
+    direction = np.concatenate([slopes, np.ones((len(field), 1))], axis=1)
+    return to_tiles(direction / np.sqrt(1.0 + np.sum(slopes**2, axis=1, keepdims=True)))

@@ -1,0 +1,154 @@
+"""Zernike polynomials in Noll's order, over a circle or an annulus.
+
+Noll index j = 1, 2, ..., unit rms over the pupil, even j is the cosine (Störkle 2018, Eq. 3.43-3.52;
+Noll 1976, "Zernike polynomials and atmospheric turbulence"; Mahajan 1981, "Zernike annular polynomials for
+imaging systems with annular pupils"). Polar angles are those of arctan2: the arctan printed in Eq. 3.43 holds
+in two quadrants only.
+"""
+
+from math import comb, factorial, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.errors import UserError
+
+
+def noll_to_nm(j: int) -> tuple[int, int]:
+    """Return the radial degree n and the azimuthal frequency m of a Noll index; m < 0 is the sine.
+
+    Parameters
+    ----------
+    j : int
+        Noll index, 1 for piston.
+
+    Raises
+    ------
+    UserError
+        If `j` is less than 1.
+    """
+    if j < 1:
+        raise UserError(f"the Noll index {j} does not exist, the first one is 1 (piston)")
+    n = 0
+    while (n + 1) * (n + 2) // 2 < j:
+        n += 1
+    rank = j - n * (n + 1) // 2  # 1 .. n + 1 within the degree, frequencies ascending
+    m = 2 * (rank // 2) if n % 2 == 0 else 2 * ((rank + 1) // 2) - 1
+    return n, m if j % 2 == 0 else -m
+
+
+def annular_zernike(
+    x: NDArray[np.float64], y: NDArray[np.float64], terms: int, obscuration: float = 0.0
+) -> NDArray[np.float64]:
+    """Return the Noll Zernike polynomials j = 1..terms at the points of a pupil.
+
+    The radial part is ``rho^|m| P_k(rho^2)`` with P_k orthogonal over [obscuration^2, 1] for the weight
+    t^|m|, evaluated by the three-term recurrence of P_k, which stays accurate where sums of monomials
+    cancel. Points outside the annulus are valid: the polynomials continue.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (N,)
+        Points in units of the outer pupil radius.
+    terms : int
+        Number J of polynomials.
+    obscuration : float
+        Inner over outer radius, 0 (a circle) <= obscuration < 1.
+
+    Returns
+    -------
+    ndarray, shape (N, J)
+
+    Raises
+    ------
+    UserError
+        If there is no term, or the obscuration is not in [0, 1).
+    """
+    if terms < 1:
+        raise UserError(f"{terms} Zernike terms were asked for, at least 1 is needed")
+    if not 0.0 <= obscuration < 1.0:
+        raise UserError(f"the ratio of inner to outer pupil radius is {obscuration}, it must lie in [0, 1)")
+    orders = [noll_to_nm(j) for j in range(1, terms + 1)]
+    degree = orders[-1][0]
+    t = x**2 + y**2
+    radial = {}
+    for m in range(degree + 1):
+        for k, values in enumerate(_orthonormal(t, m, (degree - m) // 2 + 1, obscuration**2)):
+            radial[m + 2 * k, m] = values
+    azimuthal = [np.ones(len(t), dtype=np.complex128)]  # (x + i y)^m = rho^m exp(i m theta)
+    for _ in range(degree):
+        azimuthal.append(azimuthal[-1] * (x + 1j * y))
+    basis = np.empty((len(t), terms))
+    for column, (n, m) in enumerate(orders):
+        wave = azimuthal[abs(m)]
+        basis[:, column] = radial[n, abs(m)] * (wave.imag if m < 0 else wave.real) * (sqrt(2) if m else 1.0)
+    return basis
+
+
+def _orthonormal(t: NDArray[np.float64], m: int, count: int, start: float) -> list[NDArray[np.float64]]:
+    """Return P_0 .. P_(count-1) at t, orthonormal over [start, 1] for the weight t^m / (1 - start).
+
+    The recurrence coefficients come from Stieltjes' procedure on Gauss-Legendre nodes, so many that every
+    inner product is exact up to rounding (Gautschi 2004, "Orthogonal Polynomials", section 2.2).
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(count + m // 2 + 1)
+    nodes = start + (1 - start) * (nodes + 1) / 2
+    weights = weights / 2 * nodes**m
+    before_n, now_n = np.zeros_like(nodes), np.full_like(nodes, 1 / np.sqrt(np.sum(weights)))
+    before_t, now_t = np.zeros_like(t), np.full_like(t, now_n[0])
+    values, norm = [now_t], 0.0
+    for _ in range(count - 1):
+        center = np.sum(weights * nodes * now_n**2)
+        next_n = (nodes - center) * now_n - norm * before_n
+        next_t = (t - center) * now_t - norm * before_t
+        norm = np.sqrt(np.sum(weights * next_n**2))
+        before_n, now_n = now_n, next_n / norm
+        before_t, now_t = now_t, next_t / norm
+        values.append(now_t)
+    return values
+
+
+def circular_zernike_xy(degree: int, terms: int) -> NDArray[np.float64]:
+    """Return the matrix that turns circular Noll coefficients into coefficients of monomials.
+
+    The monomials are in total-degree order, for n = 0..degree: ``u^n, u^(n-1) v, ..., v^n``, with u, v in
+    units of the circle's radius. Every entry is an integer times one square root (Störkle 2018,
+    Eq. 3.44, 3.45).
+
+    Parameters
+    ----------
+    degree : int
+        Total degree of the monomials.
+    terms : int
+        Number of Zernike coefficients, j = 1..terms.
+
+    Returns
+    -------
+    ndarray, shape ((degree + 1) (degree + 2) / 2, terms)
+
+    Raises
+    ------
+    UserError
+        If a term has a higher degree than `degree`.
+    """
+    matrix = np.zeros(((degree + 1) * (degree + 2) // 2, terms))
+    for column in range(terms):
+        n, signed = noll_to_nm(column + 1)
+        if n > degree:
+            raise UserError(
+                f"Zernike term {column + 1} has degree {n}, more than the polynomial's degree {degree}"
+            )
+        m = abs(signed)
+        scale = sqrt((n + 1) * (2 if m else 1))
+        for k in range((n - m) // 2 + 1):
+            radial = (-1) ** k * factorial(n - k) // factorial(k)
+            radial //= factorial((n + m) // 2 - k) * factorial((n - m) // 2 - k)
+            rings = (
+                n - m
+            ) // 2 - k  # rho^(n - 2 k) cos or sin = (u^2 + v^2)^rings times Re or Im (u + i v)^m
+            for ring in range(rings + 1):
+                for power in range(1 if signed < 0 else 0, m + 1, 2):
+                    entry = radial * comb(rings, ring) * comb(m, power) * (-1) ** (power // 2)
+                    total, in_v = n - 2 * k, 2 * ring + power
+                    matrix[total * (total + 1) // 2 + in_v, column] += scale * entry
+    return matrix
