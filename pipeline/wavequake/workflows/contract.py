@@ -1,4 +1,4 @@
-"""What the engine asks of a workflow: four functions and three small records."""
+"""What the engine asks of a workflow: a few functions and three small records."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -46,10 +46,11 @@ class Workflow:
     cache on it. ``case_table(study, first, last)`` gives the coordinates of cases first <= id < last, each array of length
     last - first (str, int or float). ``compute(study, cases, device)`` is a pure function of the study and the case ids:
     a case's bits depend on nothing else. It marks a case that fails for a known reason in ``status``; an exception means that
-    the engine tries the chunk's cases one by one.
+    the engine tries the chunk's cases one by one. ``describe`` adds lines to the plan.
     """
 
     name: str
     template: Callable[[str], Template]
     case_table: Callable[[str, int, int], dict[str, NDArray[Any]]]
     compute: Callable[[str, NDArray[np.int64], str], ChunkResult]
+    describe: Callable[[str], dict[str, str]] = lambda study: {}

@@ -203,6 +203,17 @@ def load_study(name: str | Path, overrides: Mapping[str, Any] | Iterable[str] = 
         raise UserError(f"{path.name}: {describe(error, record)}") from None
 
 
+def study_with(study: Study, keys: Mapping[str, Any]) -> Study:
+    """Return a copy of `study` with some ``section.key`` values replaced; raises UserError as :func:`load_study`."""
+    record = study.model_dump(mode="json")
+    for key, value in keys.items():
+        _override(record, key, value)
+    try:
+        return Study.model_validate(record)
+    except ValidationError as error:
+        raise UserError(f"{study.study.name}: {describe(error, record)}") from None
+
+
 def _find(name: str) -> Path:
     bundled = bundled_studies()
     if name in bundled:

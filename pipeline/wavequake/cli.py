@@ -1,0 +1,238 @@
+"""The command line: ``wavequake run|plan|studies|status|report|verify|devices``."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from wavequake import __version__
+from wavequake.errors import StoreDamageError, UserError
+
+EXIT_BAD_INPUT, EXIT_QUARANTINED, EXIT_DAMAGED, EXIT_INTERRUPTED = 2, 3, 4, 130
+
+app = typer.Typer(
+    help="What does vibration do to the image, and which model, mirror or controller is good enough?",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+out = Console(highlight=False)
+err = Console(stderr=True, highlight=False)
+
+StudyArgument = Annotated[str, typer.Argument(help="Name of a bundled study or path of a .toml file.")]
+StoreArgument = Annotated[Path, typer.Argument(help="Folder of the store.")]
+OverridesArgument = Annotated[list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. campaign.cases=40")]
+StoreOption = Annotated[Path | None, typer.Option("--store", help="Folder of the store (store.path).")]
+
+
+def main() -> None:
+    """Run the command line; the exit code says how it ended (0, 1, 2, 3, 4 or 130)."""
+    debug = "--debug" in sys.argv
+    try:
+        app()
+    except UserError as error:
+        _fail(f"Error: {error}", EXIT_BAD_INPUT, debug)
+    except StoreDamageError as error:
+        _fail(f"Damaged store: {error}", EXIT_DAMAGED, debug)
+    except KeyboardInterrupt:
+        _fail("Interrupted. What is done is kept; the same command continues.", EXIT_INTERRUPTED, debug)
+    except OSError as error:
+        _fail(f"Error: {error.strerror or error}: {error.filename or 'a file'}.", EXIT_BAD_INPUT, debug)
+    except Exception as error:
+        _fail(f"Internal error: {type(error).__name__}: {error} (run again with --debug for the traceback).", 1, debug)
+
+
+def _fail(message: str, code: int, debug: bool) -> None:
+    if debug:
+        err.print_exception()
+    err.print(message, markup=False, soft_wrap=True)
+    sys.exit(code)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        out.print(f"wavequake {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _global(
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")] = False,
+) -> None:
+    """Take the options that every command shares."""
+
+
+@app.command()
+def run(
+    study: StudyArgument,
+    overrides: OverridesArgument = None,
+    store: StoreOption = None,
+    on: Annotated[str, typer.Option(help="serial, local, or the tcp://HOST:PORT of a Dask scheduler.")] = "local",
+    workers: Annotated[int | None, typer.Option(min=1, help="Worker processes (default: one per CPU).")] = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Run a study, or what of it is not done yet, and write its report. Safe to repeat and to interrupt."""
+    from wavequake.workflows.campaign import run_study
+    from wavequake.workflows.study import load_study
+
+    loaded = load_study(study, _with_store(overrides, store))
+    path = Path(loaded.store.path) if loaded.store.path else loaded.default_store()
+    out.print(f"[bold]{loaded.study.name}[/bold]  {loaded.campaign.cases} cases  ->  {path}")
+    try:
+        with _progress() as progress:
+            summary = run_study(loaded, path, on=on, workers=workers, progress=progress)
+    except KeyboardInterrupt:
+        words = " ".join(["wavequake run", study, *(overrides or []), f"--store {path}"])
+        err.print(f"\nInterrupted. What is done is kept; to continue: {words}", markup=False, soft_wrap=True)
+        sys.exit(EXIT_INTERRUPTED)
+    if summary.computed:
+        rate = summary.computed / max(summary.seconds, 1e-9)
+        out.print(f"{summary.computed} cases computed in {summary.seconds:.1f} s ({rate:.0f} cases/s); {summary.done_before} were done before.")
+    else:
+        out.print(f"All {summary.done_before} cases were done already; nothing was computed.")
+    _write_report(path, fresh=summary.computed > 0)
+    if summary.quarantined:
+        err.print(f"{summary.quarantined} cases are quarantined; wavequake status {path} says why.", soft_wrap=True)
+        sys.exit(EXIT_QUARANTINED)
+
+
+@app.command()
+def plan(study: StudyArgument, overrides: OverridesArgument = None, store: StoreOption = None,
+         debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False) -> None:
+    """Show cases, chunks, memory and an estimate of the time; stores nothing."""
+    from wavequake.workflows.campaign import plan as plan_study
+    from wavequake.workflows.study import load_study
+
+    table = Table(show_header=False, box=None)
+    for key, value in plan_study(load_study(study, _with_store(overrides, store))).items():
+        table.add_row(key, value)
+    out.print(table)
+
+
+@app.command()
+def studies() -> None:
+    """List the bundled studies."""
+    from wavequake.workflows.study import bundled_studies, load_study
+
+    table = Table(box=None)
+    table.add_column("study", style="bold")
+    table.add_column("what it shows")
+    for name in bundled_studies():
+        table.add_row(name, load_study(name).study.title)
+    out.print(table)
+
+
+@app.command()
+def status(store: StoreArgument, debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False) -> None:
+    """Say what of a store is done, quarantined (and why) and still to do."""
+    from wavequake.workflows.store import status as store_status
+
+    for line in store_status(store).lines():
+        out.print(line, markup=False, soft_wrap=True)
+
+
+@app.command()
+def verify(store: StoreArgument, debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False) -> None:
+    """Read every stored number again and compare it with the journal's digests (exit code 4 if damaged)."""
+    from wavequake.workflows.verify import verify_store
+
+    report = verify_store(store)
+    for line in report.lines():
+        out.print(line, markup=False, soft_wrap=True)
+    if not report.ok:
+        sys.exit(EXIT_DAMAGED)
+
+
+@app.command()
+def report(store: StoreArgument, debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False) -> None:
+    """Print the table of a store and write its HTML report."""
+    _write_report(store, fresh=True)
+
+
+@app.command()
+def devices() -> None:
+    """List the devices that kernels can run on, and compare each with the NumPy twin."""
+    from wavequake.kernels.devices import list_devices, self_test
+
+    table = Table(box=None)
+    for column in ("device", "kind", "platform", "largest difference to NumPy (mm)"):
+        table.add_column(column)
+    for device in list_devices():
+        table.add_row(device.name, device.kind, device.platform, f"{self_test(device):.1e}")
+    out.print(table)
+
+
+def _with_store(overrides: list[str] | None, store: Path | None) -> dict[str, Any] | list[str]:
+    chosen = [f"store.path={str(store)!r}"] if store else []
+    return [*(overrides or []), *chosen]
+
+
+def _write_report(store: Path, fresh: bool) -> None:
+    from wavequake.report.campaign import report_path, report_store, summary_table
+
+    path = report_path(store)
+    if fresh or not path.exists():
+        table, path = report_store(store)
+    else:
+        table = summary_table(store)
+    out.print(table)
+    out.print(f"Report: {path.resolve()}", soft_wrap=True)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[int, int, int], None]]:
+    """Give a callback (done, total, quarantined): one live line on a terminal, plain lines elsewhere."""
+    if not out.is_terminal:
+        yield _plain_progress()
+        return
+    columns = (
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("cases  {task.fields[rate]:.0f}/s  ETA"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[quarantined]} quarantined"),
+    )
+    with Progress(*columns, console=out, transient=True) as bar:
+        task = bar.add_task("", total=None, rate=0.0, quarantined=0)
+        rate = _Rate()
+
+        def update(done: int, total: int, quarantined: int) -> None:
+            bar.update(task, completed=done, total=total, rate=rate(done), quarantined=quarantined)
+
+        yield update
+
+
+class _Rate:
+    """Cases per second since the first call."""
+
+    def __init__(self) -> None:
+        self._start: tuple[float, int] | None = None
+
+    def __call__(self, done: int) -> float:
+        now = time.monotonic()
+        if self._start is None:
+            self._start = (now, done)
+        elapsed = now - self._start[0]
+        return (done - self._start[1]) / elapsed if elapsed > 0 else 0.0
+
+
+def _plain_progress(every_s: float = 5.0) -> Callable[[int, int, int], None]:
+    rate, last = _Rate(), [0.0]
+
+    def update(done: int, total: int, quarantined: int) -> None:
+        speed, now = rate(done), time.monotonic()
+        if now - last[0] < every_s and done < total:
+            return
+        last[0] = now
+        left = f"{(total - done) / speed:.0f} s left" if speed > 0 else "starting"
+        out.print(f"{done}/{total} cases  {speed:.0f}/s  {left}  {quarantined} quarantined")
+
+    return update

@@ -1,0 +1,122 @@
+"""Run and plan a study: the few calls behind ``wavequake run`` and ``wavequake.run``."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from wavequake.kernels.devices import choose_device
+from wavequake.workflows.contract import Workflow
+from wavequake.workflows.engine import CampaignSummary, run_campaign
+from wavequake.workflows.segment_disturbance import WORKFLOW as SEGMENT_DISTURBANCE
+from wavequake.workflows.store import open_store
+from wavequake.workflows.study import Study, load_study, study_with
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Progress = Callable[[int, int, int], None]
+
+WORKFLOWS: dict[str, Workflow] = {"segment-disturbance": SEGMENT_DISTURBANCE}
+
+
+def workflow_of(study: Study) -> Workflow:
+    """Return the workflow that a study asks for."""
+    return WORKFLOWS[study.study.workflow]
+
+
+def run_study(
+    study: Study, path: Path, *, on: str = "local", workers: int | None = None, progress: Progress | None = None
+) -> CampaignSummary:
+    """Compute what of `study` the store at `path` lacks.
+
+    Raises
+    ------
+    UserError
+        If the store belongs to another study, is in use or cannot be written, or the device does not exist.
+    """
+    workflow = workflow_of(study)
+    text = study.identity_text()
+    device = choose_device(study.campaign.device)
+    workflow.template(text)  # a study that cannot work says so before a store is made or a worker started
+    return run_campaign(
+        workflow,
+        text,
+        path,
+        cases=study.campaign.cases,
+        chunk=study.store.chunk_cases,
+        device=device.name,
+        on=on,
+        workers=workers,
+        progress=progress,
+    )
+
+
+def run(
+    study: str | Path | Study,
+    *,
+    cases: int | None = None,
+    store: str | Path | None = None,
+    on: str = "serial",
+    workers: int | None = None,
+    **overrides: Any,
+) -> "xr.Dataset":
+    """Run a study and return its results as a labelled lazy dataset.
+
+    Parameters
+    ----------
+    study : str, Path or Study
+        Name of a bundled study, path of a study file, or a loaded study.
+    cases : int, optional
+        Number of cases (``campaign.cases``).
+    store : str or Path, optional
+        Folder of the store; by default ``runs/<name>-<identity>``. What it already holds is not computed again.
+    on : {"serial", "local", "tcp://HOST:PORT"}
+        Where to run. ``local`` starts worker processes, which a script must guard by ``if __name__ == "__main__"``.
+    workers : int, optional
+        Worker processes of ``local``; one per CPU by default.
+    **overrides
+        Further keys with double underscores for dots, e.g. ``optics__wavelength_nm=1000.0``.
+
+    Returns
+    -------
+    xarray.Dataset
+        What :func:`wavequake.open_store` gives.
+
+    Raises
+    ------
+    UserError
+        For a study, a key or a store that cannot be used; says which and what would be right.
+    """
+    keys = {key.replace("__", "."): value for key, value in overrides.items()}
+    if cases is not None:
+        keys["campaign.cases"] = cases
+    loaded = study_with(study, keys) if isinstance(study, Study) else load_study(study, keys)
+    path = Path(store or loaded.store.path or loaded.default_store())
+    run_study(loaded, path, on=on, workers=workers)
+    return open_store(path)
+
+
+def plan(study: Study) -> dict[str, str]:
+    """Describe what running `study` would take; a pilot of a few cases in memory gives the time, nothing is stored."""
+    workflow, text = workflow_of(study), study.identity_text()
+    cases, chunk = study.campaign.cases, study.store.chunk_cases
+    template = workflow.template(text)
+    per_case = sum(int(np.prod(v.shape)) * np.dtype(v.dtype).itemsize for v in template.per_case.values())
+    pilot = np.arange(min(cases, chunk, 8))
+    device = choose_device(study.campaign.device)
+    workflow.compute(text, pilot, device.name)  # builds kernels and tables, which every worker does once
+    start = time.perf_counter()
+    workflow.compute(text, pilot, device.name)
+    each = (time.perf_counter() - start) / len(pilot)
+    return {
+        "study": f"{study.study.name} ({study.identity()[:12]})",
+        "cases": f"{cases} in {-(-cases // chunk)} chunks of {chunk}",
+        "device": f"{device.name} ({device.kind})",
+        "store": f"{cases * per_case / 1e6:.1f} MB ({per_case / 1e3:.1f} kB per case), {chunk * per_case / 1e6:.2f} MB per shard",
+        "one case": f"{each * 1e3:.1f} ms in one process (pilot of {len(pilot)} cases, after set-up)",
+        "estimate": f"{cases * each:.0f} s of one process",
+        **workflow.describe(text),
+    }

@@ -1,0 +1,242 @@
+"""The workflow ``segment-disturbance``: Monte Carlo of a telescope whose segments and line of sight are disturbed.
+
+One case is one realization of one population of disturbances over its instants: motions of segments and M2 are drawn
+(`mechanics`), every instant is ray traced and its wavefront measured (`kernels`, `optics`), and the instants' point
+spread functions make the case's exposure (`imaging`).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.imaging.exposure import encircled_energy_radius
+from wavequake.kernels.devices import choose_device
+from wavequake.kernels.tiles import TILE, padded
+from wavequake.mechanics.disturbances import Disturbance, Motion, draw_case, time_axis
+from wavequake.optics.states import SurfaceStates
+from wavequake.optics.wavefront import Wavefront, measure
+from wavequake.workflows.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, image_axis, images
+from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.workflows.study import study_from_identity
+
+Array = NDArray[np.float64]
+
+# Tiles per launch: about 40 MB of rays per output array at 9000 rays, whatever the number and length of the cases.
+_LAUNCH_TILES = 32
+
+
+@dataclass(frozen=True)
+class CaseDraw:
+    """One case before optics: its population, realization, time axis (n,) in s and motion."""
+
+    population: Disturbance
+    realization: int
+    time: Array
+    motion: Motion
+
+
+def slot(populations: tuple[Disturbance, ...], case: int) -> tuple[Disturbance, int]:
+    """Return the population and realization of a case.
+
+    Cases repeat a pattern in which each population has ``share`` rows, so that adding cases changes no earlier one, and the
+    n-th case of every population is realization n: comparisons between populations are paired.
+    """
+    pattern = [population for population in populations for _ in range(population.share)]
+    round_, place = divmod(case, len(pattern))
+    population = pattern[place]
+    return population, round_ * population.share + pattern[:place].count(population)
+
+
+def draw(bench: Bench, case: int) -> CaseDraw:
+    """Draw the motion of one case; it depends on the study's seed, the disturbance's name and the realization only."""
+    study = bench.study
+    population, realization = slot(study.disturbance, case)
+    motion = draw_case(study.disturbance, population, bench.layout, study.study.seed, realization)
+    return CaseDraw(population, realization, time_axis(population), motion)
+
+
+def surface_states(bench: Bench, drawn: CaseDraw, first: int, last: int) -> SurfaceStates:
+    """Convert instants first <= i < last of a motion from SI to the optics (mm), padded with rest to whole tiles."""
+    batch, count = padded(last - first), last - first
+    segments, surfaces = len(bench.system.segments), len(bench.system.surfaces)
+    motion, part = drawn.motion, slice(first, last)
+    segment_motion = np.zeros((batch, segments, 6))
+    segment_motion[:count] = motion.segment_motion[part]
+    segment_motion[..., :3] *= MM_PER_M
+    figure = np.zeros((batch, segments, bench.figure_terms))
+    figure[:count, :, : motion.segment_figure.shape[-1]] = motion.segment_figure * MM_PER_M
+    surface_motion = np.zeros((batch, surfaces, 6))
+    surface_motion[:count, 0, 3:5] = motion.m2[part] @ bench.m2_tilt.T
+    field = np.zeros((batch, 2))
+    field[:] = bench.field
+    field[:count] += motion.mount[part]
+    return SurfaceStates(segment_motion, figure, surface_motion, field)
+
+
+def _pieces(draws: list[CaseDraw]) -> Iterator[list[tuple[int, int, int]]]:
+    """Cut the cases into launches of at most _LAUNCH_TILES tiles: lists of (row, first instant, last instant)."""
+    launch: list[tuple[int, int, int]] = []
+    room = _LAUNCH_TILES * TILE
+    for row, drawn in enumerate(draws):
+        first, count = 0, len(drawn.time)
+        while first < count:
+            last = min(count, first + room)
+            launch.append((row, first, last))
+            room -= padded(last - first)
+            first = last
+            if room < TILE:
+                yield launch
+                launch, room = [], _LAUNCH_TILES * TILE
+    if launch:
+        yield launch
+
+
+def _joined(states: list[SurfaceStates]) -> SurfaceStates:
+    return SurfaceStates(
+        *(
+            np.concatenate([getattr(state, name) for state in states])
+            for name in ("segment_motion", "segment_figure", "surface_motion", "field")
+        )
+    )
+
+
+def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
+    """Compute the numbers of `cases`; a segment that loses all its rays quarantines its case with the reason."""
+    bench, device = bench_of(study_text), choose_device(device_name)
+    draws = [draw(bench, int(case)) for case in cases]
+    arrays = {
+        name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
+        for name, variable in template(study_text).per_case.items()
+    }
+    arrays["exposure"][:] = 0.0
+    messages = [""] * len(cases)
+    for launch in _pieces(draws):
+        states = [surface_states(bench, draws[row], first, last) for row, first, last in launch]
+        wavefront = measure(bench.prepared, _joined(states), device)
+        offset = 0
+        for (row, first, last), state in zip(launch, states, strict=True):
+            here = slice(offset, offset + last - first)
+            offset += len(state)
+            messages[row] = messages[row] or _lost_segment(bench, draws[row], wavefront, here, first)
+            _record(bench, arrays, row, slice(first, last), wavefront, here, draws[row])
+    status = np.full(len(cases), DONE, dtype=np.int8)
+    for row, message in enumerate(messages):
+        if message:
+            status[row] = RAISED
+            for array in arrays.values():
+                array[row] = np.nan
+        else:
+            _finish_exposure(bench, arrays, row, len(draws[row].time))
+    return ChunkResult(arrays, status, tuple(messages))
+
+
+def _lost_segment(bench: Bench, drawn: CaseDraw, wavefront: Wavefront, here: slice, first: int) -> str:
+    instants, segments = np.nonzero(wavefront.lost_segments[here])
+    if not len(instants):
+        return ""
+    instant, segment = first + int(instants[0]), int(segments[0])
+    return (
+        f"segment {bench.system.segments.names[segment]} lost all its rays at instant {instant} "
+        f"(t = {drawn.time[instant]:.4g} s): its motion takes its glass out of the beam"
+    )
+
+
+def _record(
+    bench: Bench, arrays: dict[str, Array], row: int, there: slice, wavefront: Wavefront, here: slice, drawn: CaseDraw
+) -> None:
+    """Write the instants `here` of a launch to the instants `there` of case `row`."""
+    to_nm = bench.study.optics.wavelength_nm
+    to_mas = MAS_PER_RAD / bench.first_order.focal_length
+    arrays["time_s"][row, there] = drawn.time[there]
+    arrays["wfe_rms"][row, there] = wavefront.rms[here] * to_nm
+    arrays["wfe_rms_raw"][row, there] = wavefront.rms_raw[here] * to_nm
+    arrays["zernike"][row, there] = wavefront.zernike[here] * to_nm
+    arrays["los"][row, there] = (wavefront.los[here] - bench.static.los[0]) * to_mas
+    arrays["centroid"][row, there] = (wavefront.centroid[here] - bench.static.centroid[0]) * to_mas
+    arrays["strehl"][row, there] = wavefront.strehl[here]
+    if "segment_motion" in arrays:
+        arrays["segment_motion"][row, there] = drawn.motion.segment_motion[there]
+    tiles = slice(here.start, here.start + padded(here.stop - here.start))
+    valid = np.arange(tiles.stop - tiles.start) < here.stop - here.start
+    arrays["exposure"][row] += images(bench, wavefront, tiles, valid)
+
+
+def _finish_exposure(bench: Bench, arrays: dict[str, Array], row: int, instants: int) -> None:
+    exposure = arrays["exposure"][row]
+    exposure /= instants
+    for name, fraction in (("ee50", 0.5), ("ee80", 0.8)):
+        arrays[name][row] = encircled_energy_radius(exposure, fraction, **bench.energy)
+
+
+def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
+    """Return the labels of cases first <= id < last: disturbance, realization and seed."""
+    study = study_from_identity(study_text)
+    slots = [slot(study.disturbance, case) for case in range(first, last)]
+    return {
+        "disturbance": np.array([population.name for population, _ in slots], dtype=object),
+        "realization": np.array([realization for _, realization in slots], dtype=np.int64),
+        "seed": np.full(last - first, study.study.seed, dtype=np.int64),
+    }
+
+
+def template(study_text: str) -> Template:
+    """Return what a store of this study holds."""
+    bench = bench_of(study_text)
+    study = bench.study
+    instants = max(population.instants for population in study.disturbance)
+    terms, pixels = study.wavefront.zernike_terms, study.imaging.pixels
+    time, noll = ("time",), ("noll",)
+
+    def variable(dims: tuple[str, ...], shape: tuple[int, ...], units: str, long_name: str) -> Variable:
+        return Variable(dims, shape, {"units": units, "long_name": long_name})
+
+    per_case = {
+        "time_s": variable(time, (instants,), "s", "time of the instant; NaN beyond the population's instants"),
+        "wfe_rms": variable(
+            time, (instants,), "nm", "wavefront error rms of the fitted Zernikes j >= 4 (piston and tilt removed)"
+        ),
+        "wfe_rms_raw": variable(time, (instants,), "nm", "wavefront error rms over the rays on glass, piston removed"),
+        "zernike": variable(("time", *noll), (instants, terms), "nm", "annular Noll Zernike coefficients, total"),
+        "los": variable(
+            ("time", "axis"), (instants, 2), "mas",
+            "line of sight of the best-fit plane (Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2)), relative to rest",
+        ),
+        "centroid": variable(("time", "axis"), (instants, 2), "mas", "geometric centroid of the rays, relative to rest"),
+        "strehl": variable(time, (instants,), "1", "Strehl ratio in the direction of the best-fit plane"),
+        "ee50": variable((), (), "lambda/D", "radius of 50 % encircled energy of the exposure; inf beyond the frame"),
+        "ee80": variable((), (), "lambda/D", "radius of 80 % encircled energy of the exposure; inf beyond the frame"),
+        "exposure": variable(
+            ("y", "x"), (pixels, pixels), "1", "mean of the instants' point spread functions; 1 = peak of the perfect one"
+        ),
+    }
+    if "segment_motion" in study.store.keep:
+        shape = (instants, len(bench.system.segments), 6)
+        per_case["segment_motion"] = variable(
+            ("time", "segment", "dof"), shape, "m, rad", "rigid motion in the segment's local frame (dz to the sky)"
+        )
+    return Template(per_case, _fixed(bench))
+
+
+def _fixed(bench: Bench) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]]:
+    axis = image_axis(bench)
+    wavelength = bench.study.optics.wavelength_nm
+    fixed: dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]] = {
+        "noll": (("noll",), np.arange(1, bench.study.wavefront.zernike_terms + 1), {"long_name": "Noll index"}),
+        "axis": (("axis",), np.array(["x", "y"], dtype=object), {"long_name": "axis of the image plane"}),
+        "y": (("y",), axis, {"units": "lambda/D", "long_name": "image y"}),
+        "x": (("x",), axis, {"units": "lambda/D", "long_name": "image x"}),
+        "zernike_static": (
+            ("noll",),
+            bench.static.zernike[0] * wavelength,
+            {"units": "nm", "long_name": "Zernike coefficients at rest (a_0 of Störkle 2018, Eq. 3.41)"},
+        ),
+    }
+    if "segment_motion" in bench.study.store.keep:
+        fixed["segment"] = (("segment",), np.array(bench.system.segments.names, dtype=object), {"long_name": "segment"})
+        fixed["dof"] = (("dof",), np.array(["dx", "dy", "dz", "rx", "ry", "rz"], dtype=object), {"long_name": "motion"})
+    return fixed
+
+
+WORKFLOW = Workflow("segment-disturbance", template, case_table, compute)

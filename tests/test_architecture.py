@@ -1,0 +1,77 @@
+"""The folder names are the architecture: imports run one way."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "pipeline" / "wavequake"
+PHYSICS = {"mechanics", "reduction", "optics", "imaging", "control"}
+BASE = {"errors", "files"}
+
+# What each package may import of ours, besides itself.
+ALLOWED = {
+    "errors": set(),
+    "files": set(),
+    "kernels": BASE,
+    "mechanics": BASE | {"kernels"},
+    "reduction": BASE | {"kernels", "mechanics"},
+    "optics": BASE | {"kernels"},
+    "imaging": BASE | {"kernels", "optics"},
+    "control": BASE | {"kernels"},
+    "firmware": BASE | {"control"},
+    "cluster": BASE,
+    "workflows": BASE | PHYSICS | {"kernels", "cluster", "firmware"},
+    "report": BASE | PHYSICS | {"kernels", "workflows"},
+    "cli": BASE | PHYSICS | {"kernels", "workflows", "report", "cluster", "firmware"},
+    "__main__": {"cli"},
+}
+# The package's front door imports lazily, for users; provenance may ask it for the version.
+FRONT_DOOR = "__init__"
+NOT_IN_PHYSICS = {"dask", "distributed", "zarr", "xarray"}
+
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+
+def imports_of(path: Path) -> set[str]:
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names.add(node.module or "")
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def home(path: Path) -> str:
+    return path.relative_to(PACKAGE).with_suffix("").parts[0]
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_imports_run_one_way(path):
+    if home(path) == FRONT_DOOR:
+        return
+    ours = {name.split(".")[1] for name in imports_of(path) if name.startswith("wavequake.")}
+    ours -= {"__version__", home(path)}
+    assert ours <= ALLOWED[home(path)]
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_no_bare_folder_imports(path):
+    tops = {name.split(".")[0] for name in imports_of(path)}
+    assert not tops & (set(ALLOWED) - {"__main__"} | {"pipeline"})
+
+
+@pytest.mark.parametrize("path", [p for p in MODULES if home(p) in PHYSICS | {"kernels"}], ids=lambda path: path.name)
+def test_physics_knows_no_dask_and_no_store(path):
+    assert not {name.split(".")[0] for name in imports_of(path)} & NOT_IN_PHYSICS
+
+
+def test_every_package_has_its_rule():
+    assert {home(path) for path in MODULES} - {FRONT_DOOR} <= set(ALLOWED)
+
+
+def test_files_are_readable_in_one_sitting():
+    assert not [str(path) for path in MODULES if len(path.read_text().splitlines()) > 400]
