@@ -8,16 +8,16 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.imaging.segment_psf import SegmentBasis, ray_basis, segment_basis
 from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import TILE
-from wavequake.mechanics.disturbances import Disturbance, Motion
+from wavequake.mechanics.disturbances import Disturbance
 from wavequake.mechanics.layout import SegmentLayout
 from wavequake.optics.pupils import PupilRays, on_glass, segment_rays, sunflower
+from wavequake.optics.segments import areas
 from wavequake.optics.states import SurfaceStates, rest
 from wavequake.optics.systems import FirstOrder, OpticalSystem, first_order
 from wavequake.optics.telescopes import telescope
-from wavequake.optics.wavefront import PreparedTrace, Wavefront, measure, prepare
+from wavequake.optics.wavefront import PreparedTrace, Wavefront, analyse, chief_rays, prepare, trace_states
 from wavequake.workflows.study import Study, study_from_identity
 
 MM_PER_M = 1e3
@@ -31,28 +31,18 @@ class Bench:
     """Everything of a study that does not change from case to case.
 
     ``m2_tilt`` (2, 2) gives M2's rotations about x and y in rad per rad of line of sight on the sky;
-    ``static`` is the wavefront of the reference configuration; ``basis`` turns segment phases into images.
+    ``static`` is the wavefront of the reference configuration, ``field`` (2,) the field point in rad.
     """
 
     study: Study
     system: OpticalSystem
     first_order: FirstOrder
     layout: SegmentLayout
-    rays: PupilRays
     prepared: PreparedTrace
     static: Wavefront
     m2_tilt: NDArray[np.float64]
     figure_terms: int
-
-    @property
-    def wavelength(self) -> float:
-        """Wavelength in mm."""
-        return self.study.optics.wavelength_nm * 1e-6
-
-    @property
-    def monolithic(self) -> bool:
-        """Whether M1 is one mirror without edges."""
-        return self.system.segments.corners.shape[1] == 0
+    field: NDArray[np.float64]
 
 
 @lru_cache(maxsize=2)
@@ -68,6 +58,80 @@ def bench_of(study_text: str) -> Bench:
     system = build_telescope(study)
     rays = build_rays(study, system)
     terms = figure_terms(study.disturbance)
-    prepared = prepare(system, rays, study.optics.wavelength_nm * 1e-6, study.wavefront.zernike_terms, figure_terms=terms)
-    static, tilt = _reference(study, system, prepared)
-    return Bench(study, system, first_order(system), layout_of(system), rays, prepared, static, tilt, terms)
+    wavelength = study.optics.wavelength_nm * 1e-6
+    prepared = prepare(system, rays, wavelength, study.wavefront.zernike_terms, figure_terms=terms)
+    field = np.array(study.optics.field_arcmin) * _ARCMIN
+    static, tilt = _reference(system, prepared, field, terms)
+    return Bench(study, system, first_order(system), layout_of(system), prepared, static, tilt, terms, field)
+
+
+def monolithic(system: OpticalSystem) -> bool:
+    """Return whether M1 is one mirror without edges."""
+    return system.segments.corners.shape[1] == 0
+
+
+def build_telescope(study: Study) -> OpticalSystem:
+    """Build the telescope that a study describes."""
+    section = study.telescope
+    if section.name == "custom":
+        surfaces = [surface.model_dump() for surface in section.surfaces]
+        return telescope(
+            "custom",
+            polygons=io.StringIO(section.polygons_csv or ""),
+            primary_radius=section.primary_radius_mm,
+            primary_conic=section.primary_conic,
+            surfaces=surfaces,
+        )
+    options = {"side": section.side_mm, "gap": section.gap_mm}
+    return telescope(section.name, **{key: value for key, value in options.items() if value is not None})
+
+
+def build_rays(study: Study, system: OpticalSystem) -> PupilRays:
+    """Sample the pupil; rays that meet no glass are dropped.
+
+    Raises
+    ------
+    UserError
+        If no ray is left.
+    """
+    optics = study.optics
+    if optics.sampling == "segments" and not monolithic(system):
+        return segment_rays(system.segments, _TRIANGLE_POINTS[optics.rays_per_segment])
+    return on_glass(system, sunflower(system.pupil_inner, system.pupil_outer, optics.rays))
+
+
+def figure_terms(populations: Iterable[Disturbance]) -> int:
+    """Return the highest Noll index of any segment figure in the study (0: none)."""
+    return max((max(getattr(population, "figure_nm", None) or {0: 0.0}) for population in populations), default=0)
+
+
+def layout_of(system: OpticalSystem) -> SegmentLayout:
+    """Return the segments for the mechanics: SI units, z to the sky."""
+    segments = system.segments
+    return SegmentLayout(
+        names=segments.names,
+        centers_m=segments.centers * [1.0, 1.0, -1.0] / MM_PER_M,
+        axes=segments.axes,
+        corners_m=segments.corners / MM_PER_M,
+        areas_m2=areas(segments) / MM_PER_M**2,
+    )
+
+
+def _reference(
+    system: OpticalSystem, prepared: PreparedTrace, field: NDArray[np.float64], terms: int
+) -> tuple[Wavefront, NDArray[np.float64]]:
+    """Measure the reference configuration, and the rotations of M2 that move the line of sight by one rad on the sky.
+
+    Both come from NumPy whatever the study's device, so that they are the same on every worker.
+    """
+    step = 1e-6
+    still = rest(TILE, len(system.segments), len(system.surfaces), terms)
+    motion = still.surface_motion.copy()
+    for lane, (axis, sign) in enumerate([(3, 1), (3, -1), (4, 1), (4, -1)], start=1):
+        motion[lane, 0, axis] = sign * step
+    states = SurfaceStates(still.segment_motion, still.segment_figure, motion, still.field + field)
+    traced = trace_states(prepared, states, choose_device("numpy"))
+    wavefront = analyse(prepared, traced, chief_rays(prepared, states))
+    los = wavefront.los
+    per_tilt = np.stack([los[1] - los[2], los[3] - los[4]], axis=1) / (2 * step)
+    return wavefront, np.linalg.inv(per_tilt / prepared.focal_length)

@@ -16,8 +16,9 @@ from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import TILE, padded
 from wavequake.mechanics.disturbances import Disturbance, Motion, draw_case, time_axis
 from wavequake.optics.states import SurfaceStates
-from wavequake.optics.wavefront import Wavefront, measure
-from wavequake.workflows.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, image_axis, images
+from wavequake.optics.wavefront import Wavefront, analyse, chief_rays, trace_states
+from wavequake.workflows.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of
+from wavequake.workflows.images import energy_scale, image_axis, summed_images
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.study import study_from_identity
 
@@ -114,13 +115,18 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
     messages = [""] * len(cases)
     for launch in _pieces(draws):
         states = [surface_states(bench, draws[row], first, last) for row, first, last in launch]
-        wavefront = measure(bench.prepared, _joined(states), device)
-        offset = 0
+        joined = _joined(states)
+        traced = trace_states(bench.prepared, joined, device)
+        wavefront = analyse(bench.prepared, traced, chief_rays(bench.prepared, joined))
+        tile = 0
         for (row, first, last), state in zip(launch, states, strict=True):
-            here = slice(offset, offset + last - first)
-            offset += len(state)
+            tiles = slice(tile, tile + len(state) // TILE)
+            tile = tiles.stop
+            here = slice(tiles.start * TILE, tiles.start * TILE + last - first)
             messages[row] = messages[row] or _lost_segment(bench, draws[row], wavefront, here, first)
-            _record(bench, arrays, row, slice(first, last), wavefront, here, draws[row])
+            if not messages[row]:
+                _record(bench, arrays, row, slice(first, last), wavefront, here, draws[row])
+                arrays["exposure"][row] += summed_images(bench, traced, wavefront, tiles, last - first)
     status = np.full(len(cases), DONE, dtype=np.int8)
     for row, message in enumerate(messages):
         if message:
@@ -158,16 +164,13 @@ def _record(
     arrays["strehl"][row, there] = wavefront.strehl[here]
     if "segment_motion" in arrays:
         arrays["segment_motion"][row, there] = drawn.motion.segment_motion[there]
-    tiles = slice(here.start, here.start + padded(here.stop - here.start))
-    valid = np.arange(tiles.stop - tiles.start) < here.stop - here.start
-    arrays["exposure"][row] += images(bench, wavefront, tiles, valid)
 
 
 def _finish_exposure(bench: Bench, arrays: dict[str, Array], row: int, instants: int) -> None:
     exposure = arrays["exposure"][row]
     exposure /= instants
     for name, fraction in (("ee50", 0.5), ("ee80", 0.8)):
-        arrays[name][row] = encircled_energy_radius(exposure, fraction, **bench.energy)
+        arrays[name][row] = encircled_energy_radius(exposure, fraction, **energy_scale(bench))
 
 
 def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:

@@ -1,0 +1,91 @@
+"""Exposures of a bench: every instant's own point spread function, placed at its line of sight."""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.imaging.placement import place
+from wavequake.imaging.segment_psf import SegmentBasis, psf, ray_basis, segment_basis, shift_phase, truncation_error
+from wavequake.kernels.tiles import TILE, from_tiles
+from wavequake.kernels.train import Traced
+from wavequake.optics.wavefront import Wavefront
+from wavequake.workflows.bench import Bench, bench_of, monolithic
+
+Array = NDArray[np.float64]
+
+# Moments tried in turn when the study says "auto": few suffice for pistons, many for tilted segments.
+_AUTO_MOMENTS = (6, 15, 45)
+# Largest error of an image relative to the perfect peak, as a worst-case bound; the real error is 10 to 100 times less.
+_TOLERANCE = 1e-3
+# Images are computed on a canvas of twice the frame, so that one that moves brings its own wings along.
+_CANVAS = 2
+
+
+def image_axis(bench: Bench) -> Array:
+    """Return the pixel centers of an image's axis in lambda/D."""
+    imaging = bench.study.imaging
+    return (np.arange(imaging.pixels) - imaging.pixels // 2) * imaging.sampling
+
+
+def energy_scale(bench: Bench) -> dict[str, Any]:
+    """Return what encircled energies of this pupil need: sampling, glass area and diameter in mm."""
+    return {
+        "sampling": bench.study.imaging.sampling,
+        "area": float(bench.layout.areas_m2.sum()) * 1e6,
+        "diameter": 2.0 * bench.system.pupil_outer,
+    }
+
+
+def summed_images(bench: Bench, traced: Traced, wavefront: Wavefront, tiles: slice, instants: int) -> Array:
+    """Return the sum of the images of a case's first `instants` in the launch's `tiles`, shape (pixels, pixels).
+
+    Image axes are those of the image plane: +x is where a positive line of sight moves the image. Whole pixels of each
+    instant's line of sight are taken out of its phase before the transform and put back by placing the image, so that
+    segments see only the small rest of a common tilt.
+
+    Raises
+    ------
+    UserError
+        If segments are tilted beyond what the moments of the basis can image.
+    """
+    imaging, prepared = bench.study.imaging, bench.prepared
+    batch = slice(tiles.start * TILE, tiles.stop * TILE)
+    diameter = 2.0 * bench.system.pupil_outer
+    per_mm = diameter / (prepared.wavelength * prepared.focal_length)
+    pixel = np.rint((wavefront.los[batch] - bench.static.los[0]) * per_mm / imaging.sampling)
+    shift = (wavefront.chief[batch] - bench.static.chief[0]) * per_mm - pixel * imaging.sampling
+    # A phase that grows along +x moves the image to +x; the OPD of a positive line of sight falls along +x.
+    if monolithic(bench.system):
+        phase = -from_tiles(traced.opd[tiles]) / prepared.wavelength
+        places = np.stack([prepared.rays.x, prepared.rays.y], axis=1)
+        phase = phase + (shift / diameter) @ places.T
+    else:
+        phase = shift_phase(-wavefront.segment_phase[batch], shift, bench.system.segments.centers[:, :2], diameter)
+    size = _CANVAS * imaging.pixels
+    frames = _psf(bench, phase).reshape(-1, size, size)[:instants]
+    placed: Array = place(frames, pixel[:instants].astype(np.int64), imaging.pixels).sum(axis=0)
+    return placed
+
+
+def _psf(bench: Bench, phase: Array) -> NDArray[np.floating[Any]]:
+    text, chosen = bench.study.identity_text(), bench.study.imaging.moments
+    if chosen != "auto" or monolithic(bench.system):
+        return psf(_basis(text, 1 if chosen == "auto" else chosen), phase)
+    *quick, last = _AUTO_MOMENTS
+    for moments in quick:
+        basis = _basis(text, moments)
+        if truncation_error(basis, phase)[-1].max() <= _TOLERANCE:
+            return psf(basis, phase, _TOLERANCE)
+    return psf(_basis(text, last), phase, _TOLERANCE)
+
+
+@lru_cache(maxsize=3)
+def _basis(study_text: str, moments: int) -> SegmentBasis:
+    bench = bench_of(study_text)
+    imaging, system, rays = bench.study.imaging, bench.system, bench.prepared.rays
+    grid = {"pixels": _CANVAS * imaging.pixels, "sampling": imaging.sampling, "diameter": 2.0 * system.pupil_outer}
+    if monolithic(system):
+        return ray_basis(rays.x, rays.y, bench.prepared.weight, **grid)
+    return segment_basis(system.segments.corners, system.segments.centers[:, :2], moments=moments, **grid)
