@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
+
 from wavequake.errors import UserError
 from wavequake.kernels.tiles import TILE
 
@@ -104,3 +106,17 @@ def opencl_handle(device: Device) -> Any:
         if found == device:
             return handle
     raise UserError(f"the OpenCL device {device.name!r} ({device.platform}) is not visible in this process")
+
+
+def self_test(device: Device) -> float:
+    """Trace a few rays on `device` and return the largest difference of the OPD to the NumPy twin in mm.
+
+    A healthy device stays below 1e-9 mm; NaN says that it loses rays which the twin does not.
+    """
+    from wavequake.kernels.example import two_mirrors
+    from wavequake.kernels.segmented import trace_segmented
+
+    arguments = two_mirrors()
+    expected = trace_segmented(*arguments, device=NUMPY)
+    found = trace_segmented(*arguments, device=device)
+    return float(np.abs(found.opd - expected.opd).max())

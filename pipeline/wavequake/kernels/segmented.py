@@ -1,15 +1,22 @@
 """Trace rays through a segmented telescope, every instant of a batch in one launch."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.kernels.devices import Device
+from wavequake.kernels.program import launch
 from wavequake.kernels.segmented_numpy import trace_chief, trace_segmented_numpy
+from wavequake.kernels.tiles import TILE
 from wavequake.kernels.train import SegmentedTrain, Traced, check_rays
 
 __all__ = ["SegmentedTrain", "Traced", "trace_chief", "trace_segmented"]
 
 Array = NDArray[np.float64]
+
+# What one launch may write: it bounds the memory that is taken on a GPU.
+_LAUNCH_BYTES = 128 << 20
 
 
 def trace_segmented(
@@ -65,18 +72,46 @@ def trace_segmented(
         If shapes do not fit together or a candidate is not a segment.
     """
     check_rays(train, ray_x, ray_y, candidates, segment_poses, figure, surface_poses, directions, chief)
-    arguments = (
-        train,
-        ray_x,
-        ray_y,
-        start_z,
-        candidates,
-        segment_poses,
-        figure,
-        surface_poses,
-        directions,
-        chief,
-    )
+    rays = (ray_x, ray_y, start_z, candidates)
     if device.kind == "numpy":
-        return trace_segmented_numpy(*arguments)
-    raise NotImplementedError
+        return trace_segmented_numpy(train, *rays, segment_poses, figure, surface_poses, directions, chief)
+    moving = (segment_poses, figure, surface_poses, directions, chief)
+    shape = (segment_poses.shape[0], ray_x.size, TILE)
+    traced = Traced(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.int8))
+    tiles = max(1, _LAUNCH_BYTES // (25 * TILE * max(1, ray_x.size)))
+    for first in range(0, shape[0], tiles):
+        part = slice(first, first + tiles)
+        inputs = [None if array is None else array[part] for array in moving]
+        outputs = [array[part] for array in (traced.opd, traced.x, traced.y, traced.status)]
+        _launch(device, train, rays, inputs, outputs)
+    return traced
+
+
+def _launch(
+    device: Device,
+    train: SegmentedTrain,
+    rays: tuple[Array, Array, float, NDArray[np.int32]],
+    moving: list[Array | None],
+    outputs: list[NDArray[Any]],
+) -> None:
+    """Run the kernel once, over the tiles of `moving` and `outputs`."""
+    ray_x, ray_y, start_z, candidates = rays
+    tiles, count, _ = outputs[0].shape
+    segments, edges, _ = train.edges.shape
+    constants = {
+        "W": device.vector_width,
+        "EDGES": edges,
+        "DEGREE": train.figure_degree,
+        "SURFACES": train.surface_curvatures.size,
+        "PLANES": sum(1 << i for i, curvature in enumerate(train.surface_curvatures) if curvature == 0.0),
+    }
+    inputs = [
+        *(np.int32(number) for number in (count, segments, candidates.shape[1])),
+        *(np.float64(number) for number in (start_z, train.primary_curvature, 1.0 + train.primary_conic)),
+        np.float64(train.sphere_radius**2),
+        *(ray_x, ray_y, candidates, train.edges, train.figure_frames),
+        *(train.surface_curvatures, 1.0 + train.surface_conics),
+        *moving,
+    ]
+    size = (TILE // device.vector_width, count, tiles)
+    launch(device, "segmented", tuple(constants.items()), size, inputs, outputs)

@@ -12,7 +12,8 @@ from wavequake.kernels.tiles import TILE
 from wavequake.kernels.train import GAP, MISS, OK, SegmentedTrain, Traced, check_train
 
 Array = NDArray[np.float64]
-_NEWTON_STEPS = 12
+_NEWTON_STEPS = 20
+_CONVERGED = 1e-11
 
 
 def trace_segmented_numpy(
@@ -145,7 +146,10 @@ def _meet_segment(
         conic_x, conic_y = conic_slopes(x, y, c, kappa)
         slope_x, slope_y = conic_x + figure_x, conic_y + figure_y
         miss = z - conic_sag(x, y, c, kappa) - deformation
-        path = path - miss / (direction[2] - slope_x * direction[0] - slope_y * direction[1])
+        step = miss / (direction[2] - slope_x * direction[0] - slope_y * direction[1])
+        path = path - step
+        if not (np.abs(step) > _CONVERGED).any():
+            break
     return path, (slope_x, slope_y)
 
 
@@ -156,13 +160,19 @@ def _figure(
     center_x, center_y, e_x, e_y = frames.T[:, :, None]
     u = e_x * (x - center_x) + e_y * (y - center_y)
     v = e_x * (y - center_y) - e_y * (x - center_x)
+    powers_u, powers_v = [np.ones_like(u)], [np.ones_like(v)]
+    for _ in range(degree):
+        powers_u.append(powers_u[-1] * u)
+        powers_v.append(powers_v[-1] * v)
     exponents = [(total - j, j) for total in range(degree + 1) for j in range(total + 1)]
     value, slope_u, slope_v = np.zeros_like(u), np.zeros_like(u), np.zeros_like(u)
     for term, (i, j) in enumerate(exponents):
         factor = coefficients[:, term]
-        value += factor * u**i * v**j
-        slope_u += factor * i * u ** max(i - 1, 0) * v**j
-        slope_v += factor * j * u**i * v ** max(j - 1, 0)
+        value += factor * powers_u[i] * powers_v[j]
+        if i:
+            slope_u += i * factor * powers_u[i - 1] * powers_v[j]
+        if j:
+            slope_v += j * factor * powers_u[i] * powers_v[j - 1]
     return value, e_x * slope_u - e_y * slope_v, e_y * slope_u + e_x * slope_v
 
 
@@ -207,9 +217,8 @@ def _back_to_sphere(position: Array, direction: Array, chief: Array, radius: flo
 def _reflected(direction: Array, slope_x: Array, slope_y: Array) -> Array:
     """Reflect unit directions at a surface with the given slopes."""
     normal = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)])
-    normal /= np.sqrt(np.sum(normal * normal, axis=0))
-    reflected: Array = direction - 2.0 * np.sum(direction * normal, axis=0) * normal
-    return reflected
+    twice: Array = 2.0 * np.sum(direction * normal, axis=0) / np.sum(normal * normal, axis=0)
+    return direction - twice * normal
 
 
 def _into(pose: Array, position: Array, direction: Array) -> tuple[Array, Array]:

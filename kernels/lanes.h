@@ -1,0 +1,43 @@
+// W doubles that move together: 16 instants of one ray on a CPU, one instant on a GPU.
+//
+// Only operators and ?: act on lanes, because some OpenCL implementations do not inline their built-in functions, which
+// then spill every register at each call. A NaN makes every comparison false, and so is never "inside" or "finite".
+
+#pragma OPENCL EXTENSION cl_khr_fp64 : enable
+#pragma OPENCL FP_CONTRACT ON
+
+#define JOIN_(a, b) a##b
+#define JOIN(a, b) JOIN_(a, b)
+
+#if W == 1
+typedef double real;
+typedef int mask;
+#define LOAD(address) (*(address))
+#define STORE(value, address) (*(address) = (value))
+#define STORE_STATUS(value, address) (*(address) = (char)(value))
+#else
+typedef JOIN(double, W) real;
+typedef JOIN(long, W) mask;
+#define LOAD(address) JOIN(vload, W)(0, address)
+#define STORE(value, address) JOIN(vstore, W)(value, 0, address)
+#define STORE_STATUS(value, address) JOIN(vstore, W)(JOIN(convert_char, W)(value), 0, address)
+#endif
+
+#define EITHER(condition, yes, no) ((condition) ? (yes) : (no))
+#define NOT(condition) ((condition) == 0)
+
+inline mask finite(real a) { return a - a == 0.0; }
+
+// Clang's intrinsic becomes the vector instruction; the built-in function may stay a call.
+inline real root(real a)
+{
+#if W > 1 && defined(__clang__)
+    real result;
+    #pragma unroll
+    for (int lane = 0; lane < W; ++lane)
+        result[lane] = __builtin_sqrt(a[lane]);
+    return result;
+#else
+    return sqrt(a);
+#endif
+}

@@ -1,0 +1,88 @@
+// Rays, poses and conics. Lengths in mm.
+//
+// Directions are not normalized: a reflection multiplies them by the square of the normal, and `length` keeps count.
+// A step of s moves a ray by s times its direction and adds s times `length` to its optical path.
+// A conic of curvature c and k1 = 1 + conic constant is the zero of F = c (x^2 + y^2 + k1 z^2) - 2 z.
+
+typedef struct { real x, y, z; } triple;
+typedef struct { triple position, direction; real length, path; } ray;
+
+inline real dot3(triple a, triple b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+
+inline triple along(triple start, real step, triple direction)
+{
+    triple end = {start.x + step * direction.x, start.y + step * direction.y, start.z + step * direction.z};
+    return end;
+}
+
+// A pose is q = A p + o: nine entries of A row by row, then three of o; entries are 16 instants apart.
+#define POSE(entry) LOAD(pose + 16 * (entry))
+
+inline triple turned(__global const double *pose, triple a)
+{
+    triple b = {POSE(0) * a.x + POSE(1) * a.y + POSE(2) * a.z,
+                POSE(3) * a.x + POSE(4) * a.y + POSE(5) * a.z,
+                POSE(6) * a.x + POSE(7) * a.y + POSE(8) * a.z};
+    return b;
+}
+
+inline triple moved(__global const double *pose, triple a)
+{
+    triple b = {POSE(0) * a.x + POSE(1) * a.y + POSE(2) * a.z + POSE(9),
+                POSE(3) * a.x + POSE(4) * a.y + POSE(5) * a.z + POSE(10),
+                POSE(6) * a.x + POSE(7) * a.y + POSE(8) * a.z + POSE(11)};
+    return b;
+}
+
+// A is a rotation, so its transpose turns back.
+inline triple turned_back(__global const double *pose, triple a)
+{
+    triple b = {POSE(0) * a.x + POSE(3) * a.y + POSE(6) * a.z,
+                POSE(1) * a.x + POSE(4) * a.y + POSE(7) * a.z,
+                POSE(2) * a.x + POSE(5) * a.y + POSE(8) * a.z};
+    return b;
+}
+
+// Half the gradient of F; it points to -z at the vertex. On the sag branch its z component is negative.
+inline triple conic_normal(triple p, double c, double k1)
+{
+    triple normal = {c * p.x, c * p.y, (c * k1) * p.z - 1.0};
+    return normal;
+}
+
+// Step to the conic: of the two roots the one that crosses it in the sense of the direction's z component, taken from
+// that form of the quadratic's solution which does not cancel. NaN or infinite without an intersection.
+inline real conic_step(triple p, triple d, double c, double k1)
+{
+    real f = c * (p.x * p.x + p.y * p.y + k1 * (p.z * p.z)) - 2.0 * p.z;
+    real b = c * (p.x * d.x + p.y * d.y + k1 * (p.z * d.z)) - d.z;
+    real a = c * (d.x * d.x + d.y * d.y + k1 * (d.z * d.z));
+    real r = root(b * b - a * f);
+    r = EITHER(d.z < 0.0, -r, r);
+    mask cancels = b * r > 0.0;
+    return EITHER(cancels, -(b + r), f) / EITHER(cancels, a, r - b);
+}
+
+inline void advance(ray *r, real step)
+{
+    r->position = along(r->position, step, r->direction);
+    r->path += step * r->length;
+}
+
+inline void reflect(ray *r, triple normal)
+{
+    real square = dot3(normal, normal);
+    real twice = -2.0 * dot3(normal, r->direction);
+    triple scaled = {square * r->direction.x, square * r->direction.y, square * r->direction.z};
+    r->direction = along(scaled, twice, normal);
+    r->length *= square;
+}
+
+// Path back along the ray to the sphere about (x, y, 0) whose square of the radius is given.
+inline real back_to_sphere(const ray *r, real x, real y, double square)
+{
+    triple offset = {r->position.x - x, r->position.y - y, r->position.z};
+    real projection = dot3(offset, r->direction);
+    real excess = square - dot3(offset, offset);
+    return (projection + root(projection * projection + r->length * r->length * excess)) / r->length;
+}

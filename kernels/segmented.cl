@@ -1,0 +1,188 @@
+// Traces rays through a segmented telescope: segments of M1, further mirrors, image plane, reference sphere.
+//
+// Work-item (lane group, ray, tile). Compile-time constants: W instants per work-item, EDGES per segment (0: no edge),
+// DEGREE of the figure polynomial (-1: none), SURFACES after M1 (the last is the image plane), PLANES (bit i: surface i
+// is a plane).
+
+#include "lanes.h"
+#include "rays.h"
+
+#define TERMS ((DEGREE + 1) * (DEGREE + 2) / 2)
+#define TERM(i, j) LOAD(figure + 16 * (((i) + (j)) * ((i) + (j) + 1) / 2 + (j)))
+
+enum { OK = 0, GAP = 1, MISS = 2 };
+
+#if DEGREE >= 0
+// The figure polynomial, sum of TERM(i, j) u^i v^j, by Horner's rule in v, then in u.
+inline real figure_value(__global const double *figure, real u, real v)
+{
+    real value = 0.0;
+    #pragma unroll
+    for (int i = DEGREE; i >= 0; --i) {
+        real inner = TERM(i, DEGREE - i);
+        #pragma unroll
+        for (int j = DEGREE - i - 1; j >= 0; --j)
+            inner = inner * v + TERM(i, j);
+        value = value * u + inner;
+    }
+    return value;
+}
+
+inline real figure_slopes(__global const double *figure, real u, real v, real *along_u, real *along_v)
+{
+    real value = 0.0, slope_u = 0.0, slope_v = 0.0;
+    #pragma unroll
+    for (int i = DEGREE; i >= 0; --i) {
+        real inner = TERM(i, DEGREE - i), inner_v = 0.0;
+        #pragma unroll
+        for (int j = DEGREE - i - 1; j >= 0; --j) {
+            inner_v = inner_v * v + inner;
+            inner = inner * v + TERM(i, j);
+        }
+        slope_u = slope_u * u + value;
+        slope_v = slope_v * u + inner_v;
+        value = value * u + inner;
+    }
+    *along_u = slope_u;
+    *along_v = slope_v;
+    return value;
+}
+
+// Step from a hit of the bare conic to the conic plus figure, and the normal there: F with z less the figure in place of z.
+// The first step takes the figure's value alone, which leaves less than figure times slope; the second, a Newton step
+// with both at that point, leaves the curvature of the figure times the square of that.
+inline real figure_step(__global const double *figure, __global const double *frame, triple hit, triple d,
+                        double c, double k1, triple *normal)
+{
+    double ex = frame[2], ey = frame[3];
+    real u = ex * (hit.x - frame[0]) + ey * (hit.y - frame[1]);
+    real v = ex * (hit.y - frame[1]) - ey * (hit.x - frame[0]);
+    real across_u = ex * d.x + ey * d.y, across_v = ex * d.y - ey * d.x;
+
+    triple bare = conic_normal(hit, c, k1);
+    real first = figure_value(figure, u, v) * bare.z / dot3(bare, d);
+    hit = along(hit, first, d);
+
+    real slope_u, slope_v;
+    real deformation = figure_slopes(figure, u + first * across_u, v + first * across_v, &slope_u, &slope_v);
+    real slope_x = ex * slope_u - ey * slope_v, slope_y = ey * slope_u + ex * slope_v;
+    triple flat = {hit.x, hit.y, hit.z - deformation};
+    triple direction = {d.x, d.y, d.z - slope_x * d.x - slope_y * d.y};
+    triple lean = conic_normal(flat, c, k1);
+    real f = c * (flat.x * flat.x + flat.y * flat.y + k1 * (flat.z * flat.z)) - 2.0 * flat.z;
+    real second = -0.5 * f / dot3(lean, direction);
+
+    lean = conic_normal(along(flat, second, direction), c, k1);
+    normal->x = lean.x - slope_x * lean.z;
+    normal->y = lean.y - slope_y * lean.z;
+    normal->z = lean.z;
+    return first + second;
+}
+#endif
+
+// Reflect at the first candidate whose glass the ray meets. The search runs in each segment's displaced frame; the ray
+// itself stays in the optics frame, where the step is the same and only the normal has to be turned back.
+inline mask reflect_at_segments(ray *r, int candidates, __global const int *candidate, __global const double *poses,
+                                __global const double *figures, __global const double *edges,
+                                __global const double *frames, double c, double k1)
+{
+    mask found = 0;
+    real step = 0.0;
+    triple normal = {0.0, 0.0, -1.0};
+    for (int i = 0; i < candidates; ++i) {
+        const int segment = candidate[i];
+        if (segment < 0)
+            continue;
+        __global const double *pose = poses + (size_t)segment * 12 * 16;
+        triple start = moved(pose, r->position), d = turned(pose, r->direction);
+        real to_glass = conic_step(start, d, c, k1);
+        triple hit = along(start, to_glass, d);
+        triple lean = conic_normal(hit, c, k1);
+#if DEGREE >= 0
+        real further = figure_step(figures + (size_t)segment * TERMS * 16, frames + 4 * segment, hit, d, c, k1, &lean);
+        hit = along(hit, further, d);
+        to_glass += further;
+#endif
+        mask inside = finite(to_glass) & (lean.z < 0.0);
+        #pragma unroll
+        for (int edge = 0; edge < EDGES; ++edge) {
+            __global const double *line = edges + 3 * (EDGES * segment + edge);
+            inside &= line[0] * hit.x + line[1] * hit.y <= line[2];
+        }
+        mask chosen = inside & NOT(found);
+        lean = turned_back(pose, lean);
+        step = EITHER(chosen, to_glass, step);
+        normal.x = EITHER(chosen, lean.x, normal.x);
+        normal.y = EITHER(chosen, lean.y, normal.y);
+        normal.z = EITHER(chosen, lean.z, normal.z);
+        found |= inside;
+    }
+    advance(r, step);
+    reflect(r, normal);
+    return found;
+}
+
+// Reflect at surface i after M1, or stop there if it is the last; tells whether the ray met it.
+inline mask reflect_at_surface(ray *r, int i, __global const double *pose, double c, double k1)
+{
+    r->position = moved(pose, r->position);
+    r->direction = turned(pose, r->direction);
+    mask met;
+    if (PLANES >> i & 1) {
+        real step = -r->position.z / r->direction.z;
+        advance(r, step);
+        met = finite(step);
+        if (i < SURFACES - 1)
+            r->direction.z = -r->direction.z;
+    } else {
+        real step = conic_step(r->position, r->direction, c, k1);
+        advance(r, step);
+        triple normal = conic_normal(r->position, c, k1);
+        met = finite(step) & (normal.z < 0.0);
+        reflect(r, normal);
+    }
+    return met;
+}
+
+__kernel void segmented(
+    const int rays, const int segments, const int candidates,
+    const double start_z, const double c, const double k1, const double sphere_square,
+    __global const double *ray_x, __global const double *ray_y, __global const int *candidate,
+    __global const double *edges, __global const double *frames,
+    __global const double *curvatures, __global const double *conics_plus_1,
+    __global const double *segment_poses, __global const double *figures, __global const double *surface_poses,
+    __global const double *directions, __global const double *chief,
+    __global double *out_opd, __global double *out_x, __global double *out_y, __global char *out_status)
+{
+    const size_t lane = get_global_id(0) * W, n = get_global_id(1), tile = get_global_id(2);
+    if (n >= rays)
+        return;
+    directions += tile * 3 * 16 + lane;
+    chief += tile * 3 * 16 + lane;
+    segment_poses += tile * segments * 12 * 16 + lane;
+    surface_poses += tile * SURFACES * 12 * 16 + lane;
+#if DEGREE >= 0
+    figures += tile * segments * TERMS * 16 + lane;
+#endif
+
+    ray r = {{ray_x[n], ray_y[n], start_z}, {LOAD(directions), LOAD(directions + 16), LOAD(directions + 32)}, 1.0, 0.0};
+    r.path = dot3(r.position, r.direction);
+    mask met = reflect_at_segments(&r, candidates, candidate + n * candidates, segment_poses, figures, edges, frames,
+                                   c, k1);
+    mask status = EITHER(met, (mask)OK, (mask)GAP);
+    #pragma unroll
+    for (int i = 0; i < SURFACES; ++i) {
+        met = reflect_at_surface(&r, i, surface_poses + i * 12 * 16, curvatures[i], conics_plus_1[i]);
+        status = EITHER(NOT(met) & (status == OK), (mask)(MISS + i), status);
+    }
+    real back = back_to_sphere(&r, LOAD(chief), LOAD(chief + 16), sphere_square);
+    real opd = LOAD(chief + 32) - (r.path - back);
+    status = EITHER(NOT(finite(opd)) & (status == OK), (mask)(MISS + SURFACES), status);
+
+    const size_t out = (tile * rays + n) * 16 + lane;
+    const mask lost = status != OK;
+    STORE(EITHER(lost, (real)NAN, opd), out_opd + out);
+    STORE(EITHER(lost, (real)NAN, r.position.x), out_x + out);
+    STORE(EITHER(lost, (real)NAN, r.position.y), out_y + out);
+    STORE_STATUS(status, out_status + out);
+}

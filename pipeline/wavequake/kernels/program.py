@@ -1,0 +1,96 @@
+"""Launch kernels; OpenCL queues and programs are made when this process first uses them and then kept."""
+
+import threading
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from wavequake.files import folder
+from wavequake.kernels.devices import Device, opencl_handle
+
+# Rays in a work-group. One size for all launches, because PoCL compiles a kernel again for each new size.
+_GROUP_RAYS = {"cpu": 125, "gpu": 8}
+_LOCK = threading.Lock()
+
+
+def launch(
+    device: Device,
+    name: str,
+    constants: tuple[tuple[str, int], ...],
+    size: tuple[int, int, int],
+    inputs: Sequence[Any],
+    outputs: Sequence[np.ndarray[Any, Any]],
+) -> None:
+    """Run a kernel and wait for its outputs.
+
+    Parameters
+    ----------
+    device : Device
+        An OpenCL device.
+    name : str
+        The kernel, found in ``kernels/NAME.cl``.
+    constants : tuple of (str, int)
+        Compile-time constants.
+    size : tuple of int
+        Lane groups, rays, tiles. Rays are padded to whole work-groups; the kernel must ignore those beyond.
+    inputs : sequence
+        The kernel's first arguments: NumPy scalars and arrays; an empty array or None becomes a null pointer.
+    outputs : sequence of ndarray
+        Its last arguments: contiguous arrays, which the kernel fills. A CPU works in the arrays' own memory.
+    """
+    import pyopencl as cl
+
+    if 0 in size:
+        return
+    lanes, rays, tiles = size
+    group = _GROUP_RAYS[device.kind]
+    in_place = device.kind == "cpu"
+    flags = cl.mem_flags
+    with _LOCK:  # a kernel object holds its arguments
+        todo = _queue(device)
+        read = flags.READ_ONLY | (flags.USE_HOST_PTR if in_place else flags.COPY_HOST_PTR)
+        arrays = [np.ascontiguousarray(item) if isinstance(item, np.ndarray) else item for item in inputs]
+        arguments = [
+            (cl.Buffer(todo.context, read, hostbuf=item) if item.size else None)
+            if isinstance(item, np.ndarray)
+            else item
+            for item in arrays
+        ]
+        if in_place:
+            results = [
+                cl.Buffer(todo.context, flags.WRITE_ONLY | flags.USE_HOST_PTR, hostbuf=out) for out in outputs
+            ]
+        else:
+            results = [cl.Buffer(todo.context, flags.WRITE_ONLY, out.nbytes) for out in outputs]
+        program = _kernel(device, name, constants)
+        program.set_args(*arguments, *results)
+        cl.enqueue_nd_range_kernel(
+            todo, program, (lanes, -(-rays // group) * group, tiles), (lanes, group, 1)
+        )
+        for out, result in zip(outputs, results, strict=True):
+            if in_place:
+                mapped, _ = cl.enqueue_map_buffer(todo, result, cl.map_flags.READ, 0, out.shape, out.dtype)
+                mapped.base.release(todo)
+            else:
+                cl.enqueue_copy(todo, out, result)
+        todo.finish()
+
+
+@lru_cache(maxsize=8)
+def _queue(device: Device) -> Any:
+    import pyopencl as cl
+
+    return cl.CommandQueue(cl.Context([opencl_handle(device)]))
+
+
+@lru_cache(maxsize=64)
+def _kernel(device: Device, name: str, constants: tuple[tuple[str, int], ...]) -> Any:
+    """Build a kernel; drivers cache binaries on disk, so only the first process waits for the compiler."""
+    import pyopencl as cl
+
+    sources = folder("kernels")
+    options = ["-cl-std=CL1.2", f"-I{sources}", *(f"-D{key}={value}" for key, value in constants)]
+    program = cl.Program(_queue(device).context, (sources / f"{name}.cl").read_text(encoding="utf-8"))
+    return cl.Kernel(program.build(options), name)
