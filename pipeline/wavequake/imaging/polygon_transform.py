@@ -10,7 +10,7 @@ from wavequake.errors import UserError
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
-# Below this largest phase (rad) between a corner and the centroid the edge sum cancels, and a series takes over.
+# Below this largest phase (rad) between a corner and the centroid the edge sum cancels: a series takes over.
 _SERIES_PHASE = 1.0
 # The terms of the series fall as 1/(n + 1)!, so 18 of them reach 1e-17.
 _SERIES_TERMS = 18
@@ -45,13 +45,13 @@ def polygon_areas(corners: Real) -> Real:
     if (areas <= 0.0).any():
         bad = int(np.flatnonzero(areas <= 0.0)[0])
         raise UserError(
-            f"polygon {bad} has the area {areas[bad]:g} mm²: its corners must run counter-clockwise around some glass"
+            f"polygon {bad} has the area {areas[bad]:g} mm²: its corners must run counter-clockwise"
         )
-    return areas
+    return np.asarray(areas)
 
 
 def polygon_centroids(corners: Real) -> Real:
-    """Return the centroids (S, 2) in mm of counter-clockwise polygons; see `polygon_areas` for the arguments."""
+    """Return the centroids (S, 2) in mm of counter-clockwise polygons; arguments as for `polygon_areas`."""
     areas = polygon_areas(corners)
     spokes = corners - corners[:, :1]
     following = np.roll(spokes, -1, axis=1)
@@ -62,9 +62,10 @@ def polygon_centroids(corners: Real) -> Real:
 def polygon_transform(corners: Real, fx: Real, fy: Real) -> Complex:
     """Fourier transform of the indicator function of polygons, in closed form.
 
-    The transform is the integral of exp(-2πi f·x) over each polygon. By the divergence theorem it is a sum over
-    edges, in which the limit of an edge perpendicular to f is a sinc; the limit of small f is a power series
-    whose moments are complete homogeneous polynomials of the corners. Both are written about the centroid.
+    The transform is the integral of exp(-2πi f·x) over each polygon. By the divergence theorem it is a sum
+    over edges, in which the limit of an edge perpendicular to f is a sinc; the limit of small f is a
+    power series whose moments are complete homogeneous polynomials of the corners. Both are written
+    about the centroid.
 
     Parameters
     ----------
@@ -94,7 +95,7 @@ def polygon_transform(corners: Real, fx: Real, fy: Real) -> Complex:
     frequency, polygon = np.nonzero(small)
     transform[frequency, polygon] = _series(local[polygon], kx[frequency], ky[frequency])
     cycles = np.outer(fx, centroids[:, 0]) + np.outer(fy, centroids[:, 1])
-    return transform * np.exp(-2j * np.pi * (cycles - np.rint(cycles)))
+    return np.asarray(transform * np.exp(-2j * np.pi * (cycles - np.rint(cycles))))
 
 
 def _cross(a: Real, b: Real) -> Real:
@@ -119,8 +120,8 @@ def _edge_sum(corners: Real, kx: Real, ky: Real) -> Complex:
 def _series(corners: Real, kx: Real, ky: Real) -> Complex:
     """Transform of polygon i at frequency i (N,): triangles from the origin, term by term in powers of k·x.
 
-    The integral of (k·x)ⁿ over the triangle (0, a, b) is 2 A n!/(n+2)! hₙ(k·a, k·b), with hₙ the complete
-    homogeneous polynomial Σ (k·a)ⁱ (k·b)ⁿ⁻ⁱ.
+    The integral of (k·x)^n over the triangle (0, a, b) is 2 A n!/(n+2)! h_n(k·a, k·b), with h_n the
+    complete homogeneous polynomial Σ (k·a)^i (k·b)^(n-i).
     """
     following = np.roll(corners, -1, axis=1)
     double_areas = _cross(corners, following)
