@@ -1,0 +1,91 @@
+"""The disturbance models of a study: one union of parameters, and functions that draw them."""
+
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from wavequake.errors import UserError
+from wavequake.mechanics.layout import SegmentLayout
+from wavequake.mechanics.motion import Motion, add, generator
+from wavequake.mechanics.population import Population, time_axis
+from wavequake.mechanics.static_random import StaticRandom, draw_static
+
+__all__ = ["Combine", "Disturbance", "Motion", "draw", "draw_case", "generator", "parts", "time_axis"]
+
+
+class Combine(Population):
+    """The sum of other disturbances of the study, drawn on this population's own time axis."""
+
+    model: Literal["combine"] = "combine"
+    of: tuple[str, ...] = Field(min_length=2, strict=False, description="names of disturbances of this study")
+
+
+SingleDisturbance = StaticRandom
+Disturbance = Annotated[StaticRandom | Combine, Field(discriminator="model")]
+
+
+def draw(
+    parameters: SingleDisturbance,
+    layout: SegmentLayout,
+    time: NDArray[np.float64],
+    random: np.random.Generator,
+) -> Motion:
+    """Draw one realization of a single disturbance at the instants `time` (n,) in s."""
+    match parameters:
+        case StaticRandom():
+            return draw_static(parameters, layout, time, random)
+
+
+def draw_case(
+    populations: Sequence[Disturbance],
+    population: Disturbance,
+    layout: SegmentLayout,
+    seed: int,
+    realization: int,
+) -> Motion:
+    """Draw one case of a population.
+
+    Every part of a combination has the random numbers that it has alone in the same realization, so that a
+    combination is the sum of its parts wherever their time axes agree.
+
+    Raises
+    ------
+    UserError
+        If a combination names what is none of `populations`, or contains itself.
+    """
+    time = time_axis(population)
+    return add(
+        [
+            draw(part, layout, time, generator(seed, part.name, realization))
+            for part in parts(populations, population)
+        ]
+    )
+
+
+def parts(
+    populations: Sequence[Disturbance], population: Disturbance, within: tuple[str, ...] = ()
+) -> list[SingleDisturbance]:
+    """Return the single disturbances that a population is made of: itself, or a combination's parts.
+
+    Raises
+    ------
+    UserError
+        If a combination names what is none of `populations`, or contains itself.
+    """
+    if not isinstance(population, Combine):
+        return [population]
+    if population.name in within:
+        raise UserError(
+            f"The combination {population.name!r} contains itself; leave it out of what it combines."
+        )
+    by_name = {entry.name: entry for entry in populations}
+    for name in population.of:
+        if name not in by_name:
+            raise UserError(
+                f"{population.name!r} combines {name!r}, but this study has {', '.join(by_name)}."
+            )
+    inside = (*within, population.name)
+    return [part for name in population.of for part in parts(populations, by_name[name], inside)]

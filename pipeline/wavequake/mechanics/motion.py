@@ -1,0 +1,70 @@
+"""What a disturbance draws: motions over the instants of one case, and the random numbers behind them."""
+
+import hashlib
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+from numpy.typing import NDArray
+
+RAD_PER_MAS = np.pi / 180 / 3600 / 1000
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Disturbances of one case over n instants, SI units.
+
+    Attributes
+    ----------
+    segment_motion : ndarray, shape (n, S, 6)
+        dx, dy, dz in m and rx, ry, rz in rad in each segment's local frame, dz along the normal to the sky.
+    segment_figure : ndarray, shape (S, terms)
+        Circular Noll coefficients in m, j = 1..terms, over the segment's circumscribed circle; static.
+    mount : ndarray, shape (n, 2)
+        Pointing of the telescope on the sky, rad, along x and y.
+    m2 : ndarray, shape (n, 2)
+        Line-of-sight motion on the sky that is produced by tilting M2, rad, along x and y.
+    """
+
+    segment_motion: NDArray[np.float64]
+    segment_figure: NDArray[np.float64]
+    mount: NDArray[np.float64]
+    m2: NDArray[np.float64]
+
+
+def still(instants: int, segments: int, figure_terms: int = 0) -> Motion:
+    """Return no motion at all."""
+    return Motion(
+        segment_motion=np.zeros((instants, segments, 6)),
+        segment_figure=np.zeros((segments, figure_terms)),
+        mount=np.zeros((instants, 2)),
+        m2=np.zeros((instants, 2)),
+    )
+
+
+def add(motions: list[Motion]) -> Motion:
+    """Return the sum of at least one motion of the same instants and segments, in the order given."""
+    terms = max(motion.segment_figure.shape[1] for motion in motions)
+
+    def padded(motion: Motion) -> NDArray[np.float64]:
+        return np.pad(motion.segment_figure, ((0, 0), (0, terms - motion.segment_figure.shape[1])))
+
+    return Motion(
+        segment_motion=reduce(np.add, [motion.segment_motion for motion in motions]),
+        segment_figure=reduce(np.add, [padded(motion) for motion in motions]),
+        mount=reduce(np.add, [motion.mount for motion in motions]),
+        m2=reduce(np.add, [motion.m2 for motion in motions]),
+    )
+
+
+def generator(seed: int, stream_name: str, realization: int) -> np.random.Generator:
+    """Return the random numbers of one disturbance in one realization.
+
+    The stream is a 32-bit fingerprint of the disturbance's name: adding, dropping or reordering disturbances
+    never changes another one's numbers, and the same realization of the same name is the same draw for all that
+    is compared.
+    """
+    stream = int.from_bytes(hashlib.blake2b(stream_name.encode(), digest_size=4).digest(), "little")
+    return np.random.Generator(
+        np.random.Philox(np.random.SeedSequence(seed, spawn_key=(stream, realization)))
+    )
