@@ -141,6 +141,8 @@ class Study(Section):
             for part in getattr(entry, "of", ()):
                 if part not in names or part == entry.name:
                     raise ValueError(f"{entry.name!r} combines {part!r}, which is not another disturbance of this study")
+        if not any(entry.share for entry in value):
+            raise ValueError("every disturbance has share 0, so there is nothing to run")
         return value
 
     def identity_text(self) -> str:
