@@ -391,8 +391,8 @@ def _moments_for(basis: SegmentBasis, tile: Real, tolerance: float) -> int:
         return MOMENTS[fitting[0]]
     steepest = float(np.nanmax(np.hypot(tile[..., 1], tile[..., 2])))
     raise UserError(
-        f"segment slopes of up to {steepest:.3g} waves/mm may change an image by {errors[-1]:.2g} of its peak "
-        f"beyond the basis's {basis.moments} moments ({tolerance:g} is allowed): use more moments or less motion"
+        f"segment slopes of up to {steepest:.3g} waves/mm change an image by {errors[-1]:.2g} of its peak "
+        f"beyond {basis.moments} moments ({tolerance:g} is allowed): use more moments or less motion"
     )
 
 
