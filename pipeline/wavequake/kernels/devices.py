@@ -103,7 +103,7 @@ def opencl_handle(device: Device) -> Any:
         If this process does not see it.
     """
     for found, handle in _found():
-        if found == device:
+        if (found.name, found.platform) == (device.name, device.platform):
             return handle
     raise UserError(f"the OpenCL device {device.name!r} ({device.platform}) is not visible in this process")
 
@@ -117,6 +117,6 @@ def self_test(device: Device) -> float:
     from wavequake.kernels.segmented import trace_segmented
 
     arguments = two_mirrors()
-    expected = trace_segmented(*arguments, device=NUMPY)
-    found = trace_segmented(*arguments, device=device)
+    expected = trace_segmented(**arguments, device=NUMPY)
+    found = trace_segmented(**arguments, device=device)
     return float(np.abs(found.opd - expected.opd).max())

@@ -11,8 +11,8 @@ _SIDE = 1000.0
 _ANGLES = np.pi / 6.0 + np.pi / 3.0 * np.arange(6)
 
 
-def two_mirrors(tiles: int = 1, degree: int = 3, seed: int = 0) -> tuple[Any, ...]:
-    """Return the arguments of `trace_segmented`, less the device: six moving hexagons, a secondary, an image.
+def two_mirrors(tiles: int = 1, degree: int = 3, seed: int = 0) -> dict[str, Any]:
+    """Return arguments of `trace_segmented`, all but the device: six moving hexagons, a secondary, an image.
 
     A Cassegrain telescope: parabolic segments of radius -20 m about a hole, a hyperboloid 8 m before them.
     Segments move by some 10 nm and 10 nrad and carry a figure of `degree` (-1: none) of some 10 nm.
@@ -48,5 +48,15 @@ def two_mirrors(tiles: int = 1, degree: int = 3, seed: int = 0) -> tuple[Any, ..
     directions[:, :2] = random.normal(0.0, 1e-6, (tiles, 2, TILE))
     directions[:, 2] = np.sqrt(1.0 - np.sum(directions[:, :2] ** 2, axis=1))
     chief = trace_chief(train, surface_poses, directions, -100.0)
-    arrays = (segment_poses, figure, surface_poses, directions, chief)
-    return train, ray_x.copy(), ray_y.copy(), -100.0, candidates, *arrays
+    return {
+        "train": train,
+        "ray_x": ray_x.copy(),
+        "ray_y": ray_y.copy(),
+        "start_z": -100.0,
+        "candidates": candidates,
+        "segment_poses": segment_poses,
+        "figure": figure,
+        "surface_poses": surface_poses,
+        "directions": directions,
+        "chief": chief,
+    }

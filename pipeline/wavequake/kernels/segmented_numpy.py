@@ -14,8 +14,10 @@ from wavequake.kernels.train import GAP, MISS, OK, SegmentedTrain, Traced, check
 Array = NDArray[np.float64]
 _NEWTON_STEPS = 20
 _CONVERGED = 1e-11
+_LOST_RAYS_ARE_DATA = np.errstate(invalid="ignore", divide="ignore", over="ignore")
 
 
+@_LOST_RAYS_ARE_DATA
 def trace_segmented_numpy(
     train: SegmentedTrain,
     ray_x: Array,
@@ -53,6 +55,7 @@ def trace_segmented_numpy(
     return traced
 
 
+@_LOST_RAYS_ARE_DATA
 def trace_chief(
     train: SegmentedTrain,
     surface_poses: Array,
@@ -209,8 +212,7 @@ def _back_to_sphere(position: Array, direction: Array, chief: Array, radius: flo
     """Return the path from the image back to the reference sphere; NaN where the ray misses it."""
     offset = np.stack([position[0] - chief[0], position[1] - chief[1], position[2]])
     along = np.sum(offset * direction, axis=0)
-    with np.errstate(invalid="ignore"):
-        path: Array = along + np.sqrt(along * along - np.sum(offset * offset, axis=0) + radius * radius)
+    path: Array = along + np.sqrt(along * along - np.sum(offset * offset, axis=0) + radius * radius)
     return path
 
 

@@ -1,6 +1,7 @@
 """What a trace through a segmented telescope takes and gives."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,13 +76,13 @@ def figure_terms(degree: int) -> int:
 def check_train(train: SegmentedTrain) -> None:
     """Raise ValueError unless the train's arrays fit together."""
     segments = train.edges.shape[0]
+    if segments == 0:
+        raise ValueError("the train has no segments; a monolithic mirror is one segment with V = 0 edges")
     _require("edges", train.edges, (segments, train.edges.shape[1] if train.edges.ndim > 1 else -1, 3))
     _require("figure_frames", train.figure_frames, (segments, 4))
     surfaces = train.surface_curvatures.size
     _require("surface_curvatures", train.surface_curvatures, (surfaces,))
     _require("surface_conics", train.surface_conics, (surfaces,))
-    if segments == 0:
-        raise ValueError("the train has no segments; a monolithic mirror is one segment with V = 0 edges")
     if surfaces == 0 or train.surface_curvatures[-1] != 0.0:
         raise ValueError("the last of surface_curvatures must be 0: it is the image plane")
     if not train.sphere_radius > 0.0:
@@ -106,9 +107,7 @@ def check_rays(
     _require("ray_x", ray_x, (rays,))
     _require("ray_y", ray_y, (rays,))
     columns = candidates.shape[1] if candidates.ndim == 2 else -1
-    _require("candidates", candidates, (rays, columns))
-    if candidates.dtype != np.int32:
-        raise ValueError(f"candidates are {candidates.dtype}; they must be int32")
+    _require("candidates", candidates, (rays, columns), np.int32)
     if candidates.size and not (candidates.min() >= -1 and candidates.max() < segments):
         raise ValueError(f"candidates must lie between -1 (none) and {segments - 1}, the last segment")
     _require("segment_poses", segment_poses, (tiles, segments, 12, TILE))
@@ -123,6 +122,10 @@ def check_rays(
         _require("figure", figure, (tiles, segments, figure_terms(train.figure_degree), TILE))
 
 
-def _require(name: str, array: NDArray[np.generic], shape: tuple[int, ...]) -> None:
+def _require(
+    name: str, array: NDArray[Any], shape: tuple[int, ...], kind: type[np.generic] = np.float64
+) -> None:
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}; it must be {shape}")
+    if array.dtype != kind:
+        raise ValueError(f"{name} is {array.dtype}; it must be {np.dtype(kind)}")

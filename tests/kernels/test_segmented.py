@@ -1,0 +1,295 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from wavequake.kernels import segmented
+from wavequake.kernels.devices import NUMPY, Device, list_devices
+from wavequake.kernels.example import two_mirrors
+from wavequake.kernels.segmented import SegmentedTrain, trace_chief, trace_segmented
+from wavequake.kernels.tiles import TILE
+
+OPENCL = [device for device in list_devices() if device.kind != "numpy"]
+# Processors also run the variant for GPUs: one instant per work-item, copied buffers.
+OPENCL += [Device(device.name, "gpu", device.platform, 1) for device in OPENCL if device.kind == "cpu"]
+ALL = [NUMPY, *OPENCL]
+NAMES = {"argvalues": ALL, "ids": lambda device: f"{device.kind}-{device.vector_width}"}
+MILLIONTH_WAVE = 550e-12  # mm, of light of 550 nm
+
+
+def poses(*matrices_and_offsets, tiles=1):
+    """Pack pairs of a rotation (3, 3) and an offset (3,) as (tiles, number, 12, 16)."""
+    packed = [np.concatenate([np.ravel(matrix), offset]) for matrix, offset in matrices_and_offsets]
+    return np.tile(np.array(packed)[None, :, :, None], (tiles, 1, 1, TILE))
+
+
+def one_mirror(curvature=0.0, conic=0.0, image_z=-1000.0, degree=-1, sphere_radius=1000.0):
+    """Arguments of a trace over one mirror without an edge and an image plane at z = `image_z`."""
+    frames = np.array([[3.0, -2.0, 0.01, 0.0]])
+    train = SegmentedTrain(
+        curvature, conic, np.zeros((1, 0, 3)), frames, degree, np.zeros(1), np.zeros(1), sphere_radius
+    )
+    ray_x, ray_y = (grid.ravel() for grid in np.meshgrid(np.linspace(-90, 80, 6), np.linspace(-70, 100, 5)))
+    arguments = {
+        "train": train,
+        "ray_x": ray_x,
+        "ray_y": ray_y,
+        "start_z": -20.0,
+        "candidates": np.zeros((ray_x.size, 1), dtype=np.int32),
+        "segment_poses": poses((np.eye(3), np.zeros(3))),
+        "figure": None if degree < 0 else np.zeros((1, 1, (degree + 1) * (degree + 2) // 2, TILE)),
+        "surface_poses": poses((np.eye(3), [0.0, 0.0, -image_z])),
+        "directions": np.broadcast_to(np.array([0.0, 0.0, 1.0])[:, None], (1, 3, TILE)).copy(),
+    }
+    return arguments | {
+        "chief": trace_chief(train, arguments["surface_poses"], arguments["directions"], -20.0)
+    }
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_a_paraboloid_focuses_every_ray_in_one_point_with_one_path_length(device):
+    traced = trace_segmented(**one_mirror(-1.0 / 2000.0, -1.0), device=device)
+    assert (traced.status == 0).all()
+    assert np.abs(traced.x).max() < 1e-11
+    assert np.abs(traced.y).max() < 1e-11
+    assert np.abs(traced.opd).max() < 2e-12
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_a_plane_mirror_moved_along_the_light_changes_the_opd_by_twice_its_piston(device):
+    arguments = one_mirror()
+    piston = np.linspace(-1e-3, 2e-3, TILE)
+    moved = arguments["segment_poses"].copy()
+    moved[0, 0, 11] = -piston
+    rest = trace_segmented(**arguments, device=device)
+    traced = trace_segmented(**arguments | {"segment_poses": moved}, device=device)
+    np.testing.assert_allclose(
+        traced.opd - rest.opd, np.broadcast_to(-2.0 * piston, rest.opd.shape), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_a_constant_figure_is_a_piston_and_a_linear_one_a_tilt(device):
+    arguments = one_mirror(degree=1)
+    figure = arguments["figure"].copy()
+    figure[0, 0, 0] = 1e-3
+    rest = trace_segmented(**arguments, device=device)
+    lifted = trace_segmented(**arguments | {"figure": figure}, device=device)
+    np.testing.assert_allclose(lifted.opd - rest.opd, -2e-3, atol=1e-12)
+
+    # z = slope (y - y_c): a ray parallel to z at height y is turned towards +y by twice
+    # the slope's angle.
+    slope = 1e-4
+    figure[0, 0] = np.array([0.0, 0.0, slope / 0.01])[:, None]
+    tilted = trace_segmented(**arguments | {"figure": figure}, device=device)
+    y = arguments["ray_y"]
+    height = slope * (y + 2.0)
+    expected = y + np.tan(2.0 * np.arctan(slope)) * (1000.0 + height)
+    np.testing.assert_allclose(tilted.y[0], np.broadcast_to(expected[:, None], tilted.y[0].shape), atol=1e-12)
+    np.testing.assert_allclose(tilted.x, rest.x, atol=1e-12)
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_a_parabolic_figure_on_a_plane_focuses(device):
+    # z = -((x + 3)^2 + (y - 2)^2) / (4 f) about the center of the figure's frame, turned by 0.6 rad.
+    focal_length = 250e3
+    arguments = one_mirror(degree=4, image_z=-focal_length, sphere_radius=focal_length)
+    scale, angle = 0.01, 0.6
+    frames = np.array([[3.0, -2.0, scale * np.cos(angle), scale * np.sin(angle)]])
+    arguments["train"] = replace(arguments["train"], figure_frames=frames)
+    arguments["figure"][0, 0, 3] = arguments["figure"][0, 0, 5] = -1.0 / (4.0 * focal_length * scale**2)
+    traced = trace_segmented(**arguments, device=device)
+    assert np.abs(traced.x - 3.0).max() < 1e-9
+    assert np.abs(traced.y + 2.0).max() < 1e-9
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_a_ray_beside_the_glass_is_in_a_gap(device):
+    arguments = two_mirrors()
+    train, far = arguments["train"], arguments["train"].edges[0, 0]
+    beyond = (far[2] + np.array([-0.01, 0.01]))[:, None] * far[:2]
+    rays = {
+        "ray_x": beyond[:, 0].copy(),
+        "ray_y": beyond[:, 1].copy(),
+        "candidates": np.zeros((2, 1), np.int32),
+    }
+    parallel = np.zeros((1, 3, TILE))
+    parallel[0, 2] = 1.0
+    traced = trace_segmented(**arguments | rays | {"directions": parallel}, device=device)
+    assert train.edges.shape == (6, 6, 3)
+    assert (traced.status[0, 0] == 0).all()
+    assert (traced.status[0, 1] == 1).all()
+    assert np.isnan([traced.opd[0, 1], traced.x[0, 1], traced.y[0, 1]]).all()
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_the_candidates_order_does_not_matter_and_none_is_a_gap(device):
+    arguments = two_mirrors()
+    own = arguments["candidates"][:, 0]
+    expected = trace_segmented(**arguments, device=device)
+    several = np.stack([(own + 1) % 6, np.full_like(own, -1), own, (own + 3) % 6], axis=1).astype(np.int32)
+    assert_same(trace_segmented(**arguments | {"candidates": several}, device=device), expected)
+    for columns in (0, 2):
+        none = np.full((own.size, columns), -1, dtype=np.int32)
+        assert (trace_segmented(**arguments | {"candidates": none}, device=device).status == 1).all()
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_lost_rays_say_which_surface_they_miss_and_are_nan(device):
+    arguments = two_mirrors()
+    train, poses_ = arguments["train"], arguments["surface_poses"]
+    small = replace(train, surface_curvatures=np.array([-1.0 / 100.0, 0.0]), surface_conics=np.zeros(2))
+    sideways = poses_.copy()
+    sideways[:, 1, :9] = np.array([0, 0, 1, 0, 1, 0, -1, 0, 0])[:, None]
+    lost_pose = arguments["segment_poses"].copy()
+    lost_pose[:, 2] = np.nan
+    nowhere = {"chief": np.full_like(arguments["chief"], np.nan)}
+    axis = np.zeros(1)
+    cases = [
+        ({"train": small}, 2),
+        ({"train": replace(train, sphere_radius=1e-6)}, 4),
+        (nowhere, 4),
+        ({"surface_poses": np.full_like(poses_, np.nan)}, 2),
+        ({"segment_poses": np.full_like(lost_pose, np.inf)}, 1),
+        ({"directions": np.full_like(arguments["directions"], np.nan)}, 1),
+    ]
+    for change, status in cases:
+        traced = trace_segmented(**arguments | change, device=device)
+        assert (traced.status == status).all()
+        assert np.isnan([traced.opd, traced.x, traced.y]).all()
+    # A ray parallel to the image plane: along the axis, over a mirror without an edge.
+    plane = one_mirror() | {"ray_x": axis, "ray_y": axis, "candidates": np.zeros((1, 1), np.int32)}
+    plane["surface_poses"] = poses(([[0, 0, 1], [0, 1, 0], [-1, 0, 0]], [0.0, 0.0, 5.0]))
+    assert (trace_segmented(**plane, device=device).status == 2).all()
+
+    traced = trace_segmented(**arguments | {"segment_poses": lost_pose}, device=device)
+    own = arguments["candidates"][:, 0] == 2
+    assert (traced.status[:, own] == 1).all()
+    assert (traced.status[:, ~own] == 0).all()
+    np.testing.assert_array_equal(np.isnan(traced.opd), traced.status != 0)
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_a_tile_alone_has_the_bits_of_the_tile_in_a_batch(device, monkeypatch):
+    arguments = two_mirrors(tiles=7)
+    batch = trace_segmented(**arguments, device=device)
+    moving = ("segment_poses", "figure", "surface_poses", "directions", "chief")
+    for tile in (0, 3, 6):
+        alone = arguments | {name: arguments[name][tile : tile + 1].copy() for name in moving}
+        assert_same(trace_segmented(**alone, device=device), batch, tile)
+    monkeypatch.setattr(segmented, "_LAUNCH_BYTES", 3 * 25 * TILE * arguments["ray_x"].size)
+    assert_same(trace_segmented(**arguments, device=device), batch)
+
+
+@pytest.mark.parametrize("device", OPENCL, ids=NAMES["ids"])
+@pytest.mark.parametrize("degree", [-1, 0, 1, 6])
+def test_opencl_agrees_with_the_twin(device, degree):
+    arguments = two_mirrors(tiles=2, degree=degree)
+    if degree > 0:
+        arguments["figure"] *= 100.0  # micrometers
+    assert_close(trace_segmented(**arguments, device=device), trace_segmented(**arguments, device=NUMPY))
+
+
+@pytest.mark.parametrize("device", OPENCL, ids=NAMES["ids"])
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 2**31),
+    primary=st.tuples(st.floats(-1 / 8e3, 1 / 40e3), st.floats(-3.0, 0.5)),
+    secondary=st.tuples(st.floats(1 / 5e4, 1 / 6e3), st.floats(-4.0, 0.5)),
+    sign=st.sampled_from([-1.0, 1.0]),
+)
+def test_opencl_agrees_with_the_twin_on_any_system(device, seed, primary, secondary, sign):
+    random = np.random.default_rng(seed)
+    arguments = two_mirrors(seed=seed)
+    train = replace(
+        arguments["train"],
+        primary_curvature=primary[0],
+        primary_conic=primary[1],
+        surface_curvatures=np.array([sign * secondary[0], 0.0]),
+        surface_conics=np.array([secondary[1], 0.0]),
+    )
+    for name in ("segment_poses", "surface_poses"):
+        turns = rotations(random.normal(0.0, 0.03, (arguments[name].shape[1] * TILE, 3)))
+        turns = turns.reshape(-1, TILE, 9).transpose(0, 2, 1)
+        arguments[name][0, :, :9] = turns
+    arguments["surface_poses"][:, :, 11] *= 0.2
+    traced, expected = (
+        trace_segmented(**arguments | {"train": train}, device=where) for where in (device, NUMPY)
+    )
+    assert_close(traced, expected)
+
+
+def rotations(angles):
+    """Rotation matrices (n, 3, 3) from Euler parameters, which share nothing with the package."""
+    w, (x, y, z) = np.sqrt(1.0 - np.sum(angles**2, axis=1)), angles.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"ray_y": np.zeros(3)}, "ray_y"),
+        ({"candidates": np.zeros((72, 1))}, "int32"),
+        ({"candidates": np.full((72, 1), 6, np.int32)}, "the last segment"),
+        ({"candidates": np.zeros(72, np.int32)}, "candidates"),
+        ({"segment_poses": np.zeros((1, 6, 12))}, "segment_poses"),
+        ({"surface_poses": np.zeros((2, 2, 12, 16))}, "surface_poses"),
+        ({"figure": None}, "figure_degree"),
+        ({"figure": np.zeros((1, 6, 9, 16))}, "figure"),
+        ({"chief": np.zeros((1, 2, 16))}, "chief"),
+        ({"ray_x": np.zeros(72, np.float32)}, "float64"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_named(change, message):
+    with pytest.raises(ValueError, match=message):
+        trace_segmented(**two_mirrors() | change, device=NUMPY)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"edges": np.zeros((0, 6, 3))}, "no segments"),
+        ({"edges": np.zeros((6, 6))}, "edges"),
+        ({"figure_frames": np.zeros((5, 4))}, "figure_frames"),
+        ({"surface_conics": np.zeros(3)}, "surface_conics"),
+        ({"surface_curvatures": np.ones(2)}, "image plane"),
+        ({"sphere_radius": 0.0}, "sphere_radius"),
+    ],
+)
+def test_a_train_that_does_not_fit_together_is_refused(change, message):
+    arguments = two_mirrors()
+    with pytest.raises(ValueError, match=message):
+        trace_segmented(**arguments | {"train": replace(arguments["train"], **change)}, device=NUMPY)
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_no_rays_and_no_tiles_give_empty_results(device):
+    arguments = two_mirrors()
+    none = np.zeros(0)
+    rays = {"ray_x": none, "ray_y": none, "candidates": np.zeros((0, 1), dtype=np.int32)}
+    assert trace_segmented(**arguments | rays, device=device).opd.shape == (1, 0, TILE)
+    moving = ("segment_poses", "figure", "surface_poses", "directions", "chief")
+    no_tiles = {name: arguments[name][:0] for name in moving}
+    assert trace_segmented(**arguments | no_tiles, device=device).opd.shape == (0, 72, TILE)
+
+
+def assert_same(traced, batch, tile=None):
+    """Equal bits; NaN equals NaN."""
+    for name in ("opd", "x", "y", "status"):
+        expected = getattr(batch, name)
+        expected = expected if tile is None else expected[tile : tile + 1]
+        np.testing.assert_array_equal(getattr(traced, name), expected)
+
+
+def assert_close(traced, expected):
+    np.testing.assert_array_equal(traced.status, expected.status)
+    np.testing.assert_allclose(traced.opd, expected.opd, rtol=0.0, atol=MILLIONTH_WAVE)
+    np.testing.assert_allclose(traced.x, expected.x, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(traced.y, expected.y, rtol=0.0, atol=1e-9)
