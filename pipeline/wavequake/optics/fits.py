@@ -1,0 +1,122 @@
+"""Weighted linear least squares over rays: once for all instants, and anew for an instant that lost rays."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.errors import UserError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_SINGULAR = 1e-10  # smallest eigenvalue of a normal matrix, relative to its size, that is still solved
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A weighted least-squares fit of functions to values at rays.
+
+    Attributes
+    ----------
+    basis : ndarray, shape (N, J)
+        The functions at the rays.
+    weight : ndarray, shape (N,)
+    matrix : ndarray, shape (J, N)
+        Values to coefficients.
+    normal : ndarray, shape (J, J)
+        basis^T W basis, from which an instant that lost rays subtracts theirs.
+    """
+
+    basis: Array
+    weight: Array
+    matrix: Array
+    normal: Array
+
+
+def weighted_fit(basis: Array, weight: Array) -> Fit:
+    """Return the fit of `basis` (N, J) with positive weights (N,).
+
+    Raises
+    ------
+    UserError
+        If the rays do not determine all coefficients.
+    """
+    rays, terms = basis.shape
+    root = np.sqrt(weight)[:, None]
+    if rays >= terms:
+        q, r = np.linalg.qr(root * basis)
+        diagonal = np.abs(np.diag(r))
+        if diagonal.min() > np.sqrt(_SINGULAR) * diagonal.max():
+            normal = basis.T @ (weight[:, None] * basis)
+            return Fit(basis, weight, np.linalg.solve(r, (root * q).T), normal)
+    raise UserError(
+        f"{rays} rays on glass do not determine {terms} wavefront terms, use more rays or fewer terms"
+    )
+
+
+def refit(fit: Fit, kept: Mask, values: Array) -> Array:
+    """Return the coefficients (J,) for one instant without its lost rays.
+
+    Parameters
+    ----------
+    fit : Fit
+    kept : ndarray of bool, shape (N,)
+        Which rays are left.
+    values : ndarray, shape (N,)
+        Zero where a ray is lost.
+
+    Returns
+    -------
+    ndarray, shape (J,)
+        NaN if the rays that are left do not determine the coefficients.
+    """
+    gone = fit.basis[~kept]
+    normal = fit.normal - gone.T @ (fit.weight[~kept, None] * gone)
+    if np.linalg.eigvalsh(normal)[0] < _SINGULAR * np.trace(fit.normal):
+        return np.full(len(normal), np.nan)
+    return np.asarray(np.linalg.solve(normal, fit.basis.T @ (fit.weight * values)), dtype=np.float64)
+
+
+def segment_planes(
+    x: Array, y: Array, weight: Array, segment: NDArray[np.int64], centers: Array
+) -> tuple[Array, Mask]:
+    """Fit a plane on every segment: piston at the center and slopes.
+
+    The 3 x 3 normal equations of all segments are solved at once, in coordinates scaled to the rms radius
+    of each segment's rays. A ray of weight zero is as good as absent.
+
+    Parameters
+    ----------
+    x, y, weight : ndarray, shape (N,)
+        Rays; lengths in mm.
+    segment : ndarray of int, shape (N,)
+        Which segment each ray meets.
+    centers : ndarray, shape (S, 2)
+        Where the piston is taken, mm.
+
+    Returns
+    -------
+    rows : ndarray, shape (3, N)
+        What a unit value at a ray adds to piston (1), slope in x and slope in y (1/mm) of its segment.
+    solved : ndarray of bool, shape (S,)
+        False for a segment whose rays do not determine a plane; its rows mean nothing.
+    """
+    count = len(centers)
+    offset = np.stack([x, y]) - centers[segment].T
+    total = np.bincount(segment, weight, count)
+    spread = np.bincount(segment, weight * np.sum(offset**2, axis=0), count)
+    scale = np.sqrt(np.divide(spread, total, out=np.ones(count), where=(total > 0.0) & (spread > 0.0)))
+    design = np.concatenate([np.ones((1, len(x))), offset / scale[segment]])
+    normal = np.empty((count, 3, 3))
+    for i in range(3):
+        for j in range(i + 1):
+            normal[:, i, j] = np.bincount(segment, weight * design[i] * design[j], count)
+            normal[:, j, i] = normal[:, i, j]
+    eigenvalues = np.linalg.eigvalsh(normal)
+    solved: Mask = eigenvalues[:, 0] > _SINGULAR * np.maximum(eigenvalues[:, 2], np.finfo(float).tiny)
+    normal[~solved] = np.eye(3)
+    inverse = np.linalg.inv(normal)
+    inverse[:, 1:] /= scale[:, None, None]
+    rows: Array = np.sum(inverse[segment] * (weight * design).T[:, None, :], axis=2).T
+    return rows, solved
