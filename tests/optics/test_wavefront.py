@@ -1,0 +1,406 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from wavequake.optics.pupils import PupilRays
+from wavequake.optics.telescopes import telescope
+
+from wavequake.errors import UserError
+from wavequake.kernels.devices import NUMPY, list_devices
+from wavequake.kernels.tiles import TILE, from_tiles, to_tiles
+from wavequake.kernels.train import Traced
+from wavequake.optics.states import rest
+from wavequake.optics.wavefront import analyse, chief_rays, los_eq339, measure, prepare, trace_states
+from wavequake.optics.zernike import annular_zernike
+
+DATA = Path(__file__).parents[1] / "data"
+WAVELENGTH = 550e-6
+TERMS = 45
+FLIP = np.diag([1.0, 1.0, -1.0])
+DEVICES = [NUMPY, *(device for device in list_devices() if device.kind == "cpu")][:2]
+each_device = pytest.mark.parametrize("device", DEVICES, ids=lambda device: device.kind)
+
+
+def reference(name):
+    return json.loads((DATA / name).read_text())
+
+
+def quadrature_rays(inner, outer, radii=24, azimuths=96):
+    nodes, weights = np.polynomial.legendre.leggauss(radii)
+    r = np.sqrt(inner**2 + (outer**2 - inner**2) * (nodes + 1) / 2)
+    theta = 2 * np.pi * np.arange(azimuths) / azimuths
+    x, y = np.outer(r, np.cos(theta)).ravel(), np.outer(r, np.sin(theta)).ravel()
+    return PupilRays(x, y, np.repeat(weights / 2 / azimuths, azimuths), np.zeros(len(x), dtype=np.int64))
+
+
+def sunflower_rays(system, count=2000):
+    """Equal areas over the annulus, each ray with the segment whose center is nearest (regular hexagons)."""
+    i, inner, outer = np.arange(count), system.pupil_inner, system.pupil_outer
+    r = np.sqrt(inner**2 + (i + 0.5) / count * (outer**2 - inner**2))
+    x, y = r * np.cos(i * np.pi * (3 - np.sqrt(5))), r * np.sin(i * np.pi * (3 - np.sqrt(5)))
+    centers = system.segments.centers
+    distance = np.hypot(x[:, None] - centers[:, 0], y[:, None] - centers[:, 1])
+    return PupilRays(x, y, np.ones(count), np.argmin(distance, axis=1))
+
+
+def local_motion(segments, in_optics_frame):
+    """Turn motions (batch, S, 6) along and about the optics axes into the local frames of the segments."""
+    axes = FLIP @ segments.axes
+    back = np.swapaxes(axes, 1, 2)
+    turn = Rotation.from_euler("XYZ", in_optics_frame[..., 3:].reshape(-1, 3)).as_matrix()
+    turn = back @ turn.reshape(-1, len(segments), 3, 3) @ axes
+    angles = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_euler("XYZ").reshape(-1, len(segments), 3)
+    return np.concatenate([(back @ in_optics_frame[..., :3, None])[..., 0], angles], axis=-1)
+
+
+def states_of(prepared, batch=TILE):
+    segments, _, terms = prepared.figure_matrix.shape
+    return rest(batch, segments, len(prepared.system.surfaces), terms)
+
+
+def slope(values, step):
+    """Central differences of consecutive pairs (+step, -step)."""
+    return (values[0::2] - values[1::2]) / (2 * step)
+
+
+@pytest.fixture(scope="module")
+def thesis():
+    system = telescope("tmt-thesis")
+    return prepare(system, quadrature_rays(system.pupil_inner, system.pupil_outer), WAVELENGTH, TERMS)
+
+
+@pytest.fixture(scope="module")
+def tmt18():
+    system = telescope("tmt-18")
+    return prepare(system, sunflower_rays(system), WAVELENGTH, TERMS)
+
+
+@each_device
+def test_fields_of_the_thesis_telescope(thesis, device):
+    fields = reference("tmt_optics.json")["fields"]
+    states = states_of(thesis)
+    states.field[: len(fields), 0] = np.deg2rad([field["field_arcmin"] / 60 for field in fields])
+    wavefront = measure(thesis, states, device)
+    for instant, field in enumerate(fields):
+        np.testing.assert_allclose(wavefront.zernike[instant], field["c_noll_annular"], atol=1e-6)
+        assert wavefront.rms[instant] == pytest.approx(field["wfe_rms_j4up"], abs=1e-6)
+        assert wavefront.rms_raw[instant] == pytest.approx(field["wfe_rms_piston_removed"], abs=1e-6)
+        np.testing.assert_allclose(wavefront.chief[instant], [1e3 * field["chief_x_m"], 0], atol=1e-8)
+    assert not wavefront.lost.any()
+
+
+@each_device
+def test_four_lines_of_sight_of_m2(thesis, device):
+    step = 1e-6
+    states = states_of(thesis)
+    states.surface_motion[:2, 0, 3] = step, -step
+    states.surface_motion[2:4, 0, 2] = 1e3 * step, -1e3 * step
+    wavefront = measure(thesis, states, device)
+    printed = los_eq339(wavefront.chief, wavefront.zernike, WAVELENGTH, thesis.numerical_aperture)
+    for pair, name in ((slice(0, 2), "alpha"), (slice(2, 4), "dz")):
+        expected = reference("tmt_optics.json")["m2_rigid_per_m_or_rad"][name]
+        c = np.array(expected["c_noll_annular_waves"])
+        np.testing.assert_allclose(slope(wavefront.zernike[pair], step)[0], c, atol=1e-6 * np.abs(c).max())
+        for quantity, key in (
+            (wavefront.chief, "chief"),
+            (wavefront.centroid, "centroid"),
+            (printed, "LOS_339_annular"),
+            (wavefront.los, "LOS_339_annular_over_sqrt1pe2"),
+        ):
+            np.testing.assert_allclose(
+                1e-3 * slope(quantity[pair], step)[0], expected[key], rtol=1e-6, atol=1e-6
+            )
+
+
+def test_m2_about_its_center_of_curvature_leaves_the_chief_ray(thesis):
+    step = 1e-6
+    states = states_of(thesis)
+    center = np.array([0.0, 0.0, thesis.system.surfaces[0].radius])
+    for instant, angle in enumerate((step, -step)):
+        turn = Rotation.from_euler("x", angle).as_matrix()
+        states.surface_motion[instant, 0] = *(center - turn @ center), angle, 0, 0
+    chief = chief_rays(thesis, states)
+    assert np.abs(1e-3 * slope(from_tiles(chief)[:2, :2], step)).max() < 2e-5
+
+
+@each_device
+def test_random_pistons_of_18_segments(tmt18, device):
+    expected = reference("tmt18_segments.json")
+    np.testing.assert_allclose(
+        tmt18.system.segments.centers[:, :2], 1e3 * np.array(expected["centers_m"]), atol=1e-6
+    )
+    assert tmt18.numerical_aperture == pytest.approx(expected["numerical_aperture"], rel=1e-9)
+    pistons = expected["random_pistons"]
+    motion = np.zeros((TILE, 18, 6))
+    motion[1, :, 2] = 1e3 * np.array(pistons["pistons_m"])
+    states = replace(states_of(tmt18), segment_motion=local_motion(tmt18.system.segments, motion))
+    wavefront = measure(tmt18, states, device)
+    np.testing.assert_allclose(wavefront.zernike[0], expected["nominal_zernike"], atol=1e-6)
+    np.testing.assert_allclose(wavefront.zernike[1], pistons["zernike"], atol=1e-6)
+    assert wavefront.rms_raw[1] == pytest.approx(pistons["rms_raw"], abs=1e-6)
+    assert wavefront.rms[1] == pytest.approx(0.095681727, abs=1e-6)
+    printed = los_eq339(wavefront.chief, wavefront.zernike, WAVELENGTH, tmt18.numerical_aperture)
+    np.testing.assert_allclose(1e-3 * printed[1], pistons["los_m"], atol=1e-11)
+
+
+@each_device
+def test_sensitivities_of_18_pistons(tmt18, device):
+    expected = {key: np.array(values) for key, values in reference("tmt18_segments.json")["piston_z"].items()}
+    step = 1e-7
+    motion = np.zeros((3 * TILE, 18, 6))
+    for segment in range(18):
+        motion[2 * segment : 2 * segment + 2, segment, 2] = 1e3 * step, -1e3 * step
+    states = replace(states_of(tmt18, 3 * TILE), segment_motion=local_motion(tmt18.system.segments, motion))
+    traced, chief = trace_states(tmt18, states, device), chief_rays(tmt18, states)
+    wavefront = analyse(tmt18, traced, chief)
+    opd = slope(from_tiles(traced.opd)[:36], step) / WAVELENGTH
+    on_segment = np.array([opd[k, tmt18.rays.segment == k].mean() for k in range(18)])
+    printed = los_eq339(wavefront.chief, wavefront.zernike, WAVELENGTH, tmt18.numerical_aperture)
+    for values, key in (
+        (slope(wavefront.zernike[:36], step), "zernike"),
+        (1e-3 * slope(printed[:36], step), "los"),
+        (1e-3 * slope(wavefront.centroid[:36], step), "centroid"),
+        (opd.std(axis=1), "rms_raw"),
+        (on_segment, "mean_opd_on_segment"),
+    ):
+        np.testing.assert_allclose(
+            values, expected[key], atol=1e-6 * np.abs(expected[key]).max(), err_msg=key
+        )
+
+
+def grid_rays(system, names, total):
+    """The reference's grid points on the named segments; 6 rays stand for the points on each other one."""
+    segments = system.segments
+    grid = (np.arange(600) + 0.5) * 50.0 - 15e3
+    parts, counted = [], 0
+    for k in map(segments.names.index, names):
+        center, corners = segments.centers[k, :2], segments.corners[k]
+        x, y = (axis.ravel() for axis in np.meshgrid(*(grid[np.abs(grid - c) < 800] for c in center)))
+        edge = np.roll(corners, -1, axis=0) - corners
+        side = edge[:, 0, None] * (y - corners[:, 1, None]) - edge[:, 1, None] * (x - corners[:, 0, None])
+        x, y = x[(side > 0).all(axis=0)], y[(side > 0).all(axis=0)]
+        parts.append((x, y, np.ones_like(x), np.full(len(x), k)))
+        counted += len(x)
+    others = [k for k in range(len(segments)) if segments.names[k] not in names]
+    spread = np.array([[0, 0], [400, 0], [0, 400], [-400, 0], [0, -400], [300, 300.0]])
+    x, y = (segments.centers[others, None, :2] + spread).reshape(-1, 2).T
+    weight = np.full(len(x), (total - counted) / len(x))
+    parts.append((x, y, weight, np.repeat(others, len(spread))))
+    return PupilRays(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+@each_device
+def test_two_of_492_segments(device):
+    expected = reference("tmt492_segments.json")
+    names, dofs, step = ["A1", "B10"], {"piston_z": (2, 1e-4), "rot_x": (3, 1e-7), "rot_y": (4, 1e-7)}, 1e-7
+    system = telescope("tmt")
+    prepared = prepare(system, grid_rays(system, names, expected["rays_on_glass"]), WAVELENGTH, 11)
+    motion = np.zeros((TILE, 492, 6))
+    for case, (name, (dof, h)) in enumerate((name, dof) for name in names for dof in dofs.values()):
+        motion[2 * case : 2 * case + 2, system.segments.names.index(name), dof] = h, -h
+    states = replace(states_of(prepared), segment_motion=local_motion(system.segments, motion))
+    traced = trace_states(prepared, states, device)
+    opd, x, y = (1e-3 * slope(from_tiles(values)[:12], step) for values in (traced.opd, traced.x, traced.y))
+    for case, (name, dof) in enumerate((name, dof) for name in names for dof in dofs):
+        values = expected["segments"][name][dof]
+        own = prepared.rays.segment == system.segments.names.index(name)
+        assert np.count_nonzero(own) == expected["segments"][name]["n_rays"]
+        mean = opd[case, own].mean()
+        assert mean == pytest.approx(values["mean_opd_m_per_unit"], abs=2e-6)
+        assert opd[case, own].std() == pytest.approx(values["rms_opd_on_segment"], abs=1e-6)
+        full = np.sqrt(prepared.weight @ (opd[case] - prepared.weight @ opd[case]) ** 2)
+        assert full == pytest.approx(values["rms_opd_full_pupil_piston_removed"], rel=1e-6)
+        spot = [x[case, own].mean(), y[case, own].mean()]
+        np.testing.assert_allclose(spot, values["spot_shift_of_segment_m_per_unit"], rtol=1e-6, atol=1e-5)
+        centroid = [prepared.weight @ x[case], prepared.weight @ y[case]]
+        np.testing.assert_allclose(centroid, values["centroid_full_pupil_m_per_unit"], rtol=1e-6, atol=1e-7)
+
+
+def synthetic(prepared, waves, tiles=1):
+    """Traced rays with an OPD (N,) or (N, 16) in waves and image points at the origin, and their chief ray."""
+    waves = np.broadcast_to(
+        np.reshape(waves, (len(prepared.rays.x), -1)), (tiles, len(prepared.rays.x), TILE)
+    )
+    nothing = np.zeros_like(waves)
+    return Traced(waves * WAVELENGTH, nothing, nothing.copy(), nothing.astype(np.int8)), np.zeros(
+        (tiles, 3, TILE)
+    )
+
+
+@given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.integers(0, 2**32 - 1))
+def test_strehl_and_rms_do_not_depend_on_piston_and_tilt(tmt18, tilt_x, tilt_y, seed):
+    rays, system = tmt18.rays, tmt18.system
+    x, y = rays.x / system.pupil_outer, rays.y / system.pupil_outer
+    shape = 0.1 * np.random.default_rng(seed).normal(size=18)[rays.segment]
+    flat, tilted = (
+        analyse(tmt18, *synthetic(tmt18, shape + plane)) for plane in (0.0, 0.4 + tilt_x * x + tilt_y * y)
+    )
+    np.testing.assert_allclose(tilted.strehl, flat.strehl, rtol=1e-12)
+    np.testing.assert_allclose(tilted.rms, flat.rms, rtol=1e-10)
+    design = np.stack([np.ones_like(x), x, y], axis=1)
+    residual = shape - design @ np.linalg.lstsq(design, shape, rcond=None)[0]
+    assert flat.strehl[0] == pytest.approx(np.abs(np.mean(np.exp(2j * np.pi * residual))) ** 2, rel=1e-12)
+    assert flat.rms_raw[0] == pytest.approx(shape.std(), rel=1e-12)
+
+
+def test_eq_339_with_the_annular_factor_is_the_direction_of_a_plane_wavefront(thesis):
+    """An OPD of a rho cos(theta) tilts the wavefront by a / R: the image moves by -a lambda / NA."""
+    x, y = thesis.rays.x / thesis.system.pupil_outer, thesis.rays.y / thesis.system.pupil_outer
+    wavefront = analyse(thesis, *synthetic(thesis, 0.3 * x - 0.2 * y))
+    expected = np.array([-0.3, 0.2]) * WAVELENGTH / thesis.numerical_aperture
+    np.testing.assert_allclose(wavefront.los[0], expected, rtol=1e-12)
+    np.testing.assert_allclose(wavefront.strehl, 1.0, rtol=1e-12)
+
+
+def test_segment_phases_are_pistons_at_the_centers_and_slopes(tmt18):
+    phase = np.random.default_rng(5).normal(size=(18, 3)) * [1.0, 1e-3, 1e-3]
+    rays, centers = tmt18.rays, tmt18.system.segments.centers
+    piston, slope_x, slope_y = phase[rays.segment].T
+    dx, dy = rays.x - centers[rays.segment, 0], rays.y - centers[rays.segment, 1]
+    wavefront = analyse(tmt18, *synthetic(tmt18, piston + slope_x * dx + slope_y * dy))
+    np.testing.assert_allclose(wavefront.segment_phase[3], phase, atol=1e-11)
+    assert not wavefront.lost_segments.any()
+
+
+def test_lost_rays_are_left_out_of_their_instant_only(tmt18):
+    rng, rays = np.random.default_rng(7), tmt18.rays
+    waves = rng.normal(size=(len(rays.x), TILE))
+    traced, chief = synthetic(tmt18, waves)
+    traced = replace(traced, x=to_tiles(rng.normal(size=(TILE, len(rays.x)))))
+    whole = analyse(tmt18, traced, chief)
+    gone = (rng.random(len(rays.x)) < 0.1) | (rays.segment == 4)
+    gone[np.flatnonzero(rays.segment == 6)[2:]] = True  # two rays are left: no plane
+    holed = replace(traced, opd=traced.opd.copy(), x=traced.x.copy(), status=traced.status.copy())
+    for array, value in ((holed.opd, np.nan), (holed.x, np.nan), (holed.status, 1)):
+        array[0, gone, 9] = value
+    wavefront = analyse(tmt18, holed, chief)
+    others = np.arange(TILE) != 9
+    for name, values in vars(whole).items():
+        np.testing.assert_array_equal(getattr(wavefront, name)[others], values[others], err_msg=name)
+    kept, w = ~gone, waves[~gone, 9]
+    system = tmt18.system
+    x, y = rays.x[kept] / system.pupil_outer, rays.y[kept] / system.pupil_outer
+    basis = annular_zernike(x, y, TERMS, system.pupil_inner / system.pupil_outer)
+    np.testing.assert_allclose(wavefront.zernike[9], np.linalg.lstsq(basis, w, rcond=None)[0], atol=1e-10)
+    design = np.stack([np.ones_like(x), x, y], axis=1)
+    residual = w - design @ np.linalg.lstsq(design, w, rcond=None)[0]
+    assert wavefront.strehl[9] == pytest.approx(
+        np.abs(np.mean(np.exp(2j * np.pi * residual))) ** 2, rel=1e-10
+    )
+    assert wavefront.rms_raw[9] == pytest.approx(w.std(), rel=1e-12)
+    assert wavefront.centroid[9, 0] == pytest.approx(traced.x[0, kept, 9].mean(), rel=1e-12)
+    assert wavefront.lost.tolist() == [np.count_nonzero(gone) if k == 9 else 0 for k in range(TILE)]
+    assert np.argwhere(wavefront.lost_segments).tolist() == [[9, 4], [9, 6]]
+    own = rays.segment[kept] == 0
+    local = np.stack([np.ones(own.sum()), *(rays_xy[kept][own] for rays_xy in (rays.x, rays.y))], axis=1)
+    local[:, 1:] -= system.segments.centers[0, :2]
+    np.testing.assert_allclose(
+        wavefront.segment_phase[9, 0], np.linalg.lstsq(local, w[own], rcond=None)[0], rtol=1e-9, atol=1e-12
+    )
+    assert np.isnan(wavefront.segment_phase[9, 4]).all()
+
+
+@each_device
+@pytest.mark.parametrize("motion", [30e3, np.nan], ids=["out of the beam", "NaN"])
+def test_a_segment_out_of_the_beam_is_reported(tmt18, device, motion):
+    states = states_of(tmt18)
+    states.segment_motion[5, 11, 0] = motion
+    wavefront, still = measure(tmt18, states, device), measure(tmt18, states_of(tmt18), device)
+    assert np.argwhere(wavefront.lost_segments).tolist() == [[5, 11]]
+    assert wavefront.lost[5] == np.count_nonzero(tmt18.rays.segment == 11)
+    assert np.isfinite(wavefront.zernike).all()
+    assert np.isfinite(wavefront.strehl).all()
+    np.testing.assert_array_equal(np.delete(wavefront.zernike, 5, 0), np.delete(still.zernike, 5, 0))
+
+
+def test_an_instant_that_loses_all_rays_says_so(tmt18):
+    states = states_of(tmt18)
+    states.surface_motion[2, 0, 0] = np.nan
+    wavefront = measure(tmt18, states, NUMPY)
+    assert wavefront.lost.tolist() == [len(tmt18.rays.x) if k == 2 else 0 for k in range(TILE)]
+    assert wavefront.lost_segments[2].all()
+    assert np.isnan(wavefront.zernike[2]).all()
+    assert np.isfinite(np.delete(wavefront.los, 2, 0)).all()
+
+
+@each_device
+def test_results_do_not_depend_on_margin_and_batch(tmt18, device):
+    rng = np.random.default_rng(11)
+    states = states_of(tmt18, 2 * TILE)
+    states.segment_motion[:] = rng.normal(size=states.segment_motion.shape) * [20, 20, 1e-4, 1e-7, 1e-7, 1e-2]
+    states.field[:] = rng.normal(size=states.field.shape) * 1e-3
+    wide, narrow = (
+        measure(prepare(tmt18.system, tmt18.rays, WAVELENGTH, TERMS, margin=margin), states, device)
+        for margin in (2000.0, 0.5)
+    )
+    half = replace(states, **{name: values[TILE:] for name, values in vars(states).items()})
+    alone = measure(tmt18, half, device)
+    assert 0 < wide.lost.sum() < wide.lost.size * len(tmt18.rays.x)
+    for name, values in vars(wide).items():
+        np.testing.assert_array_equal(getattr(narrow, name), values, err_msg=name)
+        np.testing.assert_array_equal(getattr(alone, name), values[TILE:], err_msg=name)
+
+
+@each_device
+def test_a_figure_acts_as_the_rigid_motion_that_it_equals(device):
+    """Piston is dz, a tilt along local x (y) is a rotation about local y (x), near the segment's center."""
+    system = telescope("tmt")
+    centers, corners = system.segments.centers, system.segments.corners
+    offset = np.array([[0.0, 0], [60, 0], [-60, 0], [0, 60], [0, -60]])
+    x, y = (centers[:, None, :2] + offset).reshape(-1, 2).T
+    rays = PupilRays(x, y, np.ones(len(x)), np.repeat(np.arange(492), 5))
+    prepared = prepare(system, rays, WAVELENGTH, 11, figure_terms=3)
+    radius = np.linalg.norm(corners - centers[:, None, :2], axis=2).max(axis=1)
+    height = 1e-4
+    states = states_of(prepared)
+    states.segment_motion[1, :, 2] = height
+    states.segment_figure[2, :, 0] = height
+    states.segment_motion[3, :, 4] = -2 * height / radius
+    states.segment_figure[4, :, 1] = height
+    states.segment_motion[5, :, 3] = 2 * height / radius
+    states.segment_figure[6, :, 2] = height
+    phase = measure(prepared, states, device).segment_phase
+    change = phase - phase[0]
+    assert change[1, :, 0].min() > 1.9 * height / WAVELENGTH  # towards the sky shortens the path twice
+    np.testing.assert_allclose(change[2, :, 0], change[1, :, 0], rtol=1e-5)
+    for rigid, figure in ((3, 4), (5, 6)):
+        size = np.hypot(*change[rigid, :, 1:].T)
+        error = np.hypot(*(change[figure] - change[rigid])[:, 1:].T)
+        assert (
+            error / size
+        ).max() < 0.07  # the figure lives in projected coordinates, 1 / cos(14 deg) at the rim
+
+
+@pytest.mark.parametrize("wavelength", [0.0, -1.0, np.nan, np.inf])
+def test_a_wavelength_must_be_positive(tmt18, wavelength):
+    with pytest.raises(UserError, match="wavelength"):
+        prepare(tmt18.system, tmt18.rays, wavelength, TERMS)
+
+
+def test_rays_that_cannot_determine_the_wavefront_are_refused(tmt18):
+    rays, system = tmt18.rays, tmt18.system
+
+    def some(chosen):
+        return PupilRays(rays.x[chosen], rays.y[chosen], rays.weight[chosen], rays.segment[chosen])
+
+    with pytest.raises(UserError, match="no wavefront"):
+        prepare(system, replace(rays, segment=np.full(len(rays.x), -1)), WAVELENGTH, TERMS)
+    with pytest.raises(UserError, match="no wavefront"):
+        prepare(system, some(slice(0, 0)), WAVELENGTH, TERMS)
+    with pytest.raises(UserError, match="too few rays"):
+        prepare(system, some(rays.segment != 3), WAVELENGTH, TERMS)
+    with pytest.raises(UserError, match="at least 3"):
+        prepare(system, rays, WAVELENGTH, 2)
+    few = np.concatenate([np.flatnonzero(rays.segment == k)[:4] for k in range(18)])
+    with pytest.raises(UserError, match="do not determine 91"):
+        prepare(system, some(few), WAVELENGTH, 91)
+
+
+def test_figures_must_fit(tmt18):
+    with pytest.raises(UserError, match="segment figures"):
+        trace_states(tmt18, replace(states_of(tmt18), segment_figure=np.zeros((TILE, 18, 4))), NUMPY)
