@@ -61,8 +61,7 @@ def generator(seed: int, stream_name: str, realization: int) -> np.random.Genera
     """Return the random numbers of one disturbance in one realization.
 
     The stream is a 32-bit fingerprint of the disturbance's name: adding, dropping or reordering disturbances
-    never changes another one's numbers, and the same realization of the same name is the same draw for all that
-    is compared.
+    never changes another one's numbers, and a realization of a name is one draw for all that is compared.
     """
     stream = int.from_bytes(hashlib.blake2b(stream_name.encode(), digest_size=4).digest(), "little")
     return np.random.Generator(
