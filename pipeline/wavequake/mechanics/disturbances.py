@@ -9,11 +9,25 @@ from pydantic import Field
 
 from wavequake.errors import UserError
 from wavequake.mechanics.layout import SegmentLayout
-from wavequake.mechanics.motion import Motion, add, generator
+from wavequake.mechanics.line_of_sight import LineOfSight, draw_sight, sight_rms_mas
+from wavequake.mechanics.motion import Motion, add, generator, line_of_sight_rms_mas, piston_rms_nm
 from wavequake.mechanics.population import Population, time_axis
 from wavequake.mechanics.static_random import StaticRandom, draw_static
+from wavequake.mechanics.vibration_lines import VibrationLines, draw_lines, lines_rms_mas
 
-__all__ = ["Combine", "Disturbance", "Motion", "draw", "draw_case", "generator", "parts", "time_axis"]
+__all__ = [
+    "Combine",
+    "Disturbance",
+    "Motion",
+    "analytic_rms",
+    "draw",
+    "draw_case",
+    "generator",
+    "line_of_sight_rms_mas",
+    "parts",
+    "piston_rms_nm",
+    "time_axis",
+]
 
 
 class Combine(Population):
@@ -23,8 +37,8 @@ class Combine(Population):
     of: tuple[str, ...] = Field(min_length=2, strict=False, description="names of disturbances of this study")
 
 
-SingleDisturbance = StaticRandom
-Disturbance = Annotated[StaticRandom | Combine, Field(discriminator="model")]
+SingleDisturbance = StaticRandom | LineOfSight | VibrationLines
+Disturbance = Annotated[SingleDisturbance | Combine, Field(discriminator="model")]
 
 
 def draw(
@@ -37,6 +51,24 @@ def draw(
     match parameters:
         case StaticRandom():
             return draw_static(parameters, layout, time, random)
+        case LineOfSight():
+            return draw_sight(parameters, len(layout), time, random)
+        case VibrationLines():
+            return draw_lines(parameters, len(layout), time, random)
+
+
+def analytic_rms(parameters: Disturbance, layout: SegmentLayout) -> tuple[float, str] | None:
+    """Return the rms that a disturbance has by its parameters alone, and its unit; None where there is none.
+
+    ``mas``: radial motion of the line of sight, which :func:`line_of_sight_rms_mas` samples.
+    """
+    match parameters:
+        case LineOfSight():
+            return sight_rms_mas(parameters), "mas"
+        case VibrationLines():
+            return lines_rms_mas(parameters), "mas"
+        case _:
+            return None
 
 
 def draw_case(

@@ -1,8 +1,9 @@
 """What a disturbance draws: motions over the instants of one case, and the random numbers behind them."""
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +56,32 @@ def add(motions: list[Motion]) -> Motion:
         mount=reduce(np.add, [motion.mount for motion in motions]),
         m2=reduce(np.add, [motion.m2 for motion in motions]),
     )
+
+
+def line_of_sight_motion(
+    act: Literal["mount", "m2"],
+    along: NDArray[np.float64],
+    across: NDArray[np.float64],
+    direction_deg: float,
+    segments: int,
+) -> Motion:
+    """Return a motion of the line of sight alone, rad, from its parts (n,) along and across a direction."""
+    angle = np.deg2rad(direction_deg)
+    on_sky = np.outer(along, [np.cos(angle), np.sin(angle)]) + np.outer(
+        across, [-np.sin(angle), np.cos(angle)]
+    )
+    return replace(still(len(along), segments), **{act: on_sky})
+
+
+def line_of_sight_rms_mas(motion: Motion) -> float:
+    """Return the radial rms of mount and M2 motion on the sky over the instants, mas."""
+    on_sky = motion.mount + motion.m2
+    return float(np.sqrt(np.mean(np.sum(on_sky**2, axis=1)))) / RAD_PER_MAS
+
+
+def piston_rms_nm(motion: Motion) -> float:
+    """Return the rms over segments and instants of the motion along the segments' normals, nm."""
+    return float(np.sqrt(np.mean(motion.segment_motion[..., 2] ** 2))) * 1e9
 
 
 def generator(seed: int, stream_name: str, realization: int) -> np.random.Generator:
