@@ -137,6 +137,59 @@ def test_the_candidates_order_does_not_matter_and_none_is_a_gap(device):
 
 
 @pytest.mark.parametrize("device", **NAMES)
+def test_where_glass_overlaps_the_first_candidate_counts(device):
+    arguments = one_mirror()
+    train = replace(arguments["train"], edges=np.zeros((2, 0, 3)), figure_frames=np.zeros((2, 4)))
+    arguments["train"] = train
+    arguments["segment_poses"] = poses((np.eye(3), np.zeros(3)), (np.eye(3), [0.0, 0.0, -1.0]))
+    first, second = (np.full((30, 1), segment, np.int32) for segment in (0, 1))
+    piston = trace_segmented(**arguments | {"candidates": second}, device=device)
+    both = trace_segmented(**arguments | {"candidates": np.hstack([second, first])}, device=device)
+    assert_same(both, piston)
+    # In half of the instants the first candidate is lost: the second counts there.
+    arguments["segment_poses"][:, 1, :, ::2] = np.nan
+    rest = trace_segmented(**arguments, device=device)
+    both = trace_segmented(**arguments | {"candidates": np.hstack([second, first])}, device=device)
+    np.testing.assert_array_equal(both.opd[..., ::2], rest.opd[..., ::2])
+    np.testing.assert_array_equal(both.opd[..., 1::2], piston.opd[..., 1::2])
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_a_ray_may_start_behind_the_mirror(device):
+    # On the far pole of the sphere, where the formula that suits other rays is 0 / 0.
+    arguments = one_mirror(curvature=1.0 / 500.0)
+    before = trace_segmented(**arguments, device=device)
+    for start_z in (600.0, 1000.0):
+        behind = trace_segmented(**arguments | {"start_z": start_z}, device=device)
+        np.testing.assert_allclose(behind.opd, before.opd, atol=5e-12)
+        np.testing.assert_allclose(behind.x, before.x, atol=5e-12)
+    pole = {"ray_x": np.zeros(1), "ray_y": np.zeros(1), "candidates": np.zeros((1, 1), np.int32)}
+    at_pole = trace_segmented(**arguments | pole | {"start_z": 1000.0}, device=device)
+    np.testing.assert_array_equal(at_pole.x, 0.0)
+    np.testing.assert_allclose(at_pole.opd, 0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_the_back_of_a_sphere_is_not_glass(device):
+    # The ray enters the sphere about (0, 0, 100) beyond its equator.
+    entry = np.array([-np.sqrt(100.0**2 - 10.0**2), 0.0, 110.0])
+    direction = np.array([np.sin(1.4), 0.0, np.cos(1.4)])
+    start = entry - (entry[2] + 20.0) / direction[2] * direction
+    one_ray = {"ray_y": np.zeros(1), "candidates": np.zeros((1, 1), np.int32)}
+    one_ray["directions"] = np.broadcast_to(direction[:, None], (1, 3, TILE)).copy()
+    primary = one_mirror(curvature=1.0 / 100.0) | one_ray | {"ray_x": start[:1].copy()}
+    assert (trace_segmented(**primary, device=device).status == 1).all()
+
+    # The same after a plane primary, which the ray meets in the origin.
+    flat = one_mirror() | one_ray | {"ray_x": np.array([-20.0 * np.tan(1.4)])}
+    surfaces = {"surface_curvatures": np.array([1.0 / 100.0, 0.0]), "surface_conics": np.zeros(2)}
+    flat["train"] = replace(flat["train"], **surfaces)
+    turn = np.diag([1.0, -1.0, -1.0])
+    flat["surface_poses"] = poses((turn, entry - 300.0 * direction), (np.eye(3), np.zeros(3)))
+    assert (trace_segmented(**flat, device=device).status == 2).all()
+
+
+@pytest.mark.parametrize("device", **NAMES)
 def test_lost_rays_say_which_surface_they_miss_and_are_nan(device):
     arguments = two_mirrors()
     train, poses_ = arguments["train"], arguments["surface_poses"]
@@ -188,16 +241,16 @@ def test_a_tile_alone_has_the_bits_of_the_tile_in_a_batch(device, monkeypatch):
 def test_opencl_agrees_with_the_twin(device, degree):
     arguments = two_mirrors(tiles=2, degree=degree)
     if degree > 0:
-        arguments["figure"] *= 100.0  # micrometers
+        arguments["figure"] *= 1e4  # tenths of a millimeter
     assert_close(trace_segmented(**arguments, device=device), trace_segmented(**arguments, device=NUMPY))
 
 
 @pytest.mark.parametrize("device", OPENCL, ids=NAMES["ids"])
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 2**31),
     primary=st.tuples(st.floats(-1 / 8e3, 1 / 40e3), st.floats(-3.0, 0.5)),
-    secondary=st.tuples(st.floats(1 / 5e4, 1 / 6e3), st.floats(-4.0, 0.5)),
+    secondary=st.tuples(st.floats(1 / 5e4, 1 / 1e4), st.floats(-4.0, 0.5)),
     sign=st.sampled_from([-1.0, 1.0]),
 )
 def test_opencl_agrees_with_the_twin_on_any_system(device, seed, primary, secondary, sign):
@@ -211,7 +264,7 @@ def test_opencl_agrees_with_the_twin_on_any_system(device, seed, primary, second
         surface_conics=np.array([secondary[1], 0.0]),
     )
     for name in ("segment_poses", "surface_poses"):
-        turns = rotations(random.normal(0.0, 0.03, (arguments[name].shape[1] * TILE, 3)))
+        turns = rotations(random.normal(0.0, 0.01, (arguments[name].shape[1] * TILE, 3)))
         turns = turns.reshape(-1, TILE, 9).transpose(0, 2, 1)
         arguments[name][0, :, :9] = turns
     arguments["surface_poses"][:, :, 11] *= 0.2

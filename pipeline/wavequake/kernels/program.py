@@ -1,5 +1,6 @@
 """Launch kernels; OpenCL queues and programs are made when this process first uses them and then kept."""
 
+import re
 import threading
 from collections.abc import Sequence
 from functools import lru_cache
@@ -90,7 +91,15 @@ def _kernel(device: Device, name: str, constants: tuple[tuple[str, int], ...]) -
     """Build a kernel; drivers cache binaries on disk, so only the first process waits for the compiler."""
     import pyopencl as cl
 
-    sources = folder("kernels")
-    options = ["-cl-std=CL1.2", f"-I{sources}", *(f"-D{key}={value}" for key, value in constants)]
-    program = cl.Program(_queue(device).context, (sources / f"{name}.cl").read_text(encoding="utf-8"))
+    options = ["-cl-std=CL1.2", *(f"-D{key}={value}" for key, value in constants)]
+    program = cl.Program(_queue(device).context, _source(f"{name}.cl"))
     return cl.Kernel(program.build(options), name)
+
+
+def _source(name: str) -> str:
+    """Return a file of the kernels folder with its headers pasted in.
+
+    Binaries on disk are found by the source's text: a changed header must change it.
+    """
+    text = (folder("kernels") / name).read_text(encoding="utf-8")
+    return re.sub(r'^#include "(.+)"$', lambda match: _source(match[1]), text, flags=re.MULTILINE)
