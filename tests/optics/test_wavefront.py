@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from wavequake.optics.pupils import PupilRays
-from wavequake.optics.telescopes import telescope
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY, list_devices
 from wavequake.kernels.tiles import TILE, from_tiles, to_tiles
 from wavequake.kernels.train import Traced
+from wavequake.optics.pupils import PupilRays
 from wavequake.optics.states import rest
+from wavequake.optics.telescopes import telescope
 from wavequake.optics.wavefront import analyse, chief_rays, los_eq339, measure, prepare, trace_states
 from wavequake.optics.zernike import annular_zernike
 
@@ -134,7 +134,8 @@ def test_random_pistons_of_18_segments(tmt18, device):
     np.testing.assert_allclose(
         tmt18.system.segments.centers[:, :2], 1e3 * np.array(expected["centers_m"]), atol=1e-6
     )
-    assert tmt18.numerical_aperture == pytest.approx(expected["numerical_aperture"], rel=1e-9)
+    # The reference scales the NA of 15 m with the radius; ours is the sine of the real marginal ray.
+    assert tmt18.numerical_aperture == pytest.approx(expected["numerical_aperture"], rel=1e-6)
     pistons = expected["random_pistons"]
     motion = np.zeros((TILE, 18, 6))
     motion[1, :, 2] = 1e3 * np.array(pistons["pistons_m"])
@@ -144,13 +145,14 @@ def test_random_pistons_of_18_segments(tmt18, device):
     np.testing.assert_allclose(wavefront.zernike[1], pistons["zernike"], atol=1e-6)
     assert wavefront.rms_raw[1] == pytest.approx(pistons["rms_raw"], abs=1e-6)
     assert wavefront.rms[1] == pytest.approx(0.095681727, abs=1e-6)
-    printed = los_eq339(wavefront.chief, wavefront.zernike, WAVELENGTH, tmt18.numerical_aperture)
-    np.testing.assert_allclose(1e-3 * printed[1], pistons["los_m"], atol=1e-11)
+    printed = los_eq339(wavefront.chief, wavefront.zernike, WAVELENGTH, expected["numerical_aperture"])
+    np.testing.assert_allclose(1e-3 * printed[1], pistons["los_m"], rtol=1e-6)
 
 
 @each_device
 def test_sensitivities_of_18_pistons(tmt18, device):
-    expected = {key: np.array(values) for key, values in reference("tmt18_segments.json")["piston_z"].items()}
+    data = reference("tmt18_segments.json")
+    expected = {key: np.array(values) for key, values in data["piston_z"].items()}
     step = 1e-7
     motion = np.zeros((3 * TILE, 18, 6))
     for segment in range(18):
@@ -160,7 +162,7 @@ def test_sensitivities_of_18_pistons(tmt18, device):
     wavefront = analyse(tmt18, traced, chief)
     opd = slope(from_tiles(traced.opd)[:36], step) / WAVELENGTH
     on_segment = np.array([opd[k, tmt18.rays.segment == k].mean() for k in range(18)])
-    printed = los_eq339(wavefront.chief, wavefront.zernike, WAVELENGTH, tmt18.numerical_aperture)
+    printed = los_eq339(wavefront.chief, wavefront.zernike, WAVELENGTH, data["numerical_aperture"])
     for values, key in (
         (slope(wavefront.zernike[:36], step), "zernike"),
         (1e-3 * slope(printed[:36], step), "los"),
@@ -222,7 +224,7 @@ def test_two_of_492_segments(device):
 
 
 def synthetic(prepared, waves, tiles=1):
-    """Traced rays with an OPD (N,) or (N, 16) in waves and image points at the origin, and their chief ray."""
+    """Traced rays with an OPD (N,) or (N, 16) in waves and image points at the origin, and the chief ray."""
     waves = np.broadcast_to(
         np.reshape(waves, (len(prepared.rays.x), -1)), (tiles, len(prepared.rays.x), TILE)
     )
@@ -328,22 +330,37 @@ def test_an_instant_that_loses_all_rays_says_so(tmt18):
     assert np.isfinite(np.delete(wavefront.los, 2, 0)).all()
 
 
-@each_device
-def test_results_do_not_depend_on_margin_and_batch(tmt18, device):
-    rng = np.random.default_rng(11)
-    states = states_of(tmt18, 2 * TILE)
-    states.segment_motion[:] = rng.normal(size=states.segment_motion.shape) * [20, 20, 1e-4, 1e-7, 1e-7, 1e-2]
-    states.field[:] = rng.normal(size=states.field.shape) * 1e-3
+@pytest.mark.parametrize("cause", ["shift", "clocking", "field", "shift beside NaN"])
+def test_results_do_not_depend_on_the_margin(tmt18, cause):
+    """Rays wander about 20 mm; with candidates for 0.5 mm only, those near an edge would be lost."""
+    states = states_of(tmt18)
+    if cause == "field":
+        states.field[:] = [1e-2, -0.5e-2]
+    else:
+        dof, size = (5, 5e-3) if cause == "clocking" else (0, 20.0)
+        states.segment_motion[:, ::2, dof] = size
+    if cause == "shift beside NaN":
+        states.segment_motion[0, 0] = np.nan
     wide, narrow = (
-        measure(prepare(tmt18.system, tmt18.rays, WAVELENGTH, TERMS, margin=margin), states, device)
-        for margin in (2000.0, 0.5)
+        measure(prepare(tmt18.system, tmt18.rays, WAVELENGTH, TERMS, margin=margin), states, NUMPY)
+        for margin in (500.0, 0.5)
     )
-    half = replace(states, **{name: values[TILE:] for name, values in vars(states).items()})
-    alone = measure(tmt18, half, device)
-    assert 0 < wide.lost.sum() < wide.lost.size * len(tmt18.rays.x)
     for name, values in vars(wide).items():
         np.testing.assert_array_equal(getattr(narrow, name), values, err_msg=name)
-        np.testing.assert_array_equal(getattr(alone, name), values[TILE:], err_msg=name)
+
+
+@each_device
+def test_results_do_not_depend_on_the_batch(tmt18, device):
+    rng = np.random.default_rng(11)
+    states = states_of(tmt18, 3 * TILE)
+    states.segment_motion[:] = rng.normal(size=states.segment_motion.shape) * [20, 20, 1e-4, 1e-7, 1e-7, 1e-2]
+    states.surface_motion[:] = rng.normal(size=states.surface_motion.shape) * 1e-6
+    states.field[:] = rng.normal(size=states.field.shape) * 1e-3
+    one = replace(states, **{name: values[TILE : 2 * TILE] for name, values in vars(states).items()})
+    batch, alone = measure(tmt18, states, device), measure(tmt18, one, device)
+    assert alone.lost.min() > 0
+    for name, values in vars(alone).items():
+        np.testing.assert_array_equal(getattr(batch, name)[TILE : 2 * TILE], values, err_msg=name)
 
 
 @each_device

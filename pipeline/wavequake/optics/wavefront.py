@@ -150,12 +150,12 @@ def prepare(
         raise UserError(f"the wavelength is {wavelength} mm, it must be a positive number")
     if terms < 3:
         raise UserError(f"{terms} Zernike terms were asked for, the line of sight needs at least 3")
-    on_glass = (rays.segment >= 0) & (rays.weight > 0.0)
-    if not on_glass.any():
+    used = (rays.segment >= 0) & (rays.weight > 0.0)
+    if not used.any():
         raise UserError(
             f"none of the {len(rays.x)} rays meets a segment of {system.name}, so there is no wavefront"
         )
-    rays = PupilRays(*(values[on_glass] for values in (rays.x, rays.y, rays.weight, rays.segment)))
+    rays = PupilRays(rays.x[used], rays.y[used], rays.weight[used], rays.segment[used])
     weight = rays.weight / np.sum(rays.weight)
     x, y = rays.x / system.pupil_outer, rays.y / system.pupil_outer
     obscuration = system.pupil_inner / system.pupil_outer
