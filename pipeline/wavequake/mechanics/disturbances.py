@@ -12,6 +12,7 @@ from wavequake.mechanics.layout import SegmentLayout
 from wavequake.mechanics.line_of_sight import LineOfSight, draw_sight, sight_rms_mas
 from wavequake.mechanics.motion import Motion, add, generator, line_of_sight_rms_mas, piston_rms_nm
 from wavequake.mechanics.population import Population, time_axis
+from wavequake.mechanics.segment_history import SegmentHistory, draw_history
 from wavequake.mechanics.static_random import StaticRandom, draw_static
 from wavequake.mechanics.vibration_lines import VibrationLines, draw_lines, lines_rms_mas
 
@@ -37,7 +38,7 @@ class Combine(Population):
     of: tuple[str, ...] = Field(min_length=2, strict=False, description="names of disturbances of this study")
 
 
-SingleDisturbance = StaticRandom | LineOfSight | VibrationLines
+SingleDisturbance = StaticRandom | LineOfSight | SegmentHistory | VibrationLines
 Disturbance = Annotated[SingleDisturbance | Combine, Field(discriminator="model")]
 
 
@@ -53,6 +54,8 @@ def draw(
             return draw_static(parameters, layout, time, random)
         case LineOfSight():
             return draw_sight(parameters, len(layout), time, random)
+        case SegmentHistory():
+            return draw_history(parameters, layout, time, random)
         case VibrationLines():
             return draw_lines(parameters, len(layout), time, random)
 
