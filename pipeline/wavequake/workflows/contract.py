@@ -13,17 +13,21 @@ STATUS_MEANINGS = "todo done raised crashed timed_out diverged"
 
 @dataclass(frozen=True)
 class Variable:
-    """One stored array: ``dims`` without the leading ``case``, their sizes, the dtype and attributes (units, long_name)."""
+    """One stored array: ``dims`` without the leading ``case``, their sizes, dtype and attributes (units, long_name).
+
+    A ``coordinate`` labels other arrays (the time of each instant); the rest is data.
+    """
 
     dims: tuple[str, ...]
     shape: tuple[int, ...]
     attrs: Mapping[str, str]
     dtype: str = "float64"
+    coordinate: bool = False
 
 
 @dataclass(frozen=True)
 class Template:
-    """Everything a store holds: arrays per case, and coordinates and arrays that do not depend on the case."""
+    """What a store holds: arrays per case, and coordinates and arrays that do not depend on the case."""
 
     per_case: Mapping[str, Variable]
     fixed: Mapping[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]] = field(default_factory=dict)
@@ -31,26 +35,36 @@ class Template:
 
 @dataclass(frozen=True)
 class ChunkResult:
-    """The numbers of some cases: arrays (case, ...) for each per-case variable, a status and a message per case."""
+    """The numbers of some cases: an array (case, ...) per variable, a status and a message per case.
+
+    ``timings`` in s by name ("trace", "psf") go to the journal with the engine's own.
+    """
 
     arrays: Mapping[str, NDArray[Any]]
     status: NDArray[np.int8]
     messages: tuple[str, ...]
+    timings: Mapping[str, float] = field(default_factory=dict)
+
+
+def no_description(study: str) -> dict[str, str]:
+    """Add nothing to the plan."""
+    return {}
 
 
 @dataclass(frozen=True)
 class Workflow:
     """A workflow as module-level functions (so that Dask sends them by reference).
 
-    ``study`` is the canonical JSON text of the effective study without what does not belong to its identity; a workflow may
-    cache on it. ``case_table(study, first, last)`` gives the coordinates of cases first <= id < last, each array of length
-    last - first (str, int or float). ``compute(study, cases, device)`` is a pure function of the study and the case ids:
-    a case's bits depend on nothing else. It marks a case that fails for a known reason in ``status``; an exception means that
-    the engine tries the chunk's cases one by one. ``describe`` adds lines to the plan.
+    ``study`` is the canonical JSON text of the effective study without what does not belong to its identity;
+    a workflow may cache on it. ``case_table(study, first, last)`` gives the coordinates of cases first <= id
+    < last, each array of length last - first (str, int or float). ``compute(study, cases, device)`` is a pure
+    function of the study and the case ids: a case's bits depend on nothing else. It marks a case that fails
+    for a known reason in ``status``; an exception means that the engine tries the chunk's cases one by one; a
+    UserError ends the run. ``describe`` adds lines to the plan.
     """
 
     name: str
     template: Callable[[str], Template]
     case_table: Callable[[str, int, int], dict[str, NDArray[Any]]]
     compute: Callable[[str, NDArray[np.int64], str], ChunkResult]
-    describe: Callable[[str], dict[str, str]] = lambda study: {}
+    describe: Callable[[str], dict[str, str]] = no_description

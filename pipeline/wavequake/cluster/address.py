@@ -1,0 +1,41 @@
+"""Dask that somebody else runs, at the address of its scheduler."""
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from wavequake.errors import UserError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+
+@contextmanager
+def connected(address: str, timeout_s: float = 10.0) -> Iterator["Client"]:
+    """Connect to the scheduler at `address` and yield the client once there is a worker.
+
+    Workers must see the store under the same path, and have the same versions installed.
+
+    Raises
+    ------
+    UserError
+        If nothing answers at `address`, or no worker comes in time.
+    """
+    from distributed import Client
+
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    try:
+        client = Client(address, timeout=timeout_s)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise UserError(f"No Dask scheduler answers at {address} ({error}).") from None
+    try:
+        try:
+            client.wait_for_workers(1, timeout=3 * timeout_s)
+        except TimeoutError:
+            raise UserError(
+                f"The Dask scheduler at {address} has no workers; start some with `dask worker`."
+            ) from None
+        yield client
+    finally:
+        client.close(timeout=2)

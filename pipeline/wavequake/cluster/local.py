@@ -1,0 +1,124 @@
+"""Dask on this machine: one single-threaded worker process per CPU, reachable from nowhere else."""
+
+import logging
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
+from typing import TYPE_CHECKING, Any
+
+from wavequake.errors import UserError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+# One thread per worker process: W workers times N threads would only get in each other's way, and BLAS results
+# depend on the number of threads. Workers say nothing: what went wrong is the driver's to tell.
+WORKER_ENVIRONMENT = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "NUMBA_NUM_THREADS": "1",
+    "POCL_MAX_PTHREAD_COUNT": "1",  # PoCL 3
+    "POCL_CPU_MAX_CU_COUNT": "1",  # PoCL 4 and later
+    "DASK_LOGGING__DISTRIBUTED": "critical",
+}
+# Would pin the one thread of every worker to the same CPU.
+_UNSET = ("POCL_AFFINITY",)
+
+# A task takes seconds: slow clocks save idle CPU time. A worker holds no task but the one that it runs, so that its
+# death is blamed on no other.
+SETTINGS: dict[str, Any] = {
+    "distributed.scheduler.worker-saturation": 1.0,
+    "distributed.scheduler.allowed-failures": 1,
+    "distributed.admin.tick.interval": "500ms",
+    "distributed.admin.tick.limit": "30s",
+    "distributed.admin.system-monitor.interval": "5s",
+    "distributed.worker.profile.enabled": False,
+    "distributed.worker.memory.monitor-interval": "1s",
+    "distributed.nanny.pre-spawn-environ": {},
+}
+
+
+@contextmanager
+def local_cluster(workers: int | None = None, dashboard: str | None = None) -> Iterator["Client"]:
+    """Start worker processes and yield the Dask client that feeds them.
+
+    Parameters
+    ----------
+    workers : int, optional
+        Number of worker processes; by default one per CPU that this process may use.
+    dashboard : str, optional
+        Address of the dashboard, e.g. "127.0.0.1:8787"; none by default.
+
+    Raises
+    ------
+    UserError
+        If the worker processes do not start.
+    """
+    import dask
+    from dask.system import CPU_COUNT
+    from distributed import Client, LocalCluster
+
+    with worker_environment(), dask.config.set(SETTINGS):
+        with interrupts_blocked():
+            try:
+                cluster = LocalCluster(
+                    n_workers=workers or CPU_COUNT,
+                    threads_per_worker=1,
+                    processes=True,
+                    host="127.0.0.1",
+                    dashboard_address=dashboard,
+                    silence_logs=logging.CRITICAL,
+                )
+            except RuntimeError as error:
+                raise UserError(
+                    "The worker processes did not start: a script that runs campaigns must do so under "
+                    f'`if __name__ == "__main__":`, or use on="serial" ({error}).'
+                ) from None
+            client = Client(cluster, set_as_default=False)
+        try:
+            yield client
+        finally:
+            _stop(client, cluster)
+
+
+def _stop(client: Any, cluster: Any) -> None:
+    """End the workers at once: what they have finished is on disk, and nobody waits for the rest."""
+    with interrupts_blocked():
+        client.close(timeout=2)
+        for nanny in list(cluster.workers.values()):
+            nanny.auto_restart = False
+            if nanny.pid:
+                with suppress(ProcessLookupError):
+                    os.kill(nanny.pid, signal.SIGKILL)
+        cluster.close(timeout=5)
+
+
+@contextmanager
+def worker_environment() -> Iterator[None]:
+    """Set the workers' environment while there are any: they inherit the driver's, also when they are restarted."""
+    names = (*WORKER_ENVIRONMENT, *_UNSET)
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(WORKER_ENVIRONMENT)
+    for name in _UNSET:
+        os.environ.pop(name, None)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
+
+
+@contextmanager
+def interrupts_blocked() -> Iterator[None]:
+    """Keep Ctrl-C from the processes and threads started inside; the driver alone answers to it, afterwards."""
+    resource_tracker.ensure_running()  # would unblock the signal again when it starts with the first process
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,0 +1,99 @@
+"""Where and with what numbers were made: versions, commit, machine, BLAS and OpenCL device."""
+
+import platform
+import subprocess
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from threadpoolctl import threadpool_info
+
+from wavequake import __version__
+from wavequake.kernels.devices import Device, opencl_handle
+
+_PACKAGES = (
+    "numpy",
+    "scipy",
+    "pyopencl",
+    "pocl-binary-distribution",
+    "xarray",
+    "zarr",
+    "dask",
+    "distributed",
+)
+_PACKAGE_FOLDER = Path(__file__).resolve().parents[1]
+
+
+def collect(device: Device) -> dict[str, str]:
+    """Return what identifies this machine and software, as short texts by name.
+
+    Parameters
+    ----------
+    device : Device
+        The device that runs the kernels.
+    """
+    return {
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "wavequake": __version__,
+        "git_commit": git_commit(_PACKAGE_FOLDER),
+        "python": platform.python_version(),
+        "packages": ", ".join(f"{name} {_version(name)}" for name in _PACKAGES),
+        "platform": platform.platform(),
+        "cpu": cpu_model(),
+        "blas": blas(),
+        "opencl": opencl(device),
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "absent"
+
+
+def git_commit(folder: Path) -> str:
+    """Return the commit of the checkout that tracks `folder`, with "-dirty" if files differ; "" outside of one."""
+    try:
+        # An installed package may lie inside somebody else's repository: only tracked files count.
+        tracked = _git(folder, "ls-files", "--error-unmatch", "__init__.py")
+        commit = _git(folder, "rev-parse", "HEAD") if tracked else ""
+        dirty = bool(commit) and bool(_git(folder, "status", "--porcelain", "--untracked-files=no"))
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return f"{commit}-dirty" if dirty else commit
+
+
+def _git(folder: Path, *words: str) -> str:
+    done = subprocess.run(["git", *words], cwd=folder, capture_output=True, text=True, timeout=5, check=True)
+    return done.stdout.strip()
+
+
+def cpu_model() -> str:
+    """Return the name of the processor."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+def blas() -> str:
+    """Return name, version and core type of the loaded BLAS libraries, which decide the last bits of a product."""
+    found = [pool for pool in threadpool_info() if pool["user_api"] == "blas"]
+    words = (
+        f"{pool['internal_api']} {pool.get('version')} {pool.get('architecture', '')}".strip()
+        for pool in found
+    )
+    return ", ".join(sorted(set(words)))
+
+
+def opencl(device: Device) -> str:
+    """Return the device with its driver's version; "" for NumPy."""
+    if device.kind == "numpy":
+        return ""
+    handle = opencl_handle(device)
+    return (
+        f"{device.name} ({device.platform}, {handle.version.strip()}, driver {handle.driver_version.strip()})"
+    )

@@ -1,0 +1,389 @@
+"""The store of a campaign: a folder with a manifest, plain zarr arrays and a journal.
+
+``manifest.json`` says which study it belongs to, ``data.zarr`` holds the numbers and ``done/`` the journal.
+The manifest is written last when a store is created: where it is, the store is complete. Only the driver
+creates and extends a store, under a lock; workers write whole chunks.
+"""
+
+import errno
+import json
+import os
+import shutil
+import uuid
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.errors import StoreDamageError, UserError
+from wavequake.kernels.devices import choose_device
+from wavequake.workflows import arrays
+from wavequake.workflows.contract import STATUS_MEANINGS, Template, Workflow
+from wavequake.workflows.journal import Chunk, Journal, Record, flush_folder, read_journal
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+SCHEMA = 1
+MANIFEST, DATA, JOURNAL, LOCK = "manifest.json", "data.zarr", "done", "lock"
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What a store is.
+
+    ``study`` is the canonical text that identifies it, ``identity`` its SHA-256, ``chunk`` the number of
+    cases per file (K), ``variables`` the arrays that chunks write, in this order.
+    """
+
+    schema: int
+    workflow: str
+    study: str
+    identity: str
+    cases: int
+    chunk: int
+    variables: tuple[str, ...]
+    device: str
+    device_kind: str
+    provenance: Mapping[str, str]
+
+    def plan(self) -> list[Chunk]:
+        """Return the chunks, cases first <= id < last, that cover all cases."""
+        return [(first, min(first + self.chunk, self.cases)) for first in range(0, self.cases, self.chunk)]
+
+
+@contextmanager
+def write_errors_explained(path: Path) -> Iterator[None]:
+    """Turn the errors of a disk that is full or cannot be written into one sentence for the user."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise UserError(
+                f"The disk of {path} is full: what is done is kept; free some space and run the same command again."
+            ) from None
+        if error.errno in (errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EEXIST):
+            reason = os.strerror(error.errno).lower()
+            raise UserError(
+                f"{path} cannot be written ({reason}): choose another folder with --store."
+            ) from None
+        raise
+
+
+def refuse_foreign(path: Path) -> None:
+    """Raise UserError if `path` is a file, or a folder of something else than a store."""
+    with write_errors_explained(path):
+        names = sorted(os.listdir(path)) if path.exists() else []
+    if not names or MANIFEST in names:
+        return
+    foreign = [name for name in names if name.split(".partial")[0] not in (MANIFEST, DATA, JOURNAL, LOCK)]
+    if foreign:
+        raise UserError(
+            f"{path} is not a store: it holds {foreign[0]!r} and no {MANIFEST}; choose a new folder with --store."
+        )
+    if any((path / JOURNAL).glob("*.jsonl")):
+        raise UserError(
+            f"{path} has results but no {MANIFEST}: put that file back, or choose another --store."
+        )
+
+
+def create_store(
+    path: Path | str,
+    workflow: Workflow,
+    study: str,
+    cases: int,
+    chunk: int,
+    device: str,
+    provenance: Mapping[str, str],
+) -> Manifest:
+    """Write an empty store: every array with its coordinates and attributes, and then the manifest.
+
+    Parameters
+    ----------
+    path : Path or str
+        A new or empty folder.
+    workflow, study
+        What is computed; `study` is the canonical text of the study.
+    cases, chunk : int
+        Number of cases, and of cases per file (K), which is fixed from now on.
+    device : str
+        The device that runs the kernels.
+    provenance : mapping of str to str
+        Attributes that say where the numbers come from.
+
+    Raises
+    ------
+    UserError
+        If `path` is a file, holds something else, or cannot be written.
+    """
+    path = Path(path)
+    if cases < 1 or chunk < 1:
+        raise UserError(
+            f"A store needs at least one case (campaign.cases is {cases}) "
+            f"and one case per chunk (store.chunk_cases is {chunk})."
+        )
+    refuse_foreign(path)
+    chosen = choose_device(device)
+    template = workflow.template(study)
+    per_case = {**template.per_case, **arrays.ENGINE_VARIABLES}
+    identity = sha256(study.encode()).hexdigest()
+    manifest = Manifest(
+        SCHEMA,
+        workflow.name,
+        study,
+        identity,
+        cases,
+        chunk,
+        tuple(per_case),
+        chosen.name,
+        chosen.kind,
+        dict(provenance),
+    )
+    labels = _labels(workflow, study, 0, cases)
+    with write_errors_explained(path):
+        path.mkdir(parents=True, exist_ok=True)
+        if (path / DATA).exists():  # left by a creation that did not reach its manifest
+            shutil.rmtree(path / DATA)
+        (path / JOURNAL).mkdir(exist_ok=True)
+        group = arrays.create_group(path / DATA, _attributes(manifest, template, tuple(labels)))
+        for name, variable in per_case.items():
+            arrays.create_per_case(group, name, variable, cases, chunk)
+        for name, (dims, values, attrs) in template.fixed.items():
+            arrays.create_fixed(group, name, dims, np.asarray(values), attrs)
+        for name, values in labels.items():
+            arrays.create_fixed(group, name, ("case",), values, {"long_name": name.replace("_", " ")})
+        arrays.consolidate(path / DATA)
+        _write_manifest(path, manifest)
+    return manifest
+
+
+def extend_store(path: Path | str, workflow: Workflow, cases: int) -> Manifest:
+    """Give a store room for `cases` cases; earlier cases and their numbers stay, and a store never shrinks.
+
+    The number in the manifest changes last; running this again completes an extension that was interrupted.
+
+    Raises
+    ------
+    UserError
+        If there is no store at `path`, or it cannot be written.
+    """
+    path = Path(path)
+    manifest = read_manifest(path)
+    extended = replace(manifest, cases=max(cases, manifest.cases))
+    labels = _labels(workflow, manifest.study, manifest.cases, extended.cases)
+    group = arrays.open_group(path / DATA)
+    with write_errors_explained(path):
+        for name in (*manifest.variables, *labels):
+            array = arrays.array_of(group, name)
+            if array.shape[0] != extended.cases:
+                array.resize((extended.cases, *array.shape[1:]))
+        if extended != manifest:
+            for name, values in labels.items():
+                arrays.array_of(group, name)[manifest.cases :] = values
+            arrays.consolidate(path / DATA)
+            _write_manifest(path, extended)
+    return extended
+
+
+def _labels(workflow: Workflow, study: str, first: int, last: int) -> dict[str, NDArray[Any]]:
+    return {"case": np.arange(first, last), **workflow.case_table(study, first, last)}
+
+
+def _attributes(manifest: Manifest, template: Template, labels: tuple[str, ...]) -> dict[str, Any]:
+    coordinates = [name for name, variable in template.per_case.items() if variable.coordinate]
+    return {
+        "title": f"Wavequake campaign {manifest.workflow}",
+        "study": manifest.study,
+        "study_sha256": manifest.identity,
+        "store_schema": manifest.schema,
+        "cases_per_chunk": manifest.chunk,
+        "device": f"{manifest.device} ({manifest.device_kind})",
+        **manifest.provenance,
+        # The CF way to say which arrays label others.
+        "coordinates": " ".join([*(name for name in labels if name != "case"), *coordinates]),
+    }
+
+
+def _write_manifest(path: Path, manifest: Manifest) -> None:
+    partial = path / f"{MANIFEST}.partial-{uuid.uuid4().hex}"
+    try:
+        with partial.open("w", encoding="utf-8") as file:
+            json.dump(asdict(manifest), file, indent=1)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path / MANIFEST)
+    finally:
+        partial.unlink(missing_ok=True)
+    flush_folder(path)
+
+
+def read_manifest(path: Path | str) -> Manifest:
+    """Read what a store is.
+
+    Raises
+    ------
+    UserError
+        If there is no store at `path`, or another version of Wavequake made it.
+    StoreDamageError
+        If the manifest is damaged.
+    """
+    file = Path(path) / MANIFEST
+    if not file.is_file():
+        raise UserError(f"There is no store at {path}: a store is a folder with a {MANIFEST}.")
+    try:
+        entry = json.loads(file.read_text(encoding="utf-8"))
+        schema = entry["schema"]
+        if schema == SCHEMA:
+            manifest = Manifest(**{**entry, "variables": tuple(entry["variables"])})
+            intact = sha256(manifest.study.encode()).hexdigest() == manifest.identity
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise StoreDamageError(f"{file} is damaged: {error}.") from None
+    if schema != SCHEMA:
+        raise UserError(
+            f"The store {path} has schema {schema}; this version of Wavequake reads schema {SCHEMA}."
+        )
+    if not intact:
+        raise StoreDamageError(
+            f"{file} is damaged: its study does not match its identity {manifest.identity[:12]}."
+        )
+    return manifest
+
+
+def refuse_other(path: Path, manifest: Manifest, workflow: str, study: str, kind: str) -> None:
+    """Raise UserError if a store belongs to another study or to another kind of device."""
+    if (manifest.workflow, manifest.study) != (workflow, study):
+        theirs = {"workflow": manifest.workflow, **json.loads(manifest.study)}
+        ours = {"workflow": workflow, **json.loads(study)}
+        key, there, here = _first_difference(theirs, ours)
+        raise UserError(
+            f"{path} belongs to another study: {key} is {there} there and {here} here; choose another --store."
+        )
+    if manifest.device_kind != kind:
+        raise UserError(
+            f"{path} was begun on a device of kind {manifest.device_kind!r} ({manifest.device}), and {kind!r} gives other "
+            f"last bits: run with campaign.device={manifest.device_kind}, or choose another --store."
+        )
+
+
+def _first_difference(there: Any, here: Any, key: str = "") -> tuple[str, str, str]:
+    """Return the first key at which two records differ, and both values in words."""
+    if isinstance(there, list) and isinstance(here, list):
+        there, here = (
+            {_entry_key(entry, i): entry for i, entry in enumerate(part)} for part in (there, here)
+        )
+    if isinstance(there, dict) and isinstance(here, dict):
+        for name in sorted({*there, *here}):
+            if name not in there or name not in here or there[name] != here[name]:
+                full = f"{key}.{name}" if key else name
+                return _first_difference(there.get(name, "absent"), here.get(name, "absent"), full)
+        return key, "in another order", "in this order"
+    return key, _short(there), _short(here)
+
+
+def _entry_key(entry: Any, index: int) -> str:
+    return str(entry["name"]) if isinstance(entry, dict) and "name" in entry else str(index)
+
+
+def _short(value: Any) -> str:
+    text = value if value == "absent" else json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def open_store(path: Path | str) -> "xr.Dataset":
+    """Open a store as a labelled lazy dataset, one Dask chunk per K cases.
+
+    Cases that are not computed yet have ``status`` 0 and NaN; quarantined ones (2 and above) say why in
+    ``message``.
+
+    Raises
+    ------
+    UserError
+        If there is no store at `path`.
+    StoreDamageError
+        If its metadata is damaged.
+
+    Examples
+    --------
+    >>> ds = open_store("runs/tmt-segments-1a2b3c4d")                      # doctest: +SKIP
+    >>> ds.wfe_rms.where(ds.status == 1).groupby("disturbance").median()   # doctest: +SKIP
+    """
+    import xarray as xr
+
+    path = Path(path)
+    manifest = read_manifest(path)
+    with arrays.damage_explained(path / DATA):
+        dataset = xr.open_zarr(path / DATA, chunks=None, consolidated=False).isel(case=slice(manifest.cases))
+    # Labels stay out of Dask: they are few, and selecting by them needs their values.
+    lazy = {name: dataset[name].variable.chunk(case=manifest.chunk) for name in manifest.variables}
+    dataset = dataset.assign(lazy)
+    return dataset[[*manifest.variables, *(name for name in dataset.data_vars if name not in manifest.variables)]]
+
+
+@dataclass(frozen=True)
+class StoreStatus:
+    """How far a store is: ``counts[s]`` is the number of cases with status s, 0 being what is still to do."""
+
+    path: Path
+    manifest: Manifest
+    counts: tuple[int, ...]
+    chunks_done: int
+    failures: Mapping[int, tuple[int, str]]
+    torn: int
+
+    @property
+    def quarantined(self) -> int:
+        """Number of cases that ended without valid numbers."""
+        return sum(self.counts[2:])
+
+    def lines(self, most: int = 20) -> list[str]:
+        """Return the status in words; at most `most` quarantined cases are listed."""
+        meanings = STATUS_MEANINGS.split()
+        manifest, chunks = self.manifest, len(self.manifest.plan())
+        lines = [
+            f"{self.path}: {manifest.workflow}, study {manifest.identity[:12]}, device {manifest.device}",
+            f"{manifest.cases} cases in {chunks} chunks of {manifest.chunk}, of which {self.chunks_done} are done",
+            ", ".join(f"{count} {word}" for word, count in zip(meanings, self.counts, strict=True) if count),
+        ]
+        lines += [
+            f"case {case} {meanings[code]}: {text}"
+            for case, (code, text) in sorted(self.failures.items())[:most]
+        ]
+        if len(self.failures) > most:
+            lines.append(f"... and {len(self.failures) - most} more (open_store(...).message has them all)")
+        if self.torn:
+            lines.append(
+                f"{self.torn} records of the journal were cut off by a crash; their chunks are still to do"
+            )
+        return lines
+
+
+def done_records(manifest: Manifest, journal: Journal) -> dict[Chunk, Record]:
+    """Return the record of each chunk of the plan that is done; a short last chunk that has grown is not."""
+    return {chunk: journal.records[chunk] for chunk in manifest.plan() if chunk in journal.records}
+
+
+def status(path: Path | str) -> StoreStatus:
+    """Count what the journal of a store says is done, quarantined and still to do.
+
+    Raises
+    ------
+    UserError
+        If there is no store at `path`.
+    StoreDamageError
+        If its manifest is damaged or its journal contradicts itself.
+    """
+    path = Path(path)
+    manifest = read_manifest(path)
+    journal = read_journal(path / JOURNAL)
+    done = done_records(manifest, journal)
+    counts = [
+        sum(record.counts[code] for record in done.values()) for code in range(len(STATUS_MEANINGS.split()))
+    ]
+    counts[0] = manifest.cases - sum(counts)
+    failures = {case: failure for record in done.values() for case, failure in record.failures.items()}
+    return StoreStatus(path, manifest, tuple(counts), len(done), failures, journal.torn)

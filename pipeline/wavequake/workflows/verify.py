@@ -1,0 +1,149 @@
+"""Check a store against its journal: every array of every finished chunk is read again and its digest compared."""
+
+from collections.abc import Mapping, Set
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wavequake.errors import StoreDamageError
+from wavequake.workflows.arrays import Array, array_of, chunk_file, open_group
+from wavequake.workflows.journal import Chunk, Record, digest, read_journal
+from wavequake.workflows.store import DATA, JOURNAL, Manifest, done_records, read_manifest
+
+# A chunk without failed cases has no file for its messages.
+_OPTIONAL = "message"
+
+
+@dataclass(frozen=True)
+class Damage:
+    """An array whose stored bytes are not those that were written, in cases first <= id < last."""
+
+    array: str
+    first: int
+    last: int
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.array}, cases {self.first} to {self.last - 1}: {self.reason}"
+
+
+@dataclass(frozen=True)
+class VerifyReport:
+    """What a check found.
+
+    ``checked`` chunks were read; ``missing`` ones are not done yet; ``damaged`` names arrays whose numbers
+    changed since they were written; ``extra`` names files that belong to no array (harmless leftovers of a
+    crash).
+    """
+
+    path: Path
+    checked: int
+    missing: tuple[Chunk, ...]
+    damaged: tuple[Damage, ...]
+    extra: tuple[str, ...]
+    torn: int
+
+    @property
+    def ok(self) -> bool:
+        """Whether every case is there, as it was written."""
+        return not self.missing and not self.damaged
+
+    @property
+    def chunks(self) -> frozenset[Chunk]:
+        """The chunks to compute again."""
+        return frozenset((damage.first, damage.last) for damage in self.damaged)
+
+    def lines(self, most: int = 20) -> list[str]:
+        """Return the report in words; at most `most` damages are listed."""
+        lines = [
+            f"{self.path}: {self.checked} chunks read, {len(self.chunks)} damaged, {len(self.missing)} not done yet"
+        ]
+        lines += [f"damaged {damage}" for damage in self.damaged[:most]]
+        if len(self.damaged) > most:
+            lines.append(f"... and {len(self.damaged) - most} more")
+        if self.torn:
+            lines.append(f"{self.torn} records of the journal were cut off by a crash (harmless)")
+        if self.extra:
+            lines.append(
+                f"{len(self.extra)} leftover files of a crash (harmless), for example {self.extra[0]}"
+            )
+        lines.append(
+            "The store is complete and intact." if self.ok else "Run the study again to complete the store."
+        )
+        return lines
+
+
+def verify_store(path: Path | str) -> VerifyReport:
+    """Read every stored number and compare it with the journal.
+
+    Raises
+    ------
+    UserError
+        If there is no store at `path`.
+    StoreDamageError
+        If its manifest or the metadata of an array is damaged, or its journal contradicts itself.
+    """
+    path = Path(path)
+    manifest = read_manifest(path)
+    journal = read_journal(path / JOURNAL)
+    records = done_records(manifest, journal)
+    group = open_group(path / DATA, read_only=True)
+    arrays = {name: array_of(group, name) for name in manifest.variables}
+    damaged = [
+        Damage(name, *record.chunk, reason)
+        for record in records.values()
+        for name, array in arrays.items()
+        if (reason := _damage(path, array, record))
+    ]
+    for name, array in group.arrays():
+        if name not in arrays and (reason := _unreadable(path, array)):
+            raise StoreDamageError(f"{path / DATA / name} is damaged: {reason}; begin a new store.")
+    missing = tuple(chunk for chunk in manifest.plan() if chunk not in records)
+    extra = tuple(sorted(str(file.relative_to(path)) for file in (path / DATA).rglob("*.partial")))
+    return VerifyReport(path, len(records), missing, tuple(damaged), extra, journal.torn)
+
+
+def _damage(path: Path, array: Array, record: Record) -> str:
+    """Return what is wrong with a chunk of an array, "" if nothing."""
+    name = array.basename
+    if name not in record.digests:
+        return "the journal has no digest of it"
+    if _lost(path, array, record):
+        return "the file is missing or empty"
+    try:
+        stored = digest(np.asarray(array[record.first : record.last]))
+    except Exception as error:  # zarr raises what its codecs raise
+        return f"the file cannot be read ({error})"
+    return "" if stored == record.digests[name] else "the numbers are not those that were written"
+
+
+def _unreadable(path: Path, array: Array) -> str:
+    chunks = array.nchunks - array.nchunks_initialized
+    if chunks:
+        return f"{chunks} of its files are missing"
+    try:
+        array[...]
+    except Exception as error:
+        return str(error)
+    return ""
+
+
+def _lost(path: Path, array: Array, record: Record) -> bool:
+    if array.basename == _OPTIONAL and not any(text for _, text in record.failures.values()):
+        return False
+    file = chunk_file(path / DATA, array, record.first)
+    return not file.is_file() or file.stat().st_size == 0
+
+
+def lost_chunks(path: Path, manifest: Manifest, records: Mapping[Chunk, Record]) -> Set[Chunk]:
+    """Return the finished chunks whose files are missing or empty, as they may be after a loss of power.
+
+    Reading them would give NaN without any error. This looks at names and sizes only; :func:`verify_store`
+    reads.
+    """
+    if not records:
+        return frozenset()
+    group = open_group(path / DATA, read_only=True)
+    arrays = [array_of(group, name) for name in manifest.variables]
+    return {chunk for chunk, record in records.items() if any(_lost(path, array, record) for array in arrays)}

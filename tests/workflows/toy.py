@@ -1,0 +1,82 @@
+"""Workflows without physics, to try the engine: numbers from a generator per case, and cases that go wrong on request."""
+
+import json
+import os
+import signal
+import time
+
+import numpy as np
+
+from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+
+INSTANTS, TERMS = 4, 3
+
+
+def study(**options):
+    """Canonical study text. Options: seed, sleep_s (per case), poison, crash, once (case ids), folder."""
+    return json.dumps({"study": {"name": "toy", "seed": 7}, **options}, sort_keys=True, separators=(",", ":"))
+
+
+def template(text):
+    noll = np.arange(1, TERMS + 1)
+    return Template(
+        {
+            "time_s": Variable(("time",), (INSTANTS,), {"units": "s", "long_name": "time"}, coordinate=True),
+            "zernike": Variable(("time", "noll"), (INSTANTS, TERMS), {"units": "nm", "long_name": "Zernike coefficients"}),
+            "strehl": Variable((), (), {"units": "1", "long_name": "Strehl ratio"}),
+            "count": Variable((), (), {"units": "1", "long_name": "a number of things"}, dtype="int32"),
+        },
+        {
+            "noll": (("noll",), noll, {"long_name": "Noll index"}),
+            "names": (("noll",), np.array(["piston", "tip", "tilt"]), {"long_name": "name of the term"}),
+            "zernike_static": (("noll",), noll * 1.5, {"units": "nm", "long_name": "at rest"}),
+        },
+    )
+
+
+def case_table(text, first, last):
+    ids = np.arange(first, last)
+    return {
+        "disturbance": np.array(["wind" if i % 2 else "random" for i in ids], dtype=object),
+        "realization": ids // 2,
+    }
+
+
+def numbers(case, seed=7):
+    generator = np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=(0, case))))
+    return generator.standard_normal((INSTANTS, TERMS))
+
+
+def compute(text, cases, device):
+    options = json.loads(text)
+    if set(options.get("poison", ())) & {int(case) for case in cases}:
+        raise ValueError("the segment broke")
+    _misbehave(options, cases)
+    zernike = np.stack([numbers(int(case)) for case in cases])
+    status = np.full(len(cases), DONE, dtype=np.int8)
+    messages = [""] * len(cases)
+    for row, case in enumerate(cases):
+        if case in options.get("reasons", ()):
+            status[row], messages[row], zernike[row] = RAISED, f"case {case} loses a segment", np.nan
+    arrays = {
+        "time_s": np.tile(np.arange(INSTANTS) * 0.1, (len(cases), 1)),
+        "zernike": zernike,
+        "strehl": np.exp(-(zernike**2).sum(axis=(1, 2))),
+        "count": cases.astype(np.int32) * 3,
+    }
+    return ChunkResult(arrays, status, tuple(messages), {"trace_s": 0.25})
+
+
+def _misbehave(options, cases):
+    for case in cases:
+        time.sleep(options.get("sleep_s", 0.0))
+        if case in options.get("crash", ()):
+            os.kill(os.getpid(), signal.SIGSEGV)
+        if case in options.get("once", ()):  # dies the first time only
+            flag = os.path.join(options["folder"], f"died-{case}")
+            if not os.path.exists(flag):
+                open(flag, "x").close()
+                os.kill(os.getpid(), signal.SIGKILL)
+
+
+TOY = Workflow("toy", template, case_table, compute)
