@@ -6,6 +6,9 @@
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
 #pragma OPENCL FP_CONTRACT ON
 
+// A helper that stays a call spills every register of its caller.
+#define INLINE inline __attribute__((always_inline))
+
 #define JOIN_(a, b) a##b
 #define JOIN(a, b) JOIN_(a, b)
 
@@ -18,18 +21,27 @@ typedef int mask;
 #else
 typedef JOIN(double, W) real;
 typedef JOIN(long, W) mask;
+#if defined(__clang__)
+typedef real loose_real __attribute__((aligned(8)));
+typedef JOIN(char, W) loose_status __attribute__((aligned(1)));
+#define LOAD(address) (*(__global const loose_real *)(address))
+#define STORE(value, address) (*(__global loose_real *)(address) = (value))
+#define STORE_STATUS(value, address) \
+    (*(__global loose_status *)(address) = __builtin_convertvector(value, JOIN(char, W)))
+#else
 #define LOAD(address) JOIN(vload, W)(0, address)
 #define STORE(value, address) JOIN(vstore, W)(value, 0, address)
 #define STORE_STATUS(value, address) JOIN(vstore, W)(JOIN(convert_char, W)(value), 0, address)
+#endif
 #endif
 
 #define EITHER(condition, yes, no) ((condition) ? (yes) : (no))
 #define NOT(condition) ((condition) == 0)
 
-inline mask finite(real a) { return a - a == 0.0; }
+INLINE mask finite(real a) { return a - a == 0.0; }
 
 // Clang's intrinsic becomes the vector instruction; the built-in function may stay a call.
-inline real root(real a)
+INLINE real root(real a)
 {
 #if W > 1 && defined(__clang__)
     real result;

@@ -7,9 +7,9 @@
 typedef struct { real x, y, z; } triple;
 typedef struct { triple position, direction; real length, path; } ray;
 
-inline real dot3(triple a, triple b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+INLINE real dot3(triple a, triple b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 
-inline triple along(triple start, real step, triple direction)
+INLINE triple along(triple start, real step, triple direction)
 {
     triple end = {start.x + step * direction.x, start.y + step * direction.y, start.z + step * direction.z};
     return end;
@@ -18,7 +18,7 @@ inline triple along(triple start, real step, triple direction)
 // A pose is q = A p + o: nine entries of A row by row, then three of o; entries are 16 instants apart.
 #define POSE(entry) LOAD(pose + 16 * (entry))
 
-inline triple turned(__global const double *pose, triple a)
+INLINE triple turned(__global const double *pose, triple a)
 {
     triple b = {POSE(0) * a.x + POSE(1) * a.y + POSE(2) * a.z,
                 POSE(3) * a.x + POSE(4) * a.y + POSE(5) * a.z,
@@ -26,7 +26,7 @@ inline triple turned(__global const double *pose, triple a)
     return b;
 }
 
-inline triple moved(__global const double *pose, triple a)
+INLINE triple moved(__global const double *pose, triple a)
 {
     triple b = {POSE(0) * a.x + POSE(1) * a.y + POSE(2) * a.z + POSE(9),
                 POSE(3) * a.x + POSE(4) * a.y + POSE(5) * a.z + POSE(10),
@@ -35,7 +35,7 @@ inline triple moved(__global const double *pose, triple a)
 }
 
 // A is a rotation, so its transpose turns back.
-inline triple turned_back(__global const double *pose, triple a)
+INLINE triple turned_back(__global const double *pose, triple a)
 {
     triple b = {POSE(0) * a.x + POSE(3) * a.y + POSE(6) * a.z,
                 POSE(1) * a.x + POSE(4) * a.y + POSE(7) * a.z,
@@ -44,7 +44,7 @@ inline triple turned_back(__global const double *pose, triple a)
 }
 
 // Half the gradient of F; it points to -z at the vertex. On the sag branch its z component is negative.
-inline triple conic_normal(triple p, double c, double k1)
+INLINE triple conic_normal(triple p, double c, double k1)
 {
     triple normal = {c * p.x, c * p.y, (c * k1) * p.z - 1.0};
     return normal;
@@ -52,7 +52,7 @@ inline triple conic_normal(triple p, double c, double k1)
 
 // Step to the conic: of the two roots the one that crosses it in the sense of the direction's z component, taken from
 // that form of the quadratic's solution which does not cancel. NaN or infinite without an intersection.
-inline real conic_step(triple p, triple d, double c, double k1)
+INLINE real conic_step(triple p, triple d, double c, double k1)
 {
     real f = c * (p.x * p.x + p.y * p.y + k1 * (p.z * p.z)) - 2.0 * p.z;
     real b = c * (p.x * d.x + p.y * d.y + k1 * (p.z * d.z)) - d.z;
@@ -63,13 +63,13 @@ inline real conic_step(triple p, triple d, double c, double k1)
     return EITHER(cancels, -(b + r), f) / EITHER(cancels, a, r - b);
 }
 
-inline void advance(ray *r, real step)
+INLINE void advance(ray *r, real step)
 {
     r->position = along(r->position, step, r->direction);
     r->path += step * r->length;
 }
 
-inline void reflect(ray *r, triple normal)
+INLINE void reflect(ray *r, triple normal)
 {
     real square = dot3(normal, normal);
     real twice = -2.0 * dot3(normal, r->direction);
@@ -79,7 +79,7 @@ inline void reflect(ray *r, triple normal)
 }
 
 // Path back along the ray to the sphere about (x, y, 0) whose square of the radius is given.
-inline real back_to_sphere(const ray *r, real x, real y, double square)
+INLINE real back_to_sphere(const ray *r, real x, real y, double square)
 {
     triple offset = {r->position.x - x, r->position.y - y, r->position.z};
     real projection = dot3(offset, r->direction);

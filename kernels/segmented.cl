@@ -14,7 +14,7 @@ enum { OK = 0, GAP = 1, MISS = 2 };
 
 #if DEGREE >= 0
 // The figure polynomial, sum of TERM(i, j) u^i v^j, by Horner's rule in v, then in u.
-inline real figure_value(__global const double *figure, real u, real v)
+INLINE real figure_value(__global const double *figure, real u, real v)
 {
     real value = 0.0;
     #pragma unroll
@@ -28,7 +28,7 @@ inline real figure_value(__global const double *figure, real u, real v)
     return value;
 }
 
-inline real figure_slopes(__global const double *figure, real u, real v, real *along_u, real *along_v)
+INLINE real figure_slopes(__global const double *figure, real u, real v, real *along_u, real *along_v)
 {
     real value = 0.0, slope_u = 0.0, slope_v = 0.0;
     #pragma unroll
@@ -51,7 +51,7 @@ inline real figure_slopes(__global const double *figure, real u, real v, real *a
 // Step from a hit of the bare conic to the conic plus figure, and the normal there: F with z less the figure in place of z.
 // The first step takes the figure's value alone, which leaves less than figure times slope; the second, a Newton step
 // with both at that point, leaves the curvature of the figure times the square of that.
-inline real figure_step(__global const double *figure, __global const double *frame, triple hit, triple d,
+INLINE real figure_step(__global const double *figure, __global const double *frame, triple hit, triple d,
                         double c, double k1, triple *normal)
 {
     double ex = frame[2], ey = frame[3];
@@ -82,7 +82,7 @@ inline real figure_step(__global const double *figure, __global const double *fr
 
 // Reflect at the first candidate whose glass the ray meets. The search runs in each segment's displaced frame; the ray
 // itself stays in the optics frame, where the step is the same and only the normal has to be turned back.
-inline mask reflect_at_segments(ray *r, int candidates, __global const int *candidate, __global const double *poses,
+INLINE mask reflect_at_segments(ray *r, int candidates, __global const int *candidate, __global const double *poses,
                                 __global const double *figures, __global const double *edges,
                                 __global const double *frames, double c, double k1)
 {
@@ -123,7 +123,7 @@ inline mask reflect_at_segments(ray *r, int candidates, __global const int *cand
 }
 
 // Reflect at surface i after M1, or stop there if it is the last; tells whether the ray met it.
-inline mask reflect_at_surface(ray *r, int i, __global const double *pose, double c, double k1)
+INLINE mask reflect_at_surface(ray *r, int i, __global const double *pose, double c, double k1)
 {
     r->position = moved(pose, r->position);
     r->direction = turned(pose, r->direction);
