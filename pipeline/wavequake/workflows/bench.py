@@ -30,10 +30,11 @@ _ARCMIN = np.pi / 180.0 / 60.0
 class Bench:
     """Everything of a study that does not change from case to case.
 
-    ``m2_tilt`` (2, 2) gives M2's rotations about x and y in rad per rad of line of sight on the sky;
+    ``text`` is the study's identity text; ``m2_tilt`` (2, 2) gives M2's rotations about x and y in rad per rad of line of sight on the sky;
     ``static`` is the wavefront of the reference configuration, ``field`` (2,) the field point in rad.
     """
 
+    text: str
     study: Study
     system: OpticalSystem
     first_order: FirstOrder
@@ -62,7 +63,7 @@ def bench_of(study_text: str) -> Bench:
     prepared = prepare(system, rays, wavelength, study.wavefront.zernike_terms, figure_terms=terms)
     field = np.array(study.optics.field_arcmin) * _ARCMIN
     static, tilt = _reference(system, prepared, field, terms)
-    return Bench(study, system, first_order(system), layout_of(system), prepared, static, tilt, terms, field)
+    return Bench(study_text, study, system, first_order(system), layout_of(system), prepared, static, tilt, terms, field)
 
 
 def monolithic(system: OpticalSystem) -> bool:
@@ -82,6 +83,8 @@ def build_telescope(study: Study) -> OpticalSystem:
             primary_conic=section.primary_conic,
             surfaces=surfaces,
         )
+    if section.name in ("tmt-thesis", "jwst"):
+        return telescope(section.name)
     options = {"side": section.side_mm, "gap": section.gap_mm}
     return telescope(section.name, **{key: value for key, value in options.items() if value is not None})
 
@@ -102,7 +105,7 @@ def build_rays(study: Study, system: OpticalSystem) -> PupilRays:
 
 def figure_terms(populations: Iterable[Disturbance]) -> int:
     """Return the highest Noll index of any segment figure in the study (0: none)."""
-    return max((max(getattr(population, "figure_nm", None) or {0: 0.0}) for population in populations), default=0)
+    return max((max(getattr(population, "figure_nm", {}), default=0) for population in populations), default=0)
 
 
 def layout_of(system: OpticalSystem) -> SegmentLayout:

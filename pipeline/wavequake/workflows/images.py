@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 _AUTO_MOMENTS = (6, 15, 45)
 # Largest error of an image relative to the perfect peak, as a worst-case bound; the real error is 10 to 100 times less.
 _TOLERANCE = 1e-3
-# Images are computed on a canvas of twice the frame, so that one that moves brings its own wings along.
+# An image that moves is computed on a canvas of twice the frame.
 _CANVAS = 2
 
 
@@ -41,9 +41,9 @@ def energy_scale(bench: Bench) -> dict[str, Any]:
 def summed_images(bench: Bench, traced: Traced, wavefront: Wavefront, tiles: slice, instants: int) -> Array:
     """Return the sum of the images of a case's first `instants` in the launch's `tiles`, shape (pixels, pixels).
 
-    Image axes are those of the image plane: +x is where a positive line of sight moves the image. Whole pixels of each
-    instant's line of sight are taken out of its phase before the transform and put back by placing the image, so that
-    segments see only the small rest of a common tilt.
+    Image axes are those of the image plane: +x is where a positive line of sight moves the image. If the line of sight moves by
+    more than lambda/D, its whole pixels are taken out of the phase before the transform and put back by placing the image
+    (computed on a larger canvas, so that it brings its wings along): segments see only the small rest of a common tilt.
 
     Raises
     ------
@@ -54,7 +54,9 @@ def summed_images(bench: Bench, traced: Traced, wavefront: Wavefront, tiles: sli
     batch = slice(tiles.start * TILE, tiles.stop * TILE)
     diameter = 2.0 * bench.system.pupil_outer
     per_mm = diameter / (prepared.wavelength * prepared.focal_length)
-    pixel = np.rint((wavefront.los[batch] - bench.static.los[0]) * per_mm / imaging.sampling)
+    position = (wavefront.los[batch] - bench.static.los[0]) * per_mm
+    moves = bool(np.abs(position).max() > 1.0)
+    pixel = np.rint(position / imaging.sampling) if moves else np.zeros_like(position)
     shift = (wavefront.chief[batch] - bench.static.chief[0]) * per_mm - pixel * imaging.sampling
     # A phase that grows along +x moves the image to +x; the OPD of a positive line of sight falls along +x.
     if monolithic(bench.system):
@@ -63,29 +65,30 @@ def summed_images(bench: Bench, traced: Traced, wavefront: Wavefront, tiles: sli
         phase = phase + (shift / diameter) @ places.T
     else:
         phase = shift_phase(-wavefront.segment_phase[batch], shift, bench.system.segments.centers[:, :2], diameter)
-    size = _CANVAS * imaging.pixels
-    frames = _psf(bench, phase).reshape(-1, size, size)[:instants]
+    size = imaging.pixels * (_CANVAS if moves else 1)
+    frames = _psf(bench, phase, size).reshape(-1, size, size)[:instants]
     placed: Array = place(frames, pixel[:instants].astype(np.int64), imaging.pixels).sum(axis=0)
     return placed
 
 
-def _psf(bench: Bench, phase: Array) -> NDArray[np.floating[Any]]:
-    text, chosen = bench.study.identity_text(), bench.study.imaging.moments
+def _psf(bench: Bench, phase: Array, pixels: int) -> NDArray[np.floating[Any]]:
+    """Return the images of a case's phases with as many moments as the study says, or as they need."""
+    chosen = bench.study.imaging.moments
     if chosen != "auto" or monolithic(bench.system):
-        return psf(_basis(text, 1 if chosen == "auto" else chosen), phase)
+        return psf(_basis(bench.text, pixels, 1 if chosen == "auto" else chosen), phase)
     *quick, last = _AUTO_MOMENTS
     for moments in quick:
-        basis = _basis(text, moments)
+        basis = _basis(bench.text, pixels, moments)
         if truncation_error(basis, phase)[-1].max() <= _TOLERANCE:
             return psf(basis, phase, _TOLERANCE)
-    return psf(_basis(text, last), phase, _TOLERANCE)
+    return psf(_basis(bench.text, pixels, last), phase, _TOLERANCE)
 
 
-@lru_cache(maxsize=3)
-def _basis(study_text: str, moments: int) -> SegmentBasis:
+@lru_cache(maxsize=6)
+def _basis(study_text: str, pixels: int, moments: int) -> SegmentBasis:
     bench = bench_of(study_text)
     imaging, system, rays = bench.study.imaging, bench.system, bench.prepared.rays
-    grid = {"pixels": _CANVAS * imaging.pixels, "sampling": imaging.sampling, "diameter": 2.0 * system.pupil_outer}
+    grid = {"pixels": pixels, "sampling": imaging.sampling, "diameter": 2.0 * system.pupil_outer}
     if monolithic(system):
         return ray_basis(rays.x, rays.y, bench.prepared.weight, **grid)
     return segment_basis(system.segments.corners, system.segments.centers[:, :2], moments=moments, **grid)

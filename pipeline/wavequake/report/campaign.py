@@ -1,0 +1,82 @@
+"""The report of a store: its table, and the HTML file with its most telling cases recomputed in full."""
+
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from rich.table import Table
+
+from wavequake.kernels.devices import choose_device
+from wavequake.mechanics.disturbances import analytic_rms
+from wavequake.optics.wavefront import trace_states
+from wavequake.report.detail import Detail
+from wavequake.report.html import write_report
+from wavequake.report.populations import Summary, populations, representatives, summarize
+from wavequake.report.table import terminal_table
+from wavequake.workflows.bench import bench_of
+from wavequake.workflows.segment_disturbance import draw, surface_states
+from wavequake.workflows.store import open_store, read_manifest
+
+
+def report_path(store: Path) -> Path:
+    """Return where the report of a store is."""
+    return Path(store) / "report.html"
+
+
+def summary_table(store: Path) -> Table:
+    """Return the table of a store for the terminal."""
+    return terminal_table(_summaries(open_store(store), _analytic(store)))
+
+
+def report_store(store: Path) -> tuple[Table, Path]:
+    """Write the HTML report of a store and return its table and the file.
+
+    The worst case of every disturbance is recomputed in full for the maps; its numbers are those of the
+    store, bit for bit.
+    """
+    dataset, analytic = open_store(store), _analytic(store)
+    manifest = read_manifest(store)
+    details = [
+        detail(manifest.study, worst, manifest.device, dataset)
+        for _, worst in representatives(dataset).values()
+    ]
+    path = write_report(dataset, details, report_path(store), analytic)
+    return terminal_table(_summaries(dataset, analytic)), path
+
+
+def detail(study_text: str, case: int, device_name: str, dataset: xr.Dataset) -> Detail:
+    """Recompute one case of a store with the OPD of every ray, for its maps."""
+    bench = bench_of(study_text)
+    drawn = draw(bench, case)
+    instants = len(drawn.time)
+    states = surface_states(bench, drawn, 0, instants)
+    traced = trace_states(bench.prepared, states, choose_device(device_name))
+    opd = np.moveaxis(traced.opd, -1, 1).reshape(-1, traced.opd.shape[1])[:instants]
+    segments, rays = bench.system.segments, bench.prepared.rays
+    return Detail(
+        case=case,
+        disturbance=drawn.population.name,
+        segment_names=segments.names,
+        corners=segments.corners,
+        centers=segments.centers[:, :2],
+        time_s=drawn.time,
+        segment_motion=drawn.motion.segment_motion,
+        ray_x=rays.x,
+        ray_y=rays.y,
+        ray_segment=rays.segment,
+        opd=opd * 1e6,
+        image=dataset["exposure"].sel(case=case).to_numpy(),
+        image_x=dataset["x"].to_numpy(),
+        image_y=dataset["y"].to_numpy(),
+    )
+
+
+def _summaries(dataset: xr.Dataset, analytic: dict[str, float]) -> list[Summary]:
+    return [summarize(population, analytic.get(population.name)) for population in populations(dataset)]
+
+
+def _analytic(store: Path) -> dict[str, float]:
+    """Return the line-of-sight jitter in mas of every disturbance that has one by its parameters alone."""
+    bench = bench_of(read_manifest(store).study)
+    values = {entry.name: analytic_rms(entry, bench.layout) for entry in bench.study.disturbance}
+    return {name: value[0] for name, value in values.items() if value is not None and value[1] == "mas"}
