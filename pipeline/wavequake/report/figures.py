@@ -1,0 +1,335 @@
+"""Figures of a campaign: each function turns data into one matplotlib ``Figure``, which nobody has saved yet.
+
+All figures have one size, so that they line up in a report. Maps diverge from white at zero (blue to red),
+images are perceptually uniform, and curves use the Okabe-Ito palette with a line style each: all of it reads
+well without color vision.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib import colormaps, rc_context
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path
+from numpy.typing import NDArray
+
+from wavequake.report.detail import Detail
+from wavequake.report.populations import Population
+from wavequake.report.raster import fill_segments
+from wavequake.report.statistics import case_rms, distribution
+from wavequake.report.table import number
+
+WIDTH, HEIGHT = 5.5, 4.7  # inches
+STYLE: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.linewidth": 0.7,
+    "axes.formatter.limits": (-3, 5),
+    "axes.edgecolor": "#444444",
+    "axes.labelcolor": "#222222",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.color": "#444444",
+    "ytick.color": "#444444",
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "figure.facecolor": "white",
+    "svg.fonttype": "none",
+    "svg.hashsalt": "wavequake",
+}
+_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
+_LINES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)))
+_GRID, _DIVERGING = "#dddddd", "RdBu_r"
+Quantity = Literal["wfe", "strehl"]
+_MAP_PIXELS = 400
+
+
+@rc_context(STYLE)
+def segment_map(detail: Detail) -> Figure:
+    """Map the displacement of each segment along its normal at the worst instant, with its number.
+
+    Where no segment moves along its normal, the map shows what moves: tilt and clocking by the displacement
+    of the farthest corner, or the in-plane displacement.
+    """
+    figure = Figure(figsize=(WIDTH, HEIGHT))
+    _draw_segments(figure, _square(figure), detail)
+    return figure
+
+
+@rc_context(STYLE)
+def opd_map(detail: Detail) -> Figure:
+    """Map the optical path differences over the glass at the worst instant, piston and tilt removed."""
+    figure = Figure(figsize=(WIDTH, HEIGHT))
+    _draw_opd(figure, _square(figure), detail)
+    return figure
+
+
+@rc_context(STYLE)
+def psf_image(
+    image: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], case: int
+) -> Figure:
+    """Show an exposure (Y, X) over pixel centers in lambda/D, log-scaled from 1e-5 to 1 = perfect peak."""
+    figure = Figure(figsize=(WIDTH, HEIGHT))
+    _draw_psf(figure, _square(figure), image, x, y, case)
+    return figure
+
+
+@rc_context(STYLE)
+def distributions(populations: Sequence[Population], quantity: Quantity) -> Figure:
+    """Show the cumulative distribution of each population with its 95 % band.
+
+    `quantity` is ``"wfe"``, the rms on glass of each case over its instants, or ``"strehl"``, that of each
+    instant.
+    """
+    figure = Figure(figsize=(WIDTH, HEIGHT))
+    _draw_distributions(figure, (0.65, 0.5, WIDTH - 0.85, HEIGHT - 0.95), populations, quantity)
+    return figure
+
+
+@rc_context(STYLE)
+def history(population: Population) -> Figure:
+    """Show wavefront error and line of sight over time: median and worst case before all others."""
+    figure = Figure(figsize=(WIDTH, HEIGHT))
+    gap, height = 0.14, (HEIGHT - 1.27) / 3
+    panels = [
+        _inches(figure, 0.75, 0.5 + (2 - row) * (height + gap), WIDTH - 0.95, height) for row in range(3)
+    ]
+    los = population.los - population.los.mean(axis=(0, 1)) if population.los.size else population.los
+    series = (population.wfe_raw, los[..., 0], los[..., 1])
+    for axes, values, label in zip(
+        panels, series, ("WFE on glass (nm)", "LOS x (mas)", "LOS y (mas)"), strict=True
+    ):
+        _draw_history(axes, population, values)
+        axes.set_ylabel(label)
+        axes.tick_params(labelbottom=axes is panels[-1])
+    panels[0].set_ylim(0, 1.06 * panels[0].get_ylim()[1])
+    panels[-1].set_xlabel("time (s)")
+    panels[0].set_title(f"{_plain(population.name)}: median and worst case by WFE on glass", pad=18)
+    if len(population.cases):
+        panels[0].legend(
+            loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.1, borderpad=0.1, ncols=3
+        )
+    return figure
+
+
+@rc_context(STYLE)
+def summary_figure(detail: Detail, populations: Sequence[Population]) -> Figure:
+    """Show a campaign in one wide picture: segments, wavefront, image, distribution of the error."""
+    pitch, square, bottom = 4.0, 2.45, 0.5
+    figure = Figure(figsize=(4 * pitch - 0.1, 3.45))
+    maps = [_inches(figure, 0.6 + place * pitch, bottom, square, square) for place in range(3)]
+    _draw_segments(figure, maps[0], detail, numbers=False)
+    _draw_opd(figure, maps[1], detail)
+    _draw_psf(figure, maps[2], detail.image, detail.image_x, detail.image_y, detail.case)
+    _draw_distributions(figure, (0.65 + 3 * pitch, bottom, square + 0.6, square), populations, "wfe")
+    return figure
+
+
+def _inches(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
+    """Add axes placed in inches: automatic layouts take longer than the drawing."""
+    across, up = figure.get_size_inches()
+    axes = figure.add_axes((left / across, bottom / up, width / across, height / up))
+    axes.yaxis.set_label_coords(-0.47 / width, 0.5)
+    return axes
+
+
+def _square(figure: Figure) -> Axes:
+    return _inches(figure, 0.65, 0.5, HEIGHT - 0.95, HEIGHT - 0.95)
+
+
+def _plain(name: str) -> str:
+    """Keep matplotlib from reading a name as mathematics."""
+    return name.replace("$", r"\$")
+
+
+def _colorbar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str) -> None:
+    box, (across, _) = axes.get_position(), figure.get_size_inches()
+    side = figure.add_axes((box.x1 + 0.1 / across, box.y0, 0.13 / across, box.height))
+    figure.colorbar(mappable, cax=side, label=label)
+    side.spines[:].set_visible(False)
+
+
+def _aperture(axes: Axes, detail: Detail) -> None:
+    """Set the axes of a map in m."""
+    points = [detail.corners.reshape(-1, 2), np.stack([detail.ray_x, detail.ray_y], axis=1)]
+    reach = 1.02e-3 * max((float(np.abs(part).max()) for part in points if part.size), default=1.0)
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="x (m)", ylabel="y (m)", aspect="equal")
+
+
+def _symmetric(values: NDArray[np.float64]) -> Normalize:
+    finite = values[np.isfinite(values)]
+    reach = float(np.abs(finite).max()) if finite.size else 0.0
+    return Normalize(-reach or -1.0, reach or 1.0)
+
+
+def _instant(detail: Detail) -> str:
+    return f"case {detail.case}, t = {number(float(detail.time_s[detail.worst_instant]))} s"
+
+
+def _displacement(detail: Detail) -> tuple[NDArray[np.float64], str]:
+    """Return what the map of segments shows, nm, and what it is called."""
+    motion = detail.segment_motion[detail.worst_instant]
+    arms = np.linalg.norm(detail.corners - detail.centers[:, None], axis=2).max(axis=1, initial=0.0) * 1e-3
+    for values, meaning in (
+        (motion[:, 2], "displacement along the normal"),
+        (np.hypot(motion[:, 3], motion[:, 4]) * arms, "edge displacement by tilt"),
+        (np.hypot(motion[:, 0], motion[:, 1]), "in-plane displacement"),
+        (motion[:, 5] * arms, "edge displacement by clocking"),
+    ):
+        if values.any():
+            return values * 1e9, meaning
+    return np.zeros(len(motion)), "no segment moves"
+
+
+def _draw_segments(figure: Figure, axes: Axes, detail: Detail, numbers: bool = True) -> None:
+    values, meaning = _displacement(detail)
+    norm, colors = _symmetric(values), colormaps[_DIVERGING]
+    _aperture(axes, detail)
+    if detail.corners.size:
+        faces = colors(norm(values))
+        axes.add_collection(
+            PolyCollection(
+                list(detail.corners * 1e-3), facecolors=faces, edgecolors="#555555", linewidths=0.25
+            )
+        )
+        if numbers:
+            _number_segments(figure, axes, detail, np.abs(norm(values) - 0.5) > 0.3)
+    rms = f", rms {number(float(np.sqrt(np.mean(values**2))))} nm" if values.any() else ""
+    axes.set_title(f"M1 segments, {_instant(detail)}\n{meaning}{rms}")
+    _colorbar(figure, axes, ScalarMappable(norm, colors), "displacement (nm)")
+
+
+def _number_segments(figure: Figure, axes: Axes, detail: Detail, dark: NDArray[np.bool_]) -> None:
+    """Write each segment's name as large as the smallest segment allows."""
+    inches = (
+        axes.get_position().width * figure.get_size_inches()[0] / (axes.get_xlim()[1] - axes.get_xlim()[0])
+    )
+    width = np.ptp(detail.corners[..., 0], axis=1).min() * 1e-3 * inches * 72
+    letters = max(len(name) for name in detail.segment_names)
+    size = min(9.0, 0.8 * width / (0.65 * letters))
+    for name, (x, y), on_dark in zip(detail.segment_names, detail.centers[:, :2] * 1e-3, dark, strict=True):
+        axes.text(
+            x,
+            y,
+            _plain(name),
+            size=size,
+            ha="center",
+            va="center_baseline",
+            color="white" if on_dark else "#333333",
+        )
+
+
+def _draw_opd(figure: Figure, axes: Axes, detail: Detail) -> None:
+    flat = detail.flat_opd[detail.worst_instant]
+    norm = _symmetric(flat)
+    _aperture(axes, detail)
+    rms = number(float(np.sqrt(np.mean(flat**2)))) if flat.size else "–"
+    rays = np.stack([detail.ray_x, detail.ray_y], axis=1)[detail.glass]
+    if detail.corners.size and flat.size:
+        reach = axes.get_xlim()[1]
+        picture = fill_segments(
+            detail.corners,
+            detail.centers,
+            rays,
+            detail.ray_segment[detail.glass],
+            flat,
+            reach * 1e3,
+            _MAP_PIXELS,
+        )
+        extent = (-reach, reach, -reach, reach)
+        shown = axes.imshow(
+            picture, extent=extent, origin="lower", cmap=_DIVERGING, norm=norm, interpolation="none"
+        )
+        glass = Path.make_compound_path_from_polys(detail.corners * 1e-3)
+        outline = axes.add_patch(PathPatch(glass, facecolor="none", edgecolor="#777777", lw=0.2))
+        shown.set_clip_path(outline)
+    else:
+        axes.scatter(rays[:, 0] * 1e-3, rays[:, 1] * 1e-3, c=flat, s=4, cmap=_DIVERGING, norm=norm, lw=0)
+    axes.set_title(f"Wavefront, {_instant(detail)}\npiston and tilt removed, rms {rms} nm")
+    _colorbar(figure, axes, ScalarMappable(norm, colormaps[_DIVERGING]), "OPD (nm)")
+
+
+def _draw_psf(
+    figure: Figure,
+    axes: Axes,
+    image: NDArray[np.float64],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    case: int,
+) -> None:
+    half_x, half_y = (float(axis[1] - axis[0]) / 2.0 if len(axis) > 1 else 0.5 for axis in (x, y))
+    extent = (float(x[0]) - half_x, float(x[-1]) + half_x, float(y[0]) - half_y, float(y[-1]) + half_y)
+    norm = LogNorm(1e-5, 1.0, clip=True)
+    shown = axes.imshow(image, extent=extent, origin="lower", cmap="inferno", norm=norm, interpolation="none")
+    axes.set(xlabel="x (λ/D)", ylabel="y (λ/D)")
+    peak = number(float(np.nanmax(image))) if np.isfinite(image).any() else "–"
+    axes.set_title(f"Image, case {case}, mean of its instants\npeak {peak} of the perfect PSF")
+    _colorbar(figure, axes, shown, "irradiance / peak of the perfect PSF")
+
+
+def _draw_distributions(
+    figure: Figure,
+    box: tuple[float, float, float, float],
+    populations: Sequence[Population],
+    quantity: Quantity,
+) -> None:
+    named = [population for population in populations if len(population.cases)]
+    left, bottom, width, height = box
+    names = [f"{_plain(population.name)} ({len(population.cases)})" for population in named]
+    # Letters are about 0.075 inches wide; two columns only where they fit.
+    columns = 2 if 2 * (0.075 * max(map(len, names), default=0) + 0.5) <= width + 0.5 else 1
+    legend = 0.185 * -(-len(names) // columns)
+    axes = _inches(figure, left, bottom + legend, width, height - legend)
+    samples = [
+        case_rms(population.wfe_raw) if quantity == "wfe" else population.strehl for population in named
+    ]
+    for index, (population, values) in enumerate(zip(named, samples, strict=True)):
+        curve = distribution(values, draws=len(population.cases))
+        color, line = _COLORS[index % len(_COLORS)], _LINES[index % len(_LINES)]
+        axes.fill_between(curve.values, curve.low, curve.high, step="post", color=color, alpha=0.18, lw=0)
+        axes.step(curve.values, curve.probability, where="post", color=color, ls=line, lw=1.5)
+    axes.grid(color=_GRID, lw=0.6)
+    axes.set(axisbelow=True, ylim=(0, 1), ylabel="share below")
+    if quantity == "wfe":
+        lowest = min((float(values.min()) for values in samples), default=0.0)
+        highest = max((float(values.max()) for values in samples), default=1.0)
+        axes.set_xscale("log" if lowest > 0 and highest > 20 * lowest else "linear")
+        axes.set_xlabel("WFE rms on glass of a case (nm)")
+        axes.set_title("Wavefront error over cases, 95 % band\n(number of cases in brackets)")
+    else:
+        axes.set_xlabel("Strehl ratio of an instant")
+        axes.set_title("Strehl over instants, 95 % band\n(number of cases in brackets)")
+    across, up = figure.get_size_inches()
+    figure.legend(
+        axes.lines, names, loc="lower left", bbox_to_anchor=((left - 0.4) / across, (bottom - 0.45) / up),
+        ncols=columns, columnspacing=1.0, borderaxespad=0, borderpad=0, labelspacing=0.35,
+    )  # fmt: skip
+
+
+def _draw_history(axes: Axes, population: Population, values: NDArray[np.float64]) -> None:
+    axes.grid(color=_GRID, lw=0.6)
+    axes.set_axisbelow(True)
+    if not len(population.cases):
+        return
+    time = population.time_s[population.median_index]
+    low, high = np.quantile(values, [0.05, 0.95], axis=0)
+    axes.fill_between(time, low, high, color="#999999", alpha=0.25, lw=0, label="90 % of the cases")
+    for index, name, color, line in (
+        (population.median_index, "median", _COLORS[0], "-"),
+        (population.worst_index, "worst", _COLORS[1], (0, (5, 1.5))),
+    ):
+        axes.plot(
+            population.time_s[index], values[index], color=color, ls=line, lw=1.3, marker="o", ms=3,
+            label=f"{name}: case {population.cases[index]}",
+        )  # fmt: skip

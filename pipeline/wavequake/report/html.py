@@ -1,0 +1,281 @@
+"""One self-contained HTML file per campaign: no scripts, nothing loaded, the same bytes for the same data."""
+
+import io
+import json
+import os
+import re
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from wavequake.errors import UserError
+from wavequake.report import figures
+from wavequake.report.detail import Detail
+from wavequake.report.populations import Population, Summary, excluded, populations, summarize
+from wavequake.report.table import number, rows
+
+LISTED = 200
+# Term, variable of the store whose own long_name opens the definition, and how the report uses it.
+_DEFINITIONS = (
+    ("WFE on glass", "wfe_rms_raw", "A case has the rms over its instants; P50 and P95 are over cases."),
+    (
+        "WFE j ≥ 4",
+        "wfe_rms",
+        "Cases and percentiles as above. What the fit does not resolve, such as the steps between segments, "
+        "is not in it.",
+    ),
+    (
+        "LOS",
+        "los",
+        "The chief ray minus 2 c λ / NA, on the sky. Of the four definitions in use (chief ray, centroid, "
+        "tilt of a circular or of an annular pupil) this is the last one. It is not the center of "
+        "irradiance: segments that only move along their normals shift it although no ray turns.",
+    ),
+    ("centroid", "centroid", "On the sky. Where the light goes, by ray optics."),
+    (
+        "jitter",
+        "",
+        "Rms of both axes together over all cases and instants, about one mean per axis over all cases and "
+        "instants of the population. An offset that the whole population shares is pointing and does not "
+        "count; one that differs from case to case does.",
+    ),
+    (
+        "LOS model",
+        "",
+        "The same rms as the disturbance's definition implies it without sampling, where that is known.",
+    ),
+    ("Strehl", "strehl", "P5 and P50 are over the instants of all cases."),
+    ("EE80", "ee80", "The exposure of a case is the mean of the images of its instants; P50 is over cases."),
+    (
+        "confidence interval",
+        "",
+        "From order statistics and the binomial distribution, so at least 95 % for any distribution. Cases "
+        "are the independent draws: where instants are pooled, all instants of a case count as one.",
+    ),
+    (
+        "median and worst case",
+        "",
+        "By WFE on glass. Maps show the instant at which the rms without piston and tilt is largest.",
+    ),
+)
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """A drawn figure, its place in the document and its words for those who cannot see it."""
+
+    id: str
+    text: str
+    svg: Markup
+
+
+@dataclass(frozen=True)
+class _Section:
+    name: str
+    figures: list[_Picture]
+
+
+def write_report(
+    dataset: xr.Dataset,
+    details: Sequence[Detail],
+    path: str | Path,
+    analytic: Mapping[str, float] | None = None,
+) -> Path:
+    """Write the report of a store to one HTML file, which appears whole or not at all.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        What ``open_store`` gives.
+    details : sequence of Detail
+        Cases to show as maps, beneath their disturbance; any number, also none.
+    path : str or Path
+        The file to write; an older one is replaced.
+    analytic : mapping of str to float, optional
+        Jitter that a disturbance implies by its definition: rms of both axes together, mas.
+
+    Returns
+    -------
+    Path
+        `path`, absolute.
+
+    Raises
+    ------
+    UserError
+        If the dataset is not that of a campaign, a detail belongs to no disturbance of it, or the file cannot
+        be written.
+    """
+    target = Path(path).resolve()
+    _write_whole(target, render_report(dataset, details, analytic))
+    return target
+
+
+def render_report(
+    dataset: xr.Dataset, details: Sequence[Detail], analytic: Mapping[str, float] | None = None
+) -> str:
+    """Return the report as HTML; parameters as for :func:`write_report`."""
+    found = populations(dataset)
+    for detail in details:
+        if detail.disturbance not in [population.name for population in found]:
+            raise UserError(
+                f"Case {detail.case} is of {detail.disturbance!r}, which is no disturbance of this store."
+            )
+    summaries = [summarize(population, (analytic or {}).get(population.name)) for population in found]
+    left_out = excluded(dataset)
+    study = _study(dataset)
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+    )
+    return environment.get_template("report.html.j2").render(
+        name=_entry(study, "name") or "Campaign",
+        title=_entry(study, "title"),
+        answer=answer(summaries),
+        table=rows(summaries),
+        overview=list(_overview(found)),
+        sections=[_section(place, population, details, dataset) for place, population in enumerate(found)],
+        left_out=left_out[:LISTED],
+        more_left_out=max(0, len(left_out) - LISTED),
+        definitions=[(term, _definition(dataset, name, use)) for term, name, use in _DEFINITIONS],
+        provenance=list(_provenance(dataset)),
+        study=json.dumps(study, indent=2, ensure_ascii=False) if study else "",
+    )
+
+
+def answer(summaries: Iterable[Summary]) -> str:
+    """Say in one or two sentences which disturbance matters most."""
+    known = [summary for summary in summaries if summary.cases]
+    if not known:
+        return "No case is done yet."
+    worst = max(known, key=lambda summary: summary.wfe_raw_p95.value)
+    jitter = max(known, key=lambda summary: summary.los_jitter.radial)
+    several = len(known) > 1
+    lead = f"Of {len(known)} disturbances, {worst.name} costs the most" if several else worst.name
+    where = f" ({jitter.name})" if several else ""
+    return (
+        f"{lead}: 95 % of its {worst.cases} cases stay below {number(worst.wfe_raw_p95.value)} nm rms of "
+        f"wavefront error, and 95 % of its instants above a Strehl ratio of {number(worst.strehl_p5.value)}. "
+        f"The largest line-of-sight jitter is {number(jitter.los_jitter.radial)} mas rms{where}."
+    )
+
+
+def _definition(dataset: xr.Dataset, name: str, use: str) -> str:
+    long_name = str(dataset[name].attrs.get("long_name", "")) if name else ""
+    return f"{long_name[0].upper()}{long_name[1:].rstrip('.')}. {use}" if long_name else use
+
+
+def _overview(found: Sequence[Population]) -> Iterator[_Picture]:
+    if any(len(population.cases) for population in found):
+        yield _picture(
+            "wfe", "Distribution of the wavefront error over cases", figures.distributions(found, "wfe")
+        )
+        yield _picture(
+            "strehl", "Distribution of the Strehl ratio over instants", figures.distributions(found, "strehl")
+        )
+
+
+def _section(place: int, population: Population, details: Sequence[Detail], dataset: xr.Dataset) -> _Section:
+    if not len(population.cases):
+        return _Section(population.name, [])
+    pictures = []
+    mine = [detail for detail in details if detail.disturbance == population.name]
+    for detail in mine:
+        of, id_ = f"of case {detail.case}", f"d{place}c{detail.case}"
+        image = figures.psf_image(detail.image, detail.image_x, detail.image_y, detail.case)
+        pictures += [
+            _picture(f"{id_}-m1", f"Displacement of each segment {of}", figures.segment_map(detail)),
+            _picture(f"{id_}-opd", f"Optical path differences {of}", figures.opd_map(detail)),
+            _picture(f"{id_}-psf", f"Image {of}", image),
+        ]
+    if not mine:
+        pictures.append(
+            _picture(f"d{place}-psf", "Image of the worst case", _stored_image(population, dataset))
+        )
+    pictures.append(
+        _picture(f"d{place}-time", "Median and worst case over time", figures.history(population))
+    )
+    return _Section(population.name, pictures)
+
+
+def _stored_image(population: Population, dataset: xr.Dataset) -> Figure:
+    case = int(population.cases[population.worst_index])
+    row = int((dataset["case"].to_numpy() == case).argmax()) if "case" in dataset.coords else case
+    image = dataset["exposure"].transpose("case", "y", "x").isel(case=row).to_numpy()
+    return figures.psf_image(image, dataset["x"].to_numpy(), dataset["y"].to_numpy(), case)
+
+
+def _picture(id_: str, text: str, figure: Figure) -> _Picture:
+    return _Picture(id_, text, Markup(inline_svg(figure, id_)))
+
+
+def inline_svg(figure: Figure, salt: str) -> str:
+    """Draw a figure as an SVG element of an HTML document, without prolog and metadata.
+
+    Its ids are unique as long as `salt` is. Matplotlib has escaped all text in it.
+    """
+    buffer = io.StringIO()
+    with rc_context({**figures.STYLE, "svg.hashsalt": salt}):
+        figure.savefig(buffer, format="svg", dpi=150, metadata={"Date": None})
+    text = buffer.getvalue()
+    text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
+    # Groups are numbered alike in each figure and never referred to; outlines need no more than 0.01 points.
+    text = re.sub(r'<g id="[^"]*"', "<g", text)
+    text = re.sub(r' d="[^"]*"', lambda outline: re.sub(r"(\.\d\d)\d+", r"\1", outline[0]), text)
+    text = re.sub(r' transform="rotate\(-0 [^"]*\)"', "", text)
+    return re.sub(r"\n\s*", "\n", text)
+
+
+def _study(dataset: xr.Dataset) -> dict[str, Any]:
+    try:
+        study = json.loads(dataset.attrs.get("study", "{}"))
+    except (TypeError, json.JSONDecodeError):
+        return {}
+    return study if isinstance(study, dict) else {}
+
+
+def _entry(study: Mapping[str, Any], key: str) -> str:
+    section = study.get("study")
+    return str(section.get(key) or "") if isinstance(section, dict) else ""
+
+
+def _provenance(dataset: xr.Dataset) -> Iterator[tuple[str, str]]:
+    """Yield the attributes of the store but the study, which stands below; JSON records as lists."""
+    for key, value in dataset.attrs.items():
+        if key == "study":
+            continue
+        try:
+            record = json.loads(value) if isinstance(value, str) else value
+        except json.JSONDecodeError:
+            record = value
+        if isinstance(record, dict):
+            record = ", ".join(f"{name} {part}" for name, part in record.items())
+        yield str(key).replace("_", " "), str(record if isinstance(record, str) else value)
+
+
+def _write_whole(target: Path, text: str) -> None:
+    temporary = None
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(
+            "w", encoding="utf-8", dir=target.parent, suffix=".tmp", delete=False
+        ) as file:
+            temporary = Path(file.name)
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.chmod(0o644)
+        temporary.replace(target)
+    except OSError as error:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+        raise UserError(f"The report {target} cannot be written: {error.strerror or error}.") from None

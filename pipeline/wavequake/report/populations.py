@@ -1,0 +1,222 @@
+"""From a store to the populations of its report: one per disturbance model, without the cases that failed."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from wavequake.errors import UserError
+from wavequake.report.statistics import Jitter, Quantile, case_rms, jitter, quantile
+from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
+
+_SERIES = ("wfe_rms", "wfe_rms_raw", "strehl", "los", "centroid")
+_NEEDED = (*_SERIES, "ee80", "time_s", "status", "disturbance")
+
+
+@dataclass(frozen=True)
+class Population:
+    """Finished cases of one disturbance model: C cases of T instants; and how many cases it lacks.
+
+    Attributes
+    ----------
+    name : str
+    cases : ndarray of int, shape (C,)
+        Case ids.
+    time_s : ndarray, shape (C, T)
+    wfe, wfe_raw : ndarray, shape (C, T)
+        Wavefront error rms of each instant, nm: of the Zernike terms j >= 4, and over all rays on glass
+        without piston.
+    los, centroid : ndarray, shape (C, T, 2)
+        Line of sight by Störkle 2018, Eq. (3.39), and center of irradiance, mas.
+    strehl : ndarray, shape (C, T)
+    ee80 : ndarray, shape (C,)
+        Radius of 80 % encircled energy, lambda/D; +inf beyond the frame.
+    quarantined, todo, incomplete : int
+        Cases left out: failed, not computed yet, and marked done though a number is missing.
+    """
+
+    name: str
+    cases: NDArray[np.int64]
+    time_s: NDArray[np.float64]
+    wfe: NDArray[np.float64]
+    wfe_raw: NDArray[np.float64]
+    los: NDArray[np.float64]
+    centroid: NDArray[np.float64]
+    strehl: NDArray[np.float64]
+    ee80: NDArray[np.float64]
+    quarantined: int
+    todo: int
+    incomplete: int
+
+    @property
+    def median_index(self) -> int:
+        """Index of the case whose WFE on glass (rms over its instants) is the median, the lower of two."""
+        return int(np.argsort(case_rms(self.wfe_raw), kind="stable")[(len(self.cases) - 1) // 2])
+
+    @property
+    def worst_index(self) -> int:
+        """Index of the case with the largest WFE on glass (rms over its instants)."""
+        return int(np.argmax(case_rms(self.wfe_raw)))
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One row of the report's table; units as in :class:`Population`. `analytic` is the expected jitter."""
+
+    name: str
+    cases: int
+    quarantined: int
+    todo: int
+    incomplete: int
+    wfe_raw_p50: Quantile
+    wfe_raw_p95: Quantile
+    wfe_p50: Quantile
+    wfe_p95: Quantile
+    los_jitter: Jitter
+    centroid_jitter: Jitter
+    analytic: float | None
+    strehl_p5: Quantile
+    strehl_p50: Quantile
+    ee80_p50: Quantile
+
+
+@dataclass(frozen=True)
+class Excluded:
+    """A case that no statistic contains, and why."""
+
+    case: int
+    disturbance: str
+    realization: int | None
+    reason: str
+    message: str
+
+
+def populations(dataset: xr.Dataset) -> tuple[Population, ...]:
+    """Split a store by disturbance, in the order in which the disturbances first appear.
+
+    Raises
+    ------
+    UserError
+        If the dataset is not that of a segment-disturbance campaign.
+    """
+    arrays = _arrays(dataset)
+    names = list(dict.fromkeys(arrays["disturbance"].tolist()))
+    return tuple(_population(str(name), arrays) for name in names)
+
+
+def representatives(dataset: xr.Dataset) -> dict[str, tuple[int, int]]:
+    """Return the ids of the median and the worst case of each disturbance, those worth recomputing in full.
+
+    A disturbance without finished cases has no entry.
+    """
+    return {
+        population.name: (
+            int(population.cases[population.median_index]),
+            int(population.cases[population.worst_index]),
+        )
+        for population in populations(dataset)
+        if len(population.cases)
+    }
+
+
+def summarize(population: Population, analytic: float | None = None) -> Summary:
+    """Reduce a population to one row of the table.
+
+    The wavefront error of a case is the rms over its instants; its quantiles are over cases. Strehl quantiles
+    are over the instants of all cases. `analytic` is the radial jitter rms that the disturbance model
+    implies, mas, if it is known.
+    """
+    cases = len(population.cases)
+    raw, fitted = case_rms(population.wfe_raw), case_rms(population.wfe)
+    return Summary(
+        name=population.name,
+        cases=cases,
+        quarantined=population.quarantined,
+        todo=population.todo,
+        incomplete=population.incomplete,
+        wfe_raw_p50=quantile(raw, 0.50),
+        wfe_raw_p95=quantile(raw, 0.95),
+        wfe_p50=quantile(fitted, 0.50),
+        wfe_p95=quantile(fitted, 0.95),
+        los_jitter=jitter(population.los),
+        centroid_jitter=jitter(population.centroid),
+        analytic=analytic,
+        strehl_p5=quantile(population.strehl, 0.05, draws=cases),
+        strehl_p50=quantile(population.strehl, 0.50, draws=cases),
+        ee80_p50=quantile(population.ee80, 0.50),
+    )
+
+
+def excluded(dataset: xr.Dataset) -> tuple[Excluded, ...]:
+    """Return the cases that are in no statistic although computed: quarantined, or with a number missing."""
+    arrays = _arrays(dataset)
+    status = arrays["status"]
+    meanings = STATUS_MEANINGS.split()
+    messages = dataset["message"].to_numpy() if "message" in dataset else np.full(status.size, "")
+    realizations = dataset["realization"].to_numpy() if "realization" in dataset.coords else None
+    return tuple(
+        Excluded(
+            case=int(arrays["case"][i]),
+            disturbance=str(arrays["disturbance"][i]),
+            realization=None if realizations is None else int(realizations[i]),
+            reason="a number is missing" if status[i] == DONE else meanings[status[i]].replace("_", " "),
+            message=str(messages[i]),
+        )
+        for i in np.flatnonzero((status != TODO) & ~arrays["usable"])
+    )
+
+
+def _arrays(dataset: xr.Dataset) -> dict[str, NDArray[Any]]:
+    """Load what the statistics need, with the case first, and tell which cases they may use."""
+    missing = [name for name in _NEEDED if name not in dataset]
+    if missing:
+        raise UserError(f"The store has no {missing[0]!r}, so it is not one that this report can be made of.")
+    arrays = {name: dataset[name].transpose("case", ...).to_numpy() for name in _NEEDED if name != "time_s"}
+    arrays["time_s"] = (
+        dataset["time_s"].broadcast_like(dataset["strehl"]).transpose("case", "time").to_numpy()
+    )
+    arrays["case"] = (
+        dataset["case"].to_numpy() if "case" in dataset.coords else np.arange(dataset.sizes["case"])
+    )
+    arrays["usable"] = _usable(arrays)
+    return arrays
+
+
+def _usable(arrays: dict[str, NDArray[Any]]) -> NDArray[np.bool_]:
+    """Tell which cases are done and whole: no number missing, and as many instants as their population has.
+
+    Populations of fewer instants than the longest one end in NaN; an infinite EE80 is a number.
+    """
+    instants = np.isfinite(arrays["time_s"])
+    whole: NDArray[np.bool_] = (arrays["status"] == DONE) & ~np.isnan(arrays["ee80"])
+    for name in _SERIES:
+        finite = np.isfinite(arrays[name]).reshape(*instants.shape, -1).all(axis=2)
+        whole &= (finite | ~instants).all(axis=1)
+    count = np.where(whole, instants.sum(axis=1), 0)
+    for name in set(arrays["disturbance"].tolist()):
+        mine = arrays["disturbance"] == name
+        whole[mine] &= (count[mine] == count[mine].max()) & (count[mine] > 0)
+    return whole
+
+
+def _population(name: str, arrays: dict[str, NDArray[Any]]) -> Population:
+    mine, status = arrays["disturbance"] == name, arrays["status"]
+    usable = mine & arrays["usable"]
+    instants = np.isfinite(arrays["time_s"][usable]).any(axis=0)
+    series = {key: arrays[key][usable][:, instants].astype(np.float64) for key in (*_SERIES, "time_s")}
+    return Population(
+        name=name,
+        cases=arrays["case"][usable].astype(np.int64),
+        time_s=series["time_s"],
+        wfe=series["wfe_rms"],
+        wfe_raw=series["wfe_rms_raw"],
+        los=series["los"],
+        centroid=series["centroid"],
+        strehl=series["strehl"],
+        ee80=arrays["ee80"][usable].astype(np.float64),
+        quarantined=int(np.count_nonzero(mine & (status > DONE))),
+        todo=int(np.count_nonzero(mine & (status == TODO))),
+        incomplete=int(np.count_nonzero(mine & (status == DONE) & ~usable)),
+    )

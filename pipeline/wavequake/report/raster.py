@@ -1,0 +1,104 @@
+"""Fill the glass of a segmented aperture with values that are known at rays only."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+Array = NDArray[np.float64]
+
+
+def fill_segments(
+    corners: Array,
+    centers: Array,
+    rays: Array,
+    segment: NDArray[np.integer],
+    values: Array,
+    reach: float,
+    pixels: int,
+) -> Array:
+    """Turn values at rays into a picture (pixels, pixels) of the aperture; y first and upwards, NaN off it.
+
+    Within each segment a pixel has the value of the segment's nearest ray, continued by the slope of the
+    plane that fits the segment's rays best: exact at the rays, and everywhere where a segment is only moved.
+    Nothing is shared across edges.
+
+    Parameters
+    ----------
+    corners : ndarray, shape (S, V, 2)
+        Counter-clockwise; a polygon of fewer corners repeats its last one.
+    centers : ndarray, shape (S, 2)
+    rays : ndarray, shape (N, 2)
+    segment : ndarray of int, shape (N,)
+        Segment of each ray.
+    values : ndarray, shape (N,)
+    reach : float
+        Half width of the picture, in the unit of the corners.
+    pixels : int
+        Along each side. Pixels up to 1.5 of them outside the glass are filled too: clip the picture to the
+        polygons.
+    """
+    along = ((np.arange(pixels) + 0.5) / pixels * 2.0 - 1.0) * reach
+    points = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
+    owner = segment_at(points, corners, centers, margin=3.0 * reach / pixels)
+    inside = np.flatnonzero(owner >= 0)
+    points, owner = points[inside], owner[inside]
+    best, nearest = np.full(len(points), np.inf), np.full(len(points), -1)
+    # A step per ray of a segment, each over all pixels: far cheaper than a search tree per segment.
+    for ray in _rays_of_segments(segment, len(corners)).T[:, owner]:
+        distance = np.where(
+            ray >= 0, (points[:, 0] - rays[ray, 0]) ** 2 + (points[:, 1] - rays[ray, 1]) ** 2, np.inf
+        )
+        closer = distance < best
+        best[closer], nearest[closer] = distance[closer], ray[closer]
+    slopes = plane_slopes(rays, values, segment, len(corners))
+    filled = values[nearest] + ((points - rays[nearest]) * slopes[owner]).sum(axis=1)
+    picture = np.full(pixels * pixels, np.nan)
+    picture[inside] = np.where(nearest >= 0, filled, np.nan)
+    return picture.reshape(pixels, pixels)
+
+
+def segment_at(points: Array, corners: Array, centers: Array, margin: float) -> NDArray[np.intp]:
+    """Return the segment that each point lies deepest in, or up to `margin` outside of; -1 for none.
+
+    The three segments with the nearest centers are tried, so polygons should not be much longer than wide.
+    """
+    count = min(3, len(corners))
+    candidates = cKDTree(centers).query(points, k=list(range(1, count + 1)))[1]
+    sides = np.roll(corners, -1, axis=1) - corners
+    length = np.linalg.norm(sides, axis=2)
+    # A repeated corner makes a side without length: its normal is zero, and an infinite offset never cuts.
+    normal = np.stack([sides[..., 1], -sides[..., 0]], axis=-1) / np.where(length > 0, length, 1.0)[..., None]
+    offset = np.where(length > 0, (normal * corners).sum(axis=2), np.inf)
+    outside = np.full((len(points), count), -np.inf)
+    for side in range(corners.shape[1]):
+        across = normal[candidates, side]
+        beyond = across[..., 0] * points[:, :1] + across[..., 1] * points[:, 1:] - offset[candidates, side]
+        np.maximum(outside, beyond, out=outside)
+    best = outside.argmin(axis=1)
+    rows = np.arange(len(points))
+    return np.where(outside[rows, best] <= margin, candidates[rows, best], -1)
+
+
+def plane_slopes(rays: Array, values: Array, segment: NDArray[np.integer], segments: int) -> Array:
+    """Return the slopes (segments, 2) of each segment's best-fit plane; zero where its rays do not fix it."""
+    count = np.maximum(np.bincount(segment, minlength=segments), 1)
+
+    def means(weights: Array) -> Array:
+        return np.bincount(segment, weights, segments) / count
+
+    dx, dy = (rays[:, axis] - means(rays[:, axis])[segment] for axis in (0, 1))
+    squares = np.array([[means(dx * dx), means(dx * dy)], [means(dx * dy), means(dy * dy)]]).transpose(
+        2, 0, 1
+    )
+    products = np.stack([means(dx * values), means(dy * values)], axis=1)
+    return np.asarray((np.linalg.pinv(squares, rcond=1e-9, hermitian=True) @ products[..., None])[..., 0])
+
+
+def _rays_of_segments(segment: NDArray[np.integer], segments: int) -> NDArray[np.intp]:
+    """Return the rays of each segment as the rows of a table, filled up with -1."""
+    order = np.argsort(segment, kind="stable")
+    count = np.bincount(segment, minlength=segments)
+    first = np.cumsum(count) - count
+    table = np.full((segments, int(count.max(initial=0))), -1)
+    table[segment[order], np.arange(len(order)) - first[segment[order]]] = order
+    return table

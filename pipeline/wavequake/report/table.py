@@ -1,0 +1,121 @@
+"""The campaign's table: one row per disturbance model, for the terminal and for HTML."""
+
+import textwrap
+from collections.abc import Iterable
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+
+from wavequake.report.populations import Summary
+from wavequake.report.statistics import Jitter, Quantile
+
+MISSING = "–"
+BEYOND = "> field"
+
+_CAPTION = (
+    "WFE: rms of a case over its instants; P50 and P95 over cases, in brackets the distribution-free 95 % "
+    "confidence interval (≤, ≥: too few cases for both bounds). LOS: rms of both axes about the mean of all "
+    "cases and instants, ± standard error, in brackets what the model implies. Strehl: over all instants. "
+    "EE80: median over cases."
+)
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Format a number with significant digits, without an exponent where it can be read without one."""
+    if np.isnan(value):
+        return MISSING
+    if np.isinf(value) or value == 0.0:
+        return f"{value:g}"
+    exponent = int(np.floor(np.log10(abs(float(f"{value:.{digits - 1}e}")))))
+    if exponent < -4 or exponent > 5:
+        return f"{value:.{digits - 1}e}"
+    return f"{value:.{max(0, digits - 1 - exponent)}f}"
+
+
+def interval(quantile: Quantile, digits: int = 3) -> str:
+    """Format a confidence interval; a bound that does not exist is left out."""
+    low, high = np.isfinite(quantile.low), np.isfinite(quantile.high)
+    if low and high:
+        return f"{number(quantile.low, digits)}–{number(quantile.high, digits)}"
+    if low:
+        return f"≥ {number(quantile.low, digits)}"
+    return f"≤ {number(quantile.high, digits)}" if high else MISSING
+
+
+def rows(summaries: Iterable[Summary]) -> list[dict[str, tuple[str, str]]]:
+    """Return one dict per disturbance: header with unit -> (value, its uncertainty or remark), all text."""
+    return [_row(summary) for summary in summaries]
+
+
+def _row(summary: Summary) -> dict[str, tuple[str, str]]:
+    analytic = MISSING if summary.analytic is None else number(summary.analytic)
+    return {
+        "disturbance": (summary.name, ""),
+        "cases": (str(summary.cases), _left_out(summary)),
+        "WFE on glass P50 (nm)": _quantile(summary.wfe_raw_p50),
+        "WFE on glass P95 (nm)": _quantile(summary.wfe_raw_p95),
+        "WFE j\u00a0≥\u00a04 P50 (nm)": _quantile(summary.wfe_p50),
+        "WFE j\u00a0≥\u00a04 P95 (nm)": _quantile(summary.wfe_p95),
+        "LOS jitter (mas)": _jitter(summary.los_jitter),
+        "LOS model (mas)": (analytic, ""),
+        "centroid jitter (mas)": _jitter(summary.centroid_jitter),
+        "Strehl P5": _quantile(summary.strehl_p5, 4),
+        "Strehl P50": _quantile(summary.strehl_p50, 4),
+        "EE80 P50 (λ/D)": _radius(summary.ee80_p50),
+    }
+
+
+def _left_out(summary: Summary, before: str = "") -> str:
+    counts = {"quarantined": summary.quarantined, "to do": summary.todo, "incomplete": summary.incomplete}
+    words = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    return before + words if words else ""
+
+
+def _quantile(quantile: Quantile, digits: int = 3) -> tuple[str, str]:
+    return number(quantile.value, digits), "" if np.isnan(quantile.value) else interval(quantile, digits)
+
+
+def _radius(quantile: Quantile) -> tuple[str, str]:
+    value, remark = _quantile(quantile, 4)
+    return BEYOND if np.isposinf(quantile.value) else value, remark
+
+
+def _jitter(jitter: Jitter) -> tuple[str, str]:
+    return number(jitter.radial), f"± {number(jitter.standard_error, 2)}" if np.isfinite(
+        jitter.standard_error
+    ) else ""
+
+
+def terminal_table(summaries: Iterable[Summary]) -> Table:
+    """Return the table for a terminal: a few lines per disturbance, which fit 80 columns."""
+    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=_CAPTION, caption_justify="left")
+    table.add_column("disturbance\ncases", overflow="fold")
+    table.add_column("")
+    for header in ("WFE on glass\nrms (nm)", "WFE j ≥ 4\nrms (nm)"):
+        table.add_column(header, justify="right", no_wrap=True)
+    for header in ("LOS rms\n(mas)", "Strehl\nP50, P5", "EE80\n(λ/D)"):
+        table.add_column(header, justify="right", no_wrap=True)
+    for summary in summaries:
+        jitter, error = _jitter(summary.los_jitter)
+        model = "" if summary.analytic is None else f"\n({number(summary.analytic)})"
+        table.add_row(
+            Text.assemble(
+                ("\n".join(textwrap.wrap(summary.name, 15)), "bold"),
+                f"\n{summary.cases}",
+                (_left_out(summary, "\n"), "yellow"),
+            ),
+            "P50\nP95",
+            f"{_with_interval(summary.wfe_raw_p50)}\n{_with_interval(summary.wfe_raw_p95)}",
+            f"{_with_interval(summary.wfe_p50)}\n{_with_interval(summary.wfe_p95)}",
+            f"{jitter}\n{error}{model}",
+            f"{number(summary.strehl_p50.value, 4)}\n{number(summary.strehl_p5.value, 4)}",
+            f"{_radius(summary.ee80_p50)[0]}",
+        )
+    return table
+
+
+def _with_interval(quantile: Quantile) -> str:
+    value, remark = _quantile(quantile)
+    return f"{value} ({remark})" if remark else value

@@ -1,0 +1,154 @@
+"""Figures show what they say, in one size, also for the odd campaign."""
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.collections import PolyCollection
+from matplotlib.image import imread
+
+from wavequake.report import figures
+from wavequake.report.populations import populations
+
+
+def pixels(figure):
+    """Draw a figure and read it back, shape (height, width, 4)."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=60)
+    buffer.seek(0)
+    return imread(buffer)
+
+
+def all_figures(detail, found):
+    return {
+        "segments": figures.segment_map(detail),
+        "opd": figures.opd_map(detail),
+        "psf": figures.psf_image(detail.image, detail.image_x, detail.image_y, detail.case),
+        "wfe": figures.distributions(found, "wfe"),
+        "strehl": figures.distributions(found, "strehl"),
+        "history": figures.history(found[0]),
+    }
+
+
+def test_every_figure_has_ink_and_the_same_size(detail, campaign):
+    drawn = {name: pixels(figure) for name, figure in all_figures(detail, populations(campaign)).items()}
+    assert len({picture.shape for picture in drawn.values()}) == 1
+    for name, picture in drawn.items():
+        assert np.mean(picture[..., :3].min(axis=2) < 0.97) > 0.02, name
+
+
+def test_nothing_is_drawn_beyond_the_edge(detail, campaign):
+    found = populations(campaign)
+    for name, figure in {
+        **all_figures(detail, found),
+        "summary": figures.summary_figure(detail, found),
+    }.items():
+        picture = pixels(figure)[..., :3]
+        edges = (picture[0], picture[-1], picture[:, 0], picture[:, -1])
+        assert all((edge == 1.0).all() for edge in edges), name
+
+
+def test_segments_have_the_color_of_their_displacement_at_the_worst_instant(detail):
+    axes, side = figures.segment_map(detail).axes
+    (glass,) = (artist for artist in axes.collections if isinstance(artist, PolyCollection))
+    # Instant 2 is the worst; segment k is displaced by 20 k nm, and the scale is symmetric about zero.
+    assert side.get_ylim() == pytest.approx((-120.0, 120.0))
+    expected = figures.colormaps["RdBu_r"]((20.0 * np.arange(7) + 120.0) / 240.0)
+    np.testing.assert_allclose(glass.get_facecolors(), expected)
+    assert "t = 0.200 s" in axes.get_title(loc="left")
+    assert "rms 72.1 nm" in axes.get_title(loc="left")  # 20 sqrt(0 + 1 + 4 + ... + 36) / sqrt(7)
+
+
+def test_every_segment_carries_its_name(detail):
+    axes = figures.segment_map(detail).axes[0]
+    assert [text.get_text() for text in axes.texts] == [f"S{k}" for k in range(7)]
+    np.testing.assert_allclose([text.get_position() for text in axes.texts], detail.centers * 1e-3)
+
+
+def test_opd_title_is_the_rms_without_piston_and_tilt(detail):
+    x, y = detail.ray_x, detail.ray_y
+    # Piston and tilt of any size vanish; what is orthogonal to them by symmetry (x y on hexagons) stays.
+    shape = x * y * 1e-6
+    opd = np.stack([500.0 - 0.3 * x + 0.2 * y + scale * shape for scale in (1.0, 30.0, 10.0)])
+    title = figures.opd_map(replace(detail, opd=opd)).axes[0].get_title(loc="left")
+    assert f"rms {30.0 * np.sqrt(np.mean(shape**2)):.1f} nm" in title
+    assert "t = 0.100 s" in title
+
+
+def test_lost_rays_and_rays_in_gaps_are_left_out(detail):
+    opd, segment = detail.opd.copy(), detail.ray_segment.copy()
+    opd[1, 4], segment[9] = np.nan, -1
+    opd[:, 9] = 1e9
+    damaged = replace(detail, opd=opd, ray_segment=segment)
+    assert damaged.glass.sum() == 40
+    assert np.abs(damaged.flat_opd).max() < 1000.0
+    assert pixels(figures.opd_map(damaged)).size
+
+
+def test_segments_at_rest_are_said_to_be_at_rest(detail):
+    still = replace(detail, segment_motion=np.zeros((3, 7, 6)))
+    assert "no segment moves" in figures.segment_map(still).axes[0].get_title(loc="left")
+
+
+def test_tilt_alone_is_shown_at_the_edge(detail):
+    motion = np.zeros((3, 7, 6))
+    motion[:, 2, 3] = 1e-7  # rad at corners 0.99 m away
+    axes, side = figures.segment_map(replace(detail, segment_motion=motion)).axes
+    assert "edge displacement by tilt" in axes.get_title(loc="left")
+    assert side.get_ylim()[1] == pytest.approx(99.0)
+
+
+def test_clocking_alone_moves_the_edge_in_its_plane(detail):
+    motion = np.zeros((3, 7, 6))
+    motion[:, 2, 5] = 1e-7
+    axes, side = figures.segment_map(replace(detail, segment_motion=motion)).axes
+    assert "clocking" in axes.get_title(loc="left")
+    assert side.get_ylim()[1] == pytest.approx(99.0)
+
+
+def test_a_mirror_of_one_piece_has_no_polygons(detail):
+    whole = replace(
+        detail,
+        segment_names=("M1",),
+        corners=np.empty((1, 0, 2)),
+        centers=np.zeros((1, 2)),
+        segment_motion=detail.segment_motion[:, :1],
+        ray_segment=np.zeros(42, dtype=int),
+    )
+    assert pixels(figures.segment_map(whole)).size
+    assert pixels(figures.opd_map(whole)).size
+
+
+def test_psf_is_log_scaled_over_five_decades(detail):
+    image = figures.psf_image(np.zeros((16, 16)), detail.image_x, detail.image_y, 1).axes[0].images[0]
+    assert (image.norm.vmin, image.norm.vmax) == (1e-5, 1.0)
+    assert image.get_extent() == [-2.125, 1.875, -2.125, 1.875]
+
+
+def test_history_shows_the_median_and_the_worst_case(campaign):
+    panels = figures.history(populations(campaign)[0]).axes
+    median, worst = panels[0].lines
+    assert (median.get_ydata() == 20.0).all()
+    assert (worst.get_ydata() == 30.0).all()
+    assert [line.get_label() for line in panels[0].lines] == ["median: case 2", "worst: case 4"]
+
+
+def test_line_of_sight_is_shown_about_the_mean_of_the_population(campaign):
+    panels = figures.history(populations(campaign)[1]).axes
+    assert sorted(panels[1].lines[line].get_ydata()[0] for line in (0, 1)) == [-3.0, 3.0]
+
+
+def test_distributions_leave_out_empty_populations_and_take_any_name(campaign):
+    names = np.where(campaign["disturbance"] == "wind", "_w $\\frac{", campaign["disturbance"])
+    found = populations(campaign.assign_coords(disturbance=("case", names)))
+    figure = figures.distributions(found, "wfe")
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["_w \\$\\frac{ (3)", "shake (2)"]
+    assert pixels(figure).size
+    assert pixels(figures.history(found[0])).size
+
+
+def test_no_case_at_all_still_draws(campaign):
+    empty = populations(campaign)[2:]
+    assert pixels(figures.distributions(empty, "strehl")).size
+    assert pixels(figures.history(empty[0])).size

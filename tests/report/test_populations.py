@@ -1,0 +1,75 @@
+"""Which cases count, and what a population reduces to."""
+
+import numpy as np
+import pytest
+
+from wavequake.errors import UserError
+from wavequake.report.populations import excluded, populations, representatives, summarize
+
+
+def test_failed_and_missing_cases_are_counted_and_left_out(campaign):
+    wind, shake, empty = populations(campaign)
+    assert [wind.name, shake.name, empty.name] == ["wind", "shake", "empty"]
+    assert wind.cases.tolist() == [0, 2, 4]
+    assert (wind.quarantined, wind.todo, wind.incomplete) == (1, 0, 0)
+    assert shake.cases.tolist() == [1, 3]
+    assert (shake.quarantined, shake.todo) == (1, 1)
+    assert (len(empty.cases), empty.todo) == (0, 2)
+
+
+def test_instants_beyond_a_population_are_no_instants(campaign):
+    wind, shake, _ = populations(campaign)
+    assert wind.strehl.shape == (3, 4)
+    assert shake.strehl.shape == shake.time_s.shape == (2, 2)
+    assert np.isfinite(shake.los).all()
+
+
+def test_a_done_case_without_all_its_numbers_is_told(campaign):
+    campaign["strehl"][2, 1] = np.nan
+    campaign["time_s"][4, 3] = np.nan
+    wind = populations(campaign)[0]
+    assert wind.cases.tolist() == [0]
+    assert wind.incomplete == 2
+    assert {item.case: item.reason for item in excluded(campaign)} == {
+        2: "a number is missing",
+        4: "a number is missing",
+        5: "timed out",
+        6: "raised",
+    }
+
+
+def test_excluded_cases_say_why(campaign):
+    timed_out, raised = excluded(campaign)
+    assert (timed_out.case, timed_out.disturbance, timed_out.realization) == (5, "shake", 2)
+    assert timed_out.message == "no answer after 600 s"
+    assert raised.message == "segment S1 lost all its rays"
+
+
+def test_summary_of_a_hand_made_population(campaign):
+    wind, shake, empty = (summarize(population) for population in populations(campaign))
+    assert wind.wfe_raw_p50.value == 20.0
+    assert wind.wfe_raw_p95.value == pytest.approx(29.0)
+    assert wind.wfe_p50.value == 10.0
+    assert wind.strehl_p50.value == pytest.approx(0.65)
+    assert wind.ee80_p50.value == 1.25
+    assert wind.los_jitter.radial == 0.0
+    assert shake.los_jitter.radial == pytest.approx(5.0)
+    assert shake.centroid_jitter.radial == pytest.approx(0.5)
+    assert shake.ee80_p50.value == np.inf
+    assert empty.cases == 0
+    assert np.isnan(empty.wfe_raw_p50.value)
+    assert np.isnan(empty.los_jitter.radial)
+
+
+def test_representatives_are_the_median_and_the_worst_case(campaign):
+    assert representatives(campaign) == {"wind": (2, 4), "shake": (1, 3)}
+
+
+def test_case_ids_need_not_be_rows(campaign):
+    shifted = campaign.assign_coords(case=campaign["case"] + 100)
+    assert representatives(shifted)["wind"] == (102, 104)
+
+
+def test_another_dataset_is_refused_by_the_name_that_it_lacks(campaign):
+    with pytest.raises(UserError, match="no 'strehl'"):
+        populations(campaign.drop_vars("strehl"))

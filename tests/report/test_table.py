@@ -1,0 +1,64 @@
+"""The table's text: digits, intervals, units, and what does not exist."""
+
+import io
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from wavequake.report.populations import populations, summarize
+from wavequake.report.statistics import Quantile
+from wavequake.report.table import interval, number, rows, terminal_table
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0"), (1234.5, "1234"), (12.345, "12.3"), (9.996, "10.0"), (0.99951, "1.00"), (0.012345, "0.0123"),
+     (-45.67, "-45.7"), (1.234e-7, "1.23e-07"), (7.654e8, "7.65e+08"), (np.nan, "–"), (np.inf, "inf")],
+)  # fmt: skip
+def test_numbers_have_three_digits(value, text):
+    assert number(value) == text
+
+
+def test_intervals_leave_out_the_bound_that_does_not_exist():
+    assert interval(Quantile(5.0, 4.0, 6.0)) == "4.00–6.00"
+    assert interval(Quantile(5.0, 4.0, np.inf)) == "≥ 4.00"
+    assert interval(Quantile(5.0, -np.inf, 6.0)) == "≤ 6.00"
+    assert interval(Quantile(5.0, -np.inf, np.inf)) == "–"
+
+
+def test_rows_of_a_hand_made_campaign(campaign):
+    wind, shake, empty = rows([summarize(population, 5.1) for population in populations(campaign)])
+    assert wind["disturbance"] == ("wind", "")
+    assert wind["cases"] == ("3", "1 quarantined")
+    assert wind["WFE on glass P50 (nm)"] == ("20.0", "–")
+    assert wind["WFE on glass P95 (nm)"] == ("29.0", "≥ 20.0")  # P(two of three below P95) = 0.0073
+    assert wind["EE80 P50 (λ/D)"][0] == "1.250"
+    assert shake["cases"] == ("2", "1 quarantined, 1 to do")
+    assert shake["LOS jitter (mas)"] == ("5.00", "± 0")
+    assert shake["LOS model (mas)"] == ("5.10", "")
+    assert shake["EE80 P50 (λ/D)"][0] == "> field"
+    assert empty["cases"] == ("0", "2 to do")
+    assert empty["WFE on glass P50 (nm)"] == ("–", "")
+    assert empty["Strehl P5"] == ("–", "")
+    for header in wind:
+        assert header in ("disturbance", "cases", "Strehl P5", "Strehl P50") or header.endswith(
+            ("(nm)", "(mas)", "(λ/D)")
+        )
+
+
+def test_terminal_table_fits_80_columns_and_takes_names_as_they_are(campaign):
+    campaign = campaign.assign_coords(
+        disturbance=("case", np.array(["wind [bold]on-all-segments"] * 10, dtype=object))
+    )
+    console = Console(width=80, file=io.StringIO())
+    console.print(terminal_table(summarize(population) for population in populations(campaign)))
+    text = console.file.getvalue()
+    assert "…" not in text
+    assert "[bold]" in text.replace("\n", "")
+    assert "2 quarantined" in " ".join(text.split())
+
+
+def test_no_population_gives_an_empty_table():
+    assert terminal_table([]).row_count == 0
+    assert rows([]) == []
