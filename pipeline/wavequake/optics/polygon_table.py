@@ -159,7 +159,7 @@ def _require_apart(names: list[str], corners: Array, where: str) -> None:
     pairs = overlapping(corners, _ROUNDING)
     if len(pairs):
         first, second = (names[index] for index in pairs[0])
-        more = f" ({len(pairs) - 1} more pairs overlap)" if len(pairs) > 1 else ""
+        more = f" (the first of {len(pairs)} pairs)" if len(pairs) > 1 else ""
         raise UserError(
             f"{where}: the polygons {first!r} and {second!r} overlap{more}; segments must lie side by side."
         )

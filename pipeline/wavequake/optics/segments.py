@@ -119,8 +119,8 @@ def tmt_segments(gap: float = 2.5) -> Segments:
         If the gap is negative or leaves no glass.
     """
     side, rows = 716.0, range(2, 14)
-    _require_gap(gap, sqrt(3.0) * side)
     flat = sqrt(3.0) * side
+    _require_gap(gap, 0.9 * flat)
     lattice = np.array(
         [
             (column * flat * cos(pi / 6.0), flat * (row - 0.5 * column))
@@ -196,7 +196,7 @@ def hexagon_ring_segments(
     if not (isfinite(side) and side > 0.0):
         raise UserError(f"The side of a hexagonal segment is {side:g} mm; it must be a positive length.")
     pitch = sqrt(3.0) * side
-    _require_gap(gap, pitch)
+    _require_gap(gap, 0.9 * pitch)
     centers = np.concatenate([_ring(pitch, ring) for ring in range(1, rings + 1)])
     angles = pi / 6.0 + pi / 3.0 * np.arange(6)
     corners = centers[:, None] + (side - gap / sqrt(3.0)) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -331,9 +331,8 @@ def _turn(degrees: float) -> Array:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _require_gap(gap: float, width: float) -> None:
-    if not 0.0 <= gap < width:
+def _require_gap(gap: float, limit: float) -> None:
+    if not 0.0 <= gap < limit:
         raise UserError(
-            f"The gap between segments is {gap:g} mm; it must be at least 0 and below their width, "
-            f"{width:g} mm."
+            f"The gap between segments is {gap:g} mm; it must be at least 0 and below {limit:g} mm."
         )

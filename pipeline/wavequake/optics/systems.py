@@ -151,10 +151,11 @@ def first_order(system: OpticalSystem) -> FirstOrder:
     for distance, power in _unfolded(system):
         matrix = np.array([[1.0, 0.0], [-power, 1.0]]) @ np.array([[1.0, distance], [0.0, 1.0]]) @ matrix
     (height, stop_height), (slope, stop_slope) = matrix
-    if slope == 0.0:
+    infinite = 1e9 * abs(system.primary_radius)  # rounding leaves nothing exactly at infinity
+    if abs(slope) * infinite < 1.0:
         raise UserError(f"The telescope {system.name} is afocal; it must form an image.")
     pupil = stop_height / stop_slope if stop_slope else np.inf
-    if not (np.isfinite(pupil) and pupil > 0.0):
+    if not 0.0 < pupil < infinite:
         raise UserError(
             f"The exit pupil of the telescope {system.name} lies {pupil:g} mm before the image; "
             "the reference sphere needs it at a finite positive distance."
