@@ -24,7 +24,7 @@ def test_the_motion_is_along_the_telescope_axis_whatever_the_segments_tilt(tmt):
 
 def test_the_largest_excursion_is_the_peak_and_motion_starts_from_rest(few):
     z = to_sky(draw_case([FINE], FINE, few, 1, 0), few)[..., 2]
-    assert np.abs(z).max() == pytest.approx(70e-9, rel=1e-3)
+    assert np.abs(z).max() == pytest.approx(70e-9, rel=2e-3)
     early = z[:40]
     time = 0.1 * np.arange(1, 41) / 2048
     # From rest: the displacement grows with the square of time.
@@ -33,10 +33,10 @@ def test_the_largest_excursion_is_the_peak_and_motion_starts_from_rest(few):
 
 
 def test_histories_are_band_limited_and_differ_between_segments(few):
-    entry = SegmentHistory(name="quake", duration_s=1.0, instants=512, ramp_s=0.0)
+    entry = SegmentHistory(name="quake", duration_s=0.4, instants=512, ramp_s=0.0)
     z = to_sky(draw_case([entry], entry, few, 2, 0), few)[..., 2]
     power = np.sum(np.abs(np.fft.rfft(z * np.hanning(512)[:, None], axis=0)) ** 2, axis=1)
-    assert power[8:43].sum() > 0.999 * power.sum()
+    assert power[2:19].sum() > 0.999 * power.sum()
     assert np.abs(np.corrcoef(z.T) - np.eye(5)).max() < 0.9
 
 
@@ -50,7 +50,7 @@ def test_a_history_does_not_depend_on_the_instants_at_which_it_is_looked_at(few)
     ("change", "complaint"),
     [
         ({"low_hz": 50.0}, "low_hz 50 is above high_hz 40"),
-        ({"duration_s": 10.0}, "more than 64 periods"),
+        ({"duration_s": 10.0}, "more than 16 periods"),
         ({"peak_nm": -1.0}, "greater than or equal to 0"),
     ],
 )

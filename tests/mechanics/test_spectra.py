@@ -9,9 +9,10 @@ from scipy import integrate, signal, special, stats
 from wavequake.errors import UserError
 from wavequake.mechanics.motion import RAD_PER_MAS
 from wavequake.mechanics.spectra import (
-    Bands,
     Spectrum,
     band_variance,
+    banded,
+    frequencies,
     power_and_floor,
     resonance,
     scaled,
@@ -194,12 +195,13 @@ def test_a_long_series_equals_its_pieces():
     np.testing.assert_allclose(whole[-3:], last, atol=1e-10)
 
 
-def test_one_band_of_no_width_is_a_sinusoid():
-    bands = Bands(np.array([2.0, 2.0]), np.array([4.0]))
-    time = np.arange(64) / 32
-    series = synthesize(bands, time, np.random.default_rng(1))[:, 0]
-    np.testing.assert_allclose(series[:16], series[16:32], atol=1e-12)
-    assert np.abs(np.fft.rfft(series))[[3, 5]].max() < 1e-9
+def test_frequencies_are_distributed_as_the_power():
+    bands = banded(TMT_VIBRATION, np.array([1.0, 4.0, 50.0]))
+    rng = np.random.default_rng(1)
+    drawn = np.array([frequencies(bands, rng) for _ in range(4000)])
+    assert np.all((drawn >= [1, 4]) & (drawn <= [4, 50]))
+    below = [(1 - f**-3) / (1 - 4.0**-3) for f in np.sort(drawn[:, 0])]
+    assert stats.kstest(below, "uniform").pvalue > 1e-4
 
 
 def test_the_sum_of_spectra_has_the_sum_of_variances():

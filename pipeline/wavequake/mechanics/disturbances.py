@@ -13,6 +13,7 @@ from wavequake.mechanics.line_of_sight import LineOfSight, draw_sight, sight_rms
 from wavequake.mechanics.motion import Motion, add, generator, line_of_sight_rms_mas, piston_rms_nm
 from wavequake.mechanics.population import Population, time_axis
 from wavequake.mechanics.segment_history import SegmentHistory, draw_history
+from wavequake.mechanics.segment_wind import SegmentWind, draw_wind, segment_wind_rms_nm
 from wavequake.mechanics.static_random import StaticRandom, draw_static
 from wavequake.mechanics.vibration_lines import VibrationLines, draw_lines, lines_rms_mas
 
@@ -27,6 +28,7 @@ __all__ = [
     "line_of_sight_rms_mas",
     "parts",
     "piston_rms_nm",
+    "segment_wind_rms_nm",
     "time_axis",
 ]
 
@@ -38,7 +40,7 @@ class Combine(Population):
     of: tuple[str, ...] = Field(min_length=2, strict=False, description="names of disturbances of this study")
 
 
-SingleDisturbance = StaticRandom | LineOfSight | SegmentHistory | VibrationLines
+SingleDisturbance = StaticRandom | LineOfSight | SegmentHistory | SegmentWind | VibrationLines
 Disturbance = Annotated[SingleDisturbance | Combine, Field(discriminator="model")]
 
 
@@ -56,6 +58,8 @@ def draw(
             return draw_sight(parameters, len(layout), time, random)
         case SegmentHistory():
             return draw_history(parameters, layout, time, random)
+        case SegmentWind():
+            return draw_wind(parameters, layout, time, random)
         case VibrationLines():
             return draw_lines(parameters, len(layout), time, random)
 
@@ -63,15 +67,24 @@ def draw(
 def analytic_rms(parameters: Disturbance, layout: SegmentLayout) -> tuple[float, str] | None:
     """Return the rms that a disturbance has by its parameters alone, and its unit; None where there is none.
 
-    ``mas``: radial motion of the line of sight, which :func:`line_of_sight_rms_mas` samples.
+    ``mas``: radial motion of the line of sight, which :func:`line_of_sight_rms_mas` samples. ``nm``: motion
+    of the segments along their normals, which :func:`piston_rms_nm` samples.
     """
     match parameters:
         case LineOfSight():
             return sight_rms_mas(parameters), "mas"
         case VibrationLines():
             return lines_rms_mas(parameters), "mas"
+        case SegmentWind():
+            return _root_mean_square(segment_wind_rms_nm(parameters, layout)), "nm"
+        case StaticRandom():
+            return parameters.piston_nm, "nm"
         case _:
             return None
+
+
+def _root_mean_square(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def draw_case(

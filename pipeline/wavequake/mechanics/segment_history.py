@@ -11,7 +11,7 @@ from wavequake.mechanics.motion import Motion, still
 from wavequake.mechanics.population import Population
 
 _HARMONICS = 12
-_GRID = 512
+_GRID = 256
 
 
 class SegmentHistory(Population):
@@ -33,8 +33,8 @@ class SegmentHistory(Population):
     def _band_is_a_band(self) -> Self:
         if self.low_hz > self.high_hz:
             raise ValueError(f"low_hz {self.low_hz:g} is above high_hz {self.high_hz:g}")
-        if self.high_hz * self.duration_s > _GRID / 8:
-            most = f"{_GRID // 8} periods of high_hz"
+        if self.high_hz * self.duration_s > _GRID / 16:
+            most = f"{_GRID // 16} periods of high_hz"
             raise ValueError(f"{self.duration_s:g} s hold more than {most}; shorten it or lower high_hz")
         return self
 

@@ -35,10 +35,16 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class Bands:
-    """Adjacent frequency bands, edges (B + 1,) in Hz, and the variance of each, (B,)."""
+    """Adjacent frequency bands of a spectrum.
+
+    ``edges_hz`` (B + 1,), the variance of each band (B,), and the variance `below` each frequency of a fine
+    grid (G,), counted from the lowest edge.
+    """
 
     edges_hz: Array
     variances: Array
+    grid_hz: Array
+    below: Array
 
 
 def scaled(spectrum: Spectrum, factor: float) -> Spectrum:
@@ -95,31 +101,43 @@ def variance(spectrum: Spectrum) -> float:
     return float(band_variance(spectrum, np.array([spectrum.low_hz, spectrum.high_hz]))[0])
 
 
+def banded(spectrum: Spectrum, edges_hz: Array) -> Bands:
+    """Split a spectrum at given edges (B + 1,), increasing, in Hz."""
+    low, high = edges_hz[0], edges_hz[-1]
+    breaks = [f for f in spectrum.breaks_hz if low < f < high]
+    grid = np.unique(np.concatenate([np.geomspace(low, high, 2049)[1:-1], edges_hz, breaks]))
+    below = np.concatenate([[0.0], np.cumsum(band_variance(spectrum, grid))])
+    return Bands(edges_hz, np.diff(below[np.searchsorted(grid, edges_hz)]), grid, below)
+
+
 def split(spectrum: Spectrum, count: int = 128) -> Bands:
     """Split a spectrum into about `count` bands: half of them equal in log f, half of them equal in variance.
 
     The first half keeps slopes and weak tails, the second puts harmonics where the power is (narrow lines).
     """
-    fine = np.geomspace(spectrum.low_hz, spectrum.high_hz, 4097)
-    fine = np.unique(np.concatenate([fine, [f for f in spectrum.breaks_hz if fine[0] < f < fine[-1]]]))
-    cumulative = np.concatenate([[0.0], np.cumsum(band_variance(spectrum, fine))])
     half = count // 2
-    levels = np.linspace(0.0, cumulative[-1], half + 1)[1:-1]
-    quantiles = np.interp(levels, cumulative, fine)
     even = np.geomspace(spectrum.low_hz, spectrum.high_hz, half + 1)
+    fine = banded(spectrum, even)
+    quantiles = np.interp(np.linspace(0.0, fine.below[-1], half + 1)[1:-1], fine.below, fine.grid_hz)
     edges = np.unique(np.concatenate([even, quantiles]))
     # Edges closer than 1e-9 are one edge: a harmonic of no width has no variance to carry.
-    edges = edges[np.concatenate([[True], np.diff(edges) > 1e-9 * edges[1:]])]
-    return Bands(edges, band_variance(spectrum, edges))
+    return banded(spectrum, edges[np.concatenate([[True], np.diff(edges) > 1e-9 * edges[1:]])])
+
+
+def frequencies(bands: Bands, random: np.random.Generator) -> Array:
+    """Draw one frequency in each band, (B,), distributed as the band's power."""
+    first = bands.below[np.searchsorted(bands.grid_hz, bands.edges_hz[:-1])]
+    level = first + bands.variances * random.random(len(bands.variances))
+    drawn: Array = np.interp(level, bands.below, bands.grid_hz)
+    return drawn
 
 
 def synthesize(bands: Bands, time: Array, random: np.random.Generator, channels: int = 1) -> Array:
     """Draw independent time series of a spectrum.
 
-    Each band has one harmonic, at a frequency drawn uniformly in the band, with Gaussian cosine and sine
-    amplitudes of the band's variance: at any instant the series is Gaussian with exactly the spectrum's
-    variance, and its expected spectrum is the PSD averaged within each band. The numbers drawn do not depend
-    on `time`.
+    Each band has one harmonic, at a frequency drawn from the band's power, with Gaussian cosine and sine
+    amplitudes of the band's variance: at any instant the series is Gaussian with the spectrum's variance, and
+    its expected spectrum is the PSD. The numbers drawn do not depend on `time`.
 
     Parameters
     ----------
@@ -131,7 +149,7 @@ def synthesize(bands: Bands, time: Array, random: np.random.Generator, channels:
     ndarray, shape (n, channels)
     """
     count = len(bands.variances)
-    frequency = random.uniform(bands.edges_hz[:-1], bands.edges_hz[1:])
+    frequency = frequencies(bands, random)
     amplitude = random.standard_normal((2, count, channels)) * np.sqrt(bands.variances)[:, None]
     rows = max(1, _CHUNK // count)
     series = np.empty((len(time), channels))
