@@ -91,35 +91,37 @@ def segment_poses(segments: Segments, motion: Array, frame: str = "local") -> Ar
     UserError
         If the frame is unknown or the motion has the wrong shape.
     """
-    batch, count = motion.shape[0], len(segments)
+    count = len(segments)
     if frame not in ("local", "global"):
         raise UserError(f"the frame of a segment motion is {frame!r}, it must be 'local' or 'global'")
     _require_motions("segment", motion, count)
-    # Component-major (6, segment, instant): long contiguous inner loops, one segment's constants per row.
-    shift_x, shift_y, shift_z, *angles = np.ascontiguousarray(motion.transpose(2, 1, 0), dtype=np.float64)
-    shift: tuple[Array, ...] = (shift_x, shift_y, shift_z)
-    w, vector = _quaternion(*angles)
-    if frame == "local":
-        # A reflection (z to the sky -> z along the light): a rotation vector, being axial, changes its sign.
-        to_optics = segments.axes * np.array([1.0, 1.0, -1.0])[:, None]
-        shift, vector = _turn(to_optics, shift), _turn(-to_optics, vector)
-    entries = _rotation_minus_one(w, *vector)
-    x, y, z = (segments.centers[:, axis, None] + shift[axis] for axis in range(3))
-
-    poses = np.empty((batch // TILE, count, 12, TILE))
-    by_segment = poses.transpose(1, 2, 0, 3)  # a view (segment, entry, tile, lane)
-    tiled = (count, batch // TILE, TILE)
-    for row in range(3):
-        for column in range(3):
-            entry = entries[3 * column + row]  # transposed
-            by_segment[:, 3 * row + column] = (entry + 1.0 if row == column else entry).reshape(tiled)
-        offset = -(entries[row] * x + entries[3 + row] * y + entries[6 + row] * z) - shift[row]
-        by_segment[:, 9 + row] = offset.reshape(tiled)
+    to_optics = segments.axes * np.array([1.0, 1.0, -1.0])[:, None] if frame == "local" else None
+    tiles = motion.reshape(-1, TILE, count, 6)
+    poses = np.empty((len(tiles), count, 12, TILE))
+    for tile, out in zip(tiles, poses, strict=True):  # a tile at a time stays in the cache
+        _write_poses(out, np.ascontiguousarray(tile.transpose(2, 1, 0)), segments.centers, to_optics)
     return poses
 
 
+def _write_poses(out: Array, motion: Array, centers: Array, to_optics: Array | None) -> None:
+    """Write the transforms (S, 12, 16) of a tile of motions (6, S, 16) in the axes `to_optics` (S, 3, 3)."""
+    shift_x, shift_y, shift_z, *angles = motion
+    shift: tuple[Array, ...] = (shift_x, shift_y, shift_z)
+    w, vector = _quaternion(*angles)
+    if to_optics is not None:
+        # A reflection (z to the sky -> z along the light): a rotation vector, being axial, changes its sign.
+        shift, vector = _turn(to_optics, shift), _turn(-to_optics, vector)
+    entries = _rotation_minus_one(w, *vector)
+    x, y, z = (centers[:, axis, None] + shift[axis] for axis in range(3))
+    for row in range(3):
+        for column in range(3):
+            entry = entries[3 * column + row]  # transposed
+            out[:, 3 * row + column] = entry + 1.0 if row == column else entry
+        out[:, 9 + row] = -(entries[row] * x + entries[3 + row] * y + entries[6 + row] * z) - shift[row]
+
+
 def _turn(matrices: Array, vector: tuple[Array, ...]) -> tuple[Array, Array, Array]:
-    """Return matrices (S, 3, 3) times vectors given by components (S, batch)."""
+    """Return matrices (S, 3, 3) times vectors given by components (S, 16)."""
     x, y, z = vector
     a, b, c = (
         matrices[:, row, 0, None] * x + matrices[:, row, 1, None] * y + matrices[:, row, 2, None] * z
