@@ -13,7 +13,7 @@ from wavequake.kernels.tiles import TILE
 from wavequake.mechanics.disturbances import Disturbance
 from wavequake.mechanics.layout import SegmentLayout
 from wavequake.optics.pupils import PupilRays, on_glass, segment_rays, sunflower
-from wavequake.optics.segments import areas
+from wavequake.optics.segments import areas, is_monolithic
 from wavequake.optics.states import SurfaceStates, rest
 from wavequake.optics.systems import FirstOrder, OpticalSystem, first_order
 from wavequake.optics.telescopes import telescope
@@ -68,7 +68,7 @@ def bench_of(study_text: str) -> Bench:
 
 def monolithic(system: OpticalSystem) -> bool:
     """Return whether M1 is one mirror without edges."""
-    return system.segments.corners.shape[1] == 0
+    return is_monolithic(system.segments)
 
 
 def build_telescope(study: Study) -> OpticalSystem:
@@ -111,12 +111,13 @@ def figure_terms(populations: Iterable[Disturbance]) -> int:
 def layout_of(system: OpticalSystem) -> SegmentLayout:
     """Return the segments for the mechanics: SI units, z to the sky."""
     segments = system.segments
+    annulus = np.array([np.pi * (system.pupil_outer**2 - system.pupil_inner**2)])
     return SegmentLayout(
         names=segments.names,
         centers_m=segments.centers * [1.0, 1.0, -1.0] / MM_PER_M,
         axes=segments.axes,
         corners_m=segments.corners / MM_PER_M,
-        areas_m2=areas(segments) / MM_PER_M**2,
+        areas_m2=(annulus if monolithic(system) else areas(segments)) / MM_PER_M**2,
     )
 
 
