@@ -1,30 +1,53 @@
 """Pictures of the glass are exact for segments that are only moved."""
 
 import numpy as np
+import pytest
 
-from wavequake.report.raster import fill_segments, plane_slopes, segment_at
+from wavequake.report.raster import fill_segments, segment_at
 
 
 def rays_on(centers, radius=500.0, count=6):
     around = 2.0 * np.pi * np.arange(count) / count + 0.2
-    rays = centers[:, None] + radius * np.stack([np.cos(around), np.sin(around)], axis=1)
+    radii = radius * (1.0 + 0.5 * (np.arange(count) % 2))  # on one circle x^2 + y^2 would pass for a piston
+    rays = centers[:, None] + (radii * np.stack([np.cos(around), np.sin(around)])).T
     return rays.reshape(-1, 2), np.repeat(np.arange(len(centers)), count)
 
 
-def test_planes_per_segment_are_filled_exactly(hexagons):
+@pytest.mark.parametrize(("count", "degree"), [(6, 1), (12, 2)])
+def test_a_segment_that_is_moved_or_curved_is_filled_exactly(hexagons, count, degree):
     centers, corners = hexagons
-    rays, segment = rays_on(centers)
-    tilt = np.random.default_rng(1).normal(size=(7, 2))
-    piston = np.arange(7.0) * 100.0
-    values = piston[segment] + ((rays - centers[segment]) * tilt[segment]).sum(axis=1)
-    picture = fill_segments(corners, centers, rays, segment, values, 2800.0, 90)
+    rays, segment = rays_on(centers, count=count)
+    random = np.random.default_rng(1)
+    piston, tilt, curvature = (
+        100.0 * np.arange(7.0),
+        random.normal(size=(7, 2)),
+        random.normal(size=(7, 3)) * 1e-3,
+    )
+
+    def shape(x, y, k):
+        dx, dy = x - centers[k, 0], y - centers[k, 1]
+        curved = curvature[k, 0] * dx**2 + curvature[k, 1] * dx * dy + curvature[k, 2] * dy**2
+        return piston[k] + tilt[k, 0] * dx + tilt[k, 1] * dy + (degree == 2) * curved
+
+    picture = fill_segments(corners, centers, rays, segment, shape(*rays.T, segment), 2800.0, 90)
     along = ((np.arange(90) + 0.5) / 90 * 2 - 1) * 2800.0
+    x, y = np.meshgrid(along, along)
     for k in range(7):
         # Pixels well inside the hexagon's inscribed circle belong to it and to nobody else.
-        x, y = np.meshgrid(along, along)
         mine = np.hypot(x - centers[k, 0], y - centers[k, 1]) < 800.0
-        expected = piston[k] + tilt[k, 0] * (x - centers[k, 0]) + tilt[k, 1] * (y - centers[k, 1])
-        np.testing.assert_allclose(picture[mine], expected[mine], atol=1e-9)
+        np.testing.assert_allclose(picture[mine], shape(x, y, k)[mine], atol=1e-7)
+
+
+def test_whatever_the_values_a_ray_keeps_its_own(hexagons):
+    centers, corners = hexagons
+    # Rays on pixel centers of an 80 x 80 picture of +-2800 mm: a pixel is 70 mm.
+    offsets = 70.0 * np.array([[0, 0], [5, 0], [0, 5], [-5, 0], [0, -5], [4, 4], [-4, 4]])
+    near = np.round((centers - 35.0) / 70.0) * 70.0 + 35.0
+    rays, segment = (near[:, None] + offsets).reshape(-1, 2), np.repeat(np.arange(7), 7)
+    values = np.random.default_rng(2).normal(size=len(rays))
+    picture = fill_segments(corners, centers, rays, segment, values, 2800.0, 80)
+    column, row = np.round((rays.T + 2800.0 - 35.0) / 70.0).astype(int)
+    np.testing.assert_allclose(picture[row, column], values, atol=1e-12)
 
 
 def test_pixels_off_the_glass_are_empty(hexagons):
@@ -54,10 +77,11 @@ def test_triangles_that_repeat_a_corner_are_polygons_too():
     assert segment_at(points, corners, corners.mean(axis=1), margin=0.0).tolist() == [0, -1]
 
 
-def test_rays_that_fix_no_plane_give_no_slope_across_it():
-    rays = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [5.0, 5.0]])
-    slopes = plane_slopes(rays, np.array([0.0, 3.0, 6.0, 9.0]), np.array([0, 0, 0, 1]), 3)
-    np.testing.assert_allclose(slopes, [[3.0, 0.0], [0.0, 0.0], [0.0, 0.0]], atol=1e-12)
+def test_rays_that_fix_no_plane_are_continued_along_themselves_only():
+    corners = np.array([[[-100.0, -100.0], [100.0, -100.0], [100.0, 100.0], [-100.0, 100.0]]])
+    rays = np.array([[-50.0, 0.0], [0.0, 0.0], [50.0, 0.0]])
+    picture = fill_segments(corners, np.zeros((1, 2)), rays, np.zeros(3, int), 3.0 * rays[:, 0], 100.0, 10)
+    np.testing.assert_allclose(picture, np.tile(3.0 * (20.0 * np.arange(10) - 90.0), (10, 1)), atol=1e-9)
 
 
 def test_a_segment_without_rays_stays_empty(hexagons):

@@ -101,7 +101,7 @@ def distributions(populations: Sequence[Population], quantity: Quantity) -> Figu
 def history(population: Population) -> Figure:
     """Show wavefront error and line of sight over time: median and worst case before all others."""
     figure = Figure(figsize=(WIDTH, HEIGHT))
-    gap, height = 0.14, (HEIGHT - 1.27) / 3
+    gap, height = 0.2, (HEIGHT - 1.4) / 3
     panels = [
         _inches(figure, 0.75, 0.5 + (2 - row) * (height + gap), WIDTH - 0.95, height) for row in range(3)
     ]
@@ -118,8 +118,9 @@ def history(population: Population) -> Figure:
     panels[0].set_title(f"{_plain(population.name)}: median and worst case by WFE on glass", pad=18)
     if len(population.cases):
         panels[0].legend(
-            loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.1, borderpad=0.1, ncols=3
-        )
+            loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, borderpad=0.1, ncols=3,
+            columnspacing=1.0, handlelength=1.6,
+        )  # fmt: skip
     return figure
 
 
@@ -128,7 +129,7 @@ def summary_figure(detail: Detail, populations: Sequence[Population]) -> Figure:
     """Show a campaign in one wide picture: segments, wavefront, image, distribution of the error."""
     pitch, square, bottom = 4.0, 2.45, 0.5
     figure = Figure(figsize=(4 * pitch - 0.1, 3.45))
-    maps = [_inches(figure, 0.6 + place * pitch, bottom, square, square) for place in range(3)]
+    maps = [_inches(figure, 0.65 + place * pitch, bottom, square, square) for place in range(3)]
     _draw_segments(figure, maps[0], detail, numbers=False)
     _draw_opd(figure, maps[1], detail)
     _draw_psf(figure, maps[2], detail.image, detail.image_x, detail.image_y, detail.case)
@@ -140,7 +141,7 @@ def _inches(figure: Figure, left: float, bottom: float, width: float, height: fl
     """Add axes placed in inches: automatic layouts take longer than the drawing."""
     across, up = figure.get_size_inches()
     axes = figure.add_axes((left / across, bottom / up, width / across, height / up))
-    axes.yaxis.set_label_coords(-0.47 / width, 0.5)
+    axes.yaxis.set_label_coords(-0.44 / width, 0.5)
     return axes
 
 
@@ -298,7 +299,8 @@ def _draw_distributions(
         curve = distribution(values, draws=len(population.cases))
         color, line = _COLORS[index % len(_COLORS)], _LINES[index % len(_LINES)]
         axes.fill_between(curve.values, curve.low, curve.high, step="post", color=color, alpha=0.18, lw=0)
-        axes.step(curve.values, curve.probability, where="post", color=color, ls=line, lw=1.5)
+        steps = np.append(curve.values[:1], curve.values), np.append(0.0, curve.probability)
+        axes.step(*steps, where="post", color=color, ls=line, lw=1.5)
     axes.grid(color=_GRID, lw=0.6)
     axes.set(axisbelow=True, ylim=(0, 1), ylabel="share below")
     if quantity == "wfe":

@@ -1,5 +1,7 @@
 """Fill the glass of a segmented aperture with values that are known at rays only."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -18,9 +20,9 @@ def fill_segments(
 ) -> Array:
     """Turn values at rays into a picture (pixels, pixels) of the aperture; y first and upwards, NaN off it.
 
-    Within each segment a pixel has the value of the segment's nearest ray, continued by the slope of the
-    plane that fits the segment's rays best: exact at the rays, and everywhere where a segment is only moved.
-    Nothing is shared across edges.
+    Within each segment a polynomial of second degree is fitted to its rays (of first degree where they are
+    few), and what the fit leaves is taken from the nearest ray: exact at the rays, and everywhere where a
+    segment is only moved or curved. Nothing is shared across edges.
 
     Parameters
     ----------
@@ -50,8 +52,8 @@ def fill_segments(
         )
         closer = distance < best
         best[closer], nearest[closer] = distance[closer], ray[closer]
-    slopes = plane_slopes(rays, values, segment, len(corners))
-    filled = values[nearest] + ((points - rays[nearest]) * slopes[owner]).sum(axis=1)
+    smooth, left = _fit(rays, values, segment, centers)
+    filled = smooth(points, owner) + left[nearest]
     picture = np.full(pixels * pixels, np.nan)
     picture[inside] = np.where(nearest >= 0, filled, np.nan)
     return picture.reshape(pixels, pixels)
@@ -79,19 +81,34 @@ def segment_at(points: Array, corners: Array, centers: Array, margin: float) -> 
     return np.where(outside[rows, best] <= margin, candidates[rows, best], -1)
 
 
-def plane_slopes(rays: Array, values: Array, segment: NDArray[np.integer], segments: int) -> Array:
-    """Return the slopes (segments, 2) of each segment's best-fit plane; zero where its rays do not fix it."""
-    count = np.maximum(np.bincount(segment, minlength=segments), 1)
+def _fit(
+    rays: Array, values: Array, segment: NDArray[np.integer], centers: Array
+) -> tuple[Callable[[Array, NDArray[np.intp]], Array], Array]:
+    """Return a polynomial per segment, of points and their segments, and what it leaves at the rays.
 
-    def means(weights: Array) -> Array:
-        return np.bincount(segment, weights, segments) / count
+    Of second degree for segments with twice as many rays as it has terms, else of first; of least norm where
+    the rays do not fix it.
+    """
+    scale = max(float(np.abs(rays - centers[segment]).max(initial=0.0)), 1e-300)
+    count = np.bincount(segment, minlength=len(centers))
 
-    dx, dy = (rays[:, axis] - means(rays[:, axis])[segment] for axis in (0, 1))
-    squares = np.array([[means(dx * dx), means(dx * dy)], [means(dx * dy), means(dy * dy)]]).transpose(
-        2, 0, 1
-    )
-    products = np.stack([means(dx * values), means(dy * values)], axis=1)
-    return np.asarray((np.linalg.pinv(squares, rcond=1e-9, hermitian=True) @ products[..., None])[..., 0])
+    def terms(points: Array, owner: NDArray[np.integer]) -> Array:
+        x, y = (points - centers[owner]).T / scale
+        curved = np.where(count[owner] >= 12, 1.0, 0.0)
+        return np.stack([np.ones_like(x), x, y, curved * x * x, curved * x * y, curved * y * y])
+
+    def sums(weights: Array) -> Array:
+        return np.asarray(np.bincount(segment, weights, len(centers)), dtype=np.float64)
+
+    basis = terms(rays, segment)
+    normal = np.array([[sums(one * other) for other in basis] for one in basis]).transpose(2, 0, 1)
+    right = np.array([sums(one * values) for one in basis]).T
+    coefficients = (np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ right[..., None])[..., 0]
+
+    def smooth(points: Array, owner: NDArray[np.integer]) -> Array:
+        return np.asarray((terms(points, owner) * coefficients[owner].T).sum(axis=0))
+
+    return smooth, values - smooth(rays, segment)
 
 
 def _rays_of_segments(segment: NDArray[np.integer], segments: int) -> NDArray[np.intp]:
