@@ -1,7 +1,7 @@
 // W doubles that move together: 16 instants of one ray on a CPU, one instant on a GPU.
 //
-// Only operators and ?: act on lanes, because some OpenCL implementations do not inline their built-in functions, which
-// then spill every register at each call. A NaN makes every comparison false, and so is never "inside" or "finite".
+// Only operators and ?: act on lanes: some OpenCL implementations do not inline their built-in functions, not even
+// vload, and each call spills every register. A NaN makes every comparison false: it is never "inside" or "finite".
 
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
 #pragma OPENCL FP_CONTRACT ON

@@ -1,8 +1,8 @@
 // Traces rays through a segmented telescope: segments of M1, further mirrors, image plane, reference sphere.
 //
-// Work-item (lane group, ray, tile). Compile-time constants: W instants per work-item, EDGES per segment (0: no edge),
-// DEGREE of the figure polynomial (-1: none), SURFACES after M1 (the last is the image plane), PLANES (bit i: surface i
-// is a plane).
+// Work-item (lane group, ray, tile). Compile-time constants: W instants per work-item, EDGES per segment (0: no
+// edge), DEGREE of the figure polynomial (-1: none), SURFACES after M1 (the last is the image plane), PLANES (bit i:
+// surface i is a plane).
 
 #include "lanes.h"
 #include "rays.h"
@@ -48,9 +48,9 @@ INLINE real figure_slopes(__global const double *figure, real u, real v, real *a
     return value;
 }
 
-// Step from a hit of the bare conic to the conic plus figure, and the normal there: F with z less the figure in place of z.
-// The first step takes the figure's value alone, which leaves less than figure times slope; the second, a Newton step
-// with both at that point, leaves the curvature of the figure times the square of that.
+// Step from a hit of the bare conic to the conic plus figure, and the normal there: F takes z less the figure for z.
+// The first step uses the figure's value alone, which leaves less than the figure times its slope; the second, a Newton
+// step with both at that point, leaves the figure's curvature times the square of that.
 INLINE real figure_step(__global const double *figure, __global const double *frame, triple hit, triple d,
                         double c, double k1, triple *normal)
 {
@@ -80,11 +80,11 @@ INLINE real figure_step(__global const double *figure, __global const double *fr
 }
 #endif
 
-// Reflect at the first candidate whose glass the ray meets. The search runs in each segment's displaced frame; the ray
-// itself stays in the optics frame, where the step is the same and only the normal has to be turned back.
-INLINE mask reflect_at_segments(ray *r, int candidates, __global const int *candidate, __global const double *poses,
-                                __global const double *figures, __global const double *edges,
-                                __global const double *frames, double c, double k1)
+// Reflect at the first candidate whose glass the ray meets. The search runs in each segment's displaced frame; the
+// ray itself stays in the optics frame, where the step is the same and only the normal has to be turned back.
+INLINE mask reflect_at_segments(ray *r, int candidates, __global const int *candidate,
+                                __global const double *poses, __global const double *figures,
+                                __global const double *edges, __global const double *frames, double c, double k1)
 {
     mask found = 0;
     real step = 0.0;
@@ -99,7 +99,8 @@ INLINE mask reflect_at_segments(ray *r, int candidates, __global const int *cand
         triple hit = along(start, to_glass, d);
         triple lean = conic_normal(hit, c, k1);
 #if DEGREE >= 0
-        real further = figure_step(figures + (size_t)segment * TERMS * 16, frames + 4 * segment, hit, d, c, k1, &lean);
+        __global const double *figure = figures + (size_t)segment * TERMS * 16;
+        real further = figure_step(figure, frames + 4 * segment, hit, d, c, k1, &lean);
         hit = along(hit, further, d);
         to_glass += further;
 #endif
@@ -150,8 +151,8 @@ __kernel void segmented(
     __global const double *ray_x, __global const double *ray_y, __global const int *candidate,
     __global const double *edges, __global const double *frames,
     __global const double *curvatures, __global const double *conics_plus_1,
-    __global const double *segment_poses, __global const double *figures, __global const double *surface_poses,
-    __global const double *directions, __global const double *chief,
+    __global const double *segment_poses, __global const double *figures,
+    __global const double *surface_poses, __global const double *directions, __global const double *chief,
     __global double *out_opd, __global double *out_x, __global double *out_y, __global char *out_status)
 {
     const size_t lane = get_global_id(0) * W, n = get_global_id(1), tile = get_global_id(2);
@@ -165,10 +166,10 @@ __kernel void segmented(
     figures += tile * segments * TERMS * 16 + lane;
 #endif
 
-    ray r = {{ray_x[n], ray_y[n], start_z}, {LOAD(directions), LOAD(directions + 16), LOAD(directions + 32)}, 1.0, 0.0};
+    ray r = {{ray_x[n], ray_y[n], start_z}, {LOAD(directions), LOAD(directions + 16), LOAD(directions + 32)}, 1.0};
     r.path = dot3(r.position, r.direction);
-    mask met = reflect_at_segments(&r, candidates, candidate + n * candidates, segment_poses, figures, edges, frames,
-                                   c, k1);
+    mask met = reflect_at_segments(&r, candidates, candidate + n * candidates, segment_poses, figures,
+                                   edges, frames, c, k1);
     mask status = EITHER(met, (mask)OK, (mask)GAP);
     #pragma unroll
     for (int i = 0; i < SURFACES; ++i) {

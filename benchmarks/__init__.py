@@ -1,0 +1,1 @@
+"""Benchmarks: `python -m benchmarks.raytrace`, or all of them by `make bench`."""
