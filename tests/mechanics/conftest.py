@@ -37,7 +37,7 @@ def build_tmt_layout():
     )
 
 
-def hexagons(centers, side=0.716):
+def build_hexagons(centers, side=0.716):
     """Flat regular hexagons at (x, y)."""
     centers = np.asarray(centers, dtype=float)
     angles = np.arange(6) * np.pi / 3
@@ -58,5 +58,10 @@ def tmt():
 
 
 @pytest.fixture(scope="session")
+def hexagons():
+    return build_hexagons
+
+
+@pytest.fixture(scope="session")
 def few():
-    return hexagons([(0.0, 0.0), (1.2402, 0.0), (0.0, 2.5), (-5.0, 3.0), (9.0, -2.0)])
+    return build_hexagons([(0.0, 0.0), (1.2402, 0.0), (0.0, 2.5), (-5.0, 3.0), (9.0, -2.0)])

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from wavequake.errors import UserError
+from wavequake.mechanics.edge_sensors import EdgeSensorNoise, draw_edge_noise, edge_noise_rms_nm
 from wavequake.mechanics.layout import SegmentLayout
 from wavequake.mechanics.line_of_sight import LineOfSight, draw_sight, sight_rms_mas
 from wavequake.mechanics.motion import Motion, add, generator, line_of_sight_rms_mas, piston_rms_nm
@@ -40,7 +41,9 @@ class Combine(Population):
     of: tuple[str, ...] = Field(min_length=2, strict=False, description="names of disturbances of this study")
 
 
-SingleDisturbance = StaticRandom | LineOfSight | SegmentHistory | SegmentWind | VibrationLines
+SingleDisturbance = (
+    StaticRandom | LineOfSight | VibrationLines | SegmentHistory | SegmentWind | EdgeSensorNoise
+)
 Disturbance = Annotated[SingleDisturbance | Combine, Field(discriminator="model")]
 
 
@@ -60,6 +63,8 @@ def draw(
             return draw_history(parameters, layout, time, random)
         case SegmentWind():
             return draw_wind(parameters, layout, time, random)
+        case EdgeSensorNoise():
+            return draw_edge_noise(parameters, layout, time, random)
         case VibrationLines():
             return draw_lines(parameters, len(layout), time, random)
 
@@ -79,6 +84,8 @@ def analytic_rms(parameters: Disturbance, layout: SegmentLayout) -> tuple[float,
             return _root_mean_square(segment_wind_rms_nm(parameters, layout)), "nm"
         case StaticRandom():
             return parameters.piston_nm, "nm"
+        case EdgeSensorNoise():
+            return edge_noise_rms_nm(parameters, layout), "nm"
         case _:
             return None
 
