@@ -1,7 +1,8 @@
 // W doubles that move together: 16 instants of one ray on a CPU, one instant on a GPU.
 //
-// Only operators and ?: act on lanes: some OpenCL implementations do not inline their built-in functions, not even
-// vload, and each call spills every register. A NaN makes every comparison false: it is never "inside" or "finite".
+// Only operators and ?: act on lanes: some OpenCL implementations do not inline their built-in functions,
+// not even vload, and each call spills every register. A NaN makes every comparison false: it is never
+// "inside" or "finite".
 
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
 #pragma OPENCL FP_CONTRACT ON

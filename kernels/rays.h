@@ -1,8 +1,9 @@
 // Rays, poses and conics. Lengths in mm.
 //
-// Directions are not normalized, which saves divisions: a reflection multiplies them by the square of the normal, and
-// `length` keeps count. A step of s moves a ray by s times its direction and adds s times `length` to its path.
-// A conic of curvature c and k1 = 1 + conic constant is the zero of F = c (x^2 + y^2 + k1 z^2) - 2 z.
+// Directions are not normalized, which saves divisions: a reflection multiplies them by the square of the
+// normal, and `length` keeps count. A step of s moves a ray by s times its direction and adds s times
+// `length` to its path. A conic of curvature c and k1 = 1 + conic constant is the zero of F = c (x^2 + y^2
+// + k1 z^2) - 2 z.
 
 typedef struct { real x, y, z; } triple;
 typedef struct { triple position, direction; real length, path; } ray;
@@ -51,8 +52,8 @@ INLINE triple conic_normal(triple p, double c, double k1)
 }
 
 // Step to the conic: of the two roots the one that crosses it in the sense of the direction's z component
-// (Störkle 2018, Eq. 3.28 with the sign of d_z), by that form of the quadratic's solution which does not cancel.
-// NaN or infinite without an intersection.
+// (Stoerkle 2018, Eq. 3.28 with the sign of d_z), by that form of the quadratic's solution which does not
+// cancel. NaN or infinite without an intersection.
 INLINE real conic_step(triple p, triple d, double c, double k1)
 {
     real f = c * (p.x * p.x + p.y * p.y + k1 * (p.z * p.z)) - 2.0 * p.z;

@@ -1,8 +1,8 @@
 // Traces rays through a segmented telescope: segments of M1, further mirrors, image plane, reference sphere.
 //
-// Work-item (lane group, ray, tile). Compile-time constants: W instants per work-item, EDGES per segment (0: no
-// edge), DEGREE of the figure polynomial (-1: none), SURFACES after M1 (the last is the image plane), PLANES (bit i:
-// surface i is a plane).
+// Work-item (lane group, ray, tile). Compile-time constants: W instants per work-item, EDGES per segment
+// (0: no edge), DEGREE of the figure polynomial (-1: none), SURFACES after M1 (the last is the image
+// plane), PLANES (bit i: surface i is a plane).
 
 #include "lanes.h"
 #include "rays.h"
@@ -48,9 +48,10 @@ INLINE real figure_slopes(__global const double *figure, real u, real v, real *a
     return value;
 }
 
-// Step from a hit of the bare conic to the conic plus figure, and the normal there: F takes z less the figure for z.
-// The first step uses the figure's value alone, which leaves less than the figure times its slope; the second, a Newton
-// step with both at that point, leaves the figure's curvature times the square of that.
+// Step from a hit of the bare conic to the conic plus figure, and the normal there: F takes z less the
+// figure for z. The first step uses the figure's value alone, which leaves less than the figure times its
+// slope; the second, a Newton step with both at that point, leaves the figure's curvature times the square
+// of that.
 INLINE real figure_step(__global const double *figure, __global const double *frame, triple hit, triple d,
                         double c, double k1, triple *normal)
 {
@@ -80,11 +81,13 @@ INLINE real figure_step(__global const double *figure, __global const double *fr
 }
 #endif
 
-// Reflect at the first candidate whose glass the ray meets. The search runs in each segment's displaced frame; the
-// ray itself stays in the optics frame, where the step is the same and only the normal has to be turned back.
+// Reflect at the first candidate whose glass the ray meets. The search runs in each segment's displaced
+// frame; the ray itself stays in the optics frame, where the step is the same and only the normal has to be
+// turned back.
 INLINE mask reflect_at_segments(ray *r, int candidates, __global const int *candidate,
                                 __global const double *poses, __global const double *figures,
-                                __global const double *edges, __global const double *frames, double c, double k1)
+                                __global const double *edges, __global const double *frames,
+                                double c, double k1)
 {
     mask found = 0;
     real step = 0.0;
@@ -166,7 +169,8 @@ __kernel void segmented(
     figures += tile * segments * TERMS * 16 + lane;
 #endif
 
-    ray r = {{ray_x[n], ray_y[n], start_z}, {LOAD(directions), LOAD(directions + 16), LOAD(directions + 32)}, 1.0};
+    triple light = {LOAD(directions), LOAD(directions + 16), LOAD(directions + 32)};
+    ray r = {{ray_x[n], ray_y[n], start_z}, light, 1.0};
     r.path = dot3(r.position, r.direction);
     mask met = reflect_at_segments(&r, candidates, candidate + n * candidates, segment_poses, figures,
                                    edges, frames, c, k1);
