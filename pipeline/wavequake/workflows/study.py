@@ -43,6 +43,7 @@ class SurfaceSection(Section):
     radius_mm: float | None = Field(default=None, description="None is a plane; positive if the center lies on +z")
     conic: float = 0.0
     distance_mm: float = Field(description="along the light from the previous surface", gt=0)
+    tilt_deg: float = Field(default=0.0, gt=-90, lt=90, description="of a fold mirror about its y axis")
 
 
 class TelescopeSection(Section):
@@ -51,7 +52,9 @@ class TelescopeSection(Section):
     name: Literal["tmt", "tmt-18", "tmt-thesis", "jwst", "custom"]
     side_mm: float | None = Field(default=None, gt=0, description="tmt-18: side length of the hexagons")
     gap_mm: float | None = Field(default=None, ge=0, description="tmt, tmt-18: gap between the segments")
-    polygons: str | None = Field(default=None, description="custom: CSV file of polygons (read when the study is loaded)")
+    polygons: str | None = Field(
+        default=None, exclude=True, description="custom: CSV file of polygons (read when the study is loaded)"
+    )
     polygons_csv: str | None = Field(default=None, description="custom: the text of that file")
     primary_radius_mm: float | None = Field(default=None, lt=0, description="custom: radius of M1, concave < 0")
     primary_conic: float = -1.0
@@ -148,7 +151,6 @@ class Study(Section):
     def identity_text(self) -> str:
         """Return the canonical JSON text of everything that determines one case's numbers (and of what is kept)."""
         record = self.model_dump(mode="json", exclude={"campaign": True, "store": {"path", "chunk_cases"}})
-        record["telescope"].pop("polygons")
         record["study"].pop("title")
         return json.dumps(record, sort_keys=True, separators=(",", ":"))
 
@@ -272,6 +274,9 @@ def _read_files(record: dict[str, Any], base: Path) -> None:
     telescope = record.get("telescope")
     if isinstance(telescope, dict) and isinstance(telescope.get("polygons"), str):
         telescope["polygons_csv"] = _text(base / telescope["polygons"], "telescope.polygons")
+    for entry in record.get("disturbance") or ():
+        if isinstance(entry, dict) and isinstance(entry.get("file"), str):
+            entry["file_csv"] = _text(base / entry["file"], f"disturbance.{entry.get('name')}.file")
 
 
 def _text(path: Path, key: str) -> str:
@@ -301,10 +306,11 @@ def describe(error: ValidationError, record: Mapping[str, Any]) -> str:
 
 
 def _union_tags() -> set[str]:
-    return set(_disturbance_models())
+    return set(disturbance_models())
 
 
-def _disturbance_models() -> dict[str, type[BaseModel]]:
+def disturbance_models() -> dict[str, type[BaseModel]]:
+    """Return the parameter models of all disturbances by the name that a study file gives them."""
     union = get_args(Disturbance)[0]
     return {model.model_fields["model"].default: model for model in get_args(union)}
 
@@ -327,8 +333,8 @@ def _valid_keys(record: Mapping[str, Any], location: tuple[Any, ...]) -> list[st
     if len(location) == 1:
         return list(Study.model_fields)
     if location[0] == "disturbance":
-        tags = [part for part in location if part in _disturbance_models()]
-        return list(_disturbance_models()[tags[0]].model_fields) if tags else ["name", "model"]
+        tags = [part for part in location if part in disturbance_models()]
+        return list(disturbance_models()[tags[0]].model_fields) if tags else ["name", "model"]
     if location[:2] == ("telescope", "surfaces"):
         return list(SurfaceSection.model_fields)
     annotation = Study.model_fields[str(location[0])].annotation

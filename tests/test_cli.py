@@ -1,0 +1,197 @@
+"""The command line as a user meets it: exit codes, sentences, and that repeating is safe."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+import wavequake as wq
+from wavequake import cli
+from wavequake.kernels import devices
+
+STUDY = """
+[study]
+name = "tiny"
+workflow = "segment-disturbance"
+[telescope]
+name = "tmt-18"
+[imaging]
+pixels = 16
+[store]
+chunk_cases = 4
+[[disturbance]]
+name = "pistons"
+model = "static-random"
+piston_nm = 20.0
+instants = 2
+"""
+
+
+@pytest.fixture
+def tiny(tmp_path):
+    path = tmp_path / "tiny.toml"
+    path.write_text(STUDY)
+    return path
+
+
+@pytest.fixture
+def wavequake(monkeypatch, capsys):
+    """Run the command line in this process; give (exit code, standard output, standard error)."""
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["wavequake", *map(str, words)])
+        try:
+            cli.main()
+            code = 0
+        except SystemExit as end:
+            code = end.code or 0
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+def run_tiny(wavequake, tiny, store, *words):
+    return wavequake("run", tiny, *words, "--store", store, "--on", "serial")
+
+
+def test_run_repeat_extend_status_verify_report(wavequake, tiny, tmp_path):
+    store = tmp_path / "store"
+    code, out, _ = run_tiny(wavequake, tiny, store, "campaign.cases=6")
+    assert code == 0
+    assert "6 cases computed" in out
+    assert "pistons" in out
+    assert (store / "report.html").stat().st_size > 10_000
+    first = wq.open_store(store).load()
+
+    code, out, _ = run_tiny(wavequake, tiny, store, "campaign.cases=6")
+    assert code == 0
+    assert "nothing was computed" in out
+
+    code, out, _ = run_tiny(wavequake, tiny, store, "campaign.cases=9")
+    assert code == 0
+    extended = wq.open_store(store).load()
+    assert extended.sizes["case"] == 9
+    for name in first.data_vars:
+        if "case" in first[name].dims and first[name].dtype.kind == "f":
+            np.testing.assert_array_equal(extended[name][:6], first[name])
+
+    code, out, _ = wavequake("status", store)
+    assert code == 0
+    assert "9" in out
+    assert wavequake("verify", store)[0] == 0
+    code, out, _ = wavequake("report", store)
+    assert code == 0
+    assert "report.html" in out
+
+
+def test_damage_is_named_and_mended(wavequake, tiny, tmp_path):
+    store = tmp_path / "store"
+    run_tiny(wavequake, tiny, store, "campaign.cases=8")
+    before = wq.open_store(store)["zernike"].values
+    shard = next(path for path in sorted((store / "data.zarr" / "zernike").rglob("*")) if path.is_file() and path.name != "zarr.json")
+    shard.write_bytes(b"")
+    code, out, _ = wavequake("verify", store)
+    assert code == cli.EXIT_DAMAGED
+    assert "zernike" in out
+    assert run_tiny(wavequake, tiny, store, "campaign.cases=8")[0] == 0
+    assert wavequake("verify", store)[0] == 0
+    np.testing.assert_array_equal(wq.open_store(store)["zernike"].values, before)
+
+
+def test_plan_says_what_it_would_take_and_stores_nothing(wavequake, tiny, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = wavequake("plan", tiny, "campaign.cases=10")
+    assert code == 0
+    for word in ("10 in 3 chunks of 4", "kB per case", "estimate"):
+        assert word in out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["tiny.toml"]
+
+
+def test_studies_devices_and_version(wavequake):
+    code, out, _ = wavequake("studies")
+    assert code == 0
+    assert "tmt-segments" in out
+    assert "jwst-segments" in out
+    code, out, _ = wavequake("devices")
+    assert code == 0
+    assert "numpy" in out.lower()
+    assert wavequake("--version")[1].split() == ["wavequake", wq.__version__]
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["run", "tmt-segment"], "tmt-segments"),
+        (["run", "TINY", "campaign.casse=1"], "'cases'"),
+        (["run", "TINY", "campaign.cases=-1"], "greater than or equal to 1"),
+        (["run", "TINY", "optics.wavelength_nm=0"], "optics.wavelength_nm"),
+        (["run", "TINY", "campaign.device=abacus"], "abacus"),
+        (["run", "TINY", "optics.sampling=sunflower", "optics.rays=10"], "ray"),
+        (["run", "TINY", "--on", "moon"], "moon"),
+        (["status", "nowhere"], "nowhere"),
+        (["verify", "nowhere"], "nowhere"),
+        (["report", "nowhere"], "nowhere"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_exit_code_2(wavequake, tiny, tmp_path, monkeypatch, words, sentence):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = wavequake(*[str(tiny) if word == "TINY" else word for word in words])
+    assert code == cli.EXIT_BAD_INPUT
+    assert sentence in err
+    assert "Traceback" not in err
+    assert len(err.strip().splitlines()) == 1
+
+
+def test_debug_shows_the_traceback(wavequake):
+    code, _, err = wavequake("--debug", "run", "no-such-study")
+    assert code == cli.EXIT_BAD_INPUT
+    assert "Traceback" in err
+
+
+def test_a_store_of_another_study_is_refused_and_left_alone(wavequake, tiny, tmp_path):
+    store = tmp_path / "store"
+    run_tiny(wavequake, tiny, store, "campaign.cases=2")
+    manifest = (store / "manifest.json").read_bytes()
+    code, _, err = run_tiny(wavequake, tiny, store, "campaign.cases=2", "study.seed=5")
+    assert code == cli.EXIT_BAD_INPUT
+    assert "seed" in err
+    assert (store / "manifest.json").read_bytes() == manifest
+
+
+def test_a_store_that_cannot_be_written_says_so(wavequake, tiny, tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    code, _, err = run_tiny(wavequake, tiny, tmp_path / "file" / "store", "campaign.cases=2")
+    assert code == cli.EXIT_BAD_INPUT
+    assert "file" in err
+
+
+def test_quarantined_cases_end_with_exit_code_3_and_their_reason(wavequake, tiny, tmp_path):
+    store = tmp_path / "store"
+    code, out, err = run_tiny(wavequake, tiny, store, "campaign.cases=3", "disturbance.pistons.in_plane_um=4e6")
+    assert code == cli.EXIT_QUARANTINED
+    assert "3 cases are quarantined" in err
+    code, out, _ = wavequake("status", store)
+    assert "lost all its rays" in out
+
+
+def test_without_opencl_the_user_learns_what_to_install(wavequake, tiny, tmp_path, monkeypatch):
+    monkeypatch.setattr(devices, "_found", lambda: ())
+    code, _, err = run_tiny(wavequake, tiny, tmp_path / "store", "campaign.cases=2")
+    assert code == cli.EXIT_BAD_INPUT
+    assert "pip install pocl-binary-distribution" in err
+    assert "campaign.device=numpy" in err
+    code, out, _ = run_tiny(wavequake, tiny, tmp_path / "store", "campaign.cases=2", "campaign.device=numpy")
+    assert code == 0
+    assert "2 cases computed" in out
+
+
+def test_from_python(tiny, tmp_path):
+    ds = wq.run(tiny, cases=3, store=tmp_path / "store", optics__wavelength_nm=1000.0)
+    assert ds.wfe_rms_raw.dims == ("case", "time")
+    assert ds.wfe_rms_raw.attrs["units"] == "nm"
+    assert json.loads(ds.attrs["study"])["optics"]["wavelength_nm"] == 1000.0
+    assert wq.open_store(tmp_path / "store").identical(ds)
+    assert "run" in dir(wq)
+    with pytest.raises(wq.UserError, match="nearest valid key"):
+        wq.run(tiny, optics__wavelength=1.0)

@@ -1,0 +1,69 @@
+"""Documentation that runs: snippets are executed, tables are made from the code."""
+
+import importlib.util
+import re
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+from wavequake import cli
+from wavequake.workflows.study import load_study
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def blocks(page, language):
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), flags=re.M | re.S)
+
+
+def commands(page):
+    lines = [line for block in blocks(page, "console") for line in block.splitlines() if line.startswith("$ ")]
+    return [line[2:] for line in lines if line.startswith("$ wavequake")]
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "python")], ids=lambda page: page.name)
+def test_python_snippets_run(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for block in blocks(page, "python"):
+        exec(compile(block, page.name, "exec"), names)
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=lambda page: page.name)
+def test_commands_run(page, tmp_path, monkeypatch, capsys):
+    """The commands of a page, in order, in one folder; runs are made smaller and serial."""
+    monkeypatch.chdir(tmp_path)
+    for command in commands(page):
+        words = shlex.split(command)
+        words = [re.sub(r"^campaign\.cases=(\d+)$", lambda m: f"campaign.cases={int(m[1]) // 10}", word) for word in words]
+        if words[1] == "run":
+            words += ["store.chunk_cases=4", "--on", "serial"]
+        monkeypatch.setattr(sys, "argv", words)
+        try:
+            cli.main()
+        except SystemExit as end:
+            assert not end.code, (command, capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("text", [block for page in PAGES for block in blocks(page, "toml")])
+def test_study_files_load(text, tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(text)
+    assert load_study(path).disturbance
+
+
+def test_links_lead_somewhere():
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
+            if "://" not in target:
+                assert (page.parent / target).exists(), (page.name, target)
+
+
+def test_the_reference_of_keys_is_what_the_code_says():
+    spec = importlib.util.spec_from_file_location("make_study_reference", ROOT / "docs" / "make_study_reference.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    made = (ROOT / "docs" / "study.md").read_text().split(module.MARK)[1].strip()
+    assert made == module.reference().strip(), "run python docs/make_study_reference.py"
