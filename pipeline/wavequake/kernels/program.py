@@ -47,36 +47,38 @@ def launch(
         return
     lanes, rays, tiles = size
     group = _GROUP_RAYS[device.kind]
-    in_place = device.kind == "cpu"
-    flags = cl.mem_flags
+    arrays = [np.ascontiguousarray(item) if isinstance(item, np.ndarray) else item for item in inputs]
     with _LOCK:  # a kernel object holds its arguments
-        todo = _queue(device)
-        read = flags.READ_ONLY | (flags.USE_HOST_PTR if in_place else flags.COPY_HOST_PTR)
-        arrays = [np.ascontiguousarray(item) if isinstance(item, np.ndarray) else item for item in inputs]
-        arguments = [
-            (cl.Buffer(todo.context, read, hostbuf=item) if item.size else None)
-            if isinstance(item, np.ndarray)
-            else item
-            for item in arrays
-        ]
-        if in_place:
-            results = [
-                cl.Buffer(todo.context, flags.WRITE_ONLY | flags.USE_HOST_PTR, hostbuf=out) for out in outputs
-            ]
-        else:
-            results = [cl.Buffer(todo.context, flags.WRITE_ONLY, out.nbytes) for out in outputs]
-        program = _kernel(device, name, constants)
-        program.set_args(*arguments, *results)
-        cl.enqueue_nd_range_kernel(
-            todo, program, (lanes, -(-rays // group) * group, tiles), (lanes, group, 1)
-        )
+        queue, kernel = _queue(device), _kernel(device, name, constants)
+        results = [_output(queue, device, out) for out in outputs]
+        kernel.set_args(*(_input(queue, device, item) for item in arrays), *results)
+        padded = (lanes, -(-rays // group) * group, tiles)
+        cl.enqueue_nd_range_kernel(queue, kernel, padded, (lanes, group, 1))
         for out, result in zip(outputs, results, strict=True):
-            if in_place:
-                mapped, _ = cl.enqueue_map_buffer(todo, result, cl.map_flags.READ, 0, out.shape, out.dtype)
-                mapped.base.release(todo)
+            if device.kind == "cpu":
+                mapped, _ = cl.enqueue_map_buffer(queue, result, cl.map_flags.READ, 0, out.shape, out.dtype)
+                mapped.base.release(queue)
             else:
-                cl.enqueue_copy(todo, out, result)
-        todo.finish()
+                cl.enqueue_copy(queue, out, result)
+        queue.finish()
+
+
+def _input(queue: Any, device: Device, item: Any) -> Any:
+    """Return what the kernel takes for `item`: a scalar, a buffer, or None for an array without elements."""
+    import pyopencl as cl
+
+    if not isinstance(item, np.ndarray):
+        return item
+    share = cl.mem_flags.USE_HOST_PTR if device.kind == "cpu" else cl.mem_flags.COPY_HOST_PTR
+    return cl.Buffer(queue.context, cl.mem_flags.READ_ONLY | share, hostbuf=item) if item.size else None
+
+
+def _output(queue: Any, device: Device, out: np.ndarray[Any, Any]) -> Any:
+    import pyopencl as cl
+
+    if device.kind == "cpu":
+        return cl.Buffer(queue.context, cl.mem_flags.WRITE_ONLY | cl.mem_flags.USE_HOST_PTR, hostbuf=out)
+    return cl.Buffer(queue.context, cl.mem_flags.WRITE_ONLY, out.nbytes)
 
 
 @lru_cache(maxsize=8)

@@ -2,8 +2,8 @@
 
 Every case occupies whole tiles of its own, padded with the rest state, so that the bits of a case cannot
 depend on the number of cases in a chunk, on its neighbors or on its place in the batch. Arrays in tile layout
-have shape (tile, ..., 16): the instant is the last, contiguous axis, which is the vector lane on a CPU and the
-fastest work-item on a GPU.
+have shape (tile, ..., 16): the instant is the last, contiguous axis, which is the vector lane on a CPU and
+the fastest work-item on a GPU.
 """
 
 import numpy as np
