@@ -6,7 +6,8 @@ from numpy.typing import NDArray
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
-# The nodes are arcsine-stretched Chebyshev points; 1 would space them evenly, 0 leave them Chebyshev points.
+# The nodes are arcsine-stretched Chebyshev points (Kosloff and Tal-Ezer 1993), at 1 evenly spaced, at 0 not
+# stretched; this value needs the fewest nodes for images 10 to 40 wavelengths / diameter wide.
 _STRETCH = 0.85
 # Largest sum of the absolute weights of a point, by which interpolation multiplies rounding errors.
 _LARGEST_GAIN = 12.0
@@ -32,7 +33,7 @@ def band_limited_nodes(points: Real, half_band: float, tolerance: float) -> tupl
     half_band : float
         Largest frequency, in cycles per unit of the points.
     tolerance : float
-        Largest error at any point, for a wave of unit amplitude.
+        Largest error at any point, for a wave of unit amplitude; the rounding of phases sets a floor.
 
     Returns
     -------
@@ -42,9 +43,10 @@ def band_limited_nodes(points: Real, half_band: float, tolerance: float) -> tupl
         Real matrix that takes values at the nodes to the points.
     """
     span = float(np.abs(points).max())
+    tolerance = max(tolerance, 1e-15 * 2.0 * np.pi * span * half_band)  # rounding of the phases themselves
     u, share = np.polynomial.legendre.leggauss(60 + int(2.0 * np.pi * span * half_band))
     u, share = 0.5 * half_band * (u + 1.0), np.sqrt(share)
-    checks = half_band * np.linspace(0.0, 1.0, 8 * u.size)
+    checks = half_band * np.linspace(0.0, 1.0, 4 * u.size)
     count = 2 * int(2.0 * span * half_band / 2.0 + 1.0)
     while True:
         nodes = _stretched_chebyshev(count, span)

@@ -1,0 +1,160 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import j0, j1
+
+from wavequake.errors import UserError
+from wavequake.imaging.exposure import (
+    centroid,
+    encircled_energy,
+    encircled_energy_radius,
+    exposure,
+    radial_profile,
+)
+from wavequake.imaging.polygon_transform import polygon_areas, polygon_transform
+from wavequake.imaging.segment_psf import psf, segment_basis
+
+DISC = np.pi / 4  # area / diameter² of a circular pupil
+EE50, EE80 = 0.534832148, 0.896942103  # of the Airy pattern: roots of airy_energy
+
+
+def airy(pixels, sampling, x=0.0, y=0.0):
+    axis = (np.arange(pixels) - pixels // 2) * sampling
+    v = np.maximum(np.pi * np.hypot(axis - x, (axis - y)[:, None]), 1e-9)
+    return (2 * j1(v) / v) ** 2
+
+
+def airy_energy(radii):
+    return 1 - j0(np.pi * np.asarray(radii)) ** 2 - j1(np.pi * np.asarray(radii)) ** 2
+
+
+@pytest.mark.parametrize(
+    ("sampling", "pixels", "error"), [(0.1, 160, 1e-7), (0.25, 64, 1e-7), (0.4, 40, 5e-6), (0.5, 32, 3e-3)]
+)
+def test_encircled_energy_of_an_airy_pattern(sampling, pixels, error):
+    radii = np.array([0.0, 0.05, 0.3, 0.5, 1.0, 1.22, 2.0, 3.0, 5.0])
+    found = encircled_energy(airy(pixels, sampling), sampling, DISC, 1.0, radii, "origin")
+    np.testing.assert_allclose(found, airy_energy(radii), rtol=0, atol=error)
+
+
+def test_the_radii_are_the_roots():
+    np.testing.assert_allclose(airy_energy([EE50, EE80]), [0.5, 0.8], atol=1e-9)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5))
+def test_radii_do_not_depend_on_the_place_of_the_image(x, y):
+    image = airy(64, 0.25, x, y)
+    assert encircled_energy_radius(image, 0.5, 0.25, DISC, 1.0) == pytest.approx(EE50, abs=2e-4)
+    assert encircled_energy_radius(image, 0.8, 0.25, DISC, 1.0, (x, y)) == pytest.approx(EE80, abs=3e-4)
+    np.testing.assert_allclose(centroid(image, 0.25), [x, y], rtol=0, atol=1e-3)
+
+
+def test_the_center_is_a_choice():
+    image = airy(64, 0.25, 1.0, 0.0)
+    about_origin = encircled_energy(image, 0.25, DISC, 1.0, [0.5], "origin")
+    np.testing.assert_allclose(about_origin, encircled_energy(image, 0.25, DISC, 1.0, [0.5], (0.0, 0.0)))
+    assert about_origin < 0.2 < encircled_energy(image, 0.25, DISC, 1.0, [0.5], (1.0, 0.0))
+    with pytest.raises(UserError, match='"centroid", "origin"'):
+        encircled_energy(image, 0.25, DISC, 1.0, [0.5], "peak")
+
+
+def test_profile_of_an_airy_pattern():
+    radii = np.array([0.2, 0.9, 1.22, 1.63, 4.0])
+    exact = (2 * j1(np.pi * radii) / (np.pi * radii)) ** 2
+    np.testing.assert_allclose(radial_profile(airy(64, 0.25), 0.25, radii), exact, rtol=0, atol=1e-7)
+
+
+def test_batches_equal_single_images():
+    images = np.stack([airy(48, 0.25), 0.3 * airy(48, 0.25, 0.4, -0.2), airy(48, 0.25, 2.0, 1.0)]).reshape(
+        3, 1, 48, 48
+    )
+    together = encircled_energy_radius(images, 0.25, 0.25, DISC, 1.0)
+    assert together.shape == (3, 1)
+    assert np.array_equal(
+        together[:, 0], [encircled_energy_radius(i[0], 0.25, 0.25, DISC, 1.0) for i in images]
+    )
+
+
+def test_energy_outside_the_frame_is_infinite_and_missing_numbers_stay_missing():
+    image = airy(32, 0.25)
+    assert encircled_energy_radius(image, 0.99, 0.25, DISC, 1.0) == np.inf
+    assert encircled_energy_radius(np.zeros((32, 32)), 0.5, 0.25, DISC, 1.0) == np.inf
+    assert encircled_energy_radius(airy(32, 0.25, 3.5), 0.8, 0.25, DISC, 1.0, (3.5, 0.0)) == np.inf
+    image[3, 3] = np.nan
+    assert np.isnan(encircled_energy_radius(image, 0.5, 0.25, DISC, 1.0))
+    assert np.isnan(encircled_energy(airy(32, 0.25), 0.25, DISC, 1.0, [3.9, 4.1, 1e9])[1:]).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"sampling": 0.6}, "at most 0.5"),
+        ({"sampling": np.nan}, "at most 0.5"),
+        ({"area": 0.0}, "above 0"),
+        ({"diameter": np.inf}, "above 0"),
+        ({"radii": [-1.0]}, "radii"),
+        ({"radii": []}, "radii"),
+    ],
+)
+def test_impossible_measures_are_refused(change, message):
+    arguments = {"sampling": 0.25, "area": DISC, "diameter": 1.0, "radii": [1.0]}
+    with pytest.raises(UserError, match=message):
+        encircled_energy(airy(8, 0.25), **{**arguments, **change})
+
+
+@pytest.mark.parametrize("fraction", [0.0, 1.0, np.nan])
+def test_impossible_fractions_are_refused(fraction):
+    with pytest.raises(UserError, match="between 0 and 1"):
+        encircled_energy_radius(airy(8, 0.25), fraction, 0.25, DISC, 1.0)
+
+
+def test_an_exposure_is_the_mean_of_its_valid_instants():
+    images = np.arange(2 * 4 * 3, dtype=np.float32).reshape(2, 4, 3)
+    images[0, 3] = np.nan
+    valid = np.array([[True, True, False, False], [False] * 4])
+    mean = exposure(images, valid)
+    assert mean.dtype == np.float64
+    np.testing.assert_array_equal(mean[0], images[0, :2].mean(axis=0))
+    assert np.isnan(mean[1]).all()
+
+
+@pytest.mark.parametrize("case", ["perfect", "opd35nm"])
+def test_energies_of_the_tmt_follow_the_recipe_of_the_reference(tmt, case):
+    # The reference sums circles of 0.05 wavelength/D by the trapezoidal rule; so does this test.
+    basis = segment_basis(tmt.corners, tmt.centers, 108, 0.4, tmt.diameter, 1, np.complex128)
+    image = psf(basis, tmt.pistons[None] * (case == "opd35nm"))[0].reshape(108, 108)
+    step, area = 0.05, polygon_areas(tmt.corners).sum()
+    radii = step * np.arange(401)
+    density = 2 * np.pi * radii * radial_profile(image, 0.4, radii, "origin") * area / tmt.diameter**2
+    trapezoid = np.concatenate([[0], np.cumsum(0.5 * step * (density[1:] + density[:-1]))])
+    reference = tmt.reference[case]
+    for radius, energy in reference["EE_at_lamD"].items():
+        assert np.interp(float(radius), radii, trapezoid) == pytest.approx(energy, abs=1e-4)
+    for percent in (50, 70, 80):
+        radius = np.interp(percent / 100, trapezoid, radii)
+        assert radius == pytest.approx(reference[f"EE{percent}_radius_lamD"], abs=1e-3)
+    # That rule is low by the first term of Euler and Maclaurin; exact energies exceed it by just this.
+    slope = np.gradient(density, step, edge_order=2)
+    exact = encircled_energy(image, 0.4, area, tmt.diameter, radii[20::20], "origin")
+    np.testing.assert_allclose(
+        exact - trapezoid[20::20], step**2 / 12 * (slope[0] - slope[20::20]), rtol=0, atol=2e-5
+    )
+
+
+def test_radii_of_the_tmt_equal_polar_quadrature_of_exact_transforms(tmt):
+    basis = segment_basis(tmt.corners, tmt.centers, 64, 0.25, tmt.diameter, 1)
+    images = psf(basis, np.stack([0 * tmt.pistons, tmt.pistons])).reshape(2, 64, 64)
+    area = polygon_areas(tmt.corners).sum()
+    coefficients = np.stack([np.ones(492), np.exp(2j * np.pi * tmt.pistons)], axis=1) / area
+    t, w = np.polynomial.legendre.leggauss(12)
+    azimuth = 2 * np.pi * np.arange(36) / 36
+    for image, column in zip(images, coefficients.T, strict=True):
+        radius = encircled_energy_radius(image, 0.5, 0.25, area, tmt.diameter, "origin")
+        f = np.outer(0.5 * radius * (t + 1), np.ones(36)) / tmt.diameter
+        fx, fy = (f * np.cos(azimuth)).ravel(), (f * np.sin(azimuth)).ravel()
+        ring = (np.abs(polygon_transform(tmt.corners, fx, fy) @ column) ** 2).reshape(12, 36).mean(axis=1)
+        energy = (0.5 * radius * w) @ (2 * np.pi * 0.5 * radius * (t + 1) * ring) * area / tmt.diameter**2
+        # The energy rises by more than 1 per wavelength/D here, so that this is the radius to 2e-4.
+        assert energy == pytest.approx(0.5, abs=2e-4)
