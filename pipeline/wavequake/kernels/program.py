@@ -48,10 +48,11 @@ def launch(
     lanes, rays, tiles = size
     group = _GROUP_RAYS[device.kind]
     arrays = [np.ascontiguousarray(item) if isinstance(item, np.ndarray) else item for item in inputs]
-    with _LOCK:  # a kernel object holds its arguments
+    with _LOCK:  # a kernel object holds one set of arguments, and does not keep their buffers alive
         queue, kernel = _queue(device), _kernel(device, name, constants)
+        arguments = [_input(queue, device, item) for item in arrays]
         results = [_output(queue, device, out) for out in outputs]
-        kernel.set_args(*(_input(queue, device, item) for item in arrays), *results)
+        kernel.set_args(*arguments, *results)
         padded = (lanes, -(-rays // group) * group, tiles)
         cl.enqueue_nd_range_kernel(queue, kernel, padded, (lanes, group, 1))
         for out, result in zip(outputs, results, strict=True):
