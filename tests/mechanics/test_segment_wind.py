@@ -186,6 +186,26 @@ def test_a_mirror_of_one_piece_moves_too(few):
     assert motion.segment_motion[..., 2].any()
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"coherence_decay": 1e-9},
+        {"coherence_decay": 1e9},
+        {"mean_speed_m_s": 1e-3},
+        {"mean_speed_m_s": 100.0},
+        {"length_scale_m": 1e-3},
+        {"length_scale_m": 1e5},
+        {"turbulence_intensity": 1e-6},
+    ],
+)
+def test_extreme_air_gives_finite_motion_of_the_right_rms(tmt, change):
+    p = SegmentWind(name="wind", **change)
+    motions = [draw_case([p], p, tmt, 1, case).segment_motion[..., 2] for case in range(4)]
+    sampled = np.sqrt(np.mean(np.square(motions))) * 1e9
+    # All segments alike leave few independent samples: a loose bound.
+    assert sampled == pytest.approx(segment_wind_rms_nm(p, tmt).mean(), rel=1.0)
+
+
 def test_modes_without_damping_are_refused():
     with pytest.raises(ValidationError, match="2 modes_hz need as many damping_ratios, not 4"):
         SegmentWind(name="wind", modes_hz=(20.0, 40.0))

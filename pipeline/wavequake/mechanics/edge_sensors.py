@@ -195,10 +195,9 @@ def null_count(eigenvalues: Array) -> int:
 
 
 def edge_noise_rms_nm(parameters: EdgeSensorNoise, layout: SegmentLayout) -> float:
-    """Return the analytic rms of the surface, nm: piston, tip and tilt of all segments."""
-    return (
-        parameters.sensor_rms_nm * shaping(layout, parameters.dihedral_arm_m, parameters.sensor_offset_m).gain
-    )
+    """Return the analytic rms of the pistons of all segments, nm."""
+    shape = shaping(layout, parameters.dihedral_arm_m, parameters.sensor_offset_m)
+    return parameters.sensor_rms_nm * shape.piston_gain
 
 
 def draw_edge_noise(

@@ -40,7 +40,7 @@ class SegmentWind(Population):
     duration_s: float = Field(default=60.0, gt=0, le=1e5, description="tens of seconds: gusts are slow")
     mean_speed_m_s: float = Field(default=1.0, gt=0, le=100, description="U, over the mirror")
     turbulence_intensity: float = Field(
-        default=0.5, ge=0, le=2, description="rms of the gusts over the mean speed"
+        default=0.5, gt=0, le=2, description="rms of the gusts over the mean speed"
     )
     length_scale_m: float = Field(default=5.0, gt=0, description="L, integral scale of the turbulence")
     air_density_kg_m3: float = Field(default=0.79, gt=0, description="0.79 at 4050 m and 0 degrees Celsius")
@@ -166,7 +166,7 @@ def _coherent_edges(spectrum: Spectrum, decay_s: Array) -> Array:
     apart = decay_s[~np.eye(len(decay_s), dtype=bool)]
     if not len(apart):
         return np.array([spectrum.low_hz, spectrum.low_hz * 1.01])
-    last = min(-math.log(_NO_COHERENCE) / apart.min(), 0.9 * spectrum.high_hz)
+    last = max(min(-math.log(_NO_COHERENCE) / apart.min(), 0.9 * spectrum.high_hz), 4 * spectrum.low_hz)
     first = min(max(0.1 / apart.max(), 1.01 * spectrum.low_hz), 0.5 * last)
     return np.concatenate([[spectrum.low_hz], np.geomspace(first, last, _COHERENT_BANDS)])
 
@@ -183,4 +183,6 @@ def _band_coherence(spectrum: Spectrum, decay_s: Array, low_hz: float, high_hz: 
     average = np.zeros_like(decay_s)
     for share, frequency in zip(shares, f, strict=True):
         average += share * np.exp(-frequency * decay_s)
+    # Gusts that are the same everywhere make it singular: 1e-12 of independent power lets it be factored.
+    average[np.diag_indices(len(average))] += 1e-12
     return average
