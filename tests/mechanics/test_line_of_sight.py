@@ -75,9 +75,11 @@ def test_lines_of_eris_lie_on_both_axes_with_equal_power():
 
 def test_listed_lines_across_the_direction_move_that_way(few):
     lines = (Line(frequency_hz=20.0, fwhm_hz=0.5, rms_mas=3.0, across=True),)
-    entry = VibrationLines(name="pump", lines=lines, direction_deg=90.0)
+    entry = VibrationLines(name="pump", lines=lines, direction_deg=30.0)
     mount = draw_case([entry], entry, few, 1, 0).mount
-    assert np.abs(mount[:, 1]).max() < 1e-12 * np.abs(mount[:, 0]).max()
+    # Along is (cos 30, sin 30); across is a quarter turn further.
+    np.testing.assert_allclose(mount @ [np.sqrt(0.75), 0.5], 0, atol=1e-12 * np.abs(mount).max())
+    np.testing.assert_allclose(mount[:, 0], -mount[:, 1] / np.sqrt(3), rtol=1e-12)
 
 
 def test_a_narrow_line_is_a_slowly_changing_sinusoid_of_its_frequency(few):
