@@ -76,6 +76,21 @@ def test_opd_title_is_the_rms_without_piston_and_tilt(detail):
     assert "t = 0.100 s" in title
 
 
+def test_opd_map_is_the_flat_opd_where_the_rays_are(detail):
+    axes, side = figures.opd_map(detail).axes
+    (image,) = axes.images
+    picture, (left, right, bottom, top) = image.get_array(), image.get_extent()
+    x, y = detail.ray_x * 1e-3, detail.ray_y * 1e-3
+    column = ((x - left) / (right - left) * picture.shape[1]).astype(int)
+    row = ((y - bottom) / (top - bottom) * picture.shape[0]).astype(int)
+    # Half a pixel is 7 mm, and the steepest segment has 40 nm/m.
+    np.testing.assert_allclose(picture[row, column], detail.flat_opd[2], atol=0.4)
+    assert image.origin == "lower"
+    reach = np.abs(detail.flat_opd[2]).max()
+    assert (image.norm.vmin, image.norm.vmax, image.cmap.name) == (-reach, reach, "RdBu_r")
+    assert side.get_ylim() == pytest.approx((-reach, reach))
+
+
 def test_lost_rays_and_rays_in_gaps_are_left_out(detail):
     opd, segment = detail.opd.copy(), detail.ray_segment.copy()
     opd[1, 4], segment[9] = np.nan, -1
