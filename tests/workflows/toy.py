@@ -3,6 +3,8 @@
 import json
 import os
 import signal
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -22,7 +24,9 @@ def template(text):
     return Template(
         {
             "time_s": Variable(("time",), (INSTANTS,), {"units": "s", "long_name": "time"}, coordinate=True),
-            "zernike": Variable(("time", "noll"), (INSTANTS, TERMS), {"units": "nm", "long_name": "Zernike coefficients"}),
+            "zernike": Variable(
+                ("time", "noll"), (INSTANTS, TERMS), {"units": "nm", "long_name": "Zernike coefficients"}
+            ),
             "strehl": Variable((), (), {"units": "1", "long_name": "Strehl ratio"}),
             "count": Variable((), (), {"units": "1", "long_name": "a number of things"}, dtype="int32"),
         },
@@ -80,3 +84,62 @@ def _misbehave(options, cases):
 
 
 TOY = Workflow("toy", template, case_table, compute)
+
+
+def run(path, options=None, *, cases=40, chunk=10, on="serial", workers=None, **keywords):
+    """Run a toy campaign with these study options."""
+    from wavequake.workflows.engine import run_campaign
+
+    return run_campaign(
+        TOY,
+        study(**(options or {})),
+        path,
+        cases=cases,
+        chunk=chunk,
+        device="numpy",
+        on=on,
+        workers=workers,
+        **keywords,
+    )
+
+
+def digests(path):
+    """Digests of every chunk of a store; equal digests mean equal bits."""
+    from wavequake.workflows.journal import read_journal
+
+    return {chunk: dict(record.digests) for chunk, record in read_journal(path / "done").records.items()}
+
+
+def driver(path, options=None, **keywords):
+    """Start a campaign in a process of its own; its last line is the number of cases computed, or how it ended."""
+    script = (
+        "import toy\n"
+        "if __name__ == '__main__':\n"
+        "    try:\n"
+        f"        print(toy.run({str(path)!r}, {options!r}, **{keywords!r}).computed)\n"
+        "    except KeyboardInterrupt:\n"
+        "        print('interrupted')\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    return subprocess.Popen(
+        [sys.executable, "-c", script],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def records(path):
+    """Number of records in the journal, duplicates counted."""
+    lines = [line for file in (path / "done").glob("*.jsonl") for line in file.read_text().splitlines()]
+    return sum(bool(line) for line in lines)
+
+
+def wait_for_records(path, count, timeout_s=15.0):
+    """Return once the journal has at least `count` records."""
+    end = time.monotonic() + timeout_s
+    while records(path) < count:
+        assert time.monotonic() < end, f"only {records(path)} records after {timeout_s} s"
+        time.sleep(0.02)

@@ -1,10 +1,10 @@
 """Dask that somebody else runs, at the address of its scheduler."""
 
-import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from wavequake.cluster.local import silence
 from wavequake.errors import UserError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def connected(address: str, timeout_s: float = 10.0) -> Iterator["Client"]:
     """
     from distributed import Client
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    silence()
     try:
         client = Client(address, timeout=timeout_s)
     except (OSError, TimeoutError, ValueError) as error:

@@ -3,6 +3,7 @@
 import logging
 import os
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
@@ -61,6 +62,7 @@ def local_cluster(workers: int | None = None, dashboard: str | None = None) -> I
     from dask.system import CPU_COUNT
     from distributed import Client, LocalCluster
 
+    silence()
     with worker_environment(), dask.config.set(SETTINGS):
         with interrupts_blocked():
             try:
@@ -96,6 +98,12 @@ def _stop(client: Any, cluster: Any) -> None:
         cluster.close(timeout=5)
 
 
+def silence() -> None:
+    """Keep Dask from logging in this process; for good, because threads of a closed cluster still log."""
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+
+
 @contextmanager
 def worker_environment() -> Iterator[None]:
     """Set the workers' environment while there are any: they inherit the driver's, also when they are restarted."""
@@ -115,10 +123,17 @@ def worker_environment() -> Iterator[None]:
 
 @contextmanager
 def interrupts_blocked() -> Iterator[None]:
-    """Keep Ctrl-C from the processes and threads started inside; the driver alone answers to it, afterwards."""
+    """Hold Ctrl-C back until the end, and keep it for good from the processes and threads that are started inside."""
+    came: list[int] = []
+    in_main = threading.current_thread() is threading.main_thread()
+    handler = signal.signal(signal.SIGINT, lambda number, frame: came.append(number)) if in_main else None
     resource_tracker.ensure_running()  # would unblock the signal again when it starts with the first process
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if handler is not None:
+            signal.signal(signal.SIGINT, handler)
+        if came:
+            signal.raise_signal(signal.SIGINT)

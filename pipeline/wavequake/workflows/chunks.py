@@ -25,6 +25,14 @@ from wavequake.workflows.journal import Chunk, Record
 from wavequake.workflows.store import DATA, JOURNAL, Manifest, read_manifest, write_errors_explained
 
 
+class BrokenWorkflowError(Exception):
+    """A workflow does not keep its contract."""
+
+
+# What ends a run: everything else that a case raises is quarantined with it.
+_FATAL = (UserError, BrokenWorkflowError)
+
+
 @dataclass(frozen=True)
 class Job:
     """What the chunks of one run share; it travels with every task, so it is small: functions go by reference."""
@@ -77,7 +85,7 @@ def compute_chunk(job: Job, first: int, last: int) -> Outcome:
     with threadpool_limits(1):
         try:
             result = _computed(job, opened, first, last)
-        except UserError:
+        except _FATAL:
             raise
         except Exception:
             parts = [_computed_alone(job, opened, case) for case in range(first, last)]
@@ -95,7 +103,7 @@ def _computed(job: Job, opened: _Opened, first: int, last: int) -> ChunkResult:
 def _computed_alone(job: Job, opened: _Opened, case: int) -> ChunkResult:
     try:
         return _computed(job, opened, case, case + 1)
-    except UserError:
+    except _FATAL:
         raise
     except Exception as error:
         return _failed(opened.template, RAISED, f"{type(error).__name__}: {error}")
@@ -118,10 +126,6 @@ def _checked(result: ChunkResult, template: Template, count: int) -> ChunkResult
         if arrays[name].shape != (count, *variable.shape):
             raise _broken(f"gave {name!r} the shape {arrays[name].shape}, not {(count, *variable.shape)}")
     return ChunkResult(arrays, status.astype(np.int8), tuple(result.messages), result.timings)
-
-
-class BrokenWorkflowError(Exception):
-    """A workflow does not keep its contract."""
 
 
 def _broken(what: str) -> BrokenWorkflowError:
@@ -194,7 +198,7 @@ def _in_process(job: Job, cases: range) -> tuple[list[ChunkResult], str]:
     try:
         while len(results) < len(cases):
             answer = ours.recv()
-            if isinstance(answer, UserError):
+            if isinstance(answer, _FATAL):
                 raise answer
             results.append(answer)
     except EOFError:
@@ -214,7 +218,7 @@ def _serve(connection: Connection, job: Job, cases: range) -> None:
         for case in cases:
             try:
                 connection.send(_computed_alone(job, opened, case))
-            except UserError as error:
+            except _FATAL as error:
                 connection.send(error)
                 return
 

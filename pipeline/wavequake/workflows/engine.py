@@ -201,7 +201,7 @@ def _run_on_dask(job: Job, todo: list[Chunk], on: str, workers: int | None, tall
 
 def _stream(client: "Client", job: Job, todo: list[Chunk], tally: _Tally) -> list[Chunk]:
     """Feed chunks to the workers, a window at a time, and return those that killed them."""
-    from distributed import as_completed
+    from distributed import CancelledError, as_completed
     from distributed.scheduler import KilledWorker
 
     def submit(piece: Chunk) -> "Future":
@@ -212,20 +212,18 @@ def _stream(client: "Client", job: Job, todo: list[Chunk], tally: _Tally) -> lis
     waiting = iter(todo)
     window = max(32, 4 * sum(client.nthreads().values()))
     pieces = {future: piece for piece in islice(waiting, window) for future in [submit(piece)]}
-    finished = as_completed(list(pieces), loop=client.loop, with_results=True, raise_errors=False)
+    finished = as_completed(list(pieces), loop=client.loop)
     suspects: list[Chunk] = []
-    for future, answer in finished:
+    for future in finished:
         piece = pieces.pop(future)
-        if future.status == "finished":
-            tally.add(answer)
-        elif future.status == "error" and isinstance(answer[1], KilledWorker):
+        try:
+            tally.add(future.result())
+        except KilledWorker:
             suspects.append(piece)
-        elif future.status == "error":
-            raise answer[1]
-        else:
+        except CancelledError:
             raise UserError(
                 "The Dask scheduler went away; what is done is kept, so run the same command again."
-            )
+            ) from None
         future.release()
         for more in islice(waiting, 1):
             new = submit(more)

@@ -316,12 +316,18 @@ def open_store(path: Path | str) -> "xr.Dataset":
 
     path = Path(path)
     manifest = read_manifest(path)
+    group = arrays.open_group(path / DATA, read_only=True)
+    for name in manifest.variables:
+        arrays.array_of(group, name)
     with arrays.damage_explained(path / DATA):
         dataset = xr.open_zarr(path / DATA, chunks=None, consolidated=False).isel(case=slice(manifest.cases))
-    # Labels stay out of Dask: they are few, and selecting by them needs their values.
-    lazy = {name: dataset[name].variable.chunk(case=manifest.chunk) for name in manifest.variables}
+    # Labels, status and messages stay out of Dask: they are small, and selecting by them needs their values.
+    numbers = [name for name in manifest.variables if name not in arrays.ENGINE_VARIABLES]
+    lazy = {name: dataset[name].variable.chunk(case=manifest.chunk) for name in numbers}
     dataset = dataset.assign(lazy)
-    return dataset[[*manifest.variables, *(name for name in dataset.data_vars if name not in manifest.variables)]]
+    return dataset[
+        [*manifest.variables, *(name for name in dataset.data_vars if name not in manifest.variables)]
+    ]
 
 
 @dataclass(frozen=True)

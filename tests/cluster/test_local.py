@@ -1,0 +1,74 @@
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import psutil
+import pytest
+
+from wavequake.cluster.address import connected
+from wavequake.cluster.local import interrupts_blocked, local_cluster
+from wavequake.errors import UserError
+
+
+def environment(names):
+    return {name: os.environ.get(name) for name in names}
+
+
+def listening(pid):
+    process = psutil.Process(pid)
+    return {
+        c.laddr.ip
+        for p in (process, *process.children())
+        for c in p.net_connections("tcp")
+        if c.status == "LISTEN"
+    }
+
+
+def test_workers_are_single_threaded_local_and_gone_afterwards(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "8")
+    monkeypatch.setenv("POCL_AFFINITY", "1")
+    names = (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "POCL_MAX_PTHREAD_COUNT",
+        "POCL_AFFINITY",
+    )
+    with local_cluster(2) as client:
+        assert list(client.nthreads().values()) == [1, 1]
+        for found in client.run(environment, names).values():
+            assert list(found.values()) == ["1", "1", "1", "1", None]
+        pids = client.run(os.getpid).values()
+        assert listening(os.getpid()) == {"127.0.0.1"}
+    assert not any(psutil.pid_exists(pid) for pid in pids)
+    assert os.environ["OMP_NUM_THREADS"] == "8"
+    assert os.environ["POCL_AFFINITY"] == "1"
+
+
+def test_an_address_without_a_scheduler_is_one_sentence():
+    with (
+        pytest.raises(UserError, match="No Dask scheduler answers at tcp://127.0.0.1:1"),
+        connected("tcp://127.0.0.1:1", timeout_s=0.2),
+    ):
+        pass
+
+
+def test_interrupts_wait_until_they_may_come():
+    steps = []
+    other_threads_take_signals_too = threading.Thread(target=time.sleep, args=(0.2,))
+    other_threads_take_signals_too.start()
+    with pytest.raises(KeyboardInterrupt), interrupts_blocked():
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.05)
+        steps.append("went on")
+    assert steps == ["went on"]
+    other_threads_take_signals_too.join()
+
+
+def test_importing_wavequake_is_quick_because_dask_stays_out():
+    code = "import sys, wavequake, wavequake.workflows.engine; sys.exit('distributed' in sys.modules or 'dask' in sys.modules)"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    assert subprocess.run([sys.executable, "-c", code], env=environment, check=False).returncode == 0

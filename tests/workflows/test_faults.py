@@ -1,0 +1,134 @@
+"""Processes are killed in the middle of a campaign; nothing is lost, nothing is computed twice, no bit changes."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import psutil
+import pytest
+import toy
+
+from wavequake.errors import UserError
+from wavequake.workflows.store import open_store
+from wavequake.workflows.verify import verify_store
+
+SLOW = {"sleep_s": 0.03}
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    """Digests of the same cases computed in peace."""
+    path = tmp_path_factory.mktemp("reference") / "s"
+    toy.run(path, cases=100)
+    return toy.digests(path)
+
+
+def children_of(pid):
+    return psutil.Process(pid).children(recursive=True)
+
+
+def still_there(processes):
+    _, alive = psutil.wait_procs(processes, timeout=5)
+    return [process for process in alive if process.status() != psutil.STATUS_ZOMBIE]
+
+
+def test_a_killed_worker_costs_nothing(tmp_path, reference):
+    once = {"once": [25], "folder": str(tmp_path)}
+    summary = toy.run(tmp_path / "s", once, on="local", workers=2)
+    assert (tmp_path / "died-25").exists()
+    assert (summary.computed, summary.quarantined) == (40, 0)
+    assert (
+        toy.records(tmp_path / "s") <= 5
+    )  # the worker may take one result with it that it had not handed over
+    found = toy.digests(tmp_path / "s")
+    assert found == {chunk: reference[chunk] for chunk in found}
+
+
+def test_a_killed_driver_leaves_no_workers_and_the_next_run_completes(tmp_path, reference):
+    driver = toy.driver(tmp_path / "s", SLOW, cases=100, on="local", workers=2)
+    toy.wait_for_records(tmp_path / "s", 3)
+    children = children_of(driver.pid)
+    driver.kill()
+    driver.communicate()
+    assert not still_there(children)
+    before = toy.records(tmp_path / "s")
+    assert 3 <= before < 10
+    summary = toy.run(tmp_path / "s", SLOW, cases=100, on="local", workers=2)
+    assert summary.done_before == 10 * before
+    assert toy.records(tmp_path / "s") == 10  # no chunk has two records
+    assert toy.digests(tmp_path / "s") == reference
+    assert verify_store(tmp_path / "s").ok
+    assert verify_store(tmp_path / "s").extra == ()
+
+
+@pytest.mark.parametrize("whole_group", [True, False], ids=["terminal", "driver"])
+def test_ctrl_c_ends_at_once_and_quietly_and_the_next_run_completes(tmp_path, reference, whole_group):
+    driver = toy.driver(tmp_path / "s", SLOW, cases=100, on="local", workers=2)
+    toy.wait_for_records(tmp_path / "s", 3)
+    children = children_of(driver.pid)
+    (os.killpg if whole_group else os.kill)(driver.pid, signal.SIGINT)
+    said, complained = driver.communicate(timeout=5)
+    assert (said, complained, driver.returncode) == ("interrupted\n", "", 0)
+    assert not still_there(children)
+    summary = toy.run(tmp_path / "s", SLOW, cases=100)
+    assert 30 <= summary.done_before < 100
+    assert toy.records(tmp_path / "s") == 10
+    assert toy.digests(tmp_path / "s") == reference
+
+
+def test_a_case_that_kills_its_process_is_quarantined_alone(tmp_path, reference):
+    guilty = {"crash": [13], "poison": [15]}
+    summary = toy.run(tmp_path / "s", guilty, on="local", workers=2)
+    assert (summary.computed, summary.quarantined) == (40, 2)
+    stored = open_store(tmp_path / "s").load()
+    np.testing.assert_array_equal(stored.status, np.select([stored.case == 13, stored.case == 15], [3, 2], 1))
+    assert stored.message.sel(case=13).item() == "the process that computed it was killed by SIGSEGV"
+    assert np.isnan(stored.zernike.sel(case=13)).all()
+    innocent = stored.isel(case=(stored.status == 1).values)
+    np.testing.assert_array_equal(innocent.zernike, [toy.numbers(case) for case in innocent.case.values])
+    found = toy.digests(tmp_path / "s")
+    assert all(found[chunk] == reference[chunk] for chunk in found if chunk != (10, 20))
+
+
+def test_a_torn_record_is_computed_again(tmp_path, reference):
+    toy.run(tmp_path / "s")
+    (file,) = (tmp_path / "s" / "done").glob("*.jsonl")
+    file.write_text(file.read_text().rstrip("\n")[:-40])
+    summary = toy.run(tmp_path / "s")
+    assert (summary.done_before, summary.computed) == (30, 10)
+    found = toy.digests(tmp_path / "s")
+    assert found == {chunk: reference[chunk] for chunk in found}
+
+
+def test_a_driver_with_workers_says_nothing_but_its_result(tmp_path):
+    driver = toy.driver(
+        tmp_path / "s", {"once": [25], "crash": [3], "folder": str(tmp_path)}, on="local", workers=2
+    )
+    assert driver.communicate(timeout=60) == ("40\n", "")
+
+
+def test_a_scheduler_that_dies_ends_the_run_with_one_sentence(tmp_path, reference):
+    host = (
+        "import time, wavequake.cluster.local as local\n"
+        "if __name__ == '__main__':\n"
+        "    with local.local_cluster(1) as client:\n"
+        "        print(client.scheduler.address, flush=True)\n"
+        "        time.sleep(60)\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    process = subprocess.Popen(
+        [sys.executable, "-c", host], env=environment, stdout=subprocess.PIPE, text=True
+    )
+    address = process.stdout.readline().strip()
+
+    def kill(done, total, quarantined):
+        if done == 20:
+            process.kill()
+
+    with pytest.raises(UserError, match="scheduler went away; what is done is kept"):
+        toy.run(tmp_path / "s", SLOW, cases=100, on=address, progress=kill)
+    process.communicate()
+    assert toy.run(tmp_path / "s", SLOW, cases=100).done_before >= 20
+    assert toy.digests(tmp_path / "s") == reference

@@ -1,0 +1,111 @@
+import dataclasses
+
+import pytest
+import toy
+
+from wavequake.errors import StoreDamageError
+from wavequake.workflows.journal import append, read_journal
+from wavequake.workflows.verify import verify_store
+
+
+def delete(file):
+    file.unlink()
+
+
+def empty(file):
+    file.write_bytes(b"")
+
+
+def truncate(file):
+    file.write_bytes(file.read_bytes()[:-5])
+
+
+def flip(file):
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    file.write_bytes(content)
+
+
+def swap(file):
+    """Replace a file by an intact one with other numbers, which no checksum inside the file can see."""
+    file.write_bytes(file.with_name(file.name.replace("c.1", "c.0").replace("c.4", "c.0")).read_bytes())
+
+
+@pytest.fixture
+def done(tmp_path):
+    toy.run(tmp_path / "s", {"reasons": [15]}, cases=43)
+    return tmp_path / "s"
+
+
+def test_an_intact_store_passes(done):
+    report = verify_store(done)
+    assert report.ok
+    assert (report.checked, report.missing, report.damaged, report.extra) == (5, (), (), ())
+    assert report.lines()[-1] == "The store is complete and intact."
+
+
+@pytest.mark.parametrize("damage", [delete, empty, truncate, flip, swap])
+@pytest.mark.parametrize(("name", "file"), [("zernike", "c.1.0.0"), ("status", "c.1"), ("time_s", "c.4.0")])
+def test_damage_is_named_and_repaired_to_equal_bits(done, damage, name, file):
+    if damage is swap and name == "time_s":
+        pytest.skip("the time of all cases is equal")
+    before = toy.digests(done)
+    damage(done / "data.zarr" / name / file)
+    report = verify_store(done)
+    first, last = (10, 20) if "1" in file else (40, 43)
+    assert [(d.array, d.first, d.last) for d in report.damaged] == [(name, first, last)]
+    assert not report.ok
+    assert any(f"damaged {name}, cases {first} to {last - 1}" in line for line in report.lines())
+    summary = toy.run(done, {"reasons": [15]}, cases=43, recompute=report.chunks)
+    assert (summary.computed, summary.chunks) == (last - first, 1)
+    assert verify_store(done).ok
+    assert toy.digests(done) == before
+
+
+def test_a_damaged_message_is_named(done):
+    delete(done / "data.zarr" / "message" / "c.1")
+    assert [d.array for d in verify_store(done).damaged] == ["message"]
+
+
+@pytest.mark.parametrize("damage", [delete, empty])
+def test_a_run_computes_again_what_a_loss_of_power_took(done, damage):
+    damage(done / "data.zarr" / "strehl" / "c.3")
+    summary = toy.run(done, {"reasons": [15]}, cases=43)
+    assert (summary.done_before, summary.computed) == (33, 10)
+    assert verify_store(done).ok
+
+
+def test_what_is_not_done_is_missing(done):
+    toy.run(done, {"reasons": [15]}, cases=43)
+    for file in (done / "done").glob("*.jsonl"):
+        file.write_text("\n".join(line for line in file.read_text().splitlines() if '"first":20' not in line))
+    report = verify_store(done)
+    assert report.missing == ((20, 30),)
+    assert not report.ok
+    assert report.lines()[-1] == "Run the study again to complete the store."
+
+
+def test_leftovers_of_a_crash_are_told_and_swept(done):
+    leftover = done / "data.zarr" / "strehl" / "c.9.0123.partial"
+    leftover.write_bytes(b"x")
+    report = verify_store(done)
+    assert report.ok
+    assert report.extra == ("data.zarr/strehl/c.9.0123.partial",)
+    toy.run(done, {"reasons": [15]}, cases=50)
+    assert not leftover.exists()
+
+
+@pytest.mark.parametrize("damage", [delete, flip, truncate])
+def test_damaged_labels_are_named(done, damage):
+    damage(done / "data.zarr" / "realization" / "c.0")
+    with pytest.raises(StoreDamageError, match="realization is damaged"):
+        verify_store(done)
+
+
+def test_two_runs_with_other_numbers_are_an_alarm_everywhere(done):
+    record = read_journal(done / "done").records[10, 20]
+    append(done / "done", dataclasses.replace(record, digests={**record.digests, "strehl": "0" * 32}))
+    with pytest.raises(StoreDamageError, match="strehl differ"):
+        verify_store(done)
+    with pytest.raises(StoreDamageError, match="strehl differ"):
+        toy.run(done, {"reasons": [15]}, cases=43)
