@@ -23,16 +23,16 @@ def triangle_by_quadrature(corners, fx, fy):
     return jacobian * (waves * weight).sum(axis=(1, 2))
 
 
-@settings(max_examples=30, deadline=None)
-@given(st.floats(-7.0, 1.2), st.floats(0.0, 2 * np.pi), st.integers(0, 10_000))
-def test_triangles_equal_gauss_quadrature(exponent, angle, seed):
+@settings(max_examples=20, deadline=None)
+@given(st.floats(0.0, 2 * np.pi), st.integers(0, 10_000))
+def test_triangles_equal_gauss_quadrature(angle, seed):
     rng = np.random.default_rng(seed)
     corners = np.array([[0.0, 0.0], [1.0, 0.1], [0.2, 0.9]]) + 0.2 * rng.random((3, 2))
-    frequency = 10.0**exponent / (2 * np.pi)
-    fx, fy = np.array([frequency * np.cos(angle)]), np.array([frequency * np.sin(angle)])
+    frequency = 10.0 ** np.linspace(-7.0, 1.2, 60) / (2 * np.pi)
+    fx, fy = frequency * np.cos(angle), frequency * np.sin(angle)
     exact = triangle_by_quadrature(corners, fx, fy)
-    area = polygon_areas(corners[None])[0]
-    assert abs(polygon_transform(corners[None], fx, fy)[0, 0] - exact[0]) < 1e-14 * area
+    found = polygon_transform(corners[None], fx, fy)[:, 0]
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-14 * polygon_areas(corners[None])[0])
 
 
 def test_square_is_a_product_of_sincs_for_all_frequencies():

@@ -3,7 +3,7 @@ import pytest
 
 from wavequake.errors import UserError
 from wavequake.imaging.polygon_transform import polygon_areas, polygon_transform
-from wavequake.imaging.segment_moments import gauss_rule
+from wavequake.imaging.segment_moments import gauss_rule, largest_means, moments_on_grid
 from wavequake.imaging.segment_psf import (
     MOMENTS,
     moments_needed,
@@ -92,6 +92,15 @@ def test_ring_and_minimum_equal_the_reference(tmt):
         assert ring(1.7)[column] == pytest.approx(reference["first_ring_mean"], abs=1e-12)
         assert min(ring(1.2)[column], ring(1.3)[column]) > reference["first_min_mean"]
         assert max(ring(1.65)[column], ring(1.75)[column]) < reference["first_ring_mean"]
+
+
+@pytest.mark.parametrize("highest", [1e-5, 1e-3, 7e-3])  # cycles/mm: up to 0.03, 3 and 19 rad at a corner
+def test_zeroth_moments_equal_closed_forms(flower, highest):
+    fy, fx = highest * np.linspace(0, 1, 8), highest * np.linspace(-1, 1, 9)
+    x, y = (f.ravel() for f in np.meshgrid(fx, fy))
+    found = moments_on_grid(flower.corners, flower.centers, fy, fx, 0, 1.0)[:, 0]
+    exact = polygon_transform(flower.corners, x, y)
+    np.testing.assert_allclose(found, exact, rtol=0, atol=2e-14 * polygon_areas(flower.corners).max())
 
 
 @pytest.mark.parametrize(("slope_rms", "errors"), [(0.114, (1.2e-5, 2e-8)), (0.228, (1.6e-4, 1e-6))])
@@ -252,6 +261,15 @@ def test_pupils_without_light_are_refused():
         ray_basis(np.zeros(3), np.zeros(3), np.zeros(3), 16, 0.25, 100.0)
     with pytest.raises(UserError, match="lost rays"):
         ray_basis(np.array([0.0, np.nan]), np.zeros(2), np.ones(2), 16, 0.25, 100.0)
+
+
+def test_bounds_are_the_largest_means_over_directions():
+    # Means of |x| and of |x + y|³ / √8 over the unit square; a few percent more for directions not tried.
+    square = 0.5 * np.array([[[-1, -1], [1, -1], [1, 1], [-1, 1.0]]])
+    means = largest_means(square, np.zeros((1, 2)), 2)[:, 0]
+    expected = 2 * np.pi / 4, (2 * np.pi) ** 3 / 6 * 0.1 / np.sqrt(8)
+    assert (means >= expected).all()
+    np.testing.assert_allclose(means, expected, rtol=0.02)
 
 
 def test_moments_are_listed_by_even_degree():
