@@ -66,6 +66,18 @@ def test_representatives_are_the_median_and_the_worst_case(campaign):
     assert representatives(campaign) == {"wind": (2, 4), "shake": (1, 3)}
 
 
+def test_cases_are_ranked_by_line_of_sight_where_their_wavefronts_are_alike(campaign):
+    campaign["wfe_rms_raw"][:] = 10.0
+    campaign["los"][0, :, 0] = 7.0
+    wind = populations(campaign)[0]
+    assert wind.ranked_by == "LOS"
+    # Means 7/3: case 0 lies 14/3 from it, cases 2 and 4 lie 7/3.
+    np.testing.assert_allclose(wind.severity, [14 / 3, 7 / 3, 7 / 3])
+    assert (wind.worst_index, wind.median_index) == (0, 2)
+    campaign["los"][:] = 0.0
+    assert populations(campaign)[0].ranked_by == "WFE on glass"
+
+
 def test_case_ids_need_not_be_rows(campaign):
     shifted = campaign.assign_coords(case=campaign["case"] + 100)
     assert representatives(shifted)["wind"] == (102, 104)

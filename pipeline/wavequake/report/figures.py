@@ -102,9 +102,8 @@ def history(population: Population) -> Figure:
     """Show wavefront error and line of sight over time: median and worst case before all others."""
     figure = Figure(figsize=(WIDTH, HEIGHT))
     gap, height = 0.2, (HEIGHT - 1.4) / 3
-    panels = [
-        _inches(figure, 0.75, 0.5 + (2 - row) * (height + gap), WIDTH - 0.95, height) for row in range(3)
-    ]
+    bottoms = [0.5 + row * (height + gap) for row in (2, 1, 0)]
+    panels = [_inches(figure, 0.75, bottom, WIDTH - 0.95, height, label=0.54) for bottom in bottoms]
     los = population.los - population.los.mean(axis=(0, 1)) if population.los.size else population.los
     series = (population.wfe_raw, los[..., 0], los[..., 1])
     for axes, values, label in zip(
@@ -113,9 +112,11 @@ def history(population: Population) -> Figure:
         _draw_history(axes, population, values)
         axes.set_ylabel(label)
         axes.tick_params(labelbottom=axes is panels[-1])
+    for axes in panels[1:]:
+        axes.set_ylim(_common_limits(panels[1:]))
     panels[0].set_ylim(0, 1.06 * panels[0].get_ylim()[1])
     panels[-1].set_xlabel("time (s)")
-    panels[0].set_title(f"{_plain(population.name)}: median and worst case by WFE on glass", pad=18)
+    panels[0].set_title(f"{_plain(population.name)}: median and worst case by {population.ranked_by}", pad=18)
     if len(population.cases):
         panels[0].legend(
             loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, borderpad=0.1, ncols=3,
@@ -137,11 +138,13 @@ def summary_figure(detail: Detail, populations: Sequence[Population]) -> Figure:
     return figure
 
 
-def _inches(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
-    """Add axes placed in inches: automatic layouts take longer than the drawing."""
+def _inches(
+    figure: Figure, left: float, bottom: float, width: float, height: float, label: float = 0.44
+) -> Axes:
+    """Add axes placed in inches, the y label `label` left of them: automatic layouts are slow."""
     across, up = figure.get_size_inches()
     axes = figure.add_axes((left / across, bottom / up, width / across, height / up))
-    axes.yaxis.set_label_coords(-0.44 / width, 0.5)
+    axes.yaxis.set_label_coords(-label / width, 0.5)
     return axes
 
 
@@ -208,7 +211,8 @@ def _draw_segments(figure: Figure, axes: Axes, detail: Detail, numbers: bool = T
             _number_segments(figure, axes, detail, np.abs(norm(values) - 0.5) > 0.3)
     rms = f", rms {number(float(np.sqrt(np.mean(values**2))))} nm" if values.any() else ""
     axes.set_title(f"M1 segments, {_instant(detail)}\n{meaning}{rms}")
-    _colorbar(figure, axes, ScalarMappable(norm, colors), "displacement (nm)")
+    if values.any():
+        _colorbar(figure, axes, ScalarMappable(norm, colors), "displacement (nm)")
 
 
 def _number_segments(figure: Figure, axes: Axes, detail: Detail, dark: NDArray[np.bool_]) -> None:
@@ -317,6 +321,11 @@ def _draw_distributions(
         axes.lines, names, loc="lower left", bbox_to_anchor=((left - 0.4) / across, (bottom - 0.45) / up),
         ncols=columns, columnspacing=1.0, borderaxespad=0, borderpad=0, labelspacing=0.35,
     )  # fmt: skip
+
+
+def _common_limits(panels: Sequence[Axes]) -> tuple[float, float]:
+    limits = np.array([axes.get_ylim() for axes in panels])
+    return float(limits[:, 0].min()), float(limits[:, 1].max())
 
 
 def _draw_history(axes: Axes, population: Population, values: NDArray[np.float64]) -> None:

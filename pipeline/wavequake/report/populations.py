@@ -1,6 +1,7 @@
 """From a store to the populations of its report: one per disturbance model, without the cases that failed."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -50,15 +51,37 @@ class Population:
     todo: int
     incomplete: int
 
+    @cached_property
+    def severity(self) -> NDArray[np.float64]:
+        """What ranks the cases, shape (C,); :attr:`ranked_by` says what it is.
+
+        The WFE on glass (rms over the instants, nm), unless the cases differ in it by less than 1 %, as where
+        only the mount moves: then the line of sight about the mean of the population (rms over the instants,
+        mas).
+        """
+        return self._los_rms if self.ranked_by == "LOS" else case_rms(self.wfe_raw)
+
+    @cached_property
+    def ranked_by(self) -> str:
+        """``"WFE on glass"`` or ``"LOS"``."""
+        wfe = case_rms(self.wfe_raw)
+        return (
+            "LOS" if len(wfe) and np.ptp(wfe) < 0.01 * wfe.max() and self._los_rms.any() else "WFE on glass"
+        )
+
+    @property
+    def _los_rms(self) -> NDArray[np.float64]:
+        return case_rms(np.linalg.norm(self.los - self.los.mean(axis=(0, 1)), axis=2))
+
     @property
     def median_index(self) -> int:
-        """Index of the case whose WFE on glass (rms over its instants) is the median, the lower of two."""
-        return int(np.argsort(case_rms(self.wfe_raw), kind="stable")[(len(self.cases) - 1) // 2])
+        """Index of the case whose :attr:`severity` is the median, the lower of two."""
+        return int(np.argsort(self.severity, kind="stable")[(len(self.cases) - 1) // 2])
 
     @property
     def worst_index(self) -> int:
-        """Index of the case with the largest WFE on glass (rms over its instants)."""
-        return int(np.argmax(case_rms(self.wfe_raw)))
+        """Index of the case of the largest :attr:`severity`."""
+        return int(np.argmax(self.severity))
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,9 @@ def _quantile(quantile: Quantile, digits: int = 3) -> tuple[str, str]:
 
 def _radius(quantile: Quantile) -> tuple[str, str]:
     value, remark = _quantile(quantile, 4)
-    return BEYOND if np.isposinf(quantile.value) else value, remark
+    if not np.isposinf(quantile.value):
+        return value, remark
+    return BEYOND, remark if np.isfinite(quantile.low) else ""
 
 
 def _jitter(jitter: Jitter) -> tuple[str, str]:
