@@ -50,7 +50,7 @@ def test_workers_are_single_threaded_local_and_gone_afterwards(monkeypatch):
 
 def test_an_address_without_a_scheduler_is_one_sentence():
     with (
-        pytest.raises(UserError, match="No Dask scheduler answers at tcp://127.0.0.1:1"),
+        pytest.raises(UserError, match=r"No Dask scheduler answers at tcp://127.0.0.1:1"),
         connected("tcp://127.0.0.1:1", timeout_s=0.2),
     ):
         pass
@@ -60,15 +60,20 @@ def test_interrupts_wait_until_they_may_come():
     steps = []
     other_threads_take_signals_too = threading.Thread(target=time.sleep, args=(0.2,))
     other_threads_take_signals_too.start()
-    with pytest.raises(KeyboardInterrupt), interrupts_blocked():
-        os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(0.05)
-        steps.append("went on")
+
+    def interrupted():
+        with interrupts_blocked():
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.05)
+            steps.append("went on")
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
     assert steps == ["went on"]
     other_threads_take_signals_too.join()
 
 
 def test_importing_wavequake_is_quick_because_dask_stays_out():
-    code = "import sys, wavequake, wavequake.workflows.engine; sys.exit('distributed' in sys.modules or 'dask' in sys.modules)"
+    code = "import sys, wavequake, wavequake.workflows.engine; sys.exit('dask' in sys.modules)"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     assert subprocess.run([sys.executable, "-c", code], env=environment, check=False).returncode == 0

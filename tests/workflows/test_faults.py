@@ -1,4 +1,4 @@
-"""Processes are killed in the middle of a campaign; nothing is lost, nothing is computed twice, no bit changes."""
+"""Processes are killed in the middle of a campaign: nothing is lost, and no bit changes."""
 
 import os
 import signal

@@ -51,7 +51,7 @@ def test_duplicates_that_agree_are_one_record(tmp_path):
 
 def test_duplicates_with_other_numbers_raise_the_alarm(tmp_path):
     write(tmp_path, RECORD, dataclasses.replace(RECORD, pid=1, digests={"zernike": "ab", "status": "bb"}))
-    with pytest.raises(StoreDamageError, match="cases 20 to 29 were computed twice, .*zernike differ"):
+    with pytest.raises(StoreDamageError, match=r"cases 20 to 29 were computed twice, .*zernike differ"):
         read_journal(tmp_path)
 
 

@@ -191,14 +191,14 @@ def test_a_lost_array_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("other", "words"),
     [
-        ({"optics": {"wavelength_nm": 550.0}, "a": 2}, "optics.wavelength_nm is 500.0 there and 550.0 here"),
-        ({"optics": {"wavelength_nm": 500.0, "rays": 9}, "a": 2}, "optics.rays is absent there and 9 here"),
+        ({"optics": {"wavelength_nm": 550.0}, "a": 2}, "optics.wavelength_nm is 500.0 there, 550.0 here"),
+        ({"optics": {"wavelength_nm": 500.0, "rays": 9}, "a": 2}, "optics.rays is absent there, 9 here"),
         (
             {"disturbance": [{"name": "wind", "speed": 8}], "a": 2},
-            "disturbance.wind.speed is 5 there and 8 here",
+            "disturbance.wind.speed is 5 there, 8 here",
         ),
         ({"disturbance": [{"name": "rain", "speed": 5}], "a": 2}, "disturbance.rain is absent there"),
-        ({"a": 3}, "a is 2 there and 3 here"),
+        ({"a": 3}, "a is 2 there, 3 here"),
     ],
 )
 def test_the_store_of_another_study_is_refused_with_the_first_difference(tmp_path, other, words):
@@ -210,9 +210,9 @@ def test_the_store_of_another_study_is_refused_with_the_first_difference(tmp_pat
 
 def test_another_workflow_or_kind_of_device_is_refused(tmp_path):
     manifest = new(tmp_path / "s")
-    with pytest.raises(UserError, match='workflow is "toy" there and "mirror-mor" here'):
+    with pytest.raises(UserError, match='workflow is "toy" there, "mirror-mor" here'):
         store.refuse_other(tmp_path / "s", manifest, "mirror-mor", toy.study(), "numpy")
-    with pytest.raises(UserError, match="begun on a device of kind 'numpy' .*campaign.device=numpy"):
+    with pytest.raises(UserError, match=r"begun on a device of kind 'numpy' .*campaign.device=numpy"):
         store.refuse_other(tmp_path / "s", manifest, "toy", toy.study(), "gpu")
     store.refuse_other(tmp_path / "s", manifest, "toy", toy.study(), "numpy")
 
@@ -273,7 +273,7 @@ def test_status_says_what_is_done_and_why_not(tmp_path):
     assert found.counts == (20, 38, 2, 0, 0, 0)
     assert (found.chunks_done, found.quarantined) == (4, 2)
     text = "\n".join(found.lines())
-    assert "60 cases in 6 chunks of 10, of which 4 are done" in text
+    assert "60 cases in 6 chunks of 10; 4 are done" in text
     assert "20 todo, 38 done, 2 raised" in text
     assert "case 3 raised: case 3 loses a segment" in text
     assert "case 17 raised: ValueError: the segment broke" in text

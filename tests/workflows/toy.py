@@ -1,4 +1,4 @@
-"""Workflows without physics, to try the engine: numbers from a generator per case, and cases that go wrong on request."""
+"""A workflow without physics, to try the engine: random numbers, and cases that go wrong on request."""
 
 import json
 import os
@@ -111,7 +111,7 @@ def digests(path):
 
 
 def driver(path, options=None, **keywords):
-    """Start a campaign in a process of its own; its last line is the number of cases computed, or how it ended."""
+    """Start a campaign in a process of its own; it prints the number of cases computed, or "interrupted"."""
     script = (
         "import toy\n"
         "if __name__ == '__main__':\n"

@@ -14,8 +14,8 @@ from wavequake.errors import UserError
 if TYPE_CHECKING:
     from distributed import Client
 
-# One thread per worker process: W workers times N threads would only get in each other's way, and BLAS results
-# depend on the number of threads. Workers say nothing: what went wrong is the driver's to tell.
+# One thread per worker process: more would only get in each other's way, and the last bits of BLAS depend on
+# their number. Workers say nothing: what went wrong, the driver tells.
 WORKER_ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
@@ -28,8 +28,8 @@ WORKER_ENVIRONMENT = {
 # Would pin the one thread of every worker to the same CPU.
 _UNSET = ("POCL_AFFINITY",)
 
-# A task takes seconds: slow clocks save idle CPU time. A worker holds no task but the one that it runs, so that its
-# death is blamed on no other.
+# A task takes seconds: slow clocks save idle CPU time. A worker holds no task but the one it runs, so that
+# its death is blamed on no other.
 SETTINGS: dict[str, Any] = {
     "distributed.scheduler.worker-saturation": 1.0,
     "distributed.scheduler.allowed-failures": 1,
@@ -106,7 +106,7 @@ def silence() -> None:
 
 @contextmanager
 def worker_environment() -> Iterator[None]:
-    """Set the workers' environment while there are any: they inherit the driver's, also when they are restarted."""
+    """Set the environment that worker processes inherit, also those that are started again after a crash."""
     names = (*WORKER_ENVIRONMENT, *_UNSET)
     before = {name: os.environ.get(name) for name in names}
     os.environ.update(WORKER_ENVIRONMENT)
@@ -123,7 +123,7 @@ def worker_environment() -> Iterator[None]:
 
 @contextmanager
 def interrupts_blocked() -> Iterator[None]:
-    """Hold Ctrl-C back until the end, and keep it for good from the processes and threads that are started inside."""
+    """Hold Ctrl-C back until the end, and keep it for good from processes and threads started inside."""
     came: list[int] = []
     in_main = threading.current_thread() is threading.main_thread()
     handler = signal.signal(signal.SIGINT, lambda number, frame: came.append(number)) if in_main else None

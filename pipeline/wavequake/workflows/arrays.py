@@ -78,7 +78,7 @@ def open_group(folder: Path, *, read_only: bool = False) -> zarr.Group:
 
 
 def consolidate(folder: Path) -> None:
-    """Copy the metadata of all arrays into the group's, as plain `xarray.open_zarr` expects; we ourselves read the originals."""
+    """Copy the metadata of all arrays to where plain `xarray.open_zarr` looks; we read the originals."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ZarrUserWarning)  # that other zarr libraries may not know of it
         zarr.consolidate_metadata(DurableStore(folder), zarr_format=3)

@@ -35,7 +35,7 @@ _FATAL = (UserError, BrokenWorkflowError)
 
 @dataclass(frozen=True)
 class Job:
-    """What the chunks of one run share; it travels with every task, so it is small: functions go by reference."""
+    """What the chunks of a run share; it travels with every task and is small: functions go by reference."""
 
     workflow: Workflow
     path: str
@@ -110,7 +110,7 @@ def _computed_alone(job: Job, opened: _Opened, case: int) -> ChunkResult:
 
 
 def _checked(result: ChunkResult, template: Template, count: int) -> ChunkResult:
-    """Return the result in the types of the store; a workflow that breaks its contract is a bug, not a failed case."""
+    """Return the result in the types of the store; a workflow that breaks its contract is no failed case."""
     status = np.asarray(result.status)
     if set(result.arrays) != set(template.per_case):
         raise _broken(f"gave the arrays {sorted(result.arrays)} instead of {sorted(template.per_case)}")

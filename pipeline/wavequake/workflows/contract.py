@@ -13,7 +13,7 @@ STATUS_MEANINGS = "todo done raised crashed timed_out diverged"
 
 @dataclass(frozen=True)
 class Variable:
-    """One stored array: ``dims`` without the leading ``case``, their sizes, dtype and attributes (units, long_name).
+    """A stored array: ``dims`` after the leading ``case``, their sizes, dtype, attributes (units, long_name).
 
     A ``coordinate`` labels other arrays (the time of each instant); the rest is data.
     """
@@ -51,6 +51,11 @@ def no_description(study: str) -> dict[str, str]:
     return {}
 
 
+def no_work(study: str, cases: int) -> dict[str, tuple[float, str]]:
+    """Return no amounts of work."""
+    return {}
+
+
 @dataclass(frozen=True)
 class Workflow:
     """A workflow as module-level functions (so that Dask sends them by reference).
@@ -60,7 +65,8 @@ class Workflow:
     < last, each array of length last - first (str, int or float). ``compute(study, cases, device)`` is a pure
     function of the study and the case ids: a case's bits depend on nothing else. It marks a case that fails
     for a known reason in ``status``; an exception means that the engine tries the chunk's cases one by one; a
-    UserError ends the run. ``describe`` adds lines to the plan.
+    UserError ends the run. ``describe`` adds lines to the plan; ``work(study, cases)`` says how much of what a
+    kind of work in the timings has processed, e.g. {"trace": (1e9, "ray-surfaces")}.
     """
 
     name: str
@@ -68,3 +74,4 @@ class Workflow:
     case_table: Callable[[str, int, int], dict[str, NDArray[Any]]]
     compute: Callable[[str, NDArray[np.int64], str], ChunkResult]
     describe: Callable[[str], dict[str, str]] = no_description
+    work: Callable[[str, int], dict[str, tuple[float, str]]] = no_work

@@ -35,7 +35,7 @@ Progress = Callable[[int, int, int], None]
 
 @dataclass(frozen=True)
 class CampaignSummary:
-    """What a run did: cases done before it, computed by it, quarantined (in all), chunks computed, and times in s."""
+    """What a run did: cases done before, computed now, quarantined in all, chunks computed, times in s."""
 
     done_before: int
     computed: int
@@ -59,7 +59,7 @@ def run_campaign(
     progress: Progress | None = None,
     recompute: AbstractSet[Chunk] = frozenset(),
 ) -> CampaignSummary:
-    """Compute what the store at `path` lacks of its first `cases` cases; the store is made or extended if need be.
+    """Compute what the store at `path` lacks of `cases` cases; the store is made or extended if need be.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ class _Tally:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """Hold a store, whose folder is made if need be, against other drivers; raises UserError if one is at work."""
+    """Hold a store, whose folder is made if need be, against other drivers; UserError if one is at work."""
     store.refuse_foreign(path)
     with store.write_errors_explained(path):
         path.mkdir(parents=True, exist_ok=True)
@@ -205,7 +205,7 @@ def _stream(client: "Client", job: Job, todo: list[Chunk], tally: _Tally) -> lis
     from distributed.scheduler import KilledWorker
 
     def submit(piece: Chunk) -> "Future":
-        # Tuple keys with a common first part: the scheduler holds the tasks back in its queue, instead of assigning
+        # Tuple keys with a common first part: the scheduler keeps the tasks in its queue, and does not assign
         # them to workers that may die with them.
         return client.submit(compute_chunk, job, *piece, key=(f"chunk-{job.run}", piece[0]), pure=False)
 

@@ -53,7 +53,7 @@ def _version(package: str) -> str:
 
 
 def git_commit(folder: Path) -> str:
-    """Return the commit of the checkout that tracks `folder`, with "-dirty" if files differ; "" outside of one."""
+    """Return the commit of the checkout that tracks `folder`, "-dirty" if files differ; "" outside of one."""
     try:
         # An installed package may lie inside somebody else's repository: only tracked files count.
         tracked = _git(folder, "ls-files", "--error-unmatch", "__init__.py")
@@ -80,7 +80,7 @@ def cpu_model() -> str:
 
 
 def blas() -> str:
-    """Return name, version and core type of the loaded BLAS libraries, which decide the last bits of a product."""
+    """Return name, version and core type of the loaded BLAS, which decide the last bits of a product."""
     found = [pool for pool in threadpool_info() if pool["user_api"] == "blas"]
     words = (
         f"{pool['internal_api']} {pool.get('version')} {pool.get('architecture', '')}".strip()

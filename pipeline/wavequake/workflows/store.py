@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,7 +65,7 @@ def write_errors_explained(path: Path) -> Iterator[None]:
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise UserError(
-                f"The disk of {path} is full: what is done is kept; free some space and run the same command again."
+                f"The disk of {path} is full: what is done is kept; free some space and repeat the command."
             ) from None
         if error.errno in (errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EEXIST):
             reason = os.strerror(error.errno).lower()
@@ -84,7 +84,7 @@ def refuse_foreign(path: Path) -> None:
     foreign = [name for name in names if name.split(".partial")[0] not in (MANIFEST, DATA, JOURNAL, LOCK)]
     if foreign:
         raise UserError(
-            f"{path} is not a store: it holds {foreign[0]!r} and no {MANIFEST}; choose a new folder with --store."
+            f"{path} is not a store: it holds {foreign[0]!r}, no {MANIFEST}; choose another --store."
         )
     if any((path / JOURNAL).glob("*.jsonl")):
         raise UserError(
@@ -261,12 +261,12 @@ def refuse_other(path: Path, manifest: Manifest, workflow: str, study: str, kind
         ours = {"workflow": workflow, **json.loads(study)}
         key, there, here = _first_difference(theirs, ours)
         raise UserError(
-            f"{path} belongs to another study: {key} is {there} there and {here} here; choose another --store."
+            f"{path} belongs to another study: {key} is {there} there, {here} here; choose another --store."
         )
     if manifest.device_kind != kind:
         raise UserError(
-            f"{path} was begun on a device of kind {manifest.device_kind!r} ({manifest.device}), and {kind!r} gives other "
-            f"last bits: run with campaign.device={manifest.device_kind}, or choose another --store."
+            f"{path} was begun on a device of kind {manifest.device_kind!r} ({manifest.device}), and {kind!r}"
+            f" gives other last bits: use campaign.device={manifest.device_kind}, or choose another --store."
         )
 
 
@@ -325,9 +325,9 @@ def open_store(path: Path | str) -> "xr.Dataset":
     numbers = [name for name in manifest.variables if name not in arrays.ENGINE_VARIABLES]
     lazy = {name: dataset[name].variable.chunk(case=manifest.chunk) for name in numbers}
     dataset = dataset.assign(lazy)
-    return dataset[
-        [*manifest.variables, *(name for name in dataset.data_vars if name not in manifest.variables)]
-    ]
+    others = [name for name in dataset.data_vars if name not in manifest.variables]
+    ordered: xr.Dataset = dataset[[*manifest.variables, *others]]
+    return ordered
 
 
 @dataclass(frozen=True)
@@ -352,7 +352,7 @@ class StoreStatus:
         manifest, chunks = self.manifest, len(self.manifest.plan())
         lines = [
             f"{self.path}: {manifest.workflow}, study {manifest.identity[:12]}, device {manifest.device}",
-            f"{manifest.cases} cases in {chunks} chunks of {manifest.chunk}, of which {self.chunks_done} are done",
+            f"{manifest.cases} cases in {chunks} chunks of {manifest.chunk}; {self.chunks_done} are done",
             ", ".join(f"{count} {word}" for word, count in zip(meanings, self.counts, strict=True) if count),
         ]
         lines += [

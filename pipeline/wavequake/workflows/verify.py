@@ -1,4 +1,4 @@
-"""Check a store against its journal: every array of every finished chunk is read again and its digest compared."""
+"""Check a store against its journal: read every array of every finished chunk and compare its digest."""
 
 from collections.abc import Mapping, Set
 from dataclasses import dataclass
@@ -57,7 +57,7 @@ class VerifyReport:
     def lines(self, most: int = 20) -> list[str]:
         """Return the report in words; at most `most` damages are listed."""
         lines = [
-            f"{self.path}: {self.checked} chunks read, {len(self.chunks)} damaged, {len(self.missing)} not done yet"
+            f"{self.path}: {self.checked} chunks read, {len(self.chunks)} damaged, {len(self.missing)} to do"
         ]
         lines += [f"damaged {damage}" for damage in self.damaged[:most]]
         if len(self.damaged) > most:
