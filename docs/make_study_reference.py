@@ -1,9 +1,10 @@
-"""Write the tables of keys in docs/study.md from the models that check study files: ``python docs/make_study_reference.py``."""
+"""Write the tables of keys in docs/study.md from the code: ``python docs/make_study_reference.py``."""
 
 from pathlib import Path
 
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
+
 from wavequake.workflows.study import Study, SurfaceSection, disturbance_models
 
 PAGE = Path(__file__).with_name("study.md")
@@ -16,7 +17,11 @@ def table(model: type[BaseModel], skip: frozenset[str] = frozenset()) -> str:
     for name, info in model.model_fields.items():
         if name in skip or name.endswith("_csv"):
             continue
-        default = "required" if info.default is PydanticUndefined and not info.default_factory else f"`{info.get_default(call_default_factory=True)}`"
+        default = (
+            "required"
+            if info.default is PydanticUndefined and not info.default_factory
+            else f"`{info.get_default(call_default_factory=True)}`"
+        )
         lines.append(f"| `{name}` | {default} | {info.description or ''} |")
     return "\n".join(lines) + "\n"
 
@@ -37,7 +42,9 @@ def reference() -> str:
     parts.append(f"## `[[disturbance]]`: what all have\nOne population of cases each.\n\n{table(shared)}")
     for name, model in models.items():
         words = " ".join(line.strip() for line in (model.__doc__ or "").strip().splitlines())
-        parts.append(f"## `[[disturbance]]` with `model = \"{name}\"`\n{words}\n\n{table(model, common | {'model'})}")
+        parts.append(
+            f'## `[[disturbance]]` with `model = "{name}"`\n{words}\n\n{table(model, common | {"model"})}'
+        )
     return "\n".join(parts)
 
 

@@ -64,7 +64,9 @@ def test_no_bare_folder_imports(path):
     assert not tops & (set(ALLOWED) - {"__main__"} | {"pipeline"})
 
 
-@pytest.mark.parametrize("path", [p for p in MODULES if home(p) in PHYSICS | {"kernels"}], ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "path", [p for p in MODULES if home(p) in PHYSICS | {"kernels"}], ids=lambda path: path.name
+)
 def test_physics_knows_no_dask_and_no_store(path):
     assert not {name.split(".")[0] for name in imports_of(path)} & NOT_IN_PHYSICS
 

@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+
 import wavequake as wq
 from wavequake import cli
 from wavequake.kernels import devices
@@ -89,7 +90,11 @@ def test_damage_is_named_and_mended(wavequake, tiny, tmp_path):
     store = tmp_path / "store"
     run_tiny(wavequake, tiny, store, "campaign.cases=8")
     before = wq.open_store(store)["zernike"].values
-    shard = next(path for path in sorted((store / "data.zarr" / "zernike").rglob("*")) if path.is_file() and path.name != "zarr.json")
+    shard = next(
+        path
+        for path in sorted((store / "data.zarr" / "zernike").rglob("*"))
+        if path.is_file() and path.name != "zarr.json"
+    )
     shard.write_bytes(b"")
     code, out, _ = wavequake("verify", store)
     assert code == cli.EXIT_DAMAGED
@@ -168,7 +173,9 @@ def test_a_store_that_cannot_be_written_says_so(wavequake, tiny, tmp_path):
 
 def test_quarantined_cases_end_with_exit_code_3_and_their_reason(wavequake, tiny, tmp_path):
     store = tmp_path / "store"
-    code, out, err = run_tiny(wavequake, tiny, store, "campaign.cases=3", "disturbance.pistons.in_plane_um=4e6")
+    code, out, err = run_tiny(
+        wavequake, tiny, store, "campaign.cases=3", "disturbance.pistons.in_plane_um=4e6"
+    )
     assert code == cli.EXIT_QUARANTINED
     assert "3 cases are quarantined" in err
     code, out, _ = wavequake("status", store)

@@ -1,4 +1,4 @@
-"""Wavequake: what does vibration do to the image, and which model, mirror or controller is good enough?
+"""What does vibration do to the image, and which model, mirror or controller is good enough.
 
 >>> import wavequake as wq
 >>> ds = wq.run("tmt-segments", cases=100)          # doctest: +SKIP
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = ["StoreDamageError", "Study", "UserError", "load_study", "open_store", "plan", "run"]
 
-# Heavy modules are imported when a name is first used, so that `import wavequake` and `wavequake --version` stay quick.
+# Heavy modules are imported when a name is first used, so that `import wavequake` and `wavequake --version`
+# stay quick.
 _HOMES = {
     "Study": "wavequake.workflows.study",
     "load_study": "wavequake.workflows.study",

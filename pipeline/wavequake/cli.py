@@ -23,12 +23,15 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
-out = Console(highlight=False)
+# Where the output is no terminal (a log, a pipe), lines have room for the table.
+out = Console(highlight=False, width=None if sys.stdout.isatty() else 110)
 err = Console(stderr=True, highlight=False)
 
 StudyArgument = Annotated[str, typer.Argument(help="Name of a bundled study or path of a .toml file.")]
 StoreArgument = Annotated[Path, typer.Argument(help="Folder of the store.")]
-OverridesArgument = Annotated[list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. campaign.cases=40")]
+OverridesArgument = Annotated[
+    list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. campaign.cases=40")
+]
 StoreOption = Annotated[Path | None, typer.Option("--store", help="Folder of the store (store.path).")]
 
 
@@ -46,7 +49,11 @@ def main() -> None:
     except OSError as error:
         _fail(f"Error: {error.strerror or error}: {error.filename or 'a file'}.", EXIT_BAD_INPUT, debug)
     except Exception as error:
-        _fail(f"Internal error: {type(error).__name__}: {error} (run again with --debug for the traceback).", 1, debug)
+        _fail(
+            f"Internal error: {type(error).__name__}: {error} (run again with --debug for the traceback).",
+            1,
+            debug,
+        )
 
 
 def _fail(message: str, code: int, debug: bool) -> None:
@@ -65,7 +72,9 @@ def _version(asked: bool) -> None:
 @app.callback()
 def _global(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
 ) -> None:
     """Take the options that every command shares."""
 
@@ -75,11 +84,17 @@ def run(
     study: StudyArgument,
     overrides: OverridesArgument = None,
     store: StoreOption = None,
-    on: Annotated[str, typer.Option(help="serial, local, or the tcp://HOST:PORT of a Dask scheduler.")] = "local",
-    workers: Annotated[int | None, typer.Option(min=1, help="Worker processes (default: one per CPU).")] = None,
+    on: Annotated[
+        str, typer.Option(help="serial, local, or the tcp://HOST:PORT of a Dask scheduler.")
+    ] = "local",
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Worker processes (default: one per CPU).")
+    ] = None,
+    profile: Annotated[bool, typer.Option("--profile", help="Say where the time went.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Run a study, or what of it is not done yet, and write its report. Safe to repeat and to interrupt."""
+    from wavequake.workflows.campaign import profile as profile_of
     from wavequake.workflows.campaign import run_study
     from wavequake.workflows.study import load_study
 
@@ -95,26 +110,34 @@ def run(
         sys.exit(EXIT_INTERRUPTED)
     if summary.computed:
         rate = summary.computed / max(summary.seconds, 1e-9)
-        out.print(f"{summary.computed} cases computed in {summary.seconds:.1f} s ({rate:.0f} cases/s); {summary.done_before} were done before.")
+        out.print(
+            f"{summary.computed} cases computed in {summary.seconds:.1f} s ({rate:.0f} cases/s); "
+            f"{summary.done_before} were done before."
+        )
     else:
         out.print(f"All {summary.done_before} cases were done already; nothing was computed.")
     _write_report(path, fresh=summary.computed > 0)
+    if profile:
+        _print_pairs(profile_of(path))
     if summary.quarantined:
-        err.print(f"{summary.quarantined} cases are quarantined; wavequake status {path} says why.", soft_wrap=True)
+        err.print(
+            f"{summary.quarantined} cases are quarantined; wavequake status {path} says why.", soft_wrap=True
+        )
         sys.exit(EXIT_QUARANTINED)
 
 
 @app.command()
-def plan(study: StudyArgument, overrides: OverridesArgument = None, store: StoreOption = None,
-         debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False) -> None:
+def plan(
+    study: StudyArgument,
+    overrides: OverridesArgument = None,
+    store: StoreOption = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
     """Show cases, chunks, memory and an estimate of the time; stores nothing."""
     from wavequake.workflows.campaign import plan as plan_study
     from wavequake.workflows.study import load_study
 
-    table = Table(show_header=False, box=None)
-    for key, value in plan_study(load_study(study, _with_store(overrides, store))).items():
-        table.add_row(key, value)
-    out.print(table)
+    _print_pairs(plan_study(load_study(study, _with_store(overrides, store))))
 
 
 @app.command()
@@ -131,7 +154,9 @@ def studies() -> None:
 
 
 @app.command()
-def status(store: StoreArgument, debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False) -> None:
+def status(
+    store: StoreArgument, debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False
+) -> None:
     """Say what of a store is done, quarantined (and why) and still to do."""
     from wavequake.workflows.store import status as store_status
 
@@ -140,7 +165,9 @@ def status(store: StoreArgument, debug: Annotated[bool, typer.Option("--debug", 
 
 
 @app.command()
-def verify(store: StoreArgument, debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False) -> None:
+def verify(
+    store: StoreArgument, debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False
+) -> None:
     """Read every stored number again and compare it with the journal's digests (exit code 4 if damaged)."""
     from wavequake.workflows.verify import verify_store
 
@@ -152,7 +179,9 @@ def verify(store: StoreArgument, debug: Annotated[bool, typer.Option("--debug", 
 
 
 @app.command()
-def report(store: StoreArgument, debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False) -> None:
+def report(
+    store: StoreArgument, debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False
+) -> None:
     """Print the table of a store and write its HTML report."""
     _write_report(store, fresh=True)
 
@@ -167,6 +196,13 @@ def devices() -> None:
         table.add_column(column)
     for device in list_devices():
         table.add_row(device.name, device.kind, device.platform, f"{self_test(device):.1e}")
+    out.print(table)
+
+
+def _print_pairs(pairs: dict[str, str]) -> None:
+    table = Table(show_header=False, box=None)
+    for key, value in pairs.items():
+        table.add_row(key, value)
     out.print(table)
 
 

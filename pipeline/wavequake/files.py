@@ -8,7 +8,8 @@ _PACKAGE = Path(__file__).resolve().parent
 def folder(name: str) -> Path:
     """Return the folder of non-Python files called `name`.
 
-    The installed wheel carries it as ``wavequake/_files/<name>``; a source checkout has it at the top of the repository.
+    The installed wheel carries it as ``wavequake/_files/<name>``; a source checkout has it at the top of the
+    repository.
 
     Raises
     ------

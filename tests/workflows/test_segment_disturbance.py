@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from wavequake.kernels.devices import list_devices
 from wavequake.workflows import segment_disturbance as workflow
 from wavequake.workflows.bench import bench_of
@@ -108,13 +109,19 @@ def test_a_case_alone_has_the_bits_that_it_has_in_a_chunk(text, chunk):
 def test_opencl_and_numpy_agree(text, chunk):
     """OPDs agree to about 1e-7 waves (rounding over 100 m), so Strehl ratios to a few times that."""
     twin = workflow.compute(text, np.arange(3), "numpy")
-    for name, atol in {"zernike": 1e-4, "los": 1e-6, "wfe_rms_raw": 1e-4, "strehl": 1e-6, "exposure": 1e-5}.items():
+    for name, atol in {
+        "zernike": 1e-4,
+        "los": 1e-6,
+        "wfe_rms_raw": 1e-4,
+        "strehl": 1e-6,
+        "exposure": 1e-5,
+    }.items():
         np.testing.assert_allclose(chunk.arrays[name][:3], twin.arrays[name], rtol=0, atol=atol, err_msg=name)
 
 
 @pytest.mark.parametrize("name", ["mount", "m2"])
 def test_the_line_of_sight_is_the_one_that_was_drawn(text, chunk, name):
-    """The optics know nothing of the spectrum: f, the pose of M2 and the fit must give the drawn angle back."""
+    """The optics know nothing of spectra: f, M2's pose and the fit must give the drawn angle back."""
     bench = bench_of(text)
     for row in rows(text, name):
         motion = workflow.draw(bench, int(row)).motion
@@ -128,7 +135,9 @@ def test_the_image_goes_where_the_line_of_sight_goes(text, chunk):
     """Mean of the exposure's own centroid against the mean line of sight, both on the sky: sign and scale."""
     bench = bench_of(text)
     axis = workflow.image_axis(bench)
-    unit = bench.prepared.wavelength / (2 * bench.system.pupil_outer) * 180 / np.pi * 3600e3  # lambda/D in mas
+    unit = (
+        bench.prepared.wavelength / (2 * bench.system.pupil_outer) * 180 / np.pi * 3600e3
+    )  # lambda/D in mas
     for row in rows(text, "mount"):
         exposure = chunk.arrays["exposure"][row]
         mean = np.nanmean(chunk.arrays["los"][row], axis=0) / unit
@@ -139,7 +148,7 @@ def test_the_image_goes_where_the_line_of_sight_goes(text, chunk):
 
 
 def test_strehl_of_pistons_and_tilts_is_the_exposures_peak(study, text, chunk):
-    """Two codes: ray sums about the best-fit plane, and polygon transforms on a fine grid of 0.05 lambda/D."""
+    """Two codes: ray sums about the best-fit plane, and polygon transforms on a grid of 0.05 lambda/D."""
     fine = study_with(study, {"imaging.sampling": 0.05}).identity_text()
     result = workflow.compute(fine, rows(text, "pistons"), DEVICE)
     strehl = result.arrays["strehl"][:, 0]
@@ -151,11 +160,13 @@ def test_small_aberrations_follow_marechal(text, chunk):
     """Strehl = exp(-(2 pi sigma/lambda)^2) for small sigma, sigma about the best-fit plane."""
     for row in rows(text, "figure"):
         sigma = chunk.arrays["wfe_rms_raw"][row, 0]
-        assert chunk.arrays["strehl"][row, 0] == pytest.approx(np.exp(-((2 * np.pi * sigma / 550.0) ** 2)), abs=0.02)
+        assert chunk.arrays["strehl"][row, 0] == pytest.approx(
+            np.exp(-((2 * np.pi * sigma / 550.0) ** 2)), abs=0.02
+        )
 
 
 def test_figure_is_seen_twice_on_reflection(text, chunk):
-    """A surface of rms s makes a wavefront of rms 2 s (near normal incidence); figures are over circumscribed circles."""
+    """A surface of rms s makes a wavefront of rms 2 s; figures are over circumscribed circles."""
     row = rows(text, "figure")[0]
     figure = workflow.draw(bench_of(text), int(row)).motion.segment_figure * 1e9
     raw = chunk.arrays["wfe_rms_raw"][row, 0]
@@ -174,7 +185,12 @@ def test_a_combination_is_the_sum_of_its_parts(text):
 def test_exposure_holds_the_light(text, chunk):
     """Parseval: what the frame holds of the light through the pupil is most of it and never more than all."""
     scale = energy_scale(bench_of(text))
-    total = chunk.arrays["exposure"].sum(axis=(1, 2)) * scale["sampling"] ** 2 * scale["area"] / scale["diameter"] ** 2
+    total = (
+        chunk.arrays["exposure"].sum(axis=(1, 2))
+        * scale["sampling"] ** 2
+        * scale["area"]
+        / scale["diameter"] ** 2
+    )
     assert (total < 1.0).all()
     assert (total[rows(text, "pistons")] > 0.7).all()
 
@@ -189,6 +205,13 @@ def test_a_segment_that_leaves_the_beam_quarantines_its_case_with_the_reason(stu
     assert np.isfinite(result.arrays["wfe_rms"][1]).any()
 
 
+def test_tilts_beyond_imaging_quarantine_their_case_alone(study):
+    steep = study_with(study, {"disturbance.pistons.tip_nrad": 3e3, "imaging.moments": 1}).identity_text()
+    result = workflow.compute(steep, np.array([0, 4]), DEVICE)
+    assert result.status[0] == RAISED
+    assert "moments" in result.messages[0]
+
+
 def test_long_cases_are_cut_into_launches_without_changing_bits(study, monkeypatch):
     text = study_with(study, {"disturbance.mount.instants": 70}).identity_text()
     whole = workflow.compute(text, np.array([2, 3]), DEVICE)
@@ -201,7 +224,11 @@ def test_long_cases_are_cut_into_launches_without_changing_bits(study, monkeypat
 
 def test_a_monolithic_mirror_runs_and_is_perfect_at_rest(tmp_path):
     path = tmp_path / "one.toml"
-    path.write_text(STUDY.replace('"tmt-18"\ngap_mm = 20.0', '"tmt-thesis"').replace("[imaging]", "[optics]\nrays = 500\n[imaging]"))
+    path.write_text(
+        STUDY.replace('"tmt-18"\ngap_mm = 20.0', '"tmt-thesis"').replace(
+            "[imaging]", "[optics]\nrays = 500\n[imaging]"
+        )
+    )
     text = load_study(path).identity_text()
     result = workflow.compute(text, np.array([2]), DEVICE)
     assert result.status[0] == DONE

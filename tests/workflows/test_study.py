@@ -2,6 +2,7 @@ import json
 import tomllib
 
 import pytest
+
 from wavequake.errors import UserError
 from wavequake.workflows.study import bundled_studies, load_study, study_from_identity, study_with
 
@@ -33,7 +34,9 @@ def test_bundled_studies_load_and_come_back_from_their_identity(name):
 
 
 def test_overrides_reach_sections_and_named_disturbances(minimal):
-    study = load_study(minimal, ["campaign.cases=7", "disturbance.still.piston_nm=3.5", "telescope.gap_mm=2.5"])
+    study = load_study(
+        minimal, ["campaign.cases=7", "disturbance.still.piston_nm=3.5", "telescope.gap_mm=2.5"]
+    )
     assert study.campaign.cases == 7
     assert study.disturbance[0].piston_nm == 3.5
     assert study.telescope.gap_mm == 2.5
@@ -42,12 +45,15 @@ def test_overrides_reach_sections_and_named_disturbances(minimal):
 
 def test_how_much_and_where_are_not_part_of_the_identity(minimal):
     base = load_study(minimal)
-    same = load_study(minimal, ["campaign.cases=3", "campaign.device=numpy", "store.path=x", "store.chunk_cases=7"])
+    same = load_study(
+        minimal, ["campaign.cases=3", "campaign.device=numpy", "store.path=x", "store.chunk_cases=7"]
+    )
     assert same.identity() == base.identity()
 
 
 @pytest.mark.parametrize(
-    "override", ["study.seed=1", "optics.rays_per_segment=36", "disturbance.still.instants=4", "imaging.pixels=32"]
+    "override",
+    ["study.seed=1", "optics.rays_per_segment=36", "disturbance.still.instants=4", "imaging.pixels=32"],
 )
 def test_what_changes_numbers_changes_the_identity(minimal, override):
     assert load_study(minimal, [override]).identity() != load_study(minimal).identity()
@@ -117,7 +123,9 @@ def test_two_disturbances_of_one_name_and_a_dangling_combination(minimal, tmp_pa
     with pytest.raises(UserError, match="two disturbances are called 'still'"):
         load_study(twice)
     dangling = tmp_path / "dangling.toml"
-    dangling.write_text(MINIMAL + '[[disturbance]]\nname = "all"\nmodel = "combine"\nof = ["still", "wind"]\n')
+    dangling.write_text(
+        MINIMAL + '[[disturbance]]\nname = "all"\nmodel = "combine"\nof = ["still", "wind"]\n'
+    )
     with pytest.raises(UserError, match="'all' combines 'wind'"):
         load_study(dangling)
 
@@ -135,5 +143,5 @@ def test_a_custom_telescope_carries_its_polygons(tmp_path):
     study = load_study(path)
     (tmp_path / "glass.csv").unlink()
     assert "A,1,0" in study_from_identity(study.identity_text()).telescope.polygons_csv
-    with pytest.raises(UserError, match="telescope.polygons: the file .* cannot be read"):
+    with pytest.raises(UserError, match=r"telescope.polygons: the file .* cannot be read"):
         load_study(path)

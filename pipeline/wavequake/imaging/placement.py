@@ -26,4 +26,5 @@ def place(images: NDArray[np.floating], shift: NDArray[np.int64], pixels: int) -
     bordered[:, 1:-1, 1:-1] = images
     frame = np.arange(pixels) - pixels // 2 + size // 2 + 1
     x, y = (np.clip(frame - shift[:, axis, None], 0, size + 1) for axis in (0, 1))
-    return bordered[np.arange(batch)[:, None, None], y[:, :, None], x[:, None, :]]
+    placed: NDArray[np.float64] = bordered[np.arange(batch)[:, None, None], y[:, :, None], x[:, None, :]]
+    return placed

@@ -21,7 +21,10 @@ class Population(BaseModel):
         default=16, ge=1, le=4096, description="at (i + 1) duration / n; multiples of 16 fill tiles"
     )
     share: int = Field(
-        default=1, ge=1, le=1000, description="rows it takes of the repeating pattern of cases"
+        default=1,
+        ge=0,
+        le=1000,
+        description="rows it takes of the repeating pattern of cases; 0: only a part of combinations",
     )
 
 

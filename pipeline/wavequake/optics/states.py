@@ -16,11 +16,11 @@ class SurfaceStates:
         dx, dy, dz in mm and rx, ry, rz in rad in each segment's local frame (dz along the normal that points
         to the sky, Cardan angles x-y-z, pivot at the segment's centre).
     segment_figure : ndarray, shape (batch, segment, term)
-        Circular Noll Zernike coefficients in mm, j = 1..term, over the segment's circumscribed circle in its local
-        frame; positive towards the sky. ``term`` may be 0.
+        Circular Noll Zernike coefficients in mm, j = 1..term, over the segment's circumscribed circle in its
+        local frame; positive towards the sky. ``term`` may be 0.
     surface_motion : ndarray, shape (batch, surface, 6)
-        dx, dy, dz in mm and rx, ry, rz in rad of M2, M3, ..., image in the optics frame of M1 (z along the incoming
-        light), pivot at the surface's vertex.
+        dx, dy, dz in mm and rx, ry, rz in rad of M2, M3, ..., image in the optics frame of M1 (z along the
+        incoming light), pivot at the surface's vertex.
     field : ndarray, shape (batch, 2)
         Direction of the incoming light: angles in rad to the z axis, x and y; mount motion and field points.
     """

@@ -30,7 +30,8 @@ _ARCMIN = np.pi / 180.0 / 60.0
 class Bench:
     """Everything of a study that does not change from case to case.
 
-    ``text`` is the study's identity text; ``m2_tilt`` (2, 2) gives M2's rotations about x and y in rad per rad of line of sight on the sky;
+    ``text`` is the study's identity text; ``m2_tilt`` (2, 2) gives M2's rotations about x and y in rad per
+    rad of line of sight on the sky;
     ``static`` is the wavefront of the reference configuration, ``field`` (2,) the field point in rad.
     """
 
@@ -63,7 +64,18 @@ def bench_of(study_text: str) -> Bench:
     prepared = prepare(system, rays, wavelength, study.wavefront.zernike_terms, figure_terms=terms)
     field = np.array(study.optics.field_arcmin) * _ARCMIN
     static, tilt = _reference(system, prepared, field, terms)
-    return Bench(study_text, study, system, first_order(system), layout_of(system), prepared, static, tilt, terms, field)
+    return Bench(
+        study_text,
+        study,
+        system,
+        first_order(system),
+        layout_of(system),
+        prepared,
+        static,
+        tilt,
+        terms,
+        field,
+    )
 
 
 def monolithic(system: OpticalSystem) -> bool:
@@ -105,7 +117,9 @@ def build_rays(study: Study, system: OpticalSystem) -> PupilRays:
 
 def figure_terms(populations: Iterable[Disturbance]) -> int:
     """Return the highest Noll index of any segment figure in the study (0: none)."""
-    return max((max(getattr(population, "figure_nm", {}), default=0) for population in populations), default=0)
+    return max(
+        (max(getattr(population, "figure_nm", {}), default=0) for population in populations), default=0
+    )
 
 
 def layout_of(system: OpticalSystem) -> SegmentLayout:
@@ -124,7 +138,7 @@ def layout_of(system: OpticalSystem) -> SegmentLayout:
 def _reference(
     system: OpticalSystem, prepared: PreparedTrace, field: NDArray[np.float64], terms: int
 ) -> tuple[Wavefront, NDArray[np.float64]]:
-    """Measure the reference configuration, and the rotations of M2 that move the line of sight by one rad on the sky.
+    """Measure the reference configuration, and M2's rotations that move the line of sight by one rad.
 
     Both come from NumPy whatever the study's device, so that they are the same on every worker.
     """
@@ -138,4 +152,4 @@ def _reference(
     wavefront = analyse(prepared, traced, chief_rays(prepared, states))
     los = wavefront.los
     per_tilt = np.stack([los[1] - los[2], los[3] - los[4]], axis=1) / (2 * step)
-    return wavefront, np.linalg.inv(per_tilt / prepared.focal_length)
+    return wavefront, np.asarray(np.linalg.inv(per_tilt / prepared.focal_length), dtype=np.float64)

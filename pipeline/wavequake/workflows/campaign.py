@@ -1,5 +1,6 @@
 """Run and plan a study: the few calls behind ``wavequake run`` and ``wavequake.run``."""
 
+import resource
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -10,8 +11,9 @@ import numpy as np
 from wavequake.kernels.devices import choose_device
 from wavequake.workflows.contract import Workflow
 from wavequake.workflows.engine import CampaignSummary, run_campaign
+from wavequake.workflows.journal import read_journal
 from wavequake.workflows.segment_disturbance import WORKFLOW as SEGMENT_DISTURBANCE
-from wavequake.workflows.store import open_store
+from wavequake.workflows.store import JOURNAL, done_records, open_store, read_manifest
 from wavequake.workflows.study import Study, load_study, study_with
 
 if TYPE_CHECKING:
@@ -28,7 +30,12 @@ def workflow_of(study: Study) -> Workflow:
 
 
 def run_study(
-    study: Study, path: Path, *, on: str = "local", workers: int | None = None, progress: Progress | None = None
+    study: Study,
+    path: Path,
+    *,
+    on: str = "local",
+    workers: int | None = None,
+    progress: Progress | None = None,
 ) -> CampaignSummary:
     """Compute what of `study` the store at `path` lacks.
 
@@ -72,9 +79,10 @@ def run(
     cases : int, optional
         Number of cases (``campaign.cases``).
     store : str or Path, optional
-        Folder of the store; by default ``runs/<name>-<identity>``. What it already holds is not computed again.
+        Folder of the store; by default ``runs/<name>-<identity>``. What it already holds is not computed
+        again.
     on : {"serial", "local", "tcp://HOST:PORT"}
-        Where to run. ``local`` starts worker processes, which a script must guard by ``if __name__ == "__main__"``.
+        Where to run. ``local`` starts worker processes: a script then needs ``if __name__ == "__main__"``.
     workers : int, optional
         Worker processes of ``local``; one per CPU by default.
     **overrides
@@ -100,7 +108,7 @@ def run(
 
 
 def plan(study: Study) -> dict[str, str]:
-    """Describe what running `study` would take; a pilot of a few cases in memory gives the time, nothing is stored."""
+    """Describe what running `study` would take: a pilot of a few cases gives the time; nothing is stored."""
     workflow, text = workflow_of(study), study.identity_text()
     cases, chunk = study.campaign.cases, study.store.chunk_cases
     template = workflow.template(text)
@@ -115,8 +123,41 @@ def plan(study: Study) -> dict[str, str]:
         "study": f"{study.study.name} ({study.identity()[:12]})",
         "cases": f"{cases} in {-(-cases // chunk)} chunks of {chunk}",
         "device": f"{device.name} ({device.kind})",
-        "store": f"{cases * per_case / 1e6:.1f} MB ({per_case / 1e3:.1f} kB per case), {chunk * per_case / 1e6:.2f} MB per shard",
+        "store": f"{cases * per_case / 1e6:.1f} MB, {per_case / 1e3:.1f} kB per case",
+        "memory": f"{_peak_memory_mb():.0f} MB in the pilot's process, which is what each worker needs",
         "one case": f"{each * 1e3:.1f} ms in one process (pilot of {len(pilot)} cases, after set-up)",
         "estimate": f"{cases * each:.0f} s of one process",
         **workflow.describe(text),
     }
+
+
+def _peak_memory_mb() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def profile(path: Path | str) -> dict[str, str]:
+    """Say where the time of a store's chunks went, from its journal: share of each kind of work, and rates.
+
+    Raises
+    ------
+    UserError
+        If there is no store at `path`.
+    """
+    manifest = read_manifest(path)
+    records = done_records(manifest, read_journal(Path(path) / JOURNAL))
+    seconds: dict[str, float] = {}
+    for record in records.values():
+        for name, value in record.timings.items():
+            seconds[name] = seconds.get(name, 0.0) + value
+    total = seconds.pop("compute_s", 0.0) + seconds.get("write_s", 0.0)
+    if not total:
+        return {"profile": "nothing was computed yet"}
+    seconds["write"] = seconds.pop("write_s", 0.0)
+    seconds["rest"] = total - sum(seconds.values())
+    lines = {name: f"{value:8.2f} s  {value / total:6.1%}" for name, value in seconds.items()}
+    work = WORKFLOWS[manifest.workflow].work(manifest.study, sum(last - first for first, last in records))
+    rates = {
+        f"{name} rate": f"{count / seconds[name] / 1e6:8.1f} M {unit}/s"
+        for name, (count, unit) in work.items()
+    }
+    return {**lines, "all chunks": f"{total:8.2f} s of process time", **rates}

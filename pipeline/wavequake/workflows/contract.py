@@ -65,8 +65,8 @@ class Workflow:
     < last, each array of length last - first (str, int or float). ``compute(study, cases, device)`` is a pure
     function of the study and the case ids: a case's bits depend on nothing else. It marks a case that fails
     for a known reason in ``status``; an exception means that the engine tries the chunk's cases one by one; a
-    UserError ends the run. ``describe`` adds lines to the plan; ``work(study, cases)`` says how much of what a
-    kind of work in the timings has processed, e.g. {"trace": (1e9, "ray-surfaces")}.
+    UserError ends the run. ``describe`` adds lines to the plan; ``work(study, cases)`` says how much of what
+    a kind of work in the timings has processed, e.g. {"trace": (1e9, "ray-surfaces")}.
     """
 
     name: str

@@ -7,7 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.imaging.placement import place
-from wavequake.imaging.segment_psf import SegmentBasis, psf, ray_basis, segment_basis, shift_phase, truncation_error
+from wavequake.imaging.segment_psf import (
+    SegmentBasis,
+    psf,
+    ray_basis,
+    segment_basis,
+    shift_phase,
+    truncation_error,
+)
 from wavequake.kernels.tiles import TILE, from_tiles
 from wavequake.kernels.train import Traced
 from wavequake.optics.wavefront import Wavefront
@@ -17,7 +24,8 @@ Array = NDArray[np.float64]
 
 # Moments tried in turn when the study says "auto": few suffice for pistons, many for tilted segments.
 _AUTO_MOMENTS = (6, 15, 45)
-# Largest error of an image relative to the perfect peak, as a worst-case bound; the real error is 10 to 100 times less.
+# Largest error of an image relative to the perfect peak, as a worst-case bound; the real error is 10 to 100
+# times less.
 _TOLERANCE = 1e-3
 # An image that moves is computed on a canvas of twice the frame.
 _CANVAS = 2
@@ -26,7 +34,7 @@ _CANVAS = 2
 def image_axis(bench: Bench) -> Array:
     """Return the pixel centers of an image's axis in lambda/D."""
     imaging = bench.study.imaging
-    return (np.arange(imaging.pixels) - imaging.pixels // 2) * imaging.sampling
+    return np.asarray((np.arange(imaging.pixels) - imaging.pixels // 2) * imaging.sampling, dtype=np.float64)
 
 
 def energy_scale(bench: Bench) -> dict[str, Any]:
@@ -39,11 +47,14 @@ def energy_scale(bench: Bench) -> dict[str, Any]:
 
 
 def summed_images(bench: Bench, traced: Traced, wavefront: Wavefront, tiles: slice, instants: int) -> Array:
-    """Return the sum of the images of a case's first `instants` in the launch's `tiles`, shape (pixels, pixels).
+    """Return the sum (pixels, pixels) of the images of a case's first `instants` in the launch's `tiles`.
 
-    Image axes are those of the image plane: +x is where a positive line of sight moves the image. If the line of sight moves by
-    more than lambda/D, its whole pixels are taken out of the phase before the transform and put back by placing the image
-    (computed on a larger canvas, so that it brings its wings along): segments see only the small rest of a common tilt.
+    Image axes are those of the image plane: +x is where a positive line of sight moves the image. If the
+    line of sight moves by
+    more than lambda/D, its whole pixels are taken out of the phase before the transform and put back by
+    placing the image
+    (computed on a larger canvas, so that it brings its wings along): segments see only the small rest of a
+    common tilt.
 
     Raises
     ------
@@ -64,7 +75,9 @@ def summed_images(bench: Bench, traced: Traced, wavefront: Wavefront, tiles: sli
         places = np.stack([prepared.rays.x, prepared.rays.y], axis=1)
         phase = phase + (shift / diameter) @ places.T
     else:
-        phase = shift_phase(-wavefront.segment_phase[batch], shift, bench.system.segments.centers[:, :2], diameter)
+        phase = shift_phase(
+            -wavefront.segment_phase[batch], shift, bench.system.segments.centers[:, :2], diameter
+        )
     size = imaging.pixels * (_CANVAS if moves else 1)
     frames = _psf(bench, phase, size).reshape(-1, size, size)[:instants]
     placed: Array = place(frames, pixel[:instants].astype(np.int64), imaging.pixels).sum(axis=0)
@@ -88,7 +101,11 @@ def _psf(bench: Bench, phase: Array, pixels: int) -> NDArray[np.floating[Any]]:
 def _basis(study_text: str, pixels: int, moments: int) -> SegmentBasis:
     bench = bench_of(study_text)
     imaging, system, rays = bench.study.imaging, bench.system, bench.prepared.rays
-    grid = {"pixels": pixels, "sampling": imaging.sampling, "diameter": 2.0 * system.pupil_outer}
+    grid: dict[str, Any] = {
+        "pixels": pixels,
+        "sampling": imaging.sampling,
+        "diameter": 2.0 * system.pupil_outer,
+    }
     if monolithic(system):
         return ray_basis(rays.x, rays.y, bench.prepared.weight, **grid)
     return segment_basis(system.segments.corners, system.segments.centers[:, :2], moments=moments, **grid)

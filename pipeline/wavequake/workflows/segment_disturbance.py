@@ -1,30 +1,34 @@
-"""The workflow ``segment-disturbance``: Monte Carlo of a telescope whose segments and line of sight are disturbed.
+"""The workflow ``segment-disturbance``: Monte Carlo of disturbed segments and line of sight.
 
-One case is one realization of one population of disturbances over its instants: motions of segments and M2 are drawn
-(`mechanics`), every instant is ray traced and its wavefront measured (`kernels`, `optics`), and the instants' point
-spread functions make the case's exposure (`imaging`).
+One case is one realization of one population of disturbances over its instants: motions of segments and M2
+are drawn (`mechanics`), every instant is ray traced and its wavefront measured (`kernels`, `optics`), and the
+instants' point spread functions make the case's exposure (`imaging`).
 """
 
+import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.errors import UserError
 from wavequake.imaging.exposure import encircled_energy_radius
 from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import TILE, padded
-from wavequake.mechanics.disturbances import Disturbance, Motion, draw_case, time_axis
+from wavequake.mechanics.disturbances import Disturbance, Motion, analytic_rms, draw_case, time_axis
 from wavequake.optics.states import SurfaceStates
 from wavequake.optics.wavefront import Wavefront, analyse, chief_rays, trace_states
 from wavequake.workflows.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of
-from wavequake.workflows.images import energy_scale, image_axis, summed_images
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.workflows.images import energy_scale, image_axis, summed_images
 from wavequake.workflows.study import study_from_identity
 
 Array = NDArray[np.float64]
 
-# Tiles per launch: about 40 MB of rays per output array at 9000 rays, whatever the number and length of the cases.
+# Tiles per launch: about 40 MB of rays per output array at 9000 rays, whatever the number and length of the
+# cases.
 _LAUNCH_TILES = 32
 
 
@@ -41,7 +45,8 @@ class CaseDraw:
 def slot(populations: tuple[Disturbance, ...], case: int) -> tuple[Disturbance, int]:
     """Return the population and realization of a case.
 
-    Cases repeat a pattern in which each population has ``share`` rows, so that adding cases changes no earlier one, and the
+    Cases repeat a pattern in which each population has ``share`` rows, so that adding cases changes no
+    earlier one, and the
     n-th case of every population is realization n: comparisons between populations are paired.
     """
     pattern = [population for population in populations for _ in range(population.share)]
@@ -51,7 +56,7 @@ def slot(populations: tuple[Disturbance, ...], case: int) -> tuple[Disturbance, 
 
 
 def draw(bench: Bench, case: int) -> CaseDraw:
-    """Draw the motion of one case; it depends on the study's seed, the disturbance's name and the realization only."""
+    """Draw the motion of one case, which depends on seed, disturbance and realization only."""
     study = bench.study
     population, realization = slot(study.disturbance, case)
     motion = draw_case(study.disturbance, population, bench.layout, study.study.seed, realization)
@@ -59,7 +64,7 @@ def draw(bench: Bench, case: int) -> CaseDraw:
 
 
 def surface_states(bench: Bench, drawn: CaseDraw, first: int, last: int) -> SurfaceStates:
-    """Convert instants first <= i < last of a motion from SI to the optics (mm), padded with rest to whole tiles."""
+    """Convert instants first <= i < last from SI to the optics (mm), padded with rest to whole tiles."""
     batch, count = padded(last - first), last - first
     segments, surfaces = len(bench.system.segments), len(bench.system.surfaces)
     motion, part = drawn.motion, slice(first, last)
@@ -77,7 +82,7 @@ def surface_states(bench: Bench, drawn: CaseDraw, first: int, last: int) -> Surf
 
 
 def _pieces(draws: list[CaseDraw]) -> Iterator[list[tuple[int, int, int]]]:
-    """Cut the cases into launches of at most _LAUNCH_TILES tiles: lists of (row, first instant, last instant)."""
+    """Cut the cases into launches of at most _LAUNCH_TILES tiles: (row, first instant, last instant)."""
     launch: list[tuple[int, int, int]] = []
     room = _LAUNCH_TILES * TILE
     for row, drawn in enumerate(draws):
@@ -104,9 +109,14 @@ def _joined(states: list[SurfaceStates]) -> SurfaceStates:
 
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
-    """Compute the numbers of `cases`; a segment that loses all its rays quarantines its case with the reason."""
-    bench, device = bench_of(study_text), choose_device(device_name)
-    draws = [draw(bench, int(case)) for case in cases]
+    """Compute the numbers of `cases`.
+
+    A case in which a segment loses all its rays, or is tilted beyond what can be imaged, is quarantined with
+    the reason.
+    """
+    bench, device, clock = bench_of(study_text), choose_device(device_name), _Stopwatch()
+    with clock("draw"):
+        draws = [draw(bench, int(case)) for case in cases]
     arrays = {
         name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
         for name, variable in template(study_text).per_case.items()
@@ -114,19 +124,27 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
     arrays["exposure"][:] = 0.0
     messages = [""] * len(cases)
     for launch in _pieces(draws):
-        states = [surface_states(bench, draws[row], first, last) for row, first, last in launch]
-        joined = _joined(states)
-        traced = trace_states(bench.prepared, joined, device)
-        wavefront = analyse(bench.prepared, traced, chief_rays(bench.prepared, joined))
+        with clock("draw"):
+            states = [surface_states(bench, draws[row], first, last) for row, first, last in launch]
+            joined = _joined(states)
+        with clock("trace"):
+            traced = trace_states(bench.prepared, joined, device)
+        with clock("wavefront"):
+            wavefront = analyse(bench.prepared, traced, chief_rays(bench.prepared, joined))
         tile = 0
         for (row, first, last), state in zip(launch, states, strict=True):
             tiles = slice(tile, tile + len(state) // TILE)
             tile = tiles.stop
             here = slice(tiles.start * TILE, tiles.start * TILE + last - first)
             messages[row] = messages[row] or _lost_segment(bench, draws[row], wavefront, here, first)
-            if not messages[row]:
-                _record(bench, arrays, row, slice(first, last), wavefront, here, draws[row])
-                arrays["exposure"][row] += summed_images(bench, traced, wavefront, tiles, last - first)
+            if messages[row]:
+                continue
+            _record(bench, arrays, row, slice(first, last), wavefront, here, draws[row])
+            try:
+                with clock("image"):
+                    arrays["exposure"][row] += summed_images(bench, traced, wavefront, tiles, last - first)
+            except UserError as error:  # tilts that no image can be made of concern this case alone
+                messages[row] = str(error)
     status = np.full(len(cases), DONE, dtype=np.int8)
     for row, message in enumerate(messages):
         if message:
@@ -134,8 +152,24 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
             for array in arrays.values():
                 array[row] = np.nan
         else:
-            _finish_exposure(bench, arrays, row, len(draws[row].time))
-    return ChunkResult(arrays, status, tuple(messages))
+            with clock("image"):
+                _finish_exposure(bench, arrays, row, len(draws[row].time))
+    return ChunkResult(arrays, status, tuple(messages), clock.seconds)
+
+
+class _Stopwatch:
+    """Seconds by the kind of work, for the journal."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
 
 def _lost_segment(bench: Bench, drawn: CaseDraw, wavefront: Wavefront, here: slice, first: int) -> str:
@@ -150,7 +184,13 @@ def _lost_segment(bench: Bench, drawn: CaseDraw, wavefront: Wavefront, here: sli
 
 
 def _record(
-    bench: Bench, arrays: dict[str, Array], row: int, there: slice, wavefront: Wavefront, here: slice, drawn: CaseDraw
+    bench: Bench,
+    arrays: dict[str, Array],
+    row: int,
+    there: slice,
+    wavefront: Wavefront,
+    here: slice,
+    drawn: CaseDraw,
 ) -> None:
     """Write the instants `here` of a launch to the instants `there` of case `row`."""
     to_nm = bench.study.optics.wavelength_nm
@@ -190,34 +230,63 @@ def template(study_text: str) -> Template:
     study = bench.study
     instants = max(population.instants for population in study.disturbance)
     terms, pixels = study.wavefront.zernike_terms, study.imaging.pixels
-    time, noll = ("time",), ("noll",)
+    over_time = ("time",)
 
     def variable(dims: tuple[str, ...], shape: tuple[int, ...], units: str, long_name: str) -> Variable:
         return Variable(dims, shape, {"units": units, "long_name": long_name})
 
     per_case = {
-        "time_s": variable(time, (instants,), "s", "time of the instant; NaN beyond the population's instants"),
+        "time_s": Variable(
+            over_time,
+            (instants,),
+            {"units": "s", "long_name": "time of the instant; NaN beyond the population's instants"},
+            coordinate=True,
+        ),
         "wfe_rms": variable(
-            time, (instants,), "nm", "wavefront error rms of the fitted Zernikes j >= 4 (piston and tilt removed)"
+            over_time,
+            (instants,),
+            "nm",
+            "wavefront error rms of the fitted Zernikes j >= 4 (piston and tilt removed)",
         ),
-        "wfe_rms_raw": variable(time, (instants,), "nm", "wavefront error rms over the rays on glass, piston removed"),
-        "zernike": variable(("time", *noll), (instants, terms), "nm", "annular Noll Zernike coefficients, total"),
+        "wfe_rms_raw": variable(
+            over_time, (instants,), "nm", "wavefront error rms over the rays on glass, piston removed"
+        ),
+        "zernike": variable(
+            ("time", "noll"), (instants, terms), "nm", "annular Noll Zernike coefficients, total"
+        ),
         "los": variable(
-            ("time", "axis"), (instants, 2), "mas",
-            "line of sight of the best-fit plane (Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2)), relative to rest",
+            ("time", "axis"),
+            (instants, 2),
+            "mas",
+            "line of sight of the best-fit plane relative to rest "
+            "(Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2))",
         ),
-        "centroid": variable(("time", "axis"), (instants, 2), "mas", "geometric centroid of the rays, relative to rest"),
-        "strehl": variable(time, (instants,), "1", "Strehl ratio in the direction of the best-fit plane"),
-        "ee50": variable((), (), "lambda/D", "radius of 50 % encircled energy of the exposure; inf beyond the frame"),
-        "ee80": variable((), (), "lambda/D", "radius of 80 % encircled energy of the exposure; inf beyond the frame"),
+        "centroid": variable(
+            ("time", "axis"), (instants, 2), "mas", "geometric centroid of the rays, relative to rest"
+        ),
+        "strehl": variable(
+            over_time, (instants,), "1", "Strehl ratio in the direction of the best-fit plane"
+        ),
+        "ee50": variable(
+            (), (), "lambda/D", "radius of 50 % encircled energy of the exposure; inf beyond the frame"
+        ),
+        "ee80": variable(
+            (), (), "lambda/D", "radius of 80 % encircled energy of the exposure; inf beyond the frame"
+        ),
         "exposure": variable(
-            ("y", "x"), (pixels, pixels), "1", "mean of the instants' point spread functions; 1 = peak of the perfect one"
+            ("y", "x"),
+            (pixels, pixels),
+            "1",
+            "mean of the instants' point spread functions; 1 = peak of the perfect one",
         ),
     }
     if "segment_motion" in study.store.keep:
         shape = (instants, len(bench.system.segments), 6)
         per_case["segment_motion"] = variable(
-            ("time", "segment", "dof"), shape, "m, rad", "rigid motion in the segment's local frame (dz to the sky)"
+            ("time", "segment", "dof"),
+            shape,
+            "m, rad",
+            "rigid motion in the segment's local frame (dz to the sky)",
         )
     return Template(per_case, _fixed(bench))
 
@@ -226,7 +295,11 @@ def _fixed(bench: Bench) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic]
     axis = image_axis(bench)
     wavelength = bench.study.optics.wavelength_nm
     fixed: dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]] = {
-        "noll": (("noll",), np.arange(1, bench.study.wavefront.zernike_terms + 1), {"long_name": "Noll index"}),
+        "noll": (
+            ("noll",),
+            np.arange(1, bench.study.wavefront.zernike_terms + 1),
+            {"long_name": "Noll index"},
+        ),
         "axis": (("axis",), np.array(["x", "y"], dtype=object), {"long_name": "axis of the image plane"}),
         "y": (("y",), axis, {"units": "lambda/D", "long_name": "image y"}),
         "x": (("x",), axis, {"units": "lambda/D", "long_name": "image x"}),
@@ -237,9 +310,39 @@ def _fixed(bench: Bench) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic]
         ),
     }
     if "segment_motion" in bench.study.store.keep:
-        fixed["segment"] = (("segment",), np.array(bench.system.segments.names, dtype=object), {"long_name": "segment"})
-        fixed["dof"] = (("dof",), np.array(["dx", "dy", "dz", "rx", "ry", "rz"], dtype=object), {"long_name": "motion"})
+        fixed["segment"] = (
+            ("segment",),
+            np.array(bench.system.segments.names, dtype=object),
+            {"long_name": "segment"},
+        )
+        fixed["dof"] = (
+            ("dof",),
+            np.array(["dx", "dy", "dz", "rx", "ry", "rz"], dtype=object),
+            {"long_name": "motion"},
+        )
     return fixed
 
 
-WORKFLOW = Workflow("segment-disturbance", template, case_table, compute)
+def describe(study_text: str) -> dict[str, str]:
+    """Return what the disturbances amount to by their parameters alone, for the plan."""
+    bench = bench_of(study_text)
+    units = {"mas": "mas rms line of sight", "nm": "nm rms piston per segment"}
+    known = {entry.name: analytic_rms(entry, bench.layout) for entry in bench.study.disturbance}
+    rays = f"{len(bench.prepared.weight)} on {len(bench.system.segments)} segments"
+    return {"rays": rays} | {
+        name: f"{value[0]:.3g} {units[value[1]]}" for name, value in known.items() if value
+    }
+
+
+def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
+    """Return the number of ray-surfaces traced for `cases` cases (padding of the instants included)."""
+    bench = bench_of(study_text)
+    populations = bench.study.disturbance
+    instants = sum(entry.share * padded(entry.instants) for entry in populations)
+    per_instant = len(bench.prepared.weight) * (1 + len(bench.system.surfaces))
+    return {
+        "trace": (cases * instants / sum(entry.share for entry in populations) * per_instant, "ray-surfaces")
+    }
+
+
+WORKFLOW = Workflow("segment-disturbance", template, case_table, compute, describe, work)

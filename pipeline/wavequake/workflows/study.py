@@ -1,8 +1,8 @@
 """Study files: TOML in, one validated frozen record out, with an identity.
 
 The identity is everything that determines one case's numbers. How many cases there are, where they are stored
-and what runs them is not part of it. Files that a study names (polygons, spectra) are read when the study is loaded and
-become part of the effective study, so a store never depends on a file that may change.
+and what runs them is not part of it. Files that a study names (polygons, spectra) are read when the study is
+loaded and become part of the effective study, so a store never depends on a file that may change.
 """
 
 import difflib
@@ -40,7 +40,9 @@ class SurfaceSection(Section):
     """One surface of a custom telescope after M1 (the last one is the image plane)."""
 
     name: str
-    radius_mm: float | None = Field(default=None, description="None is a plane; positive if the center lies on +z")
+    radius_mm: float | None = Field(
+        default=None, description="None is a plane; positive if the center lies on +z"
+    )
     conic: float = 0.0
     distance_mm: float = Field(description="along the light from the previous surface", gt=0)
     tilt_deg: float = Field(default=0.0, gt=-90, lt=90, description="of a fold mirror about its y axis")
@@ -56,7 +58,9 @@ class TelescopeSection(Section):
         default=None, exclude=True, description="custom: CSV file of polygons (read when the study is loaded)"
     )
     polygons_csv: str | None = Field(default=None, description="custom: the text of that file")
-    primary_radius_mm: float | None = Field(default=None, lt=0, description="custom: radius of M1, concave < 0")
+    primary_radius_mm: float | None = Field(
+        default=None, lt=0, description="custom: radius of M1, concave < 0"
+    )
     primary_conic: float = -1.0
     surfaces: tuple[SurfaceSection, ...] = Field(default=(), strict=False)
 
@@ -87,7 +91,9 @@ class OpticsSection(Section):
 
     wavelength_nm: float = Field(default=550.0, gt=0, le=1e6)
     sampling: Literal["segments", "sunflower"] = "segments"
-    rays_per_segment: Literal[6, 18, 36, 72] = Field(default=18, description="of a hexagon: area-exact cubature, six triangles")
+    rays_per_segment: Literal[6, 18, 36, 72] = Field(
+        default=18, description="of a hexagon: area-exact cubature, six triangles"
+    )
     rays: int = Field(default=2000, ge=10, le=2_000_000, description="sunflower: rays over the annulus")
     field_arcmin: tuple[float, float] = Field(default=(0.0, 0.0), strict=False)
 
@@ -103,7 +109,9 @@ class ImagingSection(Section):
 
     pixels: int = Field(default=64, ge=8, le=512, multiple_of=2)
     sampling: float = Field(default=0.25, gt=0, le=0.5, description="pixel in lambda/D")
-    moments: Literal["auto", 1, 6, 15] = Field(default="auto", description="1: piston, 6/15: tip and tilt to 2nd/4th order")
+    moments: Literal["auto", 1, 6, 15] = Field(
+        default="auto", description="1: piston, 6/15: tip and tilt to 2nd/4th order"
+    )
 
 
 class CampaignSection(Section):
@@ -143,13 +151,15 @@ class Study(Section):
         for entry in value:
             for part in getattr(entry, "of", ()):
                 if part not in names or part == entry.name:
-                    raise ValueError(f"{entry.name!r} combines {part!r}, which is not another disturbance of this study")
+                    raise ValueError(
+                        f"{entry.name!r} combines {part!r}, which is not another disturbance of this study"
+                    )
         if not any(entry.share for entry in value):
             raise ValueError("every disturbance has share 0, so there is nothing to run")
         return value
 
     def identity_text(self) -> str:
-        """Return the canonical JSON text of everything that determines one case's numbers (and of what is kept)."""
+        """Return the canonical JSON text of all that determines one case's numbers (and of what is kept)."""
         record = self.model_dump(mode="json", exclude={"campaign": True, "store": {"path", "chunk_cases"}})
         record["study"].pop("title")
         return json.dumps(record, sort_keys=True, separators=(",", ":"))
@@ -182,13 +192,14 @@ def load_study(name: str | Path, overrides: Mapping[str, Any] | Iterable[str] = 
     name : str or Path
         ``tmt-segments`` or ``my/study.toml``.
     overrides : mapping or iterable of ``"section.key=value"``
-        Values of text overrides are TOML values; bare words are strings. A disturbance is addressed by its name:
-        ``disturbance.wind.mean_speed_m_s=8``.
+        Values of text overrides are TOML values; bare words are strings. A disturbance is addressed by its
+        name: ``disturbance.wind.mean_speed_m_s=8``.
 
     Raises
     ------
     UserError
-        If the study is unknown, is no TOML, or does not fit the schema; names the file, the key and the nearest valid one.
+        If the study is unknown, is no TOML, or does not fit the schema; names the file, the key and the
+        nearest valid one.
     """
     path = _find(str(name))
     try:
@@ -208,7 +219,7 @@ def load_study(name: str | Path, overrides: Mapping[str, Any] | Iterable[str] = 
 
 
 def study_with(study: Study, keys: Mapping[str, Any]) -> Study:
-    """Return a copy of `study` with some ``section.key`` values replaced; raises UserError as :func:`load_study`."""
+    """Return a copy of `study` with ``section.key`` values replaced; raises as :func:`load_study`."""
     record = study.model_dump(mode="json")
     for key, value in keys.items():
         _override(record, key, value)
@@ -228,14 +239,17 @@ def _find(name: str) -> Path:
     near = difflib.get_close_matches(name, bundled, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
     raise UserError(
-        f"There is no study {name!r}: {hint}Bundled studies are {', '.join(bundled)}; a study of your own is a path to a .toml file."
+        f"There is no study {name!r}: {hint}Bundled studies are {', '.join(bundled)}; "
+        "a study of your own is a path to a .toml file."
     )
 
 
 def _split(text: str) -> tuple[str, Any]:
     key, separator, value = text.partition("=")
     if not separator or not key:
-        raise UserError(f"{text!r} is not an override; write section.key=value, for example campaign.cases=40.")
+        raise UserError(
+            f"{text!r} is not an override; write section.key=value, for example campaign.cases=40."
+        )
     try:
         return key.strip(), tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
@@ -247,14 +261,18 @@ def _override(record: dict[str, Any], key: str, value: Any) -> None:
     *parents, last = key.split(".")
     if not parents:
         near = difflib.get_close_matches(key, Study.model_fields, n=1)
-        raise UserError(f"The key {key!r} has no section; write section.key=value{f' ({near[0]}.…)' if near else ''}.")
+        raise UserError(
+            f"The key {key!r} has no section; write section.key=value{f' ({near[0]}.…)' if near else ''}."
+        )
     for depth, part in enumerate(parents):
         if isinstance(node, list):
             node = _entry(node, part, ".".join(parents[:depth]))
         else:
             node = node.setdefault(part, {})
         if not isinstance(node, dict | list):
-            raise UserError(f"The key {key!r} leads nowhere: {'.'.join(parents[: depth + 1])} is a value, not a section.")
+            raise UserError(
+                f"The key {key!r} leads nowhere: {'.'.join(parents[: depth + 1])} is a value, not a section."
+            )
     if isinstance(node, list):
         raise UserError(f"The key {key!r} names a whole entry; write {key}.key=value.")
     node[last] = value
@@ -266,7 +284,8 @@ def _entry(entries: list[Any], name: str, where: str) -> Any:
             return entry
     names = [str(entry.get("name")) for entry in entries if isinstance(entry, dict)]
     near = difflib.get_close_matches(name, names, n=1)
-    raise UserError(f"There is no {where} called {name!r}; {f'did you mean {near[0]!r}? ' if near else ''}There are {', '.join(names)}.")
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    raise UserError(f"There is no {where} called {name!r}; {hint}There are {', '.join(names)}.")
 
 
 def _read_files(record: dict[str, Any], base: Path) -> None:
@@ -283,7 +302,9 @@ def _text(path: Path, key: str) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{key}: the file {path} cannot be read ({getattr(error, 'strerror', None) or error}).") from None
+        raise UserError(
+            f"{key}: the file {path} cannot be read ({getattr(error, 'strerror', None) or error})."
+        ) from None
 
 
 def describe(error: ValidationError, record: Mapping[str, Any]) -> str:
@@ -301,7 +322,11 @@ def describe(error: ValidationError, record: Mapping[str, Any]) -> str:
         return f"the key {where!r} is missing{more}."
     message = first["msg"].removeprefix("Value error, ")
     given = first.get("input")
-    shown = "" if isinstance(given, dict | list | tuple) or first["type"] == "value_error" else f" (it is {given!r})"
+    shown = (
+        ""
+        if isinstance(given, dict | list | tuple) or first["type"] == "value_error"
+        else f" (it is {given!r})"
+    )
     return f"{where}: {message[0].lower()}{message[1:].rstrip('.')}{shown}{more}."
 
 
@@ -338,4 +363,8 @@ def _valid_keys(record: Mapping[str, Any], location: tuple[Any, ...]) -> list[st
     if location[:2] == ("telescope", "surfaces"):
         return list(SurfaceSection.model_fields)
     annotation = Study.model_fields[str(location[0])].annotation
-    return list(annotation.model_fields) if isinstance(annotation, type) and issubclass(annotation, BaseModel) else []
+    return (
+        list(annotation.model_fields)
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel)
+        else []
+    )
