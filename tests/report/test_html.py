@@ -126,6 +126,13 @@ def test_a_campaign_of_which_nothing_is_done(campaign):
     assert "No case is done yet." in "".join(read(html).text)
 
 
+def test_a_campaign_of_which_everything_failed(campaign):
+    campaign["status"][:] = 2
+    assert "No case is done: all 10 that were computed failed." in "".join(
+        read(render_report(campaign, [])).text
+    )
+
+
 def test_a_store_without_a_study_is_reported_all_the_same(campaign):
     campaign.attrs = {"study": "not json"}
     assert "Campaign" in "".join(read(render_report(campaign, [])).text)

@@ -156,9 +156,11 @@ def render_report(
 
 def answer(summaries: Iterable[Summary]) -> str:
     """Say in one or two sentences which disturbance matters most."""
+    summaries = list(summaries)
     known = [summary for summary in summaries if summary.cases]
     if not known:
-        return "No case is done yet."
+        lost = sum(summary.quarantined + summary.incomplete for summary in summaries)
+        return f"No case is done: all {lost} that were computed failed." if lost else "No case is done yet."
     worst = max(known, key=lambda summary: summary.wfe_raw_p95.value)
     jitter = max(known, key=lambda summary: summary.los_jitter.radial)
     several = len(known) > 1
