@@ -156,6 +156,14 @@ def test_a_tile_does_not_depend_on_its_neighbors(flower):
     assert np.array_equal(psf(basis, phase[:37]), together[:37])
 
 
+def test_moments_that_are_not_used_do_not_change_bits(tmt):
+    phase = phases(tmt, 0.02, batch=16)
+    few, many = (
+        segment_basis(tmt.corners, tmt.centers, 32, 0.25, tmt.diameter, moments) for moments in (6, 28)
+    )
+    assert np.array_equal(psf(few, phase), psf(many, phase))
+
+
 def test_an_instant_without_numbers_spoils_no_other(flower):
     basis = segment_basis(flower.corners, flower.centers, 24, 0.3, flower.diameter, 6)
     phase = phases(flower, 0.05, batch=16)

@@ -50,7 +50,8 @@ def moments_on_grid(corners: Real, centers: Real, fy: Real, fx: Real, degree: in
     highest = float(np.abs(fx).max()), float(np.abs(fy).max())
     order = _bessel_order(2.0 * np.pi * box * max(highest))
     total_order = _bessel_order(2.0 * np.pi * reach * float(np.hypot(*highest)))
-    points, weights = gauss_rule(corners, (total_order + degree) // 2 + 2)
+    # One rule for all degrees: the lower moments then have the same bits in every basis.
+    points, weights = gauss_rule(corners, total_order // 2 + 6)
     local = (points - middle[:, None]) / box
     legendre_x, legendre_y = (
         np.ascontiguousarray(np.polynomial.legendre.legvander(local[..., axis], order)) for axis in (0, 1)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from wavequake.errors import UserError
-from wavequake.imaging.band_limit import band_limited_nodes, waves
+from wavequake.imaging.band_limit import image_nodes, middle_of, waves
 from wavequake.imaging.polygon_transform import polygon_areas
 from wavequake.imaging.segment_moments import exponents, largest_means, moments_on_grid
 from wavequake.kernels.tiles import TILE
@@ -32,8 +32,6 @@ Floating = NDArray[np.float32] | NDArray[np.float64]
 MOMENTS = (1, 6, 15, 28, 45)
 # Largest means of |u|^(n+1) over a hexagon for these degrees n, with u linear and 1 at a corner at most.
 _HEXAGON_MEANS = (0.389, 0.130, 0.0630, 0.0370, 0.0243)
-# Error of the interpolation from nodes to pixels, for a wave of unit amplitude.
-_NODE_TOLERANCE = {np.dtype(np.complex64): 1e-7, np.dtype(np.complex128): 1e-13}
 _BLOCK = 32
 
 
@@ -113,9 +111,9 @@ def segment_basis(
     areas = polygon_areas(corners)
     if centers.shape != (len(corners), 2) or not np.isfinite(centers).all():
         raise UserError(f"{len(corners)} segments need as many finite centers, not {centers.shape}")
-    middle = _middle(corners.reshape(-1, 2))  # a shift of the pupil turns the field's phase only
+    middle = middle_of(corners.reshape(-1, 2))  # a shift of the pupil turns the field's phase only
     corners, centers = corners - middle, centers - middle
-    nodes, interpolation = _grid(corners.reshape(-1, 2), pixels, sampling, diameter, dtype)
+    nodes, interpolation = image_nodes(corners.reshape(-1, 2), pixels, sampling, diameter, dtype)
     half = nodes[nodes.size // 2 :]
     matrix = np.empty((2, half.size * nodes.size, moments, len(corners)), dtype=interpolation.dtype)
     degree = 2 * MOMENTS.index(moments)
@@ -173,8 +171,8 @@ def ray_basis(
         raise UserError("the rays of a pupil need finite coordinates and weights: leave lost rays out")
     if not weight.size or weight.min() < 0.0 or weight.sum() == 0.0:
         raise UserError("the rays of a pupil need weights of at least 0, and one must be above 0")
-    points = points - _middle(points)
-    nodes, interpolation = _grid(points, pixels, sampling, diameter, dtype)
+    points = points - middle_of(points)
+    nodes, interpolation = image_nodes(points, pixels, sampling, diameter, dtype)
     half = nodes[nodes.size // 2 :]
     matrix = np.empty((2, half.size, nodes.size, x.size), dtype=interpolation.dtype)
     along_x = waves(nodes, points[:, 0])
@@ -394,25 +392,3 @@ def _moments_for(basis: SegmentBasis, tile: Real, tolerance: float) -> int:
         f"segment slopes of up to {steepest:.3g} waves/mm change an image by {errors[-1]:.2g} of its peak "
         f"beyond {basis.moments} moments ({tolerance:g} is allowed): use more moments or less motion"
     )
-
-
-def _middle(points: Real) -> Real:
-    return np.asarray(0.5 * (points.min(axis=0) + points.max(axis=0)))
-
-
-def _grid(
-    points: Real, pixels: int, sampling: float, diameter: float, dtype: DTypeLike
-) -> tuple[Real, Floating]:
-    """Nodes (M,) in cycles per mm and the interpolation (pixels, M) from them to image points, real."""
-    if pixels < 2:
-        raise UserError(f"an image needs at least 2 x 2 points, not {pixels} x {pixels}")
-    if not (np.isfinite(sampling) and sampling > 0.0):
-        raise UserError(f"the sampling of an image must be above 0 wavelengths/diameter, not {sampling}")
-    if not (np.isfinite(diameter) and diameter > 0.0):
-        raise UserError(f"the diameter of the pupil must be a length above 0 mm, not {diameter}")
-    if np.dtype(dtype) not in _NODE_TOLERANCE:
-        raise UserError(f"an image basis is complex64 or complex128, not {np.dtype(dtype)}")
-    frequencies = (np.arange(pixels, dtype=np.float64) - pixels // 2) * (sampling / diameter)
-    half_band = float(np.ptp(points, axis=0).max()) / 2.0
-    nodes, weights = band_limited_nodes(frequencies, half_band, _NODE_TOLERANCE[np.dtype(dtype)])
-    return nodes, weights.astype(np.float32) if np.dtype(dtype) == np.complex64 else weights
