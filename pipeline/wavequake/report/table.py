@@ -120,4 +120,4 @@ def terminal_table(summaries: Iterable[Summary]) -> Table:
 
 def _with_interval(quantile: Quantile) -> str:
     value, remark = _quantile(quantile)
-    return f"{value} ({remark})" if remark else value
+    return value if remark in ("", MISSING) else f"{value} ({remark})"
