@@ -1,4 +1,4 @@
-"""Find the folders of files that are not Python: ``kernels``, ``workflows``, ``cluster``."""
+"""Find the folders of files that are not Python: ``kernels``, ``workflows``."""
 
 from pathlib import Path
 
