@@ -1,7 +1,11 @@
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import toy
-from threadpoolctl import threadpool_info
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from wavequake.errors import UserError
 from wavequake.workflows import engine
@@ -123,12 +127,13 @@ def test_there_is_one_blas_thread_in_a_chunk(tmp_path):
     threads = []
 
     def watch(*arguments):
-        threads.extend(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+        threads.append({pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"})
         return toy.compute(*arguments)
 
-    campaign(tmp_path / "s", watch)
-    assert threads
-    assert set(threads) == {1}
+    with threadpool_limits(2):
+        campaign(tmp_path / "s", watch)
+        watch(toy.study(), np.arange(2), "numpy")
+    assert threads == [{1}, {1}, {2}]
 
 
 def test_a_second_driver_is_refused(tmp_path):
@@ -166,3 +171,16 @@ def test_a_scheduler_elsewhere_does_the_same(tmp_path, monkeypatch):
     assert len(toy.digests(tmp_path / "s")) == 5
     monkeypatch.setattr(engine, "connected", lambda address: pytest.fail("not needed"))
     toy.run(tmp_path / "s", cases=35, on="tcp://nowhere:1")
+
+
+def test_a_script_without_a_main_guard_is_told_so(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(f"import toy\ntoy.run({str(tmp_path / 's')!r}, on='local', workers=1)\n")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(
+        [sys.executable, script], env=environment, capture_output=True, text=True, timeout=60
+    )
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith("wavequake.errors.UserError: The worker processes do not start")
+    assert '`if __name__ == "__main__":`' in last
+    assert done.stderr.count("Traceback") == 1

@@ -1,8 +1,10 @@
 """Dask on this machine: one single-threaded worker process per CPU, reachable from nowhere else."""
 
 import logging
+import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -41,6 +43,14 @@ SETTINGS: dict[str, Any] = {
     "distributed.nanny.pre-spawn-environ": {},
 }
 
+_GUARD = 'a script that runs campaigns must do so under `if __name__ == "__main__":` or with on="serial".'
+
+
+def leave_if_imported_by_a_worker() -> None:
+    """End this process quietly if it is a worker that runs the user's script because that has no guard."""
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        sys.exit(1)
+
 
 @contextmanager
 def local_cluster(workers: int | None = None, dashboard: str | None = None) -> Iterator["Client"]:
@@ -64,26 +74,25 @@ def local_cluster(workers: int | None = None, dashboard: str | None = None) -> I
 
     silence()
     with worker_environment(), dask.config.set(SETTINGS):
-        with interrupts_blocked():
-            try:
-                cluster = LocalCluster(
-                    n_workers=workers or CPU_COUNT,
-                    threads_per_worker=1,
-                    processes=True,
-                    host="127.0.0.1",
-                    dashboard_address=dashboard,
-                    silence_logs=logging.CRITICAL,
-                )
-            except RuntimeError as error:
-                raise UserError(
-                    "The worker processes did not start: a script that runs campaigns must do so under "
-                    f'`if __name__ == "__main__":`, or use on="serial" ({error}).'
-                ) from None
-            client = Client(cluster, set_as_default=False)
+        client = None
         try:
+            with interrupts_blocked():
+                try:
+                    cluster = LocalCluster(
+                        n_workers=workers or CPU_COUNT,
+                        threads_per_worker=1,
+                        processes=True,
+                        host="127.0.0.1",
+                        dashboard_address=dashboard,
+                        silence_logs=logging.CRITICAL,
+                    )
+                except RuntimeError as error:
+                    raise UserError(f"The worker processes do not start ({error}): {_GUARD}") from None
+                client = Client(cluster, set_as_default=False)
             yield client
         finally:
-            _stop(client, cluster)
+            if client is not None:
+                _stop(client, cluster)
 
 
 def _stop(client: Any, cluster: Any) -> None:

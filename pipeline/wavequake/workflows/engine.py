@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wavequake.cluster.address import connected
-from wavequake.cluster.local import local_cluster
+from wavequake.cluster.local import leave_if_imported_by_a_worker, local_cluster
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.devices import choose_device
 from wavequake.workflows import provenance, store, verify
@@ -90,6 +90,8 @@ def run_campaign(
     KeyboardInterrupt
         On Ctrl-C, with all workers gone; finished chunks stay, and the next run continues.
     """
+    if on != "serial":
+        leave_if_imported_by_a_worker()
     start, path = time.perf_counter(), Path(path).absolute()
     if on not in ("serial", "local") and not on.startswith("tcp://"):
         raise UserError(
