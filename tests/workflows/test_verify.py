@@ -55,7 +55,11 @@ def test_damage_is_named_and_repaired_to_equal_bits(done, damage, name, file):
     first, last = (10, 20) if "1" in file else (40, 43)
     assert [(d.array, d.first, d.last) for d in report.damaged] == [(name, first, last)]
     assert not report.ok
-    assert any(f"damaged {name}, cases {first} to {last - 1}" in line for line in report.lines())
+    lines = report.lines()
+    assert lines[1].startswith(
+        f"damaged {name}, cases {first} to {last - 1} ({done / 'data.zarr' / name / file}): "
+    )
+    assert lines[-1] == "To repair the store, delete the damaged files and run the study again."
     summary = toy.run(done, {"reasons": [15]}, cases=43, recompute=report.chunks)
     assert (summary.computed, summary.chunks) == (last - first, 1)
     assert verify_store(done).ok

@@ -17,15 +17,16 @@ _OPTIONAL = "message"
 
 @dataclass(frozen=True)
 class Damage:
-    """An array whose stored bytes are not those that were written, in cases first <= id < last."""
+    """A file whose numbers, of an array in cases first <= id < last, are not those that were written."""
 
     array: str
     first: int
     last: int
     reason: str
+    file: Path
 
     def __str__(self) -> str:
-        return f"{self.array}, cases {self.first} to {self.last - 1}: {self.reason}"
+        return f"{self.array}, cases {self.first} to {self.last - 1} ({self.file}): {self.reason}"
 
 
 @dataclass(frozen=True)
@@ -68,9 +69,12 @@ class VerifyReport:
             lines.append(
                 f"{len(self.extra)} leftover files of a crash (harmless), for example {self.extra[0]}"
             )
-        lines.append(
-            "The store is complete and intact." if self.ok else "Run the study again to complete the store."
-        )
+        if self.damaged:
+            lines.append("To repair the store, delete the damaged files and run the study again.")
+        elif self.missing:
+            lines.append("Run the study again to complete the store.")
+        else:
+            lines.append("The store is complete and intact.")
         return lines
 
 
@@ -91,7 +95,7 @@ def verify_store(path: Path | str) -> VerifyReport:
     group = open_group(path / DATA, read_only=True)
     arrays = {name: array_of(group, name) for name in manifest.variables}
     damaged = [
-        Damage(name, *record.chunk, reason)
+        Damage(name, *record.chunk, reason, chunk_file(path / DATA, array, record.first))
         for record in records.values()
         for name, array in arrays.items()
         if (reason := _damage(path, array, record))
