@@ -264,8 +264,8 @@ def _plain_progress(every_s: float = 5.0) -> Callable[[int, int, int], None]:
     rate, last = _Rate(), [0.0]
 
     def update(done: int, total: int, quarantined: int) -> None:
-        speed, now = rate(done), time.monotonic()
-        if now - last[0] < every_s and done < total:
+        first, speed, now = not last[0], rate(done), time.monotonic()
+        if (now - last[0] < every_s and done < total) or (first and done == total):
             return
         last[0] = now
         left = f"{(total - done) / speed:.0f} s left" if speed > 0 else "starting"

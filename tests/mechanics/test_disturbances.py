@@ -135,7 +135,7 @@ def test_a_study_table_validates_and_survives_json():
         ({"figure_nm": {"3": 1.0}}, "greater than or equal to 4"),
         ({"figure_nm": {"4": -1.0}}, "greater than or equal to 0"),
         ({"instants": 0}, "greater than or equal to 1"),
-        ({"share": 0}, "greater than or equal to 1"),
+        ({"share": -1}, "greater than or equal to 0"),
         ({"duration_s": 0.0}, "greater than 0"),
         ({"name": "two words"}, "pattern"),
         ({"model": "static"}, "static-random"),

@@ -84,6 +84,8 @@ def local_cluster(workers: int | None = None, dashboard: str | None = None) -> I
                         processes=True,
                         host="127.0.0.1",
                         dashboard_address=dashboard,
+                        # The scheduler listens for HTTP also without a dashboard: on loopback, any port.
+                        scheduler_kwargs={} if dashboard else {"dashboard_address": "127.0.0.1:0"},
                         silence_logs=logging.CRITICAL,
                     )
                 except RuntimeError as error:
