@@ -77,3 +77,8 @@ def test_importing_wavequake_is_quick_because_dask_stays_out():
     code = "import sys, wavequake, wavequake.workflows.engine; sys.exit('dask' in sys.modules)"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     assert subprocess.run([sys.executable, "-c", code], env=environment, check=False).returncode == 0
+
+
+def test_two_campaigns_run_at_the_same_time():
+    with local_cluster(1) as one, local_cluster(1) as other:
+        assert one.submit(abs, -1).result() == other.submit(abs, -1).result() == 1
