@@ -88,6 +88,7 @@ def campaign():
             "time_s": (("case", "time"), time),
             "wfe_rms": (("case", "time"), 0.5 * wfe),
             "wfe_rms_raw": (("case", "time"), wfe),
+            "segment_piston_rms": (("case", "time"), 0.25 * wfe),
             "los": (("case", "time", "axis"), los),
             "centroid": (("case", "time", "axis"), 0.1 * los),
             "strehl": (("case", "time"), strehl, {"long_name": "Strehl ratio <in some direction>"}),

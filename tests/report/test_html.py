@@ -54,7 +54,7 @@ def read(html):
 
 @pytest.fixture
 def html(campaign, detail):
-    return render_report(campaign, [detail], {"shake": 5.1})
+    return render_report(campaign, [detail], {"shake": (5.1, "mas")})
 
 
 def test_it_is_one_well_formed_file_that_loads_nothing(html):

@@ -28,7 +28,7 @@ def test_intervals_leave_out_the_bound_that_does_not_exist():
 
 
 def test_rows_of_a_hand_made_campaign(campaign):
-    wind, shake, empty = rows([summarize(population, 5.1) for population in populations(campaign)])
+    wind, shake, empty = rows([summarize(population, (5.1, "mas")) for population in populations(campaign)])
     assert wind["disturbance"] == ("wind", "")
     assert wind["cases"] == ("3", "1 quarantined")
     assert wind["WFE on glass P50 (nm)"] == ("20.0", "–")
@@ -37,6 +37,9 @@ def test_rows_of_a_hand_made_campaign(campaign):
     assert shake["cases"] == ("2", "1 quarantined, 1 to do")
     assert shake["LOS jitter (mas)"] == ("5.00", "± 0")
     assert shake["LOS model (mas)"] == ("5.10", "")
+    # Cases of 10 and 20 and 30 nm, of which the segments move a quarter: rms of 2.5, 5 and 7.5 nm.
+    assert wind["segments (nm)"] == ("5.40", "")
+    assert wind["segments model (nm)"] == ("–", "")
     assert shake["EE80 P50 (λ/D)"][0] == "> field"
     assert empty["cases"] == ("0", "2 to do")
     assert empty["WFE on glass P50 (nm)"] == ("–", "")
@@ -45,6 +48,12 @@ def test_rows_of_a_hand_made_campaign(campaign):
         assert header in ("disturbance", "cases", "Strehl P5", "Strehl P50") or header.endswith(
             ("(nm)", "(mas)", "(λ/D)")
         )
+
+
+def test_a_model_in_nm_is_that_of_the_segments(campaign):
+    wind = rows([summarize(populations(campaign)[0], (5.4, "nm"))])[0]
+    assert wind["segments model (nm)"] == ("5.40", "")
+    assert wind["LOS model (mas)"] == ("–", "")
 
 
 def test_terminal_table_fits_80_columns_and_takes_names_as_they_are(campaign):

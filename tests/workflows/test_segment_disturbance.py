@@ -244,3 +244,5 @@ def test_kept_motion_is_the_motion_that_was_drawn(study):
     drawn = workflow.draw(bench_of(text), 0).motion.segment_motion
     np.testing.assert_array_equal(result.arrays["segment_motion"][0, : len(drawn)], drawn)
     assert "dof" in workflow.template(text).fixed
+    rms = np.sqrt(np.mean(result.arrays["segment_motion"][0, : len(drawn), :, 2] ** 2, axis=1))
+    np.testing.assert_allclose(result.arrays["segment_piston_rms"][0, : len(drawn)], rms * 1e9, rtol=1e-12)

@@ -71,12 +71,12 @@ def detail(study_text: str, case: int, device_name: str, dataset: xr.Dataset) ->
     )
 
 
-def _summaries(dataset: xr.Dataset, analytic: dict[str, float]) -> list[Summary]:
+def _summaries(dataset: xr.Dataset, analytic: dict[str, tuple[float, str]]) -> list[Summary]:
     return [summarize(population, analytic.get(population.name)) for population in populations(dataset)]
 
 
-def _analytic(store: Path) -> dict[str, float]:
-    """Return the line-of-sight jitter in mas of every disturbance that has one by its parameters alone."""
+def _analytic(store: Path) -> dict[str, tuple[float, str]]:
+    """Return the rms, and its unit, of every disturbance that has one by its parameters alone."""
     bench = bench_of(read_manifest(store).study)
     values = {entry.name: analytic_rms(entry, bench.layout) for entry in bench.study.disturbance}
-    return {name: value[0] for name, value in values.items() if value is not None and value[1] == "mas"}
+    return {name: value for name, value in values.items() if value is not None}

@@ -53,6 +53,7 @@ _DEFINITIONS = (
         "",
         "The same rms as the disturbance's definition implies it without sampling, where that is known.",
     ),
+    ("segments", "segment_piston_rms", "Over all cases and instants; the model's value as for the LOS."),
     ("Strehl", "strehl", "P5 and P50 are over the instants of all cases."),
     ("EE80", "ee80", "The exposure of a case is the mean of the images of its instants; P50 is over cases."),
     (
@@ -89,7 +90,7 @@ def write_report(
     dataset: xr.Dataset,
     details: Sequence[Detail],
     path: str | Path,
-    analytic: Mapping[str, float] | None = None,
+    analytic: Mapping[str, tuple[float, str]] | None = None,
 ) -> Path:
     """Write the report of a store to one HTML file, which appears whole or not at all.
 
@@ -101,8 +102,9 @@ def write_report(
         Cases to show as maps, beneath their disturbance; any number, also none.
     path : str or Path
         The file to write; an older one is replaced.
-    analytic : mapping of str to float, optional
-        Jitter that a disturbance implies by its definition: rms of both axes together, mas.
+    analytic : mapping of str to (float, str), optional
+        Rms that a disturbance implies by its definition, and its unit: line of sight (both axes together) in
+        mas, or segments along their normals in nm.
 
     Returns
     -------
@@ -121,7 +123,7 @@ def write_report(
 
 
 def render_report(
-    dataset: xr.Dataset, details: Sequence[Detail], analytic: Mapping[str, float] | None = None
+    dataset: xr.Dataset, details: Sequence[Detail], analytic: Mapping[str, tuple[float, str]] | None = None
 ) -> str:
     """Return the report as HTML; parameters as for :func:`write_report`."""
     found = populations(dataset)

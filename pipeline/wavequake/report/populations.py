@@ -12,7 +12,7 @@ from wavequake.errors import UserError
 from wavequake.report.statistics import Jitter, Quantile, case_rms, jitter, quantile
 from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
 
-_SERIES = ("wfe_rms", "wfe_rms_raw", "strehl", "los", "centroid")
+_SERIES = ("wfe_rms", "wfe_rms_raw", "segment_piston_rms", "strehl", "los", "centroid")
 _NEEDED = (*_SERIES, "ee80", "time_s", "status", "disturbance")
 
 
@@ -29,6 +29,8 @@ class Population:
     wfe, wfe_raw : ndarray, shape (C, T)
         Wavefront error rms of each instant, nm: of the Zernike terms j >= 4, and over all rays on glass
         without piston.
+    segment_piston : ndarray, shape (C, T)
+        Rms over the segments of their displacement along the normal, nm.
     los, centroid : ndarray, shape (C, T, 2)
         Line of sight by Störkle 2018, Eq. (3.39), and center of irradiance, mas.
     strehl : ndarray, shape (C, T)
@@ -43,6 +45,7 @@ class Population:
     time_s: NDArray[np.float64]
     wfe: NDArray[np.float64]
     wfe_raw: NDArray[np.float64]
+    segment_piston: NDArray[np.float64]
     los: NDArray[np.float64]
     centroid: NDArray[np.float64]
     strehl: NDArray[np.float64]
@@ -86,7 +89,10 @@ class Population:
 
 @dataclass(frozen=True)
 class Summary:
-    """One row of the report's table; units as in :class:`Population`. `analytic` is the expected jitter."""
+    """One row of the report's table; units as in :class:`Population`.
+
+    ``los_model`` and ``segment_piston_model`` are what the disturbance's parameters imply, where known.
+    """
 
     name: str
     cases: int
@@ -99,7 +105,9 @@ class Summary:
     wfe_p95: Quantile
     los_jitter: Jitter
     centroid_jitter: Jitter
-    analytic: float | None
+    los_model: float | None
+    segment_piston: float
+    segment_piston_model: float | None
     strehl_p5: Quantile
     strehl_p50: Quantile
     ee80_p50: Quantile
@@ -144,14 +152,15 @@ def representatives(dataset: xr.Dataset) -> dict[str, tuple[int, int]]:
     }
 
 
-def summarize(population: Population, analytic: float | None = None) -> Summary:
+def summarize(population: Population, analytic: tuple[float, str] | None = None) -> Summary:
     """Reduce a population to one row of the table.
 
     The wavefront error of a case is the rms over its instants; its quantiles are over cases. Strehl quantiles
-    are over the instants of all cases. `analytic` is the radial jitter rms that the disturbance model
-    implies, mas, if it is known.
+    are over the instants of all cases. `analytic` is the rms that the disturbance model implies, if it is
+    known, and its unit: ``mas`` of the line of sight (radial) or ``nm`` of the segments along their normals.
     """
     cases = len(population.cases)
+    value, unit = analytic or (0.0, "")
     raw, fitted = case_rms(population.wfe_raw), case_rms(population.wfe)
     return Summary(
         name=population.name,
@@ -165,7 +174,9 @@ def summarize(population: Population, analytic: float | None = None) -> Summary:
         wfe_p95=quantile(fitted, 0.95),
         los_jitter=jitter(population.los),
         centroid_jitter=jitter(population.centroid),
-        analytic=analytic,
+        los_model=value if unit == "mas" else None,
+        segment_piston=float(np.sqrt(np.mean(population.segment_piston**2))) if cases else np.nan,
+        segment_piston_model=value if unit == "nm" else None,
         strehl_p5=quantile(population.strehl, 0.05, draws=cases),
         strehl_p50=quantile(population.strehl, 0.50, draws=cases),
         ee80_p50=quantile(population.ee80, 0.50),
@@ -235,6 +246,7 @@ def _population(name: str, arrays: dict[str, NDArray[Any]]) -> Population:
         time_s=series["time_s"],
         wfe=series["wfe_rms"],
         wfe_raw=series["wfe_rms_raw"],
+        segment_piston=series["segment_piston_rms"],
         los=series["los"],
         centroid=series["centroid"],
         strehl=series["strehl"],

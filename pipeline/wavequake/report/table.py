@@ -17,7 +17,8 @@ BEYOND = "> field"
 _CAPTION = (
     "WFE: rms of a case over its instants; P50 and P95 over cases, in brackets the distribution-free 95 % "
     "confidence interval (≤, ≥: too few cases for both bounds). LOS: rms of both axes about the mean of all "
-    "cases and instants, ± standard error, in brackets what the model implies. Strehl: over all instants. "
+    "cases and instants, ± standard error; segments: rms along their normals; in brackets what the model "
+    "implies. Strehl: over all instants. "
     "EE80: median over cases."
 )
 
@@ -50,7 +51,6 @@ def rows(summaries: Iterable[Summary]) -> list[dict[str, tuple[str, str]]]:
 
 
 def _row(summary: Summary) -> dict[str, tuple[str, str]]:
-    analytic = MISSING if summary.analytic is None else number(summary.analytic)
     return {
         "disturbance": (summary.name, ""),
         "cases": (str(summary.cases), _left_out(summary)),
@@ -59,12 +59,18 @@ def _row(summary: Summary) -> dict[str, tuple[str, str]]:
         "WFE j\u00a0≥\u00a04 P50 (nm)": _quantile(summary.wfe_p50),
         "WFE j\u00a0≥\u00a04 P95 (nm)": _quantile(summary.wfe_p95),
         "LOS jitter (mas)": _jitter(summary.los_jitter),
-        "LOS model (mas)": (analytic, ""),
+        "LOS model (mas)": (_model(summary.los_model), ""),
+        "segments (nm)": (number(summary.segment_piston), ""),
+        "segments model (nm)": (_model(summary.segment_piston_model), ""),
         "centroid jitter (mas)": _jitter(summary.centroid_jitter),
         "Strehl P5": _quantile(summary.strehl_p5, 4),
         "Strehl P50": _quantile(summary.strehl_p50, 4),
         "EE80 P50 (λ/D)": _radius(summary.ee80_p50),
     }
+
+
+def _model(value: float | None) -> str:
+    return MISSING if value is None else number(value)
 
 
 def _left_out(summary: Summary, before: str = "") -> str:
@@ -97,11 +103,12 @@ def terminal_table(summaries: Iterable[Summary]) -> Table:
     table.add_column("")
     for header in ("WFE on glass\nrms (nm)", "WFE j ≥ 4\nrms (nm)"):
         table.add_column(header, justify="right", no_wrap=True)
-    for header in ("LOS rms\n(mas)", "Strehl\nP50, P5", "EE80\n(λ/D)"):
+    for header in ("segments\nrms (nm)", "LOS rms\n(mas)", "Strehl\nP50, P5", "EE80\n(λ/D)"):
         table.add_column(header, justify="right", no_wrap=True)
     for summary in summaries:
         jitter, error = _jitter(summary.los_jitter)
-        model = "" if summary.analytic is None else f"\n({number(summary.analytic)})"
+        model = "" if summary.los_model is None else f"\n({number(summary.los_model)})"
+        segments = summary.segment_piston_model
         table.add_row(
             Text.assemble(
                 ("\n".join(textwrap.wrap(summary.name, 15)), "bold"),
@@ -111,6 +118,7 @@ def terminal_table(summaries: Iterable[Summary]) -> Table:
             "P50\nP95",
             f"{_with_interval(summary.wfe_raw_p50)}\n{_with_interval(summary.wfe_raw_p95)}",
             f"{_with_interval(summary.wfe_p50)}\n{_with_interval(summary.wfe_p95)}",
+            number(summary.segment_piston) + ("" if segments is None else f"\n({number(segments)})"),
             f"{jitter}\n{error}{model}",
             f"{number(summary.strehl_p50.value, 4)}\n{number(summary.strehl_p5.value, 4)}",
             f"{_radius(summary.ee80_p50)[0]}",

@@ -202,6 +202,8 @@ def _record(
     arrays["los"][row, there] = (wavefront.los[here] - bench.static.los[0]) * to_mas
     arrays["centroid"][row, there] = (wavefront.centroid[here] - bench.static.centroid[0]) * to_mas
     arrays["strehl"][row, there] = wavefront.strehl[here]
+    along_normal = drawn.motion.segment_motion[there, :, 2]
+    arrays["segment_piston_rms"][row, there] = np.sqrt(np.mean(along_normal**2, axis=1)) * 1e9
     if "segment_motion" in arrays:
         arrays["segment_motion"][row, there] = drawn.motion.segment_motion[there]
 
@@ -266,6 +268,9 @@ def template(study_text: str) -> Template:
         ),
         "strehl": variable(
             over_time, (instants,), "1", "Strehl ratio in the direction of the best-fit plane"
+        ),
+        "segment_piston_rms": variable(
+            over_time, (instants,), "nm", "rms over segments of the displacement along their normals"
         ),
         "ee50": variable(
             (), (), "lambda/D", "radius of 50 % encircled energy of the exposure; inf beyond the frame"
