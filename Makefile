@@ -4,6 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 STUDY ?= tmt-segments
 EXTRAS ?= test,lint
+# PoCL links its kernels: a machine without any linker gets one from PyPI.
+comma := ,
+LINKER := $(shell command -v ld >/dev/null || echo '[linker]')
 export PYTHONUNBUFFERED := 1
 
 .PHONY: help run test lint bench wheel clean
@@ -41,12 +44,12 @@ $(VENV)/bin/python:
 
 $(VENV)/.run: pyproject.toml | $(VENV)/bin/python
 	@echo "Installing Wavequake and what it needs from PyPI (about a minute) ..."
-	@$(BIN)/python -m pip install -q --disable-pip-version-check -e .
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.$(LINKER)'
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
 	@echo "Installing Wavequake with the tools for tests and lint ..."
-	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[$(EXTRAS)]'
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[$(EXTRAS)$(if $(LINKER),$(comma)linker)]'
 	@touch $@ $(VENV)/.run
 
 $(VENV)/.bench: pyproject.toml | $(VENV)/bin/python

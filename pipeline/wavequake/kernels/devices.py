@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from wavequake.errors import UserError
+from wavequake.kernels.linker import ensure_linker
 from wavequake.kernels.tiles import TILE
 
 _NO_OPENCL = (
@@ -73,7 +74,8 @@ def choose_device(request: str = "auto") -> Device:
     Raises
     ------
     UserError
-        If there is no OpenCL device, or none that fits the request.
+        If there is no OpenCL device, or none that fits the request, or PoCL has no linker to build kernels
+        with.
     """
     if request == "numpy":
         return NUMPY
@@ -81,7 +83,7 @@ def choose_device(request: str = "auto") -> Device:
     if not devices:
         raise UserError(_NO_OPENCL)
     if request == "auto":
-        return min(devices, key=lambda device: device.kind != "gpu")
+        return _usable(min(devices, key=lambda device: device.kind != "gpu"))
     if request in ("cpu", "gpu"):
         fitting = [device for device in devices if device.kind == request]
     else:
@@ -91,7 +93,13 @@ def choose_device(request: str = "auto") -> Device:
         raise UserError(
             f"no OpenCL device fits device={request!r}; use auto, cpu, gpu, numpy or part of one of: {names}"
         )
-    return fitting[0]
+    return _usable(fitting[0])
+
+
+def _usable(device: Device) -> Device:
+    if device.platform == "Portable Computing Language":
+        ensure_linker()
+    return device
 
 
 def opencl_handle(device: Device) -> Any:
