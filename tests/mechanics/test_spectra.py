@@ -124,6 +124,7 @@ def test_a_table_is_integrated_as_the_polygon_that_it_is():
         ("1,2\n2,3,4\n", "line 2: .* is not two numbers"),
         ("1,2\n2,x\n", "line 2: '2,x' is not two numbers"),
         ("1,0\n2,0\n", "holds no power"),
+        ("1,1e-320\n2,0\n", "holds no power"),
     ],
 )
 def test_a_bad_table_is_named_with_its_line(text, complaint):

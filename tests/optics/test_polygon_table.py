@@ -45,6 +45,12 @@ def test_centers_and_foreign_columns():
     assert "line 2, column 4" in complaint("old,A,0.25,,0,0,1,0,0,1\n", header)
 
 
+def test_comments_are_skipped_and_lines_still_counted():
+    table = "# glass\n\n" + HEADER + "# first\n" + SQUARE
+    assert read_polygons(StringIO(table))[0] == ["A"]
+    assert "line 6, column 2" in complaint("B,x,0,2,0,2,1,,\n", header=table)
+
+
 def test_a_file_with_a_byte_order_mark(tmp_path):
     path = tmp_path / "polygons.csv"
     path.write_text(HEADER + SQUARE, encoding="utf-8-sig")

@@ -84,6 +84,7 @@ def test_the_identity_is_canonical_json(minimal):
         ("cases=4", ["no section"]),
         ("campaign.cases.more=4", ["campaign.cases", "integer"]),
         ("nonsense", ["section.key=value"]),
+        ("study.name=../x", ["study.name", "'../x'", "letters, digits"]),
     ],
 )
 def test_bad_input_is_one_sentence_that_says_what_is_right(minimal, override, words):
@@ -128,10 +129,19 @@ def test_two_disturbances_of_one_name_and_a_dangling_combination(minimal, tmp_pa
     )
     with pytest.raises(UserError, match="'all' combines 'wind'"):
         load_study(dangling)
+    with pytest.raises(UserError, match="'all' combines a disturbance with itself"):
+        load_study(dangling, ['disturbance.all.of=["still", "still"]'])
+    with pytest.raises(UserError, match=r"disturbance.all.of: it needs at least 2 entries, not 1\.$"):
+        load_study(dangling, ['disturbance.all.of=["still"]'])
 
 
-def test_a_custom_telescope_carries_its_polygons(tmp_path):
-    (tmp_path / "glass.csv").write_text("id,x1_m,y1_m,x2_m,y2_m,x3_m,y3_m\nA,1,0,2,0,1.5,1\n")
+GLASS = "id,x1_m,y1_m,x2_m,y2_m,x3_m,y3_m\nA,1,0,2,0,1.5,1\n"
+
+
+@pytest.fixture
+def own(tmp_path):
+    """A study of a custom telescope with glass.csv."""
+    (tmp_path / "glass.csv").write_text(GLASS)
     path = tmp_path / "own.toml"
     path.write_text(
         MINIMAL.replace(
@@ -140,8 +150,32 @@ def test_a_custom_telescope_carries_its_polygons(tmp_path):
             'surfaces = [{name = "image", distance_mm = 10000.0}]',
         )
     )
-    study = load_study(path)
+    return path
+
+
+def test_a_wrong_table_of_polygons_is_named_with_its_line(tmp_path, own):
+    (tmp_path / "glass.csv").write_text(GLASS + "B,3,0,4,nan,3.5,1\n")
+    with pytest.raises(UserError, match=r"glass\.csv, line 3, column 5: 'nan' is not a number"):
+        load_study(own)
+
+
+def test_byte_order_marks_and_line_ends_make_no_other_study(tmp_path, own):
+    expected = load_study(own).identity()
+    for path in (own, tmp_path / "glass.csv"):
+        path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n"))
+    assert load_study(own).identity() == expected
+
+
+def test_a_wrong_spectrum_is_the_only_complaint(tmp_path, minimal):
+    (tmp_path / "psd.csv").write_text("frequency_hz,psd\n1,1\n2,-1\n")
+    words = ["model=line-of-sight", "spectrum=file", "file=psd.csv", "rms_mas=1.0"]
+    with pytest.raises(UserError, match=r"psd\.csv, line 3: the psd -1 is negative[^()]*at least 0\.$"):
+        load_study(minimal, [f"disturbance.still.{word}" for word in words])
+
+
+def test_a_custom_telescope_carries_its_polygons(tmp_path, own):
+    study = load_study(own)
     (tmp_path / "glass.csv").unlink()
     assert "A,1,0" in study_from_identity(study.identity_text()).telescope.polygons_csv
     with pytest.raises(UserError, match=r"telescope.polygons: the file .* cannot be read"):
-        load_study(path)
+        load_study(own)

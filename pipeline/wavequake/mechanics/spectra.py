@@ -227,7 +227,7 @@ def tabulated(text: str, name: str) -> Spectrum:
     if len(rows) < 2:
         raise UserError(f"{name} has {len(rows)} rows of frequency_hz,psd; a spectrum needs at least 2.")
     frequency, psd = np.array(rows).T
-    if not psd.any():
+    if not psd.max() > np.finfo(float).tiny:
         raise UserError(f"{name} holds no power: every psd is zero.")
     return Spectrum(
         lambda f: np.interp(f, frequency, psd),

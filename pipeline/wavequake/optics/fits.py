@@ -51,7 +51,8 @@ def weighted_fit(basis: Array, weight: Array) -> Fit:
             normal = basis.T @ (weight[:, None] * basis)
             return Fit(basis, weight, np.linalg.solve(r, (root * q).T), normal)
     raise UserError(
-        f"{rays} rays on glass do not determine {terms} wavefront terms, use more rays or fewer terms"
+        f"{rays} rays on glass do not determine {terms} wavefront terms; raise optics.rays_per_segment (or, "
+        "for a sunflower, optics.rays), or lower wavefront.zernike_terms."
     )
 
 

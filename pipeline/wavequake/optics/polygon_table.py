@@ -22,7 +22,7 @@ def read_polygons(source: str | Path | TextIO) -> tuple[list[str], Array, Array 
     """Read polygons from CSV with the columns ``id,x1_m,y1_m,x2_m,y2_m,...``.
 
     A row with fewer corners leaves its last cells empty. ``cx_m,cy_m`` are optional pivots; other columns are
-    ignored.
+    ignored, and so are lines that begin with ``#``.
 
     Parameters
     ----------
@@ -55,11 +55,13 @@ def read_polygons(source: str | Path | TextIO) -> tuple[list[str], Array, Array 
 def _parsed(stream: TextIO, where: str) -> tuple[list[str], Array, Array | None]:
     reader = csv.reader(stream)
     try:
-        header = [name.strip() for name in next(reader, [])]
-        pairs = _corner_columns(header, where)
         rows = [
-            (f"{where}, line {reader.line_num}", row) for row in reader if any(cell.strip() for cell in row)
+            (f"{where}, line {reader.line_num}", row)
+            for row in reader
+            if any(cell.strip() for cell in row) and not row[0].startswith("#")
         ]
+        header = [name.strip() for name in rows.pop(0)[1]] if rows else []
+        pairs = _corner_columns(header, where)
     except (csv.Error, UnicodeDecodeError) as error:
         raise UserError(f"{where} is not a table in CSV (UTF-8): {error}.") from None
     if not rows:
@@ -142,7 +144,7 @@ def _require_area(names: list[str], corners: Array, where: str) -> None:
     size = np.ptp(corners, axis=1).max(axis=1)
     for name, area, extent in zip(names, signed_areas(corners), size, strict=True):
         if not abs(area) > _ROUNDING * extent:
-            raise UserError(f"{where}: polygon {name!r} has no area; its corners must not lie on one line.")
+            raise UserError(f"{where}: polygon {name!r} has no area; list its corners in order around it.")
 
 
 def _require_convex(names: list[str], corners: Array, where: str) -> None:

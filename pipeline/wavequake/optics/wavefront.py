@@ -166,7 +166,7 @@ def prepare(
     if not solved.all():
         name = system.segments.names[int(np.argmin(solved))]
         raise UserError(
-            f"segment {name} has too few rays for its tilt, use more rays (3 not in a line are the least)"
+            f"segment {name} has too few rays for its tilt (at least 3 not in a line); raise optics.rays."
         )
     places = np.add.outer(np.arange(3), 3 * rays.segment).ravel(), np.tile(np.arange(len(x)), 3)
     still = rest(TILE, len(system.segments), len(system.surfaces))

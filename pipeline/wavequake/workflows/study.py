@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from wavequake.errors import UserError
 from wavequake.files import folder
 from wavequake.mechanics.disturbances import Disturbance
+from wavequake.optics.polygon_table import read_polygons
 
 
 class Section(BaseModel):
@@ -149,7 +150,10 @@ class Study(Section):
             if names.count(name) > 1:
                 raise ValueError(f"two disturbances are called {name!r}; each needs a name of its own")
         for entry in value:
-            for part in getattr(entry, "of", ()):
+            parts = getattr(entry, "of", ())
+            if len(set(parts)) < len(parts):
+                raise ValueError(f"{entry.name!r} combines a disturbance with itself; name each one once")
+            for part in parts:
                 if part not in names or part == entry.name:
                     raise ValueError(
                         f"{entry.name!r} combines {part!r}, which is not another disturbance of this study"
@@ -203,7 +207,7 @@ def load_study(name: str | Path, overrides: Mapping[str, Any] | Iterable[str] = 
     """
     path = _find(str(name))
     try:
-        record = tomllib.loads(path.read_text(encoding="utf-8"))
+        record = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UserError(f"{path} is not a TOML file: {error}.") from None
     except OSError as error:
@@ -292,7 +296,9 @@ def _read_files(record: dict[str, Any], base: Path) -> None:
     """Replace the files that a study names by their contents."""
     telescope = record.get("telescope")
     if isinstance(telescope, dict) and isinstance(telescope.get("polygons"), str):
-        telescope["polygons_csv"] = _text(base / telescope["polygons"], "telescope.polygons")
+        path = base / telescope["polygons"]
+        telescope["polygons_csv"] = _text(path, "telescope.polygons")
+        read_polygons(path)  # here an error can name the file
     for entry in record.get("disturbance") or ():
         if isinstance(entry, dict) and isinstance(entry.get("file"), str):
             entry["file_csv"] = _text(base / entry["file"], f"disturbance.{entry.get('name')}.file")
@@ -300,7 +306,7 @@ def _read_files(record: dict[str, Any], base: Path) -> None:
 
 def _text(path: Path, key: str) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(
             f"{key}: the file {path} cannot be read ({getattr(error, 'strerror', None) or error})."
@@ -309,10 +315,14 @@ def _text(path: Path, key: str) -> str:
 
 def describe(error: ValidationError, record: Mapping[str, Any]) -> str:
     """Turn the first error of a validation into one sentence: where, what, what would be right."""
-    first = error.errors(include_url=False)[0]
+    found = error.errors(include_url=False)
+    places = [one["loc"] for one in found]
+    # A list with a bad entry is reported once more itself, as if it lacked that entry.
+    errors = [one for one in found if not any(p != one["loc"] == p[: len(one["loc"])] for p in places)]
+    first = errors[0]
     location = [part for part in first["loc"] if part not in _union_tags()]
     where = ".".join(_entry_name(record, location, depth) for depth in range(len(location))) or "the study"
-    more = f" ({error.error_count() - 1} more after this one)" if error.error_count() > 1 else ""
+    more = f" ({len(errors) - 1} more after this one)" if len(errors) > 1 else ""
     if first["type"] == "extra_forbidden":
         valid = _valid_keys(record, first["loc"])
         near = difflib.get_close_matches(str(location[-1]), valid, n=1, cutoff=0.3)
@@ -320,6 +330,16 @@ def describe(error: ValidationError, record: Mapping[str, Any]) -> str:
         return f"the key {where!r} is unknown{hint}{more}."
     if first["type"] == "missing":
         return f"the key {where!r} is missing{more}."
+    if first["type"] == "too_short":
+        limit = first["ctx"]
+        return (
+            f"{where}: it needs at least {limit['min_length']} entries, not {limit['actual_length']}{more}."
+        )
+    if first["type"] == "string_pattern_mismatch":
+        return (
+            f"{where}: {first['input']!r} must begin with a letter or a digit and go on with letters, digits,"
+            f" '.', '_' and '-'{more}."
+        )
     message = first["msg"].removeprefix("Value error, ")
     given = first.get("input")
     shown = (
