@@ -133,6 +133,7 @@ def test_studies_devices_and_version(wavequake):
         (["run", "TINY", "optics.wavelength_nm=0"], "optics.wavelength_nm"),
         (["run", "TINY", "campaign.device=abacus"], "abacus"),
         (["run", "TINY", "optics.sampling=sunflower", "optics.rays=10"], "ray"),
+        (["run", "TINY", "optics.field_arcmin=[600.0, 0.0]"], "optics.field_arcmin"),
         (["run", "TINY", "--on", "moon"], "moon"),
         (["status", "nowhere"], "nowhere"),
         (["verify", "nowhere"], "nowhere"),
@@ -180,6 +181,34 @@ def test_quarantined_cases_end_with_exit_code_3_and_their_reason(wavequake, tiny
     assert "3 cases are quarantined" in err
     code, out, _ = wavequake("status", store)
     assert "lost all its rays" in out
+
+
+@pytest.mark.parametrize("name", ["sp ace", "back\\slash", 'it\'s "q"', "[bold]ünï"])
+def test_a_store_may_have_any_name(wavequake, tiny, tmp_path, name):
+    code, out, _ = run_tiny(wavequake, tiny, tmp_path / name, "campaign.cases=1")
+    assert code == 0
+    assert out.count(name) == 2
+    assert wq.open_store(tmp_path / name).sizes["case"] == 1
+
+
+def test_a_report_that_was_cut_off_is_written_by_the_next_run(wavequake, tiny, tmp_path, monkeypatch):
+    run_tiny(wavequake, tiny, tmp_path / "store", "campaign.cases=2")
+    report = tmp_path / "store" / "report.html"
+    before = report.read_bytes()
+    with monkeypatch.context() as patch:
+        patch.setattr(cli, "_write_report", lambda store, fresh: None)
+        run_tiny(wavequake, tiny, tmp_path / "store", "campaign.cases=6")
+    assert report.read_bytes() == before
+    assert run_tiny(wavequake, tiny, tmp_path / "store", "campaign.cases=6")[0] == 0
+    assert report.read_bytes() != before
+
+
+def test_a_store_is_reported_where_its_device_is_missing(wavequake, tiny, tmp_path, monkeypatch):
+    run_tiny(wavequake, tiny, tmp_path / "store", "campaign.cases=2")
+    monkeypatch.setattr(devices, "_found", lambda: ())
+    code, out, _ = wavequake("report", tmp_path / "store")
+    assert code == 0
+    assert "pistons" in out
 
 
 def test_without_opencl_the_user_learns_what_to_install(wavequake, tiny, tmp_path, monkeypatch):

@@ -1,11 +1,12 @@
 """The command line: ``wavequake run|plan|studies|status|report|verify|devices``."""
 
+import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -98,14 +99,14 @@ def run(
     from wavequake.workflows.campaign import run_study
     from wavequake.workflows.study import load_study
 
-    loaded = load_study(study, _with_store(overrides, store))
-    path = Path(loaded.store.path) if loaded.store.path else loaded.default_store()
-    out.print(f"[bold]{loaded.study.name}[/bold]  {loaded.campaign.cases} cases  ->  {path}")
+    loaded = load_study(study, overrides or [])
+    path = store or Path(loaded.store.path or loaded.default_store())
+    out.print(f"{loaded.study.name}  {loaded.campaign.cases} cases  ->  {path}", markup=False, soft_wrap=True)
     try:
         with _progress() as progress:
             summary = run_study(loaded, path, on=on, workers=workers, progress=progress)
     except KeyboardInterrupt:
-        words = " ".join(["wavequake run", study, *(overrides or []), f"--store {path}"])
+        words = shlex.join(["wavequake", "run", study, *(overrides or []), "--store", str(path)])
         err.print(f"\nInterrupted. What is done is kept; to continue: {words}", markup=False, soft_wrap=True)
         sys.exit(EXIT_INTERRUPTED)
     if summary.computed:
@@ -120,8 +121,9 @@ def run(
     if profile:
         _print_pairs(profile_of(path))
     if summary.quarantined:
+        words = shlex.join(["wavequake", "status", str(path)])
         err.print(
-            f"{summary.quarantined} cases are quarantined; wavequake status {path} says why.", soft_wrap=True
+            f"{summary.quarantined} cases are quarantined; {words} says why.", markup=False, soft_wrap=True
         )
         sys.exit(EXIT_QUARANTINED)
 
@@ -130,14 +132,14 @@ def run(
 def plan(
     study: StudyArgument,
     overrides: OverridesArgument = None,
-    store: StoreOption = None,
+    store: StoreOption = None,  # so that `run` can be replaced by `plan`; nothing is stored
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Show cases, chunks, memory and an estimate of the time; stores nothing."""
     from wavequake.workflows.campaign import plan as plan_study
     from wavequake.workflows.study import load_study
 
-    _print_pairs(plan_study(load_study(study, _with_store(overrides, store))))
+    _print_pairs(plan_study(load_study(study, overrides or [])))
 
 
 @app.command()
@@ -206,21 +208,15 @@ def _print_pairs(pairs: dict[str, str]) -> None:
     out.print(table)
 
 
-def _with_store(overrides: list[str] | None, store: Path | None) -> dict[str, Any] | list[str]:
-    chosen = [f"store.path={str(store)!r}"] if store else []
-    return [*(overrides or []), *chosen]
-
-
 def _write_report(store: Path, fresh: bool) -> None:
-    from wavequake.report.campaign import report_path, report_store, summary_table
+    from wavequake.report.campaign import is_current, report_path, report_store, summary_table
 
-    path = report_path(store)
-    if fresh or not path.exists():
+    if fresh or not is_current(store):
         table, path = report_store(store)
     else:
-        table = summary_table(store)
+        table, path = summary_table(store), report_path(store)
     out.print(table)
-    out.print(f"Report: {path.resolve()}", soft_wrap=True)
+    out.print(f"Report: {path.resolve()}", markup=False, soft_wrap=True)
 
 
 @contextmanager

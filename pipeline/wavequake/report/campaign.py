@@ -1,11 +1,13 @@
 """The report of a store: its table, and the HTML file with its most telling cases recomputed in full."""
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 from rich.table import Table
 
+from wavequake.errors import UserError
 from wavequake.kernels.devices import choose_device
 from wavequake.mechanics.disturbances import analytic_rms
 from wavequake.optics.wavefront import trace_states
@@ -15,12 +17,19 @@ from wavequake.report.populations import Summary, populations, representatives, 
 from wavequake.report.table import terminal_table
 from wavequake.workflows.bench import bench_of
 from wavequake.workflows.segment_disturbance import draw, surface_states
-from wavequake.workflows.store import open_store, read_manifest
+from wavequake.workflows.store import JOURNAL, Manifest, open_store, read_manifest
 
 
 def report_path(store: Path) -> Path:
     """Return where the report of a store is."""
     return Path(store) / "report.html"
+
+
+def is_current(store: Path) -> bool:
+    """Return whether the report was written after everything that the journal records."""
+    journal = [file.stat().st_mtime_ns for file in (Path(store) / JOURNAL).glob("*.jsonl")]
+    path = report_path(store)
+    return path.exists() and path.stat().st_mtime_ns >= max(journal, default=0)
 
 
 def summary_table(store: Path) -> Table:
@@ -32,16 +41,24 @@ def report_store(store: Path) -> tuple[Table, Path]:
     """Write the HTML report of a store and return its table and the file.
 
     The worst case of every disturbance is recomputed in full for the maps; its numbers are those of the
-    store, bit for bit.
+    store, bit for bit, if the device that computed them is at hand.
     """
     dataset, analytic = open_store(store), _analytic(store)
     manifest = read_manifest(store)
+    device = _device_at_hand(manifest)
     details = [
-        detail(manifest.study, worst, manifest.device, dataset)
-        for _, worst in representatives(dataset).values()
+        detail(manifest.study, worst, device, dataset) for _, worst in representatives(dataset).values()
     ]
     path = write_report(dataset, details, report_path(store), analytic)
     return terminal_table(_summaries(dataset, analytic)), path
+
+
+def _device_at_hand(manifest: Manifest) -> str:
+    """Return the store's own device, or where that is missing one of its kind, or NumPy."""
+    for request in (manifest.device, manifest.device_kind):
+        with suppress(UserError):
+            return choose_device(request).name
+    return "numpy"
 
 
 def detail(study_text: str, case: int, device_name: str, dataset: xr.Dataset) -> Detail:

@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.errors import UserError
 from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import TILE
 from wavequake.mechanics.disturbances import Disturbance
@@ -54,7 +55,8 @@ def bench_of(study_text: str) -> Bench:
     Raises
     ------
     UserError
-        If no ray of the pupil meets glass, polygons overlap, or the study is otherwise impossible.
+        If no ray of the pupil meets glass, or none of a segment the image, polygons overlap, or the study is
+        otherwise impossible.
     """
     study = study_from_identity(study_text)
     system = build_telescope(study)
@@ -150,6 +152,12 @@ def _reference(
     states = SurfaceStates(still.segment_motion, still.segment_figure, motion, still.field + field)
     traced = trace_states(prepared, states, choose_device("numpy"))
     wavefront = analyse(prepared, traced, chief_rays(prepared, states))
+    if wavefront.lost_segments[0].any():
+        name = system.segments.names[int(np.argmax(wavefront.lost_segments[0]))]
+        raise UserError(
+            f"No ray of segment {name} of the telescope {system.name} at rest reaches the image; check "
+            "telescope and optics.field_arcmin."
+        )
     los = wavefront.los
     per_tilt = np.stack([los[1] - los[2], los[3] - los[4]], axis=1) / (2 * step)
     return wavefront, np.asarray(np.linalg.inv(per_tilt / prepared.focal_length), dtype=np.float64)
