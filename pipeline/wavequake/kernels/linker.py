@@ -46,8 +46,8 @@ def ensure_linker() -> None:
     linker = find_linker()
     if not linker:
         raise UserError(
-            "PoCL needs a linker, which this machine lacks: `pip install ziglang` brings one (or install gcc), "
-            "or run without OpenCL with `campaign.device=numpy`"
+            "PoCL needs a linker, which this machine lacks: `pip install ziglang` brings one (or install "
+            "gcc), or run without OpenCL with `campaign.device=numpy`"
         )
     os.environ["PATH"] = os.pathsep.join([str(wrapped(linker, home)), *path])
 
