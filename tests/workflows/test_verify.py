@@ -44,11 +44,13 @@ def test_an_intact_store_passes(done):
     assert report.lines()[-1] == "The store is complete and intact."
 
 
-@pytest.mark.parametrize("damage", [delete, empty, truncate, flip, swap])
-@pytest.mark.parametrize(("name", "file"), [("zernike", "c.1.0.0"), ("status", "c.1"), ("time_s", "c.4.0")])
+FILES = [("zernike", "c.1.0.0"), ("status", "c.1"), ("time_s", "c.4.0")]
+DAMAGES = [(damage, *file) for damage in (delete, empty, truncate, flip) for file in FILES]
+
+
+# Swapping two chunks' times is no damage: they are equal.
+@pytest.mark.parametrize(("damage", "name", "file"), [*DAMAGES, *((swap, *file) for file in FILES[:2])])
 def test_damage_is_named_and_repaired_to_equal_bits(done, damage, name, file):
-    if damage is swap and name == "time_s":
-        pytest.skip("the time of all cases is equal")
     before = toy.digests(done)
     damage(done / "data.zarr" / name / file)
     report = verify_store(done)
