@@ -1,6 +1,8 @@
 """The command line as a user meets it: exit codes, sentences, and that repeating is safe."""
 
 import json
+import shlex
+import subprocess
 import sys
 
 import numpy as np
@@ -104,6 +106,19 @@ def test_damage_is_named_and_mended(wavequake, tiny, tmp_path):
     np.testing.assert_array_equal(wq.open_store(store)["zernike"].values, before)
 
 
+def test_a_flipped_bit_is_named_by_the_report(wavequake, tiny, tmp_path):
+    store = tmp_path / "store"
+    run_tiny(wavequake, tiny, store, "campaign.cases=4")
+    shard = next((store / "data.zarr" / "strehl").glob("c*"))
+    content = bytearray(shard.read_bytes())
+    content[len(content) // 2] ^= 1
+    shard.write_bytes(content)
+    for words in (["report", store], ["run", tiny, "campaign.cases=4", "--store", store, "--on", "serial"]):
+        code, _, err = wavequake(*words)
+        assert code == cli.EXIT_DAMAGED
+        assert "strehl, cases 0 to 3" in err
+
+
 def test_plan_says_what_it_would_take_and_stores_nothing(wavequake, tiny, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     code, out, _ = wavequake("plan", tiny, "campaign.cases=10")
@@ -147,6 +162,15 @@ def test_bad_input_is_one_sentence_and_exit_code_2(wavequake, tiny, tmp_path, mo
     assert sentence in err
     assert "Traceback" not in err
     assert len(err.strip().splitlines()) == 1
+
+
+def test_output_that_is_closed_or_has_no_greek_does_no_harm(wavequake, tiny, tmp_path):
+    run_tiny(wavequake, tiny, tmp_path / "store", "campaign.cases=1")
+    python = f"{shlex.quote(sys.executable)} -m wavequake"
+    store = shlex.quote(str(tmp_path / "store"))
+    for command in (f"PYTHONIOENCODING=ascii {python} report {store}", f"{python} status {store} >&-"):
+        done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_debug_shows_the_traceback(wavequake):

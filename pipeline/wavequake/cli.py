@@ -1,5 +1,6 @@
 """The command line: ``wavequake run|plan|studies|status|report|verify|devices``."""
 
+import io
 import shlex
 import sys
 import time
@@ -25,7 +26,7 @@ app = typer.Typer(
     add_completion=False,
 )
 # Where the output is no terminal (a log, a pipe), lines have room for the table.
-out = Console(highlight=False, width=None if sys.stdout.isatty() else 110)
+out = Console(highlight=False, width=None if sys.stdout and sys.stdout.isatty() else 110)
 err = Console(stderr=True, highlight=False)
 
 StudyArgument = Annotated[str, typer.Argument(help="Name of a bundled study or path of a .toml file.")]
@@ -39,6 +40,9 @@ StoreOption = Annotated[Path | None, typer.Option("--store", help="Folder of the
 def main() -> None:
     """Run the command line; the exit code says how it ended (0, 1, 2, 3, 4 or 130)."""
     debug = "--debug" in sys.argv
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that has no Greek shall not end a run
     try:
         app()
     except UserError as error:

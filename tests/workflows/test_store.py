@@ -1,6 +1,7 @@
 import errno
 import json
 import os
+import shutil
 import warnings
 
 import dask.array
@@ -146,6 +147,12 @@ def test_paths_that_are_no_place_for_a_store(tmp_path):
     with pytest.raises(UserError, match=r"is not a store: it holds 'thesis\.tex'"):
         new(tmp_path / "full")
     assert (tmp_path / "full" / "thesis.tex").exists()
+    (tmp_path / "other" / "data.zarr").mkdir(parents=True)
+    with pytest.raises(UserError, match=r"is not a store: it holds 'data\.zarr'"):
+        new(tmp_path / "other")
+    assert (tmp_path / "other" / "data.zarr").exists()
+    with pytest.raises(UserError, match="cannot be written"):
+        new(tmp_path / ("x" * 300))
     with pytest.raises(UserError, match="There is no store at"):
         open_store(tmp_path / "nowhere")
     with pytest.raises(UserError, match="There is no store at"):
@@ -154,8 +161,17 @@ def test_paths_that_are_no_place_for_a_store(tmp_path):
         new(tmp_path / "s", cases=0)
 
 
+def test_a_lost_journal_is_begun_again(tmp_path):
+    toy.run(tmp_path / "s")
+    before = toy.digests(tmp_path / "s")
+    shutil.rmtree(tmp_path / "s" / "done")
+    assert toy.run(tmp_path / "s").done_before == 0
+    assert toy.digests(tmp_path / "s") == before
+
+
 def test_results_without_a_manifest_are_never_overwritten(tmp_path):
     toy.run(tmp_path / "s")
+    (tmp_path / "s" / "report.html").write_text("x")
     (tmp_path / "s" / "manifest.json").unlink()
     with pytest.raises(UserError, match=r"has results but no manifest\.json"):
         toy.run(tmp_path / "s")

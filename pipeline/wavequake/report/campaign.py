@@ -1,13 +1,14 @@
 """The report of a store: its table, and the HTML file with its most telling cases recomputed in full."""
 
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 from rich.table import Table
 
-from wavequake.errors import UserError
+from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.devices import choose_device
 from wavequake.mechanics.disturbances import analytic_rms
 from wavequake.optics.wavefront import trace_states
@@ -17,12 +18,13 @@ from wavequake.report.populations import Summary, populations, representatives, 
 from wavequake.report.table import terminal_table
 from wavequake.workflows.bench import bench_of
 from wavequake.workflows.segment_disturbance import draw, surface_states
-from wavequake.workflows.store import JOURNAL, Manifest, open_store, read_manifest
+from wavequake.workflows.store import JOURNAL, REPORT, Manifest, open_store, read_manifest
+from wavequake.workflows.verify import verify_store
 
 
 def report_path(store: Path) -> Path:
     """Return where the report of a store is."""
-    return Path(store) / "report.html"
+    return Path(store) / REPORT
 
 
 def is_current(store: Path) -> bool:
@@ -32,9 +34,21 @@ def is_current(store: Path) -> bool:
     return path.exists() and path.stat().st_mtime_ns >= max(journal, default=0)
 
 
+@contextmanager
+def _damage_named(store: Path) -> Iterator[None]:
+    """Where the numbers of a store cannot be read, check it and raise StoreDamageError with the damage."""
+    try:
+        yield
+    except (ValueError, UserError):
+        for damage in verify_store(store).damaged:
+            raise StoreDamageError(f"{damage}; wavequake verify lists all that is damaged.") from None
+        raise
+
+
 def summary_table(store: Path) -> Table:
-    """Return the table of a store for the terminal."""
-    return terminal_table(_summaries(open_store(store), _analytic(store)))
+    """Return the table of a store for the terminal; raises as :func:`report_store`."""
+    with _damage_named(store):
+        return terminal_table(_summaries(open_store(store), _analytic(store)))
 
 
 def report_store(store: Path) -> tuple[Table, Path]:
@@ -42,15 +56,22 @@ def report_store(store: Path) -> tuple[Table, Path]:
 
     The worst case of every disturbance is recomputed in full for the maps; its numbers are those of the
     store, bit for bit, if the device that computed them is at hand.
+
+    Raises
+    ------
+    UserError
+        If there is no store at `store`.
+    StoreDamageError
+        If its numbers cannot be read; names the first array that is damaged.
     """
-    dataset, analytic = open_store(store), _analytic(store)
-    manifest = read_manifest(store)
+    dataset, manifest = open_store(store), read_manifest(store)
     device = _device_at_hand(manifest)
-    details = [
-        detail(manifest.study, worst, device, dataset) for _, worst in representatives(dataset).values()
-    ]
-    path = write_report(dataset, details, report_path(store), analytic)
-    return terminal_table(_summaries(dataset, analytic)), path
+    with _damage_named(store):
+        analytic = _analytic(store)
+        worst = [case for _, case in representatives(dataset).values()]
+        details = [detail(manifest.study, case, device, dataset) for case in worst]
+        path = write_report(dataset, details, report_path(store), analytic)
+        return terminal_table(_summaries(dataset, analytic)), path
 
 
 def _device_at_hand(manifest: Manifest) -> str:

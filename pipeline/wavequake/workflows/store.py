@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 SCHEMA = 1
-MANIFEST, DATA, JOURNAL, LOCK = "manifest.json", "data.zarr", "done", "lock"
+MANIFEST, DATA, JOURNAL, LOCK, REPORT = "manifest.json", "data.zarr", "done", "lock", "report.html"
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,15 @@ def write_errors_explained(path: Path) -> Iterator[None]:
             raise UserError(
                 f"The disk of {path} is full: what is done is kept; free some space and repeat the command."
             ) from None
-        if error.errno in (errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EEXIST):
+        if error.errno in (
+            errno.EROFS,
+            errno.EACCES,
+            errno.EPERM,
+            errno.ENOTDIR,
+            errno.EEXIST,
+            errno.ENOENT,
+            errno.ENAMETOOLONG,
+        ):
             reason = os.strerror(error.errno).lower()
             raise UserError(
                 f"{path} cannot be written ({reason}): choose another folder with --store."
@@ -81,7 +89,9 @@ def refuse_foreign(path: Path) -> None:
         names = sorted(os.listdir(path)) if path.exists() else []
     if not names or MANIFEST in names:
         return
-    foreign = [name for name in names if name.split(".partial")[0] not in (MANIFEST, DATA, JOURNAL, LOCK)]
+    # Where we wrote data, we had made the journal's folder before: other data are somebody else's.
+    ours = (MANIFEST, JOURNAL, LOCK, REPORT, *([DATA] if JOURNAL in names else []))
+    foreign = [name for name in names if name.split(".partial")[0] not in ours]
     if foreign:
         raise UserError(
             f"{path} is not a store: it holds {foreign[0]!r}, no {MANIFEST}; choose another --store."
@@ -178,13 +188,15 @@ def extend_store(path: Path | str, workflow: Workflow, cases: int) -> Manifest:
     labels = _labels(workflow, manifest.study, manifest.cases, extended.cases)
     group = arrays.open_group(path / DATA)
     with write_errors_explained(path):
+        (path / JOURNAL).mkdir(exist_ok=True)
         for name in (*manifest.variables, *labels):
             array = arrays.array_of(group, name)
             if array.shape[0] != extended.cases:
                 array.resize((extended.cases, *array.shape[1:]))
         if extended != manifest:
             for name, values in labels.items():
-                arrays.array_of(group, name)[manifest.cases :] = values
+                with arrays.damage_explained(path / DATA / name):
+                    arrays.array_of(group, name)[manifest.cases :] = values
             arrays.consolidate(path / DATA)
             _write_manifest(path, extended)
     return extended
@@ -363,7 +375,7 @@ class StoreStatus:
             lines.append(f"... and {len(self.failures) - most} more (open_store(...).message has them all)")
         if self.torn:
             lines.append(
-                f"{self.torn} records of the journal were cut off by a crash; their chunks are still to do"
+                f"{self.torn} records of the journal were cut off by a crash and do not count (harmless)"
             )
         return lines
 
