@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from wavequake.kernels.devices import list_devices
 from wavequake.workflows import segment_disturbance as workflow
@@ -210,6 +211,19 @@ def test_tilts_beyond_imaging_quarantine_their_case_alone(study):
     result = workflow.compute(steep, np.array([0, 4]), DEVICE)
     assert result.status[0] == RAISED
     assert "moments" in result.messages[0]
+
+
+def test_preparation_has_the_same_bits_on_any_number_of_threads():
+    """The driver prepares on all its threads, workers on one; what is stored must not tell."""
+    text = load_study("tmt-segments").identity_text()  # large enough for BLAS to split its work
+    benches = []
+    for threads in (1, 2):
+        with threadpool_limits(threads):
+            benches.append(bench_of.__wrapped__(text))
+    for name in ("zernike", "los", "centroid", "strehl", "segment_phase"):
+        np.testing.assert_array_equal(*(getattr(bench.static, name) for bench in benches))
+    np.testing.assert_array_equal(*(bench.m2_tilt for bench in benches))
+    np.testing.assert_array_equal(*(bench.prepared.zernike.matrix for bench in benches))
 
 
 def test_long_cases_are_cut_into_launches_without_changing_bits(study, monkeypatch):

@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import choose_device
@@ -52,12 +53,20 @@ class Bench:
 def bench_of(study_text: str) -> Bench:
     """Prepare the study with this identity text.
 
+    It runs on one BLAS thread wherever it is called from, because the last bits of a factorization depend on
+    their number.
+
     Raises
     ------
     UserError
         If no ray of the pupil meets glass, or none of a segment the image, polygons overlap, or the study is
         otherwise impossible.
     """
+    with threadpool_limits(1):
+        return _prepared(study_text)
+
+
+def _prepared(study_text: str) -> Bench:
     study = study_from_identity(study_text)
     system = build_telescope(study)
     rays = build_rays(study, system)
