@@ -9,7 +9,7 @@ CASES = 8
 
 
 def test_serial_and_interrupted_and_parallel_runs_agree_bit_for_bit(tmp_path):
-    """One process with two BLAS threads; two workers, in two runs of which the first ends in a short chunk."""
+    """One process with two BLAS threads; two workers in two runs, the first ending in a short chunk."""
     keys = {"store__chunk_cases": 4, "imaging__pixels": 32}
     with threadpool_limits(2):
         serial = wq.run("tmt-segments", cases=CASES, store=tmp_path / "serial", **keys).load()
