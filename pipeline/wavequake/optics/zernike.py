@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 
+Array = NDArray[np.float64]
+Recurrence = tuple[float, list[tuple[float, float, float]]]
+
 
 def noll_to_nm(j: int) -> tuple[int, int]:
     """Return the radial degree n and the azimuthal frequency m of a Noll index; m < 0 is the sine.
@@ -64,20 +67,14 @@ def annular_zernike(
     UserError
         If there is no term, or the obscuration is not in [0, 1).
     """
-    if terms < 1:
-        raise UserError(f"{terms} Zernike terms were asked for, at least 1 is needed")
-    if not 0.0 <= obscuration < 1.0:
-        raise UserError(f"the ratio of inner to outer pupil radius is {obscuration}, it must lie in [0, 1)")
-    orders = [noll_to_nm(j) for j in range(1, terms + 1)]
-    degree = orders[-1][0]
+    orders, degree = _orders(terms, obscuration)
     t = x**2 + y**2
     radial = {}
     for m in range(degree + 1):
-        for k, values in enumerate(_orthonormal(t, m, (degree - m) // 2 + 1, obscuration**2)):
+        recurrence = _recurrence(m, (degree - m) // 2 + 1, obscuration**2)
+        for k, values in enumerate(_orthonormal(t, recurrence)):
             radial[m + 2 * k, m] = values
-    azimuthal = [np.ones(len(t), dtype=np.complex128)]  # (x + i y)^m = rho^m exp(i m theta)
-    for _ in range(degree):
-        azimuthal.append(azimuthal[-1] * (x + 1j * y))
+    azimuthal = _azimuthal(x, y, degree)
     basis = np.empty((len(t), terms))
     for column, (n, m) in enumerate(orders):
         wave = azimuthal[abs(m)]
@@ -85,27 +82,113 @@ def annular_zernike(
     return basis
 
 
-def _orthonormal(t: NDArray[np.float64], m: int, count: int, start: float) -> list[NDArray[np.float64]]:
-    """Return P_0 .. P_(count-1) at t, orthonormal over [start, 1] for the weight t^m / (1 - start).
+def annular_zernike_gradient(
+    x: Array, y: Array, terms: int, obscuration: float = 0.0
+) -> tuple[Array, Array, Array]:
+    """Return the polynomials of `annular_zernike` and their derivatives in x and y.
 
-    The recurrence coefficients come from Stieltjes' procedure on Gauss-Legendre nodes, so many that every
-    inner product is exact up to rounding (Gautschi 2004, "Orthogonal Polynomials", section 2.2).
+    The differentiated recurrence gives the slopes of P_k; nothing divides by the radius, so the center of a
+    circle is a point like any other.
+
+    Parameters
+    ----------
+    x, y, terms, obscuration
+        As for `annular_zernike`.
+
+    Returns
+    -------
+    values, by_x, by_y : ndarray, shape (N, J)
+        The derivatives are per outer pupil radius.
+
+    Raises
+    ------
+    UserError
+        If there is no term, or the obscuration is not in [0, 1).
+    """
+    orders, degree = _orders(terms, obscuration)
+    t = x**2 + y**2
+    radial = {}
+    for m in range(degree + 1):
+        recurrence = _recurrence(m, (degree - m) // 2 + 1, obscuration**2)
+        heights = _orthonormal(t, recurrence)
+        slopes = _orthonormal_slopes(t, recurrence, heights)
+        for k, pair in enumerate(zip(heights, slopes, strict=True)):
+            radial[m + 2 * k, m] = pair
+    azimuthal = _azimuthal(x, y, degree)
+    values, by_x, by_y = (np.empty((len(t), terms)) for _ in range(3))
+    for column, (n, m) in enumerate(orders):
+        height, slope = radial[n, abs(m)]
+        wave = azimuthal[abs(m)]
+        along = abs(m) * azimuthal[max(abs(m) - 1, 0)]  # the wave's derivative in x; i times it: in y
+        factor = sqrt(2) if m else 1.0
+        if m < 0:
+            part, part_x, part_y = wave.imag, along.imag, along.real
+        else:
+            part, part_x, part_y = wave.real, along.real, -along.imag
+        values[:, column] = height * part * factor
+        by_x[:, column] = (slope * (2.0 * x) * part + height * part_x) * factor
+        by_y[:, column] = (slope * (2.0 * y) * part + height * part_y) * factor
+    return values, by_x, by_y
+
+
+def _orders(terms: int, obscuration: float) -> tuple[list[tuple[int, int]], int]:
+    """Return n and m of the Noll indices 1..terms and the highest degree."""
+    if terms < 1:
+        raise UserError(f"{terms} Zernike terms were asked for, at least 1 is needed")
+    if not 0.0 <= obscuration < 1.0:
+        raise UserError(f"the ratio of inner to outer pupil radius is {obscuration}, it must lie in [0, 1)")
+    orders = [noll_to_nm(j) for j in range(1, terms + 1)]
+    return orders, orders[-1][0]
+
+
+def _azimuthal(x: Array, y: Array, degree: int) -> list[NDArray[np.complex128]]:
+    """Return (x + i y)^m = rho^m exp(i m theta) for m = 0..degree."""
+    waves = [np.ones(len(x), dtype=np.complex128)]
+    for _ in range(degree):
+        waves.append(waves[-1] * (x + 1j * y))
+    return waves
+
+
+def _recurrence(m: int, count: int, start: float) -> Recurrence:
+    """Return P_0 and, for each further P_k up to `count` in all, what leads to it from its predecessors.
+
+    P_k is orthonormal over [start, 1] for the weight t^m / (1 - start), and the triples (center, before,
+    norm) mean ``norm P_(k+1) = (t - center) P_k - before P_(k-1)``. They come from Stieltjes' procedure on
+    Gauss-Legendre nodes, so many that every inner product is exact up to rounding (Gautschi 2004, "Orthogonal
+    Polynomials", section 2.2).
     """
     nodes, weights = np.polynomial.legendre.leggauss(count + m // 2 + 1)
     nodes = start + (1 - start) * (nodes + 1) / 2
     weights = weights / 2 * nodes**m
-    before_n, now_n = np.zeros_like(nodes), np.full_like(nodes, 1 / np.sqrt(np.sum(weights)))
-    before_t, now_t = np.zeros_like(t), np.full_like(t, now_n[0])
-    values, norm = [now_t], 0.0
+    first = float(1 / np.sqrt(np.sum(weights)))
+    before, now, norm = np.zeros_like(nodes), np.full_like(nodes, first), 0.0
+    steps = []
     for _ in range(count - 1):
-        center = np.sum(weights * nodes * now_n**2)
-        next_n = (nodes - center) * now_n - norm * before_n
-        next_t = (t - center) * now_t - norm * before_t
-        norm = np.sqrt(np.sum(weights * next_n**2))
-        before_n, now_n = now_n, next_n / norm
-        before_t, now_t = now_t, next_t / norm
-        values.append(now_t)
+        center = float(np.sum(weights * nodes * now**2))
+        following = (nodes - center) * now - norm * before
+        previous, norm = norm, float(np.sqrt(np.sum(weights * following**2)))
+        before, now = now, following / norm
+        steps.append((center, previous, norm))
+    return first, steps
+
+
+def _orthonormal(t: Array, recurrence: Recurrence) -> list[Array]:
+    """Return P_0, P_1, ... at t."""
+    first, steps = recurrence
+    values = [np.full_like(t, first)]
+    for center, before, norm in steps:
+        earlier = values[-2] if len(values) > 1 else np.zeros_like(t)
+        values.append(((t - center) * values[-1] - before * earlier) / norm)
     return values
+
+
+def _orthonormal_slopes(t: Array, recurrence: Recurrence, values: list[Array]) -> list[Array]:
+    """Return the derivatives of P_0, P_1, ... at t, where they have the `values`."""
+    slopes = [np.zeros_like(t)]
+    for k, (center, before, norm) in enumerate(recurrence[1]):
+        earlier = slopes[-2] if k else np.zeros_like(t)
+        slopes.append((values[k] + (t - center) * slopes[-1] - before * earlier) / norm)
+    return slopes
 
 
 def circular_zernike_xy(degree: int, terms: int) -> NDArray[np.float64]:
