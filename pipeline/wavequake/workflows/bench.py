@@ -69,6 +69,7 @@ def bench_of(study_text: str) -> Bench:
 def _prepared(study_text: str) -> Bench:
     study = study_from_identity(study_text)
     system = build_telescope(study)
+    _require_m2(study, system)
     rays = build_rays(study, system)
     terms = figure_terms(study.disturbance)
     wavelength = study.optics.wavelength_nm * 1e-6
@@ -146,12 +147,22 @@ def layout_of(system: OpticalSystem) -> SegmentLayout:
     )
 
 
+def _require_m2(study: Study, system: OpticalSystem) -> None:
+    for population in study.disturbance:
+        if getattr(population, "act", "") == "m2" and not system.surfaces[0].reflects:
+            raise UserError(
+                f"The disturbance {population.name!r} tilts M2, but the telescope {system.name} has no "
+                "mirror after the primary one; choose act = 'mount'."
+            )
+
+
 def _reference(
     system: OpticalSystem, prepared: PreparedTrace, field: NDArray[np.float64], terms: int
 ) -> tuple[Wavefront, NDArray[np.float64]]:
     """Measure the reference configuration, and M2's rotations that move the line of sight by one rad.
 
-    Both come from NumPy whatever the study's device, so that they are the same on every worker.
+    Without a mirror after M1 the rotations are zero. Both come from NumPy whatever the study's device, so
+    that they are the same on every worker.
     """
     step = 1e-6
     still = rest(TILE, len(system.segments), len(system.surfaces), terms)
@@ -167,6 +178,8 @@ def _reference(
             f"No ray of segment {name} of the telescope {system.name} at rest reaches the image; check "
             "telescope and optics.field_arcmin."
         )
+    if not system.surfaces[0].reflects:
+        return wavefront, np.zeros((2, 2))
     los = wavefront.los
     per_tilt = np.stack([los[1] - los[2], los[3] - los[4]], axis=1) / (2 * step)
     return wavefront, np.asarray(np.linalg.inv(per_tilt / prepared.focal_length), dtype=np.float64)
