@@ -26,7 +26,9 @@ class StaticRandom(Population):
     in_plane_um: float = Field(default=0.0, ge=0, description="rms of dx and of dy")
     clocking_urad: float = Field(default=0.0, ge=0, description="rms of rz, about the segment's normal")
     figure_nm: dict[NollIndex, NonNegative] = Field(
-        default={}, description="surface rms by Noll index j >= 4, over the segment's circumscribed circle"
+        default={},
+        description="surface rms by Noll index j >= 4, over the segment's circumscribed circle; "
+        "in the wavefront and the Strehl ratio, but not in the exposure",
     )
 
 

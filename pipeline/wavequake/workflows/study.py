@@ -93,10 +93,14 @@ class OpticsSection(Section):
     wavelength_nm: float = Field(default=550.0, gt=0, le=1e6)
     sampling: Literal["segments", "sunflower"] = "segments"
     rays_per_segment: Literal[6, 18, 36, 72] = Field(
-        default=18, description="of a hexagon: area-exact cubature, six triangles"
+        default=18,
+        description="of a hexagon, six triangles: 18 for piston and tilt; "
+        "36 for figures j <= 6, 72 for higher ones and for few, large segments",
     )
     rays: int = Field(default=2000, ge=10, le=2_000_000, description="sunflower: rays over the annulus")
-    field_arcmin: tuple[float, float] = Field(default=(0.0, 0.0), strict=False)
+    field_arcmin: tuple[float, float] = Field(
+        default=(0.0, 0.0), strict=False, description="of the star; the image plane stays, not refocused"
+    )
 
 
 class WavefrontSection(Section):
