@@ -22,6 +22,7 @@ def test_the_wrapper_leaves_out_the_libraries_of_a_compiler_and_nothing_else(tmp
 
 
 def test_without_any_linker_the_user_learns_what_to_install(monkeypatch):
+    monkeypatch.setenv("PATH", "/nowhere")
     monkeypatch.setattr(linker, "machine_can_link", lambda: False)
     monkeypatch.setattr(linker, "find_linker", list)
     with pytest.raises(UserError, match="pip install ziglang"):

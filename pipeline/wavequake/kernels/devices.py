@@ -108,10 +108,11 @@ def opencl_handle(device: Device) -> Any:
     Raises
     ------
     UserError
-        If this process does not see it.
+        If this process does not see it, or PoCL has no linker to build kernels with.
     """
     for found, handle in _found():
         if (found.name, found.platform) == (device.name, device.platform):
+            _usable(device)
             return handle
     raise UserError(f"the OpenCL device {device.name!r} ({device.platform}) is not visible in this process")
 
