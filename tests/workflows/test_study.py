@@ -84,6 +84,7 @@ def test_the_identity_is_canonical_json(minimal):
         ("cases=4", ["no section"]),
         ("campaign.cases.more=4", ["campaign.cases", "integer"]),
         ("nonsense", ["section.key=value"]),
+        ("disturbance.still.model=wind", ["disturbance.still.model", "no model 'wind'", "segment-wind"]),
         ("study.name=../x", ["study.name", "'../x'", "letters, digits"]),
     ],
 )

@@ -81,6 +81,13 @@ def test_a_run_computes_again_what_a_loss_of_power_took(done, damage):
     assert verify_store(done).ok
 
 
+def test_a_chunk_whose_cases_all_failed_is_done_and_intact(tmp_path):
+    options = {"poison": list(range(10))}
+    assert toy.run(tmp_path / "s", options, cases=20).quarantined == 10
+    assert verify_store(tmp_path / "s").ok
+    assert toy.run(tmp_path / "s", options, cases=20).computed == 0
+
+
 def test_what_is_not_done_is_missing(done):
     toy.run(done, {"reasons": [15]}, cases=43)
     for file in (done / "done").glob("*.jsonl"):

@@ -334,6 +334,9 @@ def describe(error: ValidationError, record: Mapping[str, Any]) -> str:
         return f"the key {where!r} is unknown{hint}{more}."
     if first["type"] == "missing":
         return f"the key {where!r} is missing{more}."
+    if first["type"] == "union_tag_invalid":
+        models = ", ".join(disturbance_models())
+        return f"{where}.model: there is no model {first['ctx']['tag']!r}; choose one of {models}{more}."
     if first["type"] == "too_short":
         limit = first["ctx"]
         return (
