@@ -12,11 +12,12 @@ from wavequake.errors import StoreDamageError, UserError
 
 if TYPE_CHECKING:
     from wavequake.workflows.campaign import plan, run
+    from wavequake.workflows.sensitivity import sensitivity
     from wavequake.workflows.store import open_store
     from wavequake.workflows.study import Study, load_study
 
 __version__ = "0.1.0"
-__all__ = ["StoreDamageError", "Study", "UserError", "load_study", "open_store", "plan", "run"]
+__all__ = ["StoreDamageError", "Study", "UserError", "load_study", "open_store", "plan", "run", "sensitivity"]
 
 # Heavy modules are imported when a name is first used, so that `import wavequake` and `wavequake --version`
 # stay quick.
@@ -26,6 +27,7 @@ _HOMES = {
     "open_store": "wavequake.workflows.store",
     "plan": "wavequake.workflows.campaign",
     "run": "wavequake.workflows.campaign",
+    "sensitivity": "wavequake.workflows.sensitivity",
 }
 
 

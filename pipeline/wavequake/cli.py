@@ -1,4 +1,4 @@
-"""The command line: ``wavequake run|plan|studies|status|report|verify|devices``."""
+"""The command line: ``wavequake run|plan|studies|status|report|verify|sensitivity|devices``."""
 
 import io
 import shlex
@@ -190,6 +190,34 @@ def report(
 ) -> None:
     """Print the table of a store and write its HTML report."""
     _write_report(store, fresh=True)
+
+
+@app.command()
+def sensitivity(
+    study: StudyArgument,
+    overrides: OverridesArgument = None,
+    store: StoreOption = None,
+    figure_terms: Annotated[
+        int | None,
+        typer.Option(min=0, max=231, help="Zernike terms of each segment's figure (default: the study's)."),
+    ] = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Show and keep how line of sight and wavefront follow motions of every surface and segment."""
+    from wavequake.report.sensitivity import explanations, segment_table, surface_table
+    from wavequake.workflows.sensitivity import stored_sensitivity
+    from wavequake.workflows.store import SENSITIVITY
+    from wavequake.workflows.study import load_study
+
+    loaded = load_study(study, overrides or [])
+    path = store or Path(loaded.store.path or loaded.default_store())
+    found, kept = stored_sensitivity(loaded, path, figure_terms)
+    out.print(surface_table(found))
+    out.print(segment_table(found))
+    for line in explanations(found):
+        out.print(line, markup=False)
+    words = "Were there already, nothing was computed" if kept else "Written"
+    out.print(f"{words}: {(path / SENSITIVITY).resolve()}", markup=False, soft_wrap=True)
 
 
 @app.command()

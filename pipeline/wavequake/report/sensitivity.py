@@ -1,0 +1,140 @@
+"""Sensitivities for the terminal: a table of the surfaces, one of the segments, and what the numbers mean."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from wavequake.optics.sensitivity import DOFS
+from wavequake.optics.zernike import noll_to_nm
+from wavequake.report.table import MISSING, number
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Array = NDArray[np.float64]
+
+_PER_MILLIMETER = np.array([1e-3] * 3 + [1.0] * 3)  # mm per m -> mm per mm; mm per rad
+_FAMILIES = ("spherical", "coma", "astigmatism", "trefoil", "tetrafoil", "pentafoil")
+_TERMS = 3
+_NOTHING = 1e-6  # of the largest number of the same unit: what rounding leaves of a zero
+
+
+def zernike_name(j: int) -> str:
+    """Return the usual name of a Noll term, such as ``coma y``; x is the cosine, y the sine."""
+    n, m = noll_to_nm(j)
+    if (n, m) in ((0, 0), (2, 0)):
+        return "piston" if n == 0 else "defocus"
+    if n == 1:
+        return "tilt x" if m > 0 else "tilt y"
+    frequency = abs(m)
+    first = {0: 4, 1: 3}.get(frequency, frequency)  # the degree of the family's first term
+    order = (n - first) // 2 + 1
+    family = _FAMILIES[frequency] if frequency < len(_FAMILIES) else f"{frequency}-foil"
+    axis = "" if m == 0 else " x" if m > 0 else " y"
+    ordinal = {1: "", 2: "2nd ", 3: "3rd "}.get(order, f"{order}th ")
+    return f"{ordinal}{family}{axis}"
+
+
+def surface_table(found: "xr.Dataset") -> Table:
+    """Return the table of the surfaces after M1: line of sight and the largest Zernike terms, j >= 4."""
+    table = Table(
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        title="Surfaces: motion about the vertex, axes of M1 (z along the incoming light)",
+        title_justify="left",
+    )
+    table.add_column("surface\nmotion")
+    for axis in "xy":
+        table.add_column(f"LOS {axis}\nmm per mm or rad", justify="right", no_wrap=True)
+    table.add_column("largest Zernike terms from j = 4 on\nnm per µm or µrad")
+    los = found.sensitivity_los_surface.values * _PER_MILLIMETER[:, None]
+    zernike = found.sensitivity_zernike_surface.values[..., 3:] * 1e-6
+    los, zernike = _without_rounding(los), _without_rounding(zernike)
+    for index, name in enumerate(found.surface.values):
+        for dof, motion in enumerate(DOFS):
+            label = f"[bold]{name}[/]  {motion}" if dof == 0 else f"{' ' * len(str(name))}  {motion}"
+            words = ", ".join(_term(j, value) for j, value in _largest(zernike[index, dof]))
+            cells = [number(value, 5) for value in los[index, dof]]
+            table.add_row(label, *cells, words or MISSING, end_section=dof == len(DOFS) - 1)
+    return table
+
+
+def _without_rounding(values: Array) -> Array:
+    """Return (element, dof, ...) with exact zeros for what is small beside others of its unit."""
+    cleaned = values.copy()
+    for unit in (slice(0, 3), slice(3, 6)):
+        part = cleaned[:, unit]
+        part[np.abs(part) < _NOTHING * np.max(np.abs(part), initial=0.0)] = 0.0
+    return cleaned
+
+
+def _largest(values: Array) -> list[tuple[int, float]]:
+    """Return Noll index and value of the largest terms (j >= 4) that are not small beside the first."""
+    order = np.argsort(-np.abs(values), kind="stable")[:_TERMS]
+    first = np.max(np.abs(values), initial=0.0)
+    return [(int(i) + 4, float(values[i])) for i in order if first > 0.0 and abs(values[i]) > 0.01 * first]
+
+
+def _term(j: int, value: float) -> str:
+    return f"{zernike_name(j)} (c{j}) {number(value)}"
+
+
+def segment_table(found: "xr.Dataset") -> Table:
+    """Return the table of M1's segments, one row per motion: smallest, median and largest over segments."""
+    table = Table(
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        title=f"{found.sizes['segment']} segments of M1: motion about the center, dz to the sky; "
+        "min / median / max",
+        title_justify="left",
+    )
+    table.add_column("motion")
+    table.add_column("LOS\nmm per mm or rad", justify="right", no_wrap=True)
+    table.add_column("WFE rms, j ≥ 4\nnm per nm or nrad", justify="right", no_wrap=True)
+    table.add_column("WFE rms on glass\nnm per nm or nrad", justify="right", no_wrap=True)
+    los = np.hypot(*np.moveaxis(found.sensitivity_los_segment.values * _PER_MILLIMETER[:, None], -1, 0))
+    fitted = np.sqrt(np.sum(found.sensitivity_zernike_segment.values[..., 3:] ** 2, axis=-1)) * 1e-9
+    raw = found.sensitivity_wfe_rms_raw_segment.values * 1e-9
+    for dof, motion in enumerate(DOFS):
+        table.add_row(motion, *(_spread(values[:, dof]) for values in (los, fitted, raw)))
+    if "sensitivity_los_figure" in found:
+        los = np.hypot(*np.moveaxis(found.sensitivity_los_figure.values, -1, 0)) * 1e-3
+        fitted = np.sqrt(np.sum(found.sensitivity_zernike_figure.values[..., 3:] ** 2, axis=-1)) * 1e-9
+        raw = found.sensitivity_wfe_rms_raw_figure.values * 1e-9
+        for index, j in enumerate(found.term.values):
+            cells = (_spread(values[:, index]) for values in (los, fitted, raw))
+            table.add_row(f"figure Z{j}", *cells)
+    return table
+
+
+def _spread(values: Array) -> str:
+    low, middle, high = np.quantile(values, [0.0, 0.5, 1.0])
+    return " / ".join(number(value) for value in (low, middle, high))
+
+
+def explanations(found: "xr.Dataset") -> list[str]:
+    """Return what the numbers mean, how they were made and how far two steps agree, in lines."""
+    attrs = found.attrs
+    steps = dict(zip(DOFS, found.step_surface.values, strict=True))
+    kinds = ("surface", "segment", "figure")
+    errors = "; ".join(
+        f"{kind}s {attrs[f'worst_step_error_{kind}']}"
+        for kind in kinds
+        if f"worst_step_error_{kind}" in attrs
+    )
+    figure = f", {found.step_figure.values[0]:g} m of figure" if "step_figure" in found else ""
+    lines = [
+        f"LOS: {attrs['line_of_sight']}, in the image plane; it is neither the chief ray nor the centroid.",
+        "WFE rms on glass: over the rays, piston removed; j ≥ 4: of the fitted Zernike terms.",
+        f"Central differences, steps {steps['dx']:g} m and {steps['rx']:g} rad{figure}. Steps twice as large "
+        f"agree to (worst, relative): {errors}.",
+    ]
+    if not attrs["steps_agree"]:
+        lines.append(
+            f"Not to be trusted: the columns whose step_error is above {attrs['step_tolerance']:g}. "
+            "A ray crosses an edge there or the telescope acts nonlinearly; another sampling may help."
+        )
+    return lines

@@ -1,0 +1,291 @@
+"""The sensitivities of a study's telescope as a labelled dataset, computed once and kept with its store."""
+
+import json
+import os
+import shutil
+import uuid
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from wavequake.errors import StoreDamageError, UserError
+from wavequake.kernels.devices import Device, choose_device
+from wavequake.optics.sensitivity import DOFS, Sensitivities, SensitivityMatrix, sensitivities
+from wavequake.optics.wavefront import prepare
+from wavequake.workflows import arrays
+from wavequake.workflows.bench import MM_PER_M, Bench, bench_of
+from wavequake.workflows.journal import digest, flush_folder
+from wavequake.workflows.provenance import collect
+from wavequake.workflows.store import (
+    MANIFEST,
+    SENSITIVITY,
+    read_manifest,
+    refuse_foreign,
+    refuse_other,
+    write_errors_explained,
+)
+from wavequake.workflows.study import Study, load_study, study_with
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+SCHEMA = 1
+LINE_OF_SIGHT = "direction of the best-fit plane (Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2))"
+_MOST_TERMS = 231
+
+# Dimensions, values and attributes of an array.
+_Array = tuple[tuple[str, ...], Any, dict[str, str]]
+
+
+def sensitivity(
+    study: str | Path | Study,
+    *,
+    store: str | Path | None = None,
+    figure_terms: int | None = None,
+    **overrides: Any,
+) -> "xr.Dataset":
+    """Return the kinematic-optical sensitivities of a study's telescope.
+
+    Parameters
+    ----------
+    study : str, Path or Study
+        Name of a bundled study, path of a study file, or a loaded study.
+    store : str or Path, optional
+        Folder of the store, which keeps them as ``sensitivity.zarr``; by default that of the study's runs.
+    figure_terms : int, optional
+        Circular Noll Zernike terms of the figure of each segment; by default those of the study.
+    **overrides
+        Further keys with double underscores for dots, e.g. ``optics__wavelength_nm=1000.0``.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``sensitivity_zernike_surface`` and so on, see `dataset`.
+
+    Raises
+    ------
+    UserError
+        For a study, a key or a store that cannot be used.
+    """
+    keys = {key.replace("__", "."): value for key, value in overrides.items()}
+    loaded = study_with(study, keys) if isinstance(study, Study) else load_study(study, keys)
+    path = Path(store or loaded.store.path or loaded.default_store())
+    return stored_sensitivity(loaded, path, figure_terms)[0]
+
+
+def stored_sensitivity(
+    study: Study, path: Path, figure_terms: int | None = None
+) -> tuple["xr.Dataset", bool]:
+    """Return the sensitivities that the store at `path` keeps, and whether they were there already.
+
+    What is not there is computed and written: first beside, then renamed, so that there is never half of it.
+
+    Raises
+    ------
+    UserError
+        If the store belongs to another study or cannot be written, or there are too many figure terms.
+    StoreDamageError
+        If what is there cannot be read.
+    """
+    text, target = study.identity_text(), path / SENSITIVITY
+    device = choose_device(study.campaign.device)
+    refuse_foreign(path)
+    if (path / MANIFEST).exists():
+        manifest = read_manifest(path)
+        refuse_other(path, manifest, study.study.workflow, text, manifest.device_kind)
+    bench = bench_of(text)
+    terms = bench.figure_terms if figure_terms is None else figure_terms
+    if not 0 <= terms <= _MOST_TERMS:
+        raise UserError(f"There cannot be {terms} figure terms; choose from 0 to {_MOST_TERMS}.")
+    if target.exists():
+        kept = open_sensitivity(path)
+        if kept.attrs["study"] != text:
+            name = json.loads(kept.attrs["study"])["study"]["name"]
+            raise UserError(
+                f"{target} belongs to another study ({name}-{kept.attrs['study_sha256'][:8]}, this one is "
+                f"{study.study.name}-{study.identity()[:8]}); choose another --store."
+            )
+        if kept.attrs["figure_terms"] == terms:
+            return kept, True
+    made = dataset(bench, _of_bench(bench, device, terms), device)
+    made.attrs["figure_terms"] = terms
+    _write(made, target)
+    return open_sensitivity(path), False
+
+
+def _of_bench(bench: Bench, device: Device, figure_terms: int) -> Sensitivities:
+    prepared = bench.prepared
+    with threadpool_limits(1):  # their number decides the last bits
+        if figure_terms != bench.figure_terms:
+            terms = bench.study.wavefront.zernike_terms
+            prepared = prepare(bench.system, prepared.rays, prepared.wavelength, terms, figure_terms)
+        return sensitivities(prepared, device, field=bench.field)
+
+
+def dataset(bench: Bench, found: Sensitivities, device: Device) -> "xr.Dataset":
+    """Label sensitivities and convert them from the optics' mm and waves to m and nm.
+
+    Returns
+    -------
+    xarray.Dataset
+        For ``X`` in ``surface`` (dims surface, dof), ``segment`` (segment, dof) and, with figure terms,
+        ``figure`` (segment, term): ``sensitivity_zernike_X`` (..., noll) in nm per m or rad,
+        ``sensitivity_los_X`` and ``sensitivity_centroid_X`` (..., axis) in mm per m or rad,
+        ``sensitivity_wfe_rms_raw_X`` in nm per m or rad, ``step_error_X``. A column of dx, dy, dz or of a
+        figure is per m, one of rx, ry, rz per rad.
+    """
+    import xarray as xr
+
+    matrices = {"surface": ("surface", found.surfaces), "segment": ("segment", found.segments)}
+    if found.figures is not None:
+        matrices["figure"] = ("segment", found.figures)
+    variables: dict[str, _Array] = {}
+    for name, (element, matrix) in matrices.items():
+        variables |= _variables(name, element, matrix, bench.study.optics.wavelength_nm)
+    coordinates: dict[str, _Array] = {
+        "surface": (("surface",), _text(found.surfaces.elements), {"long_name": "surface after M1"}),
+        "segment": (("segment",), _text(found.segments.elements), {"long_name": "segment of M1"}),
+        "dof": (("dof",), _text(DOFS), {"long_name": "motion"}),
+        "noll": (("noll",), np.arange(1, found.surfaces.zernike.shape[2] + 1), {"long_name": "Noll index"}),
+        "axis": (("axis",), _text(("x", "y")), {"long_name": "axis of the image plane"}),
+    }
+    if found.figures is not None:
+        coordinates["term"] = (
+            ("term",),
+            np.arange(1, len(found.figures.dofs) + 1),
+            {"long_name": "Noll index of the figure over the segment's circumscribed circle"},
+        )
+    worst = {name: matrix.worst for name, (_, matrix) in matrices.items()}
+    attrs = {
+        "title": "Wavequake kinematic-optical sensitivities (Störkle 2018, Eq. 4.21)",
+        "schema": SCHEMA,
+        "study": bench.text,
+        "study_sha256": bench.study.identity(),
+        "line_of_sight": LINE_OF_SIGHT,
+        "method": "central differences of full traces about the reference configuration",
+        "step_tolerance": found.surfaces.tolerance,
+        "steps_agree": int(all(matrix.agrees for _, matrix in matrices.values())),
+        **{
+            f"worst_step_error_{name}": f"{error:.1e} ({element} {dof})"
+            for name, (element, dof, error) in worst.items()
+        },
+        "device": f"{device.name} ({device.kind})",
+        **collect(device),
+    }
+    return xr.Dataset(variables, coordinates, attrs)
+
+
+def _variables(name: str, element: str, matrix: SensitivityMatrix, wavelength_nm: float) -> dict[str, _Array]:
+    """Return the arrays of one matrix by name, in nm or mm per m or rad."""
+    column = "term" if name == "figure" else "dof"
+    frame = {
+        "surface": "motion about the vertex in the axes of the optics frame (z along the incoming light)",
+        "segment": "motion about the center in the segment's local frame (dz to the sky)",
+        "figure": "surface height to the sky",
+    }[name]
+    per_mm = np.array([dof not in DOFS[3:] for dof in matrix.dofs])
+    scale = np.where(per_mm, MM_PER_M, 1.0)
+    unit = "m" if column == "term" else "m or rad"
+    dims = (element, column)
+
+    def named(long_name: str, units: str) -> dict[str, str]:
+        return {"units": units, "long_name": f"{long_name}, per {frame}"}
+
+    return {
+        f"sensitivity_zernike_{name}": (
+            (*dims, "noll"),
+            matrix.zernike * scale[:, None] * wavelength_nm,
+            named("annular Noll Zernike coefficients", f"nm per {unit}"),
+        ),
+        f"sensitivity_los_{name}": (
+            (*dims, "axis"),
+            matrix.los * scale[:, None],
+            named(f"line of sight in the image plane: {LINE_OF_SIGHT}", f"mm per {unit}"),
+        ),
+        f"sensitivity_centroid_{name}": (
+            (*dims, "axis"),
+            matrix.centroid * scale[:, None],
+            named("geometric centroid of the rays in the image plane", f"mm per {unit}"),
+        ),
+        f"sensitivity_wfe_rms_raw_{name}": (
+            dims,
+            matrix.rms_raw * scale * wavelength_nm,
+            named("rms over the rays on glass of the wavefront's change, piston removed", f"nm per {unit}"),
+        ),
+        f"step_error_{name}": (
+            dims,
+            matrix.disagreement,
+            {
+                "units": "1",
+                "long_name": "difference to the result of the double step over the largest sensitivity "
+                "to any motion of the same unit; inf if the motion loses rays",
+            },
+        ),
+        f"step_{name}": (
+            (column,),
+            matrix.steps / scale,
+            {"units": unit, "long_name": "half width of the central differences"},
+        ),
+    }
+
+
+def _text(names: tuple[str, ...]) -> Any:
+    return np.array(names, dtype=object)
+
+
+def _write(made: "xr.Dataset", target: Path) -> None:
+    """Write a dataset to `target`, or nothing."""
+    partial = target.with_name(f"{target.name}.partial-{uuid.uuid4().hex}")
+    with write_errors_explained(target.parent):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            attrs = {str(key): value for key, value in made.attrs.items()}
+            group = arrays.create_group(partial, {**attrs, "digests": _digests(made)})
+            for name, variable in made.variables.items():
+                dims = tuple(map(str, variable.dims))
+                arrays.create_fixed(group, str(name), dims, variable.values, variable.attrs)
+            arrays.consolidate(partial)
+            if target.exists():  # of the same study, but with other figure terms
+                shutil.rmtree(target)
+            os.replace(partial, target)
+            flush_folder(target.parent)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+def open_sensitivity(path: Path | str) -> "xr.Dataset":
+    """Read the sensitivities that a store keeps.
+
+    Raises
+    ------
+    UserError
+        If it keeps none, or those of another version of Wavequake.
+    StoreDamageError
+        If they cannot be read.
+    """
+    import xarray as xr
+
+    target = Path(path) / SENSITIVITY
+    if not target.exists():
+        raise UserError(f"There are no sensitivities at {target}; wavequake sensitivity STUDY computes them.")
+    try:
+        with arrays.damage_explained(target):
+            found: xr.Dataset = xr.open_zarr(target, chunks=None, consolidated=False).load()
+            schema, written = found.attrs["schema"], found.attrs.pop("digests")
+        # A file that is missing or empty reads as fill values without any error.
+        if schema == SCHEMA and written != _digests(found):
+            raise StoreDamageError(f"{target} is damaged: its numbers are not those that were written.")
+    except StoreDamageError as error:
+        raise StoreDamageError(f"{error} Delete it and repeat the command.") from None
+    if schema != SCHEMA:
+        raise UserError(f"{target} has schema {schema}; this version of Wavequake reads schema {SCHEMA}.")
+    ordered: xr.Dataset = found[sorted(map(str, found.data_vars))]
+    return ordered
+
+
+def _digests(values: "xr.Dataset") -> dict[str, str]:
+    return {
+        str(name): digest(variable.values) for name, variable in sorted(values.variables.items(), key=str)
+    }

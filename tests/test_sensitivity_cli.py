@@ -1,0 +1,91 @@
+"""``wavequake sensitivity`` as a user meets it."""
+
+import sys
+
+import pytest
+import xarray as xr
+
+from wavequake import cli
+from wavequake.optics import sensitivity as optics
+from wavequake.report.sensitivity import zernike_name
+
+WORDS = [
+    "tmt-segments",
+    "telescope.name=tmt-18",
+    "optics.rays_per_segment=6",
+    "wavefront.zernike_terms=11",
+    "campaign.device=numpy",
+]
+
+
+@pytest.fixture
+def sensitivity(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["wavequake", "sensitivity", *map(str, words)])
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as end:
+            code = end.code or 0
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+def test_it_prints_and_keeps_the_matrices(sensitivity, tmp_path):
+    code, out, err = sensitivity(*WORDS, "--store", "here")
+    assert code == 0, err
+    assert "M2  dx" in out
+    assert "coma y (c7)" in out
+    assert "18 segments of M1" in out
+    words = " ".join(out.split())
+    assert "Eq. 3.39, annular tilt / sqrt(1 + eps^2)" in words
+    assert "steps 1e-06 m and 1e-06 rad" in words
+    assert "Written" in out
+    found = xr.open_zarr(tmp_path / "here" / "sensitivity.zarr")
+    tilt = float(found.sensitivity_los_surface.sel(surface="M2", dof="rx", axis="y"))
+    (row,) = (line for line in out.splitlines() if line.split()[:1] == ["rx"] and "coma" in line)
+    assert float(row.split()[2]) == pytest.approx(tilt, rel=1e-4)
+    code, again, _ = sensitivity(*WORDS, "--store", "here")
+    assert code == 0
+    assert "nothing was computed" in again
+    assert again.splitlines()[:30] == out.splitlines()[:30]
+
+
+def test_the_default_folder_is_that_of_the_runs(sensitivity, tmp_path):
+    code, out, err = sensitivity(*WORDS, "--figure-terms", 4)
+    assert code == 0, err
+    (made,) = (tmp_path / "runs").glob("tmt-segments-*/sensitivity.zarr")
+    assert str(made) in out
+    assert "figure Z4" in out
+    assert xr.open_zarr(made).sizes["term"] == 4
+
+
+def test_steps_that_disagree_are_told(sensitivity, monkeypatch):
+    monkeypatch.setattr(
+        optics.Steps,
+        "__init__",
+        lambda self: self.__dict__.update(translation=1e-3, rotation=3e-3, figure=1e-5),
+    )
+    code, out, _ = sensitivity(*WORDS)
+    assert code == 0
+    assert "Not to be trusted" in out
+
+
+def test_bad_input_is_one_sentence(sensitivity):
+    for words in (["no-such-study"], [*WORDS, "optics.rais=3"], [*WORDS, "telescope.name=vlt"]):
+        code, _, err = sensitivity(*words)
+        assert code == 2
+        assert err.startswith("Error: ")
+
+
+def test_names_of_noll_terms():
+    low = (
+        "piston, tilt x, tilt y, defocus, astigmatism y, astigmatism x, coma y, coma x, trefoil y, trefoil x"
+    )
+    names = dict(enumerate([*low.split(", "), "spherical", "2nd astigmatism x"], start=1))
+    names |= {14: "tetrafoil x", 17: "2nd coma y", 22: "2nd spherical", 28: "6-foil x", 29: "3rd coma y"}
+    assert {j: zernike_name(j) for j in names} == names
