@@ -1,0 +1,101 @@
+"""The sphere that fits a wavefront best: the reference where an annular pupil has no chief ray.
+
+Störkle 2018, section 3.3.3: its center stands for the image point, and the line from the pupil's center to it
+for the chief ray.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_STEPS = 20
+_CONVERGED = 1e-14  # a step of the fit, relative to the sphere
+_SINGULAR = 1e-9  # smallest pivot of a design, relative to its largest, that still determines a sphere
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """Best-fit spheres of a batch of point sets; lengths in the unit of the points.
+
+    Attributes
+    ----------
+    center : ndarray, shape (batch, 3)
+    radius : ndarray, shape (batch,)
+        Positive.
+    rms : ndarray, shape (batch,)
+        Weighted rms distance of the points from the sphere.
+    """
+
+    center: Array
+    radius: Array
+    rms: Array
+
+
+def fit_sphere(points: Array, weight: Array) -> Sphere:
+    """Return the spheres with the least mean square distance from points.
+
+    The linear fit of ``|p|^2 = 2 p c + k`` is where Gauss-Newton steps of the true distances start: noise
+    biases the linear one, the more the smaller a part of the sphere the points cover.
+
+    Parameters
+    ----------
+    points : ndarray, shape (batch, N, 3)
+        NaN for a lost ray, whose point is left out.
+    weight : ndarray, shape (N,)
+        Not negative; need not sum to 1.
+
+    Returns
+    -------
+    Sphere
+        NaN where the points do not determine a sphere: fewer than four, or all in a plane.
+    """
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=2))
+    share = np.where(known, weight, 0.0)
+    total = np.sum(share, axis=1, keepdims=True)
+    share = share / np.where(total > 0.0, total, 1.0)
+    inside = np.where(known[..., None], points, 0.0)
+    middle = np.sum(share[..., None] * inside, axis=1)
+    offset = np.where(known[..., None], inside - middle[:, None], 0.0)
+    size = np.sqrt(np.sum(share[..., None] * offset**2, axis=(1, 2)))
+    size = np.where(size > 0.0, size, 1.0)
+    offset /= size[:, None, None]
+    root = np.sqrt(share)
+
+    squares = np.sum(offset**2, axis=2)
+    design = np.concatenate([2.0 * offset, np.ones_like(squares)[..., None]], axis=2)
+    solution, solved = _least_squares(root[..., None] * design, root * squares)
+    center = solution[:, :3]
+    radius = np.sqrt(np.abs(solution[:, 3] + np.sum(center**2, axis=1)))
+    for _ in range(_STEPS):
+        ray = offset - center[:, None]
+        distance = np.sqrt(np.sum(ray**2, axis=2))
+        normal = ray / np.where(distance > 0.0, distance, 1.0)[..., None]
+        design = np.concatenate([normal, np.ones_like(distance)[..., None]], axis=2)
+        step, regular = _least_squares(root[..., None] * design, root * (distance - radius[:, None]))
+        solved &= regular
+        center, radius = center + step[:, :3], radius + step[:, 3]
+        if not (np.abs(step).max(axis=1) > _CONVERGED * radius).any():
+            break
+    distance = np.sqrt(np.sum((offset - center[:, None]) ** 2, axis=2))
+    rms = np.sqrt(np.sum(share * (distance - radius[:, None]) ** 2, axis=1))
+    keep = np.where(solved, 1.0, np.nan)
+    return Sphere(
+        center=(middle + size[:, None] * center) * keep[:, None],
+        radius=size * radius * keep,
+        rms=size * rms * keep,
+    )
+
+
+def _least_squares(design: Array, values: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the solutions (batch, 4) of weighted designs (batch, N, 4), zero where there is not just one."""
+    if design.shape[1] < design.shape[2]:
+        return np.zeros((len(design), design.shape[2])), np.zeros(len(design), dtype=np.bool_)
+    q, r = np.linalg.qr(design)
+    pivots = np.abs(np.diagonal(r, axis1=1, axis2=2))
+    solved: NDArray[np.bool_] = pivots.min(axis=1) > _SINGULAR * pivots.max(axis=1)
+    r[~solved] = np.eye(design.shape[2])
+    right = np.where(solved[:, None], np.sum(q * values[..., None], axis=1), 0.0)
+    return np.linalg.solve(r, right[..., None])[..., 0], solved
