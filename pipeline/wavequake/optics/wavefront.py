@@ -301,7 +301,7 @@ def los_eq339(
         Of the pupil whose outer radius normalizes the polynomials.
     factor : float
         1 as printed, right for circular polynomials; 1 / sqrt(1 + eps^2) for annular ones of obscuration
-        eps, whose tilt is steeper by this factor. Negative if the focal length is.
+        eps, whose tilt is steeper by this factor. Negative if the focal length is: the pupil is upside down.
 
     Returns
     -------
@@ -335,7 +335,6 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array) -> Wavefront:
         np.concatenate(values) for values in zip(*parts, strict=True)
     )
     image_point = from_tiles(chief)[:, :2]
-    # Behind an intermediate image (focal length < 0) the pupil stands upside down: tilts act the other way.
     factor = float(np.copysign(1.0 / np.sqrt(1.0 + prepared.obscuration**2), prepared.focal_length))
     return Wavefront(
         zernike=zernike,
