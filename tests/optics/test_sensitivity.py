@@ -9,6 +9,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
 from wavequake.kernels.tiles import TILE
 from wavequake.optics.pupils import PupilRays, on_glass, sunflower
+from wavequake.optics.segments import Segments
 from wavequake.optics.sensitivity import DOFS, Steps, sensitivities
 from wavequake.optics.states import rest
 from wavequake.optics.telescopes import telescope
@@ -137,6 +138,46 @@ def test_pistons_of_18_segments_against_an_independent_trace(tmt18, of_tmt18):
         np.testing.assert_allclose(
             values, expected[key], atol=1e-6 * np.abs(expected[key]).max(), err_msg=key
         )
+
+
+def two_of_492(names):
+    """The telescope of which only these segments are left, at the reference's grid points on them."""
+    whole = telescope("tmt")
+    chosen = [whole.segments.names.index(name) for name in names]
+    corners, centers = whole.segments.corners[chosen], whole.segments.centers[chosen]
+    segments = Segments(tuple(names), centers, whole.segments.axes[chosen], corners)
+    grid = (np.arange(600) + 0.5) * 50.0 - 15e3
+    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid))
+    edge = np.roll(corners, -1, axis=1) - corners
+    side = edge[..., :1] * (y - corners[..., 1:]) - edge[..., 1:] * (x - corners[..., :1])
+    segment, point = np.nonzero((side > 0).all(axis=1))
+    rays = PupilRays(x[point], y[point], np.ones(len(point)), segment)
+    return prepare(replace(whole, segments=segments), rays, WAVELENGTH, 3)
+
+
+def test_two_of_492_segments_against_an_independent_trace():
+    """The reference moves along and turns about the telescope's axes, so columns are added up.
+
+    The local frame is a reflection of the optics frame, so that axes of rotation change their sign, too.
+    """
+    names = ["A1", "B10"]
+    prepared = two_of_492(names)
+    matrix = sensitivities(prepared, NUMPY).segments
+    assert matrix.agrees
+    share = np.bincount(prepared.rays.segment) / len(prepared.rays.segment)
+    flip = np.diag([1.0, 1.0, -1.0])
+    for k, name in enumerate(names):
+        expected = reference("tmt492_segments.json")["segments"][name]
+        to_optics = flip @ prepared.system.segments.axes[k]
+        shifts = to_optics @ matrix.centroid[k, :3]
+        turns = -to_optics @ matrix.centroid[k, 3:]
+        for centroid, dof in (
+            (shifts[2], "piston_z"),
+            (1e-3 * turns[0], "rot_x"),
+            (1e-3 * turns[1], "rot_y"),
+        ):
+            spot = expected[dof]["spot_shift_of_segment_m_per_unit"]
+            np.testing.assert_allclose(centroid / share[k], spot, rtol=1e-6, atol=1e-5, err_msg=name + dof)
 
 
 def test_small_motions_are_the_matrix_product_to_second_order(tmt18, of_tmt18):

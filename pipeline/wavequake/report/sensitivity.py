@@ -84,11 +84,12 @@ def _term(j: int, value: float) -> str:
 
 def segment_table(found: "xr.Dataset") -> Table:
     """Return the table of M1's segments, one row per motion: smallest, median and largest over segments."""
+    count = found.sizes["segment"]
+    segments = "one piece" if count == 1 else f"{count} segments"
     table = Table(
         box=SIMPLE_HEAD,
         pad_edge=False,
-        title=f"{found.sizes['segment']} segments of M1: motion about the center, dz to the sky; "
-        "min / median / max",
+        title=f"M1, {segments}: motion about the center, dz to the sky; min / median / max",
         title_justify="left",
     )
     table.add_column("motion")
