@@ -85,6 +85,23 @@ def test_one_fit_holds_for_small_motions(thesis):
     assert (np.abs(coefficients - expected).max(axis=1) < 1e-5 * largest).all()
 
 
+def test_slopes_agree_behind_an_intermediate_image():
+    """A Gregorian telescope turns its pupil over: the exit pupil is M1's image behind the prime focus."""
+    rows = [Row("M2", 500.0, -4 / 9, 1300.0), Row("image", inf, 0.0, 1500.0)]
+    system = OpticalSystem(
+        "gregorian", monolithic(100.0), -2000.0, -1.0, sequential_surfaces(rows), -2.5, 30.0, 100.0
+    )
+    prepared = prepare(system, quadrature_rays(30.0, 100.0), WAVELENGTH, 45)
+    states = states_of(prepared)
+    states.surface_motion[:, 0] = [0.2, -0.3, 0.1, 1e-3, 2e-3, 0]
+    states.field[:] = field = 1e-3, -2e-3
+    traced, chief = trace(prepared, states)
+    expected = analyse(prepared, traced, chief).zernike
+    coefficients = wavefront_from_slopes(slope_fit(prepared, field, states.surface_motion[0]), traced, chief)
+    np.testing.assert_allclose(coefficients[:, 1:], expected[:, 1:], atol=1e-8)
+    assert np.abs(expected[0, 1:]).max() > 0.1
+
+
 def test_a_displaced_paraboloid_in_closed_form():
     """A paraboloid, moved, images the axis onto its own focus: the wavefront is a sphere about it.
 
