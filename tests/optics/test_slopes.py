@@ -174,6 +174,21 @@ def test_segment_pistons_are_invisible_segment_tilts_are_not():
     assert np.abs(by_slope[1, 1:3]).max() > 1.0
 
 
-def test_an_unreachable_field_is_named(thesis):
+def test_an_unknown_motion_spoils_its_own_instant_only(thesis):
+    states = states_of(thesis)
+    states.surface_motion[:, 0, 3] = 1e-6
+    fit = slope_fit(thesis)
+    expected = wavefront_from_slopes(fit, *trace(thesis, states))
+    states.surface_motion[7, 0, 0] = np.nan
+    coefficients = wavefront_from_slopes(fit, *trace(thesis, states))
+    assert np.isnan(coefficients[7]).all()
+    np.testing.assert_array_equal(np.delete(coefficients, 7, axis=0), np.delete(expected, 7, axis=0))
+
+
+def test_bad_references_are_named(thesis):
     with pytest.raises(UserError, match="do not reach the image"):
         slope_fit(thesis, (1.2, 0.0))
+    with pytest.raises(UserError, match="do not reach the image"):
+        slope_fit(thesis, (np.nan, 0.0))
+    with pytest.raises(UserError, match=r"must be \(3, 6\)"):
+        slope_fit(thesis, motion=np.zeros(6))

@@ -70,10 +70,14 @@ def slope_fit(
     Raises
     ------
     UserError
-        If a ray does not reach the image in the reference, or the rays do not determine the coefficients.
+        If a ray does not reach the image in the reference, the rays do not determine the coefficients, or the
+        motion has the wrong shape.
     """
     outer, terms = prepared.system.pupil_outer, prepared.zernike.basis.shape[1]
     states = rest(TILE, len(prepared.system.segments), len(prepared.system.surfaces))
+    shape = states.surface_motion.shape[1:]
+    if motion is not None and motion.shape != shape:
+        raise UserError(f"the reference's surface motion has the shape {motion.shape}, it must be {shape}")
     states.field[:] = field
     states.surface_motion[:] = 0.0 if motion is None else motion
     distance, derivatives = _sphere_points(prepared, states)
