@@ -64,6 +64,21 @@ def test_the_default_folder_is_that_of_the_runs(sensitivity, tmp_path):
     assert xr.open_zarr(made).sizes["term"] == 4
 
 
+def test_one_piece_of_glass_has_no_spread_and_its_zeros_are_zero(sensitivity):
+    words = ["telescope.name=tmt-thesis", "optics.sampling=sunflower", "optics.rays=200", "--figure-terms", 4]
+    code, out, err = sensitivity("tmt-segments", *words, *WORDS[3:])
+    assert code == 0, err
+    rows = {
+        line.split()[0]: line.split()[1:]
+        for line in out.split("M1, one piece")[1].splitlines()
+        if line.split()
+    }
+    assert rows["dz"][0] == "0"
+    assert rows["rz"] == ["0", "0", "0"]
+    # A mirror that turns by a about its vertex turns the image by 2 a f minus what M2 makes of its shift.
+    assert float(rows["rx"][0]) == pytest.approx(2 * 450e3, rel=0.03)
+
+
 def test_steps_that_disagree_are_told(sensitivity, monkeypatch):
     monkeypatch.setattr(
         optics.Steps,

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _PER_MILLIMETER = np.array([1e-3] * 3 + [1.0] * 3)  # mm per m -> mm per mm; mm per rad
+_UNITS = (slice(0, 3), slice(3, 6))
 _FAMILIES = ("spherical", "coma", "astigmatism", "trefoil", "tetrafoil", "pentafoil")
 _TERMS = 3
 _NOTHING = 1e-6  # of the largest number of the same unit: what rounding leaves of a zero
@@ -62,10 +63,10 @@ def surface_table(found: "xr.Dataset") -> Table:
     return table
 
 
-def _without_rounding(values: Array) -> Array:
+def _without_rounding(values: Array, units: tuple[slice, ...] = _UNITS) -> Array:
     """Return (element, dof, ...) with exact zeros for what is small beside others of its unit."""
     cleaned = values.copy()
-    for unit in (slice(0, 3), slice(3, 6)):
+    for unit in units:
         part = cleaned[:, unit]
         part[np.abs(part) < _NOTHING * np.max(np.abs(part), initial=0.0)] = 0.0
     return cleaned
@@ -83,13 +84,13 @@ def _term(j: int, value: float) -> str:
 
 
 def segment_table(found: "xr.Dataset") -> Table:
-    """Return the table of M1's segments, one row per motion: smallest, median and largest over segments."""
+    """Return the table of M1's segments, one row per motion; zeros are below 1e-6 of the largest."""
     count = found.sizes["segment"]
-    segments = "one piece" if count == 1 else f"{count} segments"
+    what = "one piece" if count == 1 else f"{count} segments (min / median / max)"
     table = Table(
         box=SIMPLE_HEAD,
         pad_edge=False,
-        title=f"M1, {segments}: motion about the center, dz to the sky; min / median / max",
+        title=f"M1, {what}: motion about the center, dz to the sky",
         title_justify="left",
     )
     table.add_column("motion")
@@ -100,20 +101,22 @@ def segment_table(found: "xr.Dataset") -> Table:
     fitted = np.sqrt(np.sum(found.sensitivity_zernike_segment.values[..., 3:] ** 2, axis=-1)) * 1e-9
     raw = found.sensitivity_wfe_rms_raw_segment.values * 1e-9
     for dof, motion in enumerate(DOFS):
-        table.add_row(motion, *(_spread(values[:, dof]) for values in (los, fitted, raw)))
+        table.add_row(motion, *(_spread(_without_rounding(values)[:, dof]) for values in (los, fitted, raw)))
     if "sensitivity_los_figure" in found:
         los = np.hypot(*np.moveaxis(found.sensitivity_los_figure.values, -1, 0)) * 1e-3
         fitted = np.sqrt(np.sum(found.sensitivity_zernike_figure.values[..., 3:] ** 2, axis=-1)) * 1e-9
         raw = found.sensitivity_wfe_rms_raw_figure.values * 1e-9
         for index, j in enumerate(found.term.values):
-            cells = (_spread(values[:, index]) for values in (los, fitted, raw))
+            cleaned = (_without_rounding(values, (slice(None),)) for values in (los, fitted, raw))
+            cells = (_spread(values[:, index]) for values in cleaned)
             table.add_row(f"figure Z{j}", *cells)
     return table
 
 
 def _spread(values: Array) -> str:
-    low, middle, high = np.quantile(values, [0.0, 0.5, 1.0])
-    return " / ".join(number(value) for value in (low, middle, high))
+    if len(values) == 1:
+        return number(values[0])
+    return " / ".join(number(value) for value in np.quantile(values, [0.0, 0.5, 1.0]))
 
 
 def explanations(found: "xr.Dataset") -> list[str]:
