@@ -104,6 +104,13 @@ def test_damage_is_named_and_mended(wavequake, tiny, tmp_path):
     assert run_tiny(wavequake, tiny, store, "campaign.cases=8")[0] == 0
     assert wavequake("verify", store)[0] == 0
     np.testing.assert_array_equal(wq.open_store(store)["zernike"].values, before)
+    flipped = bytearray(shard.read_bytes())
+    flipped[len(flipped) // 2] ^= 1
+    shard.write_bytes(flipped)
+    assert wavequake("verify", store)[0] == cli.EXIT_DAMAGED
+    assert run_tiny(wavequake, tiny, store, "campaign.cases=8", "--repair")[0] == 0
+    assert wavequake("verify", store)[0] == 0
+    np.testing.assert_array_equal(wq.open_store(store)["zernike"].values, before)
 
 
 def test_a_flipped_bit_is_named_by_the_report(wavequake, tiny, tmp_path):

@@ -95,6 +95,9 @@ def run(
     workers: Annotated[
         int | None, typer.Option(min=1, help="Worker processes (default: one per CPU).")
     ] = None,
+    repair: Annotated[
+        bool, typer.Option("--repair", help="Read all results first and compute damaged chunks again.")
+    ] = False,
     profile: Annotated[bool, typer.Option("--profile", help="Say where the time went.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
@@ -108,7 +111,7 @@ def run(
     out.print(f"{loaded.study.name}  {loaded.campaign.cases} cases  ->  {path}", markup=False, soft_wrap=True)
     try:
         with _progress() as progress:
-            summary = run_study(loaded, path, on=on, workers=workers, progress=progress)
+            summary = run_study(loaded, path, on=on, workers=workers, progress=progress, repair=repair)
     except KeyboardInterrupt:
         words = shlex.join(["wavequake", "run", study, *(overrides or []), "--store", str(path)])
         err.print(f"\nInterrupted. What is done is kept; to continue: {words}", markup=False, soft_wrap=True)

@@ -81,7 +81,7 @@ def test_the_identity_is_canonical_json(minimal):
         ("telescope.name=tnt", ["telescope.name", "'tnt'"]),
         ("telescope.polygons=x.csv", ["telescope.polygons", "x.csv"]),
         ("disturbance.still.share=0", ["share"]),
-        ("cases=4", ["no section"]),
+        ("cases=4", ["no section", "campaign.cases"]),
         ("campaign.cases.more=4", ["campaign.cases", "integer"]),
         ("nonsense", ["section.key=value"]),
         ("disturbance.still.model=wind", ["disturbance.still.model", "no model 'wind'", "segment-wind"]),

@@ -61,7 +61,7 @@ def test_damage_is_named_and_repaired_to_equal_bits(done, damage, name, file):
     assert lines[1].startswith(
         f"damaged {name}, cases {first} to {last - 1} ({done / 'data.zarr' / name / file}): "
     )
-    assert lines[-1] == "To repair the store, delete the damaged files and run the study again."
+    assert lines[-1] == "To repair the store, run the study again with --repair."
     summary = toy.run(done, {"reasons": [15]}, cases=43, recompute=report.chunks)
     assert (summary.computed, summary.chunks) == (last - first, 1)
     assert verify_store(done).ok

@@ -10,6 +10,8 @@ from wavequake.errors import UserError
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+# Smallest rms on the glass of combined polynomials with unit rms over the pupil (TMT: 0.59, JWST: 0.15).
+_LEAST_RMS_ON_GLASS = 0.03
 _SINGULAR = 1e-10  # smallest eigenvalue of a normal matrix, relative to its size, that is still solved
 
 
@@ -54,6 +56,25 @@ def weighted_fit(basis: Array, weight: Array) -> Fit:
         f"{rays} rays on glass do not determine {terms} wavefront terms; raise optics.rays_per_segment (or, "
         "for a sunflower, optics.rays), or lower wavefront.zernike_terms."
     )
+
+
+def well_determined(fit: Fit) -> Fit:
+    """Return the fit of polynomials with unit rms over the pupil, if the glass tells them apart.
+
+    Raises
+    ------
+    UserError
+        If some combination of them nearly vanishes on the glass: its coefficients would be noise, and their
+        sum of squares would say nothing of the wavefront.
+    """
+    least = float(np.sqrt(max(np.linalg.eigvalsh(fit.normal)[0], 0.0)))
+    if least < _LEAST_RMS_ON_GLASS:
+        raise UserError(
+            f"{fit.basis.shape[1]} Zernike terms are too many for the glass of this pupil: a combination of "
+            f"them is {1.0 / max(least, 1e-9):.2g} times larger beside the glass than on it; lower "
+            "wavefront.zernike_terms, or raise optics.rays_per_segment."
+        )
+    return fit
 
 
 def refit(fit: Fit, kept: Mask, values: Array) -> Array:

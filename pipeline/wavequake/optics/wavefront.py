@@ -20,7 +20,7 @@ from wavequake.kernels.devices import Device
 from wavequake.kernels.segmented import SegmentedTrain, Traced, trace_chief, trace_segmented
 from wavequake.kernels.tiles import TILE, from_tiles
 from wavequake.kernels.train import OK
-from wavequake.optics.fits import Fit, refit, segment_planes, weighted_fit
+from wavequake.optics.fits import Fit, refit, segment_planes, weighted_fit, well_determined
 from wavequake.optics.kinematics import field_directions, segment_poses, surface_poses
 from wavequake.optics.pupils import PupilRays
 from wavequake.optics.segments import candidates, half_planes
@@ -179,7 +179,7 @@ def prepare(
         candidates=candidates(system.segments, rays.x, rays.y, margin),
         margin=margin,
         weight=weight,
-        zernike=weighted_fit(annular_zernike(x, y, terms, obscuration), weight),
+        zernike=well_determined(weighted_fit(annular_zernike(x, y, terms, obscuration), weight)),
         plane=weighted_fit(np.stack([np.ones_like(x), x, y], axis=1), weight),
         segment_fit=csr_matrix((rows.ravel(), places), shape=(3 * len(system.segments), len(x))),
         figure_matrix=circular_zernike_xy(degree, figure_terms) / -system.segments.axes[:, 2, 2, None, None],

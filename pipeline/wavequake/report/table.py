@@ -27,8 +27,8 @@ def number(value: float, digits: int = 3) -> str:
     """Format a number with significant digits, without an exponent where it can be read without one."""
     if np.isnan(value):
         return MISSING
-    if np.isinf(value) or value == 0.0:
-        return f"{value:g}"
+    if np.isinf(value) or abs(value) < 1e-12:  # rounding of what is nothing
+        return f"{value:g}" if np.isinf(value) else "0"
     exponent = int(np.floor(np.log10(abs(float(f"{value:.{digits - 1}e}")))))
     if exponent < -4 or exponent > 5:
         return f"{value:.{digits - 1}e}"
@@ -117,7 +117,7 @@ def terminal_table(summaries: Iterable[Summary]) -> Table:
             ),
             "P50\nP95",
             f"{_with_interval(summary.wfe_raw_p50)}\n{_with_interval(summary.wfe_raw_p95)}",
-            f"{_with_interval(summary.wfe_p50)}\n{_with_interval(summary.wfe_p95)}",
+            f"{number(summary.wfe_p50.value)}\n{number(summary.wfe_p95.value)}",
             number(summary.segment_piston) + ("" if segments is None else f"\n({number(segments)})"),
             f"{jitter}\n{error}{model}",
             f"{number(summary.strehl_p50.value, 4)}\n{number(summary.strehl_p5.value, 4)}",

@@ -13,8 +13,9 @@ from wavequake.workflows.contract import Workflow
 from wavequake.workflows.engine import CampaignSummary, run_campaign
 from wavequake.workflows.journal import read_journal
 from wavequake.workflows.segment_disturbance import WORKFLOW as SEGMENT_DISTURBANCE
-from wavequake.workflows.store import JOURNAL, done_records, open_store, read_manifest
+from wavequake.workflows.store import JOURNAL, MANIFEST, done_records, open_store, read_manifest
 from wavequake.workflows.study import Study, load_study, study_with
+from wavequake.workflows.verify import verify_store
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -36,8 +37,9 @@ def run_study(
     on: str = "local",
     workers: int | None = None,
     progress: Progress | None = None,
+    repair: bool = False,
 ) -> CampaignSummary:
-    """Compute what of `study` the store at `path` lacks.
+    """Compute what of `study` the store at `path` lacks; with `repair`, also what is damaged there.
 
     Raises
     ------
@@ -47,7 +49,8 @@ def run_study(
     workflow = workflow_of(study)
     text = study.identity_text()
     device = choose_device(study.campaign.device)
-    workflow.template(text)  # a study that cannot work says so before a store is made or a worker started
+    workflow.check(text)  # a study that cannot work says so before a store is made or a worker started
+    damaged = verify_store(path).chunks if repair and (path / MANIFEST).exists() else frozenset()
     return run_campaign(
         workflow,
         text,
@@ -58,6 +61,7 @@ def run_study(
         on=on,
         workers=workers,
         progress=progress,
+        recompute=damaged,
     )
 
 
@@ -111,6 +115,7 @@ def plan(study: Study) -> dict[str, str]:
     """Describe what running `study` would take: a pilot of a few cases gives the time; nothing is stored."""
     workflow, text = workflow_of(study), study.identity_text()
     cases, chunk = study.campaign.cases, study.store.chunk_cases
+    workflow.check(text)
     template = workflow.template(text)
     per_case = sum(int(np.prod(v.shape)) * np.dtype(v.dtype).itemsize for v in template.per_case.values())
     pilot = np.arange(min(cases, chunk, 8))

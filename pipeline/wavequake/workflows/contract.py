@@ -56,6 +56,10 @@ def no_work(study: str, cases: int) -> dict[str, tuple[float, str]]:
     return {}
 
 
+def no_check(study: str) -> None:
+    """Find nothing wrong."""
+
+
 @dataclass(frozen=True)
 class Workflow:
     """A workflow as module-level functions (so that Dask sends them by reference).
@@ -66,7 +70,8 @@ class Workflow:
     function of the study and the case ids: a case's bits depend on nothing else. It marks a case that fails
     for a known reason in ``status``; an exception means that the engine tries the chunk's cases one by one; a
     UserError ends the run. ``describe`` adds lines to the plan; ``work(study, cases)`` says how much of what
-    a kind of work in the timings has processed, e.g. {"trace": (1e9, "ray-surfaces")}.
+    a kind of work in the timings has processed, e.g. {"trace": (1e9, "ray-surfaces")}; ``check`` raises
+    UserError for a study that no case of can succeed, before a store is made.
     """
 
     name: str
@@ -75,3 +80,4 @@ class Workflow:
     compute: Callable[[str, NDArray[np.int64], str], ChunkResult]
     describe: Callable[[str], dict[str, str]] = no_description
     work: Callable[[str, int], dict[str, tuple[float, str]]] = no_work
+    check: Callable[[str], None] = no_check

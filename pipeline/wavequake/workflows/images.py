@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.errors import UserError
 from wavequake.imaging.placement import place
 from wavequake.imaging.segment_psf import (
     SegmentBasis,
@@ -37,6 +38,28 @@ def image_axis(bench: Bench) -> Array:
     return np.asarray((np.arange(imaging.pixels) - imaging.pixels // 2) * imaging.sampling, dtype=np.float64)
 
 
+def by_rays(bench: Bench) -> bool:
+    """Return whether images are sums over rays: of mirrors without edges, and of segments with a figure.
+
+    Segments without a figure are planes of phase, whose images are exact.
+    """
+    return monolithic(bench.system) or bench.figure_terms > 0
+
+
+def refuse_what_cannot_be_imaged(bench: Bench) -> None:
+    """Raise UserError if the telescope at rest has no image at this field point and wavelength."""
+    if by_rays(bench):
+        return
+    try:
+        _psf(bench, -bench.static.segment_phase[:TILE], bench.study.imaging.pixels)
+    except UserError:
+        raise UserError(
+            f"The telescope {bench.system.name} at rest is too far from focus for an image (its wavefront "
+            f"error is {bench.static.rms_raw[0]:.3g} waves rms): bring optics.field_arcmin nearer the axis, "
+            "or mend the prescription."
+        ) from None
+
+
 def energy_scale(bench: Bench) -> dict[str, Any]:
     """Return what encircled energies of this pupil need: sampling, glass area and diameter in mm."""
     return {
@@ -50,16 +73,15 @@ def summed_images(bench: Bench, traced: Traced, wavefront: Wavefront, tiles: sli
     """Return the sum (pixels, pixels) of the images of a case's first `instants` in the launch's `tiles`.
 
     Image axes are those of the image plane: +x is where a positive line of sight moves the image. If the
-    line of sight moves by
-    more than lambda/D, its whole pixels are taken out of the phase before the transform and put back by
-    placing the image
-    (computed on a larger canvas, so that it brings its wings along): segments see only the small rest of a
-    common tilt.
+    line of
+    sight moves by more than lambda/D, its whole pixels are taken out of the phase before the transform and
+    put back by placing the image, computed on a larger canvas: segments see only the rest of a common tilt.
 
     Raises
     ------
     UserError
-        If segments are tilted beyond what the moments of the basis can image.
+        If segments are tilted beyond what the moments of the basis can image, or rays of a figured mirror
+        are lost.
     """
     imaging, prepared = bench.study.imaging, bench.prepared
     batch = slice(tiles.start * TILE, tiles.stop * TILE)
@@ -70,8 +92,11 @@ def summed_images(bench: Bench, traced: Traced, wavefront: Wavefront, tiles: sli
     pixel = np.rint(position / imaging.sampling) if moves else np.zeros_like(position)
     shift = (wavefront.chief[batch] - bench.static.chief[0]) * per_mm - pixel * imaging.sampling
     # A phase that grows along +x moves the image to +x; the OPD of a positive line of sight falls along +x.
-    if monolithic(bench.system):
+    if by_rays(bench):
         phase = -from_tiles(traced.opd[tiles]) / prepared.wavelength
+        if np.isnan(phase).any():
+            lost = int(np.isnan(phase).any(axis=0).sum())
+            raise UserError(f"{lost} rays are lost, so that the image of the figured mirror would have holes")
         places = np.stack([prepared.rays.x, prepared.rays.y], axis=1)
         phase = phase + (shift / diameter) @ places.T
     else:
@@ -87,8 +112,10 @@ def summed_images(bench: Bench, traced: Traced, wavefront: Wavefront, tiles: sli
 def _psf(bench: Bench, phase: Array, pixels: int) -> NDArray[np.floating[Any]]:
     """Return the images of a case's phases with as many moments as the study says, or as they need."""
     chosen = bench.study.imaging.moments
-    if chosen != "auto" or monolithic(bench.system):
-        return psf(_basis(bench.text, pixels, 1 if chosen == "auto" else chosen), phase)
+    if by_rays(bench):
+        return psf(_basis(bench.text, pixels, 1), phase)
+    if chosen != "auto":
+        return psf(_basis(bench.text, pixels, chosen), phase)
     *quick, last = _AUTO_MOMENTS
     for moments in quick:
         basis = _basis(bench.text, pixels, moments)
@@ -106,6 +133,6 @@ def _basis(study_text: str, pixels: int, moments: int) -> SegmentBasis:
         "sampling": imaging.sampling,
         "diameter": 2.0 * system.pupil_outer,
     }
-    if monolithic(system):
+    if by_rays(bench):
         return ray_basis(rays.x, rays.y, bench.prepared.weight, **grid)
     return segment_basis(system.segments.corners, system.segments.centers[:, :2], moments=moments, **grid)

@@ -20,9 +20,9 @@ from wavequake.kernels.tiles import TILE, padded
 from wavequake.mechanics.disturbances import Disturbance, Motion, analytic_rms, draw_case, time_axis
 from wavequake.optics.states import SurfaceStates
 from wavequake.optics.wavefront import Wavefront, analyse, chief_rays, trace_states
-from wavequake.workflows.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of
+from wavequake.workflows.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, monolithic
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
-from wavequake.workflows.images import energy_scale, image_axis, summed_images
+from wavequake.workflows.images import energy_scale, image_axis, refuse_what_cannot_be_imaged, summed_images
 from wavequake.workflows.study import study_from_identity
 
 Array = NDArray[np.float64]
@@ -350,4 +350,13 @@ def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
     }
 
 
-WORKFLOW = Workflow("segment-disturbance", template, case_table, compute, describe, work)
+def check(study_text: str) -> None:
+    """Raise UserError if the telescope at rest has no image, or a disturbance does not fit its mirror."""
+    bench = bench_of(study_text)
+    refuse_what_cannot_be_imaged(bench)
+    if monolithic(bench.system):  # where every draw is quick
+        for population in bench.study.disturbance:
+            draw_case(bench.study.disturbance, population, bench.layout, bench.study.study.seed, 0)
+
+
+WORKFLOW = Workflow("segment-disturbance", template, case_table, compute, describe, work, check)

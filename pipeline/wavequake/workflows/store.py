@@ -24,6 +24,7 @@ from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.devices import choose_device
 from wavequake.workflows import arrays
 from wavequake.workflows.contract import STATUS_MEANINGS, Template, Workflow
+from wavequake.workflows.difference import first_difference
 from wavequake.workflows.journal import Chunk, Journal, Record, flush_folder, read_journal
 
 if TYPE_CHECKING:
@@ -272,7 +273,7 @@ def refuse_other(path: Path, manifest: Manifest, workflow: str, study: str, kind
     if (manifest.workflow, manifest.study) != (workflow, study):
         theirs = {"workflow": manifest.workflow, **json.loads(manifest.study)}
         ours = {"workflow": workflow, **json.loads(study)}
-        key, there, here = _first_difference(theirs, ours)
+        key, there, here = first_difference(theirs, ours)
         raise UserError(
             f"{path} belongs to another study: {key} is {there} there, {here} here; choose another --store."
         )
@@ -281,30 +282,6 @@ def refuse_other(path: Path, manifest: Manifest, workflow: str, study: str, kind
             f"{path} was begun on a device of kind {manifest.device_kind!r} ({manifest.device}), and {kind!r}"
             f" gives other last bits: use campaign.device={manifest.device_kind}, or choose another --store."
         )
-
-
-def _first_difference(there: Any, here: Any, key: str = "") -> tuple[str, str, str]:
-    """Return the first key at which two records differ, and both values in words."""
-    if isinstance(there, list) and isinstance(here, list):
-        there, here = (
-            {_entry_key(entry, i): entry for i, entry in enumerate(part)} for part in (there, here)
-        )
-    if isinstance(there, dict) and isinstance(here, dict):
-        for name in sorted({*there, *here}):
-            if name not in there or name not in here or there[name] != here[name]:
-                full = f"{key}.{name}" if key else name
-                return _first_difference(there.get(name, "absent"), here.get(name, "absent"), full)
-        return key, "in another order", "in this order"
-    return key, _short(there), _short(here)
-
-
-def _entry_key(entry: Any, index: int) -> str:
-    return str(entry["name"]) if isinstance(entry, dict) and "name" in entry else str(index)
-
-
-def _short(value: Any) -> str:
-    text = value if value == "absent" else json.dumps(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def open_store(path: Path | str) -> "xr.Dataset":

@@ -268,10 +268,13 @@ def _override(record: dict[str, Any], key: str, value: Any) -> None:
     node: Any = record
     *parents, last = key.split(".")
     if not parents:
-        near = difflib.get_close_matches(key, Study.model_fields, n=1)
-        raise UserError(
-            f"The key {key!r} has no section; write section.key=value{f' ({near[0]}.…)' if near else ''}."
-        )
+        homes = [
+            name
+            for name, field in Study.model_fields.items()
+            if key in getattr(field.annotation, "model_fields", ())
+        ]
+        hint = f"did you mean {homes[0]}.{key}?" if homes else "write section.key=value."
+        raise UserError(f"The key {key!r} has no section; {hint}")
     for depth, part in enumerate(parents):
         if isinstance(node, list):
             node = _entry(node, part, ".".join(parents[:depth]))

@@ -70,7 +70,7 @@ class VerifyReport:
                 f"{len(self.extra)} leftover files of a crash (harmless), for example {self.extra[0]}"
             )
         if self.damaged:
-            lines.append("To repair the store, delete the damaged files and run the study again.")
+            lines.append("To repair the store, run the study again with --repair.")
         elif self.missing:
             lines.append("Run the study again to complete the store.")
         else:
