@@ -12,6 +12,7 @@ from wavequake.optics.pupils import PupilRays, on_glass, sunflower
 from wavequake.optics.segments import Segments
 from wavequake.optics.sensitivity import DOFS, Steps, sensitivities
 from wavequake.optics.states import rest
+from wavequake.optics.systems import Surface
 from wavequake.optics.telescopes import telescope
 from wavequake.optics.wavefront import measure, prepare
 
@@ -204,6 +205,21 @@ def test_two_steps_agree(of_thesis, of_tmt18):
         assert matrix.agrees
         assert matrix.worst[2] == matrix.disagreement.max() < 1e-6
         assert matrix.worst[2] > 0
+
+
+def test_nothing_but_rounding_is_no_disagreement():
+    """Without a second mirror no turn of a surface changes anything: zeros agree, and so do the segments."""
+    cassegrain = telescope("tmt-thesis")
+    image = Surface("image", np.inf, 0.0, np.array([0.0, 0.0, -3e4]), np.eye(3), reflects=False)
+    system = replace(cassegrain, surfaces=(image,))
+    prepared = prepare(
+        system, on_glass(system, sunflower(system.pupil_inner, system.pupil_outer, 300)), WAVELENGTH, 11
+    )
+    found = sensitivities(prepared, NUMPY)
+    assert np.abs(found.surfaces.los[0, RX:]).max() < 1e-5  # mm/rad
+    assert found.surfaces.agrees
+    assert found.segments.agrees
+    np.testing.assert_allclose(found.surfaces.los[0, :2], -np.eye(2), atol=1e-6)
 
 
 def test_too_large_a_step_is_flagged(tmt18):

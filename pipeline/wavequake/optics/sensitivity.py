@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 DOFS = ("dx", "dy", "dz", "rx", "ry", "rz")
 TOLERANCE = 1e-5
 
+_FAINT = 1e-4  # of a tilt or shift of the whole pupil: where all derivatives are smaller, this is their scale
 _LAUNCH_TILES = 32  # about 40 MB per output array at 9000 rays
 _LAUNCH_NUMBERS = 2**24  # and no more motions, poses and figures of segments than this
 
@@ -61,8 +62,8 @@ class SensitivityMatrix:
         Rms over the rays of the derivative of the OPD, piston removed, waves per mm or rad.
     disagreement : ndarray, shape (E, D)
         Between the derivatives with this step and the double one, relative to the largest derivative of the
-        same quantity with respect to any element and degree of freedom of the same unit; inf if the
-        motion loses rays.
+        same quantity with respect to any element and degree of freedom of the same unit (or to 1e-4 of what
+        a shift or tilt of the whole pupil does, if that is more); inf if the motion loses rays.
     tolerance : float
         The largest disagreement of a valid column.
     """
@@ -151,7 +152,7 @@ def sensitivities(
             los=fine.los,
             centroid=fine.centroid,
             rms_raw=fine.rms_raw,
-            disagreement=_disagreement(fine, wide, dofs),
+            disagreement=_disagreement(prepared, fine, wide, dofs),
             tolerance=tolerance,
         )
 
@@ -233,17 +234,28 @@ def _weighted_rms(weight: Array, values: Array) -> Array:
     return rms
 
 
-def _disagreement(fine: _Derivatives, wide: _Derivatives, dofs: tuple[str, ...]) -> Array:
+def _disagreement(
+    prepared: PreparedTrace, fine: _Derivatives, wide: _Derivatives, dofs: tuple[str, ...]
+) -> Array:
     """Return the relative differences (E, D) between two results of `_derivatives`; inf where rays are lost.
 
     Columns of one unit share a scale: a mirror's turn about its own axis, which changes nothing, is as
     accurate as its tilts.
     """
     turns = np.array([name in DOFS[3:] for name in dofs])
+    # A tilt of the pupil by one unit, and the image's answer to it.
+    radius, image = (
+        np.where(turns, length, 1.0) for length in (prepared.system.pupil_outer, prepared.focal_length)
+    )
+    waves, millimeters = (_FAINT * np.abs(size) for size in (radius / prepared.wavelength, image))
     worst = np.zeros(fine.intact.shape)
-    for one, other in ((fine.zernike, wide.zernike), (fine.los, wide.los), (fine.centroid, wide.centroid)):
+    for one, other, faint in (
+        (fine.zernike, wide.zernike, waves),
+        (fine.los, wide.los, millimeters),
+        (fine.centroid, wide.centroid, millimeters),
+    ):
         difference = np.abs(one - other).max(axis=2)
         size = np.abs(one).max(axis=(0, 2))
-        scale = np.where(turns, size[turns].max(initial=0.0), size[~turns].max(initial=0.0))
-        worst = np.maximum(worst, np.divide(difference, scale, out=difference.copy(), where=scale > 0.0))
+        largest = np.where(turns, size[turns].max(initial=0.0), size[~turns].max(initial=0.0))
+        worst = np.maximum(worst, difference / np.maximum(largest, faint))
     return np.where(fine.intact & wide.intact & np.isfinite(worst), worst, np.inf)

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _PER_MILLIMETER = np.array([1e-3] * 3 + [1.0] * 3)  # mm per m -> mm per mm; mm per rad
-_UNITS = (slice(0, 3), slice(3, 6))
 _FAMILIES = ("spherical", "coma", "astigmatism", "trefoil", "tetrafoil", "pentafoil")
 _TERMS = 3
 _NOTHING = 1e-6  # of the largest number of the same unit: what rounding leaves of a zero
+_NO_LOS, _NO_WFE = 1e-5, 1e-6  # mm per rad and nm per µrad that nobody can see, whatever is the largest
 
 
 def zernike_name(j: int) -> str:
@@ -53,7 +53,7 @@ def surface_table(found: "xr.Dataset") -> Table:
     table.add_column("largest Zernike terms from j = 4 on\nnm per µm or µrad")
     los = found.sensitivity_los_surface.values * _PER_MILLIMETER[:, None]
     zernike = found.sensitivity_zernike_surface.values[..., 3:] * 1e-6
-    los, zernike = _without_rounding(los), _without_rounding(zernike)
+    los, zernike = _rigid_zeroed(los, _NO_LOS), _rigid_zeroed(zernike, _NO_WFE)
     for index, name in enumerate(found.surface.values):
         for dof, motion in enumerate(DOFS):
             label = f"[bold]{name}[/]  {motion}" if dof == 0 else f"{' ' * len(str(name))}  {motion}"
@@ -63,13 +63,15 @@ def surface_table(found: "xr.Dataset") -> Table:
     return table
 
 
-def _without_rounding(values: Array, units: tuple[slice, ...] = _UNITS) -> Array:
-    """Return (element, dof, ...) with exact zeros for what is small beside others of its unit."""
-    cleaned = values.copy()
-    for unit in units:
-        part = cleaned[:, unit]
-        part[np.abs(part) < _NOTHING * np.max(np.abs(part), initial=0.0)] = 0.0
-    return cleaned
+def _rigid_zeroed(values: Array, per_rad: float) -> Array:
+    """Zero what is nothing in values (element, dof, ...) of three shifts and three turns."""
+    return np.concatenate([_zeroed(values[:, :3]), _zeroed(values[:, 3:], per_rad)], axis=1)
+
+
+def _zeroed(values: Array, floor: float = 0.0) -> Array:
+    """Replace by zeros what is small beside the largest value, or smaller than `floor`."""
+    size = np.abs(values)
+    return np.where(size < max(_NOTHING * np.max(size, initial=0.0), floor), 0.0, values)
 
 
 def _largest(values: Array) -> list[tuple[int, float]]:
@@ -100,16 +102,16 @@ def segment_table(found: "xr.Dataset") -> Table:
     los = np.hypot(*np.moveaxis(found.sensitivity_los_segment.values * _PER_MILLIMETER[:, None], -1, 0))
     fitted = np.sqrt(np.sum(found.sensitivity_zernike_segment.values[..., 3:] ** 2, axis=-1)) * 1e-9
     raw = found.sensitivity_wfe_rms_raw_segment.values * 1e-9
+    columns = [_rigid_zeroed(los, _NO_LOS), *(_rigid_zeroed(rms, 1e-3 * _NO_WFE) for rms in (fitted, raw))]
     for dof, motion in enumerate(DOFS):
-        table.add_row(motion, *(_spread(_without_rounding(values)[:, dof]) for values in (los, fitted, raw)))
+        table.add_row(motion, *(_spread(values[:, dof]) for values in columns))
     if "sensitivity_los_figure" in found:
         los = np.hypot(*np.moveaxis(found.sensitivity_los_figure.values, -1, 0)) * 1e-3
         fitted = np.sqrt(np.sum(found.sensitivity_zernike_figure.values[..., 3:] ** 2, axis=-1)) * 1e-9
         raw = found.sensitivity_wfe_rms_raw_figure.values * 1e-9
+        columns = [_zeroed(values) for values in (los, fitted, raw)]
         for index, j in enumerate(found.term.values):
-            cleaned = (_without_rounding(values, (slice(None),)) for values in (los, fitted, raw))
-            cells = (_spread(values[:, index]) for values in cleaned)
-            table.add_row(f"figure Z{j}", *cells)
+            table.add_row(f"figure Z{j}", *(_spread(values[:, index]) for values in columns))
     return table
 
 
