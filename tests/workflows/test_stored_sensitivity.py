@@ -1,3 +1,5 @@
+import shutil
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -138,6 +140,19 @@ def test_a_write_that_fails_leaves_nothing(study, tmp_path, monkeypatch):
     with pytest.raises(UserError, match="disk"):
         stored_sensitivity(study, tmp_path / "store")
     assert not list((tmp_path / "store").iterdir())
+
+
+def test_two_processes_may_write_the_same(study, tmp_path, monkeypatch):
+    original = module.arrays.consolidate
+
+    def another_is_faster(folder):
+        original(folder)
+        shutil.copytree(folder, folder.with_name("sensitivity.zarr"))
+
+    monkeypatch.setattr(module.arrays, "consolidate", another_is_faster)
+    ds, _ = stored_sensitivity(study, tmp_path / "store")
+    assert ds.sizes["segment"] == 18
+    assert [path.name for path in (tmp_path / "store").iterdir()] == ["sensitivity.zarr"]
 
 
 @pytest.mark.parametrize("damage", ["flip", "empty", "delete"])

@@ -249,7 +249,11 @@ def _write(made: "xr.Dataset", target: Path) -> None:
             arrays.consolidate(partial)
             if target.exists():  # of the same study, but with other figure terms
                 shutil.rmtree(target)
-            os.replace(partial, target)
+            try:
+                os.replace(partial, target)
+            except OSError:
+                if not target.exists():
+                    raise  # otherwise another process wrote the same numbers meanwhile
             flush_folder(target.parent)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
