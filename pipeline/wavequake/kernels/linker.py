@@ -1,9 +1,8 @@
 """A linker for PoCL, whose last step in building a kernel is to call ``ld`` as a compiler would.
 
 A machine without a compiler has no ``ld``, or has it without the libraries that come with a compiler, and
-PoCL then
-aborts the whole process. Kernels call nothing but what is loaded in the process already, so that any linker
-will do if the libraries are left out: that of the machine, or the one in the ``ziglang`` wheel.
+PoCL then aborts the whole process. Kernels call nothing but what is loaded in the process already, so that
+any linker will do if the libraries are left out: that of the machine, or the one in the ``ziglang`` wheel.
 """
 
 import hashlib

@@ -105,8 +105,8 @@ def segment_planes(
 ) -> tuple[Array, Mask]:
     """Fit a plane on every segment: piston at the center and slopes.
 
-    The 3 x 3 normal equations of all segments are solved at once, in coordinates scaled to the rms radius
-    of each segment's rays. A ray of weight zero is as good as absent.
+    The 3 x 3 normal equations of all segments are solved at once, in coordinates scaled to the rms radius of
+    each segment's rays. A ray of weight zero is as good as absent.
 
     Parameters
     ----------

@@ -33,8 +33,8 @@ class Bench:
     """Everything of a study that does not change from case to case.
 
     ``text`` is the study's identity text; ``m2_tilt`` (2, 2) gives M2's rotations about x and y in rad per
-    rad of line of sight on the sky;
-    ``static`` is the wavefront of the reference configuration, ``field`` (2,) the field point in rad.
+    rad of line of sight on the sky; ``static`` is the wavefront of the reference configuration, ``field``
+    (2,) the field point in rad.
     """
 
     text: str

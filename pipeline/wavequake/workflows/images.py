@@ -72,9 +72,8 @@ def energy_scale(bench: Bench) -> dict[str, Any]:
 def summed_images(bench: Bench, traced: Traced, wavefront: Wavefront, tiles: slice, instants: int) -> Array:
     """Return the sum (pixels, pixels) of the images of a case's first `instants` in the launch's `tiles`.
 
-    Image axes are those of the image plane: +x is where a positive line of sight moves the image. If the
-    line of
-    sight moves by more than lambda/D, its whole pixels are taken out of the phase before the transform and
+    Image axes are those of the image plane: +x is where a positive line of sight moves the image. If the line
+    of sight moves by more than lambda/D, its whole pixels are taken out of the phase before the transform and
     put back by placing the image, computed on a larger canvas: segments see only the rest of a common tilt.
 
     Raises

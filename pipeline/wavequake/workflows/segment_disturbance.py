@@ -27,8 +27,7 @@ from wavequake.workflows.study import study_from_identity
 
 Array = NDArray[np.float64]
 
-# Tiles per launch: about 40 MB of rays per output array at 9000 rays, whatever the number and length of the
-# cases.
+# Tiles per launch: about 40 MB per output array at 9000 rays, however many and long the cases are.
 _LAUNCH_TILES = 32
 
 
@@ -46,8 +45,8 @@ def slot(populations: tuple[Disturbance, ...], case: int) -> tuple[Disturbance, 
     """Return the population and realization of a case.
 
     Cases repeat a pattern in which each population has ``share`` rows, so that adding cases changes no
-    earlier one, and the
-    n-th case of every population is realization n: comparisons between populations are paired.
+    earlier one, and the n-th case of every population is realization n: comparisons between populations are
+    paired.
     """
     pattern = [population for population in populations for _ in range(population.share)]
     round_, place = divmod(case, len(pattern))
