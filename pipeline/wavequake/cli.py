@@ -1,4 +1,4 @@
-"""The command line: ``wavequake run|plan|studies|status|report|verify|sensitivity|devices``."""
+"""The command line: ``wavequake run|plan|studies|status|report|export|verify|sensitivity|devices``."""
 
 import io
 import shlex
@@ -193,6 +193,19 @@ def report(
 ) -> None:
     """Print the table of a store and write its HTML report."""
     _write_report(store, fresh=True)
+
+
+@app.command()
+def export(
+    store: StoreArgument,
+    file: Annotated[Path, typer.Argument(help="FILE.nc (every array) or FILE.csv (one row per case).")],
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Write a store to one NetCDF or CSV file for other programs."""
+    from wavequake.report.campaign import export_store
+
+    out.print(f"Written: {export_store(store, file, overwrite)}", markup=False, soft_wrap=True)
 
 
 @app.command()

@@ -13,6 +13,7 @@ from wavequake.kernels.devices import choose_device
 from wavequake.mechanics.disturbances import analytic_rms
 from wavequake.optics.wavefront import trace_states
 from wavequake.report.detail import Detail
+from wavequake.report.export import export, target_of
 from wavequake.report.html import write_report
 from wavequake.report.populations import Summary, populations, representatives, summarize
 from wavequake.report.table import terminal_table
@@ -72,6 +73,13 @@ def report_store(store: Path) -> tuple[Table, Path]:
         details = [detail(manifest.study, case, device, dataset) for case in worst]
         path = write_report(dataset, details, report_path(store), analytic)
         return terminal_table(_summaries(dataset, analytic)), path
+
+
+def export_store(store: Path, path: Path, overwrite: bool = False) -> Path:
+    """Export a store to a .nc or .csv file; raises as :func:`report_store` and :func:`export`."""
+    dataset, target = open_store(store), target_of(path, overwrite)
+    with _damage_named(store):
+        return export(dataset, target, overwrite)
 
 
 def _device_at_hand(manifest: Manifest) -> str:

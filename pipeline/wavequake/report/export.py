@@ -1,0 +1,109 @@
+"""A store as one file for other programs: NetCDF with every array, or CSV with one row per case."""
+
+import csv
+import os
+import uuid
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from wavequake.errors import UserError
+
+_LABELS = ("case", "seed", "disturbance", "realization", "status", "message")
+_NETCDF3_BYTES = 2**31 - 2**20
+
+
+def export(dataset: xr.Dataset, path: str | Path, overwrite: bool = False) -> Path:
+    """Write what ``open_store`` gives to a .nc or .csv file, which appears whole or not at all.
+
+    NetCDF is of version 3 (64-bit offsets), at most 2 GiB of numbers; integers that do not fit its 32 bits,
+    such as seeds, become decimal text. CSV holds the labels of each case, its scalars, and the mean and rms
+    (about zero) over its instants; a number that is missing is an empty cell.
+
+    Raises
+    ------
+    UserError
+        If the file exists and shall not be overwritten, its name ends otherwise, its folder is missing, or
+        the store is too large for NetCDF 3.
+    """
+    target = target_of(path, overwrite)
+    partial = target.with_name(f".{target.name}.partial-{uuid.uuid4().hex}")
+    try:
+        (_write_csv if target.suffix == ".csv" else _write_netcdf)(dataset, partial)
+        os.replace(partial, target)
+    finally:
+        partial.unlink(missing_ok=True)
+    return target.resolve()
+
+
+def target_of(path: str | Path, overwrite: bool = False) -> Path:
+    """Return the file to export to; raises UserError as :func:`export`, without reading any number."""
+    target = Path(path)
+    if target.suffix not in (".nc", ".csv"):
+        raise UserError(f"{target} must end in .nc or .csv, which says what to export to.")
+    if target.is_dir() or not target.parent.is_dir():
+        raise UserError(f"{target} is a folder, or is in none; name a file in a folder that exists.")
+    if target.exists() and not overwrite:
+        raise UserError(f"{target} exists already; choose another name or give --overwrite.")
+    return target
+
+
+def _write_netcdf(dataset: xr.Dataset, path: Path) -> None:
+    if dataset.nbytes > _NETCDF3_BYTES:
+        raise UserError(
+            f"The store has {dataset.nbytes / 2**30:.1f} GiB and NetCDF 3 holds 2; export to .csv, or read "
+            "the store with xarray.open_zarr."
+        )
+    plain = dataset.drop_encoding().load()
+    converted = {name: _netcdf3(variable) for name, variable in plain.variables.items()}
+    coordinates = {name: converted.pop(name) for name in plain.coords}
+    xr.Dataset(converted, coordinates, plain.attrs).to_netcdf(path, engine="scipy", format="NETCDF3_64BIT")
+
+
+def _netcdf3(variable: xr.Variable) -> xr.Variable:
+    values = variable.to_numpy()
+    if values.dtype.kind in "iu" and values.dtype.itemsize > 4:
+        limits = np.iinfo(np.int32)
+        fits = not values.size or (values.min() >= limits.min and values.max() <= limits.max)
+        values = values.astype(np.int32 if fits else str)
+    if values.dtype.kind not in "biuf":
+        values = values.astype(object)
+    return xr.Variable(variable.dims, values, variable.attrs)
+
+
+def _write_csv(dataset: xr.Dataset, path: Path) -> None:
+    columns = {name: dataset[name].to_numpy().tolist() for name in _LABELS if name in dataset.variables}
+    present = np.isfinite(dataset["time_s"].to_numpy())
+    for name, variable in dataset.data_vars.items():
+        if name in _LABELS:
+            continue
+        unit = f" ({variable.attrs.get('units', '1')})"
+        if variable.dims == ("case",):
+            columns[f"{name}{unit}"] = _cells(variable.to_numpy())
+        elif variable.dims == ("case", "time"):
+            columns |= _over_instants(str(name), unit, variable.to_numpy(), present)
+        elif variable.dims == ("case", "time", "axis"):
+            for axis, values in zip("xy", np.moveaxis(variable.to_numpy(), 2, 0), strict=True):
+                columns |= _over_instants(f"{name}_{axis}", unit, values, present)
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+
+
+def _over_instants(
+    name: str, unit: str, values: NDArray[np.float64], present: NDArray[np.bool_]
+) -> dict[str, list[str]]:
+    """Return mean and rms over the instants that a case has; one missing number makes both missing."""
+    count = np.maximum(present.sum(axis=1), 1)
+    none = np.where(present.any(axis=1), 0.0, np.nan)
+    mean = np.where(present, values, 0.0).sum(axis=1) / count + none
+    rms = np.sqrt(np.where(present, np.square(values), 0.0).sum(axis=1) / count) + none
+    return {f"{name}_mean{unit}": _cells(mean), f"{name}_rms{unit}": _cells(rms)}
+
+
+def _cells(values: NDArray[np.float64]) -> list[str]:
+    """Return numbers as the shortest text that reads back the same."""
+    return ["" if np.isnan(value) else repr(value) for value in values.tolist()]

@@ -1,0 +1,106 @@
+"""Files for other programs, read back by those programs' own readers."""
+
+import csv
+import sys
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import wavequake as wq
+from wavequake import cli
+from wavequake.errors import UserError
+from wavequake.report.export import export
+
+
+@pytest.fixture
+def dataset():
+    """Case 0 has two instants, case 1 one, case 2 failed; seeds beyond 32 bits."""
+    time = np.array([[0.0, 0.1], [0.0, np.nan], [np.nan, np.nan]])
+    los = np.stack([time * 0 + 3.0, time * 0 - 4.0], axis=2)
+    wfe = np.array([[3.0, 4.0], [1 / 3, np.nan], [np.nan, np.nan]])
+    return xr.Dataset(
+        {
+            "wfe_rms": (("case", "time"), wfe, {"units": "nm"}),
+            "los": (("case", "time", "axis"), los, {"units": "mas"}),
+            "ee50": ("case", [0.5, np.inf, np.nan], {"units": "lambda/D"}),
+            "status": ("case", np.array([1, 1, 2], np.int8)),
+            "message": ("case", np.array(["", "", 'said "no", ß'], np.dtypes.StringDType())),
+        },
+        {
+            "case": np.arange(3),
+            "seed": ("case", [2**40, 1, 2]),
+            "time_s": (("case", "time"), time, {"units": "s"}),
+        },
+        {"title": "λ"},
+    )
+
+
+def test_netcdf_holds_the_same_bits(dataset, tmp_path):
+    with xr.open_dataset(export(dataset, tmp_path / "a.nc"), engine="scipy") as back:
+        for name in ("wfe_rms", "los", "ee50", "time_s", "status", "case"):
+            np.testing.assert_array_equal(back[name], dataset[name])
+        assert back.seed.astype(str).values.tolist() == [str(2**40), "1", "2"]
+        assert back.message.values.tolist() == ["", "", 'said "no", ß']
+        assert back.wfe_rms.attrs["units"] == "nm"
+        assert back.attrs["title"] == "λ"
+
+
+def test_csv_has_one_row_per_case(dataset, tmp_path):
+    with export(dataset, tmp_path / "a.csv").open(encoding="utf-8", newline="") as file:
+        first, second, failed = csv.DictReader(file)
+    assert float(first["wfe_rms_mean (nm)"]) == 3.5
+    assert float(first["wfe_rms_rms (nm)"]) == np.sqrt(12.5)
+    assert (first["los_x_mean (mas)"], first["los_y_mean (mas)"]) == ("3.0", "-4.0")
+    assert float(second["wfe_rms_mean (nm)"]) == 1 / 3
+    assert second["ee50 (lambda/D)"] == "inf"
+    assert first["seed"] == str(2**40)
+    assert failed["message"] == 'said "no", ß'
+    assert failed["wfe_rms_rms (nm)"] == failed["ee50 (lambda/D)"] == ""
+
+
+def test_a_missing_instant_is_not_averaged_away(dataset, tmp_path):
+    dataset.wfe_rms[0, 1] = np.nan
+    with export(dataset, tmp_path / "a.csv").open(encoding="utf-8", newline="") as file:
+        assert next(csv.DictReader(file))["wfe_rms_mean (nm)"] == ""
+
+
+def test_files_are_not_overwritten_unasked(dataset, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("mine")
+    with pytest.raises(UserError, match="exists already"):
+        export(dataset, path)
+    assert path.read_text() == "mine"
+    export(dataset, path, overwrite=True)
+    assert [file.name for file in tmp_path.iterdir()] == ["a.csv"]
+    assert path.read_text() != "mine"
+
+
+@pytest.mark.parametrize("name", ["a.fits", "a", "none/a.csv"])
+def test_other_names_are_refused(dataset, tmp_path, name):
+    with pytest.raises(UserError):
+        export(dataset, tmp_path / name)
+
+
+def test_the_command_writes_once(tmp_path, monkeypatch, capsys):
+    study = tmp_path / "tiny.toml"
+    study.write_text(
+        '[study]\nname = "tiny"\nworkflow = "segment-disturbance"\n[telescope]\nname = "tmt-18"\n'
+        '[imaging]\npixels = 16\n[[disturbance]]\nname = "pistons"\nmodel = "static-random"\n'
+        "piston_nm = 20.0\ninstants = 2\n"
+    )
+    store, file = tmp_path / "store", tmp_path / "a.csv"
+    wq.run(study, cases=2, store=store, on="serial")
+    monkeypatch.setattr(sys, "argv", ["wavequake", "export", str(store), str(file)])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert not end.value.code
+    assert str(file) in capsys.readouterr().out
+    with file.open(encoding="utf-8", newline="") as text:
+        rows = list(csv.DictReader(text))
+    raw = wq.open_store(store).wfe_rms_raw.to_numpy()
+    found = [float(row["wfe_rms_raw_rms (nm)"]) for row in rows]
+    np.testing.assert_allclose(found, np.linalg.norm(raw, axis=1) / np.sqrt(2), rtol=1e-14)
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert end.value.code == 2
