@@ -1,0 +1,63 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import toy
+
+from wavequake.errors import StoreDamageError, UserError
+from wavequake.workflows.rerun import retry_store, statuses
+from wavequake.workflows.store import open_store
+from wavequake.workflows.verify import verify_store
+
+
+def workflow(flag, drift=0.0):
+    """Return the toy, whose case 13 raises until `flag` exists; then `drift` is added to case 12."""
+
+    def compute(text, cases, device):
+        if 13 in cases and not flag.exists():
+            raise ValueError("no file yet")
+        result = toy.compute(text, cases, device)
+        if flag.exists():
+            result.arrays["strehl"][cases == 12] += drift
+        return result
+
+    return dataclasses.replace(toy.TOY, compute=compute)
+
+
+def failed_store(tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(toy, "TOY", workflow(tmp_path / "flag"))
+        assert toy.run(tmp_path / "s", cases=23).quarantined == 1
+    return tmp_path / "s"
+
+
+def test_a_retried_case_succeeds_and_the_others_keep_their_bits(tmp_path, monkeypatch):
+    path = failed_store(tmp_path, monkeypatch)
+    (tmp_path / "flag").touch()
+    raised = statuses("raised")
+    summary = retry_store(workflow(tmp_path / "flag"), path, raised, on="serial")
+    assert (summary.chunks, summary.computed, summary.quarantined) == (1, 10, 0)
+    toy.run(tmp_path / "whole", cases=23)
+    assert toy.digests(path) == toy.digests(tmp_path / "whole")
+    np.testing.assert_array_equal(open_store(path).zernike.sel(case=13), toy.numbers(13))
+    assert verify_store(path).ok
+    assert retry_store(workflow(tmp_path / "flag"), path, raised, on="serial").chunks == 0
+
+
+def test_other_statuses_are_left_alone(tmp_path, monkeypatch):
+    path = failed_store(tmp_path, monkeypatch)
+    (tmp_path / "flag").touch()
+    summary = retry_store(workflow(tmp_path / "flag"), path, statuses("crashed, 4"), on="serial")
+    assert (summary.chunks, summary.quarantined) == (0, 1)
+
+
+def test_a_done_case_with_other_numbers_alarms(tmp_path, monkeypatch):
+    path = failed_store(tmp_path, monkeypatch)
+    (tmp_path / "flag").touch()
+    with pytest.raises(StoreDamageError, match=r"cases 10 to 19 .* strehl of cases"):
+        retry_store(workflow(tmp_path / "flag", 1e-9), path, statuses("2"), on="serial")
+
+
+def test_unknown_statuses_are_named():
+    with pytest.raises(UserError, match="'done' is no status"):
+        statuses("raised,done")
