@@ -209,6 +209,29 @@ def export(
 
 
 @app.command()
+def retry(
+    store: StoreArgument,
+    statuses: Annotated[
+        str, typer.Option("--status", help="Which failed cases, by name or number of their status.")
+    ] = "raised,crashed,timed_out,diverged",
+    on: Annotated[str, typer.Option(help="As of run.")] = "local",
+    workers: Annotated[int | None, typer.Option(min=1, help="Worker processes.")] = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Compute quarantined cases of a store again, with the others of their chunks."""
+    from wavequake.workflows import rerun
+    from wavequake.workflows.campaign import WORKFLOWS
+    from wavequake.workflows.store import read_manifest
+
+    wanted, workflow = rerun.statuses(statuses), WORKFLOWS[read_manifest(store).workflow]
+    with _progress() as progress:
+        summary = rerun.retry_store(workflow, store, wanted, on=on, workers=workers, progress=progress)
+    out.print(f"{summary.chunks} chunks computed again; {summary.quarantined} cases are quarantined now.")
+    if summary.quarantined:
+        sys.exit(EXIT_QUARANTINED)
+
+
+@app.command()
 def sensitivity(
     study: StudyArgument,
     overrides: OverridesArgument = None,

@@ -3,8 +3,11 @@ import dataclasses
 import numpy as np
 import pytest
 import toy
+from typer.testing import CliRunner
 
+from wavequake.cli import app
 from wavequake.errors import StoreDamageError, UserError
+from wavequake.workflows.campaign import WORKFLOWS
 from wavequake.workflows.rerun import retry_store, statuses
 from wavequake.workflows.store import open_store
 from wavequake.workflows.verify import verify_store
@@ -61,3 +64,14 @@ def test_a_done_case_with_other_numbers_alarms(tmp_path, monkeypatch):
 def test_unknown_statuses_are_named():
     with pytest.raises(UserError, match="'done' is no status"):
         statuses("raised,done")
+
+
+def test_the_command_line_retries(tmp_path, monkeypatch):
+    path = failed_store(tmp_path, monkeypatch)
+    monkeypatch.setitem(WORKFLOWS, "toy", workflow(tmp_path / "flag"))
+    words = ["retry", str(path), "--status", "raised", "--on", "serial"]
+    assert CliRunner().invoke(app, words).exit_code == 3
+    (tmp_path / "flag").touch()
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0
+    assert "1 chunks computed again; 0 cases are quarantined now." in result.output
