@@ -1,4 +1,4 @@
-"""The command line: ``wavequake run|plan|studies|status|report|export|verify|sensitivity|devices``."""
+"""The command line: ``wavequake run|plan|studies|status|verify|retry|report|export|sensitivity|devices``."""
 
 import io
 import shlex
