@@ -16,8 +16,8 @@ from rich.table import Table
 from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import TILE
 from wavequake.optics.pupils import PupilRays, grid_rays, on_glass, segment_rays
+from wavequake.optics.segmented_telescope import SegmentedTelescope
 from wavequake.optics.states import SurfaceStates, rest
-from wavequake.optics.systems import OpticalSystem
 from wavequake.optics.telescopes import telescope
 from wavequake.optics.wavefront import measure, prepare
 
@@ -28,7 +28,7 @@ RIGID = {"piston": 2, "tip": 3, "tilt": 4}
 FIGURES = range(4, 12)
 
 
-def states(system: OpticalSystem, kind: str) -> SurfaceStates:
+def states(system: SegmentedTelescope, kind: str) -> SurfaceStates:
     """One random motion or figure per instant and segment."""
     segments = len(system.segments)
     drawn = rest(TILE, segments, len(system.surfaces), FIGURES[-1])
@@ -40,7 +40,7 @@ def states(system: OpticalSystem, kind: str) -> SurfaceStates:
     return drawn
 
 
-def errors(system: OpticalSystem, rays: PupilRays, kinds: list[str]) -> NDArray[np.float64]:
+def errors(system: SegmentedTelescope, rays: PupilRays, kinds: list[str]) -> NDArray[np.float64]:
     """Raw and fitted WFE (kind, 2) in nm, rms over the instants."""
     prepared = prepare(system, rays, WAVELENGTH, 45, figure_terms=FIGURES[-1])
     device = choose_device("auto")

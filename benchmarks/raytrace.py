@@ -21,8 +21,8 @@ from wavequake.kernels.segmented import trace_segmented
 from wavequake.kernels.tiles import TILE
 from wavequake.optics.kinematics import field_directions, segment_poses, surface_poses
 from wavequake.optics.pupils import segment_rays
+from wavequake.optics.segmented_telescope import SegmentedTelescope
 from wavequake.optics.states import SurfaceStates
-from wavequake.optics.systems import OpticalSystem
 from wavequake.optics.telescopes import telescope
 from wavequake.optics.wavefront import chief_rays, prepare
 
@@ -32,7 +32,9 @@ SURFACES = 4
 WAVELENGTH = 550e-6
 
 
-def workload(system: OpticalSystem, tiles: int, figure_terms: int = 0, scale: float = 1.0) -> dict[str, Any]:
+def workload(
+    system: SegmentedTelescope, tiles: int, figure_terms: int = 0, scale: float = 1.0
+) -> dict[str, Any]:
     """Arguments of `trace_segmented` for random motions of some 10 nm and 10 nrad, times `scale`."""
     prepared = prepare(system, segment_rays(system.segments, 3), WAVELENGTH, 15, figure_terms)
     random = np.random.default_rng(1)
@@ -67,7 +69,7 @@ def first_tile(arguments: dict[str, Any]) -> dict[str, Any]:
 
 
 def batoid_tracer(
-    system: OpticalSystem, arguments: dict[str, Any], figure_terms: int = 0
+    system: SegmentedTelescope, arguments: dict[str, Any], figure_terms: int = 0
 ) -> Callable[[], Any] | None:
     """Return a function that traces the rays once through the resting telescope, or None without batoid."""
     try:
@@ -93,7 +95,7 @@ def batoid_tracer(
     return lambda: optic.trace(rays.copy())
 
 
-def difference_to_batoid(system: OpticalSystem, trace: Callable[[], Any]) -> tuple[float, float]:
+def difference_to_batoid(system: SegmentedTelescope, trace: Callable[[], Any]) -> tuple[float, float]:
     """Largest differences of image position and OPD (mm) in the resting telescope, kernel against batoid."""
     rest = workload(system, 1, scale=0.0)
     found = trace_segmented(**rest, device=list_devices()[0])

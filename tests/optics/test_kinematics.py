@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from wavequake.errors import UserError
 from wavequake.kernels.tiles import TILE, from_tiles
 from wavequake.optics.kinematics import cardan, field_directions, segment_poses, surface_poses
+from wavequake.optics.segmented_telescope import ConicSurface, SegmentedTelescope
 from wavequake.optics.segments import Segments
-from wavequake.optics.systems import OpticalSystem, Surface
 
 FLIP = np.diag([1.0, 1.0, -1.0])
 angles = st.floats(-3.0, 3.0)
@@ -32,9 +32,10 @@ def some_system():
     vertices = np.array([[0.0, 0.0, -27093.75], [0.0, 0.0, -3500.0], [-20000.0, 0.0, -3500.0]])
     frames = zip(["M2", "M3", "image"], [-6227.68, np.inf, np.inf], vertices, [0, 45, 90], strict=True)
     surfaces = tuple(
-        Surface(name, radius, 0.0, p, turned(angle), name != "image") for name, radius, p, angle in frames
+        ConicSurface(name, radius, 0.0, p, turned(angle), name != "image")
+        for name, radius, p, angle in frames
     )
-    return OpticalSystem("test", some_segments(), -60e3, -1.0, surfaces, -1874.97, 1512.2, 15000.0)
+    return SegmentedTelescope("test", some_segments(), -60e3, -1.0, surfaces, -1874.97, 1512.2, 15000.0)
 
 
 def transforms(poses):

@@ -9,10 +9,10 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
 from wavequake.kernels.tiles import TILE
 from wavequake.optics.pupils import PupilRays, on_glass, sunflower
+from wavequake.optics.segmented_telescope import ConicSurface
 from wavequake.optics.segments import Segments
 from wavequake.optics.sensitivity import DOFS, Steps, sensitivities
 from wavequake.optics.states import rest
-from wavequake.optics.systems import Surface
 from wavequake.optics.telescopes import telescope
 from wavequake.optics.wavefront import measure, prepare
 
@@ -210,7 +210,7 @@ def test_two_steps_agree(of_thesis, of_tmt18):
 def test_nothing_but_rounding_is_no_disagreement():
     """Without a second mirror no turn of a surface changes anything: zeros agree, and so do the segments."""
     cassegrain = telescope("tmt-thesis")
-    image = Surface("image", np.inf, 0.0, np.array([0.0, 0.0, -3e4]), np.eye(3), reflects=False)
+    image = ConicSurface("image", np.inf, 0.0, np.array([0.0, 0.0, -3e4]), np.eye(3), reflects=False)
     system = replace(cassegrain, surfaces=(image,))
     prepared = prepare(
         system, on_glass(system, sunflower(system.pupil_inner, system.pupil_outer, 300)), WAVELENGTH, 11

@@ -9,10 +9,10 @@ from wavequake.kernels.devices import NUMPY
 from wavequake.kernels.tiles import TILE
 from wavequake.kernels.train import MISS
 from wavequake.optics.pupils import PupilRays, sunflower
+from wavequake.optics.segmented_telescope import Row, SegmentedTelescope, sequential_surfaces
 from wavequake.optics.segments import monolithic
 from wavequake.optics.slopes import slope_fit, wavefront_from_slopes
 from wavequake.optics.states import rest
-from wavequake.optics.systems import OpticalSystem, Row, sequential_surfaces
 from wavequake.optics.telescopes import telescope
 from wavequake.optics.wavefront import analyse, chief_rays, prepare, trace_states
 from wavequake.optics.zernike import annular_zernike
@@ -88,7 +88,7 @@ def test_one_fit_holds_for_small_motions(thesis):
 def test_slopes_agree_behind_an_intermediate_image():
     """A Gregorian telescope turns its pupil over: the exit pupil is M1's image behind the prime focus."""
     rows = [Row("M2", 500.0, -4 / 9, 1300.0), Row("image", inf, 0.0, 1500.0)]
-    system = OpticalSystem(
+    system = SegmentedTelescope(
         "gregorian", monolithic(100.0), -2000.0, -1.0, sequential_surfaces(rows), -2.5, 30.0, 100.0
     )
     prepared = prepare(system, quadrature_rays(30.0, 100.0), WAVELENGTH, 45)
@@ -110,7 +110,7 @@ def test_a_displaced_paraboloid_in_closed_form():
     """
     outer, inner, radius = 500.0, 150.0, -2000.0
     surfaces = sequential_surfaces([Row("camera", inf, 0.0, 1000.0)])
-    system = OpticalSystem(
+    system = SegmentedTelescope(
         "paraboloid", monolithic(outer), radius, -1.0, surfaces, outer**2 / 2 / radius, inner, outer
     )
     prepared = prepare(system, quadrature_rays(inner, outer), WAVELENGTH, 66)

@@ -7,8 +7,8 @@ import pytest
 from wavequake.errors import UserError
 from wavequake.kernels.segmented import SegmentedTrain, trace_chief
 from wavequake.kernels.tiles import TILE
+from wavequake.optics.segmented_telescope import SegmentedTelescope, first_order, surface_transforms
 from wavequake.optics.segments import half_planes, tmt18_segments
-from wavequake.optics.systems import OpticalSystem, first_order, surface_transforms
 from wavequake.optics.telescopes import telescope
 
 NAMES = ["tmt", "tmt-18", "tmt-thesis", "jwst"]
@@ -23,7 +23,7 @@ def jwst_table():
     return StringIO(files("wavequake.optics").joinpath("jwst_segments.csv").read_text())
 
 
-def axial_rays(system: OpticalSystem, heights):
+def axial_rays(system: SegmentedTelescope, heights):
     """Trace rays through the undisturbed system; return image x, y and path lengths (ray, 3)."""
     train = SegmentedTrain(
         primary_curvature=1.0 / system.primary_radius,

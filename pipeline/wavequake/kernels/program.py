@@ -94,7 +94,8 @@ def _kernel(device: Device, name: str, constants: tuple[tuple[str, int], ...]) -
     """Build a kernel; drivers cache binaries on disk, so only the first process waits for the compiler."""
     import pyopencl as cl
 
-    options = ["-cl-std=CL1.2", *(f"-D{key}={value}" for key, value in constants)]
+    # -w: a CPU without 512-bit vectors warns of each function that takes lanes, though all are inlined.
+    options = ["-cl-std=CL1.2", "-w", *(f"-D{key}={value}" for key, value in constants)]
     program = cl.Program(_queue(device).context, _source(f"{name}.cl"))
     return cl.Kernel(program.build(options), name)
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.tiles import TILE, to_tiles
+from wavequake.optics.segmented_telescope import SegmentedTelescope
 from wavequake.optics.segments import Segments
-from wavequake.optics.systems import OpticalSystem
 
 Array = NDArray[np.float64]
 
@@ -130,7 +130,7 @@ def _turn(matrices: Array, vector: tuple[Array, ...]) -> tuple[Array, Array, Arr
     return a, b, c
 
 
-def surface_poses(system: OpticalSystem, motion: Array) -> Array:
+def surface_poses(system: SegmentedTelescope, motion: Array) -> Array:
     """Return the transforms to every displaced surface after M1 from its predecessor.
 
     The first one leads from the optics frame of M1. Every surface moves about its own vertex in the axes of
@@ -138,7 +138,7 @@ def surface_poses(system: OpticalSystem, motion: Array) -> Array:
 
     Parameters
     ----------
-    system : OpticalSystem
+    system : SegmentedTelescope
     motion : ndarray, shape (batch, L, 6)
         dx, dy, dz in mm and Cardan angles rx, ry, rz in rad of M2, M3, ..., image; the batch is a whole
         number of tiles.

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.optics.polygons import centroids
+from wavequake.optics.segmented_telescope import SegmentedTelescope
 from wavequake.optics.segments import Segments, areas, candidates, is_monolithic
-from wavequake.optics.systems import OpticalSystem
 
 Array = NDArray[np.float64]
 
@@ -164,7 +164,7 @@ def _triangle_rule(points: int) -> tuple[Array, Array]:
     return np.array(coordinates), np.array(weights)
 
 
-def on_glass(system: OpticalSystem, rays: PupilRays) -> PupilRays:
+def on_glass(system: SegmentedTelescope, rays: PupilRays) -> PupilRays:
     """Find the undisturbed segment that each ray meets, and keep only rays that meet one.
 
     The glass of a monolithic mirror is the annulus of its pupil. The weights are scaled to the sum 1 again.

@@ -10,6 +10,7 @@ from typing import Any, TextIO
 from wavequake.errors import UserError
 from wavequake.kernels.surfaces import conic_sag
 from wavequake.optics.polygons import distance_from_origin
+from wavequake.optics.segmented_telescope import Row, SegmentedTelescope, sequential_surfaces
 from wavequake.optics.segments import (
     JWST_CONIC,
     JWST_RADIUS,
@@ -24,14 +25,13 @@ from wavequake.optics.segments import (
     tmt18_segments,
     tmt_segments,
 )
-from wavequake.optics.systems import OpticalSystem, Row, sequential_surfaces
 
 _TMT_PUPIL = (1512.2, 15000.0)
 _STOP_Z = -1874.9721  # plane of the full mirror's rim, as Table 4.2 prints it
 _M3_TO_IMAGE = sqrt(2.0) * 14142.136  # 20 m; Table 4.2 prints the shifts in M3's frame
 
 
-def telescope(name: str, **options: Any) -> OpticalSystem:
+def telescope(name: str, **options: Any) -> SegmentedTelescope:
     """Build a telescope by name.
 
     Parameters
@@ -60,12 +60,12 @@ def telescope(name: str, **options: Any) -> OpticalSystem:
     return builder(**options)
 
 
-def tmt(gap: float = 2.5) -> OpticalSystem:
+def tmt(gap: float = 2.5) -> SegmentedTelescope:
     """Return the Thirty Meter Telescope: 492 segments with gaps in mm, official prescription, f = 450 m."""
     return _tmt("tmt", tmt_segments(gap), TMT_CONIC, -6227.67857, _TMT_PUPIL)
 
 
-def tmt18(side: float = TMT18_SIDE, gap: float = 0.0) -> OpticalSystem:
+def tmt18(side: float = TMT18_SIDE, gap: float = 0.0) -> SegmentedTelescope:
     """Return the simplified TMT of 18 hexagons (Störkle 2018, section 4.6) and Table 4.2.
 
     Parameters
@@ -79,24 +79,24 @@ def tmt18(side: float = TMT18_SIDE, gap: float = 0.0) -> OpticalSystem:
     return _tmt("tmt-18", tmt18_segments(side, gap), TABLE_4_2_CONIC, -6227.68, (side, sqrt(13.0) * side))
 
 
-def tmt_thesis() -> OpticalSystem:
+def tmt_thesis() -> SegmentedTelescope:
     """Return the TMT with a monolithic primary mirror (Störkle 2018, Table 4.2)."""
     return _tmt("tmt-thesis", monolithic(_TMT_PUPIL[1]), TABLE_4_2_CONIC, -6227.68, _TMT_PUPIL)
 
 
 def _tmt(
     name: str, segments: Segments, conic: float, m2_radius: float, pupil: tuple[float, float]
-) -> OpticalSystem:
+) -> SegmentedTelescope:
     """Assemble a TMT; M2's conic is negative, where Table 4.2 has lost the sign."""
     rows = [
         Row("M2", m2_radius, -1.31822813, 27093.75),
         Row("M3", inf, 0.0, 23593.75, tilt=pi / 4.0),
         Row("image", inf, 0.0, _M3_TO_IMAGE),
     ]
-    return OpticalSystem(name, segments, TMT_RADIUS, conic, sequential_surfaces(rows), _STOP_Z, *pupil)
+    return SegmentedTelescope(name, segments, TMT_RADIUS, conic, sequential_surfaces(rows), _STOP_Z, *pupil)
 
 
-def jwst() -> OpticalSystem:
+def jwst() -> SegmentedTelescope:
     """Return the James Webb Space Telescope's segments before a two-mirror equivalent of its optics.
 
     Published are the radii of curvature of the primary (15.8797 m) and secondary mirror (1778.913 mm) and the
@@ -124,7 +124,7 @@ def custom(
     primary_radius: float,
     surfaces: Sequence[Mapping[str, Any]],
     primary_conic: float = -1.0,
-) -> OpticalSystem:
+) -> SegmentedTelescope:
     """Return a user's telescope; its pupil is the annulus about the glass.
 
     Parameters
@@ -185,12 +185,12 @@ def _row(surface: Mapping[str, Any], index: int) -> Row:
 
 def _around_its_glass(
     name: str, segments: Segments, radius: float, conic: float, rows: Sequence[Row]
-) -> OpticalSystem:
+) -> SegmentedTelescope:
     """Assemble a telescope whose pupil is the annulus about its glass; the stop lies in its rim's plane."""
     inner = float(distance_from_origin(segments.corners).min())
     outer = max(hypot(x, y) for x, y in segments.corners.reshape(-1, 2))
     stop_z = float(conic_sag(outer, 0.0, 1.0 / radius, conic))
-    return OpticalSystem(name, segments, radius, conic, sequential_surfaces(rows), stop_z, inner, outer)
+    return SegmentedTelescope(name, segments, radius, conic, sequential_surfaces(rows), stop_z, inner, outer)
 
 
 def _nearest(name: str, valid: list[str]) -> str:
@@ -198,7 +198,7 @@ def _nearest(name: str, valid: list[str]) -> str:
     return f"the nearest valid one is {near[0]!r}" if near else "it has none"
 
 
-_BUILDERS: dict[str, Callable[..., OpticalSystem]] = {
+_BUILDERS: dict[str, Callable[..., SegmentedTelescope]] = {
     "tmt": tmt,
     "tmt-18": tmt18,
     "tmt-thesis": tmt_thesis,

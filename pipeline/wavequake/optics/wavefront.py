@@ -23,9 +23,9 @@ from wavequake.kernels.train import OK
 from wavequake.optics.fits import Fit, refit, segment_planes, weighted_fit, well_determined
 from wavequake.optics.kinematics import field_directions, segment_poses, surface_poses
 from wavequake.optics.pupils import PupilRays
+from wavequake.optics.segmented_telescope import SegmentedTelescope, first_order
 from wavequake.optics.segments import candidates, half_planes
 from wavequake.optics.states import SurfaceStates, rest
-from wavequake.optics.systems import OpticalSystem, first_order
 from wavequake.optics.zernike import annular_zernike, circular_zernike_xy, noll_to_nm
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ class PreparedTrace:
 
     Attributes
     ----------
-    system : OpticalSystem
+    system : SegmentedTelescope
     rays : PupilRays
         The N rays that meet glass in the reference configuration.
     wavelength : float
@@ -61,7 +61,7 @@ class PreparedTrace:
         Image point of the virtual chief ray in the reference configuration.
     """
 
-    system: OpticalSystem
+    system: SegmentedTelescope
     rays: PupilRays
     wavelength: float
     train: SegmentedTrain
@@ -117,7 +117,7 @@ class Wavefront:
 
 
 def prepare(
-    system: OpticalSystem,
+    system: SegmentedTelescope,
     rays: PupilRays,
     wavelength: float,
     terms: int,
@@ -128,7 +128,7 @@ def prepare(
 
     Parameters
     ----------
-    system : OpticalSystem
+    system : SegmentedTelescope
     rays : PupilRays
         Those that meet no segment are left out.
     wavelength : float
@@ -190,7 +190,7 @@ def prepare(
     )
 
 
-def _train(system: OpticalSystem, figure_degree: int, sphere_radius: float) -> SegmentedTrain:
+def _train(system: SegmentedTelescope, figure_degree: int, sphere_radius: float) -> SegmentedTrain:
     """Pack the parts of a system that do not move."""
     segments = system.segments
     along = segments.axes[:, :2, 0]  # the local x axis, projected
@@ -207,7 +207,7 @@ def _train(system: OpticalSystem, figure_degree: int, sphere_radius: float) -> S
     )
 
 
-def _radii(system: OpticalSystem) -> Array:
+def _radii(system: SegmentedTelescope) -> Array:
     """Return the radius of each segment's circumscribed circle; a mirror without corners fills the pupil."""
     segments = system.segments
     if segments.corners.shape[1] == 0:
@@ -270,7 +270,7 @@ def trace_states(prepared: PreparedTrace, states: SurfaceStates, device: Device)
     )
 
 
-def _wander(system: OpticalSystem, states: SurfaceStates) -> float:
+def _wander(system: SegmentedTelescope, states: SurfaceStates) -> float:
     """Return a bound (mm) of how far rays wander across segments by the motions and the field angles."""
     motion, angle = np.abs(states.segment_motion), np.abs(states.field)
     for magnitudes in (motion, angle):

@@ -15,9 +15,9 @@ from wavequake.kernels.tiles import TILE
 from wavequake.mechanics.disturbances import Disturbance
 from wavequake.mechanics.layout import SegmentLayout
 from wavequake.optics.pupils import PupilRays, on_glass, segment_rays, sunflower
+from wavequake.optics.segmented_telescope import FirstOrder, SegmentedTelescope, first_order
 from wavequake.optics.segments import areas, is_monolithic
 from wavequake.optics.states import SurfaceStates, rest
-from wavequake.optics.systems import FirstOrder, OpticalSystem, first_order
 from wavequake.optics.telescopes import telescope
 from wavequake.optics.wavefront import PreparedTrace, Wavefront, analyse, chief_rays, prepare, trace_states
 from wavequake.workflows.study import Study, study_from_identity
@@ -39,7 +39,7 @@ class Bench:
 
     text: str
     study: Study
-    system: OpticalSystem
+    system: SegmentedTelescope
     first_order: FirstOrder
     layout: SegmentLayout
     prepared: PreparedTrace
@@ -90,12 +90,12 @@ def _prepared(study_text: str) -> Bench:
     )
 
 
-def monolithic(system: OpticalSystem) -> bool:
+def monolithic(system: SegmentedTelescope) -> bool:
     """Return whether M1 is one mirror without edges."""
     return is_monolithic(system.segments)
 
 
-def build_telescope(study: Study) -> OpticalSystem:
+def build_telescope(study: Study) -> SegmentedTelescope:
     """Build the telescope that a study describes."""
     section = study.telescope
     if section.name == "custom":
@@ -113,7 +113,7 @@ def build_telescope(study: Study) -> OpticalSystem:
     return telescope(section.name, **{key: value for key, value in options.items() if value is not None})
 
 
-def build_rays(study: Study, system: OpticalSystem) -> PupilRays:
+def build_rays(study: Study, system: SegmentedTelescope) -> PupilRays:
     """Sample the pupil; rays that meet no glass are dropped.
 
     Raises
@@ -134,7 +134,7 @@ def figure_terms(populations: Iterable[Disturbance]) -> int:
     )
 
 
-def layout_of(system: OpticalSystem) -> SegmentLayout:
+def layout_of(system: SegmentedTelescope) -> SegmentLayout:
     """Return the segments for the mechanics: SI units, z to the sky."""
     segments = system.segments
     annulus = np.array([np.pi * (system.pupil_outer**2 - system.pupil_inner**2)])
@@ -147,7 +147,7 @@ def layout_of(system: OpticalSystem) -> SegmentLayout:
     )
 
 
-def _require_m2(study: Study, system: OpticalSystem) -> None:
+def _require_m2(study: Study, system: SegmentedTelescope) -> None:
     for population in study.disturbance:
         if getattr(population, "act", "") == "m2" and not system.surfaces[0].reflects:
             raise UserError(
@@ -157,7 +157,7 @@ def _require_m2(study: Study, system: OpticalSystem) -> None:
 
 
 def _reference(
-    system: OpticalSystem, prepared: PreparedTrace, field: NDArray[np.float64], terms: int
+    system: SegmentedTelescope, prepared: PreparedTrace, field: NDArray[np.float64], terms: int
 ) -> tuple[Wavefront, NDArray[np.float64]]:
     """Measure the reference configuration, and M2's rotations that move the line of sight by one rad.
 

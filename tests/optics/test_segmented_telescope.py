@@ -6,15 +6,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
+from wavequake.optics.segmented_telescope import (
+    Row,
+    SegmentedTelescope,
+    first_order,
+    sequential_surfaces,
+    surface_transforms,
+)
 from wavequake.optics.segments import monolithic
-from wavequake.optics.systems import OpticalSystem, Row, first_order, sequential_surfaces, surface_transforms
 from wavequake.optics.telescopes import telescope
 
 PLANE = float("inf")
 
 
 def mirror(rows, radius=-60000.0, conic=-1.0, stop_z=-100.0, outer=15000.0):
-    return OpticalSystem(
+    return SegmentedTelescope(
         "test", monolithic(outer), radius, conic, sequential_surfaces(rows), stop_z, 0.0, outer
     )
 

@@ -1,4 +1,4 @@
-"""Optical systems: a segmented (or monolithic) primary mirror followed by sequential surfaces."""
+"""Segmented telescopes: a segmented (or monolithic) primary mirror followed by conic surfaces."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ _AXIS = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
-class Surface:
+class ConicSurface:
     """One rotationally symmetric surface in the optics frame of M1 (z along the incoming light, mm).
 
     ``radius`` is infinite for a plane and positive if the center of curvature lies on the surface's +z side.
@@ -33,7 +33,7 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class OpticalSystem:
+class SegmentedTelescope:
     """A telescope in a reference configuration; lengths in mm.
 
     ``primary_radius``/``primary_conic`` describe the parent surface of M1 (vertex at the origin),
@@ -46,7 +46,7 @@ class OpticalSystem:
     segments: Segments
     primary_radius: float
     primary_conic: float
-    surfaces: tuple[Surface, ...]
+    surfaces: tuple[ConicSurface, ...]
     stop_z: float
     pupil_inner: float
     pupil_outer: float
@@ -93,7 +93,7 @@ class FirstOrder:
     numerical_aperture: float
 
 
-def sequential_surfaces(rows: Iterable[Row]) -> tuple[Surface, ...]:
+def sequential_surfaces(rows: Iterable[Row]) -> tuple[ConicSurface, ...]:
     """Place the surfaces after M1 one by one along the beam; the last one is the image plane.
 
     The light meets M2 against the z axis of M1 and turns round at each mirror. Surfaces keep the z axis of
@@ -107,7 +107,7 @@ def sequential_surfaces(rows: Iterable[Row]) -> tuple[Surface, ...]:
         half_turn = _about_y(row.tilt)
         rotation = frame @ half_turn
         surfaces.append(
-            Surface(row.name, row.radius, row.conic, position, rotation, row is not prescription[-1])
+            ConicSurface(row.name, row.radius, row.conic, position, rotation, row is not prescription[-1])
         )
         frame, sense = rotation @ half_turn, -sense
     return tuple(surfaces)
@@ -118,7 +118,7 @@ def _about_y(angle: float) -> Array:
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
-def surface_transforms(system: OpticalSystem) -> Array:
+def surface_transforms(system: SegmentedTelescope) -> Array:
     """Return the transforms (L, 12) from each surface's frame to the next in the reference configuration.
 
     A point p of the previous frame (first: the optics frame of M1) has the coordinates ``A p + o``: nine
@@ -134,7 +134,7 @@ def surface_transforms(system: OpticalSystem) -> Array:
     return np.array(transforms)
 
 
-def first_order(system: OpticalSystem) -> FirstOrder:
+def first_order(system: SegmentedTelescope) -> FirstOrder:
     """Trace a system paraxially from the stop plane to the image, and its marginal ray really.
 
     The paraxial trace follows the vertex ray, so folds by plane mirrors do not matter; the power of a curved
@@ -170,7 +170,7 @@ def first_order(system: OpticalSystem) -> FirstOrder:
     )
 
 
-def _unfolded(system: OpticalSystem) -> Iterator[tuple[float, float]]:
+def _unfolded(system: SegmentedTelescope) -> Iterator[tuple[float, float]]:
     """Yield the way to each surface from its predecessor (first: from the stop plane to M1) and its power."""
     yield -system.stop_z, -2.0 / system.primary_radius
     position, direction = np.zeros(3), -_AXIS
@@ -182,7 +182,7 @@ def _unfolded(system: OpticalSystem) -> Iterator[tuple[float, float]]:
         direction = direction - 2.0 * (direction @ normal) * normal
 
 
-def _marginal_sine(system: OpticalSystem) -> float:
+def _marginal_sine(system: SegmentedTelescope) -> float:
     """Return the sine of the angle between the real rays of the pupil's rim and center at the image."""
     marginal, chief = (_final_direction(system, y) for y in (system.pupil_outer, 0.0))
     if not np.isfinite(marginal).all():
@@ -193,10 +193,10 @@ def _marginal_sine(system: OpticalSystem) -> float:
     return float(np.linalg.norm(np.cross(marginal, chief)))
 
 
-def _final_direction(system: OpticalSystem, y: float) -> Array:
+def _final_direction(system: SegmentedTelescope, y: float) -> Array:
     """Return the direction at the image of the axial ray at height y; NaN if it misses a surface."""
     position, direction = np.array([0.0, y, system.stop_z]), _AXIS
-    primary = Surface("M1", system.primary_radius, system.primary_conic, np.zeros(3), np.eye(3))
+    primary = ConicSurface("M1", system.primary_radius, system.primary_conic, np.zeros(3), np.eye(3))
     for surface in (primary, *system.surfaces):
         if surface.reflects:
             local, along = (position - surface.position) @ surface.rotation, direction @ surface.rotation

@@ -1,0 +1,167 @@
+"""Linear second-order models: a finite-element model and what reduction makes of it. SI units.
+
+Both have ``mass``, ``damping_matrix``, ``stiffness``, ``inputs`` (a force at interface node k in direction d
+acts through column 3 k + d) and ``surface`` (rows 3 k + d give the displacement of optical node k), so a
+response, a transfer matrix or a surface fit takes either: a reduced model is a model.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_array
+
+from wavequake.errors import UserError
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class RayleighDamping:
+    """D = mass * M + stiffness * K, in 1/s and s."""
+
+    mass: float = 0.0
+    stiffness: float = 5e-6
+
+
+@dataclass(frozen=True)
+class FiniteElementModel:
+    """A free-floating or supported body with n degrees of freedom; SI units.
+
+    Attributes
+    ----------
+    name : str
+    mass, stiffness : csc_array, shape (n, n)
+        Symmetric, both triangles stored.
+    damping : RayleighDamping
+    nodes : ndarray, shape (N, 3)
+        Coordinates in m.
+    dof_node, dof_direction : ndarray of int, shape (n,)
+        Which node and which direction (0, 1, 2 for x, y, z) each degree of freedom moves.
+    interfaces : ndarray of int, shape (k,)
+        Nodes that carry forces, springs, constraints or prescribed motion.
+    surface_nodes : ndarray of int, shape (p,)
+        Nodes of the optical surface.
+    node_sets : mapping of str to ndarray of int
+        Further named sets.
+    surface_weights : ndarray, shape (p,)
+        Positive shares of the optical surface's area, for the fit of Störkle 2018, Eq. 4.10; sum 1.
+    """
+
+    name: str
+    mass: csc_array
+    stiffness: csc_array
+    damping: RayleighDamping
+    nodes: Array
+    dof_node: Integers
+    dof_direction: Integers
+    interfaces: Integers
+    surface_nodes: Integers
+    surface_weights: Array
+    node_sets: Mapping[str, Integers] = field(default_factory=dict)
+
+    @property
+    def order(self) -> int:
+        """Number of degrees of freedom."""
+        return int(self.mass.shape[0])
+
+    @property
+    def damping_matrix(self) -> csc_array:
+        """Damping matrix D."""
+        return csc_array(self.damping.mass * self.mass + self.damping.stiffness * self.stiffness)
+
+    @property
+    def inputs(self) -> csc_array:
+        """Input matrix B, shape (n, 3 k): unit forces at the interface nodes."""
+        return csc_array(selection(self, self.interfaces).T)
+
+    @property
+    def surface(self) -> csc_array:
+        """Rows that give the displacements of the optical nodes, shape (3 p, n)."""
+        return selection(self, self.surface_nodes)
+
+
+@dataclass(frozen=True)
+class ReducedModel:
+    """A model of order r in coordinates q with u = V q; the same interface as `FiniteElementModel`.
+
+    Attributes
+    ----------
+    name : str
+        Canonical name of the variant, e.g. ``craigb36`` or ``krylov108(200,450,700)``.
+    method : str
+    mass, stiffness, damping_matrix : ndarray, shape (r, r)
+    inputs : ndarray, shape (r, 3 k)
+        V^T B.
+    surface : ndarray, shape (3 p, r)
+        Rows of V at the optical nodes.
+    nodes, interfaces, surface_nodes, surface_weights
+        As in the full model.
+    seconds : float
+        Time of the reduction.
+    """
+
+    name: str
+    method: str
+    mass: Array
+    stiffness: Array
+    damping_matrix: Array
+    inputs: Array
+    surface: Array
+    nodes: Array
+    interfaces: Integers
+    surface_nodes: Integers
+    surface_weights: Array
+    seconds: float
+
+    @property
+    def order(self) -> int:
+        """Number of coordinates."""
+        return int(self.mass.shape[0])
+
+
+Model = FiniteElementModel | ReducedModel
+
+
+def selection(model: FiniteElementModel, nodes: Integers) -> csc_array:
+    """Return the Boolean matrix (3 k, n) that picks the displacements x, y, z of `nodes`.
+
+    Raises
+    ------
+    UserError
+        If a node has not all three displacements (it is constrained, or belongs to no element).
+    """
+    place = np.full((len(model.nodes), 3), -1, dtype=np.int64)
+    place[model.dof_node, model.dof_direction] = np.arange(model.order)
+    columns = place[nodes].ravel()
+    if (columns < 0).any():
+        row = int(np.argmax(columns < 0))
+        raise UserError(
+            f"node {int(nodes[row // 3])} of the model {model.name} has no displacement in "
+            f"{'xyz'[row % 3]}; interface and optical nodes must be free in all three directions"
+        )
+    rows = np.arange(len(columns))
+    return csc_array((np.ones(len(columns)), (rows, columns)), shape=(len(columns), model.order))
+
+
+def rigid_modes(coordinates: Array, origin: Array) -> Array:
+    """Return the displacements x, y, z of points under unit rigid motions, shape (3 p, 6).
+
+    Columns are translations along x, y, z and small rotations about axes through `origin`.
+
+    Parameters
+    ----------
+    coordinates : ndarray, shape (p, 3)
+        m.
+    origin : ndarray, shape (3,)
+        m.
+    """
+    arm = coordinates - origin
+    modes = np.zeros((len(arm), 3, 6))
+    modes[:, :, :3] = np.eye(3)
+    modes[:, :, 3:] = np.cross(np.eye(3)[None], arm[:, None, :]).transpose(0, 2, 1)
+    result: NDArray[Any] = modes.reshape(-1, 6)
+    return result
