@@ -1,7 +1,18 @@
-"""Refractive media."""
+"""Refractive media: dispersion formulas and a catalogue of glasses.
 
+The catalogue, ``glasses.csv`` beside this module, holds published Sellmeier coefficients: those of Schott's
+data sheets, Malitson's for fused silica and calcium fluoride, and the like; its ``source`` column says whose.
+"""
+
+import csv
+import difflib
+import math
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
 from typing import Literal
+
+from wavequake.errors import UserError
 
 
 @dataclass(frozen=True)
@@ -19,3 +30,86 @@ class Medium:
 
 
 AIR = Medium("air", "constant", (1.0,))
+
+
+def refractive_index(medium: Medium, wavelength_mm: float) -> float:
+    """Return the refractive index at a wavelength in air.
+
+    Sellmeier: n^2 = 1 + sum_i B_i w^2 / (w^2 - C_i). Schott: n^2 = a0 + a1 w^2 + a2 w^-2 + a3 w^-4 + a4 w^-6
+    + a5 w^-8. The wavelength w is in um.
+
+    Parameters
+    ----------
+    medium : Medium
+    wavelength_mm : float
+        mm.
+
+    Raises
+    ------
+    UserError
+        Outside ``range_nm``, or if the coefficients give no real positive index.
+    """
+    nm = 1e6 * wavelength_mm
+    low, high = medium.range_nm
+    if not (nm > 0 and low * (1 - 1e-12) <= nm <= high * (1 + 1e-12)):
+        raise UserError(
+            f"The index of {medium.name} is known from {low:g} to {high:g} nm, not at {nm:.6g} nm: choose a "
+            "wavelength within that range or another glass."
+        )
+    squared = _squared_index(medium, (1e3 * wavelength_mm) ** 2)
+    if not (math.isfinite(squared) and squared > 0):
+        raise UserError(
+            f"The coefficients of {medium.name} give no real refractive index at {nm:.6g} nm (its square "
+            f"would be {squared:g})."
+        )
+    return math.sqrt(squared)
+
+
+def _squared_index(medium: Medium, w2: float) -> float:
+    numbers = medium.coefficients
+    expected = {"constant": 1, "sellmeier": 6, "schott": 6}[medium.formula]
+    if len(numbers) != expected:
+        raise UserError(
+            f"The formula {medium.formula!r} of {medium.name} takes {expected} coefficients, "
+            f"not {len(numbers)}."
+        )
+    if medium.formula == "constant":
+        return math.copysign(numbers[0] ** 2, numbers[0])
+    if medium.formula == "sellmeier":
+        terms = zip(numbers[::2], numbers[1::2], strict=True)
+        return 1 + sum(b * w2 / (w2 - c) if w2 != c else math.inf for b, c in terms)
+    return numbers[0] + numbers[1] * w2 + sum(a * w2**-k for k, a in enumerate(numbers[2:], 1))
+
+
+def glass(name: str) -> Medium:
+    """Return a glass of the catalogue; upper and lower case are the same.
+
+    Raises
+    ------
+    UserError
+        If the catalogue does not hold it; the message names the nearest that it does.
+    """
+    catalogue = glasses()
+    if name.upper() in catalogue:
+        return catalogue[name.upper()]
+    near = difflib.get_close_matches(name.upper(), catalogue, n=3, cutoff=0.5)
+    hint = f"did you mean {', '.join(catalogue[key].name for key in near)}?" if near else "see glasses.csv."
+    raise UserError(f"There is no glass {name!r} in the catalogue; {hint}")
+
+
+@cache
+def glasses() -> dict[str, Medium]:
+    """Return the catalogue: media by their name in upper case."""
+    text = (files("wavequake.optics") / "glasses.csv").read_text(encoding="utf-8")
+    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+    keys = ("B1", "C1", "B2", "C2", "B3", "C3")
+    media = (
+        Medium(
+            row["name"],
+            "sellmeier",
+            tuple(float(row[key]) for key in keys),
+            (float(row["from_nm"]), float(row["to_nm"])),
+        )
+        for row in rows
+    )
+    return {medium.name.upper(): medium for medium in media}
