@@ -5,7 +5,7 @@ from pathlib import Path
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from wavequake.workflows.study import Study, SurfaceSection, disturbance_models
+from wavequake.workflows.segment_study import SegmentStudy, SurfaceSection, disturbance_models
 
 PAGE = Path(__file__).with_name("study.md")
 MARK = "<!-- the tables below are made by make_study_reference.py -->\n"
@@ -29,7 +29,7 @@ def table(model: type[BaseModel], skip: frozenset[str] = frozenset()) -> str:
 def reference() -> str:
     """Return all tables."""
     parts = []
-    for name, info in Study.model_fields.items():
+    for name, info in SegmentStudy.model_fields.items():
         if name == "disturbance":
             continue
         section = info.annotation

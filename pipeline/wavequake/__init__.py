@@ -12,9 +12,10 @@ from wavequake.errors import StoreDamageError, UserError
 
 if TYPE_CHECKING:
     from wavequake.workflows.campaign import plan, run
+    from wavequake.workflows.schema import Study
     from wavequake.workflows.sensitivity import sensitivity
     from wavequake.workflows.store import open_store
-    from wavequake.workflows.study import Study, load_study
+    from wavequake.workflows.study import load_study
 
 __version__ = "0.1.0"
 __all__ = ["StoreDamageError", "Study", "UserError", "load_study", "open_store", "plan", "run", "sensitivity"]
@@ -22,7 +23,7 @@ __all__ = ["StoreDamageError", "Study", "UserError", "load_study", "open_store",
 # Heavy modules are imported when a name is first used, so that `import wavequake` and `wavequake --version`
 # stay quick.
 _HOMES = {
-    "Study": "wavequake.workflows.study",
+    "Study": "wavequake.workflows.schema",
     "load_study": "wavequake.workflows.study",
     "open_store": "wavequake.workflows.store",
     "plan": "wavequake.workflows.campaign",

@@ -19,7 +19,7 @@ from wavequake.optics.wavefront import trace_states
 from wavequake.workflows import segment_disturbance as workflow
 from wavequake.workflows.bench import bench_of
 from wavequake.workflows.contract import DONE
-from wavequake.workflows.study import Study
+from wavequake.workflows.segment_study import SegmentStudy as Study
 
 OPENCL = [device.name for device in list_devices() if device.kind != "numpy"]
 DEVICE = OPENCL[0] if OPENCL else "numpy"

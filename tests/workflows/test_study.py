@@ -4,7 +4,9 @@ import tomllib
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.workflows.study import bundled_studies, load_study, study_from_identity, study_with
+from wavequake.workflows.schema import study_from_identity
+from wavequake.workflows.segment_study import SegmentStudy
+from wavequake.workflows.study import bundled_studies, load_study, study_with
 
 MINIMAL = """
 [study]
@@ -28,7 +30,7 @@ def minimal(tmp_path):
 @pytest.mark.parametrize("name", bundled_studies())
 def test_bundled_studies_load_and_come_back_from_their_identity(name):
     study = load_study(name)
-    again = study_from_identity(study.identity_text())
+    again = study_from_identity(SegmentStudy, study.identity_text())
     assert again.identity() == study.identity()
     assert study.study.title
 
@@ -177,6 +179,6 @@ def test_a_wrong_spectrum_is_the_only_complaint(tmp_path, minimal):
 def test_a_custom_telescope_carries_its_polygons(tmp_path, own):
     study = load_study(own)
     (tmp_path / "glass.csv").unlink()
-    assert "A,1,0" in study_from_identity(study.identity_text()).telescope.polygons_csv
+    assert "A,1,0" in study_from_identity(SegmentStudy, study.identity_text()).telescope.polygons_csv
     with pytest.raises(UserError, match=r"telescope.polygons: the file .* cannot be read"):
         load_study(own)

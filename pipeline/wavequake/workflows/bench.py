@@ -20,7 +20,8 @@ from wavequake.optics.segments import areas, is_monolithic
 from wavequake.optics.states import SurfaceStates, rest
 from wavequake.optics.telescopes import telescope
 from wavequake.optics.wavefront import PreparedTrace, Wavefront, analyse, chief_rays, prepare, trace_states
-from wavequake.workflows.study import Study, study_from_identity
+from wavequake.workflows.schema import study_from_identity
+from wavequake.workflows.segment_study import SegmentStudy
 
 MM_PER_M = 1e3
 MAS_PER_RAD = 180.0 / np.pi * 3600.0 * 1e3
@@ -38,7 +39,7 @@ class Bench:
     """
 
     text: str
-    study: Study
+    study: SegmentStudy
     system: SegmentedTelescope
     first_order: FirstOrder
     layout: SegmentLayout
@@ -67,7 +68,7 @@ def bench_of(study_text: str) -> Bench:
 
 
 def _prepared(study_text: str) -> Bench:
-    study = study_from_identity(study_text)
+    study = study_from_identity(SegmentStudy, study_text)
     system = build_telescope(study)
     _require_m2(study, system)
     rays = build_rays(study, system)
@@ -95,7 +96,7 @@ def monolithic(system: SegmentedTelescope) -> bool:
     return is_monolithic(system.segments)
 
 
-def build_telescope(study: Study) -> SegmentedTelescope:
+def build_telescope(study: SegmentStudy) -> SegmentedTelescope:
     """Build the telescope that a study describes."""
     section = study.telescope
     if section.name == "custom":
@@ -113,7 +114,7 @@ def build_telescope(study: Study) -> SegmentedTelescope:
     return telescope(section.name, **{key: value for key, value in options.items() if value is not None})
 
 
-def build_rays(study: Study, system: SegmentedTelescope) -> PupilRays:
+def build_rays(study: SegmentStudy, system: SegmentedTelescope) -> PupilRays:
     """Sample the pupil; rays that meet no glass are dropped.
 
     Raises
@@ -147,7 +148,7 @@ def layout_of(system: SegmentedTelescope) -> SegmentLayout:
     )
 
 
-def _require_m2(study: Study, system: SegmentedTelescope) -> None:
+def _require_m2(study: SegmentStudy, system: SegmentedTelescope) -> None:
     for population in study.disturbance:
         if getattr(population, "act", "") == "m2" and not system.surfaces[0].reflects:
             raise UserError(

@@ -12,9 +12,10 @@ from wavequake.kernels.devices import choose_device
 from wavequake.workflows.contract import Workflow
 from wavequake.workflows.engine import CampaignSummary, run_campaign
 from wavequake.workflows.journal import read_journal
+from wavequake.workflows.schema import Study
 from wavequake.workflows.segment_disturbance import WORKFLOW as SEGMENT_DISTURBANCE
 from wavequake.workflows.store import JOURNAL, MANIFEST, done_records, open_store, read_manifest
-from wavequake.workflows.study import Study, load_study, study_with
+from wavequake.workflows.study import load_study, study_with
 from wavequake.workflows.verify import verify_store
 
 if TYPE_CHECKING:

@@ -23,7 +23,8 @@ from wavequake.optics.wavefront import Wavefront, analyse, chief_rays, trace_sta
 from wavequake.workflows.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, monolithic
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.images import energy_scale, image_axis, refuse_what_cannot_be_imaged, summed_images
-from wavequake.workflows.study import study_from_identity
+from wavequake.workflows.schema import study_from_identity
+from wavequake.workflows.segment_study import SegmentStudy
 
 Array = NDArray[np.float64]
 
@@ -216,7 +217,7 @@ def _finish_exposure(bench: Bench, arrays: dict[str, Array], row: int, instants:
 
 def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
     """Return the labels of cases first <= id < last: disturbance, realization and seed."""
-    study = study_from_identity(study_text)
+    study = study_from_identity(SegmentStudy, study_text)
     slots = [slot(study.disturbance, case) for case in range(first, last)]
     return {
         "disturbance": np.array([population.name for population, _ in slots], dtype=object),

@@ -18,6 +18,7 @@ from wavequake.workflows import arrays
 from wavequake.workflows.bench import MM_PER_M, Bench, bench_of
 from wavequake.workflows.journal import digest, flush_folder
 from wavequake.workflows.provenance import collect
+from wavequake.workflows.schema import Study
 from wavequake.workflows.store import (
     MANIFEST,
     SENSITIVITY,
@@ -26,7 +27,7 @@ from wavequake.workflows.store import (
     refuse_other,
     write_errors_explained,
 )
-from wavequake.workflows.study import Study, load_study, study_with
+from wavequake.workflows.study import load_study, study_with
 
 if TYPE_CHECKING:
     import xarray as xr

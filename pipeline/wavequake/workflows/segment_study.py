@@ -1,0 +1,147 @@
+"""Study files of the workflow "segment-disturbance": a telescope, its light, what disturbs its segments."""
+
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from pydantic import BaseModel, Field, field_validator, model_validator
+
+from wavequake.mechanics.disturbances import Disturbance
+from wavequake.optics.polygon_table import read_polygons
+from wavequake.workflows.schema import Section, StoreSection, Study, text_of
+
+
+class SurfaceSection(Section):
+    """One surface of a custom telescope after M1 (the last one is the image plane)."""
+
+    name: str
+    radius_mm: float | None = Field(
+        default=None, description="None is a plane; positive if the center lies on +z"
+    )
+    conic: float = 0.0
+    distance_mm: float = Field(description="along the light from the previous surface", gt=0)
+    tilt_deg: float = Field(default=0.0, gt=-90, lt=90, description="of a fold mirror about its y axis")
+
+
+class TelescopeSection(Section):
+    """Which telescope, and what may be changed of it."""
+
+    name: Literal["tmt", "tmt-18", "tmt-thesis", "jwst", "custom"]
+    side_mm: float | None = Field(default=None, gt=0, description="tmt-18: side length of the hexagons")
+    gap_mm: float | None = Field(default=None, ge=0, description="tmt, tmt-18: gap between the segments")
+    polygons: str | None = Field(
+        default=None, exclude=True, description="custom: CSV file of polygons (read when the study is loaded)"
+    )
+    polygons_csv: str | None = Field(default=None, description="custom: the text of that file")
+    primary_radius_mm: float | None = Field(
+        default=None, lt=0, description="custom: radius of M1, concave < 0"
+    )
+    primary_conic: float = -1.0
+    surfaces: tuple[SurfaceSection, ...] = Field(default=(), strict=False)
+
+    @model_validator(mode="after")
+    def _keys_fit_the_telescope(self) -> "TelescopeSection":
+        owners = {
+            "side_mm": ("tmt-18",),
+            "gap_mm": ("tmt", "tmt-18"),
+            "polygons": ("custom",),
+            "polygons_csv": ("custom",),
+            "primary_radius_mm": ("custom",),
+            "surfaces": ("custom",),
+        }
+        for key, names in owners.items():
+            if getattr(self, key) not in (None, ()) and self.name not in names:
+                raise ValueError(f"{key} belongs to the telescope {' or '.join(names)}, not to {self.name}")
+        if self.name == "custom":
+            for key in ("primary_radius_mm", "surfaces"):
+                if getattr(self, key) in (None, ()):
+                    raise ValueError(f"a custom telescope needs {key}")
+            if self.polygons is None and self.polygons_csv is None:
+                raise ValueError("a custom telescope needs polygons, a CSV file")
+        return self
+
+
+class OpticsSection(Section):
+    """Light and rays."""
+
+    wavelength_nm: float = Field(default=550.0, gt=0, le=1e6)
+    sampling: Literal["segments", "sunflower"] = "segments"
+    rays_per_segment: Literal[6, 18, 36, 72] = Field(
+        default=18,
+        description="of a hexagon, six triangles: 18 for piston and tilt; "
+        "36 for figures j <= 6, 72 for higher ones and for few, large segments",
+    )
+    rays: int = Field(default=2000, ge=10, le=2_000_000, description="sunflower: rays over the annulus")
+    field_arcmin: tuple[float, float] = Field(
+        default=(0.0, 0.0), strict=False, description="of the star; the image plane stays, not refocused"
+    )
+
+
+class WavefrontSection(Section):
+    """What is fitted to the optical path differences."""
+
+    zernike_terms: int = Field(default=45, ge=4, le=231)
+
+
+class ImagingSection(Section):
+    """The exposure of each case: mean of its instants' point spread functions."""
+
+    pixels: int = Field(default=64, ge=8, le=512, multiple_of=2)
+    sampling: float = Field(default=0.25, gt=0, le=0.5, description="pixel in lambda/D")
+    moments: Literal["auto", 1, 6, 15] = Field(
+        default="auto", description="1: piston, 6/15: tip and tilt to 2nd/4th order"
+    )
+
+
+class SegmentStoreSection(StoreSection):
+    """Where the results go; not part of the identity, but for what is kept."""
+
+    keep: tuple[Literal["segment_motion"], ...] = Field(default=(), strict=False)
+
+
+class SegmentStudy(Study):
+    """A validated study file."""
+
+    telescope: TelescopeSection
+    disturbance: tuple[Disturbance, ...] = Field(min_length=1, strict=False)
+    optics: OpticsSection = OpticsSection()
+    wavefront: WavefrontSection = WavefrontSection()
+    imaging: ImagingSection = ImagingSection()
+    store: SegmentStoreSection = SegmentStoreSection()
+
+    @field_validator("disturbance")
+    @classmethod
+    def _names_are_unique(cls, value: tuple[Any, ...]) -> tuple[Any, ...]:
+        names = [entry.name for entry in value]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two disturbances are called {name!r}; each needs a name of its own")
+        for entry in value:
+            parts = getattr(entry, "of", ())
+            if len(set(parts)) < len(parts):
+                raise ValueError(f"{entry.name!r} combines a disturbance with itself; name each one once")
+            for part in parts:
+                if part not in names or part == entry.name:
+                    raise ValueError(
+                        f"{entry.name!r} combines {part!r}, which is not another disturbance of this study"
+                    )
+        if not any(entry.share for entry in value):
+            raise ValueError("every disturbance has share 0, so there is nothing to run")
+        return value
+
+    @classmethod
+    def read_files(cls, record: dict[str, Any], base: Path) -> None:
+        """Read the polygons of the telescope and the tables of the disturbances."""
+        telescope = record.get("telescope")
+        if isinstance(telescope, dict) and isinstance(telescope.get("polygons"), str):
+            path = base / telescope["polygons"]
+            telescope["polygons_csv"] = text_of(path, "telescope.polygons")
+            read_polygons(path)  # here an error can name the file
+        for entry in record.get("disturbance") or ():
+            if isinstance(entry, dict) and isinstance(entry.get("file"), str):
+                entry["file_csv"] = text_of(base / entry["file"], f"disturbance.{entry.get('name')}.file")
+
+
+def disturbance_models() -> dict[str, type[BaseModel]]:
+    """Return the parameter models of all disturbances by the name that a study file gives them."""
+    union = get_args(Disturbance)[0]
+    return {model.model_fields["model"].default: model for model in get_args(union)}
