@@ -31,6 +31,14 @@ class Medium:
 
 AIR = Medium("air", "constant", (1.0,))
 
+ALIASES = {
+    "FUSED_SILICA": "SILICA",
+    "F_SILICA": "SILICA",
+    "SI": "SILICON",
+    "GE": "GERMANIUM",
+}
+"""Other names of glasses, in upper case, and the name that the catalogue has."""
+
 
 def refractive_index(medium: Medium, wavelength_mm: float) -> float:
     """Return the refractive index at a wavelength in air.
@@ -82,7 +90,7 @@ def _squared_index(medium: Medium, w2: float) -> float:
 
 
 def glass(name: str) -> Medium:
-    """Return a glass of the catalogue; upper and lower case are the same.
+    """Return a glass of the catalogue, for example ``glass("N-BK7")``; upper and lower case are the same.
 
     Raises
     ------
@@ -90,16 +98,19 @@ def glass(name: str) -> Medium:
         If the catalogue does not hold it; the message names the nearest that it does.
     """
     catalogue = glasses()
-    if name.upper() in catalogue:
-        return catalogue[name.upper()]
-    near = difflib.get_close_matches(name.upper(), catalogue, n=3, cutoff=0.5)
-    hint = f"did you mean {', '.join(catalogue[key].name for key in near)}?" if near else "see glasses.csv."
-    raise UserError(f"There is no glass {name!r} in the catalogue; {hint}")
+    key = ALIASES.get(name.upper(), name.upper())
+    if key in catalogue:
+        return catalogue[key]
+    near = difflib.get_close_matches(key, [*catalogue, *ALIASES], n=3, cutoff=0.5) or sorted(catalogue)
+    raise UserError(
+        f"There is no glass {name!r} in the catalogue; the nearest of its {len(catalogue)} names are "
+        f"{', '.join(near[:3])}."
+    )
 
 
 @cache
 def glasses() -> dict[str, Medium]:
-    """Return the catalogue: media by their name in upper case."""
+    """Return the catalogue: media by their name."""
     text = (files("wavequake.optics") / "glasses.csv").read_text(encoding="utf-8")
     rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
     keys = ("B1", "C1", "B2", "C2", "B3", "C3")
