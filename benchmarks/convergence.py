@@ -15,11 +15,12 @@ from rich.table import Table
 
 from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import TILE
+from wavequake.optics.prepared import prepare
 from wavequake.optics.pupils import PupilRays, grid_rays, on_glass, segment_rays
 from wavequake.optics.segmented_telescope import SegmentedTelescope
 from wavequake.optics.states import SurfaceStates, rest
 from wavequake.optics.telescopes import telescope
-from wavequake.optics.wavefront import measure, prepare
+from wavequake.optics.wavefront import measure
 
 WAVELENGTH = 550e-6  # mm
 SPACING = 60.0  # of the dense grid, mm

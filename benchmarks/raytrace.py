@@ -20,11 +20,11 @@ from wavequake.kernels.devices import NUMPY, list_devices
 from wavequake.kernels.segmented import trace_segmented
 from wavequake.kernels.tiles import TILE
 from wavequake.optics.kinematics import field_directions, segment_poses, surface_poses
+from wavequake.optics.prepared import chief_rays, prepare
 from wavequake.optics.pupils import segment_rays
 from wavequake.optics.segmented_telescope import SegmentedTelescope
 from wavequake.optics.states import SurfaceStates
 from wavequake.optics.telescopes import telescope
-from wavequake.optics.wavefront import chief_rays, prepare
 
 TILES = 20
 REPEATS = 7

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
 from wavequake.kernels.tiles import TILE, from_tiles
+from wavequake.optics.prepared import prepare, trace_states
 from wavequake.optics.pupils import PupilRays, sunflower
 from wavequake.optics.quality import meets_marechal, meets_rayleigh, peak_to_valley, spot
 from wavequake.optics.states import rest
 from wavequake.optics.telescopes import telescope
-from wavequake.optics.wavefront import prepare, trace_states
 
 REFERENCE = Path(__file__).parents[1] / "data" / "tmt_optics.json"
 

@@ -8,13 +8,14 @@ import pytest
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
 from wavequake.kernels.tiles import TILE
+from wavequake.optics.prepared import prepare
 from wavequake.optics.pupils import PupilRays, on_glass, sunflower
 from wavequake.optics.segmented_telescope import ConicSurface
 from wavequake.optics.segments import Segments
 from wavequake.optics.sensitivity import DOFS, Steps, sensitivities
 from wavequake.optics.states import rest
 from wavequake.optics.telescopes import telescope
-from wavequake.optics.wavefront import measure, prepare
+from wavequake.optics.wavefront import measure
 
 DATA = Path(__file__).parents[1] / "data"
 WAVELENGTH = 550e-6

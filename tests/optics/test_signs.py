@@ -15,7 +15,7 @@ import pytest
 from wavequake.errors import UserError
 from wavequake.kernels.devices import choose_device, list_devices
 from wavequake.mechanics.motion import still
-from wavequake.optics.wavefront import trace_states
+from wavequake.optics.prepared import trace_states
 from wavequake.workflows import segment_disturbance as workflow
 from wavequake.workflows.bench import bench_of
 from wavequake.workflows.contract import DONE

@@ -8,13 +8,14 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
 from wavequake.kernels.tiles import TILE
 from wavequake.kernels.train import MISS
+from wavequake.optics.prepared import chief_rays, prepare, trace_states
 from wavequake.optics.pupils import PupilRays, sunflower
 from wavequake.optics.segmented_telescope import Row, SegmentedTelescope, sequential_surfaces
 from wavequake.optics.segments import monolithic
 from wavequake.optics.slopes import slope_fit, wavefront_from_slopes
 from wavequake.optics.states import rest
 from wavequake.optics.telescopes import telescope
-from wavequake.optics.wavefront import analyse, chief_rays, prepare, trace_states
+from wavequake.optics.wavefront import analyse
 from wavequake.optics.zernike import annular_zernike
 
 WAVELENGTH = 550e-6

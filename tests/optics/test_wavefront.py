@@ -12,10 +12,11 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY, list_devices
 from wavequake.kernels.tiles import TILE, from_tiles, to_tiles
 from wavequake.kernels.train import Traced
+from wavequake.optics.prepared import chief_rays, prepare, trace_states
 from wavequake.optics.pupils import PupilRays
 from wavequake.optics.states import rest
 from wavequake.optics.telescopes import telescope
-from wavequake.optics.wavefront import analyse, chief_rays, los_eq339, measure, prepare, trace_states
+from wavequake.optics.wavefront import analyse, los_eq339, measure
 from wavequake.optics.zernike import annular_zernike
 
 DATA = Path(__file__).parents[1] / "data"

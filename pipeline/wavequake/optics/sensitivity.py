@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.kernels.devices import Device
 from wavequake.kernels.tiles import TILE, padded
+from wavequake.optics.prepared import PreparedTrace, chief_rays, trace_states
 from wavequake.optics.states import SurfaceStates, rest
-from wavequake.optics.wavefront import PreparedTrace, analyse, chief_rays, measure, trace_states
+from wavequake.optics.wavefront import analyse, measure
 
 Array = NDArray[np.float64]
 

@@ -30,9 +30,9 @@ from wavequake.kernels.tiles import TILE
 from wavequake.kernels.train import OK
 from wavequake.optics.fits import Fit, refit, weighted_fit
 from wavequake.optics.kinematics import cardan, field_directions, surface_poses
+from wavequake.optics.prepared import PreparedTrace, chief_rays
 from wavequake.optics.segmented_telescope import surface_transforms
 from wavequake.optics.states import SurfaceStates, rest
-from wavequake.optics.wavefront import PreparedTrace, chief_rays
 from wavequake.optics.zernike import annular_zernike_gradient
 
 Array = NDArray[np.float64]

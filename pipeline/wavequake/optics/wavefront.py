@@ -1,9 +1,8 @@
-"""From surface states to wavefronts: OPD, Zernike coefficients, line of sight, Strehl ratio, segment phases.
+"""From traced rays to wavefronts: OPD, Zernike coefficients, line of sight, Strehl ratio, segment phases.
 
-`prepare` collects what does not change from instant to instant, `trace_states` traces a batch of instants,
-and `analyse` reduces the rays to numbers, tile by tile at constant shapes, so that the bits of an instant
-do not depend on its batch. The optics are in mm; the step to waves of the wavelength happens here and
-nowhere else.
+`analyse` reduces the rays of a batch of instants to numbers, tile by tile at constant shapes, so that the
+bits of an instant do not depend on its batch. The optics are in mm; the step to waves of the wavelength
+happens here and nowhere else.
 
 A lost ray is data: an instant that has one is fitted without it and says so in ``lost``.
 """
@@ -13,69 +12,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 
-from wavequake.errors import UserError
 from wavequake.kernels.devices import Device
-from wavequake.kernels.segmented import SegmentedTrain, Traced, trace_chief, trace_segmented
+from wavequake.kernels.segmented import Traced
 from wavequake.kernels.tiles import TILE, from_tiles
 from wavequake.kernels.train import OK
-from wavequake.optics.fits import Fit, refit, segment_planes, weighted_fit, well_determined
-from wavequake.optics.kinematics import field_directions, segment_poses, surface_poses
-from wavequake.optics.pupils import PupilRays
-from wavequake.optics.segmented_telescope import SegmentedTelescope, first_order
-from wavequake.optics.segments import candidates, half_planes
-from wavequake.optics.states import SurfaceStates, rest
-from wavequake.optics.zernike import annular_zernike, circular_zernike_xy, noll_to_nm
+from wavequake.optics.fits import refit, segment_planes
+from wavequake.optics.prepared import PreparedTrace, chief_rays, trace_states
+from wavequake.optics.states import SurfaceStates
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class PreparedTrace:
-    """What a telescope, its rays and a wavelength determine once for all instants; lengths in mm.
-
-    Attributes
-    ----------
-    system : SegmentedTelescope
-    rays : PupilRays
-        The N rays that meet glass in the reference configuration.
-    wavelength : float
-    train : SegmentedTrain
-    candidates : ndarray of int32, shape (N, C)
-        Segments that a ray may meet while motions stay below `margin`.
-    margin : float
-    weight : ndarray, shape (N,)
-        Share of the pupil that each ray stands for; the sum is 1.
-    zernike : Fit
-        Of the annular Noll Zernike polynomials.
-    plane : Fit
-        Of piston, x and y over the outer pupil radius.
-    segment_fit : csr_matrix, shape (3 S, N)
-        Values to piston at the center, slope in x and slope in y (1/mm) of each segment.
-    figure_matrix : ndarray, shape (S, M, terms)
-        From Noll coefficients (heights along the segment's normal, to the sky) to coefficients of the
-        kernel's monomials (heights along z, with the light); M = 0 without a figure.
-    obscuration, numerical_aperture, focal_length : float
-    chief : ndarray, shape (2,)
-        Image point of the virtual chief ray in the reference configuration.
-    """
-
-    system: SegmentedTelescope
-    rays: PupilRays
-    wavelength: float
-    train: SegmentedTrain
-    candidates: NDArray[np.int32]
-    margin: float
-    weight: Array
-    zernike: Fit
-    plane: Fit
-    segment_fit: csr_matrix
-    figure_matrix: Array
-    obscuration: float
-    numerical_aperture: float
-    focal_length: float
-    chief: Array
 
 
 @dataclass(frozen=True)
@@ -114,172 +60,6 @@ class Wavefront:
     segment_phase: Array
     lost: NDArray[np.int64]
     lost_segments: NDArray[np.bool_]
-
-
-def prepare(
-    system: SegmentedTelescope,
-    rays: PupilRays,
-    wavelength: float,
-    terms: int,
-    figure_terms: int = 0,
-    margin: float = 5.0,
-) -> PreparedTrace:
-    """Collect what does not change from instant to instant.
-
-    Parameters
-    ----------
-    system : SegmentedTelescope
-    rays : PupilRays
-        Those that meet no segment are left out.
-    wavelength : float
-        In mm.
-    terms : int
-        Number of annular Noll Zernike polynomials, at least 3.
-    figure_terms : int
-        Number of circular Noll Zernike polynomials of each segment's figure.
-    margin : float
-        How far (mm) a ray may wander across M1 before its candidate segments are searched anew.
-
-    Raises
-    ------
-    UserError
-        If the wavelength is not positive, no ray meets glass, or the rays determine not all Zernike terms
-        or not the tilt of every segment.
-    """
-    if not (np.isfinite(wavelength) and wavelength > 0.0):
-        raise UserError(f"the wavelength is {wavelength} mm, it must be a positive number")
-    if terms < 3:
-        raise UserError(f"{terms} Zernike terms were asked for, the line of sight needs at least 3")
-    used = (rays.segment >= 0) & (rays.weight > 0.0)
-    if not used.any():
-        raise UserError(
-            f"none of the {len(rays.x)} rays meets a segment of {system.name}, so there is no wavefront"
-        )
-    rays = PupilRays(rays.x[used], rays.y[used], rays.weight[used], rays.segment[used])
-    weight = rays.weight / np.sum(rays.weight)
-    x, y = rays.x / system.pupil_outer, rays.y / system.pupil_outer
-    obscuration = system.pupil_inner / system.pupil_outer
-    optics = first_order(system)
-    degree = noll_to_nm(figure_terms)[0] if figure_terms else -1
-    train = _train(system, degree, optics.exit_pupil_distance)
-    rows, solved = segment_planes(rays.x, rays.y, weight, rays.segment, system.segments.centers[:, :2])
-    if not solved.all():
-        name = system.segments.names[int(np.argmin(solved))]
-        raise UserError(
-            f"segment {name} has too few rays for its tilt (at least 3 not in a line); raise optics.rays."
-        )
-    places = np.add.outer(np.arange(3), 3 * rays.segment).ravel(), np.tile(np.arange(len(x)), 3)
-    still = rest(TILE, len(system.segments), len(system.surfaces))
-    at_rest = surface_poses(system, still.surface_motion)
-    return PreparedTrace(
-        system=system,
-        rays=rays,
-        wavelength=wavelength,
-        train=train,
-        candidates=candidates(system.segments, rays.x, rays.y, margin),
-        margin=margin,
-        weight=weight,
-        zernike=well_determined(weighted_fit(annular_zernike(x, y, terms, obscuration), weight)),
-        plane=weighted_fit(np.stack([np.ones_like(x), x, y], axis=1), weight),
-        segment_fit=csr_matrix((rows.ravel(), places), shape=(3 * len(system.segments), len(x))),
-        figure_matrix=circular_zernike_xy(degree, figure_terms) / -system.segments.axes[:, 2, 2, None, None],
-        obscuration=obscuration,
-        numerical_aperture=optics.numerical_aperture,
-        focal_length=optics.focal_length,
-        chief=trace_chief(train, at_rest, field_directions(still.field), system.stop_z)[0, :2, 0],
-    )
-
-
-def _train(system: SegmentedTelescope, figure_degree: int, sphere_radius: float) -> SegmentedTrain:
-    """Pack the parts of a system that do not move."""
-    segments = system.segments
-    along = segments.axes[:, :2, 0]  # the local x axis, projected
-    along = along / np.linalg.norm(along, axis=1, keepdims=True) / _radii(system)[:, None]
-    return SegmentedTrain(
-        primary_curvature=1.0 / system.primary_radius,
-        primary_conic=system.primary_conic,
-        edges=half_planes(segments),
-        figure_frames=np.concatenate([segments.centers[:, :2], along], axis=1),
-        figure_degree=figure_degree,
-        surface_curvatures=np.array([1.0 / surface.radius for surface in system.surfaces]),
-        surface_conics=np.array([surface.conic for surface in system.surfaces]),
-        sphere_radius=sphere_radius,
-    )
-
-
-def _radii(system: SegmentedTelescope) -> Array:
-    """Return the radius of each segment's circumscribed circle; a mirror without corners fills the pupil."""
-    segments = system.segments
-    if segments.corners.shape[1] == 0:
-        return np.full(len(segments), system.pupil_outer)
-    radii: Array = np.linalg.norm(segments.corners - segments.centers[:, None, :2], axis=2).max(axis=1)
-    return radii
-
-
-def chief_rays(prepared: PreparedTrace, states: SurfaceStates) -> Array:
-    """Return the virtual chief ray of every instant, shape (T, 3, 16), mm.
-
-    It has image x, y and the path length to the reference sphere, and is traced through the undisturbed
-    parent of M1 and the displaced surfaces after it.
-    """
-    poses = surface_poses(prepared.system, states.surface_motion)
-    return trace_chief(prepared.train, poses, field_directions(states.field), prepared.system.stop_z)
-
-
-def trace_states(prepared: PreparedTrace, states: SurfaceStates, device: Device) -> Traced:
-    """Trace all rays at all instants in one launch.
-
-    Parameters
-    ----------
-    prepared : PreparedTrace
-    states : SurfaceStates
-        The batch is a whole number of tiles; NaN motions lose the rays that they concern.
-    device : Device
-
-    Raises
-    ------
-    UserError
-        If the states do not fit the telescope.
-    """
-    system = prepared.system
-    shape = (len(states), *prepared.figure_matrix.shape[::2])
-    if states.segment_figure.shape != shape:
-        raise UserError(
-            f"the segment figures have the shape {states.segment_figure.shape}, it must be {shape}"
-        )
-    figure = None
-    if prepared.figure_matrix.size:
-        lanes_last = states.segment_figure.reshape(-1, TILE, *shape[1:]).transpose(0, 2, 3, 1)
-        figure = np.matmul(prepared.figure_matrix, lanes_last)
-    wander = _wander(system, states)
-    chosen = prepared.candidates
-    if wander > prepared.margin:
-        chosen = candidates(system.segments, prepared.rays.x, prepared.rays.y, wander)
-    return trace_segmented(
-        prepared.train,
-        prepared.rays.x,
-        prepared.rays.y,
-        system.stop_z,
-        chosen,
-        segment_poses(system.segments, states.segment_motion),
-        figure,
-        surface_poses(system, states.surface_motion),
-        field_directions(states.field),
-        chief_rays(prepared, states),
-        device,
-    )
-
-
-def _wander(system: SegmentedTelescope, states: SurfaceStates) -> float:
-    """Return a bound (mm) of how far rays wander across segments by the motions and the field angles."""
-    motion, angle = np.abs(states.segment_motion), np.abs(states.field)
-    for magnitudes in (motion, angle):
-        magnitudes[~np.isfinite(magnitudes)] = 0.0  # such rays are lost anyhow
-    largest = motion.max(axis=0).max(axis=0)  # twice: instants first is five times as fast as both at once
-    steepest = np.sqrt(2.0) * np.tan(angle.max())
-    radius = _radii(system).max()
-    depth = np.abs(system.segments.centers[:, 2] - system.stop_z).max() + radius
-    return float(np.sum(largest[:3]) + np.sum(largest[3:]) * radius + steepest * depth)
 
 
 def los_eq339(

@@ -11,7 +11,7 @@ from rich.table import Table
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.devices import choose_device
 from wavequake.mechanics.disturbances import analytic_rms
-from wavequake.optics.wavefront import trace_states
+from wavequake.optics.prepared import trace_states
 from wavequake.report.detail import Detail
 from wavequake.report.export import export, target_of
 from wavequake.report.html import write_report

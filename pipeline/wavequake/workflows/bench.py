@@ -14,12 +14,13 @@ from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import TILE
 from wavequake.mechanics.disturbances import Disturbance
 from wavequake.mechanics.layout import SegmentLayout
+from wavequake.optics.prepared import PreparedTrace, chief_rays, prepare, trace_states
 from wavequake.optics.pupils import PupilRays, on_glass, segment_rays, sunflower
 from wavequake.optics.segmented_telescope import FirstOrder, SegmentedTelescope, first_order
 from wavequake.optics.segments import areas, is_monolithic
 from wavequake.optics.states import SurfaceStates, rest
 from wavequake.optics.telescopes import telescope
-from wavequake.optics.wavefront import PreparedTrace, Wavefront, analyse, chief_rays, prepare, trace_states
+from wavequake.optics.wavefront import Wavefront, analyse
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segment_study import SegmentStudy
 

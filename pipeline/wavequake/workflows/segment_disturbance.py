@@ -18,8 +18,9 @@ from wavequake.imaging.exposure import encircled_energy_radius
 from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import TILE, padded
 from wavequake.mechanics.disturbances import Disturbance, Motion, analytic_rms, draw_case, time_axis
+from wavequake.optics.prepared import chief_rays, trace_states
 from wavequake.optics.states import SurfaceStates
-from wavequake.optics.wavefront import Wavefront, analyse, chief_rays, trace_states
+from wavequake.optics.wavefront import Wavefront, analyse
 from wavequake.workflows.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, monolithic
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.images import energy_scale, image_axis, refuse_what_cannot_be_imaged, summed_images

@@ -12,8 +12,8 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.devices import Device, choose_device
+from wavequake.optics.prepared import prepare
 from wavequake.optics.sensitivity import DOFS, Sensitivities, SensitivityMatrix, sensitivities
-from wavequake.optics.wavefront import prepare
 from wavequake.workflows import arrays
 from wavequake.workflows.bench import MM_PER_M, Bench, bench_of
 from wavequake.workflows.journal import digest, flush_folder
