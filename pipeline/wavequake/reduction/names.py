@@ -1,0 +1,160 @@
+"""Names of variants: ``craigb36``, ``krylov108(200,450,700)``, ``flbt42(0-1200)``.
+
+A name is a method, an order, and for some methods arguments in brackets:
+
+- ``krylov36(150)``: expansion points in Hz. A real point f lies on the imaginary axis, s0 = 2 pi i f; a
+  complex one a+bj is s0 = 2 pi (b + i a), so that ``150j`` is the real s0 = 2 pi 150.
+  ``krylov(200*3,450*1)`` chooses the number of block moments of each point instead of the order.
+- ``flbt42(0-1200)``: bands in Hz; ``fwbt42(0-400*1,400-1200*0.1)`` gives each band a weight.
+- ``pod36`` takes impulse responses, ``pod36(100)`` responses to a sudden sine of 100 Hz.
+"""
+
+import difflib
+import math
+import re
+from dataclasses import dataclass
+
+from wavequake.errors import UserError
+
+# What the brackets of each method hold.
+METHODS = {
+    "modal": "",
+    "guyan": "",
+    "modalfix": "",
+    "craigb": "",
+    "rubin": "",
+    "dualcb": "",
+    "inertia": "",
+    "hintz": "",
+    "krylov": "points",
+    "irka": "",
+    "bt": "",
+    "flbt": "bands",
+    "fwbt": "bands",
+    "pod": "frequency",
+}
+_EXAMPLES = {
+    "points": "krylov36(150) or krylov(200*3,450*1)",
+    "bands": "flbt42(0-1200) or fwbt42(0-400*1,400-1200*0.1)",
+    "frequency": "pod36(100)",
+    "": "craigb36",
+}
+_NAME = re.compile(r"([a-z]+)(\d*)(?:\(([^()]*)\))?")
+_NUMBER = r"\d+(?:\.\d*)?(?:e[+-]?\d+)?"
+_BAND = re.compile(rf"({_NUMBER})-({_NUMBER})(?:\*({_NUMBER}))?")
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What a name says.
+
+    Attributes
+    ----------
+    method : str
+        A key of `METHODS`.
+    order : int or None
+        Number of coordinates; None where the method fixes it (guyan, krylov with chosen moments).
+    points : tuple of complex
+        Expansion points (krylov) or the frequency of the sine (pod) in Hz.
+    moments : tuple of int
+        Block moments at each expansion point; empty if the order is shared out evenly.
+    bands : tuple of (float, float, float)
+        Lower and upper frequency in Hz, and weight.
+    """
+
+    method: str
+    order: int | None = None
+    points: tuple[complex, ...] = ()
+    moments: tuple[int, ...] = ()
+    bands: tuple[tuple[float, float, float], ...] = ()
+
+    def __str__(self) -> str:
+        """Return the canonical name, which `parse` reads back."""
+        order = "" if self.order is None else str(self.order)
+        counts = self.moments or (None,) * len(self.points)
+        items = [
+            _print_number(point) + ("" if count is None else f"*{count}")
+            for point, count in zip(self.points, counts, strict=True)
+        ]
+        for low, high, weight in self.bands:
+            scale = "" if weight == 1.0 else f"*{weight!r}".removesuffix(".0")
+            items.append(f"{_print_number(low)}-{_print_number(high)}{scale}")
+        return f"{self.method}{order}" + (f"({','.join(items)})" if items else "")
+
+
+def parse(name: str, order: int | None = None) -> Variant:
+    """Return what a name says.
+
+    Parameters
+    ----------
+    name : str
+    order : int, optional
+        Order of a name that has none, e.g. ``parse("craigb", 36)``.
+
+    Raises
+    ------
+    UserError
+        If the method is unknown (names the nearest one), or order or arguments are missing or make no sense.
+    """
+    match = _NAME.fullmatch(name.strip().lower().replace(" ", ""))
+    if match is None:
+        raise UserError(f"{name!r} is no name of a reduction; an example is {_EXAMPLES['points']}.")
+    method, digits, inside = match.groups()
+    if method not in METHODS:
+        near = difflib.get_close_matches(method, METHODS, n=1, cutoff=0.0)[0]
+        raise UserError(f"There is no reduction method {method!r} ({name!r}); the nearest one is {near!r}.")
+    if digits and order is not None and int(digits) != order:
+        raise UserError(f"The name {name!r} and the order {order} contradict each other; give one of them.")
+    order = int(digits) if digits else order
+    kind = METHODS[method]
+    if (inside is None) != (kind == "" or (kind == "frequency" and inside is None)):
+        wanted = "takes no arguments" if kind == "" else f"needs its {kind} in Hz"
+        raise UserError(f"{name!r}: the method {method} {wanted}; an example is {_EXAMPLES[kind]}.")
+    items = (inside or "").split(",") if inside is not None else []
+    points, moments = _points(name, items) if kind in ("points", "frequency") else ((), ())
+    bands = tuple(_band(name, item) for item in items) if kind == "bands" else ()
+    if kind == "frequency" and (len(points) > 1 or moments or any(p.imag or p.real <= 0 for p in points)):
+        raise UserError(f"{name!r}: the method {method} takes one positive frequency.")
+    if order is None and not (method == "guyan" or moments):
+        raise UserError(f"{name!r} has no order; an example is {_EXAMPLES[kind]}.")
+    if order == 0:
+        raise UserError(f"{name!r}: the order must be at least 1.")
+    return Variant(method, order, points, moments, bands)
+
+
+def _points(name: str, items: list[str]) -> tuple[tuple[complex, ...], tuple[int, ...]]:
+    points, moments = [], []
+    for item in items:
+        text, star, count = item.partition("*")
+        try:
+            point = complex(text)
+            moments += [int(count)] if star else []
+        except ValueError:
+            raise UserError(
+                f"{name!r}: {item!r} is no frequency; an example is {_EXAMPLES['points']}."
+            ) from None
+        if not (math.isfinite(abs(point)) and point.real >= 0 and point.imag >= 0):
+            raise UserError(f"{name!r}: the expansion point {item!r} must be finite and not negative.")
+        points.append(point)
+    if len(set(points)) < len(points):
+        raise UserError(f"{name!r} has an expansion point twice; ask for more moments instead.")
+    if moments and (len(moments) < len(points) or min(moments) < 1):
+        raise UserError(f"{name!r}: give every expansion point a number of moments of at least 1, or none.")
+    return tuple(points), tuple(moments)
+
+
+def _band(name: str, item: str) -> tuple[float, float, float]:
+    match = _BAND.fullmatch(item)
+    if match is None:
+        raise UserError(f"{name!r}: {item!r} is no band; an example is {_EXAMPLES['bands']}.")
+    low, high, weight = float(match[1]), float(match[2]), float(match[3] or 1.0)
+    if not (low < high < math.inf and 0.0 < weight < math.inf):
+        raise UserError(f"{name!r}: the band {item!r} must rise and its weight be positive.")
+    return low, high, weight
+
+
+def _print_number(value: complex) -> str:
+    real, imaginary = (repr(part).removesuffix(".0") for part in (complex(value).real, complex(value).imag))
+    if complex(value).imag == 0:
+        return real
+    return f"{imaginary}j" if complex(value).real == 0 else f"{real}+{imaginary}j"
