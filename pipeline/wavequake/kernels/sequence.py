@@ -11,6 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.errors import UserError
+
 Array = NDArray[np.float64]
 Action = Literal["reflect", "refract", "pass"]
 Basis = Literal["monomial", "chebyshev"]
@@ -38,9 +40,10 @@ class Polynomial:
 
 @dataclass(frozen=True)
 class Grid:
-    """A bicubic B-spline on a regular grid, mm; zero slope and constant value continue it beyond its edge.
+    """A bicubic B-spline on a regular grid, mm.
 
-    ``coefficients[row, column]`` belongs to the node at (x0 + column dx, y0 + row dy).
+    ``coefficients[row, column]`` belongs to the node at (x0 + column dx, y0 + row dy). The spline ends at the
+    last nodes but one, where it still has four nodes about it; a constant value continues it beyond.
     """
 
     x0: float
@@ -141,7 +144,7 @@ class TracedRays:
 
     ``path`` is the optical path length to the reference sphere (to the image without one), ``u`` and ``v``
     are x and y of the unit direction, whose z has the sign ``w_sign`` (T, N). ``status`` is 0 or says why a
-    ray is lost, ``surface`` at which element (-1: none).
+    ray is lost, ``surface`` at which element (-1: none; L: it misses the reference sphere).
     """
 
     path: Array
@@ -154,3 +157,91 @@ class TracedRays:
     surface: NDArray[np.int8]
     vignetted: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     """Rays that each element's aperture stops, summed over the instants, shape (L,)."""
+
+
+def count_vignetted(status: NDArray[np.int8], surface: NDArray[np.int8], elements: int) -> NDArray[np.int64]:
+    """Return how many rays each element's aperture stops, shape (L,)."""
+    return np.bincount(surface[status == VIGNETTED], minlength=elements).astype(np.int64)
+
+
+def check_sequence(sequence: Sequence, rays: Rays, moving: Moving) -> None:
+    """Check that sequence, rays and moving parts fit together and that the surfaces are finite.
+
+    Raises
+    ------
+    UserError
+        If a surface has coefficients that are not finite, or an index that is not positive.
+    ValueError
+        If shapes do not fit together.
+    """
+    elements, instants = sequence.elements, len(moving.poses)
+    if not elements:
+        raise ValueError("the sequence has no elements; the last one is the image plane")
+    if len(elements) > 126:
+        raise ValueError(f"the sequence has {len(elements)} elements; at most 126 can be traced")
+    _require("rays.path", rays.path, (rays.path.size,))
+    _require("rays.position", rays.position, (3, rays.path.size))
+    _require("rays.direction", rays.direction, (3, rays.path.size))
+    _require("moving.poses", moving.poses, (instants, len(elements), 12))
+    if moving.spheres is not None:
+        _require("moving.spheres", moving.spheres, (instants, 4))
+    for name, arrays in (("deformations", moving.deformations), ("grids", moving.grids)):
+        if len(arrays) not in (0, len(elements)):
+            raise ValueError(f"moving.{name} has {len(arrays)} entries for {len(elements)} elements")
+    check_surfaces(sequence)
+    for number, element in enumerate(elements):
+        _check_moving(number, element, moving, instants)
+
+
+def check_surfaces(sequence: Sequence) -> None:
+    """Check what does not move; raises as `check_sequence`."""
+    for number, element in enumerate(sequence.elements):
+        fixed, grid = element.polynomial, element.grid
+        _require_finite(number, "curvature", element.curvature)
+        _require_finite(number, "conic constant", element.conic)
+        _require_finite(number, "even power coefficients", element.even)
+        if not (np.isfinite(element.index) and element.index > 0.0):
+            raise UserError(f"surface {number}: the refractive index is {element.index}; it must be positive")
+        if fixed is not None:
+            _require(f"polynomial of element {number}", fixed.coefficients, (terms(fixed.degree),))
+            _require_finite(number, "polynomial coefficients", fixed.coefficients)
+        if grid is not None:
+            _require_finite(number, "grid heights", grid.coefficients)
+            if grid.coefficients.ndim != 2 or min(grid.coefficients.shape) < 4:
+                raise ValueError(f"the grid of element {number} must have at least 4 rows and columns")
+
+
+def terms(degree: int) -> int:
+    """Return the number of terms of a polynomial of total degree up to `degree` in two variables."""
+    return (degree + 1) * (degree + 2) // 2
+
+
+def _check_moving(number: int, element: Element, moving: Moving, instants: int) -> None:
+    deformation = moving.deformations[number] if moving.deformations else None
+    grid = moving.grids[number] if moving.grids else None
+    if (deformation is None) != (element.deformation_degree < 0):
+        wanted = "None" if element.deformation_degree < 0 else "given"
+        raise ValueError(
+            f"the deformation of element {number} must be {wanted}, as its deformation_degree is"
+        )
+    if (grid is None) != (element.deformation_grid is None):
+        wanted = "None" if element.deformation_grid is None else "given"
+        raise ValueError(f"the grid of element {number} must be {wanted}, as its deformation_grid is")
+    if deformation is not None:
+        _require(f"deformation {number}", deformation, (instants, terms(element.deformation_degree)))
+        _require_finite(number, "deformation", deformation)
+    if grid is not None:
+        _require(f"grid {number}", grid, (instants, *grid.shape[1:]))
+        _require_finite(number, "grid deformation", grid)
+        if grid.ndim != 3 or min(grid.shape[1:]) < 4:
+            raise ValueError(f"the grid of element {number} must have at least 4 rows and columns")
+
+
+def _require_finite(number: int, what: str, values: float | tuple[float, ...] | Array) -> None:
+    if not np.isfinite(values).all():
+        raise UserError(f"surface {number}: {what} must be finite, and a value is not")
+
+
+def _require(name: str, array: NDArray[np.float64], shape: tuple[int, ...]) -> None:
+    if array.shape != shape or array.dtype != np.float64:
+        raise ValueError(f"{name} is {array.dtype} {array.shape}; it must be float64 {shape}")

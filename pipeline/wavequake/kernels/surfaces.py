@@ -69,3 +69,29 @@ def conic_path(position: Array, direction: Array, curvature: ArrayLike, conic: A
         path = np.where(f * root < 0.0, (root - f) / h, g / (f + root))
         on_branch = 1.0 - c * (1.0 + kappa) * (z + path * d_z) > 0.0
         return np.where(on_branch & np.isfinite(path), path, np.nan)
+
+
+def even_sag_and_slopes(
+    x: ArrayLike, y: ArrayLike, coefficients: tuple[float, ...]
+) -> tuple[Array, Array, Array]:
+    """Return C_0 rho^2 + C_1 rho^4 + ... and its slopes (Störkle 2018, Eqs. 3.19 and 3.21 corrected).
+
+    Parameters
+    ----------
+    x, y : array_like
+        Lateral position in mm.
+    coefficients : tuple of float
+        ``coefficients[k]`` in mm^(-2 k - 1) belongs to (x^2 + y^2)^(k + 1).
+
+    Returns
+    -------
+    tuple of ndarray
+        Height in mm and its derivatives along x and y.
+    """
+    x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    square = np.square(x) + np.square(y)
+    value, derivative = np.zeros_like(square), np.zeros_like(square)
+    for coefficient in reversed((0.0, *coefficients)):
+        derivative = derivative * square + value
+        value = value * square + coefficient
+    return value, 2.0 * derivative * x, 2.0 * derivative * y

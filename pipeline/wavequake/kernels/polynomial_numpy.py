@@ -1,0 +1,61 @@
+"""Polynomials in x and y and their slopes, in NumPy: monomials by Horner's rule, Chebyshev by Clenshaw's."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.kernels.sequence import Basis
+
+Array = NDArray[np.float64]
+
+
+def polynomial(
+    degree: int, radius: float, basis: Basis, coefficients: Array, x: Array, y: Array
+) -> tuple[Array, Array, Array]:
+    """Return a polynomial of total degree `degree` in x / radius and y / radius, and its slopes.
+
+    Parameters
+    ----------
+    degree : int
+        Highest total degree.
+    radius : float
+        What x and y are divided by, mm.
+    basis : str
+        "monomial" or "chebyshev".
+    coefficients : ndarray, shape (terms,) or (T, terms)
+        In the order of `wavequake.kernels.sequence.Polynomial`, mm.
+    x, y : ndarray
+        Position in mm; for coefficients per instant their first axis is the instant.
+
+    Returns
+    -------
+    tuple of ndarray
+        Height in mm and its derivatives along x and y.
+    """
+    u, v = x / radius, y / radius
+    terms = np.moveaxis(coefficients, -1, 0)
+    terms = terms.reshape(*terms.shape, *(1,) * (u.ndim - terms.ndim + 1))
+    rows = [[terms[(i + j) * (i + j + 1) // 2 + j] for j in range(degree - i + 1)] for i in range(degree + 1)]
+    sum_up = _horner if basis == "monomial" else _clenshaw
+    inner = [sum_up(row, v) for row in rows]
+    value, slope_u = sum_up([value for value, _ in inner], u)
+    slope_v, _ = sum_up([slope for _, slope in inner], u)
+    return value, slope_u / radius, slope_v / radius
+
+
+def _horner(coefficients: list[Array], t: Array) -> tuple[Array, Array]:
+    """Return the sum of c_k t^k and its derivative."""
+    value, derivative = np.zeros_like(t), np.zeros_like(t)
+    for coefficient in reversed(coefficients):
+        derivative = derivative * t + value
+        value = value * t + coefficient
+    return value, derivative
+
+
+def _clenshaw(coefficients: list[Array], t: Array) -> tuple[Array, Array]:
+    """Return the sum of c_k T_k(t) and its derivative: Clenshaw's recurrence and its derivative."""
+    zero = np.zeros_like(t)
+    b1, b2, d1, d2 = zero, zero, zero, zero
+    for coefficient in reversed(coefficients[1:]):
+        d1, d2 = 2.0 * b1 + 2.0 * t * d1 - d2, d1
+        b1, b2 = coefficient + 2.0 * t * b1 - b2, b1
+    return coefficients[0] + t * b1 - b2, b1 + t * d1 - d2
