@@ -5,6 +5,7 @@ acts through column 3 k + d) and ``surface`` (rows 3 k + d give the displacement
 response, a transfer matrix or a surface fit takes either: a reduced model is a model.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -25,6 +26,13 @@ class RayleighDamping:
 
     mass: float = 0.0
     stiffness: float = 5e-6
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.mass < math.inf and 0 <= self.stiffness < math.inf):
+            raise UserError(
+                f"the Rayleigh damping ({self.mass} 1/s, {self.stiffness} s) must be two finite "
+                "numbers that are not negative"
+            )
 
 
 @dataclass(frozen=True)
@@ -48,7 +56,8 @@ class FiniteElementModel:
     node_sets : mapping of str to ndarray of int
         Further named sets.
     surface_weights : ndarray, shape (p,)
-        Positive shares of the optical surface's area, for the fit of Störkle 2018, Eq. 4.10; sum 1.
+        Positive shares of the optical surface's area, projected along z, for the fit of Störkle 2018,
+        Eq. 4.10; sum 1.
     """
 
     name: str
@@ -145,6 +154,34 @@ def selection(model: FiniteElementModel, nodes: Integers) -> csc_array:
         )
     rows = np.arange(len(columns))
     return csc_array((np.ones(len(columns)), (rows, columns)), shape=(len(columns), model.order))
+
+
+def check_model(model: FiniteElementModel) -> None:
+    """Refuse a model that no response, reduction or surface fit can take.
+
+    Raises
+    ------
+    UserError
+        If the optical surface is empty, its weights are not positive, a node is not finite, or the interface
+        nodes are fewer than three or lie on a line, so that they cannot hold the body.
+    """
+    if not np.isfinite(model.nodes).all():
+        row = int(np.argmin(np.isfinite(model.nodes).all(axis=1)))
+        raise UserError(f"node {row} of the model {model.name} has coordinates that are not finite")
+    if len(model.surface_nodes) == 0:
+        raise UserError(f"the optical surface of the model {model.name} is empty; name at least one node")
+    if model.surface_weights.shape != model.surface_nodes.shape or not (model.surface_weights > 0).all():
+        raise UserError(
+            f"the optical surface of the model {model.name} needs one positive weight for each of its "
+            f"{len(model.surface_nodes)} nodes"
+        )
+    points = model.nodes[model.interfaces]
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) > 2 else np.zeros(2)
+    if spread[1] <= 1e-6 * spread[0]:
+        raise UserError(
+            f"the {len(points)} interface nodes of the model {model.name} lie on a line; "
+            "name at least three that span a triangle"
+        )
 
 
 def rigid_modes(coordinates: Array, origin: Array) -> Array:
