@@ -17,7 +17,6 @@ from wavequake.mechanics.material import ALUMINUM, GLASS_CERAMIC, Material
 from wavequake.mechanics.mirror_mesh import Mesh, disc_mesh, hexagon_mesh, ring_mesh
 from wavequake.mechanics.model import FiniteElementModel, RayleighDamping, check_model
 
-
 DAMPING = RayleighDamping()
 
 
