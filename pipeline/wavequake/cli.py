@@ -1,4 +1,4 @@
-"""The command line: ``wavequake run|plan|studies|status|verify|retry|report|export|sensitivity|devices``."""
+"""The command line; `wavequake --help` lists its commands."""
 
 import io
 import shlex
@@ -206,6 +206,21 @@ def export(
     from wavequake.report.campaign import export_store
 
     out.print(f"Written: {export_store(store, file, overwrite)}", markup=False, soft_wrap=True)
+
+
+@app.command()
+def compare(
+    stores: Annotated[list[Path], typer.Argument(help="The reference store, then those to compare with it.")],
+    figure: Annotated[
+        Path, typer.Option("--figure", help="Where the figure goes (.png, .svg or .pdf).")
+    ] = Path("comparison.png"),
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Compare stores case by case: cases of equal labels (the same draws) are paired."""
+    from wavequake.report.comparison import compare_stores
+
+    out.print(compare_stores(stores, figure))
+    out.print(f"Figure: {figure.resolve()}", markup=False, soft_wrap=True)
 
 
 @app.command()

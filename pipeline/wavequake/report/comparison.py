@@ -1,0 +1,255 @@
+"""Compare stores case by case: cases of equal labels (disturbance, realization, seed...) are paired.
+
+Paired cases saw the same draw, so that the differences between two models, mirrors or settings stand out from
+the scatter of the draws.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+from scipy.stats import t as student
+
+from wavequake.errors import UserError
+from wavequake.report.figures import STYLE
+from wavequake.report.table import MISSING, number
+from wavequake.workflows.contract import DONE
+from wavequake.workflows.store import open_store
+
+CONFIDENCE = 0.95
+_NO_LABELS = {"case", "status", "message"}
+_IMAGES = {"exposure", "psf"}
+# Dims whose entries are numbers of different meaning, which a mean over them would mix up.
+_MIXED = {"noll", "segment", "dof", "surface", "term"}
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One measure of one group of paired cases in a store, against the first store.
+
+    Attributes
+    ----------
+    group : str
+        Value of the stores' first text label: the disturbance, the variant...
+    measure, units : str
+    cases : int
+    first, second : float
+        Means over the cases; NaN for images, of which only the difference is a number.
+    differences : ndarray, shape (cases,)
+        Second minus first; for images the L2 norm of the difference of unit-energy images.
+    """
+
+    group: str
+    measure: str
+    units: str
+    cases: int
+    first: float
+    second: float
+    differences: NDArray[np.float64]
+
+    @property
+    def mean(self) -> float:
+        """Mean difference."""
+        return float(self.differences.mean())
+
+    @property
+    def margin(self) -> float:
+        """Half the 95 % confidence interval of the mean difference (Student); NaN for a single case."""
+        if self.cases < 2:
+            return float("nan")
+        error = self.differences.std(ddof=1) / np.sqrt(self.cases)
+        return float(student.ppf(0.5 + CONFIDENCE / 2, self.cases - 1) * error)
+
+
+def compare(one_set: xr.Dataset, other_set: xr.Dataset, first: str, second: str) -> list[Difference]:
+    """Compare the finished cases that two datasets of stores share; `first` and `second` are their names.
+
+    Raises
+    ------
+    UserError
+        If the two share no finished case; says which label differs.
+    """
+    one, two = _by_label(one_set), _by_label(other_set)
+    labels = [name for name in one.labels if name in two.labels]
+    if not labels:
+        raise UserError(f"{first} and {second} have no labels in common, so their cases cannot be paired.")
+    ours, theirs = (pd.MultiIndex.from_frame(part.frame[labels]) for part in (one, two))
+    for index, path in ((ours, first), (theirs, second)):
+        if not index.is_unique:
+            raise UserError(
+                f"several cases of {path} have the same {', '.join(labels)}: they cannot be paired."
+            )
+    shared = ours.intersection(theirs, sort=False)
+    if not len(shared):
+        raise UserError(_why_nothing_is_shared(one.frame, two.frame, labels, first, second))
+    left = one.dataset.isel(case=ours.get_indexer(shared))
+    right = two.dataset.isel(case=theirs.get_indexer(shared))
+    kinds = [name for name in labels if not pd.api.types.is_numeric_dtype(one.frame[name])]
+    groups = shared.get_level_values(kinds[0]).to_numpy() if kinds else np.full(len(shared), "all")
+    return list(_differences(left, right, groups))
+
+
+@dataclass(frozen=True)
+class _Labelled:
+    dataset: xr.Dataset
+    frame: pd.DataFrame
+
+    @property
+    def labels(self) -> list[str]:
+        return list(self.frame.columns)
+
+
+def _by_label(dataset: xr.Dataset) -> _Labelled:
+    done = dataset.isel(case=np.flatnonzero(dataset["status"].to_numpy() == DONE))
+    labels = {
+        str(name): done[name].to_numpy()
+        for name in done.coords
+        if done[name].dims == ("case",) and name not in _NO_LABELS
+    }
+    return _Labelled(done, pd.DataFrame(labels))
+
+
+def _why_nothing_is_shared(
+    one: pd.DataFrame, two: pd.DataFrame, labels: list[str], first: str, second: str
+) -> str:
+    if one.empty or two.empty:
+        return f"{first if one.empty else second} has no finished case to compare."
+    for name in labels:
+        if not set(one[name]) & set(two[name]):
+            return (
+                f"{first} and {second} share no case: {name} is {one[name].iloc[0]} there, "
+                f"{two[name].iloc[0]} here."
+            )
+    return f"{first} and {second} share no case: no {', '.join(labels)} agree."
+
+
+def _differences(left: xr.Dataset, right: xr.Dataset, groups: NDArray[np.object_]) -> Iterator[Difference]:
+    places = {str(group): np.flatnonzero(groups == group) for group in dict.fromkeys(groups)}
+    for measure in left.data_vars:
+        name = str(measure)
+        if name not in right or left[name].dims != right[name].dims or left[name].dtype.kind != "f":
+            continue
+        if "case" not in left[name].dims or _MIXED & set(map(str, left[name].dims)):
+            continue
+        if name in _IMAGES:
+            if left[name].shape != right[name].shape:
+                continue
+            one = two = np.full(len(groups), np.nan)
+            apart = _image_difference(left[name], right[name])
+        else:
+            one, two = _reduced(left[name]), _reduced(right[name])
+            with np.errstate(invalid="ignore"):  # both infinite, as radii beyond the frame: not counted
+                apart = two - one
+        units = str(left[name].attrs.get("units", "1"))
+        for group, rows in places.items():
+            kept = rows[np.isfinite(apart[rows])]
+            if len(kept):
+                yield Difference(
+                    group,
+                    name,
+                    units,
+                    len(kept),
+                    float(one[kept].mean()),
+                    float(two[kept].mean()),
+                    apart[kept],
+                )
+
+
+def _reduced(values: xr.DataArray) -> NDArray[np.float64]:
+    """Return one number per case: the mean Strehl ratio, else the rms over all other dims."""
+    others = [dim for dim in values.dims if dim != "case"]
+    if not others:
+        return np.asarray(values.to_numpy())
+    if values.name == "strehl":
+        return np.asarray(values.mean(others).to_numpy())
+    along = [dim for dim in others if dim != "axis"]
+    square = (values**2).sum("axis", skipna=False) if "axis" in others else values**2
+    return np.asarray(np.sqrt(square.mean(along).to_numpy()))
+
+
+def _image_difference(one: xr.DataArray, two: xr.DataArray) -> NDArray[np.float64]:
+    """Return the L2 norm of the difference of two images of unit energy, per case."""
+    over = tuple(range(1, one.ndim))
+    parts = [np.asarray(images.to_numpy(), dtype=np.float64) for images in (one, two)]
+    first, second = (images / images.sum(axis=over, keepdims=True) for images in parts)
+    return np.asarray(np.sqrt(np.sum((second - first) ** 2, axis=over)))
+
+
+def comparison_table(names: Sequence[str], comparisons: Sequence[Sequence[Difference]]) -> Table:
+    """Return the differences of all stores from the first as a table for the terminal."""
+    table = Table(
+        box=SIMPLE_HEAD,
+        caption=f"Means over paired cases; difference from {names[0]} with its 95 % confidence interval "
+        "(Student). Measures over time are rms values per case, the Strehl ratio a mean; images: L2 "
+        "norm of the difference of unit-energy images.",
+        caption_justify="left",
+    )
+    for header in ("", "measure", "cases", "first", "this", "difference", "relative"):
+        table.add_column(header, justify="left" if header in ("", "measure") else "right")
+    for name, differences in zip(names[1:], comparisons, strict=True):
+        table.add_row(Text(name, style="bold"))
+        for one in differences:
+            relative = one.mean / one.first if one.first else float("nan")
+            table.add_row(
+                Text(one.group),
+                f"{one.measure} ({one.units})",
+                str(one.cases),
+                number(one.first),
+                number(one.second),
+                number(one.mean) + (f" ± {number(one.margin)}" if np.isfinite(one.margin) else ""),
+                MISSING if np.isnan(relative) else f"{relative:+.2%}",
+            )
+    return table
+
+
+@rc_context(STYLE)
+def comparison_figure(names: Sequence[str], comparisons: Sequence[Sequence[Difference]]) -> Figure:
+    """Draw the mean differences, relative to the first store, with their confidence intervals."""
+    shown = [
+        (f"{one.measure}  {one.group}", 100 * one.mean / one.first, 100 * one.margin / abs(one.first), store)
+        for store, differences in enumerate(comparisons)
+        for one in differences
+        if one.first and np.isfinite(one.first)
+    ]
+    lines = list(dict.fromkeys(label for label, *_ in shown))
+    figure = Figure(figsize=(7.0, 1.2 + 0.24 * max(1, len(lines))), layout="constrained")
+    axes = figure.add_subplot()
+    axes.axvline(0.0, color="#444444", linewidth=0.7)
+    for store, name in enumerate(names[1:]):
+        mine = [entry for entry in shown if entry[3] == store]
+        height = [lines.index(label) + 0.18 * (store - (len(comparisons) - 1) / 2) for label, *_ in mine]
+        margin = [0.0 if np.isnan(error) else error for _, _, error, _ in mine]
+        axes.errorbar(
+            [value for _, value, *_ in mine], height, xerr=margin, fmt="o", markersize=4, label=name
+        )
+    axes.set_yticks(range(len(lines)), lines)
+    axes.invert_yaxis()
+    axes.set_xlabel(f"difference from {names[0]} (%), 95 % confidence")
+    axes.legend(loc="best")
+    return figure
+
+
+def compare_stores(stores: Sequence[Path], figure: Path) -> Table:
+    """Compare stores with the first one, write the figure, and return the table; raises as `compare`."""
+    if len(stores) < 2:
+        raise UserError("compare needs at least two stores.")
+    names = [Path(store).name or str(store) for store in stores]
+    if len(set(names)) < len(names):
+        names = [str(store) for store in stores]
+    if figure.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise UserError(f"The figure {figure} must end in .png, .svg or .pdf.")
+    first, *others = [open_store(store) for store in stores]
+    comparisons = [
+        compare(first, other, names[0], name) for other, name in zip(others, names[1:], strict=True)
+    ]
+    comparison_figure(names, comparisons).savefig(figure, dpi=150)
+    return comparison_table(names, comparisons)

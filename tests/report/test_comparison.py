@@ -1,0 +1,96 @@
+from io import StringIO
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from wavequake import cli
+from wavequake.errors import UserError
+from wavequake.report.comparison import compare, comparison_figure, comparison_table
+
+
+def other(campaign, scale=1.0, shift=0.0):
+    """The same cases in another order, with other wavefront errors."""
+    changed = campaign.copy(deep=True)
+    changed["wfe_rms"] = changed["wfe_rms"] * scale + shift * (1 + changed["realization"])
+    return changed.isel(case=slice(None, None, -1))
+
+
+def of(differences, group, measure):
+    return next(one for one in differences if (one.group, one.measure) == (group, measure))
+
+
+def test_equal_stores_do_not_differ(campaign):
+    differences = compare(campaign, other(campaign), "A", "B")
+    assert {one.group for one in differences} == {"wind", "shake"}  # "empty" has no finished case
+    assert all(np.all(one.differences == 0.0) for one in differences)
+
+
+def test_cases_are_paired_by_their_labels(campaign):
+    wind = of(compare(campaign, other(campaign, shift=1.0), "A", "B"), "wind", "wfe_rms")
+    # Cases 0, 2, 4 have 5, 10, 15 nm and realizations 0, 1, 2.
+    assert (wind.cases, wind.first, wind.second) == (3, 10.0, 12.0)
+    assert wind.differences.tolist() == [1.0, 2.0, 3.0]
+    # Student's t for two degrees of freedom and 95 %: 4.3027; standard error 1 / sqrt(3).
+    assert wind.margin == pytest.approx(4.302653 / np.sqrt(3.0), rel=1e-6)
+
+
+def test_instants_that_do_not_exist_do_not_count(campaign):
+    shake = of(compare(campaign, other(campaign), "A", "B"), "shake", "los")
+    assert shake.first == pytest.approx(np.sqrt([103**2 + 4**2, 97**2 + 4**2]).mean())
+
+
+def test_images_differ_by_the_norm_of_unit_energy_images(campaign):
+    changed = other(campaign)
+    values = changed["exposure"].to_numpy().copy()
+    values[:] = 0.0
+    values[:, 0, 0] = 5.0
+    changed["exposure"] = (changed["exposure"].dims, values)
+    image = of(compare(campaign, changed, "A", "B"), "wind", "exposure")
+    assert image.differences == pytest.approx(np.sqrt((1 - 1 / 64) ** 2 + 63 / 64**2))
+
+
+def test_stores_without_common_cases_say_why(campaign):
+    shifted = campaign.assign_coords(realization=campaign["realization"] + 100)
+    with pytest.raises(UserError, match="share no case: realization is 0 there, 100 here"):
+        compare(campaign, shifted, "A", "B")
+    with pytest.raises(UserError, match="no labels in common"):
+        compare(campaign, campaign.drop_vars(["disturbance", "realization"]), "A", "B")
+    twice = campaign.assign_coords(realization=0 * campaign["realization"])
+    with pytest.raises(UserError, match="several cases of A have the same"):
+        compare(twice, twice, "A", "B")
+    with pytest.raises(UserError, match="B has no finished case"):
+        compare(campaign, campaign.isel(case=[7, 8]), "A", "B")
+
+
+def test_table_and_figure_show_every_measure(campaign):
+    comparisons = [compare(campaign, other(campaign, scale=1.25), "A", "B")]
+    console = Console(width=140, record=True, file=StringIO())
+    console.print(comparison_table(["A", "B"], comparisons))
+    text = console.export_text()
+    assert "+25.00%" in text
+    assert "wfe_rms_raw" in text
+    figure = comparison_figure(["A", "B"], comparisons)
+    assert "wfe_rms  wind" in [label.get_text() for label in figure.axes[0].get_yticklabels()]
+
+
+def test_the_command_pairs_draws_of_two_models(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name, pixels in (("a", 16), ("b", 32)):
+        words = ["run", "tmt18-history", "campaign.cases=2", f"imaging.pixels={pixels}", "--store", name]
+        monkeypatch.setattr("sys.argv", ["wavequake", *words, "--on", "serial"])
+        with pytest.raises(SystemExit) as exit_:
+            cli.main()
+        assert exit_.value.code == 0
+    capsys.readouterr()
+    monkeypatch.setattr("sys.argv", ["wavequake", "compare", "a", "b"])
+    with pytest.raises(SystemExit):
+        cli.main()
+    shown = capsys.readouterr().out
+    assert "wfe_rms" in shown
+    assert (tmp_path / "comparison.png").stat().st_size > 5000
+    monkeypatch.setattr("sys.argv", ["wavequake", "compare", "a"])
+    with pytest.raises(SystemExit) as exit_:
+        cli.main()
+    assert exit_.value.code == 2
+    assert "at least two" in capsys.readouterr().err
