@@ -92,6 +92,7 @@ def test_fields_of_the_thesis_telescope(thesis, device):
         assert wavefront.rms[instant] == pytest.approx(field["wfe_rms_j4up"], abs=1e-6)
         assert wavefront.rms_raw[instant] == pytest.approx(field["wfe_rms_piston_removed"], abs=1e-6)
         np.testing.assert_allclose(wavefront.chief[instant], [1e3 * field["chief_x_m"], 0], atol=1e-8)
+        assert wavefront.spot_rms[instant] == pytest.approx(1e3 * field["rms_spot_radius_m"], rel=1e-6)
     assert not wavefront.lost.any()
 
 
@@ -422,3 +423,32 @@ def test_rays_that_cannot_determine_the_wavefront_are_refused(tmt18):
 def test_figures_must_fit(tmt18):
     with pytest.raises(UserError, match="segment figures"):
         trace_states(tmt18, replace(states_of(tmt18), segment_figure=np.zeros((TILE, 18, 4))), NUMPY)
+
+
+def test_rms_and_peak_to_valley_about_the_plane_and_the_spot_against_a_direct_evaluation(tmt18):
+    """Lane 3 loses every 7th ray, lane 5 all of them; planes by NumPy's least squares, ray by ray."""
+    random = np.random.default_rng(20)
+    states = rest(TILE, 18, len(tmt18.system.surfaces))
+    states.segment_motion[..., 2:5] = random.normal(size=(TILE, 18, 3)) * np.array([5e-5, 2e-8, 2e-8])
+    states.segment_motion[5] = np.nan
+    traced = trace_states(tmt18, states, NUMPY)
+    for values in (traced.opd, traced.x, traced.y):
+        values[0, ::7, 3] = np.nan
+    traced.status[0, ::7, 3] = 1
+    wavefront = analyse(tmt18, traced, chief_rays(tmt18, states))
+    design = np.stack([np.ones_like(tmt18.rays.x), tmt18.rays.x, tmt18.rays.y], axis=1)
+    for lane in (0, 3, 9):
+        kept = np.isfinite(traced.opd[0, :, lane])
+        weight = tmt18.weight[kept] / tmt18.weight[kept].sum()
+        root, waves = np.sqrt(weight)[:, None], traced.opd[0, kept, lane] / tmt18.wavelength
+        plane = np.linalg.lstsq(root * design[kept], root[:, 0] * waves, rcond=1e-16)[0]
+        flat = waves - design[kept] @ plane
+        assert wavefront.pv[lane] == pytest.approx(np.ptp(flat), rel=1e-9)
+        assert wavefront.rms_flat[lane] == pytest.approx(np.sqrt(weight @ flat**2), rel=1e-9)
+        places = np.stack([traced.x[0, kept, lane], traced.y[0, kept, lane]])
+        distance = places - (places @ weight)[:, None]
+        assert wavefront.spot_rms[lane] == pytest.approx(
+            np.sqrt(weight @ np.sum(distance**2, axis=0)), rel=1e-9
+        )
+    for values in (wavefront.pv, wavefront.rms_flat, wavefront.spot_rms):
+        assert np.isnan(values[5])

@@ -24,6 +24,7 @@ def all_figures(detail, found):
     return {
         "segments": figures.segment_map(detail),
         "opd": figures.opd_map(detail),
+        "spot": figures.spot_diagram(detail),
         "psf": figures.psf_image(detail.image, detail.image_x, detail.image_y, detail.case),
         "wfe": figures.distributions(found, "wfe"),
         "strehl": figures.distributions(found, "strehl"),
@@ -167,3 +168,14 @@ def test_no_case_at_all_still_draws(campaign):
     empty = populations(campaign)[2:]
     assert pixels(figures.distributions(empty, "strehl")).size
     assert pixels(figures.history(empty[0])).size
+
+
+def test_the_spot_diagram_shows_the_worst_instant_about_its_centroid(detail):
+    axes = figures.spot_diagram(replace(detail, spot=detail.spot + 7.0)).axes[0]
+    shown = np.asarray(axes.collections[0].get_offsets())
+    rays = np.stack([detail.ray_x, detail.ray_y], axis=1)
+    assert detail.worst_instant == 2
+    np.testing.assert_allclose(shown, 2.0 * (rays - rays.mean(axis=0)), atol=1e-9)
+    rms = np.sqrt(np.mean(np.sum(shown**2, axis=1)))
+    assert f"rms {rms:.0f} mas, circle: Airy disk, 5.00 mas" in axes.get_title(loc="left")
+    assert axes.get_xlim()[1] > np.hypot(*shown.T).max()

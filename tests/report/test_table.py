@@ -8,7 +8,7 @@ from rich.console import Console
 
 from wavequake.report.populations import populations, summarize
 from wavequake.report.statistics import Quantile
-from wavequake.report.table import interval, number, rows, terminal_table
+from wavequake.report.table import interval, number, rows, share, terminal_table
 
 
 @pytest.mark.parametrize(
@@ -25,6 +25,14 @@ def test_intervals_leave_out_the_bound_that_does_not_exist():
     assert interval(Quantile(5.0, 4.0, np.inf)) == "≥ 4.00"
     assert interval(Quantile(5.0, -np.inf, 6.0)) == "≤ 6.00"
     assert interval(Quantile(5.0, -np.inf, np.inf)) == "–"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0 %"), (0.004, "< 1 %"), (0.5, "50 %"), (0.996, "> 99 %"), (1.0, "100 %"), (np.nan, "–")],
+)
+def test_only_all_is_100_percent(value, text):
+    assert share(value) == text
 
 
 def test_rows_of_a_hand_made_campaign(campaign):
@@ -44,10 +52,12 @@ def test_rows_of_a_hand_made_campaign(campaign):
     assert empty["cases"] == ("0", "2 to do")
     assert empty["WFE on glass P50 (nm)"] == ("–", "")
     assert empty["Strehl P5"] == ("–", "")
+    assert (wind["Rayleigh"], wind["Maréchal"]) == (("25 %", ""), ("67 %", ""))
+    assert shake["Maréchal"] == ("50 %", "")
+    assert empty["Maréchal"] == ("–", "")
+    numbers = ("disturbance", "cases", "Strehl P5", "Strehl P50", "Rayleigh", "Maréchal")
     for header in wind:
-        assert header in ("disturbance", "cases", "Strehl P5", "Strehl P50") or header.endswith(
-            ("(nm)", "(mas)", "(λ/D)")
-        )
+        assert header in numbers or header.endswith(("(nm)", "(mas)", "(λ/D)"))
 
 
 def test_a_model_in_nm_is_that_of_the_segments(campaign):

@@ -5,8 +5,9 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import list_devices
+from wavequake.kernels.devices import choose_device, list_devices
 from wavequake.mechanics.edge_sensors import EdgeSensorNoise
+from wavequake.optics.prepared import trace_states
 from wavequake.workflows import segment_disturbance as workflow
 from wavequake.workflows.bench import bench_of
 from wavequake.workflows.contract import DONE, RAISED
@@ -171,6 +172,40 @@ def test_small_aberrations_follow_marechal(text, chunk):
         assert chunk.arrays["strehl"][row, 0] == pytest.approx(
             np.exp(-((2 * np.pi * sigma / 550.0) ** 2)), abs=0.02
         )
+
+
+def test_verdicts_are_those_of_the_stored_peak_to_valley_and_of_the_opds_themselves(study, text):
+    """Enough instants for two launches; the rms is that of the residuals of a least-squares plane."""
+    many = study_with(study, {"disturbance.mount.instants": 600, "disturbance.pistons.piston_nm": 12.0})
+    many = many.identity_text()
+    bench, cases = bench_of(many), np.arange(4)
+    arrays = workflow.compute(many, cases, DEVICE).arrays
+    rays, weight = bench.prepared.rays, bench.prepared.weight
+    design = np.stack([np.ones_like(rays.x), rays.x / 1e4, rays.y / 1e4], axis=1)
+    for case in (0, 1, 2):
+        meets = arrays["wfe_pv"][case] <= 550.0 / 4
+        instants = np.count_nonzero(np.isfinite(arrays["time_s"][case]))
+        assert arrays["rayleigh"][case] == np.count_nonzero(meets) / instants
+    for case in (0, 1):
+        states = workflow.surface_states(bench, workflow.draw(bench, case), 0, 3)
+        opd = trace_states(bench.prepared, states, choose_device("numpy")).opd[0, :, :3]
+        root = np.sqrt(weight)[:, None]
+        left = opd - design @ np.linalg.lstsq(root * design, root * opd, rcond=None)[0]
+        rms = np.sqrt(weight @ left**2) / bench.prepared.wavelength
+        assert (np.abs(rms * 14 - 1) > 1e-3).all()
+        assert arrays["marechal"][case] == np.mean(rms <= 1 / 14)
+    assert arrays["marechal"][2] == arrays["rayleigh"][2] == 1.0  # a telescope that only points elsewhere
+
+
+def test_spots_are_those_of_the_rays_on_the_sky(study):
+    """Segments that tilt by 50 nrad turn their rays by twice that, against 1 mas of aberration at rest."""
+    tilted = study_with(study, {"disturbance.pistons.tip_nrad": 50.0, "disturbance.pistons.tilt_nrad": 50.0})
+    text, row = tilted.identity_text(), 0
+    motion = workflow.draw(bench_of(text), row).motion.segment_motion[0]
+    tilts = 2.0 * (motion[:, 3:5] - motion[:, 3:5].mean(axis=0)) * 180 / np.pi * 3600e3
+    expected = np.sqrt(np.mean(np.sum(tilts**2, axis=1)))
+    chunk = workflow.compute(text, np.array([row]), DEVICE)
+    assert chunk.arrays["spot_rms"][0, 0] == pytest.approx(expected, rel=0.05)
 
 
 def test_a_figure_dims_the_image_as_it_lowers_the_strehl_ratio(study, text):

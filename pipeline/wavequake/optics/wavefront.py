@@ -23,6 +23,8 @@ from wavequake.optics.states import SurfaceStates
 
 Array = NDArray[np.float64]
 
+_FOLD = 64  # rows of 16 instants that are reduced side by side
+
 
 @dataclass(frozen=True)
 class Wavefront:
@@ -36,9 +38,13 @@ class Wavefront:
         Root of the sum of squares from j = 4 on (Störkle 2018, Eq. 3.40), waves.
     rms_raw : ndarray, shape (batch,)
         Weighted rms over the rays on glass, piston removed, waves.
+    rms_flat, pv : ndarray, shape (batch,)
+        Weighted rms and peak to valley over the rays on glass about the best-fit plane, waves.
     chief, los, centroid : ndarray, shape (batch, 2)
         Image point of the virtual chief ray; line of sight by Eq. 3.39 with annular tilt; weighted mean of
         the rays' image points (the true geometric centroid); mm.
+    spot_rms : ndarray, shape (batch,)
+        Weighted rms distance of the rays' image points from their centroid, mm.
     strehl : ndarray, shape (batch,)
         Squared modulus of the mean of exp(2 pi i OPD) about the best-fit plane: the intensity in the
         plane's direction.
@@ -53,9 +59,12 @@ class Wavefront:
     zernike: Array
     rms: Array
     rms_raw: Array
+    rms_flat: Array
+    pv: Array
     chief: Array
     los: Array
     centroid: Array
+    spot_rms: Array
     strehl: Array
     segment_phase: Array
     lost: NDArray[np.int64]
@@ -111,7 +120,7 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array) -> Wavefront:
         _analyse_tile(prepared, opd / prepared.wavelength, x, y, status == OK)
         for opd, x, y, status in zip(traced.opd, traced.x, traced.y, traced.status, strict=True)
     ]
-    zernike, rms, rms_raw, centroid, strehl, phase, lost, lost_segments = (
+    zernike, rms, rms_raw, rms_flat, pv, centroid, spot_rms, strehl, phase, lost, lost_segments = (
         np.concatenate(values) for values in zip(*parts, strict=True)
     )
     image_point = from_tiles(chief)[:, :2]
@@ -120,9 +129,12 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array) -> Wavefront:
         zernike=zernike,
         rms=rms,
         rms_raw=rms_raw,
+        rms_flat=rms_flat,
+        pv=pv,
         chief=image_point,
         los=los_eq339(image_point, zernike, prepared.wavelength, prepared.numerical_aperture, factor),
         centroid=centroid,
+        spot_rms=spot_rms,
         strehl=strehl,
         segment_phase=phase,
         lost=lost,
@@ -155,14 +167,34 @@ def _analyse_tile(
         return total / remaining
 
     centroid = np.stack([mean(x), mean(y)], axis=1)
+    axes = ((x, centroid[:, 0]), (y, centroid[:, 1]))
     angle = prepared.plane.basis @ (-2.0 * np.pi * plane)
     angle += 2.0 * np.pi * waves
-    strehl = mean(np.cos(angle)) ** 2 + mean(np.sin(angle, out=angle)) ** 2
+    pv = _peak_to_valley(angle if complete else np.where(ok, angle, np.nan)) / (2.0 * np.pi)
+    real = np.cos(angle)
+    strehl = mean(real) ** 2
+    rms_flat = np.sqrt(mean(np.square(angle, out=real))) / (2.0 * np.pi)
+    strehl += mean(np.sin(angle, out=angle)) ** 2
+    spread = [mean(np.square(np.subtract(x, middle, out=angle), out=angle)) for x, middle in axes]
+    spot_rms = np.sqrt(spread[0] + spread[1])
     waves -= mean(waves)
     rms_raw = np.sqrt(mean(np.square(waves, out=waves)))
     rms = np.sqrt(np.sum(zernike[3:] ** 2, axis=0))
     lost = np.count_nonzero(~ok, axis=0)
-    return zernike.T, rms, rms_raw, centroid, strehl, phase.transpose(2, 0, 1), lost, lost_segments
+    phase = phase.transpose(2, 0, 1)
+    return zernike.T, rms, rms_raw, rms_flat, pv, centroid, spot_rms, strehl, phase, lost, lost_segments
+
+
+def _peak_to_valley(values: Array) -> Array:
+    """Return the largest minus the smallest of values (N, 16), folded to long rows: 16 are slow to reduce."""
+    whole = len(values) // _FOLD * _FOLD
+    wide = values[:whole].reshape(-1, _FOLD * TILE)
+    extremes = []
+    for extreme, start in ((np.fmax, -np.inf), (np.fmin, np.inf)):
+        folded = extreme.reduce(wide, axis=0, initial=start).reshape(_FOLD, TILE)
+        rest = extreme.reduce(values[whole:], axis=0, initial=start)
+        extremes.append(extreme(extreme.reduce(folded, axis=0), rest))
+    return np.where(np.isfinite(extremes[0]), extremes[0] - extremes[1], np.nan)
 
 
 def _refit_segments(

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.devices import choose_device
+from wavequake.kernels.tiles import from_tiles
 from wavequake.mechanics.disturbances import analytic_rms
 from wavequake.optics.prepared import trace_states
 from wavequake.report.detail import Detail
@@ -17,7 +18,7 @@ from wavequake.report.export import export, target_of
 from wavequake.report.html import write_report
 from wavequake.report.populations import Summary, populations, representatives, summarize
 from wavequake.report.table import terminal_table
-from wavequake.workflows.bench import bench_of
+from wavequake.workflows.bench import MAS_PER_RAD, bench_of
 from wavequake.workflows.segment_disturbance import draw, surface_states
 from wavequake.workflows.store import JOURNAL, REPORT, Manifest, open_store, read_manifest
 from wavequake.workflows.verify import verify_store
@@ -97,7 +98,8 @@ def detail(study_text: str, case: int, device_name: str, dataset: xr.Dataset) ->
     instants = len(drawn.time)
     states = surface_states(bench, drawn, 0, instants)
     traced = trace_states(bench.prepared, states, choose_device(device_name))
-    opd = np.moveaxis(traced.opd, -1, 1).reshape(-1, traced.opd.shape[1])[:instants]
+    opd, x, y = (from_tiles(values)[:instants] for values in (traced.opd, traced.x, traced.y))
+    to_mas = MAS_PER_RAD / bench.first_order.focal_length
     segments, rays = bench.system.segments, bench.prepared.rays
     return Detail(
         case=case,
@@ -111,6 +113,8 @@ def detail(study_text: str, case: int, device_name: str, dataset: xr.Dataset) ->
         ray_y=rays.y,
         ray_segment=rays.segment,
         opd=opd * 1e6,
+        spot=(np.stack([x, y], axis=-1) - bench.static.chief[0]) * to_mas,
+        airy_mas=1.22 * bench.prepared.wavelength / (2.0 * bench.system.pupil_outer) * MAS_PER_RAD,
         image=dataset["exposure"].sel(case=case).to_numpy(),
         image_x=dataset["x"].to_numpy(),
         image_y=dataset["y"].to_numpy(),

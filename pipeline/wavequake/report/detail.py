@@ -31,6 +31,10 @@ class Detail:
         Index of the segment that each ray hits, -1 for none.
     opd : ndarray, shape (T, N)
         Optical path differences, nm; NaN for a lost ray.
+    spot : ndarray, shape (T, N, 2)
+        Where the rays meet the image, on the sky about the chief ray at rest, mas; NaN for a lost ray.
+    airy_mas : float
+        Radius of the Airy disk of the pupil's outer diameter, 1.22 lambda/D.
     image : ndarray, shape (Y, X)
         Exposure: mean of the instants' point spread functions, 1 = peak of the perfect one.
     image_x, image_y : ndarray, shape (X,) and (Y,)
@@ -48,6 +52,8 @@ class Detail:
     ray_y: NDArray[np.float64]
     ray_segment: NDArray[np.integer]
     opd: NDArray[np.float64]
+    spot: NDArray[np.float64]
+    airy_mas: float
     image: NDArray[np.float64]
     image_x: NDArray[np.float64]
     image_y: NDArray[np.float64]

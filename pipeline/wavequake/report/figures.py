@@ -15,7 +15,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import PathPatch
+from matplotlib.patches import Circle, PathPatch
 from matplotlib.path import Path
 from numpy.typing import NDArray
 
@@ -82,6 +82,25 @@ def psf_image(
     """Show an exposure (Y, X) over pixel centers in lambda/D, log-scaled from 1e-5 to 1 = perfect peak."""
     figure = Figure(figsize=(WIDTH, HEIGHT))
     _draw_psf(figure, _square(figure), image, x, y, case)
+    return figure
+
+
+@rc_context(STYLE)
+def spot_diagram(detail: Detail) -> Figure:
+    """Show where the rays meet the image at the worst instant, about their centroid, with the Airy disk."""
+    figure = Figure(figsize=(WIDTH, HEIGHT))
+    axes = _square(figure)
+    spot = detail.spot[detail.worst_instant][detail.glass]
+    spot = spot - spot.mean(axis=0) if len(spot) else spot
+    distance = np.hypot(*spot.T)
+    reach = 1.1 * max(float(distance.max(initial=0.0)), detail.airy_mas)
+    axes.add_patch(Circle((0.0, 0.0), detail.airy_mas, facecolor="none", edgecolor=_COLORS[1], lw=1.2))
+    axes.scatter(spot[:, 0], spot[:, 1], s=3, color=_COLORS[0], lw=0, alpha=0.5, rasterized=True)
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="x (mas)", ylabel="y (mas)", aspect="equal")
+    rms = number(float(np.sqrt(np.mean(distance**2)))) if len(spot) else "–"
+    axes.set_title(
+        f"Spot diagram, {_instant(detail)}\nrms {rms} mas, circle: Airy disk, {number(detail.airy_mas)} mas"
+    )
     return figure
 
 

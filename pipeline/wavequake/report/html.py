@@ -55,6 +55,12 @@ _DEFINITIONS = (
     ),
     ("segments", "segment_piston_rms", "Over all cases and instants; the model's value as for the LOS."),
     ("Strehl", "strehl", "P5 and P50 are over the instants of all cases."),
+    (
+        "Rayleigh",
+        "rayleigh",
+        "Over the rays on glass, piston and tilt removed: a tilt moves the image and does not blur it.",
+    ),
+    ("Maréchal", "marechal", "The Strehl ratio is then about 0.8 or more."),
     ("EE80", "ee80", "The exposure of a case is the mean of the images of its instants; P50 is over cases."),
     (
         "confidence interval",
@@ -201,6 +207,7 @@ def _section(place: int, population: Population, details: Sequence[Detail], data
         pictures += [
             _picture(f"{id_}-m1", f"Displacement of each segment {of}", figures.segment_map(detail)),
             _picture(f"{id_}-opd", f"Optical path differences {of}", figures.opd_map(detail)),
+            _picture(f"{id_}-spot", f"Spot diagram {of}", figures.spot_diagram(detail)),
             _picture(f"{id_}-psf", f"Image {of}", image),
         ]
     if not mine:

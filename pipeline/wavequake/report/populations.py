@@ -13,7 +13,8 @@ from wavequake.report.statistics import Jitter, Quantile, case_rms, jitter, quan
 from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
 
 _SERIES = ("wfe_rms", "wfe_rms_raw", "segment_piston_rms", "strehl", "los", "centroid")
-_NEEDED = (*_SERIES, "ee80", "time_s", "status", "disturbance")
+_VERDICTS = ("rayleigh", "marechal")
+_NEEDED = (*_SERIES, *_VERDICTS, "ee80", "time_s", "status", "disturbance")
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,8 @@ class Population:
     strehl : ndarray, shape (C, T)
     ee80 : ndarray, shape (C,)
         Radius of 80 % encircled energy, lambda/D; +inf beyond the frame.
+    rayleigh, marechal : ndarray, shape (C,)
+        Shares of a case's instants that are diffraction-limited by Störkle 2018, Eq. 3.54 and Eq. 3.55.
     quarantined, todo, incomplete : int
         Cases left out: failed, not computed yet, and marked done though a number is missing.
     """
@@ -50,6 +53,8 @@ class Population:
     centroid: NDArray[np.float64]
     strehl: NDArray[np.float64]
     ee80: NDArray[np.float64]
+    rayleigh: NDArray[np.float64]
+    marechal: NDArray[np.float64]
     quarantined: int
     todo: int
     incomplete: int
@@ -111,6 +116,8 @@ class Summary:
     strehl_p5: Quantile
     strehl_p50: Quantile
     ee80_p50: Quantile
+    rayleigh: float
+    marechal: float
 
 
 @dataclass(frozen=True)
@@ -180,6 +187,8 @@ def summarize(population: Population, analytic: tuple[float, str] | None = None)
         strehl_p5=quantile(population.strehl, 0.05, draws=cases),
         strehl_p50=quantile(population.strehl, 0.50, draws=cases),
         ee80_p50=quantile(population.ee80, 0.50),
+        rayleigh=float(population.rayleigh.mean()) if cases else np.nan,
+        marechal=float(population.marechal.mean()) if cases else np.nan,
     )
 
 
@@ -251,6 +260,8 @@ def _population(name: str, arrays: dict[str, NDArray[Any]]) -> Population:
         centroid=series["centroid"],
         strehl=series["strehl"],
         ee80=arrays["ee80"][usable].astype(np.float64),
+        rayleigh=arrays["rayleigh"][usable].astype(np.float64),
+        marechal=arrays["marechal"][usable].astype(np.float64),
         quarantined=int(np.count_nonzero(mine & (status > DONE))),
         todo=int(np.count_nonzero(mine & (status == TODO))),
         incomplete=int(np.count_nonzero(mine & (status == DONE) & ~usable)),

@@ -19,7 +19,8 @@ _CAPTION = (
     "confidence interval (≤, ≥: too few cases for both bounds). LOS: rms of both axes about the mean of all "
     "cases and instants, ± standard error; segments: rms along their normals; in brackets what the model "
     "implies. Strehl: over all instants. "
-    "EE80: median over cases."
+    "EE80: median over cases. Rayleigh, Maréchal: share of instants with a peak to valley of at most λ/4, "
+    "with an rms of at most λ/14, piston and tilt removed."
 )
 
 
@@ -33,6 +34,16 @@ def number(value: float, digits: int = 3) -> str:
     if exponent < -4 or exponent > 5:
         return f"{value:.{digits - 1}e}"
     return f"{value:.{max(0, digits - 1 - exponent)}f}"
+
+
+def share(value: float) -> str:
+    """Format a share in percent; only all is 100 % and only none 0 %."""
+    if np.isnan(value):
+        return MISSING
+    percent = 100.0 * value
+    if 0.0 < percent < 1.0 or 99.0 < percent < 100.0:
+        return "< 1 %" if percent < 1.0 else "> 99 %"
+    return f"{percent:.0f} %"
 
 
 def interval(quantile: Quantile, digits: int = 3) -> str:
@@ -66,6 +77,8 @@ def _row(summary: Summary) -> dict[str, tuple[str, str]]:
         "Strehl P5": _quantile(summary.strehl_p5, 4),
         "Strehl P50": _quantile(summary.strehl_p50, 4),
         "EE80 P50 (λ/D)": _radius(summary.ee80_p50),
+        "Rayleigh": (share(summary.rayleigh), ""),
+        "Maréchal": (share(summary.marechal), ""),
     }
 
 
@@ -103,7 +116,12 @@ def terminal_table(summaries: Iterable[Summary]) -> Table:
     table.add_column("")
     for header in ("WFE on glass\nrms (nm)", "WFE j ≥ 4\nrms (nm)"):
         table.add_column(header, justify="right", no_wrap=True)
-    for header in ("segments\nrms (nm)", "LOS rms\n(mas)", "Strehl\nP50, P5", "EE80\n(λ/D)"):
+    for header in (
+        "segments\nrms (nm)",
+        "LOS rms\n(mas)",
+        "Strehl\nP50, P5\nMaréchal",
+        "EE80\n(λ/D)\nRayleigh",
+    ):
         table.add_column(header, justify="right", no_wrap=True)
     for summary in summaries:
         jitter, error = _jitter(summary.los_jitter)
@@ -120,8 +138,9 @@ def terminal_table(summaries: Iterable[Summary]) -> Table:
             f"{number(summary.wfe_p50.value)}\n{number(summary.wfe_p95.value)}",
             number(summary.segment_piston) + ("" if segments is None else f"\n({number(segments)})"),
             f"{jitter}\n{error}{model}",
-            f"{number(summary.strehl_p50.value, 4)}\n{number(summary.strehl_p5.value, 4)}",
-            f"{_radius(summary.ee80_p50)[0]}",
+            f"{number(summary.strehl_p50.value, 4)}\n{number(summary.strehl_p5.value, 4)}\n"
+            f"{share(summary.marechal)}",
+            f"{_radius(summary.ee80_p50)[0]}\n\n{share(summary.rayleigh)}",
         )
     return table
 

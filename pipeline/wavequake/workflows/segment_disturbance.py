@@ -19,6 +19,7 @@ from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import TILE, padded
 from wavequake.mechanics.disturbances import Disturbance, Motion, analytic_rms, draw_case, time_axis
 from wavequake.optics.prepared import chief_rays, trace_states
+from wavequake.optics.quality import meets_marechal, meets_rayleigh
 from wavequake.optics.states import SurfaceStates
 from wavequake.optics.wavefront import Wavefront, analyse
 from wavequake.workflows.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, monolithic
@@ -122,7 +123,8 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
         name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
         for name, variable in template(study_text).per_case.items()
     }
-    arrays["exposure"][:] = 0.0
+    for name in ("exposure", "rayleigh", "marechal"):  # sums over a case's launches
+        arrays[name][:] = 0.0
     messages = [""] * len(cases)
     for launch in _pieces(draws):
         with clock("draw"):
@@ -199,6 +201,10 @@ def _record(
     arrays["time_s"][row, there] = drawn.time[there]
     arrays["wfe_rms"][row, there] = wavefront.rms[here] * to_nm
     arrays["wfe_rms_raw"][row, there] = wavefront.rms_raw[here] * to_nm
+    arrays["wfe_pv"][row, there] = wavefront.pv[here] * to_nm
+    arrays["spot_rms"][row, there] = wavefront.spot_rms[here] * abs(to_mas)
+    arrays["rayleigh"][row] += np.count_nonzero(meets_rayleigh(wavefront.pv[here]))
+    arrays["marechal"][row] += np.count_nonzero(meets_marechal(wavefront.rms_flat[here]))
     arrays["zernike"][row, there] = wavefront.zernike[here] * to_nm
     arrays["los"][row, there] = (wavefront.los[here] - bench.static.los[0]) * to_mas
     arrays["centroid"][row, there] = (wavefront.centroid[here] - bench.static.centroid[0]) * to_mas
@@ -212,6 +218,8 @@ def _record(
 def _finish_exposure(bench: Bench, arrays: dict[str, Array], row: int, instants: int) -> None:
     exposure = arrays["exposure"][row]
     exposure /= instants
+    for name in ("rayleigh", "marechal"):
+        arrays[name][row] /= instants
     for name, fraction in (("ee50", 0.5), ("ee80", 0.8)):
         arrays[name][row] = encircled_energy_radius(exposure, fraction, **energy_scale(bench))
 
@@ -254,6 +262,12 @@ def template(study_text: str) -> Template:
         "wfe_rms_raw": variable(
             over_time, (instants,), "nm", "wavefront error rms over the rays on glass, piston removed"
         ),
+        "wfe_pv": variable(
+            over_time,
+            (instants,),
+            "nm",
+            "peak to valley of the wavefront over the rays on glass about their best-fit plane",
+        ),
         "zernike": variable(
             ("time", "noll"), (instants, terms), "nm", "annular Noll Zernike coefficients, total"
         ),
@@ -267,11 +281,27 @@ def template(study_text: str) -> Template:
         "centroid": variable(
             ("time", "axis"), (instants, 2), "mas", "geometric centroid of the rays, relative to rest"
         ),
+        "spot_rms": variable(
+            over_time, (instants,), "mas", "rms distance of the rays' image points from their centroid"
+        ),
         "strehl": variable(
             over_time, (instants,), "1", "Strehl ratio in the direction of the best-fit plane"
         ),
         "segment_piston_rms": variable(
             over_time, (instants,), "nm", "rms over segments of the displacement along their normals"
+        ),
+        "rayleigh": variable(
+            (),
+            (),
+            "1",
+            "share of instants with a peak to valley of at most lambda/4 (Störkle 2018, Eq. 3.54)",
+        ),
+        "marechal": variable(
+            (),
+            (),
+            "1",
+            "share of instants with an rms over the rays on glass, piston and tilt removed, of at most "
+            "lambda/14 (Störkle 2018, Eq. 3.55)",
         ),
         "ee50": variable(
             (), (), "lambda/D", "radius of 50 % encircled energy of the exposure; inf beyond the frame"
