@@ -1,0 +1,122 @@
+"""Component mode synthesis: the families of Störkle 2018, Table 2.1, built from modes and static shapes.
+
+Each function returns the elastic part of a basis, shape (n, count); `wavequake.reduction.galerkin` adds the
+rigid motions, which every basis but that of fixed-interface modes contains.
+"""
+
+import numpy as np
+
+from wavequake.errors import UserError
+from wavequake.mechanics.model import Array, Integers
+from wavequake.reduction.structure import (
+    Structure,
+    clamped,
+    elastic_flexibility,
+    elastic_modes,
+    fixed_modes,
+    held,
+)
+
+
+def modal(body: Structure, count: int) -> Array:
+    """Free-interface normal modes (Hou 1969, Goldman 1969)."""
+    return elastic_modes(body, count)[1]
+
+
+def fixed_interface(body: Structure, count: int) -> Array:
+    """Modes with the interface at rest: the thesis' modalfix, good only where the interface is held."""
+    held(body)
+    return fixed_modes(body, count, body.interface)[1]
+
+
+def constraint_modes(body: Structure, interface: Integers) -> Array:
+    """Return static shapes of unit displacements of `interface`, the others of them zero, shape (n, c)."""
+    key = ("constraint", *interface.tolist())
+    if key not in body.cache:
+        shapes = np.zeros((body.order, len(interface)))
+        shapes[interface, np.arange(len(interface))] = 1.0
+        body.cache[key] = shapes - clamped(body, interface)(body.stiffness @ shapes)
+    modes: Array = body.cache[key]
+    return modes
+
+
+def elastic_constraint_modes(body: Structure) -> Array:
+    """Constraint modes of the interface motions that are not rigid, shape (n, 3 k - r)."""
+    held(body)
+    rigid = body.rigid[body.interface]
+    motions = np.linalg.qr(rigid, mode="complete")[0][:, rigid.shape[1] :]
+    return body.remove_rigid(constraint_modes(body, body.interface) @ motions)
+
+
+def guyan(body: Structure, count: int) -> Array:
+    """Condense statically to the interface (Guyan 1965)."""
+    modes = elastic_constraint_modes(body)
+    if count != modes.shape[1]:
+        raise UserError(
+            f"Static condensation of the model {body.name} to its interface has exactly the order "
+            f"{len(body.interface)}; for other orders choose craigb."
+        )
+    return modes
+
+
+def craig_bampton(body: Structure, count: int) -> Array:
+    """Constraint modes and fixed-interface modes (Craig and Bampton 1968)."""
+    static = elastic_constraint_modes(body)
+    rest = _rest(body, count, static.shape[1], "constraint modes")
+    return np.hstack([static, fixed_modes(body, rest, body.interface)[1]])
+
+
+def attachment_modes(body: Structure) -> Array:
+    """Return static shapes of unit forces at the interface, under inertia relief, shape (n, 3 k)."""
+    if "attachment" not in body.cache:
+        body.cache["attachment"] = elastic_flexibility(body)(body.inputs)
+    modes: Array = body.cache["attachment"]
+    return modes
+
+
+def inertia_relief(body: Structure, count: int) -> Array:
+    """Free-interface modes and inertia-relief attachment modes."""
+    static = attachment_modes(body)
+    rest = _rest(body, count, static.shape[1], "attachment modes")
+    shapes = elastic_modes(body, rest)[1]
+    # Beside many modes little is left of an attachment mode: what is left is what counts.
+    return np.hstack([shapes, static - shapes @ (shapes.T @ (body.mass @ static))])
+
+
+def rubin(body: Structure, count: int) -> Array:
+    """Free-interface modes and residual attachment modes (Rubin 1975, MacNeal 1971; Martinez 1984).
+
+    The residual flexibility is the static one less that of the kept modes. With rigid motions, Rubin's basis,
+    that of Martinez (dual Craig-Bampton) and that of inertia relief span one space; MacNeal's neglect of the
+    residual mass, which would leave the mass singular, is not made.
+    """
+    static = attachment_modes(body)
+    rest = _rest(body, count, static.shape[1], "attachment modes")
+    squared, shapes = elastic_modes(body, rest)
+    return np.hstack([shapes, static - shapes @ (shapes[body.interface].T / squared[:, None])])
+
+
+def hintz(body: Structure, count: int) -> Array:
+    """Mixed boundary (Hintz 1975): part of the interface fixed, the rest free.
+
+    Fixed are those six directions that hold the body determinately (3-2-1), chosen by pivoted QR of the rigid
+    motions; their constraint modes are the rigid motions. The others carry attachment modes, and the normal
+    modes have the six at rest and the others free.
+    """
+    fixed = held(body)
+    loaded = ~np.isin(body.interface, fixed)
+    static = clamped(body, fixed)(body.inputs[:, loaded])
+    rest = _rest(body, count, static.shape[1], "attachment modes")
+    squared, shapes = fixed_modes(body, rest, fixed)
+    residual = static - shapes @ (shapes[body.interface[loaded]].T / squared[:, None])
+    return body.remove_rigid(np.hstack([shapes, residual]))
+
+
+def _rest(body: Structure, count: int, static: int, kind: str) -> int:
+    if count < static:
+        rigid = body.rigid.shape[1]
+        raise UserError(
+            f"The order {count + rigid} is below the {static + rigid} rigid motions and {kind} that the "
+            f"interface of the model {body.name} needs."
+        )
+    return count - static

@@ -1,0 +1,62 @@
+"""Second-order IRKA: tangential interpolation at the mirror images of the reduced model's own poles.
+
+The fixed point of Gugercin, Antoulas and Beattie 2008 in its second-order, symmetric form (SOR-IRKA, Wyatt
+2012): of the reduced modes those of the largest residue over damping give pole pairs, and each pair gives two
+real columns. It runs on elastic modal coordinates, where a solve is a division; rigid motions are split off.
+"""
+
+import numpy as np
+
+from wavequake.errors import UserError
+from wavequake.mechanics.model import Array
+from wavequake.reduction.balanced import oscillators
+from wavequake.reduction.structure import Structure, elastic_modes
+
+_ITERATIONS = 300
+_CHANGE = 1e-6
+
+
+def irka(body: Structure, count: int) -> Array:
+    """Return the basis at the fixed point, shape (n, count).
+
+    Raises
+    ------
+    UserError
+        If the shifts have not settled after 300 iterations.
+    """
+    squared, dampings, inputs = oscillators(body)
+    shapes = elastic_modes(body, len(squared))[1]
+    if count > len(squared):
+        raise UserError(f"The model {body.name} has only {len(squared)} elastic coordinates.")
+    pairs = (count + 1) // 2
+    shifts, directions = _dominant(squared, dampings, inputs, pairs)
+    change = np.inf
+    for _ in range(_ITERATIONS):
+        basis = _interpolating(squared, dampings, inputs, shifts, directions)[:, :count]
+        reduced, turn = np.linalg.eigh((basis.T * squared) @ basis)
+        rates = body.damping.mass + body.damping.stiffness * reduced
+        before = shifts
+        shifts, directions = _dominant(reduced, rates, turn.T @ (basis.T @ inputs), pairs)
+        change = float(np.abs(shifts - before).max() / np.abs(before).max())
+        if change < _CHANGE:
+            return shapes @ basis
+    raise UserError(
+        f"IRKA of {count} elastic coordinates of the model {body.name} did not converge: after {_ITERATIONS} "
+        f"iterations the shifts still change by {change:.1e}; choose another order, bt or flbt."
+    )
+
+
+def _dominant(squared: Array, dampings: Array, inputs: Array, pairs: int) -> tuple[Array, Array]:
+    """Return the mirrored poles and the directions of the modes that resonate most, by rising frequency."""
+    strength = np.einsum("ij,ij->i", inputs, inputs) / (dampings * squared)
+    chosen = np.sort(np.argsort(-strength, kind="stable")[:pairs])
+    half = dampings[chosen] / 2
+    shifts = half + np.sqrt((half**2 - squared[chosen]).astype(complex))
+    return shifts, inputs[chosen]
+
+
+def _interpolating(squared: Array, dampings: Array, inputs: Array, shifts: Array, directions: Array) -> Array:
+    """Orthonormal columns of the real and imaginary parts of the tangential solutions."""
+    solutions = (inputs @ directions.T) / (squared[:, None] + dampings[:, None] * shifts + shifts**2)
+    columns = np.stack([solutions.real, solutions.imag], axis=2).reshape(len(squared), -1)
+    return np.linalg.qr(columns / np.linalg.norm(columns, axis=0))[0]

@@ -1,0 +1,62 @@
+"""Moment matching: second-order Krylov subspaces at several expansion points (Salimbahrami 2005).
+
+The moments of H(s) = B^T (K + s^2 M)^-1 B about s0 are matched by the chain X_1 = A B, X_j = A M X_(j-1) with
+A = (K + s0^2 M)^-1; m blocks match 2 m derivatives with respect to s^2, because the projection is symmetric.
+Damping is left out: with Rayleigh damping the damped and the undamped chain span nearly the same space, and
+one real factorization is enough. Rigid motions are deflated from the inputs and kept exactly. Blocks are
+orthogonalized against all before them: bare moments are dependent to working precision.
+"""
+
+import numpy as np
+
+from wavequake.errors import UserError
+from wavequake.mechanics.model import Array
+from wavequake.reduction.structure import Structure, orthonormalize, shifted
+
+
+def krylov(
+    body: Structure, count: int | None, points: tuple[complex, ...], moments: tuple[int, ...]
+) -> Array:
+    """Return a mass-orthonormal basis of frequency response modes, shape (n, count).
+
+    Parameters
+    ----------
+    body : Structure
+    count : int or None
+        Columns; None takes all that `moments` gives. Without `moments`, the points take turns.
+    points : tuple of complex
+        Hz; see `wavequake.reduction.names`.
+    moments : tuple of int
+        Block moments of each point, or empty.
+
+    Raises
+    ------
+    UserError
+        If the points give fewer independent directions than `count`.
+    """
+    wanted = body.order if count is None else count
+    limits = moments or (wanted,) * len(points)
+    basis = np.zeros((body.order, 0))
+    chains = [np.zeros((body.order, 0)) for _ in points]
+    latest = [body.inputs - body.mass @ (body.rigid @ body.rigid.T[:, body.interface]) for _ in points]
+    for level in range(max(limits)):
+        grown = basis.shape[1]
+        for place, point in enumerate(points):
+            if level >= limits[place] or basis.shape[1] >= wanted or not latest[place].shape[1]:
+                continue
+            response = shifted(body, point)(latest[place] if level == 0 else body.mass @ latest[place])
+            latest[place] = orthonormalize(body.mass, body.remove_rigid(response), chains[place])
+            chains[place] = np.hstack([chains[place], latest[place]])
+            block = latest[place]
+            if np.iscomplexobj(block):
+                block = np.hstack([block.real, block.imag])
+            basis = np.hstack([basis, orthonormalize(body.mass, block, basis)])
+        if basis.shape[1] in (grown, wanted) or basis.shape[1] > wanted:
+            break
+    if count is not None and basis.shape[1] < count:
+        rigid = body.rigid.shape[1]
+        raise UserError(
+            f"The expansion points and moments give only {basis.shape[1] + rigid} independent directions of "
+            f"the model {body.name}, fewer than the order {count + rigid}; give more points or moments."
+        )
+    return basis[:, :count]

@@ -1,0 +1,243 @@
+"""What a reduced model is worth: transfer matrices, errors, mode shapes, pseudo-eigenfrequencies."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csc_array
+
+from wavequake.errors import UserError
+from wavequake.mechanics.eigen import factorize
+from wavequake.mechanics.model import Array, FiniteElementModel, ReducedModel
+
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class ModalForm:
+    """A reduced model in its undamped modes, q'' + D q' + diag(squared) q = inputs f.
+
+    Attributes
+    ----------
+    squared : ndarray, shape (r,)
+        Squared angular pseudo-eigenfrequencies, rad^2/s^2, rising.
+    damping : ndarray, shape (r, r)
+        1/s; diagonal if the damping is proportional.
+    inputs : ndarray, shape (r, 3 k)
+    modes : ndarray, shape (r, r)
+        Mass-normalized modes in the coordinates of the model.
+    """
+
+    squared: Array
+    damping: Array
+    inputs: Array
+    modes: Array
+
+
+def modal_form(model: ReducedModel) -> ModalForm:
+    """Return the undamped modes of a reduced model; at no cost if it is in its modes already.
+
+    Raises
+    ------
+    UserError
+        If the mass matrix is not positive definite.
+    """
+    squared = np.diag(model.stiffness)
+    unit = np.eye(model.order)
+    if (np.diff(squared) >= 0).all() and (model.mass == unit).all() and _is_diagonal(model.stiffness):
+        return ModalForm(squared, model.damping_matrix, model.inputs, unit)
+    try:
+        squared, modes = scipy.linalg.eigh(model.stiffness, model.mass)
+    except scipy.linalg.LinAlgError:
+        raise UserError(
+            f"The mass matrix of {model.name} is singular; it must be positive definite."
+        ) from None
+    return ModalForm(squared, modes.T @ model.damping_matrix @ modes, modes.T @ model.inputs, modes)
+
+
+def _is_diagonal(matrix: Array) -> bool:
+    return bool(np.count_nonzero(matrix) == np.count_nonzero(np.diag(matrix)))
+
+
+def pseudo_frequencies(model: ReducedModel) -> Array:
+    """Return the eigenfrequencies of a reduced model in Hz, shape (r,), rising; the last is the largest."""
+    frequencies: Array = np.sqrt(np.maximum(modal_form(model).squared, 0.0)) / (2 * np.pi)
+    return frequencies
+
+
+def receptance(model: ReducedModel, frequencies: ArrayLike, rows: Array | None = None) -> Complex:
+    """Return the displacements per unit force over frequency, m/N.
+
+    Proportional damping keeps the undamped modes, and all frequencies are one product of the resonances
+    (f, r) with the modal contributions (r, entries); a symmetric matrix has only 3 k (3 k + 1) / 2 of them.
+
+    Parameters
+    ----------
+    model : ReducedModel
+    frequencies : array_like, shape (f,)
+        Hz; positive for a body that is free to move.
+    rows : ndarray, shape (o, r), optional
+        Outputs, e.g. ``model.surface``; the interface displacements by default.
+
+    Returns
+    -------
+    ndarray, shape (f, o or 3 k, 3 k)
+
+    Raises
+    ------
+    UserError
+        If a frequency is negative, not finite, or 0 with a rigid mode.
+    """
+    form = modal_form(model)
+    omega = _angular(frequencies)
+    if (omega == 0).any() and not form.squared[0] > 0:
+        raise UserError(f"The model {model.name} is free to move: its response at 0 Hz is infinite.")
+    if not _is_proportional(form):
+        return _coupled(form, omega, form.inputs.T if rows is None else rows @ form.modes)
+    rates = np.diag(form.damping)
+    resonances = 1.0 / (form.squared - omega[:, None] ** 2 + 1j * omega[:, None] * rates)
+    count = form.inputs.shape[1]
+    if rows is not None:
+        products = (rows @ form.modes).T[:, :, None] * form.inputs[:, None, :]
+        return _times_real(resonances, products.reshape(len(rates), -1)).reshape(len(omega), -1, count)
+    first, second = np.triu_indices(count)
+    entries = _times_real(resonances, form.inputs[:, first] * form.inputs[:, second])
+    place = np.zeros((count, count), dtype=np.int64)
+    place[first, second] = place[second, first] = np.arange(len(first))
+    return entries[:, place.ravel()].reshape(len(omega), count, count)
+
+
+def acceleration(model: ReducedModel, frequencies: ArrayLike, rows: Array | None = None) -> Complex:
+    """Return accelerations per unit force over frequency, m/s^2/N; arguments as `receptance`."""
+    return -(_angular(frequencies)[:, None, None] ** 2) * receptance(model, frequencies, rows)
+
+
+def _angular(frequencies: ArrayLike) -> Array:
+    values = np.atleast_1d(np.asarray(frequencies, dtype=float))
+    if values.ndim != 1 or not len(values) or not (np.isfinite(values) & (values >= 0)).all():
+        raise UserError("Frequencies must be finite, not negative, and at least one.")
+    omega: Array = 2 * np.pi * values
+    return omega
+
+
+def _is_proportional(form: ModalForm) -> bool:
+    off = form.damping - np.diag(np.diag(form.damping))
+    return bool(np.abs(off).max(initial=0.0) <= 1e-9 * np.abs(form.damping).max(initial=0.0))
+
+
+def _times_real(left: NDArray[Any], right: Array) -> Complex:
+    """Complex times real by one real product: real and imaginary part are neighbours in memory."""
+    count = len(left)
+    parts = np.concatenate([left.real, left.imag]) @ right
+    return parts[:count] + 1j * parts[count:]
+
+
+def _coupled(form: ModalForm, omega: Array, rows: Array) -> Complex:
+    """Damping that couples the modes: one solution per frequency."""
+    dynamic = 1j * omega[:, None, None] * form.damping
+    diagonal = np.arange(len(form.squared))
+    dynamic[:, diagonal, diagonal] += form.squared - omega[:, None] ** 2
+    result: Complex = rows @ np.linalg.solve(dynamic, form.inputs[None].astype(complex))
+    return result
+
+
+def full_receptance(
+    model: FiniteElementModel, frequencies: ArrayLike, progress: Callable[[int], None] | None = None
+) -> Complex:
+    """Return the interface receptance of the full model, shape (f, 3 k, 3 k): one factorization each.
+
+    Parameters
+    ----------
+    model : FiniteElementModel
+    frequencies : array_like, shape (f,)
+        Hz, positive.
+    progress : callable, optional
+        Called with the number of frequencies done.
+    """
+    omega = _angular(frequencies)
+    inputs = model.inputs.toarray()
+    damping = model.damping_matrix
+    result = np.zeros((len(omega), inputs.shape[1], inputs.shape[1]), dtype=complex)
+    for place, value in enumerate(omega):
+        dynamic = csc_array(model.stiffness + 1j * value * damping - value**2 * model.mass)
+        result[place] = inputs.T @ factorize(dynamic).solve(inputs.astype(complex))
+        if progress is not None:
+            progress(place + 1)
+    return result
+
+
+def frobenius(transfer: Complex) -> Array:
+    """Return the Frobenius norm of transfer matrices (f, o, i), shape (f,)."""
+    norms: Array = np.linalg.norm(transfer, axis=(1, 2))
+    return norms
+
+
+def eps_mor(reference: Complex, reduced: Complex) -> Array:
+    """Return the relative error of a reduced model over frequency, Störkle 2018, Eq. 2.10.
+
+    Parameters
+    ----------
+    reference, reduced : ndarray, shape (f, o, i)
+        Transfer matrices; acceleration and receptance give the same error.
+
+    Returns
+    -------
+    ndarray, shape (f,)
+    """
+    if reference.shape != reduced.shape:
+        raise UserError(
+            f"Transfer matrices of the shapes {reference.shape} and {reduced.shape} cannot be compared; use "
+            "the same frequencies, interface nodes and outputs."
+        )
+    error: Array = frobenius(reference - reduced) / frobenius(reference)
+    return error
+
+
+def surface_modes(model: ReducedModel) -> Array:
+    """Return the mode shapes at the optical nodes, shape (3 p, r), mass-normalized."""
+    shapes: Array = model.surface @ modal_form(model).modes
+    return shapes
+
+
+def interface_modes(model: ReducedModel) -> Array:
+    """Return the mode shapes at the interface nodes, shape (3 k, r), mass-normalized."""
+    return modal_form(model).inputs.T
+
+
+def mac(first: Array, second: Array, weights: Array | csc_array | None = None) -> Array:
+    """Return the modal assurance criterion of each shape of one model with each of another (Allemang 1982).
+
+    Parameters
+    ----------
+    first, second : ndarray, shapes (n, a) and (n, b)
+        Mode shapes at the same places.
+    weights : ndarray or csc_array, shape (n, n), optional
+        For instance the mass matrix.
+
+    Returns
+    -------
+    ndarray, shape (a, b)
+        From 0 to 1; 0 for a shape that is zero.
+    """
+    if len(first) != len(second):
+        raise UserError(f"Mode shapes at {len(first)} and {len(second)} places cannot be compared.")
+    weighted, other = (first, second) if weights is None else (weights @ first, weights @ second)
+    energies = np.einsum("ij,ij->j", first, weighted)[:, None] * np.einsum("ij,ij->j", second, other)
+    criterion: Array = (weighted.T @ second) ** 2 / np.where(energies > 0, energies, 1.0)
+    return criterion
+
+
+def participation(model: ReducedModel) -> Array:
+    """Return how strongly unit forces drive each mode, and it them: shape (r, 3 k), in kg^(-1/2).
+
+    Products of two columns are the residues of the transfer function between the two.
+    """
+    return modal_form(model).inputs
+
+
+def errors_of(reference: Complex, variants: Sequence[ReducedModel], frequencies: ArrayLike) -> Array:
+    """Return `eps_mor` of many variants against one reference, shape (variants, f)."""
+    return np.array([eps_mor(reference, receptance(variant, frequencies)) for variant in variants])

@@ -1,0 +1,66 @@
+"""Reduce a finite-element model by one method."""
+
+from wavequake.errors import UserError
+from wavequake.mechanics.model import Array, FiniteElementModel, ReducedModel
+from wavequake.reduction.galerkin import reduced
+from wavequake.reduction.intermediate import Intermediate, dense_structure, intermediate
+from wavequake.reduction.names import Variant, parse
+from wavequake.reduction.structure import Structure, structure
+
+
+def reduce(
+    model: FiniteElementModel,
+    method: str | Variant,
+    order: int | None = None,
+    *,
+    snapshots: Array | None = None,
+) -> ReducedModel:
+    """Reduce a finite-element model, directly.
+
+    Factorizations and modes are kept with the model and shared by later calls. IRKA, balanced truncation and
+    POD from generated snapshots work on all elastic modes of a small model, and on the intermediate model of
+    a large one (built for bands of 1200 Hz, or as high as the variant's own).
+
+    Parameters
+    ----------
+    model : FiniteElementModel
+    method : str or Variant
+        A name such as ``craigb36`` or ``krylov108(200,450,700)``, or a bare method such as ``rubin``.
+    order : int, optional
+        For a bare method.
+    snapshots : ndarray, shape (n, m), optional
+        Displacements in m, for pod.
+
+    Raises
+    ------
+    UserError
+        If the method is unknown, the order does not suit it or the model, or a matrix is singular.
+
+    Examples
+    --------
+    >>> reduce(model, "craigb36").order  # doctest: +SKIP
+    36
+    """
+    variant = parse(method, order) if isinstance(method, str) else method
+    if snapshots is not None and variant.method != "pod":
+        raise UserError(f"Snapshots are for pod, not for {variant}.")
+    body = structure(model)
+    modal = variant.method in ("irka", "bt", "flbt", "fwbt") or (
+        variant.method == "pod" and snapshots is None
+    )
+    if modal and not body.is_dense:
+        stage = _own_intermediate(model, variant, body)
+        return reduced(dense_structure(stage), variant, stage, lambda shapes: stage.surface @ shapes)
+    rows = model.surface
+    return reduced(body, variant, model, lambda shapes: rows @ shapes, snapshots)
+
+
+def _own_intermediate(model: FiniteElementModel, variant: Variant, body: Structure) -> Intermediate:
+    highest = max(
+        [1200.0] + [high for _, high, _ in variant.bands] + [abs(point) for point in variant.points]
+    )
+    key = ("intermediate", highest)
+    if key not in body.cache:
+        body.cache[key] = intermediate(model, highest=highest)
+    stage: Intermediate = body.cache[key]
+    return stage

@@ -1,0 +1,75 @@
+"""Sweeps: many variants from one intermediate model, checked against the full model.
+
+Variants that the intermediate model does not cover are reduced directly.
+"""
+
+from collections.abc import Sequence
+
+from wavequake.errors import UserError
+from wavequake.mechanics.model import FiniteElementModel, ReducedModel
+from wavequake.reduction.galerkin import reduced
+from wavequake.reduction.intermediate import Intermediate, dense_structure
+from wavequake.reduction.names import Variant, parse
+from wavequake.reduction.reduce import reduce
+from wavequake.reduction.structure import Structure
+
+
+def reference(model: Intermediate) -> ReducedModel:
+    """Return the whole intermediate model as a reduced model: what a sweep is compared with."""
+    return reduce_variants(model, [Variant("modal", model.order)])[0]
+
+
+def covers(model: Intermediate, variant: Variant) -> bool:
+    """Whether a variant of the intermediate model stands for that of the full model.
+
+    Modes must be among those that the basis holds, expansion points and bands inside its band, and other
+    orders not above half its order.
+    """
+    if model.order == model.full_order:
+        return True
+    interface, rigid = 3 * len(model.interfaces), model.rigid.shape[1]
+    order = variant.order or 0
+    if variant.method in ("modal", "rubin", "dualcb", "inertia", "hintz", "modalfix", "craigb", "guyan"):
+        static = {"modal": rigid, "modalfix": 0, "craigb": interface, "guyan": interface, "hintz": interface}
+        available = model.modes if variant.method != "hintz" else model.modes // 2
+        return bool(order - static.get(variant.method, rigid + interface) <= available)
+    if variant.moments:
+        order = rigid + interface * sum(variant.moments)
+    highest = max([abs(point) for point in variant.points] + [high for _, high, _ in variant.bands] + [0.0])
+    return bool(highest <= model.highest and 2 * order <= model.order)
+
+
+def reduce_variants(
+    model: Intermediate, variants: Sequence[str | Variant], full: FiniteElementModel | None = None
+) -> list[ReducedModel]:
+    """Return the reduced models of many variants.
+
+    Parameters
+    ----------
+    model : Intermediate
+    variants : sequence of str or Variant
+    full : FiniteElementModel, optional
+        Reduces those variants directly that the intermediate model does not cover (`covers`).
+
+    Raises
+    ------
+    UserError
+        If a variant is not covered and the full model is not given, or does not suit the model.
+    """
+    body = dense_structure(model)
+    return [_reduce_one(model, body, variant, full) for variant in variants]
+
+
+def _reduce_one(
+    model: Intermediate, body: Structure, name: str | Variant, full: FiniteElementModel | None
+) -> ReducedModel:
+    variant = parse(name) if isinstance(name, str) else name
+    whole = variant == Variant("modal", model.order)
+    if not whole and not covers(model, variant):
+        if full is None:
+            raise UserError(
+                f"The variant {variant} is outside what the intermediate model of {model.name} covers "
+                f"({model.modes} modes, {model.highest:g} Hz, order {model.order}); give the full model too."
+            )
+        return reduce(full, variant)
+    return reduced(body, variant, model, lambda shapes: model.surface @ shapes)
