@@ -1,0 +1,221 @@
+"""Write optical systems to Zemax's sequential lens files (.zmx).
+
+The system's z axis becomes the file's axis; a surface that is shifted or tilted stands between two coordinate
+breaks, the second of which undoes the first. What the format cannot hold is refused by name.
+"""
+
+import math
+import os
+import uuid
+from collections.abc import Sequence
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+
+from wavequake.errors import UserError
+from wavequake.optics.media import AIR, Medium, glasses
+from wavequake.optics.shapes import Conic, EvenAsphere, ExtendedPolynomial, Opening, ZernikeSag
+from wavequake.optics.system import OpticalSystem, Surface
+from wavequake.optics.zemax_import import MODEL_GLASS
+from wavequake.optics.zemax_surfaces import MAX_EVEN_TERMS, cardan_angles
+
+MAX_FIELDS = 12
+MAX_WAVELENGTHS = 24
+
+
+def write_zmx(system: OpticalSystem, path: str | Path) -> Path:
+    """Write a system as a sequential .zmx file (UTF-16); an existing file is replaced in one step.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    UserError
+        If the folder is missing, or the system has something that the format cannot hold: names it.
+    """
+    target = Path(path)
+    text = zmx_text(system)
+    partial = target.with_name(f".{target.name}.partial-{uuid.uuid4().hex}")
+    try:
+        partial.write_bytes(text.replace("\n", "\r\n").encode("utf-16"))
+        os.replace(partial, target)
+    except OSError as error:
+        raise UserError(f"The lens file {target} cannot be written: {error.strerror}.") from None
+    finally:
+        partial.unlink(missing_ok=True)
+    return target
+
+
+def zmx_text(system: OpticalSystem) -> str:
+    """Return the text of a .zmx file; the origin moves along z to the first surface."""
+    _require_one_line(system.name, "the system")
+    lines = ["MODE SEQ", f"NAME {system.name}", "UNIT MM X W X CM MR CPMM", *_pupil(system), *_fields(system)]
+    lines += _wavelengths(system)
+    infinite = math.isinf(system.object_distance)
+    distance = "INFINITY" if infinite else _number(system.object_distance)
+    rows = [["TYPE STANDARD", "CURV 0.0", f"DISZ {distance}", *_glass(system.medium, system.name)]]
+    medium = system.medium
+    for index, surface in enumerate(system.surfaces):
+        if surface.action == "refract":
+            medium = surface.medium
+        rows += _rows(system, index, medium)
+    for number, row in enumerate(rows):
+        lines += [f"SURF {number}", *(f"  {line}" for line in row)]
+    return "\n".join(lines) + "\n"
+
+
+def _number(value: float) -> str:
+    if not math.isfinite(value):
+        raise UserError(f"A lens file holds finite numbers only, not {value}.")
+    return repr(float(value))
+
+
+def _require_one_line(name: str, what: str) -> None:
+    if not name.isprintable() or name != name.strip().strip('"'):
+        raise UserError(f"The name {name!r} of {what} must be one line without blanks or quotes at its ends.")
+
+
+def _pupil(system: OpticalSystem) -> list[str]:
+    pupil = system.pupil
+    if pupil.obscuration:
+        raise UserError(
+            f"{system.name} has a pupil obscured to {pupil.obscuration:g} of its radius, which a lens file "
+            "cannot hold; give a surface an annular opening instead."
+        )
+    if pupil.kind == "entrance_diameter":
+        return [f"ENPD {_number(pupil.value)}"]
+    if pupil.kind == "object_na":
+        return [f"OBNA {_number(pupil.value)} 0"]
+    if pupil.kind == "f_number":
+        return [f"FNUM {_number(pupil.value)} 1"]
+    if pupil.kind == "stop":
+        return ["FLOA"]
+    raise UserError(
+        f"{system.name} has a pupil given by {pupil.kind}, which a lens file cannot hold; give "
+        "the f-number instead."
+    )
+
+
+def _fields(system: OpticalSystem) -> list[str]:
+    count, waves = len(system.fields), len(system.wavelengths)
+    if not (1 <= count <= MAX_FIELDS and 1 <= waves <= MAX_WAVELENGTHS):
+        raise UserError(
+            f"{system.name} has {count} fields and {waves} wavelengths; a lens file holds 1 to {MAX_FIELDS} "
+            f"and 1 to {MAX_WAVELENGTHS}."
+        )
+    heights = not math.isinf(system.object_distance)
+    values = system.fields if heights else np.rad2deg(system.fields)
+    padded = np.zeros((MAX_FIELDS, 2))
+    padded[:count] = values
+    return [
+        f"FTYP {int(heights)} {int(system.telecentric)} {count} {waves} 0 0 0",
+        "XFLN " + " ".join(_number(value) for value in padded[:, 0]),
+        "YFLN " + " ".join(_number(value) for value in padded[:, 1]),
+    ]
+
+
+def _wavelengths(system: OpticalSystem) -> list[str]:
+    # A shift of the decimal point is exact, a multiplication is not.
+    microns = [Decimal(_number(value)).scaleb(3) for value in system.wavelengths]
+    lines = [f"WAVM {number} {value} 1" for number, value in enumerate(microns, start=1)]
+    return [*lines, f"PWAV {system.primary_wavelength + 1}"]
+
+
+def _glass(medium: Medium, name: str) -> list[str]:
+    if medium == AIR:
+        return []
+    if glasses().get(medium.name.upper()) == medium:
+        return [f"GLAS {medium.name} 0 0 1.5 40 0 0 0 0 0 0"]
+    if medium.formula == "constant":
+        return [f"GLAS {MODEL_GLASS} 1 0 {_number(medium.coefficients[0])} 0 0 0 0 0 0 0"]
+    raise UserError(
+        f"The medium {medium.name} of {name} is no glass of the catalogue, and a lens file holds no "
+        "coefficients."
+    )
+
+
+def _rows(system: OpticalSystem, index: int, medium: Medium) -> list[list[str]]:
+    """Return the rows of a surface, with its coordinate breaks where it needs them."""
+    surface, last = system.surfaces[index], index == len(system.surfaces) - 1
+    gap = 0.0 if last else float(system.surfaces[index + 1].position[2] - surface.position[2])
+    lines = _surface(system, index, medium)
+    x, y = (float(value) for value in surface.position[:2])
+    tilts = [float(angle) for angle in np.rad2deg(cardan_angles(surface.rotation))]
+    if not any((x, y, *tilts)):
+        return [[*lines, f"DISZ {_number(gap)}"]]
+    there = _break([x, y, *tilts], 0, 0.0)
+    back = _break([-value for value in (x, y, *tilts)], 1, gap)
+    return [there, [*lines, "DISZ 0.0"]] + ([] if last else [back])
+
+
+def _break(numbers: Sequence[float], order: int, gap: float) -> list[str]:
+    parameters = [f"PARM {k} {_number(value)}" for k, value in enumerate([*numbers, order], start=1)]
+    return ["TYPE COORDBRK", *parameters, f"DISZ {_number(gap)}"]
+
+
+def _surface(system: OpticalSystem, index: int, medium: Medium) -> list[str]:
+    surface = system.surfaces[index]
+    _require_one_line(surface.name, "a surface")
+    if surface.deformation is not None:
+        raise UserError(
+            f"The surface {surface.name} of {system.name} has a deformation, which a lens file cannot hold."
+        )
+    lines = [f"COMM {surface.name}", *_shape(surface, system.name)]
+    lines += (
+        ["GLAS MIRROR 0 0 1.5 40 0 0 0 0 0 0"]
+        if surface.action == "reflect"
+        else _glass(medium, surface.name)
+    )
+    semi_diameter = math.inf
+    if surface.opening is not None:
+        lines += _opening(surface.opening, surface.name)
+        semi_diameter = surface.opening.outer
+    if index == system.stop:
+        lines.append("STOP")
+        if system.pupil.kind == "stop":
+            semi_diameter = system.pupil.value
+    if math.isfinite(semi_diameter):
+        lines.append(f"DIAM {_number(semi_diameter)} 1 0 0 1")
+    return lines
+
+
+def _shape(surface: Surface, system: str) -> list[str]:
+    shape = surface.shape
+    numbers = [f"CURV {_number(1.0 / shape.radius)}", f"CONI {_number(shape.conic)}"]
+    if isinstance(shape, Conic):
+        return ["TYPE STANDARD", *numbers]
+    if isinstance(shape, EvenAsphere) and len(shape.coefficients) <= MAX_EVEN_TERMS:
+        terms = [f"PARM {k} {_number(value)}" for k, value in enumerate(shape.coefficients, start=1)]
+        return ["TYPE EVENASPH", *numbers, *terms]
+    if isinstance(shape, ExtendedPolynomial):
+        return ["TYPE XPOLYNOM", *numbers, *_extra_data(shape.coefficients, shape.normalization_radius)]
+    if isinstance(shape, ZernikeSag) and not shape.obscuration:
+        return ["TYPE SZERNSAG", *numbers, *_extra_data(shape.coefficients, shape.pupil_radius)]
+    what = {
+        EvenAsphere: f"an even asphere of more than {MAX_EVEN_TERMS} terms",
+        ZernikeSag: "annular Zernike polynomials",
+    }.get(type(shape), "heights on a grid")
+    raise UserError(f"The surface {surface.name} of {system} has {what}, which a lens file cannot hold.")
+
+
+def _extra_data(coefficients: tuple[float, ...], radius: float) -> list[str]:
+    values = [float(len(coefficients)), radius, *coefficients]
+    return [f"XDAT {k} {_number(value)} 0 0" for k, value in enumerate(values, start=1)]
+
+
+def _opening(opening: Opening, name: str) -> list[str]:
+    if opening == Opening():
+        return []
+    if not opening.corners and not opening.arms:
+        if math.isfinite(opening.outer):
+            return [f"CLAP {_number(opening.inner)} {_number(opening.outer)} 0"]
+        return [f"OBSC 0.0 {_number(opening.inner)} 0"]
+    half_x, half_y = (max(corner[axis] for corner in opening.corners or ((0.0, 0.0),)) for axis in (0, 1))
+    rectangle = ((-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y))
+    if opening == Opening(corners=rectangle):
+        return [f"SQAP {_number(half_x)} {_number(half_y)} 0"]
+    what = "spider arms" if opening.arms else "an opening that is no circle, annulus or centered rectangle"
+    raise UserError(f"The surface {name} has {what}, which a lens file cannot hold.")

@@ -1,0 +1,234 @@
+"""One row of Zemax's lens data editor: its shape, aperture and coordinate break."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NoReturn
+
+import numpy as np
+
+from wavequake.errors import UserError
+from wavequake.optics.kinematics import cardan
+from wavequake.optics.shapes import Conic, EvenAsphere, ExtendedPolynomial, Opening, Shape, ZernikeSag
+from wavequake.optics.system_kinematics import Break
+from wavequake.optics.zernike_indices import convert_coefficients
+
+MAX_EVEN_TERMS = 8
+
+_OPENINGS = ("CLAP", "FLAP", "OBSC", "SQAP")
+_USED = ("TYPE", "CURV", "CONI", "DISZ", "GLAS", "DIAM", "STOP", "PARM", "XDAT", "OBDC", "COMM")
+# Drawing, coatings, mechanical diameters, thermal data, physical optics; and the solves, variables and
+# pickups whose results are in the file.
+_HARMLESS = (
+    *("HIDE", "MIRR", "SLAB", "POPS", "COAT", "MEMA", "FIMP", "EDGE", "TCED"),
+    *("MAZH", "PZUP", "PPAR", "PKUP", "VPAR", "VCON"),
+)
+_KNOWN = frozenset((*_USED, *_HARMLESS, *_OPENINGS))
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of the file: where it stands, its keyword and the rest."""
+
+    where: str
+    number: int
+    keyword: str
+    rest: str
+
+    @property
+    def words(self) -> list[str]:
+        """What follows the keyword, split at blanks."""
+        return self.rest.split()
+
+
+@dataclass(frozen=True)
+class Row:
+    """A surface as the file gives it: its number, its SURF line, and its lines by keyword."""
+
+    number: int
+    line: Line
+    lines: dict[str, list[Line]]
+
+    @property
+    def type(self) -> str:
+        """The surface type, STANDARD if none is given."""
+        line = self.one("TYPE")
+        return line.words[0] if line and line.words else "STANDARD"
+
+    @property
+    def label(self) -> str:
+        """The comment, or the number."""
+        line = self.one("COMM")
+        return (line.rest.strip('"') if line else "") or f"surface {self.number}"
+
+    def one(self, keyword: str) -> Line | None:
+        """Return the line of a keyword that may stand once."""
+        found = self.lines.get(keyword)
+        return found[0] if found else None
+
+    def table(self, keyword: str) -> dict[int, float]:
+        """Return the numbers of lines ``keyword index value`` by index."""
+        return {as_integer(line, 0): as_number(line, 1) for line in self.lines.get(keyword, [])}
+
+    def require_known(self) -> None:
+        """Refuse a keyword that may change the optics and is not understood."""
+        for keyword, lines in self.lines.items():
+            if keyword not in _KNOWN:
+                fail(
+                    lines[0],
+                    f"{self.label} has the property {keyword}, which is not supported; remove the line if it "
+                    "does not change the path of light",
+                )
+
+
+def fail(line: Line, message: str) -> NoReturn:
+    """Raise a UserError that names file and line."""
+    raise UserError(f"{line.where}, line {line.number} ({line.keyword}): {message}.")
+
+
+def as_number(line: Line, index: int) -> float:
+    """Return a word of a line as a finite number."""
+    words = line.words
+    if index >= len(words):
+        fail(line, f"the number {index + 1} after the keyword is missing")
+    try:
+        value = float(words[index])
+    except ValueError:
+        fail(line, f"{words[index]!r} is not a number")
+    if not math.isfinite(value):
+        fail(line, f"{words[index]!r} is not a finite number")
+    return value
+
+
+def as_integer(line: Line, index: int) -> int:
+    """Return a word of a line as an integer."""
+    value = as_number(line, index)
+    if value != int(value):
+        fail(line, f"{value:g} is not an integer")
+    return int(value)
+
+
+_Builder = Callable[["Row", float, float, float], Shape]
+
+
+def shape(row: Row, scale: float) -> Shape:
+    """Return the shape of a surface in mm; `scale` is mm per unit of the file."""
+    curvature, conic = row.one("CURV"), row.one("CONI")
+    c = as_number(curvature, 0) if curvature else 0.0
+    radius = scale / c if c else math.inf
+    kappa = as_number(conic, 0) if conic else 0.0
+    builders: dict[str, _Builder] = {
+        "EVENASPH": _even_asphere,
+        "XPOLYNOM": _extended_polynomial,
+        "SZERNSAG": _zernike,
+        "FZERNSAG": _zernike,
+    }
+    if row.type in builders:
+        return builders[row.type](row, scale, radius, kappa)
+    if row.type != "STANDARD":
+        fail(
+            row.one("TYPE") or row.line,
+            f"{row.label} is of the type {row.type}, which is not supported; STANDARD, COORDBRK, "
+            f"{', '.join(builders)} are",
+        )
+    _require_no_numbers(row, "PARM", row.table("PARM"))
+    return Conic(radius, kappa)
+
+
+def _even_asphere(row: Row, scale: float, radius: float, conic: float) -> EvenAsphere:
+    given = row.table("PARM")
+    _require_no_numbers(row, "PARM", {k: v for k, v in given.items() if not 1 <= k <= MAX_EVEN_TERMS})
+    count = max((k for k in given if 1 <= k <= MAX_EVEN_TERMS), default=0)
+    terms = tuple(given.get(k, 0.0) * scale ** (1 - 2 * k) for k in range(1, count + 1))
+    return EvenAsphere(radius, conic, terms)
+
+
+def _extended_polynomial(row: Row, scale: float, radius: float, conic: float) -> ExtendedPolynomial:
+    _require_no_numbers(row, "PARM", row.table("PARM"))
+    coefficients, norm = _extra_data(row, scale)
+    return ExtendedPolynomial(radius, conic, coefficients, norm)
+
+
+def _zernike(row: Row, scale: float, radius: float, conic: float) -> ZernikeSag:
+    # Parameters 1-8 add an even asphere, 9 and 10 shift the polynomials; 0 only extrapolates.
+    _require_no_numbers(row, "PARM", {k: v for k, v in row.table("PARM").items() if k})
+    coefficients, norm = _extra_data(row, scale)
+    if row.type == "FZERNSAG":
+        if len(coefficients) > 36:
+            fail(row.line, f"{row.label} has {len(coefficients)} Fringe terms, at most 36 are supported")
+        coefficients = tuple(
+            float(value) for value in convert_coefficients(np.array(coefficients), "fringe", "noll")
+        )
+    return ZernikeSag(radius, conic, coefficients, norm)
+
+
+def _extra_data(row: Row, scale: float) -> tuple[tuple[float, ...], float]:
+    """Return the coefficients and the normalization radius that a surface's extra data hold, in mm."""
+    data = row.table("XDAT")
+    count, norm = data.get(1, 0.0), data.get(2, 0.0)
+    if not (norm > 0 and count == int(count) and count >= 0):
+        fail(
+            row.line,
+            f"{row.label} needs a number of terms (XDAT 1) and a positive normalization radius (XDAT 2)",
+        )
+    return tuple(data.get(3 + k, 0.0) * scale for k in range(int(count))), norm * scale
+
+
+def _require_no_numbers(row: Row, keyword: str, numbers: dict[int, float]) -> None:
+    for index, value in numbers.items():
+        if value:
+            line = next(line for line in row.lines[keyword] if as_integer(line, 0) == index)
+            fail(line, f"{row.label}: parameter {index} of the type {row.type} must be 0, it is {value:g}")
+
+
+def opening(row: Row, scale: float) -> Opening | None:
+    """Return the aperture of a surface in mm."""
+    given = [line for keyword in _OPENINGS for line in row.lines.get(keyword, [])]
+    if not given:
+        return None
+    if len(given) > 1:
+        fail(given[1], f"{row.label} has a second aperture; one is supported")
+    line = given[0]
+    shift = row.one("OBDC")
+    if shift and any(as_number(shift, index) for index in range(len(shift.words))):
+        fail(shift, f"{row.label} has a decentered aperture, which is not supported")
+    low, high = as_number(line, 0) * scale, as_number(line, 1) * scale
+    if line.keyword == "SQAP":
+        return Opening(corners=((-low, -high), (low, -high), (low, high), (-low, high)))
+    if not 0 <= low < high:
+        fail(
+            line,
+            f"{row.label} has an aperture from radius {low:g} to {high:g} mm; they must increase from >= 0",
+        )
+    if line.keyword == "OBSC":
+        if low:
+            fail(line, f"{row.label} has a ring-shaped obscuration, which is not supported")
+        return Opening(inner=high)
+    return Opening(outer=high, inner=low)
+
+
+def coordinate_break(row: Row, scale: float, thickness: float) -> Break:
+    """Return a coordinate break; tilts are right-handed about x, y and z, in this order.
+
+    With the order flag the turns are about z, y and x, before the shift, which undoes a break of opposite
+    numbers.
+    """
+    given = row.table("PARM")
+    shift = (given.get(1, 0.0) * scale, given.get(2, 0.0) * scale, 0.0)
+    angles = np.deg2rad([given.get(3, 0.0), given.get(4, 0.0), given.get(5, 0.0)])
+    if not given.get(6, 0.0):
+        return Break(shift, (float(angles[0]), float(angles[1]), float(angles[2])), False, thickness)
+    return Break(shift, cardan_angles(cardan(-angles).T), True, thickness)
+
+
+def cardan_angles(rotation: np.ndarray) -> tuple[float, float, float]:
+    """Return the angles about x, y and z (rad) of R = Rx Ry Rz; where two coincide the last is zero."""
+    slant = math.hypot(rotation[0, 0], rotation[0, 1])
+    beta = math.atan2(rotation[0, 2], slant)
+    if slant < 1e-9:
+        return math.atan2(rotation[2, 1], rotation[1, 1]), beta, 0.0
+    return (
+        math.atan2(-rotation[1, 2], rotation[2, 2]),
+        beta,
+        math.atan2(-rotation[0, 1], rotation[0, 0]),
+    )
