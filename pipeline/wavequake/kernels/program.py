@@ -23,6 +23,8 @@ def launch(
     size: tuple[int, int, int],
     inputs: Sequence[Any],
     outputs: Sequence[np.ndarray[Any, Any]],
+    text: str | None = None,
+    group: int | None = None,
 ) -> None:
     """Run a kernel and wait for its outputs.
 
@@ -40,16 +42,20 @@ def launch(
         The kernel's first arguments: NumPy scalars and arrays; an empty array or None becomes a null pointer.
     outputs : sequence of ndarray
         Its last arguments: contiguous arrays, which the kernel fills. A CPU works in the arrays' own memory.
+    text : str, optional
+        The kernel's source where it is generated; ``kernels/NAME.cl`` by default.
+    group : int, optional
+        Rays in a work-group.
     """
     import pyopencl as cl
 
     if 0 in size:
         return
     lanes, rays, tiles = size
-    group = _GROUP_RAYS[device.kind]
+    group = group or _GROUP_RAYS[device.kind]
     arrays = [np.ascontiguousarray(item) if isinstance(item, np.ndarray) else item for item in inputs]
     with _LOCK:  # a kernel object holds one set of arguments, and does not keep their buffers alive
-        queue, kernel = _queue(device), _kernel(device, name, constants)
+        queue, kernel = _queue(device), _kernel(device, name, constants, text)
         arguments = [_input(queue, device, item) for item in arrays]
         results = [_output(queue, device, out) for out in outputs]
         kernel.set_args(*arguments, *results)
@@ -90,20 +96,20 @@ def _queue(device: Device) -> Any:
 
 
 @lru_cache(maxsize=64)
-def _kernel(device: Device, name: str, constants: tuple[tuple[str, int], ...]) -> Any:
+def _kernel(device: Device, name: str, constants: tuple[tuple[str, int], ...], text: str | None) -> Any:
     """Build a kernel; drivers cache binaries on disk, so only the first process waits for the compiler."""
     import pyopencl as cl
 
     # -w: a CPU without 512-bit vectors warns of each function that takes lanes, though all are inlined.
     options = ["-cl-std=CL1.2", "-w", *(f"-D{key}={value}" for key, value in constants)]
-    program = cl.Program(_queue(device).context, _source(f"{name}.cl"))
+    program = cl.Program(_queue(device).context, source(f"{name}.cl") if text is None else text)
     return cl.Kernel(program.build(options), name)
 
 
-def _source(name: str) -> str:
+def source(name: str) -> str:
     """Return a file of the kernels folder with its headers pasted in.
 
     Binaries on disk are found by the source's text: a changed header must change it.
     """
     text = (folder("kernels") / name).read_text(encoding="utf-8")
-    return re.sub(r'^#include "(.+)"$', lambda match: _source(match[1]), text, flags=re.MULTILINE)
+    return re.sub(r'^#include "(.+)"$', lambda match: source(match[1]), text, flags=re.MULTILINE)

@@ -1,0 +1,63 @@
+// Meet surface NUMBER, a conic plus HEIGHT(x, y) along z. With q = z - HEIGHT it is the zero of
+// F = c (x^2 + y^2 + k1 q^2) - 2 q, which takes neither a root nor a division.
+//
+// One evaluation at the hit of the bare conic gives a Newton step; a second step takes the height there from
+// the slopes at hand. What that leaves is bounded by the square of the lateral step: `limit` is the square
+// of the longest lateral step that is short enough, within the square `reach` of the distance from the axis.
+// Rays for which it is not go on with Newton's iteration (Stoerkle 2018, Algorithm 1); the others are left
+// alone, so that no ray's bits depend on its neighbors. Returns where the surface is met; `missed` is where
+// the bare conic is not, and the iteration started at the vertex plane.
+
+INLINE mask JOIN(meet_, NUMBER)(numbers t, ray *r, double c, double k1, double index, double limit,
+                                double reach, triple *normal, mask *missed)
+{
+    const triple d = r->direction;
+    real way = conic_step(r->position, d, c, k1);
+    triple hit = along(r->position, way, d);
+    *missed = NOT(finite(way) & ((c * k1) * hit.z < 1.0));
+
+    real slope_x, slope_y;
+    real height = JOIN(height_, NUMBER)(t, hit.x, hit.y, &slope_x, &slope_y);
+    real q = hit.z - height;
+    real f = c * (hit.x * hit.x + hit.y * hit.y + k1 * (q * q)) - 2.0 * q;
+    *normal = conic_plus(hit, q, slope_x, slope_y, c, k1);
+    real inverse = -0.5 / dot3(*normal, d);
+    real step = f * inverse;
+    hit = along(hit, step, d);
+
+    q = hit.z - (height + (slope_x * d.x + slope_y * d.y) * step);
+    real square = hit.x * hit.x + hit.y * hit.y;
+    f = c * (square + k1 * (q * q)) - 2.0 * q;
+    *normal = conic_plus(hit, q, slope_x, slope_y, c, k1);
+    mask met = (d.x * d.x + d.y * d.y) * (step * step) <= limit;
+    met &= NOT(*missed) & (square <= reach);
+    step += f * inverse;
+    hit = along(hit, f * inverse, d);
+    way += step;
+
+    if (any_lane(NOT(met))) {
+        real to_plane = -r->position.z / d.z;
+        way = EITHER(*missed, to_plane, way);
+        hit = choose(*missed, along(r->position, to_plane, d), hit);
+        mask open = NOT(met) & finite(way);
+        for (int i = 0; i < NEWTON_STEPS && any_lane(open); ++i) {
+            height = JOIN(height_, NUMBER)(t, hit.x, hit.y, &slope_x, &slope_y);
+            q = hit.z - height;
+            f = c * (hit.x * hit.x + hit.y * hit.y + k1 * (q * q)) - 2.0 * q;
+            triple lean = conic_plus(hit, q, slope_x, slope_y, c, k1);
+            step = -0.5 * f / dot3(lean, d);
+            *normal = choose(open, lean, *normal);
+            hit = choose(open, along(hit, step, d), hit);
+            way = EITHER(open, way + step, way);
+            square = hit.x * hit.x + hit.y * hit.y;
+            real far = step * r->length;
+            met |= open & (far * far <= CONVERGED * CONVERGED + ROUNDING * ROUNDING * square);
+            open &= NOT(met) & finite(step);
+        }
+    }
+    r->position = hit;
+    r->path += way * (index * r->length);
+    // On the half with the vertex, and crossed in the sense in which the ray crosses the vertex plane.
+    return met & (normal->z < 0.0) & (dot3(*normal, d) * d.z < 0.0);
+}
+#undef NUMBER

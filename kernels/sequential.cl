@@ -1,0 +1,303 @@
+// The steps of a trace through a sequence of surfaces; the host writes the kernel that calls them, one call
+// after the other, for each shape of a system.
+//
+// Work-item (1, group of W rays, instant): the lanes are rays, so that what belongs to an instant is read as
+// scalars. `index` is the refractive index in front of a surface.
+
+#include "lanes.h"
+#include "rays.h"
+
+enum { VIGNETTED = 1, MISS = 2, TOTAL_REFLECTION = 3, DIVERGED = 4 };
+
+#define NEWTON_STEPS 30
+// Newton's iteration ends with a step this short, or this short for a surface of radius 1.
+#define CONVERGED 2e-11
+#define ROUNDING 4e-15
+
+INLINE int any_lane(mask a)
+{
+#if W == 1
+    return a != 0;
+#else
+    long8 b = a.lo | a.hi;
+    long4 c = b.lo | b.hi;
+    long2 d = c.lo | c.hi;
+    return (d.x | d.y) != 0;
+#endif
+}
+
+// A ray keeps the first reason for which it is lost, with the surface where that happens.
+INLINE mask lose(mask code, mask lost, int why, int surface)
+{
+    return EITHER(lost & (code == 0), (mask)(8 * (surface + 1) + why), code);
+}
+
+INLINE mask status_of(mask code) { return code & 7; }
+INLINE mask surface_of(mask code) { return (code >> 3) - 1; }
+
+INLINE triple choose(mask condition, triple yes, triple no)
+{
+    triple a = {EITHER(condition, yes.x, no.x), EITHER(condition, yes.y, no.y),
+                EITHER(condition, yes.z, no.z)};
+    return a;
+}
+
+// A pose is q = A p + o: nine entries of A row by row, then three of o.
+INLINE void shift(ray *r, __global const double *pose)
+{
+    r->position.x += pose[9];
+    r->position.y += pose[10];
+    r->position.z += pose[11];
+}
+
+INLINE triple rotated(__global const double *a, triple p)
+{
+    triple b = {a[0] * p.x + a[1] * p.y + a[2] * p.z, a[3] * p.x + a[4] * p.y + a[5] * p.z,
+                a[6] * p.x + a[7] * p.y + a[8] * p.z};
+    return b;
+}
+
+INLINE void rotate_and_shift(ray *r, __global const double *pose)
+{
+    r->direction = rotated(pose, r->direction);
+    r->position = rotated(pose, r->position);
+    shift(r, pose);
+}
+
+// Move a ray by `step`; true where that is a number.
+INLINE mask travel(ray *r, real step, double index)
+{
+    r->position = along(r->position, step, r->direction);
+    r->path += step * (index * r->length);
+    return finite(step);
+}
+
+INLINE mask meet_plane(ray *r, double index, triple *normal)
+{
+    normal->x = 0.0;
+    normal->y = 0.0;
+    normal->z = -1.0;
+    return travel(r, -r->position.z / r->direction.z, index);
+}
+
+INLINE mask meet_conic(ray *r, double c, double k1, double index, triple *normal)
+{
+    mask met = travel(r, conic_step(r->position, r->direction, c, k1), index);
+    *normal = conic_normal(r->position, c, k1);
+    return met & (normal->z < 0.0);
+}
+
+INLINE void reflect_at_plane(ray *r) { r->direction.z = -r->direction.z; }
+
+// Stoerkle 2018, Eq. 3.32 with its signs corrected, times the normal's square; `ratio` is the index before
+// over that behind. True where light is refracted and not totally reflected.
+INLINE mask refract(ray *r, triple normal, double ratio)
+{
+    real square = dot3(normal, normal);
+    real incident = ratio * dot3(normal, r->direction);
+    real radicand = (1.0 - ratio * ratio) * square * (r->length * r->length) + incident * incident;
+    real turn = root(radicand);
+    turn = EITHER(incident < 0.0, -turn, turn) - incident;
+    real scale = ratio * square;
+    triple kept = {scale * r->direction.x, scale * r->direction.y, scale * r->direction.z};
+    r->direction = along(kept, turn, normal);
+    r->length *= square;
+    return NOT(radicand < 0.0);
+}
+
+// Regions of apertures: a circle (x, y, square of the radius), a convex polygon (half planes a x + b y <= c).
+INLINE mask in_circle(triple p, __global const double *circle)
+{
+    real x = p.x - circle[0], y = p.y - circle[1];
+    return x * x + y * y <= circle[2];
+}
+
+INLINE mask in_polygon(triple p, __global const double *line, const int edges)
+{
+    mask inside = p.x == p.x;
+    for (int edge = 0; edge < edges; ++edge)
+        inside &= line[3 * edge] * p.x + line[3 * edge + 1] * p.y <= line[3 * edge + 2];
+    return inside;
+}
+
+// To the sphere of given center and radius: back along the ray, or onwards where the radius is negative.
+INLINE mask to_sphere(ray *r, __global const double *sphere, double index)
+{
+    triple offset = {r->position.x - sphere[0], r->position.y - sphere[1], r->position.z - sphere[2]};
+    real projection = dot3(offset, r->direction);
+    real excess = sphere[3] * sphere[3] - dot3(offset, offset);
+    real way = root(projection * projection + r->length * r->length * excess);
+    way = sphere[3] < 0.0 ? projection - way : projection + way;
+    real path = index * way / r->length;
+    r->path -= path;
+    return finite(path);
+}
+
+// Heights over the vertex plane: each function returns one and adds its slopes to *slope_x and *slope_y.
+
+INLINE real even_powers(__global const double *a, const int count, real x, real y, real *slope_x, real *slope_y)
+{
+    real square = x * x + y * y, value = a[count - 1], derivative = 0.0;
+    #pragma unroll
+    for (int i = count - 2; i >= -1; --i) {
+        derivative = derivative * square + value;
+        value = i < 0 ? value * square : value * square + a[i];
+    }
+    *slope_x += 2.0 * derivative * x;
+    *slope_y += 2.0 * derivative * y;
+    return value;
+}
+
+#define TERM(i, j) a[((i) + (j)) * ((i) + (j) + 1) / 2 + (j)]
+
+// Horner's rule in v, then in u.
+INLINE real monomials(__global const double *a, const int degree, double inverse_radius, real x, real y,
+                      real *slope_x, real *slope_y)
+{
+    real u = inverse_radius * x, v = inverse_radius * y;
+    real value = TERM(degree, 0), slope_u = 0.0, slope_v = 0.0;
+    #pragma unroll
+    for (int i = degree - 1; i >= 0; --i) {
+        real inner = TERM(i, degree - i), inner_v = 0.0;
+        #pragma unroll
+        for (int j = degree - i - 1; j >= 0; --j) {
+            inner_v = inner_v * v + inner;
+            inner = inner * v + TERM(i, j);
+        }
+        slope_u = slope_u * u + value;
+        slope_v = slope_v * u + inner_v;
+        value = value * u + inner;
+    }
+    *slope_x += inverse_radius * slope_u;
+    *slope_y += inverse_radius * slope_v;
+    return value;
+}
+
+// Clenshaw's recurrence and its derivative, in v, then in u; b1 and b2 are its last two values, d1 and d2
+// their derivatives along u, e1 and e2 along v.
+INLINE real chebyshev(__global const double *a, const int degree, double inverse_radius, real x, real y,
+                      real *slope_x, real *slope_y)
+{
+    real u = inverse_radius * x, v = inverse_radius * y;
+    real b1 = 0.0, b2 = 0.0, d1 = 0.0, d2 = 0.0, e1 = 0.0, e2 = 0.0;
+    real inner, inner_v;
+    for (int i = degree; i >= 0; --i) {
+        real c1 = 0.0, c2 = 0.0, s1 = 0.0, s2 = 0.0;
+        for (int j = degree - i; j > 0; --j) {
+            real s = 2.0 * (c1 + v * s1) - s2, c = TERM(i, j) + 2.0 * v * c1 - c2;
+            s2 = s1;
+            s1 = s;
+            c2 = c1;
+            c1 = c;
+        }
+        inner = TERM(i, 0) + v * c1 - c2;
+        inner_v = c1 + v * s1 - s2;
+        if (i > 0) {
+            real d = 2.0 * (b1 + u * d1) - d2, b = inner + 2.0 * u * b1 - b2, e = inner_v + 2.0 * u * e1 - e2;
+            d2 = d1;
+            d1 = d;
+            b2 = b1;
+            b1 = b;
+            e2 = e1;
+            e1 = e;
+        }
+    }
+    *slope_x += inverse_radius * (b1 + u * d1 - d2);
+    *slope_y += inverse_radius * (inner_v + u * e1 - e2);
+    return inner + u * b1 - b2;
+}
+
+#if W > 1
+typedef union { mask all; long lane[W]; } whole_lanes;
+typedef union { real all; double lane[W]; } real_lanes;
+#endif
+
+INLINE mask whole(real a)
+{
+#if W == 1
+    return (int)a;
+#elif defined(__clang__)
+    return __builtin_convertvector(a, mask);
+#else
+    return JOIN(convert_long, W)(a);
+#endif
+}
+
+INLINE real fraction(real a, mask integer)
+{
+#if W == 1
+    return a - integer;
+#elif defined(__clang__)
+    return a - __builtin_convertvector(integer, real);
+#else
+    return a - JOIN(convert_double, W)(integer);
+#endif
+}
+
+// The first of four nodes about `place`, in node spacings, and the weights of their cubic B-splines. The
+// spline ends where it lacks a fourth node; NaN goes to its first piece, so that nothing else is ever read.
+INLINE mask spline_weights(real place, int nodes, real *weight, real *slope)
+{
+    real within = EITHER(place >= 1.0, place, (real)1.0);
+    within = EITHER(within <= nodes - 2.0, within, (real)(nodes - 2.0));
+    mask first = whole(EITHER(within < nodes - 3.0, within, (real)(nodes - 3.0)));
+    real t = fraction(within, first);
+    real s = 1.0 - t, inside = EITHER(within == place, (real)1.0, (real)0.0);
+    weight[0] = s * s * s * (1.0 / 6.0);
+    weight[1] = (4.0 - t * t * (6.0 - 3.0 * t)) * (1.0 / 6.0);
+    weight[2] = (4.0 - s * s * (6.0 - 3.0 * s)) * (1.0 / 6.0);
+    weight[3] = t * t * t * (1.0 / 6.0);
+    slope[0] = -0.5 * s * s * inside;
+    slope[1] = (1.5 * t - 2.0) * t * inside;
+    slope[2] = (2.0 - 1.5 * s) * s * inside;
+    slope[3] = 0.5 * t * t * inside;
+    return first - 1;
+}
+
+// Place holds x0, y0, 1 / dx and 1 / dy.
+INLINE real spline_grid(__global const double *a, const int rows, const int columns,
+                        __global const double *place, real x, real y, real *slope_x, real *slope_y)
+{
+    real weight_x[4], weight_y[4], steep_x[4], steep_y[4];
+    mask column = spline_weights((x - place[0]) * place[2], columns, weight_x, steep_x);
+    mask row = spline_weights((y - place[1]) * place[3], rows, weight_y, steep_y);
+    real value = 0.0, along_x = 0.0, along_y = 0.0;
+#if W == 1
+    __global const double *corner = a + row * columns + column;
+#else
+    whole_lanes corner;
+    corner.all = row * columns + column;
+#endif
+    #pragma unroll
+    for (int j = 0; j < 4; ++j) {
+        real line = 0.0, steep = 0.0;
+        #pragma unroll
+        for (int i = 0; i < 4; ++i) {
+#if W == 1
+            real node = corner[j * columns + i];
+#else
+            real_lanes nodes;
+            #pragma unroll
+            for (int lane = 0; lane < W; ++lane)
+                nodes.lane[lane] = a[corner.lane[lane] + j * columns + i];
+            real node = nodes.all;
+#endif
+            line += weight_x[i] * node;
+            steep += steep_x[i] * node;
+        }
+        value += weight_y[j] * line;
+        along_x += weight_y[j] * steep;
+        along_y += steep_y[j] * line;
+    }
+    *slope_x += along_x * place[2];
+    *slope_y += along_y * place[3];
+    return value;
+}
+
+// Half the gradient of F for a conic plus heights with these slopes, q being z less the height.
+INLINE triple conic_plus(triple p, real q, real slope_x, real slope_y, double c, double k1)
+{
+    real h = 1.0 - (c * k1) * q;
+    triple normal = {c * p.x + h * slope_x, c * p.y + h * slope_y, -h};
+    return normal;
+}

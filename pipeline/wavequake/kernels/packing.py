@@ -1,0 +1,142 @@
+"""Pack a sequence for its kernel: what its text depends on, and the numbers that the text reads."""
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.kernels.sequence import Basis, Element, Grid, Moving, Sequence, terms
+from wavequake.kernels.sequential_source import Part, Shape
+
+Array = NDArray[np.float64]
+
+# Where one evaluation of the height and its slopes may do: the lateral step may change the height's linear
+# continuation by so many mm, the slopes by so many rad, and the conic's by so many mm.
+_HEIGHT, _SLOPE, _LEAN = 1e-12, 1e-11, 1e-7
+# Monomials are bounded a little beyond their radius, since rays may fall there.
+_BEYOND = 1.1
+
+
+def packed_elements(
+    sequence: Sequence, moving: Moving, ignore_apertures: bool
+) -> tuple[tuple[Shape, ...], Array, Array, list[Array]]:
+    """Return shapes, fixed numbers, limits (T, deformed elements) and arrays of the parts (T or 1, ...).
+
+    A limit is the square of the longest lateral step for which one evaluation is enough, see
+    ``kernels/deformed.cl``.
+    """
+    shapes: list[Shape] = []
+    numbers: list[float] = []
+    limits: list[Array] = []
+    arrays: list[Array] = []
+    index = sequence.index
+    rotates = (moving.poses[:, :, :9] != np.eye(3).ravel()).any(axis=(0, 2)).tolist()
+    for number, element in enumerate(sequence.elements):
+        start = len(numbers)
+        behind = element.index if element.action == "refract" else index
+        numbers += [element.curvature, 1.0 + element.conic, index, index / behind, behind, np.inf]
+        even = (len(element.even), len(numbers))
+        numbers += element.even
+        parts, bends, reach = _parts(number, element, moving, numbers, arrays)
+        numbers[start + 5] = reach * reach
+        regions = () if ignore_apertures else _regions(element, numbers)
+        plane = element.curvature == 0.0
+        shapes.append(Shape(start, element.action, plane, rotates[number], even, tuple(parts), regions))
+        if not shapes[-1].bare:
+            limits.append(_limit(element, bends, len(moving.poses)))
+        index = behind
+    packed = np.stack(limits, axis=1) if limits else np.zeros((len(moving.poses), 0))
+    return tuple(shapes), np.array(numbers), packed, arrays
+
+
+def _parts(
+    number: int, element: Element, moving: Moving, numbers: list[float], arrays: list[Array]
+) -> tuple[list[Part], list[Array], float]:
+    """Add an element's polynomials and grids to `numbers` and `arrays`.
+
+    Return them, bounds of their second derivatives (T or 1,), and the radius within which these hold.
+    """
+    parts, bends, reach = [], [], np.inf
+    for degree, radius, basis, coefficients in _polynomials(number, element, moving):
+        name = "monomials" if basis == "monomial" else "chebyshev"
+        call = f"{name}({{array}}, {degree}, ({{place}})[0], x, y, sx, sy)"
+        parts.append(Part(call, terms(degree), coefficients.ndim == 2, len(numbers)))
+        numbers.append(1.0 / radius)
+        arrays.append(coefficients)
+        bends.append(np.abs(coefficients) @ _bending(degree, basis) / radius**2)
+        reach = min(reach, radius * (_BEYOND if basis == "monomial" else 1.0))
+    for grid, heights in _grids(number, element, moving):
+        rows, columns = heights.shape[-2:]
+        call = f"spline_grid({{array}}, {rows}, {columns}, {{place}}, x, y, sx, sy)"
+        parts.append(Part(call, rows * columns, heights.ndim == 3, len(numbers)))
+        numbers += [grid.x0, grid.y0, 1.0 / grid.dx, 1.0 / grid.dy]
+        arrays.append(heights)
+        # Second differences of a B-spline's coefficients bound its second derivatives; its slope jumps at
+        # the edge, so only steps of no length are harmless there.
+        spread = heights.max(axis=(-2, -1)) - heights.min(axis=(-2, -1))
+        bends.append(8.0 * spread / min(grid.dx, grid.dy) ** 2)
+    return parts, bends, reach
+
+
+def _polynomials(number: int, element: Element, moving: Moving) -> list[tuple[int, float, Basis, Array]]:
+    """Return degree, radius, basis and coefficients; fixed and moving ones of one kind are added up."""
+    fixed = element.polynomial
+    moves = moving.deformations[number] if moving.deformations else None
+    form = (element.deformation_radius, element.deformation_basis)
+    if fixed is None or moves is None:
+        found = [] if fixed is None else [(fixed.degree, fixed.radius, fixed.basis, fixed.coefficients)]
+        return found if moves is None else [*found, (element.deformation_degree, *form, moves)]
+    if (fixed.radius, fixed.basis) != form:
+        return [
+            (fixed.degree, fixed.radius, fixed.basis, fixed.coefficients),
+            (element.deformation_degree, *form, moves),
+        ]
+    degree = max(fixed.degree, element.deformation_degree)
+    total = np.zeros((len(moves), terms(degree)))
+    total[:, : moves.shape[1]] = moves
+    total[:, : fixed.coefficients.size] += fixed.coefficients
+    return [(degree, *form, total)]
+
+
+def _grids(number: int, element: Element, moving: Moving) -> list[tuple[Grid, Array]]:
+    moves = moving.grids[number] if moving.grids else None
+    found = [] if element.grid is None else [(element.grid, element.grid.coefficients)]
+    return (
+        found
+        if moves is None or element.deformation_grid is None
+        else [*found, (element.deformation_grid, moves)]
+    )
+
+
+@lru_cache(maxsize=64)
+def _bending(degree: int, basis: Basis) -> Array:
+    """Return a bound of the second derivative of each term in any direction, for a radius of 1."""
+    i, j = np.array([(total - j, j) for total in range(degree + 1) for j in range(total + 1)], dtype=float).T
+    if basis == "monomial":
+        order = i + j
+        return np.asarray(order * (order - 1.0) * _BEYOND ** np.maximum(order - 2.0, 0.0))
+    bend_i, bend_j = i * i * (i * i - 1.0) / 3.0, j * j * (j * j - 1.0) / 3.0
+    return np.asarray(bend_i + 2.0 * i * i * j * j + bend_j)
+
+
+def _limit(element: Element, bends: list[Array], instants: int) -> Array:
+    """Return the limit of each instant; even powers are strong, and no step is short enough for them."""
+    if element.even:
+        return np.full(instants, -1.0)
+    bend = np.zeros(instants)
+    for part in bends:
+        bend = bend + part
+    lean = abs(element.curvature) * (1.0 + abs(1.0 + element.conic))
+    with np.errstate(divide="ignore", over="ignore"):
+        return np.asarray(
+            np.minimum(np.minimum(_HEIGHT / bend, (_SLOPE / bend) ** 2), _LEAN / np.float64(lean))
+        )
+
+
+def _regions(element: Element, numbers: list[float]) -> tuple[tuple[str, int, bool, int], ...]:
+    found = []
+    for region in element.regions:
+        found.append((region.kind, len(region.numbers) // 3, region.blocks, len(numbers)))
+        x, y, radius = region.numbers[:3]
+        numbers += (x, y, radius * radius) if region.kind == "circle" else region.numbers
+    return tuple(found)
