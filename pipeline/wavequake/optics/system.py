@@ -10,7 +10,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.errors import UserError
 from wavequake.optics.media import AIR, Medium
+from wavequake.optics.shape_sag import require_shape
 from wavequake.optics.shapes import Conic, Deformation, Opening, Shape, SurfaceAction
 
 Array = NDArray[np.float64]
@@ -81,6 +83,89 @@ class OpticalSystem:
     primary_wavelength: int = 0
     telecentric: bool = False
     medium: Medium = AIR
+
+    def info(self) -> str:
+        """Return a table of first-order data, fields, wavelengths and surfaces as plain text."""
+        from wavequake.optics.system_info import info  # it builds on this module
+
+        return info(self)
+
+
+def wavelength_of(system: OpticalSystem, wavelength: float | None = None) -> float:
+    """Return a wavelength in mm: the one that is given, or else the primary one of the system."""
+    return float(system.wavelengths[system.primary_wavelength]) if wavelength is None else wavelength
+
+
+def require_system(system: OpticalSystem) -> None:
+    """Check a system before anything is computed from it.
+
+    Raises
+    ------
+    UserError
+        If an index, shape or number is out of range; the message names the surface.
+    """
+    count, name = len(system.surfaces), system.name
+    if count == 0:
+        raise UserError(f"the system {name} has no surfaces; it needs at least an image plane")
+    if not 0 <= system.stop < count:
+        raise UserError(
+            f"the stop of {name} is surface {system.stop}; it must be one of its surfaces 0 to {count - 1}"
+        )
+    if not 0 <= system.primary_wavelength < len(system.wavelengths):
+        raise UserError(
+            f"the primary wavelength of {name} is number {system.primary_wavelength}; it has "
+            f"{len(system.wavelengths)}"
+        )
+    if not (np.isfinite(system.wavelengths) & (np.asarray(system.wavelengths) > 0.0)).all():
+        raise UserError(f"the wavelengths of {name} must be positive numbers in mm")
+    if system.fields.ndim != 2 or system.fields.shape[1] != 2 or not np.isfinite(system.fields).all():
+        raise UserError(f"the fields of {name} must be an array (fields, 2) of finite numbers")
+    if np.isnan(system.object_distance):
+        raise UserError(f"the object distance of {name} is not a number; a star's is infinite")
+    _require_pupil(system)
+    for surface in system.surfaces:
+        _require_surface(name, surface)
+    if system.surfaces[-1].action != "pass":
+        raise UserError(
+            f"the last surface of {name}, {surface.name}, is the image: its action must be 'pass', "
+            f"not {surface.action!r}"
+        )
+
+
+def _require_pupil(system: OpticalSystem) -> None:
+    pupil = system.pupil
+    if not (np.isfinite(pupil.value) and pupil.value > 0.0):
+        raise UserError(f"the {pupil.kind} of {system.name} is {pupil.value}; it must be positive")
+    if not 0.0 <= pupil.obscuration < 1.0:
+        raise UserError(
+            f"the pupil of {system.name} is obscured to {pupil.obscuration} of its radius; light passes "
+            "where that is at least 0 and less than 1"
+        )
+
+
+def _require_surface(system: str, surface: Surface) -> None:
+    where = f"the surface {surface.name} of {system}"
+    try:
+        require_shape(surface.shape)
+    except UserError as error:
+        raise UserError(f"{where}: {error}") from error
+    if surface.position.shape != (3,) or not np.isfinite(surface.position).all():
+        raise UserError(f"the position of {where} must be 3 finite numbers")
+    turn = surface.rotation
+    if (
+        turn.shape != (3, 3)
+        or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-9)
+        or np.linalg.det(turn) < 0
+    ):
+        raise UserError(f"the rotation of {where} must be a rotation matrix (3, 3)")
+    if surface.action not in ("reflect", "refract", "pass"):
+        raise UserError(f"{where} does {surface.action!r}; it can reflect, refract or pass")
+    opening = surface.opening
+    if opening is not None and not 0.0 <= opening.inner < opening.outer:
+        raise UserError(
+            f"the opening of {where} reaches from radius {opening.inner:g} to {opening.outer:g} mm; it needs "
+            "0 <= inner < outer"
+        )
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,264 @@
+"""From an optical system and its states to what the sequential trace takes."""
+
+from math import cos, isfinite, sin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.errors import UserError
+from wavequake.kernels.sequence import Element, Grid, Moving, Polynomial, Region, Sequence
+from wavequake.optics.kinematics import cardan
+from wavequake.optics.media import refractive_index
+from wavequake.optics.paraxial import entrance_pupil_center
+from wavequake.optics.shape_sag import extended_powers, require_grid
+from wavequake.optics.shapes import (
+    Deformation,
+    EvenAsphere,
+    ExtendedPolynomial,
+    GridDeformation,
+    GridSag,
+    Opening,
+    Shape,
+    ZernikeDeformation,
+    ZernikeSag,
+)
+from wavequake.optics.surface_basis import spline_coefficients, zernike_basis
+from wavequake.optics.system import OpticalSystem, Surface, SystemStates, require_system
+from wavequake.optics.system_kinematics import relative_poses, require_motion, rest_poses
+
+Array = NDArray[np.float64]
+
+
+def pack(system: OpticalSystem, wavelength_mm: float) -> Sequence:
+    """Return the surfaces of a system as the trace sees them at one wavelength.
+
+    Parameters
+    ----------
+    system : OpticalSystem
+    wavelength_mm : float
+
+    Raises
+    ------
+    UserError
+        If a number of the system is out of range, or the wavelength out of a glass' range.
+    """
+    require_system(system)
+    start = index = refractive_index(system.medium, wavelength_mm)
+    elements = []
+    for surface in system.surfaces:
+        if surface.action == "refract":
+            index = refractive_index(surface.medium, wavelength_mm)
+        elements.append(_element(surface, index))
+    return Sequence(tuple(elements), start)
+
+
+def _element(surface: Surface, index: float) -> Element:
+    shape, form = surface.shape, surface.deformation
+    degree, radius = -1, 1.0
+    if isinstance(form, ZernikeDeformation):
+        degree, radius = zernike_basis(form.terms, form.obscuration).degree, form.pupil_radius
+    return Element(
+        curvature=1.0 / shape.radius,
+        conic=shape.conic,
+        action=surface.action,
+        index=index,
+        even=shape.coefficients if isinstance(shape, EvenAsphere) else (),
+        polynomial=_polynomial(shape),
+        grid=_grid(shape),
+        deformation_degree=degree,
+        deformation_radius=radius,
+        deformation_grid=_deformation_grid(form),
+        regions=opening_regions(surface.opening) if surface.opening is not None else (),
+    )
+
+
+def _polynomial(shape: Shape) -> Polynomial | None:
+    if isinstance(shape, ZernikeSag) and shape.coefficients:
+        zernike = zernike_basis(len(shape.coefficients), shape.obscuration)
+        coefficients = zernike.matrix @ np.asarray(shape.coefficients)
+        return Polynomial(zernike.degree, shape.pupil_radius, coefficients)
+    if isinstance(shape, ExtendedPolynomial) and shape.coefficients:
+        i, j = extended_powers(len(shape.coefficients))[-1]
+        degree = i + j
+        coefficients = np.zeros((degree + 1) * (degree + 2) // 2)
+        coefficients[1 : 1 + len(shape.coefficients)] = shape.coefficients
+        return Polynomial(degree, shape.normalization_radius, coefficients)
+    return None
+
+
+def _grid(shape: Shape) -> Grid | None:
+    if not isinstance(shape, GridSag):
+        return None
+    rows, columns = shape.heights.shape
+    return _centered_grid(rows, columns, shape.dx, shape.dy, spline_coefficients(shape.heights))
+
+
+def _deformation_grid(form: Deformation | None) -> Grid | None:
+    if not isinstance(form, GridDeformation):
+        return None
+    return _centered_grid(
+        form.rows, form.columns, form.dx, form.dy, np.zeros((form.rows + 2, form.columns + 2))
+    )
+
+
+def _centered_grid(rows: int, columns: int, dx: float, dy: float, coefficients: Array) -> Grid:
+    """Return the grid of spline coefficients, which has one ring more than that of the heights."""
+    return Grid(-dx * (columns + 1) / 2.0, -dy * (rows + 1) / 2.0, dx, dy, coefficients)
+
+
+def opening_regions(opening: Opening) -> tuple[Region, ...]:
+    """Return the regions whose intersection is an opening.
+
+    A polygon replaces the outer circle; the inner circle and the spider arms, which reach from the vertex
+    outwards, block.
+
+    Raises
+    ------
+    UserError
+        If the corners are not those of a convex polygon, counterclockwise, or an arm has no width.
+    """
+    regions = []
+    if opening.corners:
+        regions.append(Region("polygon", _half_planes(np.asarray(opening.corners, dtype=np.float64))))
+    elif isfinite(opening.outer):
+        regions.append(Region("circle", (0.0, 0.0, opening.outer)))
+    if opening.inner > 0.0:
+        regions.append(Region("circle", (0.0, 0.0, opening.inner), blocks=True))
+    for angle, width in opening.arms:
+        if not (isfinite(angle) and isfinite(width) and width > 0.0):
+            raise UserError(f"a spider arm has the angle {angle} rad and the width {width} mm")
+        along_x, along_y, half = cos(angle), sin(angle), width / 2.0
+        strip = (-along_y, along_x, half, along_y, -along_x, half, -along_x, -along_y, 0.0)
+        regions.append(Region("polygon", strip, blocks=True))
+    return tuple(regions)
+
+
+def _half_planes(corners: Array) -> tuple[float, ...]:
+    if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
+        raise UserError("a polygonal opening needs at least 3 corners, pairs of finite numbers")
+    edge = np.roll(corners, -1, axis=0) - corners
+    following = np.roll(edge, -1, axis=0)
+    turn = edge[:, 0] * following[:, 1] - edge[:, 1] * following[:, 0]
+    around = np.sum(np.arctan2(turn, np.sum(edge * following, axis=1)))
+    if (turn < 0.0).any() or not np.isclose(around, 2.0 * np.pi):
+        raise UserError(
+            "the corners of a polygonal opening must go round a convex polygon once, counterclockwise"
+        )
+    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1)[:, None]
+    offset = np.sum(normal * corners, axis=1)
+    return tuple(float(number) for number in np.column_stack([normal, offset]).ravel())
+
+
+def moving(system: OpticalSystem, states: SystemStates, spheres: Array | None = None) -> Moving:
+    """Return what changes from instant to instant as the trace takes it.
+
+    The line of sight turns the whole incoming bundle, as a rigid body, about the center of the entrance
+    pupil, so that the phase of its wavefront stays with it.
+
+    Parameters
+    ----------
+    system : OpticalSystem
+    states : SystemStates
+        T instants.
+    spheres : ndarray, shape (T, 4), or None
+        Reference spheres in the image's frame, see `wavequake.kernels.sequence.Moving`.
+
+    Raises
+    ------
+    UserError
+        If the arrays of the states do not fit the system or are not finite, or the line of sight moves and
+        the entrance pupil is at infinity.
+    """
+    motion = states.surface_motion
+    require_motion(system, motion)
+    instants = len(motion)
+    if len(states.deformations) != len(system.surfaces):
+        raise UserError(
+            f"the states hold {len(states.deformations)} deformations; the system {system.name} has "
+            f"{len(system.surfaces)} surfaces"
+        )
+    if states.line_of_sight.shape != (instants, 2) or not np.isfinite(states.line_of_sight).all():
+        raise UserError(f"the line of sight must be an array ({instants}, 2) of finite angles")
+    forms = [
+        _deformation(surface, coefficients, instants)
+        for surface, coefficients in zip(system.surfaces, states.deformations, strict=True)
+    ]
+    return Moving(
+        _poses(system, motion, states.line_of_sight),
+        tuple(polynomial for polynomial, _ in forms),
+        tuple(grid for _, grid in forms),
+        spheres,
+    )
+
+
+def _deformation(
+    surface: Surface, coefficients: Array | None, instants: int
+) -> tuple[Array | None, Array | None]:
+    """Return the coefficients of the polynomial and of the grid that deform a surface."""
+    form = surface.deformation
+    if form is None or coefficients is None:
+        if coefficients is not None:
+            raise UserError(f"the surface {surface.name} cannot deform, but the states deform it")
+        if form is None:
+            return None, None
+        raise UserError(f"the surface {surface.name} can deform, but the states hold no coefficients for it")
+    size = (form.terms,) if isinstance(form, ZernikeDeformation) else (form.rows, form.columns)
+    if coefficients.shape != (instants, *size):
+        raise UserError(
+            f"the deformation of {surface.name} has the shape {coefficients.shape}, it must be "
+            f"{(instants, *size)}"
+        )
+    if isinstance(form, GridDeformation):
+        require_grid(coefficients, form.dx, form.dy)
+        return None, spline_coefficients(coefficients)
+    if not np.isfinite(coefficients).all():
+        raise UserError(f"the deformation of {surface.name} holds numbers that are not finite")
+    matrix = zernike_basis(form.terms, form.obscuration).matrix
+    return np.ascontiguousarray(coefficients @ matrix.T), None
+
+
+def _poses(system: OpticalSystem, motion: Array, line_of_sight: Array) -> Array:
+    """Return the transforms (T, L, 12), from small motions and poses at rest so that nothing cancels.
+
+    With the relative pose (s, R) at rest, the own motions (d, Q) of a surface and (d', Q') of its predecessor
+    a point p becomes Q^T (R^T Q' p + R^T (d' - s) - d) (Störkle 2018, Eq. 3.11 and 4.3).
+    """
+    step, turn = relative_poses(*rest_poses(system))
+    own = cardan(motion[..., 3:])
+    back = np.swapaxes(own, -1, -2)
+    turned = np.swapaxes(turn, -1, -2)
+    before = np.concatenate([np.broadcast_to(np.eye(3), (len(motion), 1, 3, 3)), own[:, :-1]], axis=1)
+    shift_before = np.concatenate([np.zeros((len(motion), 1, 3)), motion[:, :-1, :3]], axis=1)
+    rotation = back @ turned @ before
+    shift = back @ ((turned @ (shift_before - step)[..., None]) - motion[..., :3, None])
+    if line_of_sight.any():
+        bundle, offset = bundle_rotation(system, line_of_sight)
+        shift[:, 0] += rotation[:, 0] @ offset[..., None]
+        rotation[:, 0] = rotation[:, 0] @ bundle
+    return np.concatenate([rotation.reshape(*rotation.shape[:2], 9), shift[..., 0]], axis=2)
+
+
+def bundle_rotation(system: OpticalSystem, line_of_sight: Array) -> tuple[Array, Array]:
+    """Return rotation (T, 3, 3) and shift (T, 3) of the incoming bundle in the system's frame.
+
+    The axis turns to (tan a, tan b, 1) on the shortest way; the center of the entrance pupil stays.
+
+    Raises
+    ------
+    UserError
+        If the entrance pupil is at infinity.
+    """
+    center = entrance_pupil_center(system)
+    if not np.isfinite(center).all():
+        raise UserError(
+            f"the entrance pupil of {system.name} is at infinity, so its line of sight cannot turn about it; "
+            "move the surfaces instead"
+        )
+    slopes = np.tan(line_of_sight)
+    length = np.sqrt(1.0 + np.sum(slopes**2, axis=1))
+    x, y, z = slopes[:, 0] / length, slopes[:, 1] / length, 1.0 / length
+    share = 1.0 / (1.0 + z)
+    rotation = np.stack(
+        [1.0 - share * x * x, -share * x * y, x, -share * x * y, 1.0 - share * y * y, y, -x, -y, z], axis=1
+    ).reshape(-1, 3, 3)
+    return rotation, center - rotation @ center

@@ -1,0 +1,323 @@
+"""First-order optics of any sequential system: focal length, principal planes, pupils, magnification.
+
+A paraxial ray (height y, reduced slope n u) follows the axis ray, which enters along the z axis through the
+origin and goes on through every surface as if it met it at its vertex plane; folds are straightened.
+Distances count along the light: a mirror does not change their sign.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import inf, isfinite, tan
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.errors import UserError
+from wavequake.optics.media import refractive_index
+from wavequake.optics.shape_sag import vertex_curvature
+from wavequake.optics.system import OpticalSystem, require_system, wavelength_of
+
+Array = NDArray[np.float64]
+
+_CENTERED = 1e-6  # how far the axis ray may miss the vertex of a surface with power, mm
+_GRAZING = 1e-6  # smallest cosine of incidence of the axis ray
+_INFINITE = 1e12  # what lies further away than so many times the system's size is at infinity
+
+
+@dataclass(frozen=True)
+class Paraxial:
+    """First-order data of a system at one wavelength; lengths in mm.
+
+    Attributes
+    ----------
+    focal_length : float
+        In the image space, reduced: an angle on the sky times it is a length in the image; positive for a
+        system that collects light, infinite for an afocal one.
+    back_focus : float
+        From the last surface before the image to the rear focus, along the light.
+    front_focus : float
+        From the first surface to the front focus, along the light.
+    front_principal, rear_principal : float
+        From the first surface to the front principal plane, from the last before the image to the rear one.
+    image_distance : float
+        From the last surface before the image to the paraxial image of the object.
+    defocus : float
+        From the paraxial image to the image surface.
+    magnification : float
+        Of a finite object; 0 for one at infinity.
+    entrance_pupil : float
+        From the first surface to the entrance pupil.
+    entrance_pupil_diameter : float
+    exit_pupil : float
+        From the image surface to the exit pupil; negative where it lies before the image.
+    exit_pupil_diameter : float
+    stop_radius : float
+        Height of the marginal ray at the stop.
+    object_na, image_na : float
+        The marginal ray's n u, which is n times the sine of the real one where the sine condition holds.
+    f_number : float
+        1 / (2 NA) in the image space.
+    lagrange : float
+        n (y_chief u_marginal - y_marginal u_chief) of the largest field (Lagrange invariant).
+    pupil_magnification : float
+        Entrance pupil over stop, negative where it is upside down.
+    """
+
+    focal_length: float
+    back_focus: float
+    front_focus: float
+    front_principal: float
+    rear_principal: float
+    image_distance: float
+    defocus: float
+    magnification: float
+    entrance_pupil: float
+    entrance_pupil_diameter: float
+    exit_pupil: float
+    exit_pupil_diameter: float
+    stop_radius: float
+    object_na: float
+    image_na: float
+    f_number: float
+    lagrange: float
+    pupil_magnification: float
+
+
+@dataclass(frozen=True)
+class _Step:
+    """The way from the previous surface, the index on it, the power of the surface and the index after it."""
+
+    way: float
+    index: float
+    power: float
+    after: float
+
+
+def paraxial(system: OpticalSystem, wavelength: float | None = None) -> Paraxial:
+    """Return the first-order data of a system (Störkle 2018, sections 3.3.1 and 3.3.2).
+
+    Parameters
+    ----------
+    system : OpticalSystem
+    wavelength : float
+        mm; the primary one by default.
+
+    Raises
+    ------
+    UserError
+        If a number of the system is out of range, a surface with power is not centered on the axis ray, a
+        wavelength is out of a glass' range, or the pupil cannot be as wide as it is specified.
+    """
+    require_system(system)
+    steps = list(_unfolded(system, wavelength_of(system, wavelength)))
+    size = sum(abs(step.way) for step in steps) + 1.0
+    whole = _matrix(steps)
+    to_stop = _matrix(steps[: system.stop + 1], last_power=False)
+    from_stop = whole @ np.linalg.inv(to_stop)
+    n, n_image = steps[0].index, steps[-1].index
+    lens = _from_first_to_last(steps)
+    power = -lens[1, 0]
+
+    def ratio(numerator: float, denominator: float) -> float:
+        """Return a distance, infinite where rounding alone makes it finite."""
+        if denominator == 0.0 or abs(numerator) > _INFINITE * size * abs(denominator):
+            return inf
+        return numerator / denominator
+
+    focal = ratio(1.0, power)
+    # The ray from the point of the axis that lies L behind the first surface is (y, n u) = (-L / n, 1) there.
+    entrance = n * ratio(to_stop[0, 1], to_stop[0, 0])
+    pupil_scale = 1.0 / to_stop[0, 0] if isfinite(entrance) else inf
+    distance = -system.object_distance if isfinite(system.object_distance) else -inf
+    marginal = np.array([1.0, 0.0]) if distance == -inf else np.array([-distance / n, 1.0])
+    at_last, at_image = lens @ marginal, whole @ marginal
+    scale = _scale(system, marginal, at_image, to_stop, n, n_image, entrance, focal)
+    marginal, at_last, at_image = scale * marginal, scale * at_last, scale * at_image
+    image_distance = -n_image * ratio(at_last[0], at_last[1])
+    exit_pupil = -n_image * ratio(from_stop[0, 1], from_stop[1, 1])
+    chief = _chief(system, to_stop, n)
+    last_way = steps[-1].way
+    stop_radius = abs(float((to_stop @ marginal)[0]))
+    return Paraxial(
+        focal_length=focal,
+        back_focus=n_image * ratio(lens[0, 0], power),
+        front_focus=-n * ratio(lens[1, 1], power),
+        front_principal=n * ratio(1.0 - lens[1, 1], power),
+        rear_principal=-n_image * ratio(1.0 - lens[0, 0], power),
+        image_distance=image_distance,
+        defocus=last_way - image_distance,
+        magnification=_magnification(system, lens, distance, image_distance, n, n_image),
+        entrance_pupil=entrance,
+        entrance_pupil_diameter=2.0 * stop_radius * abs(pupil_scale),
+        exit_pupil=exit_pupil,
+        exit_pupil_diameter=2.0 * stop_radius / abs(from_stop[1, 1]) if isfinite(exit_pupil) else inf,
+        stop_radius=stop_radius,
+        object_na=abs(float(marginal[1])),
+        image_na=abs(float(at_image[1])),
+        f_number=float(ratio(0.5, abs(at_image[1]))),
+        lagrange=float(chief[0] * marginal[1] - chief[1] * marginal[0]),
+        pupil_magnification=pupil_scale,
+    )
+
+
+def entrance_pupil_center(system: OpticalSystem, wavelength: float | None = None) -> Array:
+    """Return the center of the entrance pupil in the system's frame; z is infinite for one at infinity.
+
+    A stop that is not centered on the axis ray has an entrance pupil that is not, either.
+    """
+    data = paraxial(system, wavelength)
+    if not isfinite(data.entrance_pupil):
+        return np.array([0.0, 0.0, inf])
+    first = _first_vertex_z(system)
+    return np.array(
+        [*(_off_axis(system)[system.stop] * data.pupil_magnification), first + data.entrance_pupil]
+    )
+
+
+def _first_vertex_z(system: OpticalSystem) -> float:
+    """Return where the axis ray meets the vertex plane of the first surface."""
+    surface = system.surfaces[0]
+    normal = surface.rotation[:, 2]
+    _require_crossing(system, surface.name, float(normal[2]))
+    return float(normal @ surface.position / normal[2])
+
+
+def _off_axis(system: OpticalSystem) -> list[Array]:
+    """Return x and y of each vertex about the axis ray, in a frame that the mirrors turn with the ray."""
+    offsets = []
+    point, frame = np.zeros(3), np.eye(3)
+    for surface in system.surfaces:
+        normal = surface.rotation[:, 2]
+        direction = frame[:, 2]
+        cosine = float(direction @ normal)
+        point = point + float(normal @ (surface.position - point)) / cosine * direction
+        offsets.append((surface.position - point) @ frame[:, :2])
+        if surface.action == "reflect":
+            frame = frame - 2.0 * np.outer(normal, normal @ frame)
+    return offsets
+
+
+def _unfolded(system: OpticalSystem, wavelength: float) -> Iterator[_Step]:
+    """Follow the axis ray: yield the way to each surface (first: 0) and what the surface does."""
+    point, direction = np.array([0.0, 0.0, _first_vertex_z(system)]), np.array([0.0, 0.0, 1.0])
+    index = refractive_index(system.medium, wavelength)
+    for number, surface in enumerate(system.surfaces):
+        normal = surface.rotation[:, 2]
+        cosine = float(direction @ normal)
+        _require_crossing(system, surface.name, cosine)
+        way = float(normal @ (surface.position - point)) / cosine
+        point = point + way * direction
+        curvature = vertex_curvature(surface.shape)
+        last = number == len(system.surfaces) - 1
+        acts = surface.action != "pass" and not last
+        if acts and curvature != 0.0 and np.linalg.norm(point - surface.position) > _CENTERED:
+            raise UserError(
+                f"the axis ray of {system.name} misses the vertex of the surface {surface.name} by "
+                f"{np.linalg.norm(point - surface.position):.3g} mm; first-order data need surfaces centered "
+                "on the z axis (and its folds by plane mirrors)"
+            )
+        sense = float(np.sign(cosine))
+        after = index
+        power = 0.0
+        if surface.action == "refract" and not last:
+            after = refractive_index(surface.medium, wavelength)
+            power = (after - index) * curvature * sense
+        elif surface.action == "reflect":
+            power = -2.0 * index * curvature * sense
+            direction = direction - 2.0 * cosine * normal
+        yield _Step(way, index, power, after)
+        index = after
+
+
+def _require_crossing(system: OpticalSystem, surface: str, cosine: float) -> None:
+    if abs(cosine) < _GRAZING:
+        raise UserError(
+            f"the axis ray of {system.name} runs along the surface {surface}; it must cross every surface"
+        )
+
+
+def _matrix(steps: list[_Step], last_power: bool = True) -> Array:
+    """Return the matrix from (y, n u) before the first surface to after the last one."""
+    matrix = np.eye(2)
+    for number, step in enumerate(steps):
+        matrix = np.array([[1.0, step.way / step.index], [0.0, 1.0]]) @ matrix
+        if last_power or number < len(steps) - 1:
+            matrix = np.array([[1.0, 0.0], [-step.power, 1.0]]) @ matrix
+    return matrix
+
+
+def _from_first_to_last(steps: list[_Step]) -> Array:
+    """Return the matrix from before the first surface to after the last one before the image."""
+    return _matrix(steps[:-1]) if len(steps) > 1 else np.eye(2)
+
+
+def _scale(
+    system: OpticalSystem,
+    marginal: Array,
+    at_image: Array,
+    to_stop: Array,
+    index: float,
+    image_index: float,
+    entrance: float,
+    focal: float,
+) -> float:
+    """Return by what the marginal ray is multiplied so that the pupil is as wide as specified."""
+    pupil, name = system.pupil, system.name
+    at_stop = float((to_stop @ marginal)[0])
+    if at_stop == 0.0:
+        raise UserError(f"the stop of {name} lies in an image of its object; it must limit the light's cone")
+    if pupil.kind == "stop":
+        return abs(pupil.value / at_stop)
+    if pupil.kind == "entrance_diameter":
+        if not isfinite(entrance):
+            raise UserError(
+                f"the entrance pupil of {name} lies at infinity and has no diameter; specify the pupil by "
+                "its numerical aperture or by the radius of the stop"
+            )
+        return float(abs(pupil.value / 2.0 * to_stop[0, 0] / at_stop))
+    if pupil.kind == "f_number":
+        if at_image[1] == 0.0 or not isfinite(focal):
+            raise UserError(f"the system {name} is afocal and has no f-number; specify its entrance pupil")
+        return float(abs(0.5 / pupil.value / at_image[1]))
+    if pupil.kind == "object_na":
+        if not isfinite(system.object_distance):
+            raise UserError(f"the object of {name} is at infinity and has no numerical aperture")
+        return float(abs(_aperture(pupil.value, index, name) / marginal[1]))
+    if pupil.kind == "image_na":
+        if at_image[1] == 0.0:
+            raise UserError(f"the image of {name} is at infinity and has no numerical aperture")
+        return float(abs(_aperture(pupil.value, image_index, name) / at_image[1]))
+    raise UserError(f"the pupil of {name} is specified by {pupil.kind!r}, which is unknown")
+
+
+def _aperture(na: float, index: float, name: str) -> float:
+    if na >= index:
+        raise UserError(
+            f"the numerical aperture of {name} is {na}; it must be less than the index {index:g} around it"
+        )
+    return na
+
+
+def _magnification(
+    system: OpticalSystem, lens: Array, distance: float, image_distance: float, n: float, n_image: float
+) -> float:
+    if not isfinite(distance):
+        return 0.0
+    if not isfinite(image_distance):
+        return inf
+    return float(lens[0, 0] + image_distance / n_image * lens[1, 0])
+
+
+def _chief(system: OpticalSystem, to_stop: Array, index: float) -> Array:
+    """Return the chief ray (y, n u) of the largest field at the first surface."""
+    field = float(np.max(np.hypot(system.fields[:, 0], system.fields[:, 1])))
+    if not isfinite(system.object_distance):
+        slope = index * tan(field)
+        if to_stop[0, 0] == 0.0:
+            return np.array([np.nan, slope])
+        return np.array([-to_stop[0, 1] / to_stop[0, 0] * slope, slope])
+    height, reach = field, system.object_distance / index
+    # y_stop = A (h + reach s) + B s = 0
+    forward = to_stop[0, 0] * reach + to_stop[0, 1]
+    slope = -to_stop[0, 0] * height / forward
+    return np.array([height + reach * slope, slope])

@@ -1,0 +1,41 @@
+"""The monolithic parent of a segmented telescope as a general optical system."""
+
+import numpy as np
+
+from wavequake.optics.segmented_telescope import SegmentedTelescope
+from wavequake.optics.shapes import Conic, Opening
+from wavequake.optics.system import OpticalSystem, Pupil, Surface
+
+
+def parent_system(telescope: SegmentedTelescope, wavelength: float = 550e-6) -> OpticalSystem:
+    """Return the telescope with a primary mirror of one piece: the annulus of its pupil.
+
+    The stop is a surface of its own in the plane of M1's rim, before the mirror; the frame stays that of M1.
+
+    Parameters
+    ----------
+    telescope : SegmentedTelescope
+    wavelength : float
+        mm.
+    """
+    inner, outer = telescope.pupil_inner, telescope.pupil_outer
+    annulus = Opening(outer, inner)
+    stop = Surface("stop", position=np.array([0.0, 0.0, telescope.stop_z]), opening=annulus)
+    primary = Surface("M1", Conic(telescope.primary_radius, telescope.primary_conic), action="reflect")
+    others = [
+        Surface(
+            surface.name,
+            Conic(surface.radius, surface.conic),
+            surface.position,
+            surface.rotation,
+            "reflect" if surface.reflects else "pass",
+        )
+        for surface in telescope.surfaces
+    ]
+    return OpticalSystem(
+        name=telescope.name,
+        surfaces=(stop, primary, *others),
+        stop=0,
+        pupil=Pupil("entrance_diameter", 2.0 * outer, inner / outer),
+        wavelengths=np.array([wavelength]),
+    )

@@ -1,0 +1,82 @@
+"""From Zernike coefficients and grid heights to the polynomials and splines that the trace evaluates."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.errors import UserError
+from wavequake.optics.zernike import circular_zernike_xy, noll_to_nm
+from wavequake.optics.zernike_transforms import expansion_matrix
+
+Array = NDArray[np.float64]
+
+_MOST_TERMS = 496  # degree 30: beyond, sums of monomials keep less than 6 digits
+
+
+@dataclass(frozen=True)
+class ZernikeBasis:
+    """Zernike polynomials as polynomials in x and y: ``matrix`` (powers, terms) turns coefficients."""
+
+    degree: int
+    matrix: Array
+
+
+def zernike_basis(terms: int, obscuration: float = 0.0) -> ZernikeBasis:
+    """Return what turns Noll coefficients j = 1..terms into those of monomials in x and y.
+
+    Monomials cancel near the rim: relative to the largest height, random coefficients lose 2e-13 at j = 105,
+    4e-12 at 153, 1e-10 at 231 and 2e-7 at 496 (measured). Products of Chebyshev polynomials cancel as much,
+    since Zernike polynomials are huge in the corners of the square.
+
+    Raises
+    ------
+    UserError
+        If there is no term, there are more than 496, or the obscuration is not in [0, 1).
+    """
+    if not 1 <= terms <= _MOST_TERMS:
+        raise UserError(f"a surface has {terms} Zernike terms; it can have 1 to {_MOST_TERMS} (use a grid)")
+    if not 0.0 <= obscuration < 1.0:
+        raise UserError(f"the ratio of inner to outer pupil radius is {obscuration}, it must lie in [0, 1)")
+    return _zernike_basis(terms, obscuration)
+
+
+@lru_cache(maxsize=32)
+def _zernike_basis(terms: int, obscuration: float) -> ZernikeBasis:
+    degree = max(noll_to_nm(j)[0] for j in range(1, terms + 1))
+    matrix = circular_zernike_xy(degree, terms)
+    if obscuration > 0.0:
+        matrix = matrix @ expansion_matrix(terms, obscuration, 0.0).T
+    return ZernikeBasis(degree, matrix)
+
+
+def spline_coefficients(heights: Array) -> Array:
+    """Return the coefficients of the uniform bicubic B-spline through heights on a grid.
+
+    Its third derivative is continuous at the nodes next to the edge ("not a knot"), so that polynomials of
+    degree 3 are kept. One ring of coefficients lies outside of the grid.
+
+    Parameters
+    ----------
+    heights : ndarray, shape (..., rows, columns)
+        At least 4 rows and columns.
+
+    Returns
+    -------
+    ndarray, shape (..., rows + 2, columns + 2)
+    """
+    along_y, along_x = (_spline_matrix(count) for count in heights.shape[-2:])
+    coefficients: Array = along_y @ heights @ along_x.T
+    return coefficients
+
+
+@lru_cache(maxsize=32)
+def _spline_matrix(count: int) -> Array:
+    """Return the matrix (count + 2, count) from values at nodes to coefficients of a cubic B-spline."""
+    system = np.zeros((count + 2, count + 2))
+    for node in range(count):
+        system[node + 1, node : node + 3] = [1 / 6, 4 / 6, 1 / 6]
+    fourth_difference = [1.0, -4.0, 6.0, -4.0, 1.0]
+    system[0, :5] = system[-1, -5:] = fourth_difference
+    return np.asarray(np.linalg.inv(system)[:, 1:-1], dtype=np.float64)

@@ -1,0 +1,127 @@
+"""A system's first-order data, fields, wavelengths and surfaces as a table of plain text."""
+
+from collections.abc import Iterable, Sequence
+from math import isfinite
+
+import numpy as np
+
+from wavequake.optics.paraxial import Paraxial, paraxial
+from wavequake.optics.shapes import Conic, Opening
+from wavequake.optics.system import OpticalSystem, Surface
+
+_ARCMIN = 180.0 * 60.0 / np.pi
+
+
+def info(system: OpticalSystem) -> str:
+    """Return first-order data at the primary wavelength, fields, wavelengths and the surfaces.
+
+    Raises
+    ------
+    UserError
+        As `wavequake.optics.paraxial.paraxial`.
+    """
+    parts = [
+        [system.name],
+        _columns(_first_order(system, paraxial(system))),
+        _columns([("field", *_fields(system)), ("wavelength (nm)", *_wavelengths(system))]),
+        _columns(_surfaces(system.surfaces, system.stop), right=(1, 2, 3)),
+    ]
+    return "\n\n".join("\n".join(lines) for lines in parts)
+
+
+def _first_order(system: OpticalSystem, data: Paraxial) -> list[tuple[str, ...]]:
+    far = not isfinite(system.object_distance)
+    kind = "infinity" if far else f"{_number(system.object_distance)} mm before {system.surfaces[0].name}"
+    rows: list[tuple[str, ...]] = [
+        ("object", kind + (", telecentric" if system.telecentric else "")),
+        ("focal length", _length(data.focal_length)),
+        ("back focus", _length(data.back_focus)),
+        ("front / rear principal plane", f"{_number(data.front_principal)} / {_length(data.rear_principal)}"),
+        ("image beyond paraxial focus", _length(data.defocus)),
+        ("f-number", _number(data.f_number)),
+        ("NA in image", _number(data.image_na)),
+        ("entrance pupil", _pupil(data.entrance_pupil, data.entrance_pupil_diameter, "from first surface")),
+        ("exit pupil", _pupil(data.exit_pupil, data.exit_pupil_diameter, "from image")),
+        ("stop", f"{system.surfaces[system.stop].name}, radius {_length(data.stop_radius)}"),
+        ("obscuration", f"{_number(system.pupil.obscuration)} of the pupil's radius"),
+        ("Lagrange invariant", _length(data.lagrange)),
+    ]
+    if not far:
+        rows[1:1] = [
+            ("magnification", _number(data.magnification)),
+            ("NA in object", _number(data.object_na)),
+        ]
+    return rows
+
+
+def _pupil(position: float, diameter: float, origin: str) -> str:
+    if not isfinite(position):
+        return "at infinity"
+    return f"{_length(position)} {origin}, diameter {_length(diameter)}"
+
+
+def _fields(system: OpticalSystem) -> Iterable[str]:
+    far = not isfinite(system.object_distance)
+    for x, y in system.fields:
+        if far:
+            yield f"({_number(x * _ARCMIN)}, {_number(y * _ARCMIN)}) arcmin"
+        else:
+            yield f"({_number(x)}, {_number(y)}) mm"
+
+
+def _wavelengths(system: OpticalSystem) -> Iterable[str]:
+    for number, wavelength in enumerate(system.wavelengths):
+        primary = number == system.primary_wavelength and len(system.wavelengths) > 1
+        yield _number(1e6 * wavelength) + (" primary" if primary else "")
+
+
+def _surfaces(surfaces: Sequence[Surface], stop: int) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = [
+        ("surface", "radius (mm)", "conic", "z (mm)", "action", "shape", "opening (mm)")
+    ]
+    for number, surface in enumerate(surfaces):
+        shape = "" if isinstance(surface.shape, Conic) else type(surface.shape).__name__
+        deforms = " deforms" if surface.deformation is not None else ""
+        action = surface.action + (f" {surface.medium.name}" if surface.action == "refract" else "")
+        rows.append(
+            (
+                surface.name + (" (stop)" if number == stop else ""),
+                _number(surface.shape.radius),
+                _number(surface.shape.conic),
+                _number(surface.position[2]),
+                action,
+                (shape + deforms).strip(),
+                _opening(surface.opening),
+            )
+        )
+    return rows
+
+
+def _opening(opening: Opening | None) -> str:
+    if opening is None:
+        return ""
+    text = f"polygon of {len(opening.corners)}" if opening.corners else _number(opening.outer)
+    if opening.inner:
+        text = f"{_number(opening.inner)} to {text}"
+    return text + (f", {len(opening.arms)} arms" if opening.arms else "")
+
+
+def _length(value: float) -> str:
+    return f"{_number(value)} mm" if isfinite(value) else "infinite"
+
+
+def _number(value: float) -> str:
+    return "infinite" if not isfinite(value) else f"{value:.8g}"
+
+
+def _columns(rows: Sequence[tuple[str, ...]], right: tuple[int, ...] = ()) -> list[str]:
+    """Return lines in which the cells of a column stand below each other."""
+    widths = [max(len(row[i]) for row in rows if i < len(row)) for i in range(max(map(len, rows)))]
+    lines = []
+    for row in rows:
+        cells = [
+            cell.rjust(width) if i in right else cell.ljust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=False))
+        ]
+        lines.append("  ".join(cells).rstrip())
+    return lines

@@ -1,0 +1,278 @@
+from math import inf
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from wavequake.errors import UserError
+from wavequake.optics.media import Medium, glass
+from wavequake.optics.paraxial import entrance_pupil_center, paraxial
+from wavequake.optics.shapes import Conic, EvenAsphere
+from wavequake.optics.system import OpticalSystem, Pupil, Surface
+from wavequake.optics.system_kinematics import Break, SurfaceRow, sequential
+
+GLASS = Medium("glass", "constant", (1.5,))
+WATER = Medium("water", "constant", (1.33,))
+
+
+def lens(r1, r2, thickness, to_image, stop=0, pupil=None, rows=(), after=(), **options):
+    surfaces = sequential(
+        [
+            *rows,
+            SurfaceRow("front", Conic(r1), thickness, "refract", GLASS),
+            SurfaceRow("back", Conic(r2), to_image, "refract"),
+            *after,
+            SurfaceRow("image"),
+        ]
+    )
+    return OpticalSystem("lens", surfaces, stop, pupil or Pupil("entrance_diameter", 10.0), **options)
+
+
+radii = st.floats(30.0, 300.0).flatmap(lambda r: st.sampled_from([r, -r]))
+
+
+@settings(deadline=None)
+@given(radii, radii, st.floats(0.1, 20.0))
+def test_thick_lens_is_the_lensmaker_s(r1, r2, thickness):
+    n = 1.5
+    power = (n - 1) * (1 / r1 - 1 / r2 + (n - 1) * thickness / (n * r1 * r2))
+    if abs(power) < 1e-4:
+        return
+    data = paraxial(lens(r1, r2, thickness, 100.0))
+    assert data.focal_length == pytest.approx(1 / power, rel=1e-12)
+    assert data.back_focus == pytest.approx((1 - (n - 1) * thickness / (n * r1)) / power, rel=1e-9)
+    assert data.front_focus == pytest.approx(-(1 + (n - 1) * thickness / (n * r2)) / power, rel=1e-9)
+    assert data.front_principal == pytest.approx(-(n - 1) * thickness / (n * r2) / power, rel=1e-9, abs=1e-9)
+    assert data.rear_principal == pytest.approx(-(n - 1) * thickness / (n * r1) / power, rel=1e-9, abs=1e-9)
+
+
+@settings(deadline=None)
+@given(st.floats(20.0, 500.0).filter(lambda d: abs(d - 100.0) > 1.0))
+def test_thin_lens_images_by_equation_3_35(distance):
+    data = paraxial(lens(100.0, -100.0, 0.0, 100.0, object_distance=distance))
+    image = 1 / (1 / 100.0 - 1 / distance)
+    assert data.focal_length == pytest.approx(100.0)
+    assert data.image_distance == pytest.approx(image, rel=1e-12)
+    assert data.magnification == pytest.approx(-image / distance, rel=1e-12)
+    assert data.defocus == pytest.approx(100.0 - image, rel=1e-9, abs=1e-9)
+
+
+@settings(deadline=None)
+@given(
+    st.floats(500.0, 5000.0),
+    st.floats(0.5, 0.95),
+    st.floats(1.5, 8.0).filter(lambda m: abs(m - 1) > 0.1),
+)
+def test_cassegrain_pairs_have_the_focal_length_of_the_mirror_formula(f1, share, magnification):
+    # The secondary stands at `share` of the primary's focal length and magnifies the rest.
+    gap, rest = share * f1, (1 - share) * f1
+    f2 = 1 / (1 / rest - 1 / (rest * magnification))
+    rows = [
+        SurfaceRow("M1", Conic(-2 * f1), -gap, "reflect"),
+        SurfaceRow("M2", Conic(-2 * f2), gap + 100.0, "reflect"),
+        SurfaceRow("image"),
+    ]
+    system = OpticalSystem("pair", sequential(rows), 0, Pupil("f_number", 12.0))
+    data = paraxial(system)
+    assert data.focal_length == pytest.approx(f1 * magnification, rel=1e-9)
+    assert data.back_focus == pytest.approx(rest * magnification, rel=1e-9)
+    assert data.entrance_pupil_diameter == pytest.approx(f1 * magnification / 12.0, rel=1e-9)
+    assert data.entrance_pupil == 0.0
+    # The exit pupil is the image of M1 by M2, as of an object at the distance `gap`.
+    virtual = 1 / (-1 / f2 - 1 / gap)
+    assert data.exit_pupil == pytest.approx(virtual - (gap + 100.0), rel=1e-9)
+
+
+def test_stop_before_inside_and_behind_a_thin_lens():
+    before = lens(100.0, -100.0, 0.0, 100.0, rows=[SurfaceRow("stop", thickness=50.0)])
+    data = paraxial(before)
+    assert data.entrance_pupil == 0.0
+    # 50 mm before a lens of 100 mm: the virtual image lies 100 mm before it, twice as large.
+    assert data.exit_pupil == pytest.approx(-200.0)
+    assert data.exit_pupil_diameter == pytest.approx(20.0)
+    behind = lens(100.0, -100.0, 0.0, 50.0, stop=2, after=[SurfaceRow("stop", thickness=50.0)])
+    data = paraxial(behind)
+    assert data.entrance_pupil == pytest.approx(100.0)
+    assert data.entrance_pupil_diameter == pytest.approx(10.0)
+    assert data.stop_radius == pytest.approx(2.5)
+    assert data.pupil_magnification == pytest.approx(2.0)
+    assert data.exit_pupil == pytest.approx(-50.0)
+
+
+def test_stop_in_the_focal_plane_is_telecentric():
+    pupil = Pupil("object_na", 0.1)
+    system = lens(
+        100.0,
+        -100.0,
+        0.0,
+        100.0,
+        stop=2,
+        pupil=pupil,
+        after=[SurfaceRow("stop", thickness=100.0)],
+        object_distance=200.0,
+        telecentric=True,
+        fields=np.array([[3.0, 4.0]]),
+    )
+    data = paraxial(system)
+    assert data.entrance_pupil == inf
+    assert data.entrance_pupil_diameter == inf
+    assert data.magnification == pytest.approx(-1.0)
+    assert data.object_na == pytest.approx(0.1)
+    assert data.image_na == pytest.approx(0.1)
+    assert abs(data.lagrange) == pytest.approx(5.0 * 0.1)
+    assert data.stop_radius == pytest.approx(10.0)
+    with pytest.raises(UserError, match="at infinity and has no diameter"):
+        paraxial(lens(100.0, -100.0, 0.0, 100.0, stop=2, after=[SurfaceRow("stop", thickness=100.0)]))
+
+
+def test_pupil_kinds_agree():
+    reference = paraxial(lens(80.0, -120.0, 5.0, 90.0))
+    slope = 5.0 / reference.focal_length
+    for pupil in (
+        Pupil("image_na", slope),
+        Pupil("f_number", reference.focal_length / 10.0),
+        Pupil("stop", 5.0),
+    ):
+        data = paraxial(lens(80.0, -120.0, 5.0, 90.0, pupil=pupil))
+        assert data.entrance_pupil_diameter == pytest.approx(10.0, rel=1e-12)
+        assert data.f_number == pytest.approx(reference.focal_length / 10.0, rel=1e-12)
+
+
+def test_immersion_keeps_the_lagrange_invariant():
+    surfaces = sequential([SurfaceRow("ball", Conic(50.0), 150.0, "refract", WATER), SurfaceRow("image")])
+    system = OpticalSystem(
+        "eye", surfaces, 0, Pupil("stop", 5.0), object_distance=400.0, fields=np.array([[0.0, 2.0]])
+    )
+    data = paraxial(system)
+    # n'/s' = n/s + (n' - n)/R with s = -400
+    assert data.image_distance == pytest.approx(1.33 / (-1 / 400.0 + 0.33 / 50.0))
+    height = 2.0 * data.magnification
+    reduced_slope = 1.33 * 5.0 / data.image_distance
+    assert abs(data.lagrange) == pytest.approx(abs(height) * reduced_slope)
+    assert data.focal_length == pytest.approx(50.0 / 0.33)
+    assert data.back_focus == pytest.approx(1.33 * 50.0 / 0.33)
+
+
+def test_folds_do_not_matter():
+    def rows(fold):
+        turn = [Break(tilt=(fold, 0.0, 0.0))]
+        return [
+            SurfaceRow("M1", Conic(-2000.0), -600.0, "reflect"),
+            *turn,
+            SurfaceRow("flat", action="reflect"),
+            *turn,
+            Break(thickness=400.0),
+            SurfaceRow("image"),
+        ]
+
+    straight, folded = (
+        paraxial(OpticalSystem("x", sequential(rows(angle)), 0, Pupil("entrance_diameter", 100.0)))
+        for angle in (0.0, 0.6)
+    )
+    assert folded.focal_length == pytest.approx(1000.0)
+    for field in ("back_focus", "defocus", "exit_pupil", "image_na", "rear_principal"):
+        assert getattr(folded, field) == pytest.approx(getattr(straight, field), abs=1e-9)
+
+
+def test_even_asphere_counts_its_quadratic_term():
+    surfaces = (
+        Surface("M1", EvenAsphere(inf, 0.0, (-1 / 2000.0, 1e-12)), action="reflect"),
+        Surface("image", position=np.array([0.0, 0.0, -500.0])),
+    )
+    data = paraxial(OpticalSystem("x", surfaces, 0, Pupil("entrance_diameter", 10.0)))
+    assert data.focal_length == pytest.approx(500.0)
+    assert data.defocus == pytest.approx(0.0, abs=1e-9)
+
+
+def test_afocal_system_has_infinite_data_and_refuses_an_f_number():
+    rows = [
+        SurfaceRow("a", Conic(-2000.0), -1500.0, "reflect"),
+        SurfaceRow("b", Conic(1000.0), 500.0, "reflect"),
+        SurfaceRow("image"),
+    ]
+    data = paraxial(OpticalSystem("mersenne", sequential(rows), 0, Pupil("entrance_diameter", 10.0)))
+    assert data.focal_length == inf
+    assert data.image_distance in (inf, -inf)
+    assert data.image_na == pytest.approx(0.0, abs=1e-15)
+    with pytest.raises(UserError, match="afocal"):
+        paraxial(OpticalSystem("mersenne", sequential(rows), 0, Pupil("f_number", 10.0)))
+
+
+def test_entrance_pupil_follows_a_decentered_stop():
+    rows = [
+        Break((700.0, 0.0, 0.0)),
+        SurfaceRow("stop"),
+        Break((-700.0, 0.0, 100.0)),
+        SurfaceRow("M1", Conic(-2000.0, -1.0), -1000.0, "reflect"),
+        SurfaceRow("image"),
+    ]
+    system = OpticalSystem("off axis", sequential(rows), 0, Pupil("entrance_diameter", 500.0))
+    np.testing.assert_allclose(entrance_pupil_center(system), [700.0, 0.0, 0.0], atol=1e-12)
+
+
+def test_dispersion_moves_the_focus():
+    def bk7(wavelength):
+        surfaces = sequential(
+            [
+                SurfaceRow("a", Conic(50.0), 0.0, "refract", glass("N-BK7")),
+                SurfaceRow("b", action="refract"),
+                SurfaceRow("image"),
+            ]
+        )
+        return paraxial(OpticalSystem("x", surfaces, 0, Pupil("entrance_diameter", 10.0)), wavelength)
+
+    # Schott's data sheet: n_d = 1.51680, n_F = 1.52238, n_C = 1.51432
+    for wavelength, n in [(587.5618e-6, 1.51680), (486.1327e-6, 1.52238), (656.2725e-6, 1.51432)]:
+        assert bk7(wavelength).focal_length == pytest.approx(50.0 / (n - 1), rel=2e-5)
+    with pytest.raises(UserError, match="N-BK7"):
+        bk7(50e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"stop": 7}, "stop of x is surface 7"),
+        ({"pupil": Pupil("entrance_diameter", np.nan)}, "must be positive"),
+        ({"pupil": Pupil("entrance_diameter", 1.0, 1.0)}, "obscured"),
+        ({"pupil": Pupil("image_na", 1.2)}, "less than the index"),
+        ({"pupil": Pupil("object_na", 0.2)}, "object of x is at infinity"),
+        ({"pupil": Pupil("area", 0.2)}, "'area', which is unknown"),
+        ({"primary_wavelength": 3}, "primary wavelength"),
+        ({"wavelengths": np.array([np.nan])}, "wavelengths"),
+        ({"fields": np.array([[np.inf, 0.0]])}, "fields"),
+        ({"object_distance": np.nan}, "object distance"),
+        ({"surfaces": ()}, "no surfaces"),
+        ({"surfaces": (Surface("bad", action="reflect"),)}, "last surface"),
+        ({"surfaces": (Surface("bad", Conic(np.nan)), Surface("image"))}, "surface bad of x"),
+        ({"surfaces": (Surface("bad", position=np.array([0, 0, np.nan])), Surface("image"))}, "position"),
+        ({"surfaces": (Surface("bad", rotation=2 * np.eye(3)), Surface("image"))}, "rotation"),
+        ({"surfaces": (Surface("bad", action="absorb"), Surface("image"))}, "absorb"),
+        (
+            {
+                "surfaces": (
+                    Surface("M", Conic(-9.0), np.array([1.0, 0, 0]), action="reflect"),
+                    Surface("image"),
+                )
+            },
+            "misses the vertex of the surface M by 1 mm",
+        ),
+        (
+            {
+                "surfaces": (
+                    Surface("M", rotation=np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), action="reflect"),
+                    Surface("image"),
+                )
+            },
+            "runs along the surface M",
+        ),
+    ],
+)
+def test_bad_systems_are_refused(change, message):
+    surfaces = (
+        Surface("M1", Conic(-100.0), action="reflect"),
+        Surface("image", position=np.array([0, 0, -50.0])),
+    )
+    options = {"name": "x", "surfaces": surfaces, "stop": 0, "pupil": Pupil("entrance_diameter", 10.0)}
+    with pytest.raises(UserError, match=message):
+        paraxial(OpticalSystem(**{**options, **change}))
