@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -5,7 +7,15 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from wavequake.optics.sphere_fit import fit_sphere
+from wavequake.kernels.devices import NUMPY
+from wavequake.kernels.tiles import TILE
+from wavequake.optics.prepared import chief_rays, prepare, trace_states
+from wavequake.optics.pupils import PupilRays
+from wavequake.optics.slopes import sphere_points
+from wavequake.optics.sphere_fit import fit_sphere, reference_fit
+from wavequake.optics.states import rest
+from wavequake.optics.telescopes import telescope
+from wavequake.optics.wavefront import analyse
 
 
 def cap(center, radius, sine, count=60, seed=0):
@@ -86,3 +96,70 @@ def test_points_that_determine_no_sphere_give_nan():
     for values in (fitted.radius, fitted.rms, fitted.center[:, 0]):
         np.testing.assert_array_equal(np.isnan(values), [False] + [True] * 5)
     assert np.isnan(fit_sphere(sphere[None, :3], np.ones(3)).radius).all()
+
+
+@pytest.fixture(scope="module")
+def thesis():
+    system = telescope("tmt-thesis")
+    inner, outer = system.pupil_inner, system.pupil_outer
+    nodes, weights = np.polynomial.legendre.leggauss(16)
+    r, theta = np.sqrt(inner**2 + (outer**2 - inner**2) * (nodes + 1) / 2), 2 * np.pi * np.arange(48) / 48
+    x, y = np.outer(r, np.cos(theta)).ravel(), np.outer(r, np.sin(theta)).ravel()
+    rays = PupilRays(x, y, np.repeat(weights / 96, 48), np.zeros(len(x), dtype=np.int64))
+    return prepare(system, rays, 550e-6, 36)
+
+
+@pytest.fixture(scope="module")
+def disturbed(thesis):
+    """Rays and chief rays of motions of M2: tilts of 1 to 10 urad with their coma, shifts and a focus."""
+    states = rest(TILE, 1, len(thesis.system.surfaces))
+    for instant, (dof, size) in enumerate([(3, 1e-6), (4, -1e-5), (0, 0.05), (1, -0.02), (2, 0.01)], start=1):
+        states.surface_motion[instant, 0, dof] = size
+    return trace_states(thesis, states, NUMPY), chief_rays(thesis, states)
+
+
+def test_the_best_fit_sphere_looks_where_eq_339_does(thesis, disturbed):
+    """Two ways to the direction of the wavefront: its tilt is in the image point now, the rest is unchanged.
+
+    The tilt of the sphere is that of a sine, the polynomial's one that of the pupil: 1e-7 apart for the TMT.
+    """
+    by_chief = analyse(thesis, *disturbed)
+    by_sphere = analyse(replace(thesis, sphere=reference_fit(thesis)), *disturbed)
+    moved = np.abs(by_chief.los[:6]).max(axis=1)
+    assert (moved[1:5] > 0.05).all()
+    difference = np.abs(by_sphere.los - by_chief.los)[:6].max(axis=1)
+    assert (difference < 2e-7 * moved + 1e-6).all()
+    assert np.abs(by_chief.zernike[2, 1:3]).max() > 0.1
+    assert np.abs(by_sphere.zernike[:6, 1:3]).max() < 1e-6 * np.abs(by_chief.zernike[:6, 1:3]).max()
+    np.testing.assert_allclose(by_sphere.zernike[:6, 3:], by_chief.zernike[:6, 3:], atol=5e-7)
+    np.testing.assert_allclose(by_sphere.strehl, by_chief.strehl, atol=1e-6)
+    np.testing.assert_array_equal(by_sphere.segment_phase, by_chief.segment_phase)
+    np.testing.assert_array_equal(by_sphere.chief, by_chief.chief)
+
+
+def test_the_linear_fit_is_the_sphere_through_the_wavefronts_points(thesis, disturbed):
+    """A point of the wavefront lies its OPD beyond the reference sphere along the ray, that is, inwards."""
+    traced, chief = disturbed
+    radius = thesis.train.sphere_radius
+    across = sphere_points(thesis, rest(TILE, 1, len(thesis.system.surfaces)))[2]
+    sphere = np.column_stack([across, -np.sqrt(radius**2 - np.sum(across**2, axis=1))])
+    points = sphere * (1.0 - traced.opd[0].T[..., None] / radius)
+    centers = fit_sphere(points, thesis.weight).center[:, :2]
+    with_sphere = replace(thesis, sphere=reference_fit(thesis))
+    moved = analyse(with_sphere, traced, chief)
+    rest_of_tilt = analyse(thesis, traced, chief).los - moved.chief
+    assert np.abs(rest_of_tilt[2]).max() > 0.01
+    # Rounding of coordinates of 46 m, over the sag: 1e-5 mm.
+    np.testing.assert_allclose(centers, rest_of_tilt, atol=2e-5)
+
+
+def test_lost_rays_do_not_pull_the_sphere(thesis, disturbed):
+    traced, chief = disturbed
+    with_sphere = replace(thesis, sphere=reference_fit(thesis))
+    whole = analyse(with_sphere, traced, chief)
+    holed = replace(traced, opd=traced.opd.copy(), status=traced.status.copy())
+    holed.opd[0, ::5, 4], holed.status[0, ::5, 4] = np.nan, 1
+    part = analyse(with_sphere, holed, chief)
+    np.testing.assert_array_equal(np.delete(part.los, 4, 0), np.delete(whole.los, 4, 0))
+    np.testing.assert_allclose(part.los[4], whole.los[4], atol=1e-3 * np.abs(whole.los[4]).max())
+    assert part.los[4, 1] != whole.los[4, 1]

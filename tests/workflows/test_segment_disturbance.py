@@ -8,10 +8,11 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import choose_device, list_devices
 from wavequake.mechanics.edge_sensors import EdgeSensorNoise
 from wavequake.optics.prepared import trace_states
+from wavequake.optics.zernike import annular_zernike
 from wavequake.workflows import segment_disturbance as workflow
 from wavequake.workflows.bench import bench_of
 from wavequake.workflows.contract import DONE, RAISED
-from wavequake.workflows.images import energy_scale
+from wavequake.workflows.images import energy_scale, image_axis
 from wavequake.workflows.study import load_study, study_with
 
 OPENCL = [device.name for device in list_devices() if device.kind != "numpy"]
@@ -143,7 +144,7 @@ def test_the_line_of_sight_is_the_one_that_was_drawn(text, chunk, name):
 def test_the_image_goes_where_the_line_of_sight_goes(text, chunk):
     """Mean of the exposure's own centroid against the mean line of sight, both on the sky: sign and scale."""
     bench = bench_of(text)
-    axis = workflow.image_axis(bench)
+    axis = image_axis(bench)
     unit = (
         bench.prepared.wavelength / (2 * bench.system.pupil_outer) * 180 / np.pi * 3600e3
     )  # lambda/D in mas
@@ -206,6 +207,67 @@ def test_spots_are_those_of_the_rays_on_the_sky(study):
     expected = np.sqrt(np.mean(np.sum(tilts**2, axis=1)))
     chunk = workflow.compute(text, np.array([row]), DEVICE)
     assert chunk.arrays["spot_rms"][0, 0] == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize("name", ["mount", "m2"])
+def test_slopes_and_path_lengths_give_the_same_results_where_no_segment_moves(study, text, chunk, name):
+    """Measured: 2e-3 nm of coefficients and 2e-4 mas; piston alone is unknown to slopes."""
+    slopes = study_with(study, {"wavefront.method": "slopes", "wavefront.zernike_terms": 66})
+    paths = study_with(study, {"wavefront.zernike_terms": 66})
+    assert slopes.identity() != paths.identity()
+    cases = rows(text, name)[:1]
+    one, other = (workflow.compute(each.identity_text(), cases, DEVICE).arrays for each in (slopes, paths))
+    count = np.count_nonzero(np.isfinite(other["time_s"][0]))
+    assert np.isnan(one["zernike"][0, :, 0]).all()
+    assert np.abs(other["los"][0, :count]).max() > 1.0
+    np.testing.assert_allclose(one["zernike"][0, :count, 1:], other["zernike"][0, :count, 1:], atol=0.02)
+    np.testing.assert_allclose(one["los"][0, :count], other["los"][0, :count], atol=2e-3)
+    # M2's drawn tilt is that of the line of sight, so it is not the same to the last bit.
+    np.testing.assert_allclose(one["wfe_rms_raw"], other["wfe_rms_raw"], rtol=1e-6)
+
+
+def test_slopes_do_not_see_the_pistons_of_segments(study, text):
+    flat = {"disturbance.pistons.tip_nrad": 0.0, "disturbance.pistons.tilt_nrad": 0.0}
+    moved = study_with(study, {"wavefront.method": "slopes", **flat}).identity_text()
+    arrays = workflow.compute(moved, np.array([0]), DEVICE).arrays
+    still = bench_of(moved).static.rms[0] * 550.0
+    # Along a segment's normal is not along the axis: 20 nm sideways turn the parabola's normal a little.
+    np.testing.assert_allclose(arrays["wfe_rms"][0, :3], still, atol=0.2)
+    assert arrays["wfe_rms_raw"][0, 0] > still + 10.0
+
+
+def test_circular_coefficients_are_those_of_a_direct_fit_of_circular_polynomials(study, text, chunk):
+    circular = study_with(study, {"wavefront.basis": "circular"})
+    row = rows(text, "figure")[0]
+    found = workflow.compute(circular.identity_text(), np.array([row]), DEVICE).arrays
+    bench = bench_of(text)
+    states = workflow.surface_states(bench, workflow.draw(bench, int(row)), 0, 1)
+    opd = trace_states(bench.prepared, states, choose_device("numpy")).opd[0, :, 0]
+    rays, root = bench.prepared.rays, np.sqrt(bench.prepared.weight)
+    outer = bench.system.pupil_outer
+    polynomials = annular_zernike(rays.x / outer, rays.y / outer, 45, 0.0)
+    expected = np.linalg.lstsq(root[:, None] * polynomials, root * opd * 1e6, rcond=None)[0]
+    np.testing.assert_allclose(found["zernike"][0, 0], expected, atol=1e-6 * np.abs(expected).max())
+    assert np.abs(found["zernike"] - chunk.arrays["zernike"][row])[0, 0].max() > 1.0
+    for name in ("wfe_rms", "los", "strehl"):
+        np.testing.assert_array_equal(found[name][0], chunk.arrays[name][row], err_msg=name)
+
+
+def test_the_fitted_reference_moves_the_tilt_into_the_image_point(study, text, chunk):
+    """The line of sight is that of Eq. 3.39 but for the polynomials' tilt, which a ragged pupil mixes."""
+    fitted = study_with(study, {"wavefront.reference": "fitted"}).identity_text()
+    row = rows(text, "m2")[0]
+    found = workflow.compute(fitted, np.array([row]), DEVICE).arrays
+    count = np.count_nonzero(np.isfinite(found["time_s"][0]))
+    los = chunk.arrays["los"][row, :count]
+    np.testing.assert_allclose(found["los"][0, :count], los, atol=2e-3 * np.abs(los).max())
+    np.testing.assert_allclose(found["strehl"][0], chunk.arrays["strehl"][row], rtol=1e-6)
+    np.testing.assert_allclose(found["exposure"][0], chunk.arrays["exposure"][row], atol=1e-4)
+
+
+def test_slopes_about_a_fitted_sphere_are_refused(study):
+    with pytest.raises(UserError, match="reference = 'fitted' needs path lengths"):
+        study_with(study, {"wavefront.method": "slopes", "wavefront.reference": "fitted"})
 
 
 def test_a_figure_dims_the_image_as_it_lowers_the_strehl_ratio(study, text):

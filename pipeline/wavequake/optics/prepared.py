@@ -53,6 +53,11 @@ class PreparedTrace:
     obscuration, numerical_aperture, focal_length : float
     chief : ndarray, shape (2,)
         Image point of the virtual chief ray in the reference configuration.
+    slopes : Fit, optional
+        From `slopes.slope_fit`: coefficients come from where rays meet the image, not from path lengths.
+    sphere : Fit, optional
+        From `sphere_fit.reference_fit`: the reference sphere is about the image point of the sphere that fits
+        the wavefront best, not about that of the chief ray.
     """
 
     system: SegmentedTelescope
@@ -70,6 +75,8 @@ class PreparedTrace:
     numerical_aperture: float
     focal_length: float
     chief: Array
+    slopes: Fit | None = None
+    sphere: Fit | None = None
 
 
 def prepare(

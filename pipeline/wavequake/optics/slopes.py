@@ -80,7 +80,7 @@ def slope_fit(
         raise UserError(f"the reference's surface motion has the shape {motion.shape}, it must be {shape}")
     states.field[:] = field
     states.surface_motion[:] = 0.0 if motion is None else motion
-    distance, derivatives = _sphere_points(prepared, states)
+    distance, derivatives, _ = sphere_points(prepared, states)
     _, *gradient = annular_zernike_gradient(
         prepared.rays.x / outer, prepared.rays.y / outer, terms, prepared.obscuration
     )
@@ -89,7 +89,7 @@ def slope_fit(
     return weighted_fit(np.concatenate([offsets[:, 0], offsets[:, 1]]), np.tile(prepared.weight, 2))
 
 
-def _sphere_points(prepared: PreparedTrace, states: SurfaceStates) -> tuple[Array, Array]:
+def sphere_points(prepared: PreparedTrace, states: SurfaceStates) -> tuple[Array, Array, Array]:
     """Return where rays leave the reference sphere in one state, which every instant of `states` repeats.
 
     Returns
@@ -98,6 +98,8 @@ def _sphere_points(prepared: PreparedTrace, states: SurfaceStates) -> tuple[Arra
         From the reference sphere to the image along each ray, mm.
     derivatives : ndarray, shape (N, 2, 2)
         Of x and y on the sphere (last axis) by x and y in the pupil.
+    points : ndarray, shape (N, 2)
+        x and y on the sphere about the chief ray's image point, mm.
     """
     radius, step = prepared.train.sphere_radius, _STEP * prepared.system.pupil_outer
     image, upstream = _two_points(prepared, states, step * _SHIFTS, _UPSTREAM * radius)
@@ -113,7 +115,7 @@ def _sphere_points(prepared: PreparedTrace, states: SurfaceStates) -> tuple[Arra
             f"{lost} of {image.shape[1]} rays do not reach the image of {prepared.system.name} from the "
             f"field {tuple(states.field[0].tolist())} rad, so it has no slopes; choose a smaller field"
         )
-    return path[:, 0] * np.sqrt(squared[:, 0]), derivatives.transpose(2, 0, 1)
+    return path[:, 0] * np.sqrt(squared[:, 0]), derivatives.transpose(2, 0, 1), sphere[..., 0].T
 
 
 def _two_points(
@@ -175,14 +177,15 @@ def wavefront_from_slopes(fit: Fit, traced: Traced, chief: Array) -> Array:
         not know it. All are NaN for an instant whose remaining rays do not determine them.
     """
     parts = [
-        _fit_tile(fit, np.concatenate([x - center[0], y - center[1]]), status == OK)
+        coefficients_of_tile(fit, x - center[0], y - center[1], status == OK)
         for x, y, center, status in zip(traced.x, traced.y, chief, traced.status, strict=True)
     ]
     return np.concatenate(parts)
 
 
-def _fit_tile(fit: Fit, offsets: Array, ok: NDArray[np.bool_]) -> Array:
-    """Return the coefficients (16, J) of one tile of offsets (2 N, 16) of which `ok` (N, 16) are known."""
+def coefficients_of_tile(fit: Fit, x: Array, y: Array, ok: NDArray[np.bool_]) -> Array:
+    """Return the coefficients (16, J) of one tile of offsets (N, 16) of which `ok` (N, 16) are known."""
+    offsets = np.concatenate([x, y])
     coefficients = np.full((TILE, len(fit.matrix) + 1), np.nan)
     if ok.all():
         coefficients[:, 1:] = (fit.matrix @ offsets).T

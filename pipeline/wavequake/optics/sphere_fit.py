@@ -9,6 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.kernels.tiles import TILE
+from wavequake.optics.fits import Fit, weighted_fit
+from wavequake.optics.prepared import PreparedTrace
+from wavequake.optics.slopes import sphere_points
+from wavequake.optics.states import rest
+
 Array = NDArray[np.float64]
 
 _STEPS = 20
@@ -99,3 +105,39 @@ def _least_squares(design: Array, values: Array) -> tuple[Array, NDArray[np.bool
     r[~solved] = np.eye(design.shape[2])
     right = np.where(solved[:, None], np.sum(q * values[..., None], axis=1), 0.0)
     return np.linalg.solve(r, right[..., None])[..., 0], solved
+
+
+def reference_fit(prepared: PreparedTrace, field: tuple[float, float] = (0.0, 0.0)) -> Fit:
+    """Return the fit that finds the image point of a wavefront's best-fit sphere from its OPD.
+
+    Moving the center of the reference sphere by a small d changes the OPD by -n d, with n the unit vector
+    from a ray's point on the sphere to the center, and d is small beside the radius: so the sphere that fits
+    best is a linear fit of the OPD by 1 and n, without the rounding of coordinates of many meters. The line
+    from the pupil's center to the sphere's meets the image at the lateral part of d.
+
+    Parameters
+    ----------
+    prepared : PreparedTrace
+    field : tuple of float
+        Direction of the light (as in `SurfaceStates.field`, rad) at which the rays' points on the sphere are
+        taken.
+
+    Returns
+    -------
+    Fit
+        Of N values of the OPD; the coefficients are piston, x and y of the image point times the numerical
+        aperture, and defocus.
+
+    Raises
+    ------
+    UserError
+        If a ray does not reach the image, or the rays determine no sphere.
+    """
+    states = rest(TILE, len(prepared.system.segments), len(prepared.system.surfaces))
+    states.field[:] = field
+    points = sphere_points(prepared, states)[2]
+    normal = -points / (prepared.train.sphere_radius * prepared.numerical_aperture)
+    focus = np.sum(normal**2, axis=1)
+    along = focus / (1.0 + np.sqrt(1.0 - prepared.numerical_aperture**2 * focus))
+    columns = [np.ones(len(points)), normal[:, 0], normal[:, 1], along]
+    return weighted_fit(np.stack(columns, axis=1), prepared.weight)

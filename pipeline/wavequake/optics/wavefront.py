@@ -17,8 +17,9 @@ from wavequake.kernels.devices import Device
 from wavequake.kernels.segmented import Traced
 from wavequake.kernels.tiles import TILE, from_tiles
 from wavequake.kernels.train import OK
-from wavequake.optics.fits import refit, segment_planes
+from wavequake.optics.fits import Fit, refit, segment_planes
 from wavequake.optics.prepared import PreparedTrace, chief_rays, trace_states
+from wavequake.optics.slopes import coefficients_of_tile
 from wavequake.optics.states import SurfaceStates
 
 Array = NDArray[np.float64]
@@ -33,7 +34,8 @@ class Wavefront:
     Attributes
     ----------
     zernike : ndarray, shape (batch, J)
-        Annular Noll coefficients in waves, total (not relative to the reference configuration).
+        Annular Noll coefficients in waves, total (not relative to the reference configuration). The first
+        one is NaN if they come from slopes.
     rms : ndarray, shape (batch,)
         Root of the sum of squares from j = 4 on (Störkle 2018, Eq. 3.40), waves.
     rms_raw : ndarray, shape (batch,)
@@ -49,7 +51,8 @@ class Wavefront:
         Squared modulus of the mean of exp(2 pi i OPD) about the best-fit plane: the intensity in the
         plane's direction.
     segment_phase : ndarray, shape (batch, S, 3)
-        Piston at each segment's center in waves and slopes in x and y in waves/mm; NaN for a lost segment.
+        Of the OPD about the chief ray: piston at each segment's center in waves and slopes in x and y in
+        waves/mm; NaN for a lost segment.
     lost : ndarray of int, shape (batch,)
         Number of lost rays; all numbers above are those of the remaining rays.
     lost_segments : ndarray of bool, shape (batch, S)
@@ -117,10 +120,12 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array) -> Wavefront:
         With batch = 16 T.
     """
     parts = [
-        _analyse_tile(prepared, opd / prepared.wavelength, x, y, status == OK)
-        for opd, x, y, status in zip(traced.opd, traced.x, traced.y, traced.status, strict=True)
+        _analyse_tile(prepared, opd / prepared.wavelength, x, y, status == OK, center)
+        for opd, x, y, status, center in zip(
+            traced.opd, traced.x, traced.y, traced.status, chief, strict=True
+        )
     ]
-    zernike, rms, rms_raw, rms_flat, pv, centroid, spot_rms, strehl, phase, lost, lost_segments = (
+    zernike, rms, rms_raw, rms_flat, pv, shift, centroid, spot_rms, strehl, phase, lost, lost_segments = (
         np.concatenate(values) for values in zip(*parts, strict=True)
     )
     image_point = from_tiles(chief)[:, :2]
@@ -132,7 +137,7 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array) -> Wavefront:
         rms_flat=rms_flat,
         pv=pv,
         chief=image_point,
-        los=los_eq339(image_point, zernike, prepared.wavelength, prepared.numerical_aperture, factor),
+        los=los_eq339(image_point + shift, zernike, prepared.wavelength, prepared.numerical_aperture, factor),
         centroid=centroid,
         spot_rms=spot_rms,
         strehl=strehl,
@@ -143,24 +148,38 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array) -> Wavefront:
 
 
 def _analyse_tile(
-    prepared: PreparedTrace, waves: Array, x: Array, y: Array, ok: NDArray[np.bool_]
+    prepared: PreparedTrace, waves: Array, x: Array, y: Array, ok: NDArray[np.bool_], center: Array
 ) -> tuple[NDArray[Any], ...]:
     """Reduce one tile (N, 16) to arrays with its 16 instants first; lost rays count as nothing."""
     weight, segments = prepared.weight, len(prepared.system.segments)
     complete = bool(ok.all())
     if not complete:
         waves, x, y = (np.where(ok, values, 0.0) for values in (waves, x, y))
-    zernike, plane = prepared.zernike.matrix @ waves, prepared.plane.matrix @ waves
+    incomplete = () if complete else np.flatnonzero(~ok.all(axis=0))
+
+    def fitted(fit: Fit) -> Array:
+        coefficients = fit.matrix @ waves
+        for lane in incomplete:
+            coefficients[:, lane] = refit(fit, ok[:, lane], waves[:, lane])
+        return coefficients
+
     phase = (prepared.segment_fit @ waves).reshape(segments, 3, TILE)
     lost_segments = np.zeros((TILE, segments), dtype=np.bool_)
     remaining = np.ones(TILE)
-    for lane in () if complete else np.flatnonzero(~ok.all(axis=0)):
-        kept, values = ok[:, lane], waves[:, lane]
-        zernike[:, lane], plane[:, lane] = (
-            refit(fit, kept, values) for fit in (prepared.zernike, prepared.plane)
-        )
-        phase[..., lane], lost_segments[lane] = _refit_segments(prepared, kept, values)
+    for lane in incomplete:
+        kept = ok[:, lane]
+        phase[..., lane], lost_segments[lane] = _refit_segments(prepared, kept, waves[:, lane])
         remaining[lane] = np.sum(weight[kept]) if kept.any() else np.nan
+    shift = np.zeros((2, TILE))
+    if prepared.sphere is not None:
+        tilt = fitted(prepared.sphere)[1:3]
+        waves = waves - prepared.sphere.basis[:, 1:3] @ tilt
+        if not complete:
+            waves = np.where(ok, waves, 0.0)
+        shift = tilt * (prepared.wavelength / prepared.numerical_aperture)
+    zernike, plane = fitted(prepared.zernike), fitted(prepared.plane)
+    if prepared.slopes is not None:
+        zernike = coefficients_of_tile(prepared.slopes, x - center[0], y - center[1], ok).T
 
     def mean(values: Array) -> Array:
         total: Array = weight @ (values if complete else values * ok)
@@ -182,7 +201,10 @@ def _analyse_tile(
     rms = np.sqrt(np.sum(zernike[3:] ** 2, axis=0))
     lost = np.count_nonzero(~ok, axis=0)
     phase = phase.transpose(2, 0, 1)
-    return zernike.T, rms, rms_raw, rms_flat, pv, centroid, spot_rms, strehl, phase, lost, lost_segments
+    return (
+        *(zernike.T, rms, rms_raw, rms_flat, pv, shift.T, centroid, spot_rms),
+        *(strehl, phase, lost, lost_segments),
+    )
 
 
 def _peak_to_valley(values: Array) -> Array:

@@ -2,7 +2,7 @@
 
 import io
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -18,9 +18,12 @@ from wavequake.optics.prepared import PreparedTrace, chief_rays, prepare, trace_
 from wavequake.optics.pupils import PupilRays, on_glass, segment_rays, sunflower
 from wavequake.optics.segmented_telescope import FirstOrder, SegmentedTelescope, first_order
 from wavequake.optics.segments import areas, is_monolithic
+from wavequake.optics.slopes import slope_fit
+from wavequake.optics.sphere_fit import reference_fit
 from wavequake.optics.states import SurfaceStates, rest
 from wavequake.optics.telescopes import telescope
 from wavequake.optics.wavefront import Wavefront, analyse
+from wavequake.optics.zernike_transforms import transform_coefficients
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segment_study import SegmentStudy
 
@@ -77,6 +80,11 @@ def _prepared(study_text: str) -> Bench:
     wavelength = study.optics.wavelength_nm * 1e-6
     prepared = prepare(system, rays, wavelength, study.wavefront.zernike_terms, figure_terms=terms)
     field = np.array(study.optics.field_arcmin) * _ARCMIN
+    at = (float(field[0]), float(field[1]))
+    if study.wavefront.method == "slopes":
+        prepared = replace(prepared, slopes=slope_fit(prepared, at))
+    if study.wavefront.reference == "fitted":
+        prepared = replace(prepared, sphere=reference_fit(prepared, at))
     static, tilt = _reference(system, prepared, field, terms)
     return Bench(
         study_text,
@@ -90,6 +98,16 @@ def _prepared(study_text: str) -> Bench:
         terms,
         field,
     )
+
+
+def in_basis(bench: Bench, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return annular Noll coefficients (..., J) as the study wants them; an unknown piston stays unknown."""
+    if bench.study.wavefront.basis == "annular":
+        return coefficients
+    circular = transform_coefficients(
+        np.nan_to_num(coefficients, posinf=np.inf, neginf=-np.inf), bench.prepared.obscuration, 0.0
+    )
+    return np.where(np.isnan(coefficients), np.nan, circular)
 
 
 def monolithic(system: SegmentedTelescope) -> bool:

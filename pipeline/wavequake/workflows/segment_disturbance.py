@@ -22,11 +22,12 @@ from wavequake.optics.prepared import chief_rays, trace_states
 from wavequake.optics.quality import meets_marechal, meets_rayleigh
 from wavequake.optics.states import SurfaceStates
 from wavequake.optics.wavefront import Wavefront, analyse
-from wavequake.workflows.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, monolithic
-from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
-from wavequake.workflows.images import energy_scale, image_axis, refuse_what_cannot_be_imaged, summed_images
+from wavequake.workflows.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis, monolithic
+from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Workflow
+from wavequake.workflows.images import energy_scale, refuse_what_cannot_be_imaged, summed_images
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segment_study import SegmentStudy
+from wavequake.workflows.segment_template import template
 
 Array = NDArray[np.float64]
 
@@ -205,7 +206,7 @@ def _record(
     arrays["spot_rms"][row, there] = wavefront.spot_rms[here] * abs(to_mas)
     arrays["rayleigh"][row] += np.count_nonzero(meets_rayleigh(wavefront.pv[here]))
     arrays["marechal"][row] += np.count_nonzero(meets_marechal(wavefront.rms_flat[here]))
-    arrays["zernike"][row, there] = wavefront.zernike[here] * to_nm
+    arrays["zernike"][row, there] = in_basis(bench, wavefront.zernike[here]) * to_nm
     arrays["los"][row, there] = (wavefront.los[here] - bench.static.los[0]) * to_mas
     arrays["centroid"][row, there] = (wavefront.centroid[here] - bench.static.centroid[0]) * to_mas
     arrays["strehl"][row, there] = wavefront.strehl[here]
@@ -233,130 +234,6 @@ def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.g
         "realization": np.array([realization for _, realization in slots], dtype=np.int64),
         "seed": np.full(last - first, study.study.seed, dtype=np.int64),
     }
-
-
-def template(study_text: str) -> Template:
-    """Return what a store of this study holds."""
-    bench = bench_of(study_text)
-    study = bench.study
-    instants = max(population.instants for population in study.disturbance)
-    terms, pixels = study.wavefront.zernike_terms, study.imaging.pixels
-    over_time = ("time",)
-
-    def variable(dims: tuple[str, ...], shape: tuple[int, ...], units: str, long_name: str) -> Variable:
-        return Variable(dims, shape, {"units": units, "long_name": long_name})
-
-    per_case = {
-        "time_s": Variable(
-            over_time,
-            (instants,),
-            {"units": "s", "long_name": "time of the instant; NaN beyond the population's instants"},
-            coordinate=True,
-        ),
-        "wfe_rms": variable(
-            over_time,
-            (instants,),
-            "nm",
-            "wavefront error rms of the fitted Zernikes j >= 4 (piston and tilt removed)",
-        ),
-        "wfe_rms_raw": variable(
-            over_time, (instants,), "nm", "wavefront error rms over the rays on glass, piston removed"
-        ),
-        "wfe_pv": variable(
-            over_time,
-            (instants,),
-            "nm",
-            "peak to valley of the wavefront over the rays on glass about their best-fit plane",
-        ),
-        "zernike": variable(
-            ("time", "noll"), (instants, terms), "nm", "annular Noll Zernike coefficients, total"
-        ),
-        "los": variable(
-            ("time", "axis"),
-            (instants, 2),
-            "mas",
-            "line of sight of the best-fit plane relative to rest "
-            "(Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2))",
-        ),
-        "centroid": variable(
-            ("time", "axis"), (instants, 2), "mas", "geometric centroid of the rays, relative to rest"
-        ),
-        "spot_rms": variable(
-            over_time, (instants,), "mas", "rms distance of the rays' image points from their centroid"
-        ),
-        "strehl": variable(
-            over_time, (instants,), "1", "Strehl ratio in the direction of the best-fit plane"
-        ),
-        "segment_piston_rms": variable(
-            over_time, (instants,), "nm", "rms over segments of the displacement along their normals"
-        ),
-        "rayleigh": variable(
-            (),
-            (),
-            "1",
-            "share of instants with a peak to valley of at most lambda/4 (Störkle 2018, Eq. 3.54)",
-        ),
-        "marechal": variable(
-            (),
-            (),
-            "1",
-            "share of instants with an rms over the rays on glass, piston and tilt removed, of at most "
-            "lambda/14 (Störkle 2018, Eq. 3.55)",
-        ),
-        "ee50": variable(
-            (), (), "lambda/D", "radius of 50 % encircled energy of the exposure; inf beyond the frame"
-        ),
-        "ee80": variable(
-            (), (), "lambda/D", "radius of 80 % encircled energy of the exposure; inf beyond the frame"
-        ),
-        "exposure": variable(
-            ("y", "x"),
-            (pixels, pixels),
-            "1",
-            "mean of the instants' point spread functions; 1 = peak of the perfect one",
-        ),
-    }
-    if "segment_motion" in study.store.keep:
-        shape = (instants, len(bench.system.segments), 6)
-        per_case["segment_motion"] = variable(
-            ("time", "segment", "dof"),
-            shape,
-            "m, rad",
-            "rigid motion in the segment's local frame (dz to the sky)",
-        )
-    return Template(per_case, _fixed(bench))
-
-
-def _fixed(bench: Bench) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]]:
-    axis = image_axis(bench)
-    wavelength = bench.study.optics.wavelength_nm
-    fixed: dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]] = {
-        "noll": (
-            ("noll",),
-            np.arange(1, bench.study.wavefront.zernike_terms + 1),
-            {"long_name": "Noll index"},
-        ),
-        "axis": (("axis",), np.array(["x", "y"], dtype=object), {"long_name": "axis of the image plane"}),
-        "y": (("y",), axis, {"units": "lambda/D", "long_name": "image y"}),
-        "x": (("x",), axis, {"units": "lambda/D", "long_name": "image x"}),
-        "zernike_static": (
-            ("noll",),
-            bench.static.zernike[0] * wavelength,
-            {"units": "nm", "long_name": "Zernike coefficients at rest (a_0 of Störkle 2018, Eq. 3.41)"},
-        ),
-    }
-    if "segment_motion" in bench.study.store.keep:
-        fixed["segment"] = (
-            ("segment",),
-            np.array(bench.system.segments.names, dtype=object),
-            {"long_name": "segment"},
-        )
-        fixed["dof"] = (
-            ("dof",),
-            np.array(["dx", "dy", "dz", "rx", "ry", "rz"], dtype=object),
-            {"long_name": "motion"},
-        )
-    return fixed
 
 
 def describe(study_text: str) -> dict[str, str]:

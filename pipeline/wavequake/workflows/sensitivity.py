@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import uuid
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -117,7 +118,9 @@ def stored_sensitivity(
 
 
 def _of_bench(bench: Bench, device: Device, figure_terms: int) -> Sensitivities:
-    prepared = bench.prepared
+    prepared = replace(
+        bench.prepared, slopes=None, sphere=None
+    )  # always those of the OPD about the chief ray
     with threadpool_limits(1):  # their number decides the last bits
         if figure_terms != bench.figure_terms:
             terms = bench.study.wavefront.zernike_terms

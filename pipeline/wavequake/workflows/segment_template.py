@@ -1,0 +1,143 @@
+"""What a store of the workflow ``segment-disturbance`` holds: names, dimensions, units."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.workflows.bench import Bench, bench_of, in_basis
+from wavequake.workflows.contract import Template, Variable
+from wavequake.workflows.images import image_axis
+from wavequake.workflows.segment_study import SegmentStudy
+
+
+def template(study_text: str) -> Template:
+    """Return what a store of this study holds."""
+    bench = bench_of(study_text)
+    study = bench.study
+    instants = max(population.instants for population in study.disturbance)
+    terms, pixels = study.wavefront.zernike_terms, study.imaging.pixels
+    over_time = ("time",)
+
+    def variable(dims: tuple[str, ...], shape: tuple[int, ...], units: str, long_name: str) -> Variable:
+        return Variable(dims, shape, {"units": units, "long_name": long_name})
+
+    per_case = {
+        "time_s": Variable(
+            over_time,
+            (instants,),
+            {"units": "s", "long_name": "time of the instant; NaN beyond the population's instants"},
+            coordinate=True,
+        ),
+        "wfe_rms": variable(
+            over_time,
+            (instants,),
+            "nm",
+            "wavefront error rms of the fitted Zernikes j >= 4 (piston and tilt removed)",
+        ),
+        "wfe_rms_raw": variable(
+            over_time, (instants,), "nm", "wavefront error rms over the rays on glass, piston removed"
+        ),
+        "wfe_pv": variable(
+            over_time,
+            (instants,),
+            "nm",
+            "peak to valley of the wavefront over the rays on glass about their best-fit plane",
+        ),
+        "zernike": variable(("time", "noll"), (instants, terms), "nm", _coefficients(study)),
+        "los": variable(
+            ("time", "axis"),
+            (instants, 2),
+            "mas",
+            "line of sight of the best-fit plane relative to rest "
+            "(Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2))",
+        ),
+        "centroid": variable(
+            ("time", "axis"), (instants, 2), "mas", "geometric centroid of the rays, relative to rest"
+        ),
+        "spot_rms": variable(
+            over_time, (instants,), "mas", "rms distance of the rays' image points from their centroid"
+        ),
+        "strehl": variable(
+            over_time, (instants,), "1", "Strehl ratio in the direction of the best-fit plane"
+        ),
+        "segment_piston_rms": variable(
+            over_time, (instants,), "nm", "rms over segments of the displacement along their normals"
+        ),
+        "rayleigh": variable(
+            (),
+            (),
+            "1",
+            "share of instants with a peak to valley of at most lambda/4 (Störkle 2018, Eq. 3.54)",
+        ),
+        "marechal": variable(
+            (),
+            (),
+            "1",
+            "share of instants with an rms over the rays on glass, piston and tilt removed, of at most "
+            "lambda/14 (Störkle 2018, Eq. 3.55)",
+        ),
+        "ee50": variable(
+            (), (), "lambda/D", "radius of 50 % encircled energy of the exposure; inf beyond the frame"
+        ),
+        "ee80": variable(
+            (), (), "lambda/D", "radius of 80 % encircled energy of the exposure; inf beyond the frame"
+        ),
+        "exposure": variable(
+            ("y", "x"),
+            (pixels, pixels),
+            "1",
+            "mean of the instants' point spread functions; 1 = peak of the perfect one",
+        ),
+    }
+    if "segment_motion" in study.store.keep:
+        shape = (instants, len(bench.system.segments), 6)
+        per_case["segment_motion"] = variable(
+            ("time", "segment", "dof"),
+            shape,
+            "m, rad",
+            "rigid motion in the segment's local frame (dz to the sky)",
+        )
+    return Template(per_case, _fixed(bench))
+
+
+def _fixed(bench: Bench) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]]:
+    axis = image_axis(bench)
+    wavelength = bench.study.optics.wavelength_nm
+    fixed: dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]] = {
+        "noll": (
+            ("noll",),
+            np.arange(1, bench.study.wavefront.zernike_terms + 1),
+            {"long_name": "Noll index"},
+        ),
+        "axis": (("axis",), np.array(["x", "y"], dtype=object), {"long_name": "axis of the image plane"}),
+        "y": (("y",), axis, {"units": "lambda/D", "long_name": "image y"}),
+        "x": (("x",), axis, {"units": "lambda/D", "long_name": "image x"}),
+        "zernike_static": (
+            ("noll",),
+            in_basis(bench, bench.static.zernike[0]) * wavelength,
+            {"units": "nm", "long_name": "Zernike coefficients at rest (a_0 of Störkle 2018, Eq. 3.41)"},
+        ),
+    }
+    if "segment_motion" in bench.study.store.keep:
+        fixed["segment"] = (
+            ("segment",),
+            np.array(bench.system.segments.names, dtype=object),
+            {"long_name": "segment"},
+        )
+        fixed["dof"] = (
+            ("dof",),
+            np.array(["dx", "dy", "dz", "rx", "ry", "rz"], dtype=object),
+            {"long_name": "motion"},
+        )
+    return fixed
+
+
+def _coefficients(study: SegmentStudy) -> str:
+    """Say what the stored Zernike coefficients are."""
+    wavefront = study.wavefront
+    basis = {
+        "annular": "annular Noll Zernike coefficients, total",
+        "circular": "equivalent circular Noll Zernike coefficients (Störkle 2018, Eq. 3.53), total",
+    }[wavefront.basis]
+    slopes = ", from the slopes of the rays (Eq. 4.20), which do not know piston"
+    fitted = ", about the best-fit sphere's image point (section 3.3.3)"
+    return basis + slopes * (wavefront.method == "slopes") + fitted * (wavefront.reference == "fitted")
