@@ -80,8 +80,10 @@ def project(body: Structure, variant: Variant, rigid: Array, elastic: Array) -> 
     rigid : ndarray, shape (n, r)
         Mass-orthonormal; their squared frequencies are exactly 0.
     elastic : ndarray, shape (n, m)
-        Independent, mass-orthogonal to `rigid`.
+        Linearly independent, also of `rigid`.
     """
+    if rigid.shape[1]:
+        elastic = body.remove_rigid(elastic)
     weighted = body.mass @ elastic
     scale = 1.0 / np.sqrt(np.einsum("ij,ij->j", elastic, weighted))
     elastic, weighted = elastic * scale, weighted * scale

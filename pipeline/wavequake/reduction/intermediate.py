@@ -12,7 +12,7 @@ import numpy as np
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, Integers, RayleighDamping
-from wavequake.reduction.component_modes import attachment_modes, constraint_modes
+from wavequake.reduction.component_modes import constraint_modes
 from wavequake.reduction.krylov import krylov
 from wavequake.reduction.structure import (
     Structure,
@@ -127,10 +127,10 @@ def _inner_basis(body: Structure, modes: int, highest: float) -> Array:
     interface = body.interface
     fixed = fixed_modes(body, modes, interface)[1]
     free = elastic_modes(body, min(modes, body.order - body.rigid.shape[1]))[1]
-    points = tuple(complex(highest * part) for part in (0.125, 0.375, 0.625, 0.875))
+    points = tuple(complex(highest * part) for part in (0.0, 0.25, 0.5, 0.75, 1.0))
     chosen = body.order if body.order <= 2 * modes else None
-    moments = krylov(body, None, points, (2,) * len(points)) if chosen is None else free[:, :0]
-    rest = np.hstack([attachment_modes(body), free, moments])
+    moments = krylov(body, None, points, (4,) * len(points)) if chosen is None else free[:, :0]
+    rest = np.hstack([free, moments])
     rest = rest - constraint_modes(body, interface) @ rest[interface]
     rest[interface] = 0.0
     return np.hstack([fixed, orthonormalize(body.mass, rest, fixed)])

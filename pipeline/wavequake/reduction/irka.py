@@ -6,6 +6,8 @@ real columns. It runs on elastic modal coordinates, where a solve is a division;
 """
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array
@@ -13,7 +15,9 @@ from wavequake.reduction.balanced import oscillators
 from wavequake.reduction.structure import Structure, elastic_modes
 
 _ITERATIONS = 300
+_SETTLED = 30
 _CHANGE = 1e-6
+Complex = NDArray[np.complex128]
 
 
 def irka(body: Structure, count: int) -> Array:
@@ -31,12 +35,15 @@ def irka(body: Structure, count: int) -> Array:
     pairs = (count + 1) // 2
     shifts, directions = _dominant(squared, dampings, inputs, pairs)
     change = np.inf
-    for _ in range(_ITERATIONS):
+    for iteration in range(_ITERATIONS):
         basis = _interpolating(squared, dampings, inputs, shifts, directions)[:, :count]
         reduced, turn = np.linalg.eigh((basis.T * squared) @ basis)
         rates = body.damping.mass + body.damping.stiffness * reduced
         before = shifts
-        shifts, directions = _dominant(reduced, rates, turn.T @ (basis.T @ inputs), pairs)
+        driven = turn.T @ (basis.T @ inputs)
+        # Dominant modes that take turns would go round for ever: follow those of the first iterations.
+        follow = shifts if iteration >= _SETTLED else None
+        shifts, directions = _dominant(reduced, rates, driven, pairs, follow)
         change = float(np.abs(shifts - before).max() / np.abs(before).max())
         if change < _CHANGE:
             return shapes @ basis
@@ -46,16 +53,26 @@ def irka(body: Structure, count: int) -> Array:
     )
 
 
-def _dominant(squared: Array, dampings: Array, inputs: Array, pairs: int) -> tuple[Array, Array]:
-    """Return the mirrored poles and the directions of the modes that resonate most, by rising frequency."""
-    strength = np.einsum("ij,ij->i", inputs, inputs) / (dampings * squared)
-    chosen = np.sort(np.argsort(-strength, kind="stable")[:pairs])
-    half = dampings[chosen] / 2
-    shifts = half + np.sqrt((half**2 - squared[chosen]).astype(complex))
-    return shifts, inputs[chosen]
+def _dominant(
+    squared: Array, dampings: Array, inputs: Array, pairs: int, follow: Complex | None = None
+) -> tuple[Complex, Array]:
+    """Return the mirrored poles and the directions of the modes that resonate most, by rising frequency.
+
+    With `follow`, of those modes that are nearest to former shifts.
+    """
+    half = dampings / 2
+    shifts = half + np.sqrt((half**2 - squared).astype(complex))
+    if follow is None:
+        strength = np.einsum("ij,ij->i", inputs, inputs) / (dampings * squared)
+        chosen = np.sort(np.argsort(-strength, kind="stable")[:pairs])
+    else:
+        chosen = linear_sum_assignment(np.abs(follow[:, None] - shifts))[1]
+    return shifts[chosen], inputs[chosen]
 
 
-def _interpolating(squared: Array, dampings: Array, inputs: Array, shifts: Array, directions: Array) -> Array:
+def _interpolating(
+    squared: Array, dampings: Array, inputs: Array, shifts: Complex, directions: Array
+) -> Array:
     """Orthonormal columns of the real and imaginary parts of the tangential solutions."""
     solutions = (inputs @ directions.T) / (squared[:, None] + dampings[:, None] * shifts + shifts**2)
     columns = np.stack([solutions.real, solutions.imag], axis=2).reshape(len(squared), -1)

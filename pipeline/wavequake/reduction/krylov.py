@@ -34,15 +34,16 @@ def krylov(
     UserError
         If the points give fewer independent directions than `count`.
     """
-    wanted = body.order if count is None else count
+    rigid = body.rigid.shape[1]
+    wanted = body.order - rigid if count is None else count
     limits = moments or (wanted,) * len(points)
-    basis = np.zeros((body.order, 0))
+    basis = body.rigid
     chains = [np.zeros((body.order, 0)) for _ in points]
     latest = [body.inputs - body.mass @ (body.rigid @ body.rigid.T[:, body.interface]) for _ in points]
     for level in range(max(limits)):
         grown = basis.shape[1]
         for place, point in enumerate(points):
-            if level >= limits[place] or basis.shape[1] >= wanted or not latest[place].shape[1]:
+            if level >= limits[place] or basis.shape[1] >= wanted + rigid or not latest[place].shape[1]:
                 continue
             response = shifted(body, point)(latest[place] if level == 0 else body.mass @ latest[place])
             latest[place] = orthonormalize(body.mass, body.remove_rigid(response), chains[place])
@@ -51,12 +52,11 @@ def krylov(
             if np.iscomplexobj(block):
                 block = np.hstack([block.real, block.imag])
             basis = np.hstack([basis, orthonormalize(body.mass, block, basis)])
-        if basis.shape[1] in (grown, wanted) or basis.shape[1] > wanted:
+        if basis.shape[1] == grown or basis.shape[1] >= wanted + rigid:
             break
-    if count is not None and basis.shape[1] < count:
-        rigid = body.rigid.shape[1]
+    if count is not None and basis.shape[1] < count + rigid:
         raise UserError(
-            f"The expansion points and moments give only {basis.shape[1] + rigid} independent directions of "
+            f"The expansion points and moments give only {basis.shape[1]} independent directions of "
             f"the model {body.name}, fewer than the order {count + rigid}; give more points or moments."
         )
-    return basis[:, :count]
+    return basis[:, rigid : rigid + wanted]

@@ -238,6 +238,6 @@ def participation(model: ReducedModel) -> Array:
     return modal_form(model).inputs
 
 
-def errors_of(reference: Complex, variants: Sequence[ReducedModel], frequencies: ArrayLike) -> Array:
+def relative_errors(reference: Complex, variants: Sequence[ReducedModel], frequencies: ArrayLike) -> Array:
     """Return `eps_mor` of many variants against one reference, shape (variants, f)."""
     return np.array([eps_mor(reference, receptance(variant, frequencies)) for variant in variants])

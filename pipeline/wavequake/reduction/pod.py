@@ -46,9 +46,9 @@ def pod(body: Structure, count: int, snapshots: Array) -> Array:
 
 
 def generated(body: Structure, frequency: float | None) -> Array:
-    """Return snapshots of all interface forces, shape (n, instants * 3 k).
+    """Return the weighted principal directions of responses to all interface forces, shape (n, modes).
 
-    They last eight periods of the lowest elastic mode.
+    They stand for 400 instants over eight periods of the lowest elastic mode, and span the same.
 
     Parameters
     ----------
@@ -66,7 +66,9 @@ def generated(body: Structure, frequency: float | None) -> Array:
         response = _sine(squared, dampings, instants, 2 * np.pi * frequency)
     shapes = elastic_modes(body, len(squared))[1]
     modal = response[:, :, None] * inputs[:, None, :]
-    return shapes @ modal.reshape(len(squared), -1)
+    energies, turn = np.linalg.eigh(np.einsum("itp,jtp->ij", modal, modal, optimize=True))
+    snapshots: Array = shapes @ (turn * np.sqrt(np.maximum(energies, 0.0)))
+    return snapshots
 
 
 def _poles(squared: Array, dampings: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:

@@ -117,7 +117,8 @@ def structure(model: FiniteElementModel) -> Structure:
 def orthonormalize(mass: Any, vectors: NDArray[Any], against: NDArray[Any] | None = None) -> NDArray[Any]:
     """Return a mass-orthonormal basis of vectors, without what `against` spans already.
 
-    Directions that rounding errors cannot tell from zero are left out; the strongest come first.
+    Directions weaker than 1e-8 of the longest vector are left out, as rounding errors hide them.
+    The strongest come first.
 
     Parameters
     ----------
@@ -126,14 +127,12 @@ def orthonormalize(mass: Any, vectors: NDArray[Any], against: NDArray[Any] | Non
     against : ndarray, shape (n, l), optional
         Mass-orthonormal.
     """
-    for tolerance in (1e-14, 1e-2):
-        vectors = _unit(mass, vectors)
-        if against is not None and against.shape[1]:
+    if vectors.shape[1]:
+        vectors = vectors / _norms(mass, vectors).max()
+    for tolerance in (1e-16, 1e-2):
+        # Twice is enough: the second pass removes what rounding left in the first.
+        if against is not None:
             vectors = vectors - against @ (against.conj().T @ (mass @ vectors))
-            norms = _norms(mass, vectors)
-            if tolerance < 1e-3:
-                vectors, norms = vectors[:, norms > 1e-9], norms[norms > 1e-9]
-            vectors = vectors / norms
         weights, turn = np.linalg.eigh(vectors.conj().T @ (mass @ vectors))
         keep = np.flatnonzero(weights > tolerance)[::-1]
         vectors = vectors @ (turn[:, keep] / np.sqrt(weights[keep]))
@@ -143,11 +142,6 @@ def orthonormalize(mass: Any, vectors: NDArray[Any], against: NDArray[Any] | Non
 def _norms(mass: Any, vectors: NDArray[Any]) -> Array:
     norms: Array = np.sqrt(np.einsum("ij,ij->j", vectors.conj(), mass @ vectors).real)
     return norms
-
-
-def _unit(mass: Any, vectors: NDArray[Any]) -> NDArray[Any]:
-    norms = _norms(mass, vectors)
-    return vectors[:, norms > 0] / norms[norms > 0]
 
 
 def determinate(rigid: Array) -> Integers:
