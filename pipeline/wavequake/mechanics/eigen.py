@@ -7,15 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, eigh, qr, solve_triangular
 from scipy.sparse import csc_array
-from scipy.sparse.linalg import LinearOperator, eigsh, splu
+from scipy.sparse.linalg import LinearOperator, eigsh, norm, splu
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import FiniteElementModel, rigid_modes
 
 Array = NDArray[np.float64]
 
-# Rigid motions of a free body leave forces of rounding: 1e-15 of their terms; 1e-11 in files of 12 digits.
-RIGID = 1e-9
+# Twice the energy of a rigid motion of 1 m of a free body is a sum of rounding errors: 1e-16 of the norm of
+# the stiffness matrix, 1e-10 where a file has 10 digits. Springs that are softer in sum count as none.
+RIGID = 1e-10
 # Below this order all modes are computed densely.
 DENSE = 200
 
@@ -54,10 +55,8 @@ def mass_normalized_rigid_modes(model: FiniteElementModel) -> Array:
     length = float(np.abs(spread - center).max()) or 1.0
     rows = 3 * model.dof_node + model.dof_direction
     motions = rigid_modes(model.nodes, center)[rows] / np.array([1.0] * 3 + [length] * 3)
-    scale = np.asarray(abs(model.stiffness).sum(axis=1)).ravel()
-    forces = (model.stiffness @ motions) / np.where(scale > 0, scale, 1.0)[:, None]
-    _, strains, combinations = np.linalg.svd(forces, full_matrices=False)
-    free = combinations[strains <= RIGID * np.sqrt(model.order)].T
+    energies, combinations = np.linalg.eigh(motions.T @ (model.stiffness @ motions))
+    free = combinations[:, energies <= RIGID * norm(model.stiffness)]
     if free.shape[1] == 6:
         free = np.eye(6)
     basis = motions @ free
@@ -114,7 +113,8 @@ def eigenmodes(model: FiniteElementModel, count: int) -> tuple[Array, Array]:
     Raises
     ------
     UserError
-        If the model has fewer than `count` degrees of freedom, or a matrix is singular beyond rigid modes.
+        If the model has fewer than `count` degrees of freedom, its stiffness is indefinite, or a matrix is
+        singular beyond rigid modes.
     """
     if not 1 <= count <= model.order:
         raise UserError(f"{count} modes of {model.name} are wanted; it has {model.order} degrees of freedom")
@@ -126,6 +126,11 @@ def eigenmodes(model: FiniteElementModel, count: int) -> tuple[Array, Array]:
         squares, elastic = _dense(model, rigid, wanted)
     else:
         squares, elastic = _sparse(model, rigid, wanted)
+    if squares[0] < 0:
+        raise UserError(
+            f"the stiffness matrix of {model.name} is not positive semi-definite (an eigenvalue is "
+            f"{squares[0]:.3g} 1/s^2); it must be the one of the undeformed, unloaded body"
+        )
     start = _start(model.order)
     elastic = elastic * np.where(start @ elastic < 0, -1.0, 1.0)
     frequencies = np.concatenate([np.zeros(rigid.shape[1]), np.sqrt(squares) / (2 * np.pi)])
@@ -141,11 +146,12 @@ def _sparse(model: FiniteElementModel, rigid: Array, wanted: int) -> tuple[Array
     operator = LinearOperator((model.order, model.order), matvec=flexibility, dtype=np.float64)
     start = _start(model.order)
     start -= rigid @ (rigid.T @ (model.mass @ start))
-    squares, modes = eigsh(
+    _, modes = eigsh(
         model.stiffness, k=wanted, M=model.mass, sigma=0.0, OPinv=operator, v0=start, which="LM", tol=1e-13
     )
-    order = np.argsort(squares)
-    return squares[order], modes[:, order]
+    # The Rayleigh-Ritz values on the true matrix forgive what rounding left at the held degrees of freedom.
+    squares, combinations = eigh(modes.T @ (model.stiffness @ modes), modes.T @ (model.mass @ modes))
+    return squares, modes @ combinations
 
 
 def _dense(model: FiniteElementModel, rigid: Array, wanted: int) -> tuple[Array, Array]:

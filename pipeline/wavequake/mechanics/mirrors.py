@@ -63,8 +63,8 @@ class AnnularMirror:
     mount_radius: float = 0.333
     mount_angles: tuple[float, ...] = (0.0, 120.0, 240.0)
     damping: RayleighDamping = DAMPING
-    around: int = 42
-    rings: int = 7
+    around: int = 48
+    rings: int = 6
     layers: int = 1
 
 
