@@ -1,0 +1,124 @@
+"""Shares of an optical surface's area that belong to its nodes: positive, sum 1."""
+
+import numpy as np
+from scipy.spatial import Delaunay, QhullError
+
+from wavequake.errors import UserError
+from wavequake.mechanics.importers.entries import Array, Integers
+from wavequake.mechanics.importers.mesh import MeshFile, positions
+
+# Facets of elements: local nodes, corners in order around the facet, then the mid-side nodes.
+_TET = ((0, 1, 2), (0, 1, 3), (1, 2, 3), (0, 2, 3))
+_TET10 = ((0, 1, 2, 4, 5, 6), (0, 1, 3, 4, 8, 7), (1, 2, 3, 5, 9, 8), (0, 2, 3, 6, 9, 7))
+_HEX = ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
+_HEX20 = (
+    (0, 1, 2, 3, 8, 9, 10, 11),
+    (4, 5, 6, 7, 12, 13, 14, 15),
+    (0, 1, 5, 4, 8, 17, 12, 16),
+    (1, 2, 6, 5, 9, 18, 13, 17),
+    (2, 3, 7, 6, 10, 19, 14, 18),
+    (3, 0, 4, 7, 11, 16, 15, 19),
+)
+_WEDGE = ((0, 1, 2), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5))
+_WEDGE15 = (
+    (0, 1, 2, 6, 7, 8),
+    (3, 4, 5, 9, 10, 11),
+    (0, 1, 4, 3, 6, 13, 9, 12),
+    (1, 2, 5, 4, 7, 14, 10, 13),
+    (2, 0, 3, 5, 8, 12, 11, 14),
+)
+FACETS: dict[str, tuple[tuple[int, ...], ...]] = {
+    "tetra": _TET,
+    "tetra10": _TET10,
+    "hexahedron": _HEX,
+    "hexahedron20": _HEX20,
+    "wedge": _WEDGE,
+    "wedge15": _WEDGE15,
+    "triangle": ((0, 1, 2),),
+    "quad": ((0, 1, 2, 3),),
+    "triangle6": ((0, 1, 2, 3, 4, 5),),
+    "quad8": ((0, 1, 2, 3, 4, 5, 6, 7),),
+}
+# Shares of a facet's area by diagonal scaling (Hinton, Rock and Zienkiewicz 1976): the integral of the square
+# of each shape function, scaled to sum 1. The consistent shares of quadratic facets are negative or zero.
+SHARES = {
+    3: np.full(3, 1 / 3),
+    4: np.full(4, 1 / 4),
+    6: np.array([3.0] * 3 + [16.0] * 3) / 57.0,
+    8: np.array([3.0] * 4 + [16.0] * 4) / 76.0,
+}
+LONG = 4.0
+"""Triangles between bare nodes with a side of so many median sides span a hole."""
+
+
+def area_shares(mesh: MeshFile, nodes: Integers) -> Array:
+    """Return each surface node's share of the area, shape (p,).
+
+    From the facets of elements whose nodes all belong to the surface; where these do not reach every node,
+    from triangles between the nodes, projected on the surface's mean plane.
+
+    Raises
+    ------
+    UserError
+        If the nodes lie on one line.
+    """
+    shares = np.zeros(len(mesh.labels))
+    inside = np.zeros(len(mesh.labels), dtype=bool)
+    inside[nodes] = True
+    seen: list[Integers] = []
+    for kind, labels in mesh.cells.items():
+        place = positions(mesh, labels.ravel(), "element").reshape(labels.shape)
+        for facet in FACETS.get(kind, ()):
+            corners = place[:, facet]
+            corners = corners[inside[corners].all(axis=1)]
+            if len(corners):
+                seen.append(_add_facets(shares, mesh.points, _new(corners, seen)))
+    if (shares[nodes] > 0.0).all():
+        return np.asarray(shares[nodes] / shares[nodes].sum())
+    return _triangle_shares(mesh.points[nodes], mesh.source)
+
+
+def _new(corners: Integers, seen: list[Integers]) -> Integers:
+    """Return the facets that no earlier element has: a facet of two elements counts once."""
+    keys = np.sort(corners[:, :3], axis=1)
+    _, first = np.unique(keys, axis=0, return_index=True)
+    corners, keys = corners[np.sort(first)], keys[np.sort(first)]
+    if not seen:
+        return corners
+    known = {tuple(row) for row in np.concatenate(seen).tolist()}
+    return corners[[tuple(row) not in known for row in keys.tolist()]]
+
+
+def _add_facets(shares: Array, points: Array, corners: Integers) -> Integers:
+    """Add the shares of facets of one kind; return their keys."""
+    count = corners.shape[1]
+    ring = count if count <= 4 else count // 2
+    outline = points[corners[:, :ring]]
+    if count > 4:  # corner, mid-side node, corner, ...
+        outline = np.stack([outline, points[corners[:, ring:]]], axis=2).reshape(len(corners), -1, 3)
+    spokes = outline - outline.mean(axis=1, keepdims=True)
+    areas = np.linalg.norm(np.cross(spokes, np.roll(spokes, -1, axis=1)), axis=2).sum(axis=1) / 2.0
+    np.add.at(shares, corners, areas[:, None] * SHARES[count])
+    return np.sort(corners[:, :3], axis=1)
+
+
+def _triangle_shares(points: Array, source: str) -> Array:
+    """Return a third of the area of each node's triangles; holes stay open."""
+    centered = points - points.mean(axis=0)
+    plane = centered @ np.linalg.svd(centered, full_matrices=False)[2][:2].T if len(points) > 2 else None
+    try:
+        triangles = Delaunay(plane).simplices if plane is not None else np.zeros((0, 3), dtype=np.int64)
+    except QhullError:
+        triangles = np.zeros((0, 3), dtype=np.int64)
+    if plane is None or not len(triangles):
+        raise UserError(
+            f"the {len(points)} optical nodes of {source} span no surface: at least three, not on one line"
+        )
+    sides = plane[triangles] - np.roll(plane[triangles], 1, axis=1)
+    lengths = np.linalg.norm(sides, axis=2).max(axis=1)
+    areas = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]) / 2.0
+    areas[lengths > LONG * np.median(lengths)] = 0.0
+    shares = np.bincount(triangles.ravel(), np.repeat(areas / 3.0, 3), minlength=len(points))
+    if (shares <= 0.0).any():  # a node on a sliver: it keeps a little, so that no weight vanishes
+        shares = np.maximum(shares, 1e-3 * shares.mean())
+    return np.asarray(shares / shares.sum())

@@ -1,0 +1,234 @@
+"""Checks that every imported model passes: complete, symmetric, free and with a mass everywhere."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.sparse import coo_array, csc_array, diags_array
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
+
+from wavequake.errors import UserError
+from wavequake.mechanics.importers.entries import DIRECTIONS, Array, Entries, Integers
+
+ASYMMETRY = 1e-8
+"""Largest difference of symmetric entries, over the largest entry, that still counts as round-off."""
+
+FIXED = 1e30
+"""A diagonal stiffness from here on (Abaqus writes 1e36) stands for a fixed degree of freedom."""
+
+SINGULAR = 1e-10
+"""Smallest pivot of the mass matrix scaled to a unit diagonal."""
+
+
+def assemble(entries: Entries, dofs: Integers, notes: list[str]) -> csc_array:
+    """Return the full symmetric matrix of a file's entries, in the order of `dofs`.
+
+    Parameters
+    ----------
+    entries : Entries
+    dofs : ndarray of int, shape (n, 2)
+        Node number and direction of each row.
+    notes : list of str
+        Receives what was done that the user may want to know.
+
+    Raises
+    ------
+    UserError
+        For a value that is not finite, an entry outside the matrix or given twice, a wrong size, or a matrix
+        that is not symmetric; all say where.
+    """
+    _finite(entries)
+    rows, columns = _positions(entries, dofs)
+    size = len(dofs)
+    values, kept = entries.values, entries.values != 0.0
+    rows, columns, values = rows[kept], columns[kept], values[kept]
+    matrix = csc_array(coo_array((values, (rows, columns)), shape=(size, size)))
+    if matrix.nnz < len(values):
+        _refuse_duplicates(entries.source, rows, columns, dofs)
+    upper, lower = bool((rows < columns).any()), bool((rows > columns).any())
+    if not (upper or lower):
+        return matrix
+    if upper != lower:
+        if not entries.one_triangle:
+            side = "upper" if upper else "lower"
+            notes.append(
+                f"{entries.source} holds the {side} triangle only; the other one is its mirror image"
+            )
+        return _mirrored(matrix)
+    if entries.one_triangle and not _paired(rows, columns, size):
+        return _mirrored(matrix)
+    return _symmetric(matrix, entries.source, dofs)
+
+
+def _finite(entries: Entries) -> None:
+    bad = np.flatnonzero(~np.isfinite(entries.values))
+    if len(bad):
+        raise UserError(
+            f"{entries.source}: entry {bad[0] + 1} is {entries.values[bad[0]]}; {len(bad)} of "
+            f"{len(entries.values)} entries are not finite"
+        )
+
+
+def _positions(entries: Entries, dofs: Integers) -> tuple[Integers, Integers]:
+    """Return rows and columns as positions in `dofs`."""
+    if entries.size is not None:
+        if entries.size != len(dofs):
+            raise UserError(
+                f"{entries.source} has {entries.size} rows, but there are {len(dofs)} degrees of freedom; "
+                "both must come from one analysis"
+            )
+        for places in (entries.rows, entries.columns):
+            if len(places) and not 0 <= places.min() <= places.max() < entries.size:
+                raise UserError(f"{entries.source} has entries outside 1..{entries.size}")
+        return entries.rows, entries.columns
+    keys = DIRECTIONS * dofs[:, 0] + dofs[:, 1]
+    order = np.argsort(keys)
+    found = []
+    for labels in (entries.rows, entries.columns):
+        place = np.minimum(np.searchsorted(keys[order], labels), len(keys) - 1)
+        missing = np.flatnonzero(keys[order][place] != labels)
+        if len(missing):
+            node, direction = divmod(int(labels[missing[0]]), DIRECTIONS)
+            raise UserError(
+                f"{entries.source}: node {node}, direction {direction} is no degree of freedom here"
+            )
+        found.append(order[place])
+    return found[0], found[1]
+
+
+def describe(dofs: Integers, index: int) -> str:
+    """Return ``node 7, direction 2`` for a row of `dofs`."""
+    return f"node {dofs[index, 0]}, direction {dofs[index, 1]}"
+
+
+def _refuse_duplicates(source: str, rows: Integers, columns: Integers, dofs: Integers) -> None:
+    pairs = rows * np.int64(len(dofs)) + columns
+    order = np.argsort(pairs, kind="stable")
+    again = order[1:][np.diff(pairs[order]) == 0]
+    row, column = int(rows[again[0]]), int(columns[again[0]])
+    raise UserError(
+        f"{source} gives {len(again)} entries more than once, the first at row {row + 1}, "
+        f"column {column + 1} ({describe(dofs, row)}; {describe(dofs, column)}); each may stand there once"
+    )
+
+
+def _paired(rows: Integers, columns: Integers, size: int) -> bool:
+    """Tell whether some entry off the diagonal is given on both sides of it."""
+    low, high = np.minimum(rows, columns), np.maximum(rows, columns)
+    return bool(csc_array(coo_array((np.ones(len(rows)), (low, high)), shape=(size, size))).nnz < len(rows))
+
+
+def _mirrored(triangle: csc_array) -> csc_array:
+    return csc_array(triangle + triangle.T - diags_array(triangle.diagonal(), format="csc"))
+
+
+def _symmetric(matrix: csc_array, source: str, dofs: Integers) -> csc_array:
+    """Return the mean of a matrix and its transpose if they agree up to round-off."""
+    difference = coo_array(abs(matrix - matrix.T))
+    if not difference.nnz:
+        return matrix
+    worst, scale = int(np.argmax(difference.data)), float(abs(matrix).max())
+    if difference.data[worst] > ASYMMETRY * scale:
+        row, column = (int(place[worst]) for place in difference.coords)
+        raise UserError(
+            f"{source} is not symmetric: the entries at ({describe(dofs, row)}) x ({describe(dofs, column)}) "
+            f"are {matrix[row, column]:.6g} and {matrix[column, row]:.6g}; gyroscopic, follower-load and "
+            "friction terms are not supported"
+        )
+    return csc_array((matrix + matrix.T) / 2)
+
+
+def free_dofs(stiffness: csc_array, mass: csc_array, dofs: Integers, notes: list[str]) -> Integers:
+    """Return the rows that are free displacements; fixed ones are left out with a note.
+
+    A row is fixed if both matrices are empty there or its stiffness is beyond physics (`FIXED`).
+
+    Raises
+    ------
+    UserError
+        For rotations and other directions than displacements, a negative diagonal, a displacement with mass
+        and no stiffness, and where nothing is free.
+    """
+    diagonal = stiffness.diagonal()
+    with_stiffness, with_mass = (abs(matrix).sum(axis=0) > 0.0 for matrix in (stiffness, mass))
+    fixed = ~(with_stiffness | with_mass) | (diagonal >= FIXED)
+    other = ~fixed & ((dofs[:, 1] < 1) | (dofs[:, 1] > 3))
+    _refuse(
+        other,
+        dofs,
+        lambda index: (
+            f"{int(other.sum())} degrees of freedom are rotations or scalars, the first at "
+            f"{describe(dofs, index)}; only displacements (directions 1 to 3) are supported: use solid "
+            "elements or condense the others"
+        ),
+    )
+    for name, matrix in (("stiffness", stiffness), ("mass", mass)):
+        _refuse(
+            ~fixed & (matrix.diagonal() < 0.0),
+            dofs,
+            lambda index, name=name: f"the {name} at {describe(dofs, index)} is negative",  # type: ignore[misc]
+        )
+    _refuse(
+        ~fixed & ~with_stiffness,
+        dofs,
+        lambda index: f"{describe(dofs, index)} has mass but no stiffness: it is attached to nothing",
+    )
+    if fixed.all():
+        raise UserError("every degree of freedom is fixed or empty, so nothing can move")
+    if fixed.any():
+        shown = ", ".join(str(node) for node in np.unique(dofs[fixed, 0])[:5])
+        notes.append(f"{int(fixed.sum())} fixed degrees of freedom were left out (nodes {shown} ...)")
+    return np.flatnonzero(~fixed)
+
+
+def _refuse(bad: Sequence[bool] | Array, dofs: Integers, sentence: Callable[[int], str]) -> None:
+    if np.any(bad):
+        raise UserError(sentence(int(np.argmax(bad))))
+
+
+def check_mass(mass: csc_array, dofs: Integers, source: str) -> None:
+    """Refuse a mass matrix that is not positive definite, by the pivots of its factors.
+
+    Raises
+    ------
+    UserError
+        With the degree of freedom and what to do.
+    """
+    diagonal = mass.diagonal()
+    _refuse(
+        diagonal <= 0.0,
+        dofs,
+        lambda index: (
+            f"{source}: {int((diagonal <= 0.0).sum())} degrees of freedom have no mass, the first at "
+            f"{describe(dofs, index)}; give every material a density, or condense the massless ones"
+        ),
+    )
+    scale = diags_array(1.0 / np.sqrt(diagonal), format="csc")
+    scaled = csc_array(scale @ mass @ scale)
+    # Without constraints the three directions do not couple: three small factorizations, not a large one.
+    count, part = connected_components(scaled, directed=False)
+    if count > len(diagonal) // 3:
+        parts = [np.arange(len(diagonal))]  # nearly diagonal: cheap in one go
+    else:
+        parts = [np.flatnonzero(part == index) for index in range(count)]
+    for rows in parts:
+        pivot, row = _smallest_pivot(csc_array(scaled[rows][:, rows]))
+        if pivot < SINGULAR:
+            raise UserError(
+                f"{source} is singular: the pivot at {describe(dofs, int(rows[row]))} is {pivot:.1e} of its "
+                "diagonal; elements of reduced integration (C3D20R, C3D8R) have such a mass, so take the "
+                "mass from the same mesh with full integration (C3D20, C3D8) or a lumped one"
+            )
+
+
+def _smallest_pivot(matrix: csc_array) -> tuple[float, int]:
+    """Return the smallest pivot of the factors L D L^T of a symmetric matrix, and its row."""
+    try:
+        factors = splu(
+            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+    except RuntimeError:
+        return 0.0, int(np.argmin(matrix.diagonal()))
+    pivots = factors.U.diagonal()
+    smallest = int(np.argmin(pivots))
+    return float(pivots[smallest]), int(np.argsort(factors.perm_c)[smallest])

@@ -1,0 +1,141 @@
+"""Nodes, sets and elements of CalculiX and Abaqus input decks (``.inp``), with their node numbers.
+
+meshio reads these decks too but renumbers the nodes, and matrices are labeled by the numbers of the deck.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from wavequake.errors import UserError
+from wavequake.mechanics.importers.entries import Array, Integers, numbers, read_bytes
+
+Block = tuple[str, dict[str, str], bytes, int]  # keyword, options, data lines, first line
+
+# Corner and mid-side nodes of the elements whose facets can be found, by the names of meshio.
+KINDS = {
+    "C3D4": ("tetra", 4),
+    "C3D10": ("tetra10", 10),
+    "C3D8": ("hexahedron", 8),
+    "C3D20": ("hexahedron20", 20),
+    "C3D6": ("wedge", 6),
+    "C3D15": ("wedge15", 15),
+    "S3": ("triangle", 3),
+    "S4": ("quad", 4),
+    "S6": ("triangle6", 6),
+    "S8": ("quad8", 8),
+}
+
+
+def read_deck(path: Path) -> tuple[Integers, Array, dict[str, Integers], dict[str, Integers]]:
+    """Return node numbers, coordinates, node sets (numbers) and connectivity (numbers) by kind of element.
+
+    Raises
+    ------
+    UserError
+        If a block cannot be read; its line is named.
+    """
+    labels: list[Integers] = []
+    points: list[Array] = []
+    sets: dict[str, list[Integers]] = {}
+    cells: dict[str, list[Integers]] = {}
+    members: dict[str, list[Integers]] = {}
+    for keyword, options, data, line in _blocks(path):
+        if keyword == "NODE" and data:
+            table = _padded(data, path.name, line)
+            labels.append(table[:, 0].astype(np.int64))
+            points.append(table[:, 1:4])
+            if "NSET" in options:
+                sets.setdefault(options["NSET"], []).append(labels[-1])
+        elif keyword == "ELEMENT":
+            name, count = _kind(options.get("TYPE", ""))
+            if count:
+                nodes = _elements(data, count, path.name, line)
+                cells.setdefault(name, []).append(nodes)
+                members.setdefault(options.get("ELSET", ""), []).append(np.unique(nodes))
+        elif keyword == "NSET":
+            found = _set(data, options, sets, (path.name, line))
+            sets.setdefault(options.get("NSET", ""), []).append(found)
+    if not labels:
+        raise UserError(f"{path.name} has no nodes: no *NODE block with coordinates was found")
+    for name, parts in members.items():  # an element set names its nodes too, unless a node set has the name
+        if name and name not in sets:
+            sets[name] = parts
+    return (
+        np.concatenate(labels),
+        np.concatenate(points),
+        {name: _unique(np.concatenate(parts)) for name, parts in sets.items()},
+        {name: np.concatenate(parts) for name, parts in cells.items()},
+    )
+
+
+def _blocks(path: Path) -> list[Block]:
+    """Split a deck into its keyword blocks, includes in place."""
+    blocks: list[Block] = []
+    keyword, options, data, first = "", dict[str, str](), list[bytes](), 0
+    for number, line in enumerate(read_bytes(path).split(b"\n"), 1):
+        text = line.strip()
+        if not text or text.startswith(b"**"):
+            continue
+        if not text.startswith(b"*"):
+            data.append(text)
+            continue
+        blocks.append((keyword, options, b"\n".join(data), first))
+        words = [word.strip() for word in text[1:].decode(errors="replace").split(",")]
+        pairs = [word.partition("=") for word in words[1:]]
+        options = {key.strip().upper(): value.strip().strip('"') for key, _, value in pairs}
+        options |= {key: value.upper() for key, value in options.items() if key != "INPUT"}
+        keyword, data, first = words[0].upper(), [], number + 1
+        if keyword == "INCLUDE" and options.get("INPUT"):
+            blocks += _blocks(path.parent / options["INPUT"])
+    return [*blocks, (keyword, options, b"\n".join(data), first)]
+
+
+def _kind(name: str) -> tuple[str, int]:
+    """Return meshio's name and the number of nodes of an element; 0 for one without known facets."""
+    for stem in sorted(KINDS, key=len, reverse=True):
+        if name.startswith(stem) and not name[len(stem) : len(stem) + 1].isdigit():
+            return KINDS[stem]
+    return "", 0
+
+
+def _padded(data: bytes, source: str, line: int) -> Array:
+    """Return number and three coordinates of each node; a missing z is 0."""
+    width = len(data.split(b"\n", 1)[0].strip().rstrip(b",").split(b","))
+    if not 3 <= width <= 4:
+        raise UserError(f"{source}, line {line}: a node needs a number and two or three coordinates")
+    table = numbers(data, source, width, line)
+    return table if width == 4 else np.column_stack([table, np.zeros(len(table))])
+
+
+def _elements(data: bytes, count: int, source: str, line: int) -> Integers:
+    """Return the node numbers of elements, one a row; an element may go over several lines."""
+    try:
+        words = np.array(data.replace(b",", b" ").split(), dtype=np.bytes_).astype(np.int64)
+        return words.reshape(-1, count + 1)[:, 1:]
+    except ValueError as error:
+        raise UserError(
+            f"{source}, line {line}: elements of {count} nodes expected ({error}); the file may be cut off"
+        ) from error
+
+
+def _set(
+    data: bytes, options: dict[str, str], sets: dict[str, list[Integers]], place: tuple[str, int]
+) -> Integers:
+    """Return the numbers of a node set given by numbers, ranges (GENERATE) and names of earlier sets."""
+    if "GENERATE" in options:
+        ranges = [[int(word) for word in row.split(b",") if word.strip()] for row in data.split(b"\n")]
+        return np.concatenate([np.arange(row[0], row[1] + 1, *row[2:3]) for row in ranges])
+    words = data.replace(b",", b" ").split()
+    names = [word.decode().upper() for word in words if not word.isdigit()]
+    unknown = [name for name in names if name not in sets]
+    if unknown:
+        raise UserError(f"{place[0]}, line {place[1]}: the node set {unknown[0]!r} is not defined before")
+    plain = np.array([int(word) for word in words if word.isdigit()], dtype=np.int64)
+    return np.concatenate([plain, *(part for name in names for part in sets[name])])
+
+
+def _unique(values: Integers) -> Integers:
+    """Return the values without repetitions, in the order of their first appearance."""
+    _, first = np.unique(values, return_index=True)
+    return values[np.sort(first)]

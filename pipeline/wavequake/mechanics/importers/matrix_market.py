@@ -1,0 +1,42 @@
+"""Matrix Market files (``.mtx``), coordinate or array, general or symmetric."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+from scipy.io import mminfo, mmread
+from scipy.sparse import coo_array
+
+from wavequake.errors import UserError
+from wavequake.mechanics.importers.entries import Contents, Entries, read_bytes
+
+HEADER = b"%%MatrixMarket"
+
+
+def is_matrix_market(path: Path) -> bool:
+    """Tell whether a file begins as a Matrix Market file does."""
+    return read_bytes(path).startswith(HEADER)
+
+
+def read_matrix(path: Path) -> Contents:
+    """Return the matrix of a Matrix Market file.
+
+    Raises
+    ------
+    UserError
+        If the file is damaged, complex, a mere pattern, or not square.
+    """
+    data = read_bytes(path)
+    try:
+        rows, columns, _, _, kind, symmetry = mminfo(io.BytesIO(data))
+        matrix = coo_array(mmread(io.BytesIO(data), spmatrix=False)) if kind in ("real", "integer") else None
+    except (ValueError, OverflowError) as error:
+        raise UserError(f"{path.name} is no complete Matrix Market file: {error}") from error
+    if matrix is None:
+        raise UserError(f"{path.name} holds a {kind} matrix, a real one is needed")
+    if rows != columns:
+        raise UserError(f"{path.name} holds a matrix of {rows} rows and {columns} columns, it must be square")
+    if symmetry == "skew-symmetric":
+        raise UserError(f"{path.name} holds a skew-symmetric matrix, a symmetric one is needed")
+    row, column = (place.astype(np.int64) for place in matrix.coords)
+    return Contents({"": Entries(path.name, row, column, matrix.data.astype(np.float64), rows, False)})

@@ -1,0 +1,241 @@
+"""From files of matrices and of a mesh to a finite-element model in SI units."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.sparse import csc_array
+
+from wavequake.errors import UserError
+from wavequake.mechanics.importers import abaqus, ansys, arrays, calculix, matrix_market, nastran, op4
+from wavequake.mechanics.importers.areas import area_shares
+from wavequake.mechanics.importers.checks import assemble, check_mass, free_dofs
+from wavequake.mechanics.importers.entries import DIRECTIONS, Contents, Entries, Integers
+from wavequake.mechanics.importers.mesh import MeshFile, chosen_nodes, positions, read_mesh
+from wavequake.mechanics.importers.units import si_factors
+from wavequake.mechanics.model import FiniteElementModel, RayleighDamping
+
+READERS = {
+    ".sti": calculix.read_matrix,
+    ".mas": calculix.read_matrix,
+    ".pch": nastran.read_matrices,
+    ".op4": op4.read_matrices,
+    ".full": ansys.read_matrices,
+    ".npz": arrays.read_npz,
+    ".h5": arrays.read_hdf5,
+    ".hdf5": arrays.read_hdf5,
+}
+MESHES = (".inp", ".msh", ".vtu", ".bdf", ".nas", ".fem", ".cdb", ".vtk", ".med")
+NodeChoice = str | Sequence[int | str]
+Nodes = Annotated[tuple[int | str, ...], Field(strict=False)]  # a study file has lists
+
+
+class ImportedModel(BaseModel):
+    """Keys of a study's section [model] that name a model to be imported.
+
+    ``file = "plate.sti"`` finds plate.mas, plate.dof and plate.inp beside it.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    file: str = Field(description="stiffness (.sti, .mtx) or all matrices (.full, .op4, .pch, .npz, .h5)")
+    mass: str | None = Field(default=None, description="default: beside file")
+    dofs: str | None = Field(default=None, description="node.direction of each row; default: beside file")
+    mesh: str | None = Field(default=None, description="node coordinates and sets; default: beside file")
+    units: str = Field(description="length, mass, time, force, e.g. 'm,kg,s,N' or 'mm,t,s,N'")
+    interfaces: str | Nodes = Field(description="node set, or node numbers")
+    surface: str | Nodes = Field(description="node set, or node numbers, of the optical surface")
+    damping_alpha: float = Field(default=0.0, ge=0, description="1/s, times the mass")
+    damping_beta: float = Field(default=5e-6, ge=0, description="s, times the stiffness")
+
+
+@dataclass(frozen=True)
+class Imported:
+    """An imported model and what was done to it that its author may want to know."""
+
+    model: FiniteElementModel
+    notes: tuple[str, ...]
+
+
+def load_model(section: ImportedModel, folder: Path) -> Imported:
+    """Import the model that a study names; its files are relative to `folder`.
+
+    Raises
+    ------
+    UserError
+        As `import_model`.
+    """
+    paths = {
+        key: None if name is None else folder / name
+        for key, name in (("mass", section.mass), ("dofs", section.dofs), ("mesh", section.mesh))
+    }
+    return import_model(
+        folder / section.file,
+        **paths,
+        units=section.units,
+        interfaces=section.interfaces,
+        surface=section.surface,
+        damping=RayleighDamping(section.damping_alpha, section.damping_beta),
+    )
+
+
+def import_model(
+    file: Path,
+    *,
+    units: str | None,
+    interfaces: NodeChoice,
+    surface: NodeChoice,
+    mass: Path | None = None,
+    dofs: Path | None = None,
+    mesh: Path | None = None,
+    damping: RayleighDamping | None = None,
+) -> Imported:
+    """Read matrices and mesh of a finite-element program into a model in SI units.
+
+    Parameters
+    ----------
+    file : Path
+        CalculiX ``.sti``; Abaqus or Matrix Market ``.mtx``; Nastran ``.pch`` or ``.op4``; Ansys ``.full``;
+        ``.npz``; HDF5 ``.h5``.
+    units : str
+        The files' units of length, mass, time and force, e.g. ``"mm,t,s,N"``. They are never guessed.
+    interfaces, surface : str or sequence of int or str
+        Node sets and node numbers that carry forces, and that form the optical surface.
+    mass, dofs, mesh : Path, optional
+        Where not beside `file` under its name.
+    damping : RayleighDamping, optional
+        In SI units.
+
+    Raises
+    ------
+    UserError
+        For whatever is missing, damaged or contradictory; see `wavequake.mechanics.importers.checks`.
+    """
+    if not units:
+        raise UserError(
+            f"the units of {file.name} are not declared; say for example units = 'm,kg,s,N' or 'mm,t,s,N'"
+        )
+    length, mass_factor, stiffness_factor = si_factors(units)
+    contents = _read(file)
+    stiffness_entries, mass_entries = _pair(contents, file, mass)
+    table = _dofs(contents, (stiffness_entries, mass_entries), file, dofs)
+    grid = _mesh(contents, file, mesh)
+    notes: list[str] = []
+    K, M = (assemble(entries, table, notes) for entries in (stiffness_entries, mass_entries))
+    free = free_dofs(K, M, table, notes)
+    K, M, table = csc_array(K[free][:, free]), csc_array(M[free][:, free]), table[free]
+    check_mass(M, table, mass_entries.source)
+    dof_node = positions(grid, table[:, 0], "degree of freedom")
+    optical, mounts = chosen_nodes(grid, surface, "surface"), chosen_nodes(grid, interfaces, "interfaces")
+    for what, nodes in (("surface", optical), ("interfaces", mounts)):
+        _refuse_fixed(grid, nodes, (dof_node, table[:, 1] - 1), what)
+    model = FiniteElementModel(
+        name=file.stem,
+        mass=csc_array(M * mass_factor),
+        stiffness=csc_array(K * stiffness_factor),
+        damping=damping or RayleighDamping(),
+        nodes=grid.points * length,
+        dof_node=dof_node,
+        dof_direction=table[:, 1] - 1,
+        interfaces=mounts,
+        surface_nodes=optical,
+        surface_weights=area_shares(grid, optical),
+        node_sets={name: positions(grid, nodes, name) for name, nodes in grid.sets.items()},
+    )
+    return Imported(model, tuple(notes))
+
+
+def _read(path: Path) -> Contents:
+    suffix = path.suffix.lower()
+    if suffix == ".mtx":
+        plain = matrix_market.is_matrix_market(path)
+        return matrix_market.read_matrix(path) if plain else abaqus.read_matrix(path)
+    if suffix not in READERS:
+        raise UserError(
+            f"{path.name}: no reader for {suffix or 'a file without suffix'}, known are .mtx, "
+            f"{', '.join(READERS)}"
+        )
+    return READERS[suffix](path)
+
+
+def _pair(contents: Contents, file: Path, mass: Path | None) -> tuple[Entries, Entries]:
+    """Return the entries of stiffness and mass."""
+    stiffness = _named(contents, "K", file)
+    if mass is None and len(contents.matrices) > 1:
+        return stiffness, _named(contents, "M", file)
+    if mass is None:
+        names = {file.with_suffix(".mas") if file.suffix == ".sti" else None}
+        for old, new in (("STIF", "MASS"), ("stiffness", "mass"), ("K", "M")):
+            names.add(file.with_name(new.join(file.name.rsplit(old, 1))) if old in file.stem else None)
+        found = sorted(path for path in names - {None, file} if path is not None and path.is_file())
+        if len(found) != 1:
+            raise UserError(f"no mass matrix found beside {file.name}; name it with the key mass")
+        mass = found[0]
+    return stiffness, _named(_read(mass), "M", mass)
+
+
+def _named(contents: Contents, letter: str, path: Path) -> Entries:
+    """Return the one matrix of a file, or the one whose name tells that it is the stiffness or mass."""
+    words = {"K": ("K", "STIF"), "M": ("M",)}[letter]
+    if len(contents.matrices) == 1:
+        return next(iter(contents.matrices.values()))
+    fits = [name for name in contents.matrices if name.upper().startswith(words)]
+    if len(fits) != 1:
+        what = {"K": "stiffness", "M": "mass"}[letter]
+        raise UserError(
+            f"{path.name} holds {', '.join(contents.matrices)}: exactly one must be the {what} (a name that "
+            f"begins with {' or '.join(words)})"
+        )
+    return contents.matrices[fits[0]]
+
+
+def _dofs(contents: Contents, entries: tuple[Entries, Entries], file: Path, dofs: Path | None) -> Integers:
+    """Return node number and direction of each row."""
+    if all(part.size is None for part in entries):
+        keys = np.unique(np.concatenate([part.rows for part in entries] + [part.columns for part in entries]))
+        return np.column_stack(np.divmod(keys, DIRECTIONS))
+    path = dofs or file.with_suffix(".dof")
+    if dofs is None and contents.dofs is not None:
+        table = contents.dofs
+    elif path.is_file():
+        table = calculix.read_dofs(path)
+    else:
+        raise UserError(
+            f"{file.name} does not say which degrees of freedom its rows are, and {path.name} was not found; "
+            "name a file of lines node.direction with the key dofs"
+        )
+    _, first, count = np.unique(table, axis=0, return_index=True, return_counts=True)
+    if (count > 1).any():
+        node, direction = table[first[np.argmax(count > 1)]]
+        raise UserError(f"{path.name} lists node {node}, direction {direction} twice")
+    return table
+
+
+def _refuse_fixed(mesh: MeshFile, nodes: Integers, dofs: tuple[Integers, Integers], what: str) -> None:
+    """Refuse nodes that lack a displacement; `dofs` are positions of nodes and directions from 0."""
+    free = np.zeros((len(mesh.labels), 3), dtype=bool)
+    free[dofs] = True
+    bad = np.argwhere(~free[nodes])
+    if len(bad):
+        row, direction = bad[0]
+        raise UserError(
+            f"node {mesh.labels[nodes[row]]} of {what} is fixed in {'xyz'[direction]} or belongs to no "
+            f"element; {what} must be free in x, y and z ({len(np.unique(bad[:, 0]))} nodes are not)"
+        )
+
+
+def _mesh(contents: Contents, file: Path, mesh: Path | None) -> MeshFile:
+    if mesh is None and contents.coordinates is not None and contents.node_numbers is not None:
+        return MeshFile(file.name, contents.node_numbers.astype(np.int64), contents.coordinates)
+    if mesh is None:
+        found = [path for path in map(file.with_suffix, MESHES) if path.is_file()]
+        if not found:
+            raise UserError(
+                f"no coordinates for {file.name}: no mesh ({', '.join(MESHES)}) of that name beside it; name "
+                "one with the key mesh"
+            )
+        mesh = found[0]
+    return read_mesh(mesh)
