@@ -97,7 +97,8 @@ def test_rigid_modes_survive_a_file_of_ten_digits():
     rounded.data = np.array([float(f"{value:.9e}") for value in rounded.data])
     frequencies, _ = eigenmodes(replace(model, stiffness=rounded), 10)
     assert (frequencies[:6] == 0).all()
-    np.testing.assert_allclose(frequencies, eigenmodes(model, 10)[0], rtol=1e-6)
+    squares = eigh(rounded.toarray(), model.mass.toarray(), eigvals_only=True, subset_by_index=(6, 9))
+    np.testing.assert_allclose(frequencies[6:], np.sqrt(squares) / (2 * np.pi), rtol=1e-6)
 
 
 def test_fewer_modes_than_rigid_ones():
