@@ -47,8 +47,9 @@ SHARES = {
     6: np.array([3.0] * 3 + [16.0] * 3) / 57.0,
     8: np.array([3.0] * 4 + [16.0] * 4) / 76.0,
 }
-LONG = 4.0
-"""Triangles between bare nodes with a side of so many median sides span a hole."""
+WIDE = 4.0
+"""Triangles between bare nodes whose circumscribed circle has so many median radii span a hole (the alpha
+shape of Edelsbrunner, Kirkpatrick and Seidel 1983)."""
 
 
 def area_shares(mesh: MeshFile, nodes: Integers) -> Array:
@@ -115,9 +116,10 @@ def _triangle_shares(points: Array, source: str) -> Array:
             f"the {len(points)} optical nodes of {source} span no surface: at least three, not on one line"
         )
     sides = plane[triangles] - np.roll(plane[triangles], 1, axis=1)
-    lengths = np.linalg.norm(sides, axis=2).max(axis=1)
     areas = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]) / 2.0
-    areas[lengths > LONG * np.median(lengths)] = 0.0
+    with np.errstate(divide="ignore"):
+        radii = np.linalg.norm(sides, axis=2).prod(axis=1) / (4.0 * areas)
+    areas[radii > WIDE * np.median(radii)] = 0.0
     shares = np.bincount(triangles.ravel(), np.repeat(areas / 3.0, 3), minlength=len(points))
     if (shares <= 0.0).any():  # a node on a sliver: it keeps a little, so that no weight vanishes
         shares = np.maximum(shares, 1e-3 * shares.mean())
