@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from wavequake.errors import UserError
 from wavequake.optics.kinematics import cardan
-from wavequake.optics.media import AIR, glass, glasses, refractive_index
+from wavequake.optics.media import AIR, constant, glass, glasses, refractive_index
 from wavequake.optics.shapes import (
     Conic,
     EvenAsphere,
@@ -20,7 +20,7 @@ from wavequake.optics.shapes import (
 )
 from wavequake.optics.system import OpticalSystem, Pupil, Surface
 from wavequake.optics.zemax_export import write_zmx, zmx_text
-from wavequake.optics.zemax_import import constant, parse_zmx, read_zmx
+from wavequake.optics.zemax_import import parse_zmx, read_zmx
 from wavequake.optics.zemax_surfaces import cardan_angles
 from wavequake.optics.zernike import annular_zernike
 

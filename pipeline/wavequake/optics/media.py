@@ -40,6 +40,11 @@ ALIASES = {
 """Other names of glasses, in upper case, and the name that the catalogue has."""
 
 
+def constant(index: float) -> Medium:
+    """Return a medium whose index is the same at all wavelengths, named by it."""
+    return Medium(f"n={index!r}", "constant", (index,))
+
+
 def refractive_index(medium: Medium, wavelength_mm: float) -> float:
     """Return the refractive index at a wavelength in air.
 

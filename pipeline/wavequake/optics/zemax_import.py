@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from wavequake.errors import UserError
-from wavequake.optics.media import AIR, Medium, glass
+from wavequake.optics.media import AIR, Medium, constant, glass
 from wavequake.optics.shapes import SurfaceAction
 from wavequake.optics.system import OpticalSystem, Pupil
 from wavequake.optics.system_kinematics import Break, SurfaceRow, sequential
@@ -237,11 +237,6 @@ def _glass(line: Line, row: Row) -> Medium:
             "of the catalogue, or set the Abbe number to 0 for a constant index",
         )
     return constant(index)
-
-
-def constant(index: float) -> Medium:
-    """Return a medium of constant index, named by it."""
-    return Medium(f"n={index!r}", "constant", (index,))
 
 
 def _pupil(file: _File, scale: float) -> Pupil:
