@@ -1,0 +1,253 @@
+"""Wavefronts of any optical system: OPD, Zernike coefficients, line of sight, spots.
+
+The counterpart of `wavequake.optics.wavefront` for an `OpticalSystem`. The chief ray goes through the center
+of the stop, virtually where that is obscured; its image point is the center of the reference sphere, whose
+radius is the distance of the paraxial exit pupil. Lengths in mm, wavefronts in waves.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.errors import UserError
+from wavequake.kernels.devices import NUMPY, Device
+from wavequake.kernels.sequence import OK, VIGNETTED, Rays, Sequence, TracedRays
+from wavequake.kernels.sequential import trace_sequence
+from wavequake.optics.fits import Fit, refit, weighted_fit
+from wavequake.optics.packing import moving, pack
+from wavequake.optics.paraxial import paraxial
+from wavequake.optics.quality import peak_to_valley, spot
+from wavequake.optics.ray_aiming import pupil_rays
+from wavequake.optics.system import OpticalSystem, SystemStates, wavelength_of
+from wavequake.optics.system_kinematics import rest_states
+from wavequake.optics.zernike import annular_zernike
+
+Array = NDArray[np.float64]
+
+# Instants per matrix product: a constant shape, so that the bits of an instant do not depend on its batch.
+_TILE = 16
+# Radius of the reference sphere where the exit pupil is at infinity, mm.
+_TELECENTRIC_RADIUS = 1e5
+_RIM = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])
+
+
+@dataclass(frozen=True)
+class PreparedSystem:
+    """What a system, a field, a wavelength and the rays determine once for all instants.
+
+    Attributes
+    ----------
+    system : OpticalSystem
+    sequence : Sequence
+    rays, chief : Rays
+        The N rays of the pupil, and the one through the center of the stop.
+    pupil : ndarray, shape (N, 2)
+        Where the rays pass the pupil, in units of its outer radius.
+    fit : Fit
+        Of the Noll Zernike polynomials, annular where the pupil is obscured.
+    wavelength, sphere_radius : float
+        mm; the radius is negative where the exit pupil lies behind the image.
+    image_index : float
+        Refractive index before the image.
+    cosines : ndarray, shape (2, 2)
+        Change of the direction cosines (u, v) in the image frame from the pupil's center to its rim, for x
+        (first column) and y: the numerical aperture with its signs.
+    """
+
+    system: OpticalSystem
+    sequence: Sequence
+    rays: Rays
+    chief: Rays
+    pupil: Array
+    fit: Fit
+    wavelength: float
+    sphere_radius: float
+    image_index: float
+    cosines: Array
+
+
+@dataclass(frozen=True)
+class SystemWavefront:
+    """Numbers of T wavefronts.
+
+    Attributes
+    ----------
+    zernike : ndarray, shape (T, J)
+        Noll coefficients, waves.
+    rms, rms_raw, pv : ndarray, shape (T,)
+        Rms of the terms j >= 4, rms over the rays without piston, and peak to valley; waves.
+    chief, los, centroid : ndarray, shape (T, 2)
+        Image point of the chief ray, of the best-fit plane (Störkle 2018, Eq. 3.39) and of the rays' center;
+        mm in the frame of the image.
+    spot_rms : ndarray, shape (T,)
+        Rms distance of the rays' image points from their center, mm.
+    lost, vignetted : ndarray of int, shape (T,)
+        Rays that do not arrive, and those of them that an opening stops.
+    """
+
+    zernike: Array
+    rms: Array
+    rms_raw: Array
+    pv: Array
+    chief: Array
+    los: Array
+    centroid: Array
+    spot_rms: Array
+    lost: NDArray[np.int64]
+    vignetted: NDArray[np.int64]
+
+
+def prepare_system(
+    system: OpticalSystem,
+    x: Array,
+    y: Array,
+    weight: Array,
+    terms: int,
+    field: int = 0,
+    wavelength: float | None = None,
+) -> PreparedSystem:
+    """Collect what does not change from instant to instant.
+
+    Parameters
+    ----------
+    system : OpticalSystem
+    x, y, weight : ndarray, shape (N,)
+        Where the rays pass the pupil, in units of its outer radius, and the share of the light of each.
+    terms : int
+        Number of Noll Zernike polynomials.
+    field : int
+        Index of the field point.
+    wavelength : float, optional
+        mm; the system's primary one by default.
+
+    Raises
+    ------
+    UserError
+        If the field does not exist, the rays do not determine the polynomials, or the chief ray or a rim ray
+        does not arrive at the image.
+    """
+    if not 0 <= field < len(system.fields):
+        raise UserError(
+            f"the system {system.name} has {len(system.fields)} fields; there is no field {field}"
+        )
+    wavelength = wavelength_of(system, wavelength)
+    sequence, first_order = pack(system, wavelength), paraxial(system, wavelength)
+    point = system.fields[field]
+    chief = pupil_rays(system, point, wavelength, np.zeros(1), np.zeros(1))
+    rim = _arrive(system, sequence, pupil_rays(system, point, wavelength, *_RIM))
+    refracting = [element.index for element in sequence.elements if element.action == "refract"]
+    radius = -first_order.exit_pupil if np.isfinite(first_order.exit_pupil) else _TELECENTRIC_RADIUS
+    return PreparedSystem(
+        system=system,
+        sequence=sequence,
+        rays=pupil_rays(system, point, wavelength, x, y),
+        chief=chief,
+        pupil=np.stack([x, y], axis=1),
+        fit=weighted_fit(annular_zernike(x, y, terms, system.pupil.obscuration), weight / weight.sum()),
+        wavelength=wavelength,
+        sphere_radius=radius,
+        image_index=refracting[-1] if refracting else sequence.index,
+        cosines=np.stack([(rim[:, 0] - rim[:, 1]) / 2.0, (rim[:, 2] - rim[:, 3]) / 2.0], axis=1),
+    )
+
+
+def _arrive(system: OpticalSystem, sequence: Sequence, rays: Rays) -> Array:
+    """Return the direction cosines (2, N) at the image of rays that ignore openings, at rest."""
+    traced = trace_sequence(sequence, rays, moving(system, rest_states(system)), NUMPY, ignore_apertures=True)
+    if (traced.status != OK).any():
+        lost = int(np.argmax(traced.status[0] != OK))
+        name = system.surfaces[int(traced.surface[0, lost])].name
+        raise UserError(f"a ray from the rim of the pupil of {system.name} is lost at the surface {name}")
+    return np.stack([traced.u[0], traced.v[0]])
+
+
+def chief_points(prepared: PreparedSystem, states: SystemStates) -> tuple[Array, Array]:
+    """Return the image points (T, 2) of the chief ray and its paths (T,) to the reference sphere, mm."""
+    traced = trace_sequence(
+        prepared.sequence, prepared.chief, moving(prepared.system, states), NUMPY, ignore_apertures=True
+    )
+    path = traced.path[:, 0] - prepared.image_index * prepared.sphere_radius
+    return np.stack([traced.x[:, 0], traced.y[:, 0]], axis=1), path
+
+
+def trace_system(
+    prepared: PreparedSystem, states: SystemStates, device: Device
+) -> tuple[Array, TracedRays, Array]:
+    """Trace all rays at all instants.
+
+    Returns
+    -------
+    opd : ndarray, shape (T, N)
+        Waves: the chief ray's path less the ray's, at the reference sphere; NaN for a lost ray.
+    traced : TracedRays
+    chief : ndarray, shape (T, 2)
+        Image point of the chief ray, mm.
+    """
+    chief, path = chief_points(prepared, states)
+    radius = np.full((len(chief), 1), prepared.sphere_radius)
+    # Without a chief ray there is no sphere: the instant's rays are lost, and say so.
+    center = np.where(np.isfinite(chief), chief, 0.0)
+    spheres = np.concatenate([center, np.zeros_like(radius), radius], axis=1)
+    traced = trace_sequence(
+        prepared.sequence, prepared.rays, moving(prepared.system, states, spheres), device
+    )
+    opd = (path[:, None] - traced.path) / prepared.wavelength
+    return opd, traced, chief
+
+
+def measure_system(prepared: PreparedSystem, states: SystemStates, device: Device) -> SystemWavefront:
+    """Trace a batch of instants and reduce it to its wavefronts.
+
+    Raises
+    ------
+    UserError
+        If the states do not fit the system.
+    """
+    opd, traced, chief = trace_system(prepared, states, device)
+    ok = np.isfinite(opd)
+    zernike = zernike_fit(prepared.fit, opd)
+    weight = prepared.fit.weight
+    kept = np.sum(np.where(ok, weight, 0.0), axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.sum(np.where(ok, opd * weight, 0.0), axis=1) / kept
+        square = np.sum(np.where(ok, (opd - mean[:, None]) ** 2 * weight, 0.0), axis=1) / kept
+    spots = spot(np.where(ok, traced.x, np.nan), np.where(ok, traced.y, np.nan), weight)
+    return SystemWavefront(
+        zernike=zernike,
+        rms=np.sqrt(np.sum(zernike[:, 3:] ** 2, axis=1)),
+        rms_raw=np.sqrt(square),
+        pv=peak_to_valley(opd),
+        chief=chief,
+        los=line_of_sight(prepared, chief, zernike),
+        centroid=spots.centroid,
+        spot_rms=spots.rms,
+        lost=np.count_nonzero(~ok, axis=1),
+        vignetted=np.count_nonzero(traced.status == VIGNETTED, axis=1),
+    )
+
+
+def zernike_fit(fit: Fit, opd: Array) -> Array:
+    """Return Zernike coefficients (T, J) of OPDs (T, N); lost rays (NaN) are left out of an instant's fit."""
+    instants, rays = opd.shape
+    ok = np.isfinite(opd)
+    padded = np.zeros((-(-instants // _TILE) * _TILE, rays))
+    padded[:instants] = np.where(ok, opd, 0.0)
+    tiles = padded.reshape(-1, _TILE, rays).transpose(0, 2, 1)
+    fitted = np.matmul(fit.matrix, tiles).transpose(0, 2, 1)
+    coefficients: Array = fitted.reshape(len(padded), -1)[:instants]
+    for instant in np.flatnonzero(~ok.all(axis=1)):
+        coefficients[instant] = refit(fit, ok[instant], padded[instant])
+    return coefficients
+
+
+def line_of_sight(prepared: PreparedSystem, chief: Array, zernike: Array) -> Array:
+    """Return the image point of the best-fit plane, shape (T, 2), mm (Störkle 2018, Eq. 3.39).
+
+    A tilt that grows by W waves from the pupil's center to its rim moves the image by W wavelengths over the
+    numerical aperture there; the signs of the aperture's direction cosines hold for folded and inverting
+    systems. The tilt of an annular polynomial is steeper by 1 / sqrt(1 + eps^2) (see `los_eq339`).
+    """
+    slope = 2.0 / np.sqrt(1.0 + prepared.system.pupil.obscuration**2) * prepared.wavelength * zernike[:, 1:3]
+    shift: Array = slope @ np.linalg.inv(prepared.cosines) / prepared.image_index
+    return chief + shift

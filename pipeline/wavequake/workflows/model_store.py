@@ -1,0 +1,143 @@
+"""Heavy models, built once and kept on disk by the hash of what determines them.
+
+Workers of a campaign load what the first of them has built. The files lie in the user's cache folder and may
+be removed at any time; an imported model then has to be imported again, by loading its study file.
+"""
+
+import hashlib
+import json
+import os
+import uuid
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from platformdirs import user_cache_path
+from pydantic import ValidationError
+from scipy.sparse import csc_array, issparse
+
+from wavequake.errors import UserError
+from wavequake.mechanics.importers.model import ImportedModel, load_model
+from wavequake.mechanics.model import FiniteElementModel, RayleighDamping
+from wavequake.reduction.intermediate import Intermediate
+
+Arrays = dict[str, NDArray[Any]]
+Kind = TypeVar("Kind", FiniteElementModel, Intermediate)
+
+# Part of every hash: raise it when the way in which models are built changes their numbers.
+_VERSION = 1
+_SPARSE = ("data", "indices", "indptr", "shape")
+
+
+def model_folder() -> Path:
+    """Return the folder of kept models."""
+    return user_cache_path("wavequake") / "models"
+
+
+def digest(record: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of what determines a model."""
+    text = json.dumps({"version": _VERSION, **record}, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def kept_intermediate(name: str, build: Callable[[], Intermediate]) -> Intermediate:
+    """Return an intermediate model by its hash; it is built and kept if it is not there, or not readable."""
+    found = _read(name)
+    if found is None:
+        found = _packed(build())
+        _write(name, found)
+    return _unpacked(Intermediate, found)
+
+
+def keep_imported(keys: Mapping[str, Any], base: Path) -> str:
+    """Import the model that the keys of a study's [model] name, keep it, and return its hash.
+
+    Raises
+    ------
+    UserError
+        If a key is missing or wrong, or the files cannot be imported.
+    """
+    try:
+        section = ImportedModel.model_validate(dict(keys))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(("model", *map(str, first["loc"])))
+        reason = "is missing" if first["type"] == "missing" else first["msg"]
+        raise UserError(f"{where}: {reason[0].lower()}{reason[1:]}.") from None
+    packed = _packed(load_model(section, base).model)
+    contents = hashlib.sha256()
+    for key in sorted(packed):
+        contents.update(key.encode() + np.ascontiguousarray(packed[key]).tobytes())
+    name = digest({"contents": contents.hexdigest()})
+    if _read(name) is None:
+        _write(name, packed)
+    return name
+
+
+def kept_model(name: str) -> FiniteElementModel:
+    """Return an imported model by its hash.
+
+    Raises
+    ------
+    UserError
+        If it is not kept here.
+    """
+    found = _read(name)
+    if found is None:
+        raise UserError(
+            f"The imported model {name[:12]} is not in {model_folder()}: run the study file that imports it "
+            "on this machine, or copy that folder."
+        )
+    return _unpacked(FiniteElementModel, found)
+
+
+def _packed(model: FiniteElementModel | Intermediate) -> Arrays:
+    arrays: Arrays = {}
+    for field in fields(model):
+        value = getattr(model, field.name)
+        if issparse(value):
+            arrays |= {f"{field.name}.{part}": np.asarray(getattr(value, part)) for part in _SPARSE}
+        elif isinstance(value, RayleighDamping):
+            arrays[field.name] = np.array([value.mass, value.stiffness])
+        elif not isinstance(value, Mapping):  # node sets have done their work
+            arrays[field.name] = np.asarray(value)
+    return arrays
+
+
+def _unpacked(kind: type[Kind], arrays: Arrays) -> Kind:
+    values: dict[str, Any] = {}
+    for field in fields(kind):
+        if f"{field.name}.data" in arrays:
+            data, indices, indptr, shape = (arrays[f"{field.name}.{part}"] for part in _SPARSE)
+            values[field.name] = csc_array((data, indices, indptr), shape=tuple(shape))
+        elif field.name == "damping":
+            values[field.name] = RayleighDamping(*arrays[field.name].tolist())
+        elif field.name in arrays:
+            value = arrays[field.name]
+            values[field.name] = value.item() if value.ndim == 0 else value
+    return kind(**values)
+
+
+def _read(name: str) -> Arrays | None:
+    """Return the arrays of a kept model; None if there are none that can be read."""
+    try:
+        with np.load(model_folder() / f"{name}.npz", allow_pickle=False) as file:
+            return {key: file[key] for key in file.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def _write(name: str, arrays: Arrays) -> None:
+    """Keep arrays, all or nothing; a full or read-only disk costs only the time of building again."""
+    folder = model_folder()
+    partial = folder / f"{name}.partial-{uuid.uuid4().hex}.npz"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        np.savez(partial, **arrays)  # type: ignore[arg-type]
+        os.replace(partial, folder / f"{name}.npz")
+    except OSError:
+        partial.unlink(missing_ok=True)

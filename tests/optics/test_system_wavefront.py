@@ -1,0 +1,164 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wavequake.errors import UserError
+from wavequake.kernels.devices import NUMPY
+from wavequake.optics.parent import parent_system
+from wavequake.optics.shapes import Conic, Opening, ZernikeDeformation
+from wavequake.optics.system import OpticalSystem, Pupil, Surface
+from wavequake.optics.system_kinematics import rest_states
+from wavequake.optics.system_wavefront import measure_system, prepare_system, trace_system, zernike_fit
+from wavequake.optics.telescopes import telescope
+
+DATA = json.loads((Path(__file__).parents[1] / "data" / "tmt_optics.json").read_text())
+FOCAL_LENGTH, RADIUS = 1700.0, 500.0
+
+
+def quadrature(obscuration, radii=24, azimuths=96):
+    """Gauss-Legendre in r^2 and even azimuths over the unit annulus."""
+    node, weight = np.polynomial.legendre.leggauss(radii)
+    inner = obscuration**2
+    r = np.sqrt(inner + (1 - inner) * (node + 1) / 2)
+    angle = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
+    x, y = np.outer(r, np.cos(angle)).ravel(), np.outer(r, np.sin(angle)).ravel()
+    return x, y, np.repeat(weight, azimuths)
+
+
+def parabola(deformation=None, opening=None):
+    mirror = Surface(
+        "mirror",
+        Conic(-2 * FOCAL_LENGTH, -1.0),
+        action="reflect",
+        opening=opening,
+        deformation=deformation,
+    )
+    image = Surface("image", position=np.array([0.0, 0.0, -FOCAL_LENGTH]))
+    return OpticalSystem("parabola", (mirror, image), 0, Pupil("entrance_diameter", 2 * RADIUS))
+
+
+@pytest.fixture(scope="module")
+def tmt():
+    arcmin = np.pi / 180 / 60
+    system = replace(parent_system(telescope("tmt-thesis")), fields=np.array([[0.0, 0.0], [5 * arcmin, 0.0]]))
+    return [prepare_system(system, *quadrature(system.pupil.obscuration), 45, field) for field in (0, 1)]
+
+
+@pytest.mark.parametrize("field", [0, 1])
+def test_fields_of_the_tmt(tmt, field):
+    truth = DATA["fields"][field]
+    found = measure_system(tmt[field], rest_states(tmt[field].system), NUMPY)
+    assert found.zernike[0] == pytest.approx(truth["c_noll_annular"], abs=1e-6)
+    assert found.rms[0] == pytest.approx(truth["wfe_rms_j4up"], abs=1e-6)
+    assert found.rms_raw[0] == pytest.approx(truth["wfe_rms_piston_removed"], abs=1e-6)
+    assert found.chief[0, 0] == pytest.approx(1e3 * truth["chief_x_m"], abs=1e-7)
+    assert found.spot_rms[0] == pytest.approx(1e3 * truth["rms_spot_radius_m"], rel=2e-6)
+    assert found.lost[0] == 0
+
+
+@pytest.mark.parametrize(("name", "dof", "step"), [("alpha", 3, 1e-6), ("dz", 2, 1e-3)])
+def test_motions_of_m2_move_image_and_wavefront(tmt, name, dof, step):
+    prepared, truth = tmt[0], DATA["m2_rigid_per_m_or_rad"][name]
+    states = rest_states(prepared.system, 2)
+    place = [surface.name for surface in prepared.system.surfaces].index("M2")
+    states.surface_motion[:, place, dof] = step, -step
+    found = measure_system(prepared, states, NUMPY)
+    slope = {key: (getattr(found, key)[0] - getattr(found, key)[1]) / (2 * step) for key in ("chief", "los")}
+    zernike = (found.zernike[0] - found.zernike[1]) / (2 * step)
+    per_m = 1e3 if dof < 3 else 1.0  # steps are in mm and rad
+    scale = np.abs(truth["c_noll_annular_waves"]).max()
+    assert zernike * per_m == pytest.approx(np.array(truth["c_noll_annular_waves"]), abs=3e-6 * scale)
+    to_m = 1e-3 * per_m
+    assert slope["chief"] * to_m == pytest.approx(truth["chief"], abs=1e-5)
+    # Eq. 4.24: 85460 mm/rad.
+    assert slope["los"] * to_m == pytest.approx(truth["LOS_339_annular_over_sqrt1pe2"], abs=2e-5)
+
+
+def test_a_parabola_is_perfect_on_axis():
+    system = parabola()
+    prepared = prepare_system(system, *quadrature(0.0), 21)
+    found = measure_system(prepared, rest_states(system), NUMPY)
+    assert found.rms_raw[0] < 1e-8
+    assert found.pv[0] < 1e-8
+    assert np.abs(found.los).max() < 1e-9
+    assert found.spot_rms[0] < 1e-9
+
+
+def test_a_focus_that_moves_is_the_closed_form():
+    """Focus and image apart by d along the light: OPD = -d (1 - cos) of the ray's angle, to first order."""
+    system, shift = parabola(), 1e-3
+    prepared = prepare_system(system, *quadrature(0.0), 21)
+    states = rest_states(system)
+    states.surface_motion[0, 0, 2] = -shift  # the light comes back along -z
+    opd, traced, _ = trace_system(prepared, states, NUMPY)
+    t = np.hypot(*prepared.pupil.T) * RADIUS / (2 * FOCAL_LENGTH)
+    expected = -shift * 2 * t**2 / (1 + t**2) / prepared.wavelength
+    assert opd[0] == pytest.approx(expected, abs=1e-5)
+    assert np.isfinite(traced.path).all()
+
+
+def test_a_tilted_parabola_moves_its_image_by_twice_the_angle():
+    system, angle = parabola(), 1e-7
+    prepared = prepare_system(system, *quadrature(0.0), 21)
+    states = rest_states(system, 2)
+    states.surface_motion[:, 0, 3:5] = [[angle, 0.0], [0.0, angle]]
+    found = measure_system(prepared, states, NUMPY)
+    assert found.chief == pytest.approx(
+        np.array([[0.0, 1.0], [-1.0, 0.0]]) * 2 * angle * FOCAL_LENGTH * np.sign(found.chief[0, 1]), abs=1e-9
+    )
+    # Coma makes the best-fit plane differ from the chief ray, but only by a few percent of it.
+    assert np.abs(found.los - found.chief).max() < 0.05 * np.abs(found.chief).max()
+
+
+def test_a_line_of_sight_on_the_sky_is_seen_in_the_image():
+    system, angle = parabola(), 1e-6
+    prepared = prepare_system(system, *quadrature(0.0), 21)
+    states = replace(rest_states(system, 2), line_of_sight=np.array([[angle, 0.0], [0.0, angle]]))
+    found = measure_system(prepared, states, NUMPY)
+    assert np.abs(found.chief) == pytest.approx(angle * FOCAL_LENGTH * np.eye(2), rel=1e-6, abs=1e-12)
+
+
+def test_a_deformation_lengthens_paths_by_twice_its_height_along_the_normal():
+    """A height h along z is h cos(a) along the normal of a slope a, which is the angle of incidence, too."""
+    terms, height = 15, 1e-6
+    system = parabola(ZernikeDeformation(terms, RADIUS))
+    prepared = prepare_system(system, *quadrature(0.0), terms)
+    states = rest_states(system, terms + 1)
+    for j in range(terms):
+        states.deformations[0][j, j] = height
+    opd, *_ = trace_system(prepared, states, NUMPY)
+    square = np.sum(prepared.pupil**2, axis=1) * (RADIUS / (2 * FOCAL_LENGTH)) ** 2
+    change = opd[:terms] - opd[terms]
+    for j in range(3, terms):
+        basis = prepared.fit.basis[:, j]
+        # z grows with the light: where the surface recedes, the way is longer and the OPD smaller.
+        expected = -basis / (1 + square) * 2 * height / prepared.wavelength
+        assert change[j] - change[j].mean() == pytest.approx(expected - expected.mean(), abs=2e-6)
+
+
+def test_rays_that_an_opening_stops_are_counted_and_left_out():
+    system = parabola(opening=Opening(outer=0.9 * RADIUS))
+    prepared = prepare_system(system, *quadrature(0.0), 10)
+    found = measure_system(prepared, rest_states(system), NUMPY)
+    outside = int(np.sum(np.hypot(*prepared.pupil.T) > 0.9))
+    assert found.lost[0] == found.vignetted[0] == outside
+    assert found.rms[0] < 1e-9
+
+
+def test_an_instant_does_not_depend_on_its_batch():
+    system = parabola(ZernikeDeformation(10, RADIUS))
+    prepared = prepare_system(system, *quadrature(0.0, 8, 24), 10)
+    states = rest_states(system, 37)
+    states.deformations[0][:] = 1e-5 * np.random.default_rng(3).normal(size=(37, 10))
+    opd, *_ = trace_system(prepared, states, NUMPY)
+    together = zernike_fit(prepared.fit, opd)
+    alone = np.concatenate([zernike_fit(prepared.fit, row[None]) for row in opd])
+    assert np.array_equal(together, alone)
+
+
+def test_bad_input():
+    with pytest.raises(UserError, match="no field 1"):
+        prepare_system(parabola(), *quadrature(0.0), 10, field=1)
