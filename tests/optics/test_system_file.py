@@ -32,12 +32,12 @@ fields_deg = [[0.0, 0.0], [0.0, 14.0], [0.0, 20.0]]
 wavelengths_nm = [480.0, 550.0, 650.0]
 primary_wavelength = 2
 surface = [
-    {name = "front", radius_mm = 22.013557942, glass = "N-SK16", semi_diameter_mm = 9.5},
+    {name = "front", radius_mm = 22.01355747, glass = "N-SK16", semi_diameter_mm = 9.5},
     {name = "surface 2", radius_mm = -435.76004006, distance_mm = 3.258956, glass = "air"},
-    {name = "surface 3", radius_mm = -22.213283, distance_mm = 6.007551, glass = "F2"},
-    {name = "surface 4", radius_mm = 20.291974, distance_mm = 0.9999746, glass = "air", stop = true},
-    {name = "surface 5", radius_mm = 79.683617, distance_mm = 4.750409, glass = "N-SK16"},
-    {name = "surface 6", radius_mm = -18.395330, distance_mm = 2.952076, glass = "air"},
+    {name = "surface 3", radius_mm = -22.21328293, distance_mm = 6.007551, glass = "F2"},
+    {name = "surface 4", radius_mm = 20.29197059, distance_mm = 0.9999746, glass = "air", stop = true},
+    {name = "surface 5", radius_mm = 79.68369582, distance_mm = 4.750409, glass = "N-SK16"},
+    {name = "surface 6", radius_mm = -18.39532013, distance_mm = 2.952076, glass = "air"},
     {name = "image", distance_mm = 42.20778},
 ]
 """
