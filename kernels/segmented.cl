@@ -1,84 +1,28 @@
 // Traces rays through a segmented telescope: segments of M1, further mirrors, image plane, reference sphere.
 //
 // Work-item (lane group, ray, tile). Compile-time constants: W instants per work-item, EDGES per segment
-// (0: no edge), DEGREE of the figure polynomial (-1: none), SURFACES after M1 (the last is the image
-// plane), PLANES (bit i: surface i is a plane).
+// (0: no edge), DEGREE and MIRROR_DEGREE of the figure polynomials of segments and of the mirrors after M1
+// (-1: none), SURFACES after M1 (the last is the image plane), PLANES (bit i: surface i is a plane), EDGED
+// (bit i: surface i has an edge).
 
 #include "lanes.h"
 #include "rays.h"
 
-#define TERMS ((DEGREE + 1) * (DEGREE + 2) / 2)
-#define TERM(i, j) LOAD(figure + 16 * (((i) + (j)) * ((i) + (j) + 1) / 2 + (j)))
+#define TERMS(degree) (((degree) + 1) * ((degree) + 2) / 2)
 
-enum { OK = 0, GAP = 1, MISS = 2 };
+enum { OK = 0, GAP = 1, MISS = 2, VIGNETTED = MISS + SURFACES + 1 };
 
 #if DEGREE >= 0
-// The figure polynomial, sum of TERM(i, j) u^i v^j, by Horner's rule in v, then in u.
-INLINE real figure_value(__global const double *figure, real u, real v)
-{
-    real value = 0.0;
-    #pragma unroll
-    for (int i = DEGREE; i >= 0; --i) {
-        real inner = TERM(i, DEGREE - i);
-        #pragma unroll
-        for (int j = DEGREE - i - 1; j >= 0; --j)
-            inner = inner * v + TERM(i, j);
-        value = value * u + inner;
-    }
-    return value;
-}
-
-INLINE real figure_slopes(__global const double *figure, real u, real v, real *along_u, real *along_v)
-{
-    real value = 0.0, slope_u = 0.0, slope_v = 0.0;
-    #pragma unroll
-    for (int i = DEGREE; i >= 0; --i) {
-        real inner = TERM(i, DEGREE - i), inner_v = 0.0;
-        #pragma unroll
-        for (int j = DEGREE - i - 1; j >= 0; --j) {
-            inner_v = inner_v * v + inner;
-            inner = inner * v + TERM(i, j);
-        }
-        slope_u = slope_u * u + value;
-        slope_v = slope_v * u + inner_v;
-        value = value * u + inner;
-    }
-    *along_u = slope_u;
-    *along_v = slope_v;
-    return value;
-}
-
-// Step from a hit of the bare conic to the conic plus figure, and the normal there: F takes z less the
-// figure for z. The first step uses the figure's value alone, which leaves less than the figure times its
-// slope; the second, a Newton step with both at that point, leaves the figure's curvature times the square
-// of that.
-INLINE real figure_step(__global const double *figure, __global const double *frame, triple hit, triple d,
-                        double c, double k1, triple *normal)
-{
-    double ex = frame[2], ey = frame[3];
-    real u = ex * (hit.x - frame[0]) + ey * (hit.y - frame[1]);
-    real v = ex * (hit.y - frame[1]) - ey * (hit.x - frame[0]);
-    real across_u = ex * d.x + ey * d.y, across_v = ex * d.y - ey * d.x;
-
-    triple bare = conic_normal(hit, c, k1);
-    real first = figure_value(figure, u, v) * bare.z / dot3(bare, d);
-    hit = along(hit, first, d);
-
-    real slope_u, slope_v;
-    real deformation = figure_slopes(figure, u + first * across_u, v + first * across_v, &slope_u, &slope_v);
-    real slope_x = ex * slope_u - ey * slope_v, slope_y = ey * slope_u + ex * slope_v;
-    triple flat = {hit.x, hit.y, hit.z - deformation};
-    triple direction = {d.x, d.y, d.z - slope_x * d.x - slope_y * d.y};
-    triple lean = conic_normal(flat, c, k1);
-    real f = c * (flat.x * flat.x + flat.y * flat.y + k1 * (flat.z * flat.z)) - 2.0 * flat.z;
-    real second = -0.5 * f / dot3(lean, direction);
-
-    lean = conic_normal(along(flat, second, direction), c, k1);
-    normal->x = lean.x - slope_x * lean.z;
-    normal->y = lean.y - slope_y * lean.z;
-    normal->z = lean.z;
-    return first + second;
-}
+#define FIGURE(part) segment_figure_##part
+#define ORDER DEGREE
+#include "figure.h"
+#undef FIGURE
+#undef ORDER
+#endif
+#if MIRROR_DEGREE >= 0
+#define FIGURE(part) mirror_figure_##part
+#define ORDER MIRROR_DEGREE
+#include "figure.h"
 #endif
 
 // Reflect at the first candidate whose glass the ray meets. The search runs in each segment's displaced
@@ -102,8 +46,8 @@ INLINE mask reflect_at_segments(ray *r, int candidates, __global const int *cand
         triple hit = along(start, to_glass, d);
         triple lean = conic_normal(hit, c, k1);
 #if DEGREE >= 0
-        __global const double *figure = figures + (size_t)segment * TERMS * 16;
-        real further = figure_step(figure, frames + 4 * segment, hit, d, c, k1, &lean);
+        __global const double *figure = figures + (size_t)segment * TERMS(DEGREE) * 16;
+        real further = segment_figure_step(figure, frames + 4 * segment, hit, d, c, k1, &lean);
         hit = along(hit, further, d);
         to_glass += further;
 #endif
@@ -127,12 +71,13 @@ INLINE mask reflect_at_segments(ray *r, int candidates, __global const int *cand
 }
 
 // Reflect at surface i after M1, or stop there if it is the last; tells whether the ray met it.
-INLINE mask reflect_at_surface(ray *r, int i, __global const double *pose, double c, double k1)
+INLINE mask reflect_at_surface(ray *r, int i, __global const double *pose, double c, double k1,
+                               __global const double *figure, __global const double *frame)
 {
     r->position = moved(pose, r->position);
     r->direction = turned(pose, r->direction);
     mask met;
-    if (PLANES >> i & 1) {
+    if ((PLANES >> i & 1) && (MIRROR_DEGREE < 0 || i == SURFACES - 1)) {
         real step = -r->position.z / r->direction.z;
         advance(r, step);
         met = finite(step);
@@ -142,6 +87,11 @@ INLINE mask reflect_at_surface(ray *r, int i, __global const double *pose, doubl
         real step = conic_step(r->position, r->direction, c, k1);
         advance(r, step);
         triple normal = conic_normal(r->position, c, k1);
+#if MIRROR_DEGREE >= 0
+        real further = mirror_figure_step(figure, frame, r->position, r->direction, c, k1, &normal);
+        advance(r, further);
+        step += further;
+#endif
         met = finite(step) & (normal.z < 0.0);
         reflect(r, normal);
     }
@@ -154,8 +104,10 @@ __kernel void segmented(
     __global const double *ray_x, __global const double *ray_y, __global const int *candidate,
     __global const double *edges, __global const double *frames,
     __global const double *curvatures, __global const double *conics_plus_1,
+    __global const double *clear_squares, __global const double *mirror_frames,
     __global const double *segment_poses, __global const double *figures,
-    __global const double *surface_poses, __global const double *directions, __global const double *chief,
+    __global const double *surface_poses, __global const double *mirror_figures,
+    __global const double *directions, __global const double *chief,
     __global double *out_opd, __global double *out_x, __global double *out_y, __global char *out_status)
 {
     const size_t lane = get_global_id(0) * W, n = get_global_id(1), tile = get_global_id(2);
@@ -166,7 +118,10 @@ __kernel void segmented(
     segment_poses += tile * segments * 12 * 16 + lane;
     surface_poses += tile * SURFACES * 12 * 16 + lane;
 #if DEGREE >= 0
-    figures += tile * segments * TERMS * 16 + lane;
+    figures += tile * segments * TERMS(DEGREE) * 16 + lane;
+#endif
+#if MIRROR_DEGREE >= 0
+    mirror_figures += tile * (SURFACES - 1) * TERMS(MIRROR_DEGREE) * 16 + lane;
 #endif
 
     triple light = {LOAD(directions), LOAD(directions + 16), LOAD(directions + 32)};
@@ -177,8 +132,13 @@ __kernel void segmented(
     mask status = EITHER(met, (mask)OK, (mask)GAP);
     #pragma unroll
     for (int i = 0; i < SURFACES; ++i) {
-        met = reflect_at_surface(&r, i, surface_poses + i * 12 * 16, curvatures[i], conics_plus_1[i]);
+        met = reflect_at_surface(&r, i, surface_poses + i * 12 * 16, curvatures[i], conics_plus_1[i],
+                                 mirror_figures + i * TERMS(MIRROR_DEGREE) * 16, mirror_frames + i * 4);
         status = EITHER(NOT(met) & (status == OK), (mask)(MISS + i), status);
+        if (EDGED >> i & 1) {
+            real square = r.position.x * r.position.x + r.position.y * r.position.y;
+            status = EITHER((square > clear_squares[i]) & (status == OK), (mask)(VIGNETTED + i), status);
+        }
     }
     real back = back_to_sphere(&r, LOAD(chief), LOAD(chief + 16), sphere_square);
     real opd = LOAD(chief + 32) - (r.path - back);

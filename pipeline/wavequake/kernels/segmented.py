@@ -31,6 +31,7 @@ def trace_segmented(
     directions: Array,
     chief: Array,
     device: Device,
+    mirror_figure: Array | None = None,
 ) -> Traced:
     """Trace N rays at T tiles of 16 instants: M1's segments, L surfaces, image plane, reference sphere.
 
@@ -60,6 +61,8 @@ def trace_segmented(
         `trace_chief`).
     device : Device
         Where to run (see `wavequake.kernels.devices`).
+    mirror_figure : ndarray, shape (T, L - 1, M, 16), optional
+        Figures of the mirrors after M1, as `figure`: heights along the z axis of each surface's frame.
 
     Returns
     -------
@@ -71,11 +74,22 @@ def trace_segmented(
     ValueError
         If shapes do not fit together or a candidate is not a segment.
     """
-    check_rays(train, ray_x, ray_y, candidates, segment_poses, figure, surface_poses, directions, chief)
+    moving = (segment_poses, figure, surface_poses, mirror_figure, directions, chief)
+    check_rays(
+        train,
+        ray_x,
+        ray_y,
+        candidates,
+        segment_poses,
+        figure,
+        surface_poses,
+        directions,
+        chief,
+        mirror_figure,
+    )
     rays = (ray_x, ray_y, start_z, candidates)
     if device.kind == "numpy":
-        return trace_segmented_numpy(train, *rays, segment_poses, figure, surface_poses, directions, chief)
-    moving = (segment_poses, figure, surface_poses, directions, chief)
+        return trace_segmented_numpy(train, *rays, *moving)
     shape = (segment_poses.shape[0], ray_x.size, TILE)
     traced = Traced(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.int8))
     tiles = max(1, _LAUNCH_BYTES // (25 * TILE * max(1, ray_x.size)))
@@ -103,6 +117,8 @@ def _launch(
         "EDGES": edges,
         "DEGREE": train.figure_degree,
         "SURFACES": train.surface_curvatures.size,
+        "MIRROR_DEGREE": train.mirror_degree,
+        "EDGED": sum(1 << i for i, square in enumerate(train.clear_squares) if np.isfinite(square)),
         "PLANES": sum(1 << i for i, curvature in enumerate(train.surface_curvatures) if curvature == 0.0),
     }
     inputs = [
@@ -110,7 +126,7 @@ def _launch(
         *(np.float64(number) for number in (start_z, train.primary_curvature, 1.0 + train.primary_conic)),
         np.float64(train.sphere_radius**2),
         *(ray_x, ray_y, candidates, train.edges, train.figure_frames),
-        *(train.surface_curvatures, 1.0 + train.surface_conics),
+        *(train.surface_curvatures, 1.0 + train.surface_conics, train.clear_squares, train.mirror_frames),
         *moving,
     ]
     size = (TILE // device.vector_width, count, tiles)

@@ -27,6 +27,7 @@ def trace_segmented_numpy(
     segment_poses: Array,
     figure: Array | None,
     surface_poses: Array,
+    mirror_figure: Array | None,
     directions: Array,
     chief: Array,
 ) -> Traced:
@@ -42,8 +43,9 @@ def trace_segmented_numpy(
         position, direction, path, status = _reflect_at_primary(
             train, candidates, segment_poses[tile], figures, position, direction
         )
+        mirrors = None if mirror_figure is None else mirror_figure[tile][:, None]
         position, direction, opl, status = _through_surfaces(
-            train, surface_poses[tile], position, direction, opl + path, status
+            train, surface_poses[tile], mirrors, position, direction, opl + path, status, train.clear_squares
         )
         opl_sphere = opl - _back_to_sphere(position, direction, chief[tile], train.sphere_radius)
         opd = chief[tile, 2] - opl_sphere
@@ -62,6 +64,7 @@ def trace_chief(
     directions: Array,
     start_z: float,
     start_xy: tuple[float, float] = (0.0, 0.0),
+    mirror_figure: Array | None = None,
 ) -> Array:
     """Trace the virtual chief ray: undisturbed parent of M1, moved surfaces, no apertures.
 
@@ -77,6 +80,8 @@ def trace_chief(
         Plane of the stop, mm.
     start_xy : tuple of float
         Where the ray starts in it; the center of the stop by default.
+    mirror_figure : ndarray, shape (T, L - 1, M, 16), optional
+        Figures of the mirrors after M1.
 
     Returns
     -------
@@ -93,8 +98,10 @@ def trace_chief(
     slopes = conic_slopes(position[0], position[1], train.primary_curvature, train.primary_conic)
     status = np.zeros(opl.shape, dtype=np.int8)
     poses = np.moveaxis(surface_poses, 1, 0)
+    mirrors = None if mirror_figure is None else np.moveaxis(mirror_figure, 1, 0)
+    no_edge = np.full(len(poses), np.inf)
     position, _, opl, status = _through_surfaces(
-        train, poses, position, _reflected(direction, *slopes), opl + path, status
+        train, poses, mirrors, position, _reflected(direction, *slopes), opl + path, status, no_edge
     )
     chief = np.stack([position[0], position[1], opl - train.sphere_radius], axis=1)
     return np.where((status == OK)[:, None, :], chief, np.nan)
@@ -118,7 +125,10 @@ def _reflect_at_primary(
         pose = poses[segments]
         local, local_direction = _into(pose, position[:, rays], direction[:, rays])
         coefficients = None if figures is None else figures[segments]
-        step, slopes = _meet_segment(train, segments, coefficients, local, local_direction)
+        step, slopes = _meet(
+            (train.primary_curvature, train.primary_conic),
+            *(train.figure_frames[segments], train.figure_degree, coefficients, local, local_direction),
+        )
         hit = local + step * local_direction
         inside = _on_glass(train.edges[segments], hit) & (status[rays] == GAP)
         back_position, back_direction = _back(pose, hit, _reflected(local_direction, *slopes))
@@ -129,23 +139,23 @@ def _reflect_at_primary(
     return out_position, out_direction, path, status
 
 
-def _meet_segment(
-    train: SegmentedTrain,
-    segments: NDArray[np.int32],
+def _meet(
+    conic: tuple[float, float],
+    frames: Array,
+    degree: int,
     coefficients: Array | None,
     position: Array,
     direction: Array,
 ) -> tuple[Array, tuple[Array, Array]]:
-    """Return path and slopes where rays (3, n, 16) meet the conic plus figure of `segments` (n,)."""
-    c, kappa = train.primary_curvature, train.primary_conic
+    """Return path and slopes where rays (3, n, 16) meet a conic plus figures (n, M, 16) in frames (n, 4)."""
+    c, kappa = conic
     path = conic_path(position, direction, c, kappa)
     if coefficients is None:
         hit = position + path * direction
         return path, conic_slopes(hit[0], hit[1], c, kappa)
-    frames = train.figure_frames[segments]
     for _ in range(_NEWTON_STEPS):
         x, y, z = position + path * direction
-        deformation, figure_x, figure_y = _figure(frames, train.figure_degree, coefficients, x, y)
+        deformation, figure_x, figure_y = _figure(frames, degree, coefficients, x, y)
         conic_x, conic_y = conic_slopes(x, y, c, kappa)
         slope_x, slope_y = conic_x + figure_x, conic_y + figure_y
         miss = z - conic_sag(x, y, c, kappa) - deformation
@@ -191,20 +201,26 @@ def _on_glass(edges: Array, hit: Array) -> NDArray[np.bool_]:
 def _through_surfaces(
     train: SegmentedTrain,
     poses: Array,
+    figures: Array | None,
     position: Array,
     direction: Array,
     opl: Array,
     status: NDArray[np.int8],
+    clear_squares: Array,
 ) -> tuple[Array, Array, Array, NDArray[np.int8]]:
-    """Reflect at each surface after M1 and stop at the image plane; `poses` has the surface axis first."""
+    """Reflect at each surface after M1, stop at the image; `poses` and `figures` have surfaces first."""
     last = train.surface_curvatures.size - 1
     for surface, (c, kappa) in enumerate(zip(train.surface_curvatures, train.surface_conics, strict=True)):
         position, direction = _into(poses[surface], position, direction)
-        path = conic_path(position, direction, c, kappa)
+        figure = figures[surface] if figures is not None and surface < last else None
+        frames = train.mirror_frames[surface : surface + 1]
+        path, slopes = _meet((c, kappa), frames, train.mirror_degree, figure, position, direction)
         status = np.where((status == OK) & np.isnan(path), np.int8(MISS + surface), status)
         position, opl = position + path * direction, opl + path
+        outside = position[0] ** 2 + position[1] ** 2 > clear_squares[surface]
+        status = np.where((status == OK) & outside, np.int8(MISS + last + 2 + surface), status)
         if surface < last:
-            direction = _reflected(direction, *conic_slopes(position[0], position[1], c, kappa))
+            direction = _reflected(direction, *slopes)
     return position, direction, opl, status
 
 

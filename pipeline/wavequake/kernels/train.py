@@ -35,6 +35,12 @@ class SegmentedTrain:
         Of the surfaces after M1; all but the last reflect, the last is a plane.
     sphere_radius : float
         Radius of the reference sphere about the chief ray's image point.
+    semi_diameters : ndarray, shape (L,), optional
+        Light that meets a surface farther than this from its vertex is vignetted; infinite for none.
+    mirror_degree : int
+        Total degree of the figure polynomials of the L - 1 mirrors after M1; -1 for none.
+    mirror_radii : ndarray, shape (L - 1,), optional
+        Lengths of u and v of these figures: ``u = x / radius``, ``v = y / radius``.
     """
 
     primary_curvature: float
@@ -45,6 +51,23 @@ class SegmentedTrain:
     surface_curvatures: Array
     surface_conics: Array
     sphere_radius: float
+    semi_diameters: Array | None = None
+    mirror_degree: int = -1
+    mirror_radii: Array | None = None
+
+    @property
+    def clear_squares(self) -> Array:
+        """Squares of the semi-diameters, shape (L,)."""
+        surfaces = self.surface_curvatures.size
+        return np.full(surfaces, np.inf) if self.semi_diameters is None else self.semi_diameters**2
+
+    @property
+    def mirror_frames(self) -> Array:
+        """Figure frames of the mirrors after M1, shape (L - 1, 4), as `figure_frames`."""
+        frames = np.zeros((self.surface_curvatures.size - 1, 4))
+        if self.mirror_radii is not None:
+            frames[:, 2] = 1.0 / self.mirror_radii
+        return frames
 
 
 @dataclass(frozen=True)
@@ -59,13 +82,18 @@ class Traced:
         Position in the image frame, mm.
     status : ndarray of int8, shape (T, N, 16)
         0 = ok, 1 = meets no candidate segment (a gap), 2 + i = misses surface i after M1 (i = L: the
-        reference sphere).
+        reference sphere), 3 + L + i = meets surface i outside its semi-diameter (see `vignetted`).
     """
 
     opd: Array
     x: Array
     y: Array
     status: NDArray[np.int8]
+
+
+def vignetted(train: SegmentedTrain, status: NDArray[np.int8]) -> NDArray[np.bool_]:
+    """Return which rays of a `Traced.status` are lost at the edge of a mirror after M1."""
+    return np.asarray(status > MISS + train.surface_curvatures.size)
 
 
 def figure_terms(degree: int) -> int:
@@ -85,6 +113,12 @@ def check_train(train: SegmentedTrain) -> None:
     _require("surface_conics", train.surface_conics, (surfaces,))
     if surfaces == 0 or train.surface_curvatures[-1] != 0.0:
         raise ValueError("the last of surface_curvatures must be 0: it is the image plane")
+    if train.semi_diameters is not None:
+        _require("semi_diameters", train.semi_diameters, (surfaces,))
+    if train.mirror_degree >= 0:
+        if train.mirror_radii is None:
+            raise ValueError("mirror_degree needs mirror_radii")
+        _require("mirror_radii", train.mirror_radii, (surfaces - 1,))
     if not train.sphere_radius > 0.0:
         raise ValueError(f"sphere_radius is {train.sphere_radius}; it must be positive")
 
@@ -99,6 +133,7 @@ def check_rays(
     surface_poses: Array,
     directions: Array,
     chief: Array,
+    mirror_figure: Array | None = None,
 ) -> None:
     """Raise ValueError unless rays, poses and figure fit the train and each other."""
     check_train(train)
@@ -114,6 +149,14 @@ def check_rays(
     _require("surface_poses", surface_poses, (tiles, surfaces, 12, TILE))
     _require("directions", directions, (tiles, 3, TILE))
     _require("chief", chief, (tiles, 3, TILE))
+    if (mirror_figure is None) != (train.mirror_degree < 0):
+        raise ValueError(
+            f"mirror_degree is {train.mirror_degree}: mirror_figure must be "
+            f"{'given' if mirror_figure is None else 'None'}"
+        )
+    if mirror_figure is not None:
+        shape = (tiles, surfaces - 1, figure_terms(train.mirror_degree), TILE)
+        _require("mirror_figure", mirror_figure, shape)
     if (figure is None) != (train.figure_degree < 0):
         raise ValueError(
             f"figure_degree is {train.figure_degree}: figure must be {'given' if figure is None else 'None'}"
