@@ -225,6 +225,11 @@ def _check(mirror: Mirror) -> None:
         value, least = getattr(mirror, name, 3), 3 if name == "around" else 1
         if value < least:
             raise UserError(f"{name} of the {what} is {value}; the mesh needs at least {least}")
+    angles = getattr(mirror, "mount_angles", (0.0,))
+    if not angles or not all(map(math.isfinite, angles)):
+        raise UserError(
+            f"the mount angles of the {what} are {angles}; give at least three finite numbers, in deg"
+        )
     inner, outer = _mount_range(mirror)
     if not inner < outer:
         raise UserError(
