@@ -1,0 +1,163 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from wavequake.errors import UserError
+from wavequake.kernels.sequential_numpy import trace_sequence_numpy
+from wavequake.optics.catalog import optical_system, system_names
+from wavequake.optics.media import Medium
+from wavequake.optics.packing import moving, pack
+from wavequake.optics.paraxial import paraxial
+from wavequake.optics.ray_aiming import pupil_rays
+from wavequake.optics.shapes import Conic, Opening
+from wavequake.optics.system import OpticalSystem, Pupil, Surface
+from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequential
+
+GLASS = Medium("glass", "constant", (1.5,))
+X, Y = np.random.default_rng(4).uniform(-0.7, 0.7, (2, 30))
+
+
+def at_stop(system, rays, wavelength):
+    """Return where rays really meet the stop: the system ends there, and light goes on beside openings."""
+    front = OpticalSystem(
+        system.name,
+        (
+            *system.surfaces[: system.stop],
+            Surface(
+                "at stop",
+                system.surfaces[system.stop].shape,
+                system.surfaces[system.stop].position,
+                system.surfaces[system.stop].rotation,
+            ),
+        ),
+        0,
+        Pupil("stop", 1.0),
+        medium=system.medium,
+    )
+    traced = trace_sequence_numpy(pack(front, wavelength), rays, moving(front, rest_states(front)), True)
+    return np.stack([traced.x[0], traced.y[0]])
+
+
+@pytest.mark.parametrize("name", system_names())
+def test_rays_of_every_field_and_color_meet_the_stop(name):
+    system = optical_system(name)
+    for wavelength in system.wavelengths:
+        radius = paraxial(system, wavelength).stop_radius
+        for field in system.fields:
+            rays = pupil_rays(system, field, wavelength, X, Y)
+            miss = at_stop(system, rays, wavelength) - radius * np.stack([X, Y])
+            assert np.abs(miss).max() < 1e-9
+            np.testing.assert_allclose(np.sum(rays.direction**2, axis=0), 1.0, rtol=1e-14)
+
+
+def test_a_far_object_sends_a_plane_wave_through_the_pupil_s_center():
+    system = optical_system("double-gauss")
+    field = np.array([0.1, -0.2])
+    rays = pupil_rays(system, field, 587.5618e-6, X, Y)
+    expected = np.array([*np.tan(field), 1.0]) / np.sqrt(1.0 + np.sum(np.tan(field) ** 2))
+    np.testing.assert_allclose(rays.direction, np.broadcast_to(expected[:, None], (3, 30)), atol=1e-15)
+    center = np.array([0.0, 0.0, paraxial(system).entrance_pupil])
+    np.testing.assert_allclose(rays.path, expected @ (rays.position - center[:, None]), atol=1e-12)
+
+
+def test_a_near_object_sends_rays_from_its_point():
+    system = optical_system("six-lens")
+    rays = pupil_rays(system, np.array([0.0, 5.0]), 587.5618e-6, X, Y)
+    point = np.array([0.0, 5.0, -system.object_distance])
+    np.testing.assert_array_equal(rays.position, np.broadcast_to(point[:, None], (3, 30)))
+    np.testing.assert_array_equal(rays.path, 0.0)
+
+
+def test_telecentric_chief_rays_are_parallel_to_the_axis():
+    rows = [
+        SurfaceRow("M", Conic(-200.0, -1.0), -100.0, "reflect"),
+        SurfaceRow("stop", thickness=-50.0),
+        SurfaceRow("image"),
+    ]
+    system = OpticalSystem(
+        "telecentric",
+        sequential(rows),
+        1,
+        Pupil("object_na", 0.01),
+        object_distance=150.0,
+        telecentric=True,
+    )
+    # A paraboloid sends every ray parallel to its axis through its focus, where the stop is.
+    for height in (0.0, 3.0, 20.0):
+        rays = pupil_rays(system, np.array([height, 0.0]), 550e-6, np.zeros(1), np.zeros(1))
+        np.testing.assert_allclose(rays.direction[:2], 0.0, atol=1e-12)
+    moved = OpticalSystem(
+        "wrong",
+        sequential([rows[0], SurfaceRow("x", thickness=-50.0), *rows[1:]]),
+        2,
+        Pupil("object_na", 0.01),
+        object_distance=150.0,
+        telecentric=True,
+    )
+    with pytest.raises(UserError, match="declared telecentric"):
+        pupil_rays(moved, np.zeros(2), 550e-6, X, Y)
+
+
+def test_the_chief_ray_of_an_annular_pupil_is_virtual():
+    system = optical_system("tmt-thesis")
+    chief = pupil_rays(system, np.zeros(2), 550e-6, np.zeros(1), np.zeros(1))
+    sequence, rest = pack(system, 550e-6), moving(system, rest_states(system))
+    real, virtual = (trace_sequence_numpy(sequence, chief, rest, ignore) for ignore in (False, True))
+    assert real.status[0, 0] == 1
+    assert real.vignetted[0] == 1
+    assert virtual.status[0, 0] == 0
+    assert abs(virtual.x[0, 0]) < 1e-9
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.floats(-0.9, 0.9), st.floats(-0.3, 0.3))
+def test_rays_do_not_depend_on_their_neighbors(x, y):
+    system = optical_system("double-gauss")
+    alone = pupil_rays(system, system.fields[2], 587.5618e-6, np.array([x]), np.array([y]))
+    among = pupil_rays(
+        system, system.fields[2], 587.5618e-6, np.array([0.5, x, -0.4]), np.array([0.1, y, 0.2])
+    )
+    np.testing.assert_allclose(among.position[:, 1], alone.position[:, 0], atol=1e-9)
+
+
+def test_rays_that_cannot_reach_the_stop_name_the_surface():
+    rows = [
+        SurfaceRow("strong", Conic(10.0), 8.0, "refract", GLASS),
+        SurfaceRow("flat", Conic(), 3.0, "refract"),
+        SurfaceRow("stop", thickness=5.0),
+        SurfaceRow("image"),
+    ]
+    system = OpticalSystem("fast", sequential(rows), 2, Pupil("stop", 30.0))
+    with pytest.raises(
+        UserError, match=r"of 30 rays of fast cannot be aimed at the stop stop: .* (strong|flat)"
+    ):
+        pupil_rays(system, np.zeros(2), 550e-6, X, Y)
+
+
+def test_a_beam_wider_than_an_opening_is_counted_as_vignetted():
+    surfaces = sequential(
+        [
+            SurfaceRow("M1", Conic(-2000.0, -1.0), -1000.0, "reflect", opening=Opening(50.0)),
+            SurfaceRow("image"),
+        ]
+    )
+    system = OpticalSystem("small mirror", surfaces, 0, Pupil("entrance_diameter", 200.0))
+    x = np.linspace(-1.0, 1.0, 21)
+    rays = pupil_rays(system, np.zeros(2), 550e-6, x, np.zeros(21))
+    traced = trace_sequence_numpy(pack(system, 550e-6), rays, moving(system, rest_states(system)))
+    assert traced.vignetted[0] == np.sum(np.abs(x) > 0.5)
+    assert traced.vignetted.sum() == 10
+
+
+def test_bad_fields_and_objects_are_refused():
+    system = optical_system("double-gauss")
+    with pytest.raises(UserError, match="2 finite numbers"):
+        pupil_rays(system, np.array([0.0, np.nan]), 587e-6, X, Y)
+    with pytest.raises(UserError, match="equally long"):
+        pupil_rays(system, np.zeros(2), 587e-6, X, Y[:3])
+    with pytest.raises(UserError, match="N-SSK2"):
+        pupil_rays(system, np.zeros(2), 50e-3, X, Y)
+    virtual = OpticalSystem("x", system.surfaces, 5, Pupil("stop", 3.0), object_distance=-10.0)
+    with pytest.raises(UserError, match="must be positive"):
+        pupil_rays(virtual, np.zeros(2), 587e-6, X, Y)
