@@ -1,8 +1,8 @@
 """Second-order balanced truncation on elastic modal coordinates.
 
 Outputs are displacements where the inputs act (C = B^T), so that the position Gramian of controllability is
-that of observability too, and balancing is the eigenvalue problem of one matrix: the basis is orthonormal,
-and the reduced model stays symmetric and stable. The Gramian of a frequency band,
+the velocity Gramian of observability too, and balancing is the eigenvalue problem of one matrix: the basis is
+orthonormal, and the reduced model stays symmetric and stable. The Gramian of a frequency band,
 
     P = (1 / 2 pi) integral of G(i w) B B^T G(i w)^H over the band and its mirror image,  (Gawronski 1990)
 
@@ -84,8 +84,8 @@ def _overlap(squared: Array, dampings: Array, low: float, high: float) -> Array:
     """(1 / pi) times the real part of the integral of G_i conj(G_j) over a band, by partial fractions."""
     half = dampings / 2
     swing = np.sqrt((squared - half**2).astype(complex))
-    # Critical damping is a double pole: step aside by a relative 1e-8.
-    swing = np.where(np.abs(swing) < 1e-8 * half, 1e-8 * half, swing)
+    # Critical damping is a double pole: step aside so far that it costs 1e-8, by square and by rounding.
+    swing = np.where(np.abs(swing) < 1e-4 * half, 1e-4 * half, swing)
     poles = np.stack([-half + 1j * swing, -half - 1j * swing])
     residues = np.stack([1 / (2j * swing), -1 / (2j * swing)])
     logs = -1j * (np.log(2j * np.pi * high - poles) - np.log(2j * np.pi * low - poles))

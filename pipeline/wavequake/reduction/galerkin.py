@@ -15,7 +15,7 @@ from wavequake.reduction.irka import irka
 from wavequake.reduction.krylov import krylov
 from wavequake.reduction.names import Variant
 from wavequake.reduction.pod import generated, pod
-from wavequake.reduction.structure import Structure
+from wavequake.reduction.structure import Structure, held
 
 _COMPONENT_MODES: dict[str, Callable[[Structure, int], Array]] = {
     "modal": component_modes.modal,
@@ -49,6 +49,7 @@ def basis(body: Structure, variant: Variant, snapshots: Array | None = None) -> 
     rigid = body.rigid if variant.method != "modalfix" else body.rigid[:, :0]
     order, method = variant.order, variant.method
     if method == "guyan" and order is None:
+        held(body)
         order = len(body.interface)
     if order is not None and order > body.order:
         raise UserError(

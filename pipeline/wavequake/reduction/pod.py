@@ -28,7 +28,12 @@ def pod(body: Structure, count: int, snapshots: Array) -> Array:
     UserError
         If the snapshots do not fit the model, are not finite, or span fewer directions than `count`.
     """
-    if snapshots.ndim != 2 or snapshots.shape[0] != body.order or not np.isfinite(snapshots).all():
+    if (
+        snapshots.ndim != 2
+        or snapshots.shape[0] != body.order
+        or not snapshots.size
+        or not np.isfinite(snapshots).all()
+    ):
         raise UserError(
             f"Snapshots of the model {body.name} must be finite and have {body.order} rows, one per degree "
             f"of freedom; these have the shape {snapshots.shape}."
@@ -74,7 +79,7 @@ def generated(body: Structure, frequency: float | None) -> Array:
 def _poles(squared: Array, dampings: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     half = dampings / 2
     swing: NDArray[np.complex128] = np.sqrt((half**2 - squared).astype(complex))
-    swing = np.where(np.abs(swing) < 1e-8 * half, 1e-8 * half, swing)
+    swing = np.where(np.abs(swing) < 1e-4 * half, 1e-4 * half, swing)
     return (-half + swing)[:, None], (-half - swing)[:, None]
 
 
