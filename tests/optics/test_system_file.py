@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from wavequake.errors import UserError
+from wavequake.optics.catalog import optical_system
 from wavequake.optics.media import constant, glass
 from wavequake.optics.shapes import (
     Conic,
@@ -80,6 +81,14 @@ def test_a_lens_file_becomes_part_of_the_study(tmp_path):
 
 def test_a_section_with_a_path_reads_it():
     assert build(SystemSection(file=str(COOKE))).name == "Cooke triplet f/5"
+
+
+def test_a_bundled_system_by_name():
+    system = build(SystemSection(name="double-gauss", f_number=4.0))
+    assert system.pupil.kind == "f_number"
+    assert len(system.surfaces) == len(optical_system("double-gauss").surfaces)
+    with pytest.raises(UserError, match="double-gauss"):
+        build(SystemSection(name="double-gaus"))
 
 
 def test_shapes_openings_and_media():

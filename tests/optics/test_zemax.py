@@ -7,8 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
+from wavequake.kernels.sequential_numpy import on_glass
+from wavequake.optics.catalog import optical_system, system_names
 from wavequake.optics.kinematics import cardan
 from wavequake.optics.media import AIR, constant, glass, glasses, refractive_index
+from wavequake.optics.packing import opening_regions
 from wavequake.optics.shapes import (
     Conic,
     EvenAsphere,
@@ -21,7 +24,7 @@ from wavequake.optics.shapes import (
 from wavequake.optics.system import OpticalSystem, Pupil, Surface
 from wavequake.optics.zemax_export import write_zmx, zmx_text
 from wavequake.optics.zemax_import import parse_zmx, read_zmx
-from wavequake.optics.zemax_surfaces import cardan_angles
+from wavequake.optics.zemax_surfaces import cardan_angles, spider
 from wavequake.optics.zernike import annular_zernike
 
 COOKE = Path(__file__).parents[1] / "data" / "cooke_triplet.zmx"
@@ -192,6 +195,7 @@ STOP = "  STOP\n  DISZ 1"
         (lens(STOP + "\n  UDAD 0 foo.uda"), "the property UDAD"),
         (lens(STOP + "\n  CLAP 0 5 0\n  OBDC 1 0"), "decentered aperture"),
         (lens(STOP + "\n  CLAP 5 2 0"), "must increase"),
+        (lens(STOP + "\n  SPID 1 0 0"), "spider of 0 arms"),
         (lens(STOP + "\n  PARM 1 0.5"), "parameter 1 of the type STANDARD must be 0"),
         (lens("  TYPE EVENASPH\n  PARM 9 1\n" + STOP), "parameter 9"),
         (lens("  TYPE SZERNSAG\n  PARM 2 1e-5\n  XDAT 1 1\n  XDAT 2 1\n" + STOP), "parameter 2"),
@@ -238,6 +242,15 @@ def test_apertures_of_the_beam():
     assert pupil("FLOA", STOP + "\n  DIAM 3.5") == Pupil("stop", 3.5)
 
 
+def test_spider_arms_reach_outwards_at_equal_angles():
+    opening = read(STOP + "\n  SPID 2 3 0").surfaces[0].opening
+    blocked = [
+        not on_glass(opening_regions(opening), np.array([x]), np.array([y]))[0]
+        for x, y in [(5, 0.9), (5, 1.1), (-5, 0.0), (-2.5, 4.33), (-2.5, -4.33), (0.0, 5.0)]
+    ]
+    assert blocked == [True, False, False, True, True, False]
+
+
 numbers = st.floats(-10, 10).map(lambda value: round(value, 6))
 lengths = st.floats(0.5, 1e5)
 radii = st.one_of(st.just(np.inf), lengths, lengths.map(lambda value: -value))
@@ -253,6 +266,7 @@ openings = st.one_of(
     st.builds(Opening, outer=st.floats(2, 50)),
     st.builds(Opening, outer=st.floats(2, 50), inner=st.floats(0.1, 1)),
     st.builds(Opening, inner=st.floats(0.1, 1)),
+    st.tuples(st.floats(0.1, 2), st.integers(1, 6)).map(lambda a: Opening(arms=spider(*a))),
     lengths.map(lambda a: Opening(corners=((-a, -2 * a), (a, -2 * a), (a, 2 * a), (-a, 2 * a)))),
 )
 media = st.one_of(st.sampled_from(sorted(glasses())).map(glass), st.floats(1.1, 4.0).map(constant))
@@ -347,7 +361,7 @@ def simple(**changes):
         (simple(shape=EvenAsphere(np.inf, 0.0, (0.0,) * 9)), "more than 8 terms"),
         (simple(shape=ZernikeSag(np.inf, 0.0, (0.0,), 1.0, 0.3)), "annular Zernike"),
         (simple(deformation=ZernikeDeformation(5, 10.0)), "a deformation"),
-        (simple(opening=Opening(outer=5.0, arms=((0.0, 0.1),))), "spider arms"),
+        (simple(opening=Opening(outer=5.0, arms=((0.0, 0.1),))), "spider alone"),
         (simple(opening=Opening(corners=((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))), "no circle"),
         (simple(name="two\nlines"), "one line"),
         (simple(shape=Conic(np.nan)), "finite numbers only"),
@@ -360,3 +374,20 @@ def simple(**changes):
 def test_what_the_format_cannot_hold_is_refused_by_name(system, match):
     with pytest.raises(UserError, match=match):
         zmx_text(system)
+
+
+@pytest.mark.parametrize("name", system_names())
+def test_bundled_systems_are_written_or_refused_by_name(name):
+    """Their deformations and obscured pupils are no part of a lens file; the rest comes back."""
+    system = optical_system(name)
+    still = tuple(replace(surface, deformation=None) for surface in system.surfaces)
+    system = replace(system, surfaces=still, pupil=replace(system.pupil, obscuration=0.0))
+    if system.pupil.kind == "image_na":
+        system = replace(system, pupil=Pupil("f_number", 1.0))
+    again = parse_zmx(zmx_text(system), "lens.zmx")
+    shift = np.array([0.0, 0.0, system.surfaces[0].position[2]])
+    for ours, theirs in zip(system.surfaces, again.surfaces, strict=True):
+        np.testing.assert_allclose(theirs.position, ours.position - shift, rtol=1e-12, atol=1e-9)
+        np.testing.assert_allclose(theirs.rotation, ours.rotation, atol=1e-14)
+        assert same_shape(ours.shape, theirs.shape)
+        assert (theirs.action, theirs.medium, theirs.opening) == (ours.action, ours.medium, ours.opening)

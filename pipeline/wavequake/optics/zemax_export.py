@@ -18,7 +18,7 @@ from wavequake.optics.media import AIR, Medium, glasses
 from wavequake.optics.shapes import Conic, EvenAsphere, ExtendedPolynomial, Opening, ZernikeSag
 from wavequake.optics.system import OpticalSystem, Surface
 from wavequake.optics.zemax_import import MODEL_GLASS
-from wavequake.optics.zemax_surfaces import MAX_EVEN_TERMS, cardan_angles
+from wavequake.optics.zemax_surfaces import MAX_EVEN_TERMS, cardan_angles, spider
 
 MAX_FIELDS = 12
 MAX_WAVELENGTHS = 24
@@ -217,5 +217,10 @@ def _opening(opening: Opening, name: str) -> list[str]:
     rectangle = ((-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y))
     if opening == Opening(corners=rectangle):
         return [f"SQAP {_number(half_x)} {_number(half_y)} 0"]
-    what = "spider arms" if opening.arms else "an opening that is no circle, annulus or centered rectangle"
-    raise UserError(f"The surface {name} has {what}, which a lens file cannot hold.")
+    arms = opening.arms
+    if arms and opening == Opening(arms=spider(arms[0][1], len(arms))):
+        return [f"SPID {_number(arms[0][1])} {len(arms)} 0"]
+    raise UserError(
+        f"The surface {name} has an opening that is no circle, annulus, centered rectangle or spider alone, "
+        "which a lens file cannot hold; spread it over several surfaces."
+    )

@@ -15,7 +15,7 @@ from wavequake.optics.zernike_indices import convert_coefficients
 
 MAX_EVEN_TERMS = 8
 
-_OPENINGS = ("CLAP", "FLAP", "OBSC", "SQAP")
+_OPENINGS = ("CLAP", "FLAP", "OBSC", "SQAP", "SPID")
 _USED = ("TYPE", "CURV", "CONI", "DISZ", "GLAS", "DIAM", "STOP", "PARM", "XDAT", "OBDC", "COMM")
 # Drawing, coatings, mechanical diameters, thermal data, physical optics; and the solves, variables and
 # pickups whose results are in the file.
@@ -192,6 +192,11 @@ def opening(row: Row, scale: float) -> Opening | None:
     shift = row.one("OBDC")
     if shift and any(as_number(shift, index) for index in range(len(shift.words))):
         fail(shift, f"{row.label} has a decentered aperture, which is not supported")
+    if line.keyword == "SPID":
+        width, count = as_number(line, 0) * scale, as_integer(line, 1)
+        if not (width > 0 and count > 0):
+            fail(line, f"{row.label} has a spider of {count} arms {width:g} mm wide; both must be positive")
+        return Opening(arms=spider(width, count))
     low, high = as_number(line, 0) * scale, as_number(line, 1) * scale
     if line.keyword == "SQAP":
         return Opening(corners=((-low, -high), (low, -high), (low, high), (-low, high)))
@@ -205,6 +210,11 @@ def opening(row: Row, scale: float) -> Opening | None:
             fail(line, f"{row.label} has a ring-shaped obscuration, which is not supported")
         return Opening(inner=high)
     return Opening(outer=high, inner=low)
+
+
+def spider(width: float, count: int) -> tuple[tuple[float, float], ...]:
+    """Return equally spaced arms of one width, the first along x."""
+    return tuple((2.0 * math.pi * arm / count, width) for arm in range(count))
 
 
 def coordinate_break(row: Row, scale: float, thickness: float) -> Break:
