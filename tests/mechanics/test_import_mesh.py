@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from wavequake.errors import UserError
-from wavequake.mechanics.importers.areas import FACETS, SHARES, area_shares
+from wavequake.mechanics.importers.areas import FACETS, area_shares
 from wavequake.mechanics.importers.mesh import MeshFile, chosen_nodes, read_mesh
 
 DECK = """*HEADING
@@ -124,6 +124,13 @@ def test_unreadable_mesh(tmp_path):
         read_mesh(tmp_path / "a.vtu")
 
 
+def one_facet(kind, places):
+    points = np.column_stack([places, np.zeros(len(places))])
+    return MeshFile(
+        kind, np.arange(1, len(points) + 1), points, {}, {kind: np.arange(1, len(points) + 1)[None]}
+    )
+
+
 # Shares of a quadratic square from the integrals of its squared shape functions, by Gauss-Legendre rule.
 def test_shares_of_the_eight_node_facet():
     nodes, weights = np.polynomial.legendre.leggauss(4)
@@ -134,7 +141,10 @@ def test_shares_of_the_eight_node_facet():
         (1 - y**2) * (1 + s * x) / 2 for s in (-1, 1)
     ]
     squares = np.array([(w * shape**2).sum() for shape in corners + middles])
-    assert_allclose(SHARES[8], squares / squares.sum(), rtol=1e-12)
+    places = [(-1, -1), (1, -1), (1, 1), (-1, 1), (0, -1), (1, 0), (0, 1), (-1, 0)]
+    order = [0, 2, 3, 1, 4, 7, 5, 6]  # of the lists above, around the square
+    shares = area_shares(one_facet("quad8", places), np.arange(8))
+    assert_allclose(shares, (squares / squares.sum())[order], rtol=1e-12)
 
 
 def test_shares_of_the_six_node_facet():
@@ -142,7 +152,8 @@ def test_shares_of_the_six_node_facet():
     corner = 4 * 24 / 720 - 4 * 6 / 120 + 2 / 24  # (L (2 L - 1))^2
     middle = 16 * 4 / 720  # (4 L1 L2)^2
     expected = np.array([corner] * 3 + [middle] * 3) / (3 * corner + 3 * middle)
-    assert_allclose(SHARES[6], expected, rtol=1e-12)
+    places = [(0, 0), (3, 1), (1, 2), (1.5, 0.5), (2, 1.5), (0.5, 1)]
+    assert_allclose(area_shares(one_facet("triangle6", places), np.arange(6)), expected, rtol=1e-12)
 
 
 NATURAL = {

@@ -16,6 +16,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from wavequake.errors import UserError
 from wavequake.mechanics.importers import ImportedModel, import_model, load_model
+from wavequake.mechanics.mirrors import CircularMirror, circular_mirror
 from wavequake.mechanics.model import rigid_modes
 
 DATA = Path(__file__).parents[1] / "data"
@@ -215,6 +216,18 @@ def test_calculix_plate_is_found_beside_its_stiffness():
     assert abs(model.stiffness @ rigid).max() < 1e-9 * abs(model.stiffness).max()
     assert model.surface_weights.min() > 0.0
     assert_allclose(model.surface_weights.sum(), 1.0, rtol=1e-14)
+
+
+def test_calculix_plate_is_our_plate():
+    section = ImportedModel(file="plate.sti", units="m,kg,s,N", interfaces="INTERFACES", surface="SURFACE")
+    model = load_model(section, DATA).model
+    own = circular_mirror(CircularMirror(focal_length=np.inf, mount_radius=0.5, core=1, rings=1))
+    for name in ("stiffness", "mass"):
+        theirs, ours = getattr(model, name), getattr(own, name)
+        assert abs(theirs - ours).max() < 1e-12 * abs(ours).max()
+    assert_array_equal(model.interfaces, own.interfaces)
+    assert_array_equal(model.surface_nodes, own.surface_nodes)
+    assert_allclose(model.surface_weights, own.surface_weights, rtol=1e-9)
 
 
 def test_frequencies_are_those_that_calculix_prints():

@@ -39,13 +39,15 @@ FACETS: dict[str, tuple[tuple[int, ...], ...]] = {
     "triangle6": ((0, 1, 2, 3, 4, 5),),
     "quad8": ((0, 1, 2, 3, 4, 5, 6, 7),),
 }
-# Shares of a facet's area by diagonal scaling (Hinton, Rock and Zienkiewicz 1976): the integral of the square
-# of each shape function, scaled to sum 1. The consistent shares of quadratic facets are negative or zero.
-SHARES = {
-    3: np.full(3, 1 / 3),
-    4: np.full(4, 1 / 4),
-    6: np.array([3.0] * 3 + [16.0] * 3) / 57.0,
-    8: np.array([3.0] * 4 + [16.0] * 4) / 76.0,
+# Powers of the two local coordinates that the shape functions of a facet combine, and its nodes there.
+_LINEAR, _QUADRATIC = ((0, 0), (1, 0), (0, 1)), ((2, 0), (1, 1), (0, 2))
+_SQUARE = ((-1, -1), (1, -1), (1, 1), (-1, 1), (0, -1), (1, 0), (0, 1), (-1, 0))
+_TRIANGLE = ((0, 0), (1, 0), (0, 1), (0.5, 0), (0.5, 0.5), (0, 0.5))
+POWERS: dict[int, tuple[tuple[int, int], ...]] = {
+    3: _LINEAR,
+    4: (*_LINEAR, (1, 1)),
+    6: _LINEAR + _QUADRATIC,
+    8: (*_LINEAR, *_QUADRATIC, (2, 1), (1, 2)),
 }
 WIDE = 4.0
 """Triangles between bare nodes whose circumscribed circle has so many median radii span a hole (the alpha
@@ -91,16 +93,34 @@ def _new(corners: Integers, seen: list[Integers]) -> Integers:
 
 
 def _add_facets(shares: Array, points: Array, corners: Integers) -> Integers:
-    """Add the shares of facets of one kind; return their keys."""
-    count = corners.shape[1]
-    ring = count if count <= 4 else count // 2
-    outline = points[corners[:, :ring]]
-    if count > 4:  # corner, mid-side node, corner, ...
-        outline = np.stack([outline, points[corners[:, ring:]]], axis=2).reshape(len(corners), -1, 3)
-    spokes = outline - outline.mean(axis=1, keepdims=True)
-    areas = np.linalg.norm(np.cross(spokes, np.roll(spokes, -1, axis=1)), axis=2).sum(axis=1) / 2.0
-    np.add.at(shares, corners, areas[:, None] * SHARES[count])
+    """Add the shares of facets of one kind; return their keys.
+
+    A facet's area is shared in proportion to the integrals of the squared shape functions (Hinton, Rock and
+    Zienkiewicz 1976): the integrals of quadratic shape functions themselves are negative or zero.
+    """
+    values, gradients, weights = _shape_functions(corners.shape[1])
+    tangents = np.einsum("gnd,fnx->dfgx", gradients, points[corners], optimize=True)
+    areas = np.linalg.norm(np.cross(tangents[0], tangents[1]), axis=2) * weights
+    diagonal = areas @ values**2
+    parts = diagonal * (areas.sum(axis=1) / diagonal.sum(axis=1))[:, None]
+    np.add.at(shares, corners, parts)
     return np.sort(corners[:, :3], axis=1)
+
+
+def _shape_functions(count: int) -> tuple[Array, Array, Array]:
+    """Return values (g, count), local gradients (g, count, 2) and weights at Gauss points of a facet."""
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    x, y = (part.ravel() for part in np.meshgrid(nodes, nodes))
+    weight = np.outer(weights, weights).ravel()
+    if count in (3, 6):  # the square collapsed to a triangle
+        x, y, weight = (1 + x) / 2, (1 - x) * (1 + y) / 4, weight * (1 - x) / 8
+    places = np.array((_TRIANGLE if count in (3, 6) else _SQUARE)[:count], dtype=np.float64)
+    i, j = np.array(POWERS[count]).T
+    combine = np.linalg.inv(places[:, :1] ** i * places[:, 1:] ** j)
+    u, v = x[:, None], y[:, None]
+    along_x = i * u ** np.maximum(i - 1, 0) * v**j
+    along_y = j * u**i * v ** np.maximum(j - 1, 0)
+    return u**i * v**j @ combine, np.stack([along_x @ combine, along_y @ combine], axis=2), weight
 
 
 def _triangle_shares(points: Array, source: str) -> Array:
