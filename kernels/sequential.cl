@@ -11,7 +11,7 @@ enum { VIGNETTED = 1, MISS = 2, TOTAL_REFLECTION = 3, DIVERGED = 4 };
 
 #define NEWTON_STEPS 30
 // Newton's iteration ends with a step this short, or this short for a surface of radius 1.
-#define CONVERGED 2e-11
+#define CONVERGED 1e-12
 #define ROUNDING 4e-15
 
 INLINE int any_lane(mask a)

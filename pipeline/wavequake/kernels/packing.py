@@ -12,9 +12,11 @@ Array = NDArray[np.float64]
 
 # Where one evaluation of the height and its slopes may do: the lateral step may change the height's linear
 # continuation by so many mm, the slopes by so many rad, and the conic's by so many mm.
-_HEIGHT, _SLOPE, _LEAN = 1e-12, 1e-11, 1e-7
-# Monomials are bounded a little beyond their radius, since rays may fall there.
-_BEYOND = 1.1
+_HEIGHT, _SLOPE, _LEAN = 1e-12, 1e-13, 1e-7
+# Monomials are sampled a little beyond their radius, since rays may fall there.
+_BEYOND = 1.02
+# A polynomial may bend more than that many times as strongly between samples: no random one came near.
+_MARGIN = 2.0
 
 
 def packed_elements(
@@ -63,7 +65,8 @@ def _parts(
         parts.append(Part(call, terms(degree), coefficients.ndim == 2, len(numbers)))
         numbers.append(1.0 / radius)
         arrays.append(coefficients)
-        bends.append(np.abs(coefficients) @ _bending(degree, basis) / radius**2)
+        second = (coefficients @ _second_derivatives(degree, basis)).reshape(*coefficients.shape[:-1], 3, -1)
+        bends.append(_MARGIN * np.sqrt(np.square(second).sum(axis=-2).max(axis=-1)) / radius**2)
         reach = min(reach, radius * (_BEYOND if basis == "monomial" else 1.0))
     for grid, heights in _grids(number, element, moving):
         rows, columns = heights.shape[-2:]
@@ -71,8 +74,7 @@ def _parts(
         parts.append(Part(call, rows * columns, heights.ndim == 3, len(numbers)))
         numbers += [grid.x0, grid.y0, 1.0 / grid.dx, 1.0 / grid.dy]
         arrays.append(heights)
-        # Second differences of a B-spline's coefficients bound its second derivatives; its slope jumps at
-        # the edge, so only steps of no length are harmless there.
+        # Second differences of a B-spline's coefficients bound its second derivatives.
         spread = heights.max(axis=(-2, -1)) - heights.min(axis=(-2, -1))
         bends.append(8.0 * spread / min(grid.dx, grid.dy) ** 2)
     return parts, bends, reach
@@ -109,14 +111,27 @@ def _grids(number: int, element: Element, moving: Moving) -> list[tuple[Grid, Ar
 
 
 @lru_cache(maxsize=64)
-def _bending(degree: int, basis: Basis) -> Array:
-    """Return a bound of the second derivative of each term in any direction, for a radius of 1."""
-    i, j = np.array([(total - j, j) for total in range(degree + 1) for j in range(total + 1)], dtype=float).T
-    if basis == "monomial":
-        order = i + j
-        return np.asarray(order * (order - 1.0) * _BEYOND ** np.maximum(order - 2.0, 0.0))
-    bend_i, bend_j = i * i * (i * i - 1.0) / 3.0, j * j * (j * j - 1.0) / 3.0
-    return np.asarray(bend_i + 2.0 * i * i * j * j + bend_j)
+def _second_derivatives(degree: int, basis: Basis) -> Array:
+    """Return the second derivatives uu, sqrt(2) uv and vv of each term at points of a disk of radius 1."""
+    radii = np.array([0.35, 0.7, 0.9, 1.0]) * (_BEYOND if basis == "monomial" else 1.0)
+    angles = np.linspace(0.0, 2.0 * np.pi, 2 * degree + 6, endpoint=False)
+    points = radii[:, None] * np.stack([np.cos(angles), np.sin(angles)])[:, None]
+    u, v = points.reshape(2, -1)
+    kind = np.polynomial.Polynomial if basis == "monomial" else np.polynomial.Chebyshev
+    orders = [
+        [kind.basis(k).deriv(order) if order else kind.basis(k) for order in range(3)]
+        for k in range(degree + 1)
+    ]
+    at_u, at_v = ([[term(t) for term in row] for row in orders] for t in (u, v))
+    pairs = [(total - j, j) for total in range(degree + 1) for j in range(total + 1)]
+    return np.array(
+        [
+            np.concatenate(
+                [at_u[i][2] * at_v[j][0], np.sqrt(2.0) * at_u[i][1] * at_v[j][1], at_u[i][0] * at_v[j][2]]
+            )
+            for i, j in pairs
+        ]
+    )
 
 
 def _limit(element: Element, bends: list[Array], instants: int) -> Array:

@@ -63,10 +63,12 @@ def launch(
         cl.enqueue_nd_range_kernel(queue, kernel, padded, (lanes, group, 1))
         for out, result in zip(outputs, results, strict=True):
             if device.kind == "cpu":
-                mapped, _ = cl.enqueue_map_buffer(queue, result, cl.map_flags.READ, 0, out.shape, out.dtype)
+                mapped, _ = cl.enqueue_map_buffer(
+                    queue, result, cl.map_flags.READ, 0, out.shape, out.dtype, is_blocking=False
+                )
                 mapped.base.release(queue)
             else:
-                cl.enqueue_copy(queue, out, result)
+                cl.enqueue_copy(queue, out, result, is_blocking=False)
         queue.finish()
 
 

@@ -198,8 +198,11 @@ def _meet(
     path = conic_path(state.position, d, element.curvature, element.conic)
     missed = np.isnan(path)
     if is_conic(element):
-        state.position = state.position + path * d
-        state.path = state.path + index * path
+        # The closed form loses some digits to cancellation, which a step of Newton's iteration restores.
+        hit = state.position + path * d
+        sag, slope_x, slope_y = sag_and_slopes(element, hit[0], hit[1])
+        step = (sag - hit[2]) / (d[2] - slope_x * d[0] - slope_y * d[1])
+        state.position, state.path = hit + step * d, state.path + index * (path + step)
         state.lose(missed, MISS, number)
         return conic_slopes(state.position[0], state.position[1], element.curvature, element.conic)
     # Where the bare conic is missed, the iteration starts at the vertex plane.
