@@ -1,7 +1,8 @@
 """Refractive media: dispersion formulas and a catalogue of glasses.
 
-The catalogue, ``glasses.csv`` beside this module, holds published Sellmeier coefficients: those of Schott's
-data sheets, Malitson's for fused silica and calcium fluoride, and the like; its ``source`` column says whose.
+The catalogue, ``glasses.csv`` beside this module, holds published Sellmeier coefficients: those of
+Schott's and Ohara's data sheets, Malitson's for fused silica and calcium fluoride, and the like; its
+``source`` column says whose.
 """
 
 import csv
