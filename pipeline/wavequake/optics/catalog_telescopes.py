@@ -91,7 +91,7 @@ def gregorian() -> OpticalSystem:
     stigmatic.
     """
     f1, p, q, beside = 2000.0, 500.0, 3000.0, 900.0
-    rows = [
+    rows: list[SurfaceRow | Break] = [
         Break((beside, 0.0, 0.0)),
         SurfaceRow("stop"),
         Break((-beside, 0.0, 0.0), thickness=3000.0),

@@ -1,0 +1,190 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wavequake.errors import UserError
+from wavequake.kernels.sequential_numpy import trace_sequence_numpy
+from wavequake.optics.catalog import optical_system, system_names
+from wavequake.optics.packing import moving, pack
+from wavequake.optics.paraxial import paraxial
+from wavequake.optics.pupils import sunflower
+from wavequake.optics.quality import spot
+from wavequake.optics.ray_aiming import pupil_rays
+from wavequake.optics.system import wavelength_of
+from wavequake.optics.system_kinematics import rest_states
+
+
+def traced(system, field, count=400, states=None):
+    """Return the rays of a field at the image, evenly over the pupil, and their weights."""
+    points = sunflower(system.pupil.obscuration, 1.0, count)
+    wavelength = wavelength_of(system)
+    rays = pupil_rays(system, np.asarray(field, dtype=float), wavelength, points.x, points.y)
+    states = states or rest_states(system)
+    result = trace_sequence_numpy(pack(system, wavelength), rays, moving(system, states))
+    assert (result.status == 0).all()
+    return result, points.weight
+
+
+def spot_of(system, field, **options):
+    result, weight = traced(system, field, **options)
+    return spot(result.x, result.y, weight)
+
+
+def chief_of(system, field, states=None):
+    rays = pupil_rays(system, np.asarray(field, dtype=float), wavelength_of(system), np.zeros(1), np.zeros(1))
+    sequence = pack(system, wavelength_of(system))
+    chief = trace_sequence_numpy(sequence, rays, moving(system, states or rest_states(system)), True)
+    return np.stack([chief.x[:, 0], chief.y[:, 0]], axis=1)
+
+
+def test_the_thesis_tmt_is_that_of_an_extended_precision_tracer():
+    reference = json.loads((Path(__file__).parents[1] / "data" / "tmt_optics.json").read_text())
+    system = optical_system("tmt-thesis")
+    # 24 Gauss-Legendre nodes in r^2 times 96 azimuths between the radii of the pupil, as the reference.
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    inner = system.pupil.obscuration
+    radius = np.sqrt(inner**2 + (1 - inner**2) * (nodes + 1) / 2)
+    azimuth = 2 * np.pi * np.arange(96) / 96
+    x, y = np.outer(radius, np.cos(azimuth)).ravel(), np.outer(radius, np.sin(azimuth)).ravel()
+    weight = np.repeat(weights, 96)
+    for entry, field in zip(reference["fields"], system.fields, strict=True):
+        assert field[0] == pytest.approx(np.radians(entry["field_arcmin"] / 60.0))
+        rays = pupil_rays(system, field, 550e-6, x, y)
+        result = trace_sequence_numpy(pack(system, 550e-6), rays, moving(system, rest_states(system)))
+        rms = spot(result.x, result.y, weight).rms[0]
+        assert rms == pytest.approx(1e3 * entry["rms_spot_radius_m"], rel=1e-8)
+        chief = chief_of(system, field)[0]
+        np.testing.assert_allclose(chief, [1e3 * entry["chief_x_m"], 0.0], rtol=1e-10, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "value", "tolerance"),
+    [
+        # Two tracers that share no code with this one, see the page on validation.
+        ("tmt-thesis", "focal_length", 449998.55484, 1e-9),
+        ("tmt-thesis", "exit_pupil", -46406.543198188, 1e-12),
+        ("tmt-thesis", "defocus", 0.140532, 1e-5),
+        ("tmt-thesis", "image_na", 15000.0 / 449998.55484, 1e-9),
+        ("tmt", "focal_length", 450000.00145, 1e-9),
+        ("tmt", "exit_pupil", -46406.542614758, 1e-12),
+        # Published: 28.5 m, f/8.68; M2 has a diameter of 308 mm, of which light uses nearly all.
+        ("herschel", "focal_length", 28500.0, 1e-12),
+        ("herschel", "entrance_diameter", 3283.4, 1e-4),
+        ("herschel", "stop_radius", 308.1 / 2, 0.015),
+        # Published: 131.4 m; the spacing is rounded to 0.1 mm, of which each 0.1 mm makes 1.2 m.
+        ("jwst", "focal_length", -131400.0, 0.011),
+        # f1 q / p, upside down after the intermediate focus
+        ("gregorian", "focal_length", -2000.0 * 3000.0 / 500.0, 1e-12),
+        ("double-gauss", "focal_length", 100.0, 1e-4),
+        ("double-gauss", "back_focus", 61.487536, 1e-6),
+        ("six-lens", "magnification", 1 - (0.071 - 0.366 + 1.303 - 0.913 + 1.394 + 0.145), 1e-12),
+        ("six-lens", "image_na", 0.01, 1e-12),
+    ],
+)
+def test_first_order_data_are_the_published_ones(name, field, value, tolerance):
+    data = paraxial(optical_system(name))
+    got = data.entrance_pupil_diameter if field == "entrance_diameter" else getattr(data, field)
+    assert got == pytest.approx(value, rel=tolerance)
+
+
+@pytest.mark.parametrize(
+    ("name", "bound"),
+    [("tmt", 1e-4), ("herschel", 1e-9), ("gregorian", 1e-9), ("double-gauss", 0.04), ("six-lens", 5e-4)],
+)
+def test_the_axis_is_sharp(name, bound):
+    assert spot_of(optical_system(name), [0.0, 0.0]).rms[0] < bound
+
+
+@pytest.mark.parametrize("name", ["herschel", "gregorian"])
+def test_the_axis_is_stigmatic_to_a_thousandth_of_a_wave(name):
+    system = optical_system(name)
+    result, _ = traced(system, [0.0, 0.0])
+    assert np.ptp(result.path) < 1e-3 * wavelength_of(system)
+
+
+@pytest.mark.parametrize(
+    ("name", "airy_radii"), [("jwst", 0.15), ("herschel", 0.25), ("gregorian", 0.6), ("six-lens", 0.1)]
+)
+def test_every_field_is_diffraction_limited(name, airy_radii):
+    system = optical_system(name)
+    airy = 0.61 * wavelength_of(system) / paraxial(system).image_na
+    for field in system.fields:
+        assert spot_of(system, field).rms[0] < airy_radii * airy
+
+
+def test_jwst_is_an_anastigmat_over_its_field():
+    system = optical_system("jwst")
+    airy = 0.61 * 2000e-6 / paraxial(system).image_na
+    for arcmin in (0.0, 3.0, 6.0, 9.0):
+        best = min(
+            float(
+                spot_of(system, [0.0, np.radians(arcmin / 60)], count=100, states=focused(system, shift)).rms[
+                    0
+                ]
+            )
+            for shift in np.linspace(-20.0, 20.0, 41)
+        )
+        assert best < 0.3 * airy
+
+
+def focused(system, shift):
+    states = rest_states(system)
+    states.surface_motion[0, -1, 2] = shift
+    return states
+
+
+def test_the_gregorian_is_unobscured():
+    system = optical_system("gregorian")
+    edge = 2 * np.pi * np.arange(36) / 36
+    rays = pupil_rays(system, np.zeros(2), 550e-6, np.cos(edge), np.sin(edge))
+    m1_z, m2_z, image_z = (surface.position[2] for surface in system.surfaces[1:])
+    ends = []
+    for last in (2, 3):
+        part = replace(
+            system, surfaces=(*system.surfaces[:last], replace(system.surfaces[last], action="pass"))
+        )
+        ends.append(trace_sequence_numpy(pack(part, 550e-6), rays, moving(part, rest_states(part))))
+    m2_x, image_x = ends[0].x[0], ends[1].x[0]
+    incoming = rays.position[0]
+    # M2 stands beside the incoming beam, and what it reflects passes M1 on the way to the image.
+    assert m2_x.max() < incoming.min()
+    at_m1 = m2_x + (image_x - m2_x) * (m1_z - m2_z) / (image_z - m2_z)
+    assert at_m1.max() < incoming.min()
+
+
+def test_the_six_lenses_have_the_sensitivities_of_table_5_1():
+    system = optical_system("six-lens")
+    states, step = rest_states(system, 12), 0.01
+    for number in range(6):
+        for side, sign in enumerate((1.0, -1.0)):
+            surfaces = [i for i, s in enumerate(system.surfaces) if s.name.startswith(f"L{number + 1} ")]
+            assert len(surfaces) == 2
+            states.surface_motion[2 * number + side, surfaces, 1] = sign * step
+    y = chief_of(system, [0.0, 0.0], states)[:, 1]
+    sensitivity = (y[::2] - y[1::2]) / (2 * step)
+    np.testing.assert_allclose(sensitivity, [0.071, -0.366, 1.303, -0.913, 1.394, 0.145], atol=2e-3)
+
+
+def test_the_double_gauss_images_its_field_without_much_distortion():
+    system = optical_system("double-gauss")
+    for field in system.fields[1:]:
+        ideal = paraxial(system).focal_length * np.tan(field[1])
+        assert abs(chief_of(system, field)[0, 1]) == pytest.approx(ideal, rel=0.02)
+
+
+@pytest.mark.parametrize("name", system_names())
+def test_every_system_prints_its_data(name):
+    text = optical_system(name).info()
+    assert name in text.splitlines()[0]
+    for word in ("focal length", "entrance pupil", "exit pupil", "f-number", "wavelength", "stop", "image"):
+        assert word in text
+
+
+def test_an_unknown_system_names_the_nearest():
+    with pytest.raises(UserError, match="did you mean 'double-gauss'"):
+        optical_system("duoble-gauss")
+    with pytest.raises(UserError, match="choose one of tmt-thesis"):
+        optical_system("qqq")

@@ -1,0 +1,76 @@
+import numpy as np
+import pytest
+
+from wavequake.errors import UserError
+from wavequake.optics.catalog import optical_system
+from wavequake.optics.media import Medium
+from wavequake.optics.shapes import Conic, EvenAsphere, Opening, ZernikeDeformation
+from wavequake.optics.system import OpticalSystem, Pupil, Surface
+from wavequake.optics.system_info import info
+from wavequake.optics.system_kinematics import SurfaceRow, sequential
+
+
+def line_of(text, start):
+    return next(line for line in text.splitlines() if line.startswith(start))
+
+
+def test_table_of_a_thin_lens():
+    glass = Medium("crown", "constant", (1.5,))
+    rows = [
+        SurfaceRow("front", Conic(100.0), 0.0, "refract", glass, Opening(12.0)),
+        SurfaceRow("rear", EvenAsphere(-100.0, 0.0, (0.0, 1e-9)), 200.0, "refract"),
+        SurfaceRow(
+            "screen", deformation=ZernikeDeformation(3, 1.0), opening=Opening(4.0, 1.0, arms=((0.0, 1.0),))
+        ),
+    ]
+    system = OpticalSystem(
+        "thin lens",
+        sequential(rows),
+        0,
+        Pupil("entrance_diameter", 20.0),
+        object_distance=200.0,
+        fields=np.array([[0.0, 3.0]]),
+        wavelengths=np.array([500e-6, 600e-6]),
+        primary_wavelength=1,
+    )
+    text = info(system)
+    assert text == system.info()
+    assert line_of(text, "focal length").split() == ["focal", "length", "100", "mm"]
+    assert line_of(text, "magnification").split()[-1] == "-1"
+    assert line_of(text, "NA in object").split()[-1] == "0.05"
+    assert line_of(text, "f-number").split()[-1] == "10"
+    assert line_of(text, "object").endswith("200 mm before front")
+    assert line_of(text, "field").endswith("(0, 3) mm")
+    assert line_of(text, "wavelength").split()[2:] == ["500", "600", "primary"]
+    assert line_of(text, "front (stop)").split()[-3:] == ["refract", "crown", "12"]
+    assert "EvenAsphere" in line_of(text, "rear ")
+    assert "deforms" in line_of(text, "screen")
+    assert line_of(text, "screen").endswith("1 to 4, 1 arms")
+    assert not any(line != line.rstrip() for line in text.splitlines())
+
+
+def test_what_is_infinite_is_called_so():
+    afocal = OpticalSystem(
+        "mersenne",
+        sequential(
+            [
+                SurfaceRow("a", Conic(-2000.0, -1.0), -1500.0, "reflect"),
+                SurfaceRow("b", Conic(1000.0, -1.0), 500.0, "reflect"),
+                SurfaceRow("image"),
+            ]
+        ),
+        0,
+        Pupil("entrance_diameter", 10.0),
+    )
+    text = info(afocal)
+    assert line_of(text, "focal length").endswith("infinite")
+    assert line_of(text, "object").endswith("infinity")
+
+
+def test_fields_of_a_telescope_are_angles():
+    assert "(5, 0) arcmin" in line_of(info(optical_system("tmt")), "field")
+
+
+def test_bad_systems_are_refused():
+    with pytest.raises(UserError, match="stop of x"):
+        OpticalSystem("x", (Surface("image"),), 3, Pupil("stop", 1.0)).info()
