@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from wavequake.errors import UserError
+from wavequake.mechanics.eigen import eigenmodes
+from wavequake.mechanics.mirrors import CircularMirror, circular_mirror
 from wavequake.optics.kinematics import cardan
 from wavequake.optics.shape_sag import deformation_sag
 from wavequake.optics.shapes import Conic, EvenAsphere, GridDeformation
@@ -286,3 +288,46 @@ def test_bad_displacements():
     u[1, 4, 0] = 900.0
     with pytest.raises(UserError, match="lies where the undeformed surface does not reach"):
         apply(ball, u, linear=False)
+
+
+@pytest.fixture(scope="module")
+def mirror():
+    """The mirror of Störkle 2018, §4.3, on a coarse mesh: fit, frequencies in Hz and elastic modes."""
+    model = circular_mirror(CircularMirror(core=4, rings=4))
+    frequencies, vectors = eigenmodes(model, 26)
+    nodes = 1e3 * model.nodes[model.surface_nodes]
+    fit = surface_fit(nodes[:, :2], model.surface_weights, 105, A, 0.0, PARABOLA)
+    modes = (model.surface @ vectors).T.reshape(26, len(nodes), 3)
+    return fit, frequencies[6:], normalized_modes(modes[6:])[0], nodes
+
+
+def test_nodes_of_the_mirror_lie_on_its_parabola(mirror):
+    fit, _, _, nodes = mirror
+    assert_allclose(fit.nodes[:, 2], nodes[:, 2], atol=1e-10)
+
+
+def test_low_modes_of_the_mirror_fit_well(mirror):
+    # With 231 terms on a finer mesh the reference implementation found at most 2.5e-3.
+    fit, _, modes, _ = mirror
+    above = heights(fit, modes)
+    assert relative_residual(fit, above, coefficients(fit, above))[:14].max() < 2.5e-3
+
+
+def test_mode_near_300_hz_is_defocus(mirror):
+    fit, frequencies, modes, _ = mirror
+    found = apply(fit, modes)[:, 3:]
+    share = found[:, 0] ** 2 / (found**2).sum(axis=1)
+    assert share[4] > 0.95
+    assert 290.0 < frequencies[4] < 302.0
+    assert np.delete(share, 4)[:12].max() < 1e-6
+
+
+def test_elastic_modes_have_little_pose_and_keep_their_figure(mirror):
+    # Elastic modes are orthogonal to rigid ones over the body, not over its front alone.
+    fit, _, modes, _ = mirror
+    poses, rest = separate_pose(fit, modes)
+    again, _ = separate_pose(fit, rest)
+    assert abs(again).max() < 1e-12 * abs(poses).max()
+    # What is split off is a rigid motion: with it, the sum is what it was.
+    whole = apply(fit, rest) + apply(fit, (poses @ fit.rigid.T).reshape(rest.shape))
+    assert_allclose(whole, apply(fit, modes), rtol=0, atol=1e-12)
