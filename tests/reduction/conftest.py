@@ -9,13 +9,13 @@ from wavequake.mechanics.model import FiniteElementModel, RayleighDamping
 from wavequake.reduction.intermediate import intermediate
 
 
-def build_lattice(shape=(3, 3, 2), seed=0, interfaces=None, supported=False, damping=None):
+def build_lattice(shape=(3, 3, 2), seed=0, interfaces=None, supported=False, damping=None, jitter=0.1):
     """Jittered unit cells, springs to all neighbors up to a space diagonal; some 60 Hz upward."""
     random = np.random.default_rng(seed)
     nodes = np.stack(np.meshgrid(*(np.arange(n, dtype=float) for n in shape), indexing="ij"), -1).reshape(
         -1, 3
     )
-    nodes += random.uniform(-0.1, 0.1, nodes.shape)
+    nodes += random.uniform(-jitter, jitter, nodes.shape)
     first, second = np.triu_indices(len(nodes), 1)
     near = np.linalg.norm(nodes[first] - nodes[second], axis=1) < 1.95
     first, second = first[near], second[near]
