@@ -95,6 +95,10 @@ class HexagonalSegment:
     layers: int = 1
 
 
+# Springs at each mount, N/m, for `on_springs`: the piston of the default segment, 153 kg, is near 50 Hz. Our
+# choice; the reference gives none.
+SEGMENT_SUPPORT = (5e6, 5e6, 5e6)
+
 Mirror = CircularMirror | AnnularMirror | HexagonalSegment
 
 
