@@ -7,11 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.kernels.sequential_numpy import on_glass
+from wavequake.kernels.sequence import Rays
+from wavequake.kernels.sequential_numpy import on_glass, trace_sequence_numpy
 from wavequake.optics.catalog import optical_system, system_names
 from wavequake.optics.kinematics import cardan
 from wavequake.optics.media import AIR, constant, glass, glasses, refractive_index
-from wavequake.optics.packing import opening_regions
+from wavequake.optics.packing import moving, opening_regions, pack
 from wavequake.optics.shapes import (
     Conic,
     EvenAsphere,
@@ -21,7 +22,8 @@ from wavequake.optics.shapes import (
     ZernikeDeformation,
     ZernikeSag,
 )
-from wavequake.optics.system import OpticalSystem, Pupil, Surface
+from wavequake.optics.system import OpticalSystem, Pupil, Surface, require_system
+from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.zemax_export import write_zmx, zmx_text
 from wavequake.optics.zemax_import import parse_zmx, read_zmx
 from wavequake.optics.zemax_surfaces import cardan_angles, spider
@@ -195,7 +197,8 @@ STOP = "  STOP\n  DISZ 1"
         (lens(STOP + "\n  UDAD 0 foo.uda"), "the property UDAD"),
         (lens(STOP + "\n  CLAP 0 5 0\n  OBDC 1 0"), "decentered aperture"),
         (lens(STOP + "\n  CLAP 5 2 0"), "must increase"),
-        (lens(STOP + "\n  SPID 1 0 0"), "spider of 0 arms"),
+        (lens(STOP + "\n  SPID -1 4 0"), "not a positive number"),
+        (lens(STOP + "\n  SPID 1 0 0"), "0 is not a number of things"),
         (lens(STOP + "\n  PARM 1 0.5"), "parameter 1 of the type STANDARD must be 0"),
         (lens("  TYPE EVENASPH\n  PARM 9 1\n" + STOP), "parameter 9"),
         (lens("  TYPE SZERNSAG\n  PARM 2 1e-5\n  XDAT 1 1\n  XDAT 2 1\n" + STOP), "parameter 2"),
@@ -218,6 +221,7 @@ STOP = "  STOP\n  DISZ 1"
         (lens(STOP).replace("FTYP 0", "FTYP 3"), "real image height"),
         (lens(STOP).replace("FTYP 0", "FTYP 1"), "must be angles"),
         (lens(STOP).replace("WAVM 1 0.55 1\n", ""), "no wavelength"),
+        (lens(STOP).replace("WAVM 1 0.55", "WAVM 1 -0.55"), "wavelength -0.55 um is not positive"),
         (lens(STOP).replace("SURF 1", "SURF 4"), "counted from 0"),
         ("not a lens file", "0 SURF lines"),
         ("", "no sequential lens file"),
@@ -391,3 +395,88 @@ def test_bundled_systems_are_written_or_refused_by_name(name):
         np.testing.assert_allclose(theirs.rotation, ours.rotation, atol=1e-14)
         assert same_shape(ours.shape, theirs.shape)
         assert (theirs.action, theirs.medium, theirs.opening) == (ours.action, ours.medium, ours.opening)
+
+
+TOKENS = ["", "0", "-1", "1e300", "1e400", "nan", "x", "INFINITY", "MIRROR", "___BLANK 1 0 1.5", "3.5", "é"]
+ODD = lens(
+    "  TYPE XPOLYNOM\n  XDAT 1 3\n  XDAT 2 4\n  XDAT 3 0.1\n  SPID 1 4 0\n  DISZ 2",
+    "  TYPE FZERNSAG\n  XDAT 1 3\n  XDAT 2 4\n  XDAT 3 0.1\n  CLAP 1 4 0\n  DISZ 2",
+    "  TYPE COORDBRK\n  PARM 1 0.5\n  PARM 3 25\n  PARM 6 1\n  DISZ 1",
+    "  TYPE EVENASPH\n  PARM 1 0.5\n  PARM 3 25\n  DISZ 1\n  SQAP 1 2 0\n  STOP",
+    header="UNIT CM\nFLOA\nFTYP 0 0 1 1 0 0 0\nWAVL 0.5 0.6\nPWAV 1",
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.sampled_from([COOKE.read_text(), ODD.replace("STOP", "STOP\n  DIAM 3")]),
+    st.integers(0, 200),
+    st.integers(0, 12),
+    st.sampled_from(TOKENS),
+)
+def test_a_damaged_file_is_read_or_refused_but_never_breaks(text, line, word, token):
+    lines = text.splitlines()
+    whole = lines[line % len(lines)]
+    words = whole.split()
+    words[word % len(words)] = token
+    lines[line % len(lines)] = whole[: len(whole) - len(whole.lstrip())] + " ".join(words)
+    try:
+        system = parse_zmx("\n".join(lines), "lens.zmx")
+    except UserError:
+        return
+    require_system(system)
+
+
+NEWTON = """MODE SEQ
+ENPD 200
+FTYP 0 0 1 1 0 0 0
+YFLN 0
+WAVM 1 0.55 1
+SURF 0
+  DISZ INFINITY
+SURF 1
+  COMM M1
+  CURV -5.0E-4
+  CONI -1
+  DISZ -800
+  GLAS MIRROR 0 0
+  STOP
+SURF 2
+  TYPE COORDBRK
+  PARM 3 30
+  PARM 4 20
+  DISZ 0
+SURF 3
+  COMM fold
+  DISZ 0
+  GLAS MIRROR 0 0
+SURF 4
+  TYPE COORDBRK
+  DISZ 0
+  PARM 3 {x}
+  PARM 4 {y}
+  PARM 5 {z}
+SURF 5
+  COMM image
+  DISZ 0
+"""
+
+
+def test_a_folded_telescope_focuses_on_its_image():
+    """A parabola of 1000 mm, a flat 800 mm before it, the image where the reflection sends the axis."""
+    normal = cardan(np.deg2rad([30.0, 20.0, 0.0]))[:, 2]
+    arm = np.array([0.0, 0.0, -1.0]) + 2 * normal[2] * normal  # the axis after the flat
+    x, y, z = np.rad2deg(cardan_angles(cardan(np.deg2rad([30.0, 20.0, 0.0])).T))
+    system = parse_zmx(NEWTON.format(x=x, y=y, z=z), "newton.zmx")
+    image = system.surfaces[-1]
+    np.testing.assert_allclose(image.position, [0, 0, -800], atol=1e-12)
+    system = replace(
+        system, surfaces=(*system.surfaces[:2], replace(image, position=image.position + 200 * arm))
+    )
+    radius, angle = np.linspace(10, 100, 5), np.linspace(0, 6, 5)
+    position = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(5, -900.0)])
+    rays = Rays(position, np.array([[0.0], [0.0], [1.0]]) * np.ones(5), np.zeros(5))
+    for one in (system, parse_zmx(zmx_text(system), "copy.zmx")):
+        traced = trace_sequence_numpy(pack(one, 550e-6), rays, moving(one, rest_states(one)))
+        np.testing.assert_allclose(np.stack([traced.x[0], traced.y[0]]), 0.0, atol=1e-10)
+        np.testing.assert_allclose(traced.path[0], 900 + 1000, rtol=1e-13)

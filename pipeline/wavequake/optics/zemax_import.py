@@ -22,6 +22,7 @@ from wavequake.optics.system_kinematics import Break, SurfaceRow, sequential
 from wavequake.optics.zemax_surfaces import (
     Line,
     Row,
+    as_count,
     as_integer,
     as_number,
     coordinate_break,
@@ -280,7 +281,7 @@ def _wavelengths(file: _File) -> tuple[np.ndarray, int]:
             raise UserError(f"{file.where} gives no wavelength (WAVM or WAVL).")
         values = [_from_microns(line, 1) for line in lines]
     if kind and len(kind.words) > 3:
-        values = values[: as_integer(kind, 3)]
+        values = values[: as_count(kind, 3)]
     chosen = file.first("PWAV")
     primary = as_integer(chosen, 0) - 1 if chosen else 0
     if not 0 <= primary < len(values):
@@ -293,7 +294,8 @@ def _wavelengths(file: _File) -> tuple[np.ndarray, int]:
 
 def _from_microns(line: Line, index: int) -> float:
     """Return a wavelength in mm; the decimal point is shifted, so 0.48 um is 480e-6 mm to the bit."""
-    as_number(line, index)
+    if not as_number(line, index) > 0:
+        fail(line, f"the wavelength {line.words[index]} um is not positive")
     return float(Decimal(line.words[index]).scaleb(-3))
 
 
@@ -318,7 +320,7 @@ def _fields(file: _File, scale: float, infinite: bool) -> tuple[np.ndarray, bool
     for keywords in (("XFLN", "XFLD"), ("YFLN", "YFLD")):
         line = next((line for keyword in keywords for line in file.header.get(keyword, [])), None)
         values.append([as_number(line, index) for index in range(len(line.words))] if line else [0.0])
-    count = as_integer(kind, 2) if kind and len(kind.words) > 2 else max(map(len, values))
+    count = as_count(kind, 2) if kind and len(kind.words) > 2 else max(map(len, values))
     padded: Sequence[list[float]] = [(row + [0.0] * count)[:count] for row in values]
     fields = np.array(padded).T
     return (np.deg2rad(fields) if infinite else fields * scale), telecentric

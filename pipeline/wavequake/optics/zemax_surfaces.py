@@ -14,6 +14,7 @@ from wavequake.optics.system_kinematics import Break
 from wavequake.optics.zernike_indices import convert_coefficients
 
 MAX_EVEN_TERMS = 8
+MAX_COUNT = 1000
 
 _OPENINGS = ("CLAP", "FLAP", "OBSC", "SQAP", "SPID")
 _USED = ("TYPE", "CURV", "CONI", "DISZ", "GLAS", "DIAM", "STOP", "PARM", "XDAT", "OBDC", "COMM")
@@ -111,6 +112,14 @@ def as_integer(line: Line, index: int) -> int:
 _Builder = Callable[["Row", float, float, float], Shape]
 
 
+def as_count(line: Line, index: int) -> int:
+    """Return a word of a line as a number of things, of which there is at least one."""
+    value = as_integer(line, index)
+    if not 1 <= value <= MAX_COUNT:
+        fail(line, f"{value} is not a number of things from 1 to {MAX_COUNT}")
+    return value
+
+
 def shape(row: Row, scale: float) -> Shape:
     """Return the shape of a surface in mm; `scale` is mm per unit of the file."""
     curvature, conic = row.one("CURV"), row.one("CONI")
@@ -166,7 +175,7 @@ def _extra_data(row: Row, scale: float) -> tuple[tuple[float, ...], float]:
     """Return the coefficients and the normalization radius that a surface's extra data hold, in mm."""
     data = row.table("XDAT")
     count, norm = data.get(1, 0.0), data.get(2, 0.0)
-    if not (norm > 0 and count == int(count) and count >= 0):
+    if not (norm > 0 and count == int(count) and 0 <= count <= MAX_COUNT):
         fail(
             row.line,
             f"{row.label} needs a number of terms (XDAT 1) and a positive normalization radius (XDAT 2)",
@@ -193,9 +202,9 @@ def opening(row: Row, scale: float) -> Opening | None:
     if shift and any(as_number(shift, index) for index in range(len(shift.words))):
         fail(shift, f"{row.label} has a decentered aperture, which is not supported")
     if line.keyword == "SPID":
-        width, count = as_number(line, 0) * scale, as_integer(line, 1)
-        if not (width > 0 and count > 0):
-            fail(line, f"{row.label} has a spider of {count} arms {width:g} mm wide; both must be positive")
+        width, count = as_number(line, 0) * scale, as_count(line, 1)
+        if not width > 0:
+            fail(line, f"{row.label} has a spider whose arms are {width:g} mm wide, not a positive number")
         return Opening(arms=spider(width, count))
     low, high = as_number(line, 0) * scale, as_number(line, 1) * scale
     if line.keyword == "SQAP":
