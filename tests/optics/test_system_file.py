@@ -9,8 +9,11 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from wavequake.errors import UserError
+from wavequake.kernels.sequence import Rays
+from wavequake.kernels.sequential_numpy import trace_sequence_numpy
 from wavequake.optics.catalog import optical_system
 from wavequake.optics.media import constant, glass
+from wavequake.optics.packing import moving, pack
 from wavequake.optics.shapes import (
     Conic,
     EvenAsphere,
@@ -21,6 +24,7 @@ from wavequake.optics.shapes import (
 )
 from wavequake.optics.system import Pupil
 from wavequake.optics.system_file import SystemSection, build, embed_file
+from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.zemax_import import read_zmx
 
 COOKE = Path(__file__).parents[1] / "data" / "cooke_triplet.zmx"
@@ -232,3 +236,20 @@ def test_a_section_survives_its_json():
     assert replace(build(again), fields=0, wavelengths=0, surfaces=()) == replace(
         build(one), fields=0, wavelengths=0, surfaces=()
     )
+
+
+@given(st.floats(-40, 40), st.floats(-40, 40))
+def test_a_folded_telescope_focuses_on_its_image(a, b):
+    """A parabola with a focal length of 1000 mm; its path of 800 + 200 mm is folded by any flat."""
+    system = table(
+        '{name = "M1", radius_mm = -2000.0, conic = -1.0, glass = "mirror", stop = true}',
+        f'{{name = "flat", distance_mm = 800.0, tilt_deg = [{a!r}, {b!r}, 0.0],'
+        'glass = "mirror", fold = true}',
+        '{name = "image", distance_mm = 200.0}',
+    )
+    radius, angle = np.linspace(10, 100, 5), np.linspace(0, 6, 5)
+    position = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(5, -900.0)])
+    rays = Rays(position, np.array([[0.0], [0.0], [1.0]]) * np.ones(5), np.zeros(5))
+    traced = trace_sequence_numpy(pack(system, 550e-6), rays, moving(system, rest_states(system)))
+    np.testing.assert_allclose(np.stack([traced.x[0], traced.y[0]]), 0.0, atol=1e-10)
+    np.testing.assert_allclose(traced.path[0], 900 + 1000, rtol=1e-13)
