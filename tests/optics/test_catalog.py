@@ -118,22 +118,11 @@ def test_every_field_is_diffraction_limited(name, airy_radii):
 def test_jwst_is_an_anastigmat_over_its_field():
     system = optical_system("jwst")
     airy = 0.61 * 2000e-6 / paraxial(system).image_na
+    states = rest_states(system, 53)
+    states.surface_motion[:, -1, 2] = np.linspace(-18.0, 8.0, 53)
     for arcmin in (0.0, 3.0, 6.0, 9.0):
-        best = min(
-            float(
-                spot_of(system, [0.0, np.radians(arcmin / 60)], count=100, states=focused(system, shift)).rms[
-                    0
-                ]
-            )
-            for shift in np.linspace(-20.0, 20.0, 41)
-        )
-        assert best < 0.3 * airy
-
-
-def focused(system, shift):
-    states = rest_states(system)
-    states.surface_motion[0, -1, 2] = shift
-    return states
+        focused = spot_of(system, [0.0, np.radians(arcmin / 60)], count=100, states=states).rms
+        assert focused.min() < 0.2 * airy
 
 
 def test_the_gregorian_is_unobscured():
