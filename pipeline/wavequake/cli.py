@@ -108,7 +108,7 @@ def run(
 
     loaded = load_study(study, overrides or [])
     path = store or Path(loaded.store.path or loaded.default_store())
-    out.print(f"{loaded.study.name}  {loaded.campaign.cases} cases  ->  {path}", markup=False, soft_wrap=True)
+    out.print(f"{loaded.study.name}  {loaded.cases} cases  ->  {path}", markup=False, soft_wrap=True)
     try:
         with _progress() as progress:
             summary = run_study(loaded, path, on=on, workers=workers, progress=progress, repair=repair)
@@ -255,19 +255,24 @@ def sensitivity(
         int | None,
         typer.Option(min=0, max=231, help="Zernike terms of each segment's figure (default: the study's)."),
     ] = None,
+    mirror_terms: Annotated[
+        int, typer.Option(min=0, max=231, help="Zernike terms of the figure of M2 and each further mirror.")
+    ] = 0,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Show and keep how line of sight and wavefront follow motions of every surface and segment."""
-    from wavequake.report.sensitivity import explanations, segment_table, surface_table
+    from wavequake.report.sensitivity import explanations, mirror_table, segment_table, surface_table
     from wavequake.workflows.sensitivity import stored_sensitivity
     from wavequake.workflows.store import SENSITIVITY
     from wavequake.workflows.study import load_study
 
     loaded = load_study(study, overrides or [])
     path = store or Path(loaded.store.path or loaded.default_store())
-    found, kept = stored_sensitivity(loaded, path, figure_terms)
+    found, kept = stored_sensitivity(loaded, path, figure_terms, mirror_terms)
     out.print(surface_table(found))
     out.print(segment_table(found))
+    if mirror_terms:
+        out.print(mirror_table(found))
     for line in explanations(found):
         out.print(line, markup=False)
     words = "Were there already, nothing was computed" if kept else "Written"

@@ -1,28 +1,22 @@
-"""One self-contained HTML file per campaign: no scripts, nothing loaded, the same bytes for the same data."""
+"""The report of a segment-disturbance campaign: table, figures and definitions of one HTML page."""
 
-import io
-import json
-import os
-import re
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import xarray as xr
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
-from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from wavequake.errors import UserError
 from wavequake.report import figures
 from wavequake.report.detail import Detail
+from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import Population, Summary, excluded, populations, summarize
 from wavequake.report.table import number, rows
 
-LISTED = 200
+_SMALL_PRINT = (
+    "Small print below a number: its 95 % confidence interval (≤, ≥: too few cases for both bounds); ± is a "
+    "standard error. “> field”: beyond the frame of the image."
+)
 # Term, variable of the store whose own long_name opens the definition, and how the report uses it.
 _DEFINITIONS = (
     ("WFE on glass", "wfe_rms_raw", "A case has the rms over its instants; P50 and P95 are over cases."),
@@ -77,21 +71,6 @@ _DEFINITIONS = (
 )
 
 
-@dataclass(frozen=True)
-class _Picture:
-    """A drawn figure, its place in the document and its words for those who cannot see it."""
-
-    id: str
-    text: str
-    svg: Markup
-
-
-@dataclass(frozen=True)
-class _Section:
-    name: str
-    figures: list[_Picture]
-
-
 def write_report(
     dataset: xr.Dataset,
     details: Sequence[Detail],
@@ -123,9 +102,7 @@ def write_report(
         If the dataset is not that of a campaign, a detail belongs to no disturbance of it, or the file cannot
         be written.
     """
-    target = Path(path).resolve()
-    _write_whole(target, render_report(dataset, details, analytic))
-    return target
+    return write_page(render_report(dataset, details, analytic), path)
 
 
 def render_report(
@@ -139,26 +116,20 @@ def render_report(
                 f"Case {detail.case} is of {detail.disturbance!r}, which is no disturbance of this store."
             )
     summaries = [summarize(population, (analytic or {}).get(population.name)) for population in found]
-    left_out = excluded(dataset)
-    study = _study(dataset)
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-    )
-    return environment.get_template("report.html.j2").render(
-        name=_entry(study, "name") or "Campaign",
-        title=_entry(study, "title"),
-        answer=answer(summaries),
-        table=rows(summaries),
-        overview=list(_overview(found)),
-        sections=[_section(place, population, details, dataset) for place, population in enumerate(found)],
-        left_out=left_out[:LISTED],
-        more_left_out=max(0, len(left_out) - LISTED),
-        definitions=[(term, _definition(dataset, name, use)) for term, name, use in _DEFINITIONS],
-        provenance=list(_provenance(dataset)),
-        study=json.dumps(study, indent=2, ensure_ascii=False) if study else "",
+    return render_page(
+        dataset,
+        Page(
+            answer=answer(summaries),
+            table=rows(summaries),
+            small_print=_SMALL_PRINT,
+            overview=list(_overview(found)),
+            sections=[
+                _section(place, population, details, dataset) for place, population in enumerate(found)
+            ],
+            definitions=[(term, _definition(dataset, name, use)) for term, name, use in _DEFINITIONS],
+            kind="disturbance",
+            left_out=excluded(dataset),
+        ),
     )
 
 
@@ -186,38 +157,36 @@ def _definition(dataset: xr.Dataset, name: str, use: str) -> str:
     return f"{long_name[0].upper()}{long_name[1:].rstrip('.')}. {use}" if long_name else use
 
 
-def _overview(found: Sequence[Population]) -> Iterator[_Picture]:
+def _overview(found: Sequence[Population]) -> Iterator[Picture]:
     if any(len(population.cases) for population in found):
-        yield _picture(
+        yield picture(
             "wfe", "Distribution of the wavefront error over cases", figures.distributions(found, "wfe")
         )
-        yield _picture(
+        yield picture(
             "strehl", "Distribution of the Strehl ratio over instants", figures.distributions(found, "strehl")
         )
 
 
-def _section(place: int, population: Population, details: Sequence[Detail], dataset: xr.Dataset) -> _Section:
+def _section(place: int, population: Population, details: Sequence[Detail], dataset: xr.Dataset) -> Section:
     if not len(population.cases):
-        return _Section(population.name, [])
+        return Section(population.name, [])
     pictures = []
     mine = [detail for detail in details if detail.disturbance == population.name]
     for detail in mine:
         of, id_ = f"of case {detail.case}", f"d{place}c{detail.case}"
         image = figures.psf_image(detail.image, detail.image_x, detail.image_y, detail.case)
         pictures += [
-            _picture(f"{id_}-m1", f"Displacement of each segment {of}", figures.segment_map(detail)),
-            _picture(f"{id_}-opd", f"Optical path differences {of}", figures.opd_map(detail)),
-            _picture(f"{id_}-spot", f"Spot diagram {of}", figures.spot_diagram(detail)),
-            _picture(f"{id_}-psf", f"Image {of}", image),
+            picture(f"{id_}-m1", f"Displacement of each segment {of}", figures.segment_map(detail)),
+            picture(f"{id_}-opd", f"Optical path differences {of}", figures.opd_map(detail)),
+            picture(f"{id_}-spot", f"Spot diagram {of}", figures.spot_diagram(detail)),
+            picture(f"{id_}-psf", f"Image {of}", image),
         ]
     if not mine:
         pictures.append(
-            _picture(f"d{place}-psf", "Image of the worst case", _stored_image(population, dataset))
+            picture(f"d{place}-psf", "Image of the worst case", _stored_image(population, dataset))
         )
-    pictures.append(
-        _picture(f"d{place}-time", "Median and worst case over time", figures.history(population))
-    )
-    return _Section(population.name, pictures)
+    pictures.append(picture(f"d{place}-time", "Median and worst case over time", figures.history(population)))
+    return Section(population.name, pictures)
 
 
 def _stored_image(population: Population, dataset: xr.Dataset) -> Figure:
@@ -225,70 +194,3 @@ def _stored_image(population: Population, dataset: xr.Dataset) -> Figure:
     row = int((dataset["case"].to_numpy() == case).argmax()) if "case" in dataset.coords else case
     image = dataset["exposure"].transpose("case", "y", "x").isel(case=row).to_numpy()
     return figures.psf_image(image, dataset["x"].to_numpy(), dataset["y"].to_numpy(), case)
-
-
-def _picture(id_: str, text: str, figure: Figure) -> _Picture:
-    return _Picture(id_, text, Markup(inline_svg(figure, id_)))
-
-
-def inline_svg(figure: Figure, salt: str) -> str:
-    """Draw a figure as an SVG element of an HTML document, without prolog and metadata.
-
-    Its ids are unique as long as `salt` is. Matplotlib has escaped all text in it.
-    """
-    buffer = io.StringIO()
-    with rc_context({**figures.STYLE, "svg.hashsalt": salt}):
-        figure.savefig(buffer, format="svg", dpi=150, metadata={"Date": None})
-    text = buffer.getvalue()
-    text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
-    # Groups are numbered alike in each figure and never referred to; outlines need no more than 0.01 points.
-    text = re.sub(r'<g id="[^"]*"', "<g", text)
-    text = re.sub(r' d="[^"]*"', lambda outline: re.sub(r"(\.\d\d)\d+", r"\1", outline[0]), text)
-    text = re.sub(r' transform="rotate\(-0 [^"]*\)"', "", text)
-    return re.sub(r"\n\s*", "\n", text)
-
-
-def _study(dataset: xr.Dataset) -> dict[str, Any]:
-    try:
-        study = json.loads(dataset.attrs.get("study", "{}"))
-    except (TypeError, json.JSONDecodeError):
-        return {}
-    return study if isinstance(study, dict) else {}
-
-
-def _entry(study: Mapping[str, Any], key: str) -> str:
-    section = study.get("study")
-    return str(section.get(key) or "") if isinstance(section, dict) else ""
-
-
-def _provenance(dataset: xr.Dataset) -> Iterator[tuple[str, str]]:
-    """Yield the attributes of the store but the study, which stands below; JSON records as lists."""
-    for key, value in dataset.attrs.items():
-        if key == "study":
-            continue
-        try:
-            record = json.loads(value) if isinstance(value, str) else value
-        except json.JSONDecodeError:
-            record = value
-        if isinstance(record, dict):
-            record = ", ".join(f"{name} {part}" for name, part in record.items())
-        yield str(key).replace("_", " "), str(record if isinstance(record, str) else value)
-
-
-def _write_whole(target: Path, text: str) -> None:
-    temporary = None
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(
-            "w", encoding="utf-8", dir=target.parent, suffix=".tmp", delete=False
-        ) as file:
-            temporary = Path(file.name)
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.chmod(0o644)
-        temporary.replace(target)
-    except OSError as error:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
-        raise UserError(f"The report {target} cannot be written: {error.strerror or error}.") from None

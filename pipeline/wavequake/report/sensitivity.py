@@ -115,6 +115,30 @@ def segment_table(found: "xr.Dataset") -> Table:
     return table
 
 
+def mirror_table(found: "xr.Dataset") -> Table:
+    """Return the table of the figures of the mirrors after M1, one row per term."""
+    table = Table(
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        title="Figures of mirrors over the axial beam's footprint, heights along z of the surface",
+        title_justify="left",
+    )
+    table.add_column("mirror\nfigure")
+    for axis in "xy":
+        table.add_column(f"LOS {axis}\nmm per mm", justify="right", no_wrap=True)
+    table.add_column("largest Zernike terms from j = 4 on\nnm per nm")
+    los = _zeroed(found.sensitivity_los_mirror.values * 1e-3)
+    zernike = _zeroed(found.sensitivity_zernike_mirror.values[..., 3:] * 1e-9)
+    for index, name in enumerate(found.mirror.values):
+        for row, j in enumerate(found.mirror_term.values):
+            label = f"[bold]{name}[/]  Z{j}" if row == 0 else f"{' ' * len(str(name))}  Z{j}"
+            words = ", ".join(_term(k, value) for k, value in _largest(zernike[index, row]))
+            cells = [number(value, 5) for value in los[index, row]]
+            last = row == len(found.mirror_term) - 1
+            table.add_row(label, *cells, words or MISSING, end_section=last)
+    return table
+
+
 def _spread(values: Array) -> str:
     if len(values) == 1:
         return number(values[0])
@@ -125,7 +149,7 @@ def explanations(found: "xr.Dataset") -> list[str]:
     """Return what the numbers mean, how they were made and how far two steps agree, in lines."""
     attrs = found.attrs
     steps = dict(zip(DOFS, found.step_surface.values, strict=True))
-    kinds = ("surface", "segment", "figure")
+    kinds = ("surface", "segment", "figure", "mirror")
     errors = "; ".join(
         f"{kind}s {attrs[f'worst_step_error_{kind}']}"
         for kind in kinds

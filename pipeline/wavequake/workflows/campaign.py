@@ -12,6 +12,7 @@ from wavequake.kernels.devices import choose_device
 from wavequake.workflows.contract import Workflow
 from wavequake.workflows.engine import CampaignSummary, run_campaign
 from wavequake.workflows.journal import read_journal
+from wavequake.workflows.mirror_mor import WORKFLOW as MIRROR_MOR
 from wavequake.workflows.schema import Study
 from wavequake.workflows.segment_disturbance import WORKFLOW as SEGMENT_DISTURBANCE
 from wavequake.workflows.store import JOURNAL, MANIFEST, done_records, open_store, read_manifest
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int, int], None]
 
-WORKFLOWS: dict[str, Workflow] = {"segment-disturbance": SEGMENT_DISTURBANCE}
+WORKFLOWS: dict[str, Workflow] = {workflow.name: workflow for workflow in (SEGMENT_DISTURBANCE, MIRROR_MOR)}
 
 
 def workflow_of(study: Study) -> Workflow:
@@ -56,7 +57,7 @@ def run_study(
         workflow,
         text,
         path,
-        cases=study.campaign.cases,
+        cases=study.cases,
         chunk=study.store.chunk_cases,
         device=device.name,
         on=on,
@@ -115,7 +116,7 @@ def run(
 def plan(study: Study) -> dict[str, str]:
     """Describe what running `study` would take: a pilot of a few cases gives the time; nothing is stored."""
     workflow, text = workflow_of(study), study.identity_text()
-    cases, chunk = study.campaign.cases, study.store.chunk_cases
+    cases, chunk = study.cases, study.store.chunk_cases
     workflow.check(text)
     template = workflow.template(text)
     per_case = sum(int(np.prod(v.shape)) * np.dtype(v.dtype).itemsize for v in template.per_case.values())

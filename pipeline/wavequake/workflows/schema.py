@@ -57,6 +57,11 @@ class Study(Section):
     campaign: CampaignSection = CampaignSection()
     store: StoreSection = StoreSection()
 
+    @property
+    def cases(self) -> int:
+        """Number of cases to run."""
+        return self.campaign.cases
+
     @classmethod
     def read_files(cls, record: dict[str, Any], base: Path) -> None:
         """Replace the files that a record names, relative to `base`, by their contents."""

@@ -10,11 +10,12 @@ from pydantic import ValidationError
 
 from wavequake.errors import UserError
 from wavequake.files import folder
+from wavequake.workflows.mirror_study import MirrorStudy
 from wavequake.workflows.schema import Study, describe
 from wavequake.workflows.segment_study import SegmentStudy
 
 # The model of its study files by each workflow's name.
-STUDIES: dict[str, type[Study]] = {"segment-disturbance": SegmentStudy}
+STUDIES: dict[str, type[Study]] = {"segment-disturbance": SegmentStudy, "mirror-mor": MirrorStudy}
 
 
 def bundled_studies() -> dict[str, Path]:

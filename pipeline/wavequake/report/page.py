@@ -1,0 +1,167 @@
+"""The page of a report: one self-contained HTML file, no scripts, the same bytes for the same data."""
+
+import io
+import json
+import os
+import re
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from wavequake.errors import UserError
+from wavequake.report import figures
+from wavequake.report.populations import Excluded
+
+LISTED = 200
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A drawn figure, its place in the document and its words for those who cannot see it."""
+
+    id: str
+    text: str
+    svg: Markup
+
+
+@dataclass(frozen=True)
+class Section:
+    """Figures under a heading."""
+
+    name: str
+    figures: list[Picture]
+
+
+@dataclass(frozen=True)
+class Page:
+    """What a report says beside what the store itself knows.
+
+    Attributes
+    ----------
+    answer : str
+        One or two sentences.
+    table : list of dict
+        Rows: header -> (value, its small print).
+    small_print : str
+        Beneath the table.
+    overview : list of Picture
+    sections : list of Section
+    definitions : list of (str, str)
+        Term and meaning.
+    kind : str
+        What a case is a case of: "disturbance", "variant".
+    left_out : sequence of Excluded
+        Cases that are in no number.
+    """
+
+    answer: str
+    table: list[dict[str, tuple[str, str]]]
+    small_print: str
+    overview: list[Picture]
+    sections: list[Section]
+    definitions: list[tuple[str, str]]
+    kind: str
+    left_out: Sequence[Excluded]
+
+
+def render_page(dataset: xr.Dataset, page: Page) -> str:
+    """Return the report of a store as HTML."""
+    study = _study(dataset)
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+    )
+    return environment.get_template("report.html.j2").render(
+        name=_entry(study, "name") or "Campaign",
+        title=_entry(study, "title"),
+        page=page,
+        left_out=page.left_out[:LISTED],
+        more_left_out=max(0, len(page.left_out) - LISTED),
+        provenance=list(_provenance(dataset)),
+        study=json.dumps(study, indent=2, ensure_ascii=False) if study else "",
+    )
+
+
+def write_page(text: str, path: str | Path) -> Path:
+    """Write a report, whole or not at all, and return its absolute path; UserError if that fails."""
+    target = Path(path).resolve()
+    _write_whole(target, text)
+    return target
+
+
+def picture(id_: str, text: str, figure: Figure) -> Picture:
+    """Return a figure as part of a page; `id_` is unique in it."""
+    return Picture(id_, text, Markup(inline_svg(figure, id_)))
+
+
+def inline_svg(figure: Figure, salt: str) -> str:
+    """Draw a figure as an SVG element of an HTML document, without prolog and metadata.
+
+    Its ids are unique as long as `salt` is. Matplotlib has escaped all text in it.
+    """
+    buffer = io.StringIO()
+    with rc_context({**figures.STYLE, "svg.hashsalt": salt}):
+        figure.savefig(buffer, format="svg", dpi=150, metadata={"Date": None})
+    text = buffer.getvalue()
+    text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
+    # Groups are numbered alike in each figure and never referred to; outlines need no more than 0.01 points.
+    text = re.sub(r'<g id="[^"]*"', "<g", text)
+    text = re.sub(r' d="[^"]*"', lambda outline: re.sub(r"(\.\d\d)\d+", r"\1", outline[0]), text)
+    text = re.sub(r' transform="rotate\(-0 [^"]*\)"', "", text)
+    return re.sub(r"\n\s*", "\n", text)
+
+
+def _study(dataset: xr.Dataset) -> dict[str, Any]:
+    try:
+        study = json.loads(dataset.attrs.get("study", "{}"))
+    except (TypeError, json.JSONDecodeError):
+        return {}
+    return study if isinstance(study, dict) else {}
+
+
+def _entry(study: Mapping[str, Any], key: str) -> str:
+    section = study.get("study")
+    return str(section.get(key) or "") if isinstance(section, dict) else ""
+
+
+def _provenance(dataset: xr.Dataset) -> Iterator[tuple[str, str]]:
+    """Yield the attributes of the store but the study, which stands below; JSON records as lists."""
+    for key, value in dataset.attrs.items():
+        if key == "study":
+            continue
+        try:
+            record = json.loads(value) if isinstance(value, str) else value
+        except json.JSONDecodeError:
+            record = value
+        if isinstance(record, dict):
+            record = ", ".join(f"{name} {part}" for name, part in record.items())
+        yield str(key).replace("_", " "), str(record if isinstance(record, str) else value)
+
+
+def _write_whole(target: Path, text: str) -> None:
+    temporary = None
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(
+            "w", encoding="utf-8", dir=target.parent, suffix=".tmp", delete=False
+        ) as file:
+            temporary = Path(file.name)
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.chmod(0o644)
+        temporary.replace(target)
+    except OSError as error:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+        raise UserError(f"The report {target} cannot be written: {error.strerror or error}.") from None

@@ -1,0 +1,267 @@
+"""The workflow "mirror-mor": variants of model order reduction, compared in optical units.
+
+A case is one variant of one model. Its frequency responses, mode shapes and time responses are compared with
+those of the reference, mechanically and in what the mirror does to the light.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from wavequake.errors import UserError
+from wavequake.imaging.matrix_fourier import psf
+from wavequake.mechanics.model import ReducedModel
+from wavequake.reduction.metrics import eps_mor, frobenius, mac, pseudo_frequencies, receptance, surface_modes
+from wavequake.reduction.names import parse
+from wavequake.reduction.two_stage import covers, reduce_variants
+from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.workflows.mirror_bench import (
+    MirrorModel,
+    aberrations_over_time,
+    frequencies_of,
+    image_of,
+    model_of,
+    optical_rows,
+    spot_check,
+    study_of,
+    time_of,
+)
+from wavequake.workflows.mirror_study import MirrorStudy
+
+Array = NDArray[np.float64]
+
+# Coefficients whose frequency responses are kept one by one (Störkle 2018, Fig. 4.29), and modes of the MAC.
+SHOWN_TERMS = 15
+MODES = 40
+
+
+def cases_of(study: MirrorStudy) -> list[tuple[str, str]]:
+    """Return model and variant of every case."""
+    return [(model, variant) for model in study.models for variant in study.reduction.variants]
+
+
+def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
+    """Reduce and judge the variants `cases`; one that does not suit the model is quarantined with the reason.
+
+    One BLAS thread, so that a case's bits do not depend on where it is computed.
+    """
+    study = study_of(study_text)
+    arrays = {
+        name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
+        for name, variable in template(study_text).per_case.items()
+    }
+    status = np.full(len(cases), DONE, dtype=np.int8)
+    messages = [""] * len(cases)
+    with threadpool_limits(1):
+        for row, (name, variant) in enumerate(cases_of(study)[int(case)] for case in cases):
+            model = model_of(study_text, name)
+            try:
+                found = judged(study, model, variant)
+            except UserError as error:
+                status[row], messages[row] = RAISED, str(error)
+                continue
+            for key, value in found.items():
+                arrays[key][row] = value
+    return ChunkResult(arrays, status, tuple(messages))
+
+
+def judged(study: MirrorStudy, model: MirrorModel, variant: str) -> dict[str, Array | float]:
+    """Return all stored numbers of one variant."""
+    (reduced,) = reduce_variants(
+        model.stage, [variant], None if covers(model.stage, parse(variant)) else model.full()
+    )
+    rows = optical_rows(model.optics, reduced)
+    terms = len(rows) - 2
+    frequencies = frequencies_of(study)
+    mechanical, optical = receptance(reduced, frequencies), receptance(reduced, frequencies, rows[3:])
+    aberrations = aberrations_over_time(study, reduced, rows)
+    apart = aberrations - model.aberrations
+    images = exposures(study, model, aberrations)
+    shown = np.full((len(frequencies), SHOWN_TERMS - 1), np.nan)
+    kept = min(SHOWN_TERMS, terms) - 1
+    shown[:, :kept] = np.linalg.norm(optical[:, :kept], axis=2)
+    return {
+        "order": float(reduced.order),
+        "reduce_seconds": reduced.seconds,
+        "pseudo_frequency_max": float(pseudo_frequencies(reduced)[-1]),
+        "frf_mech": frobenius(mechanical),
+        "eps_mech": eps_mor(model.mechanical, mechanical),
+        "frf_opt": frobenius(optical),
+        "eps_opt": eps_mor(model.optical, optical),
+        "frf_zernike": shown,
+        "mac": _mac(model, reduced),
+        "mode_frequency": _padded(pseudo_frequencies(reduced)[:MODES]),
+        "wfe_rms": _wavefront_error(aberrations),
+        "wfe_error": _wavefront_error(apart),
+        "los_mm": aberrations[..., :2],
+        "los_error": np.linalg.norm(apart[..., :2], axis=2),
+        "exposure": images,
+        "image_error": _image_error(images, reference_exposures(study, model)),
+    }
+
+
+def _wavefront_error(aberrations: Array) -> Array:
+    """Return the rms of the Zernike terms j >= 4, which is the root of the sum of their squares."""
+    rms: Array = np.sqrt(np.sum(aberrations[..., 5:] ** 2, axis=-1))
+    return rms
+
+
+def _padded(values: Array) -> Array:
+    filled = np.full(MODES, np.nan)
+    filled[: len(values)] = values
+    return filled
+
+
+def _mac(model: MirrorModel, reduced: ReducedModel) -> Array:
+    """Return the MAC of a variant's first modes with those of the intermediate model, at the surface nodes."""
+    table = np.full((MODES, MODES), np.nan)
+    found = mac(surface_modes(reduced)[:, :MODES], surface_modes(model.reference)[:, :MODES])
+    table[: found.shape[0], : found.shape[1]] = found
+    return table
+
+
+def exposures(study: MirrorStudy, model: MirrorModel, aberrations: Array) -> Array:
+    """Return the mean image over the time response of each excitation, (excitation, pixels, pixels)."""
+    section, terms = study.imaging, aberrations.shape[2] - 2
+    maker = image_of(section.pupil_samples, section.pixels, section.sampling, model.optics.obscuration, terms)
+    count = min(section.instants, aberrations.shape[1])
+    instants = np.unique(np.linspace(0, aberrations.shape[1] - 1, count).round().astype(int))
+    radians = 2 * np.pi * section.scale / study.optics.wavelength_nm
+    return np.array(
+        [
+            psf(maker.transform, radians * history[instants][:, 3:] @ maker.basis[1:]).mean(axis=0)
+            for history in aberrations
+        ]
+    )
+
+
+_REFERENCES: dict[tuple[int, str], Array] = {}
+
+
+def reference_exposures(study: MirrorStudy, model: MirrorModel) -> Array:
+    """Return the exposures of the reference, computed once per process."""
+    key = (id(model), study.identity())
+    if key not in _REFERENCES:
+        _REFERENCES[key] = exposures(study, model, model.aberrations)
+    return _REFERENCES[key]
+
+
+def _image_error(images: Array, reference: Array) -> Array:
+    """Return the L2 norms of the differences of unit-energy images, (excitation,)."""
+    one, two = (part / part.sum(axis=(1, 2), keepdims=True) for part in (images, reference))
+    return np.asarray(np.sqrt(np.sum((one - two) ** 2, axis=(1, 2))))
+
+
+def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
+    """Return the labels of cases first <= id < last: model, variant, its method and the seed."""
+    study = study_of(study_text)
+    rows = cases_of(study)[first:last]
+    return {
+        "model": np.array([model for model, _ in rows], dtype=object),
+        "variant": np.array([variant for _, variant in rows], dtype=object),
+        "method": np.array([parse(variant).method for _, variant in rows], dtype=object),
+        "seed": np.full(last - first, study.study.seed, dtype=np.int64),
+    }
+
+
+def template(study_text: str) -> Template:
+    """Return what a store of this study holds."""
+    study = study_of(study_text)
+    excitations, instants = len(study.excitation), study.time.instants
+    frequencies, pixels = study.reduction.frequencies, study.imaging.pixels
+    over_frequency, over_time = ("frequency",), ("excitation", "time")
+
+    def scalar(units: str, long_name: str) -> Variable:
+        return Variable((), (), {"units": units, "long_name": long_name})
+
+    def spectrum(units: str, long_name: str) -> Variable:
+        return Variable(over_frequency, (frequencies,), {"units": units, "long_name": long_name})
+
+    def history(units: str, long_name: str) -> Variable:
+        return Variable(over_time, (excitations, instants), {"units": units, "long_name": long_name})
+
+    per_case = {
+        "order": scalar("1", "number of coordinates of the variant"),
+        "reduce_seconds": scalar("s", "time of the reduction"),
+        "pseudo_frequency_max": scalar("Hz", "largest eigenfrequency of the reduced model"),
+        "frf_mech": spectrum("m/N", "Frobenius norm of the receptance at the interfaces"),
+        "eps_mech": spectrum("1", "relative error of the receptance (Störkle 2018, Eq. 2.10)"),
+        "frf_opt": spectrum(
+            "nm/N", "Frobenius norm of the mechanical-optical response, c_2 and on (Störkle 2018, Eq. 4.23)"
+        ),
+        "eps_opt": spectrum("1", "relative error of the mechanical-optical response"),
+        "frf_zernike": Variable(
+            ("frequency", "noll"),
+            (frequencies, SHOWN_TERMS - 1),
+            {"units": "nm/N", "long_name": "norm over the inputs of each coefficient's response"},
+        ),
+        "mac": Variable(
+            ("mode", "reference_mode"),
+            (MODES, MODES),
+            {"units": "1", "long_name": "modal assurance criterion at the optical surface"},
+        ),
+        "mode_frequency": Variable(
+            ("mode",), (MODES,), {"units": "Hz", "long_name": "eigenfrequencies of the variant"}
+        ),
+        "wfe_rms": history("nm", "wavefront error rms of the fitted Zernikes j >= 4"),
+        "wfe_error": history("nm", "rms of the difference of wavefronts from the reference's, j >= 4"),
+        "los_mm": Variable(
+            (*over_time, "axis"),
+            (excitations, instants, 2),
+            {"units": "mm", "long_name": "line of sight in the image (Störkle 2018, Eq. 3.39)"},
+        ),
+        "los_error": history("mm", "distance from the reference's line of sight"),
+        "exposure": Variable(
+            ("excitation", "y", "x"),
+            (excitations, pixels, pixels),
+            {"units": "1", "long_name": "mean of the instants' images; 1 = peak of the perfect one"},
+        ),
+        "image_error": Variable(
+            ("excitation",),
+            (excitations,),
+            {"units": "1", "long_name": "L2 norm of the difference of unit-energy exposures"},
+        ),
+    }
+    return Template(per_case, _fixed(study, study_text))
+
+
+def _fixed(
+    study: MirrorStudy, study_text: str
+) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]]:
+    pixels = (np.arange(study.imaging.pixels) - study.imaging.pixels // 2) * study.imaging.sampling
+    lambda_over_d = {"units": "lambda/D"}
+    names = [excitation.name for excitation in study.excitation]
+    return {
+        "frequency": (("frequency",), frequencies_of(study), {"units": "Hz", "long_name": "frequency"}),
+        "time": (("time",), time_of(study), {"units": "s", "long_name": "time"}),
+        "excitation": (("excitation",), np.array(names, dtype=object), {"long_name": "excitation"}),
+        "noll": (("noll",), np.arange(2, SHOWN_TERMS + 1), {"long_name": "Noll index"}),
+        "axis": (("axis",), np.array(["x", "y"], dtype=object), {"long_name": "axis of the image plane"}),
+        "y": (("y",), pixels, {**lambda_over_d, "long_name": "image y"}),
+        "x": (("x",), pixels, {**lambda_over_d, "long_name": "image x"}),
+    }
+
+
+def describe(study_text: str) -> dict[str, str]:
+    """Return the models and how well their intermediate bases stand for them, for the plan."""
+    study = study_of(study_text)
+    lines = {}
+    for name in study.models:
+        model = model_of(study_text, name)
+        frequencies, errors = spot_check(study_text, name)
+        worst = f", at most {errors.max():.1e} off the full model" if len(errors) else ""
+        lines[f"model {name}"] = (
+            f"{model.stage.full_order} degrees of freedom, intermediate {model.stage.order}{worst}"
+            + (f" at {', '.join(f'{one:.0f}' for one in frequencies)} Hz" if len(errors) else "")
+        )
+    return lines
+
+
+def check(study_text: str) -> None:
+    """Raise UserError for a study that no variant of can succeed: model, excitations or optics do not fit."""
+    study = study_of(study_text)
+    for name in study.models:
+        model_of(study_text, name)
+
+
+WORKFLOW = Workflow("mirror-mor", template, case_table, compute, describe, check=check)
