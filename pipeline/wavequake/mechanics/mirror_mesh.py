@@ -81,36 +81,37 @@ class Profile:
         return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
 
 
-def _quadrilaterals(first: Integers, second: Integers) -> Integers:
-    """Return the number pairs of the 8 nodes of each quadrilateral of a block, shape (q, 8, 2).
+def _quadrilaterals(ring: Integers, step: Integers, steps: Integers) -> Integers:
+    """Return the numbers of the 8 nodes of each quadrilateral of a block, shape (q, 8, 3).
 
-    `first` and `second`, shape (2 a + 1, 2 b + 1), are the two numbers of a node; odd places are middles.
+    All arguments, shape (2 a + 1, 2 b + 1), number the nodes of the block; odd places are middles of edges:
+    half rings from the center, half steps along the ring, and how many of them go around.
     """
-    pairs = np.stack([first, second], axis=-1)
+    numbers = np.stack(np.broadcast_arrays(ring, step % steps, steps), axis=-1)
     lower, upper = slice(0, -1, 2), slice(2, None, 2)
     middle = slice(1, None, 2)
     corners = [(lower, lower), (upper, lower), (upper, upper), (lower, upper)]
     edges = [(middle, lower), (upper, middle), (middle, upper), (lower, middle)]
-    return np.stack([pairs[place] for place in corners + edges], axis=2).reshape(-1, 8, 2)
+    return np.stack([numbers[place] for place in corners + edges], axis=2).reshape(-1, 8, 3)
 
 
 def _core(divisions: int) -> Integers:
-    """Node numbers (half rings from the center, half steps along it) of three rhombi, shape (q, 8, 2)."""
+    """Node numbers of the three rhombi of a hexagon, as `_quadrilaterals`."""
     i, j = np.meshgrid(np.arange(2 * divisions + 1), np.arange(2 * divisions + 1), indexing="ij")
     ring = np.maximum(i, j)
     blocks = []
     for rhombus in range(3):
         step = 2 * rhombus * ring + np.where(j <= i, j, 2 * ring - i)
-        blocks.append(_quadrilaterals(ring, step % np.maximum(6 * ring, 1)))
+        blocks.append(_quadrilaterals(ring, step, np.maximum(6 * ring, 1)))
     return np.concatenate(blocks)
 
 
 def _rings(first: int, count: int, around: int) -> Integers:
-    """Node numbers, as `_core`, of `count` rings of `around` quadrilaterals outside ring `first`."""
+    """Node numbers, as `_quadrilaterals`, of `count` rings of `around` elements outside ring `first`."""
     ring, step = np.meshgrid(
         np.arange(2 * first, 2 * (first + count) + 1), np.arange(2 * around + 1), indexing="ij"
     )
-    return _quadrilaterals(ring, step % (2 * around))
+    return _quadrilaterals(ring, step, np.full_like(ring, 2 * around))
 
 
 def _extrude(keys: Integers, layers: int) -> tuple[Integers, Integers]:
@@ -129,8 +130,7 @@ def _extrude(keys: Integers, layers: int) -> tuple[Integers, Integers]:
 
 
 def _fill(
-    keys: Integers,
-    around: int,
+    numbers: Integers,
     profile: Profile,
     thickness: float,
     focal_length: float,
@@ -138,20 +138,19 @@ def _fill(
     mounts: list[tuple[int, int]],
 ) -> Mesh:
     """Build the mesh from node numbers; `mounts` are the numbers (whole ring, whole step) of mount points."""
-    names, plane = np.unique(keys.reshape(-1, 2), axis=0, return_inverse=True)
+    names, plane = np.unique(numbers.reshape(-1, 3), axis=0, return_inverse=True)
     elements, places = _extrude(plane.reshape(-1, 8), layers)
-    ring = names[:, 0] / 2
-    # Inside the hexagonal core the number of steps grows from ring to ring; outside it is constant.
-    length = (
-        np.minimum(6 * names[:, 0], 2 * around) if names[:, 0].min() == 0 else np.full(len(names), 2 * around)
-    )
-    flat = profile.place(ring, 6 * names[:, 1] / np.maximum(length, 1))
+    flat = profile.place(names[:, 0] / 2, 6 * names[:, 1] / names[:, 2])
     xy = flat[places[:, 0]]
     sag = (xy**2).sum(axis=1) / (4 * focal_length)
     nodes = np.column_stack([xy, sag + thickness * (places[:, 1] / (2 * layers) - 1)])
-    top = elements[-len(keys) :, TOP]
+    top = elements[-len(numbers) :, TOP]
     rear = [
-        int(np.flatnonzero((names == [2 * a, 2 * b]).all(axis=1)[places[:, 0]] & (places[:, 1] == 0))[0])
+        int(
+            np.flatnonzero((names[:, :2] == [2 * a, 2 * b]).all(axis=1)[places[:, 0]] & (places[:, 1] == 0))[
+                0
+            ]
+        )
         for a, b in mounts
     ]
     return Mesh(nodes, elements, top, np.array(rear, dtype=np.int64))
@@ -209,9 +208,9 @@ def disc_mesh(
         tuple((0.0, 0.5, 1.0, 1.0)[k] for k in keep),
         turns,
     )
-    keys = np.concatenate([_core(core), _rings(core, rings, 6 * core)])
+    numbers = np.concatenate([_core(core), _rings(core, rings, 6 * core)])
     mounts = [(core + inside, step) for step in steps]
-    return _fill(keys, 6 * core, profile, thickness, focal_length, layers, mounts)
+    return _fill(numbers, profile, thickness, focal_length, layers, mounts)
 
 
 def ring_mesh(
@@ -234,7 +233,7 @@ def ring_mesh(
         tuple(ring for ring, _ in knots), tuple(r for _, r in knots), (1.0,) * len(knots), turns
     )
     mounts = [(1 + inside, step) for step in steps]
-    return _fill(_rings(1, rings, around), around, profile, thickness, focal_length, layers, mounts)
+    return _fill(_rings(1, rings, around), profile, thickness, focal_length, layers, mounts)
 
 
 def hexagon_mesh(
@@ -244,4 +243,4 @@ def hexagon_mesh(
     inside = _split(divisions, 0.0, mount_radius, side)
     profile = Profile((0, inside, divisions), (0.0, mount_radius, side), (0.0, 0.0, 0.0))
     mounts = [(inside, 2 * corner * inside) for corner in range(3)]
-    return _fill(_core(divisions), 6 * divisions, profile, thickness, focal_length, layers, mounts)
+    return _fill(_core(divisions), profile, thickness, focal_length, layers, mounts)
