@@ -72,6 +72,12 @@ def test_abaqus_matrix_input(folder, side):
     check(import_model(folder / "truss_STIF2.mtx", mesh=folder / "truss.inp", **CHOICE).model)
 
 
+def test_fortran_exponents(folder):
+    for name, matrix in (("truss_STIF2.mtx", K), ("truss_MASS2.mtx", M)):
+        (folder / name).write_text(abaqus_lines(matrix, "lower").replace("e", "D"))
+    check(import_model(folder / "truss_STIF2.mtx", mesh=folder / "truss.inp", **CHOICE).model)
+
+
 def test_abaqus_coordinate(folder):
     for name, matrix in (("truss_K.mtx", K), ("truss_M.mtx", M)):
         (folder / name).write_text(

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from pandas import read_csv
 from scipy.io import mmread
 
 from wavequake.errors import UserError
@@ -115,15 +116,17 @@ def numbers(data: bytes, source: str, columns: int, first_line: int = 1) -> Arra
     UserError
         If a line has not `columns` numbers; the line is named.
     """
-    words = data.replace(b",", b" ").split()
-    if words and not len(words) % columns:
-        head = b"%%%%MatrixMarket matrix array real general\n%d 1\n" % len(words)
-        try:
-            values = mmread(io.BytesIO(head + b"\n".join(words) + b"\n"))
-            return np.asarray(values, dtype=np.float64).reshape(-1, columns)
-        except ValueError:
-            pass  # the search below finds the line
+    try:
+        table = read_csv(io.BytesIO(data.replace(b",", b" ")), sep=r"\s+", header=None, dtype=np.float64)
+        values = table.to_numpy()
+    except ValueError:  # among them pandas' own errors: the search below finds the line
+        values = np.zeros((0, 0))
+    if values.shape[1] == columns and not np.isnan(values).any():
+        return np.ascontiguousarray(values)
     number, line = _bad_line(data, columns)
+    if number < 0:  # what pandas does not read: nan, and Fortran's exponents D
+        words = data.replace(b",", b" ").upper().replace(b"D", b"E").split()
+        return np.array(words, dtype=np.bytes_).astype(np.float64).reshape(-1, columns)
     raise UserError(
         f"{source}, line {number + first_line}: {columns} numbers expected, found "
         f"{line.decode(errors='replace').strip()[:60]!r}; the file may be cut off"
@@ -157,13 +160,12 @@ def triples(data: bytes, source: str, size: int, first_line: int = 1) -> tuple[I
 
 
 def _bad_line(data: bytes, columns: int) -> tuple[int, bytes]:
-    """Return the first line (from 0) that is not `columns` numbers; the last one if all are."""
-    number, line = 0, b""
-    for number, line in enumerate(data.rstrip().split(b"\n")):  # noqa: B007 - the last one is wanted
+    """Return the first line (from 0) that is not `columns` numbers, or -1 if all are."""
+    for number, line in enumerate(data.split(b"\n")):
         words = line.replace(b",", b" ").split()
         if words and (len(words) != columns or not all(map(_is_number, words))):
-            break
-    return number, line
+            return number, line
+    return -1, b""
 
 
 def _is_number(word: bytes) -> bool:
