@@ -56,7 +56,9 @@ def test_it_prints_and_keeps_the_matrices(sensitivity, tmp_path):
 
 
 def test_the_default_folder_is_that_of_the_runs(sensitivity, tmp_path):
-    code, out, err = sensitivity(*WORDS, "--figure-terms", 4)
+    code, out, err = sensitivity(*WORDS, "--figure-terms", 4, "--mirror-terms", 5)
+    assert "Figures of mirrors" in out
+    assert "M2  Z1" in out
     assert code == 0, err
     (made,) = (tmp_path / "runs").glob("tmt-segments-*/sensitivity.zarr")
     assert str(made) in out

@@ -358,7 +358,8 @@ def test_results_do_not_depend_on_the_batch(tmt18, device):
     states.segment_motion[:] = rng.normal(size=states.segment_motion.shape) * [20, 20, 1e-4, 1e-7, 1e-7, 1e-2]
     states.surface_motion[:] = rng.normal(size=states.surface_motion.shape) * 1e-6
     states.field[:] = rng.normal(size=states.field.shape) * 1e-3
-    one = replace(states, **{name: values[TILE : 2 * TILE] for name, values in vars(states).items()})
+    parts = {name: values[TILE : 2 * TILE] for name, values in vars(states).items() if values is not None}
+    one = replace(states, **parts)
     batch, alone = measure(tmt18, states, device), measure(tmt18, one, device)
     assert alone.lost.min() > 0
     for name, values in vars(alone).items():

@@ -404,3 +404,63 @@ def test_kept_motion_is_the_motion_that_was_drawn(study):
     assert "dof" in workflow.template(text).fixed
     rms = np.sqrt(np.mean(result.arrays["segment_motion"][0, : len(drawn), :, 2] ** 2, axis=1))
     np.testing.assert_allclose(result.arrays["segment_piston_rms"][0, : len(drawn)], rms * 1e9, rtol=1e-12)
+
+
+CUSTOM = """
+[study]
+name = "newton"
+workflow = "segment-disturbance"
+[telescope]
+name = "custom"
+polygons = "polygons.csv"
+primary_radius_mm = -20000.0
+surfaces = [
+    { name = "fold", distance_mm = 5000.0, tilt_deg = 0.0, semi_diameter_mm = 230.0 },
+    { name = "image", distance_mm = 5000.0 },
+]
+[wavefront]
+zernike_terms = 6
+[imaging]
+pixels = 16
+[[disturbance]]
+name = "pistons"
+model = "static-random"
+piston_nm = 10.0
+figure_nm = { 4 = 1.0 }
+"""
+SQUARES = "id,x1_m,y1_m,x2_m,y2_m,x3_m,y3_m,x4_m,y4_m\n" + "\n".join(
+    f"{name},{x},{y},{x + 0.4},{y},{x + 0.4},{y + 0.4},{x},{y + 0.4}"
+    for name, x, y in [("a", 0.01, 0.01), ("b", -0.41, 0.01), ("c", -0.41, -0.41), ("d", 0.01, -0.41)]
+)
+
+
+@pytest.fixture
+def newton(tmp_path):
+    (tmp_path / "polygons.csv").write_text(SQUARES)
+    path = tmp_path / "newton.toml"
+    path.write_text(CUSTOM)
+    return load_study(path)
+
+
+def with_edge(study, semi_diameter):
+    fold, image = (surface.model_dump() for surface in study.telescope.surfaces)
+    return study_with(study, {"telescope.surfaces": [fold | {"semi_diameter_mm": semi_diameter}, image]})
+
+
+@pytest.mark.parametrize("edge", [150.0, 300.0])
+def test_vignetted_rays_are_counted(newton, edge):
+    """Half way to the focus the beam is half as wide, to the order of sag over focal length."""
+    text = with_edge(newton, edge).identity_text()
+    rays = bench_of(text).prepared.rays
+    expected = np.count_nonzero(np.hypot(rays.x, rays.y) > 2.0 * edge)
+    assert (expected > 0) == (edge < 200.0)
+    if not expected:
+        assert workflow.compute(text, np.array([0]), DEVICE).arrays["vignetted"] == [0.0]
+        return
+    static = bench_of(text).static
+    assert static.vignetted[0] == static.lost[0] == expected
+
+
+def test_a_mirror_that_lets_nothing_pass_is_refused(newton):
+    with pytest.raises(UserError, match=r"No ray of segment a .* reaches the image"):
+        workflow.check(with_edge(newton, 1.0).identity_text())

@@ -45,6 +45,23 @@ def study(tmp_path_factory):
     return wq.load_study(path)
 
 
+def test_figures_of_mirrors_are_stored_with_their_units(study, tmp_path):
+    """A constant figure of M2 is its shift along z, 1 m per m; other terms ask for another computation."""
+    ds = wq.sensitivity(study, store=tmp_path, mirror_terms=3)
+    assert list(ds.mirror.values) == ["M2", "M3"]
+    assert ds.sizes["mirror_term"] == 3
+    one = ds.sensitivity_zernike_mirror.sel(mirror="M2", mirror_term=1)
+    other = ds.sensitivity_zernike_surface.sel(surface="M2", dof="dz")
+    assert one.attrs["units"] == "nm per m"
+    np.testing.assert_allclose(one, other, atol=1e-5 * np.abs(other).max())
+    assert ds.steps_agree
+    _, kept = stored_sensitivity(study, tmp_path, mirror_terms=3)
+    assert kept
+    without, kept = stored_sensitivity(study, tmp_path)
+    assert not kept
+    assert "mirror" not in without.coords
+
+
 def test_the_thesis_telescope_has_the_printed_tilt_of_m2(study, tmp_path):
     """Störkle 2018, Eq. 4.24, in mm/rad; and the independent trace's coma, in nm/rad."""
     keys = {"telescope__name": "tmt-thesis", "optics__sampling": "sunflower", "wavefront__zernike_terms": 45}

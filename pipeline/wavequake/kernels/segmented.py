@@ -89,7 +89,9 @@ def trace_segmented(
     )
     rays = (ray_x, ray_y, start_z, candidates)
     if device.kind == "numpy":
-        return trace_segmented_numpy(train, *rays, *moving)
+        return trace_segmented_numpy(
+            train, *rays, segment_poses, figure, surface_poses, mirror_figure, directions, chief
+        )
     shape = (segment_poses.shape[0], ray_x.size, TILE)
     traced = Traced(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.int8))
     tiles = max(1, _LAUNCH_BYTES // (25 * TILE * max(1, ray_x.size)))

@@ -17,7 +17,7 @@ from wavequake.kernels.tiles import TILE
 from wavequake.optics.fits import Fit, segment_planes, weighted_fit, well_determined
 from wavequake.optics.kinematics import field_directions, segment_poses, surface_poses
 from wavequake.optics.pupils import PupilRays
-from wavequake.optics.segmented_telescope import SegmentedTelescope, first_order
+from wavequake.optics.segmented_telescope import SegmentedTelescope, first_order, footprints
 from wavequake.optics.segments import candidates, half_planes
 from wavequake.optics.states import SurfaceStates, rest
 from wavequake.optics.zernike import annular_zernike, circular_zernike_xy, noll_to_nm
@@ -50,6 +50,8 @@ class PreparedTrace:
     figure_matrix : ndarray, shape (S, M, terms)
         From Noll coefficients (heights along the segment's normal, to the sky) to coefficients of the
         kernel's monomials (heights along z, with the light); M = 0 without a figure.
+    mirror_matrix : ndarray, shape (M', terms)
+        From Noll coefficients of a mirror after M1 (heights along its z axis) to those of its monomials.
     obscuration, numerical_aperture, focal_length : float
     chief : ndarray, shape (2,)
         Image point of the virtual chief ray in the reference configuration.
@@ -71,6 +73,7 @@ class PreparedTrace:
     plane: Fit
     segment_fit: csr_matrix
     figure_matrix: Array
+    mirror_matrix: Array
     obscuration: float
     numerical_aperture: float
     focal_length: float
@@ -85,6 +88,7 @@ def prepare(
     wavelength: float,
     terms: int,
     figure_terms: int = 0,
+    mirror_terms: int = 0,
     margin: float = 5.0,
 ) -> PreparedTrace:
     """Collect what does not change from instant to instant.
@@ -100,6 +104,8 @@ def prepare(
         Number of annular Noll Zernike polynomials, at least 3.
     figure_terms : int
         Number of circular Noll Zernike polynomials of each segment's figure.
+    mirror_terms : int
+        The same of each mirror after M1, over the axial beam's footprint (`footprints`).
     margin : float
         How far (mm) a ray may wander across M1 before its candidate segments are searched anew.
 
@@ -124,7 +130,8 @@ def prepare(
     obscuration = system.pupil_inner / system.pupil_outer
     optics = first_order(system)
     degree = noll_to_nm(figure_terms)[0] if figure_terms else -1
-    train = _train(system, degree, optics.exit_pupil_distance)
+    mirror_degree = noll_to_nm(mirror_terms)[0] if mirror_terms else -1
+    train = _train(system, degree, mirror_degree, optics.exit_pupil_distance)
     rows, solved = segment_planes(rays.x, rays.y, weight, rays.segment, system.segments.centers[:, :2])
     if not solved.all():
         name = system.segments.names[int(np.argmin(solved))]
@@ -146,6 +153,7 @@ def prepare(
         plane=weighted_fit(np.stack([np.ones_like(x), x, y], axis=1), weight),
         segment_fit=csr_matrix((rows.ravel(), places), shape=(3 * len(system.segments), len(x))),
         figure_matrix=circular_zernike_xy(degree, figure_terms) / -system.segments.axes[:, 2, 2, None, None],
+        mirror_matrix=circular_zernike_xy(mirror_degree, mirror_terms),
         obscuration=obscuration,
         numerical_aperture=optics.numerical_aperture,
         focal_length=optics.focal_length,
@@ -153,7 +161,9 @@ def prepare(
     )
 
 
-def _train(system: SegmentedTelescope, figure_degree: int, sphere_radius: float) -> SegmentedTrain:
+def _train(
+    system: SegmentedTelescope, figure_degree: int, mirror_degree: int, sphere_radius: float
+) -> SegmentedTrain:
     """Pack the parts of a system that do not move."""
     segments = system.segments
     along = segments.axes[:, :2, 0]  # the local x axis, projected
@@ -167,6 +177,9 @@ def _train(system: SegmentedTelescope, figure_degree: int, sphere_radius: float)
         surface_curvatures=np.array([1.0 / surface.radius for surface in system.surfaces]),
         surface_conics=np.array([surface.conic for surface in system.surfaces]),
         sphere_radius=sphere_radius,
+        semi_diameters=np.array([surface.semi_diameter for surface in system.surfaces]),
+        mirror_degree=mirror_degree,
+        mirror_radii=footprints(system) if mirror_degree >= 0 else None,
     )
 
 
@@ -186,7 +199,28 @@ def chief_rays(prepared: PreparedTrace, states: SurfaceStates) -> Array:
     parent of M1 and the displaced surfaces after it.
     """
     poses = surface_poses(prepared.system, states.surface_motion)
-    return trace_chief(prepared.train, poses, field_directions(states.field), prepared.system.stop_z)
+    return trace_chief(
+        prepared.train,
+        poses,
+        field_directions(states.field),
+        prepared.system.stop_z,
+        mirror_figure=_mirror_figure(prepared, states),
+    )
+
+
+def _mirror_figure(prepared: PreparedTrace, states: SurfaceStates) -> Array | None:
+    """Return the monomials (T, L - 1, M, 16) of the figures of the mirrors after M1."""
+    mirrors, terms = len(prepared.system.surfaces) - 1, prepared.mirror_matrix.shape[1]
+    if not terms and states.mirror_figure is None:
+        return None
+    shape = (len(states), mirrors, terms)
+    found = None if states.mirror_figure is None else states.mirror_figure.shape
+    if found != shape:
+        raise UserError(f"the mirror figures have the shape {found}, it must be {shape}")
+    assert states.mirror_figure is not None
+    lanes_last = states.mirror_figure.reshape(-1, TILE, *shape[1:]).transpose(0, 2, 3, 1)
+    monomials: Array = np.matmul(prepared.mirror_matrix, lanes_last)
+    return monomials
 
 
 def trace_states(prepared: PreparedTrace, states: SurfaceStates, device: Device) -> Traced:
@@ -230,6 +264,7 @@ def trace_states(prepared: PreparedTrace, states: SurfaceStates, device: Device)
         field_directions(states.field),
         chief_rays(prepared, states),
         device,
+        _mirror_figure(prepared, states),
     )
 
 

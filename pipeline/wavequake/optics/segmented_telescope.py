@@ -21,7 +21,8 @@ class ConicSurface:
 
     ``radius`` is infinite for a plane and positive if the center of curvature lies on the surface's +z side.
     ``position`` (3,) is the vertex, ``rotation`` (3, 3) turns the surface's frame into the optics frame. The
-    image plane does not reflect.
+    image plane does not reflect. Light that meets a mirror farther than ``semi_diameter`` from its vertex is
+    vignetted.
     """
 
     name: str
@@ -30,6 +31,7 @@ class ConicSurface:
     position: NDArray[np.float64]
     rotation: NDArray[np.float64]
     reflects: bool = True
+    semi_diameter: float = float("inf")
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,8 @@ class Row:
     """A line of a prescription: where the next surface stands and what it is.
 
     ``distance`` is the way of the light from the previous surface, mm. ``tilt`` turns a mirror about its y
-    axis, rad; what follows turns by twice as much, so that it stands on the folded beam.
+    axis, rad; what follows turns by twice as much, so that it stands on the folded beam. Light beyond
+    ``semi_diameter`` (mm, from the vertex in the surface's x and y) is vignetted.
     """
 
     name: str
@@ -65,6 +68,7 @@ class Row:
     conic: float
     distance: float
     tilt: float = 0.0
+    semi_diameter: float = float("inf")
 
 
 @dataclass(frozen=True)
@@ -107,7 +111,11 @@ def sequential_surfaces(rows: Iterable[Row]) -> tuple[ConicSurface, ...]:
         half_turn = _about_y(row.tilt)
         rotation = frame @ half_turn
         surfaces.append(
-            ConicSurface(row.name, row.radius, row.conic, position, rotation, row is not prescription[-1])
+            ConicSurface(
+                *(row.name, row.radius, row.conic, position, rotation),
+                reflects=row is not prescription[-1],
+                semi_diameter=row.semi_diameter,
+            )
         )
         frame, sense = rotation @ half_turn, -sense
     return tuple(surfaces)
@@ -206,3 +214,27 @@ def _final_direction(system: SegmentedTelescope, y: float) -> Array:
             along = along - 2.0 * (along @ normal) / (normal @ normal) * normal
             position, direction = surface.position + surface.rotation @ hit, surface.rotation @ along
     return direction
+
+
+def footprints(system: SegmentedTelescope) -> Array:
+    """Return the radii (L - 1,) of the axial beam on the mirrors after M1, from each vertex, mm.
+
+    That is where the light of the rim of the pupil arrives; on a fold, its farthest point. NaN where that
+    light misses a mirror.
+    """
+    azimuth = 2.0 * np.pi * np.arange(64) / 64
+    rim = system.pupil_outer
+    position = np.stack([rim * np.cos(azimuth), rim * np.sin(azimuth), np.full(64, system.stop_z)])
+    direction = np.broadcast_to(_AXIS[:, None], position.shape)
+    primary = ConicSurface("M1", system.primary_radius, system.primary_conic, np.zeros(3), np.eye(3))
+    radii = []
+    for surface in (primary, *system.surfaces[:-1]):
+        frame, curvature = surface.rotation, 1.0 / surface.radius
+        local, along = frame.T @ (position - surface.position[:, None]), frame.T @ direction
+        hit = local + conic_path(local, along, curvature, surface.conic) * along
+        radii.append(np.hypot(hit[0], hit[1]).max())
+        slope_x, slope_y = conic_slopes(hit[0], hit[1], curvature, surface.conic)
+        normal = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)])
+        twice = 2.0 * np.sum(along * normal, axis=0) / np.sum(normal**2, axis=0)
+        position, direction = surface.position[:, None] + frame @ hit, frame @ (along - twice * normal)
+    return np.array(radii[1:])

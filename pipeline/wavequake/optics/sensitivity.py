@@ -93,11 +93,12 @@ class SensitivityMatrix:
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """The matrices of a telescope: surfaces after M1, segments of M1, and the segments' figures, if any."""
+    """The matrices of a telescope: surfaces after M1, segments of M1, figures of segments and of mirrors."""
 
     surfaces: SensitivityMatrix
     segments: SensitivityMatrix
     figures: SensitivityMatrix | None
+    mirrors: SensitivityMatrix | None
 
 
 def sensitivities(
@@ -115,7 +116,7 @@ def sensitivities(
     Parameters
     ----------
     prepared : PreparedTrace
-        Its number of figure terms is that of the figures' matrix.
+        Its numbers of figure terms are those of the figures' matrices.
     device : Device
     field : ndarray, shape (2,), optional
         Field point, rad; the axis by default.
@@ -133,15 +134,15 @@ def sensitivities(
         if not (np.isfinite(step) and step > 0.0):
             raise UserError(f"the step of a {name} is {step}, it must be a positive number")
     at = np.zeros(2) if field is None else field
-    segments, _, terms = prepared.figure_matrix.shape
-    still = rest(TILE, segments, len(prepared.system.surfaces), terms)
+    still = _rest(prepared, TILE)
+    terms, mirror_terms = prepared.figure_matrix.shape[2], prepared.mirror_matrix.shape[1]
     lost = int(measure(prepared, replace(still, field=still.field + at), device).lost[0])
     if lost == len(prepared.rays.x):
         raise UserError(f"no ray of {prepared.system.name} reaches the image at rest; check the field point")
     rigid = np.repeat([steps.translation, steps.rotation], 3)
     surface_names = tuple(surface.name for surface in prepared.system.surfaces)
     segment_names = tuple(prepared.system.segments.names)
-    figure_names = tuple(f"Z{j}" for j in range(1, terms + 1))
+    figure_names = tuple(f"Z{j}" for j in range(1, max(terms, mirror_terms) + 1))
 
     def matrix(moved: str, elements: Sequence[str], dofs: tuple[str, ...], sizes: Array) -> SensitivityMatrix:
         fine, wide = (_derivatives(prepared, device, moved, factor * sizes, at, lost) for factor in (1, 2))
@@ -160,10 +161,23 @@ def sensitivities(
     return Sensitivities(
         surfaces=matrix("surface_motion", surface_names, DOFS, rigid),
         segments=matrix("segment_motion", segment_names, DOFS, rigid),
-        figures=matrix("segment_figure", segment_names, figure_names, np.full(terms, steps.figure))
+        figures=matrix("segment_figure", segment_names, figure_names[:terms], np.full(terms, steps.figure))
         if terms
         else None,
+        mirrors=matrix(
+            "mirror_figure",
+            surface_names[:-1],
+            figure_names[:mirror_terms],
+            np.full(mirror_terms, steps.figure),
+        )
+        if mirror_terms and len(surface_names) > 1
+        else None,
     )
+
+
+def _rest(prepared: PreparedTrace, batch: int) -> SurfaceStates:
+    segments, _, terms = prepared.figure_matrix.shape
+    return rest(batch, segments, len(prepared.system.surfaces), terms, prepared.mirror_matrix.shape[1])
 
 
 class _Derivatives(NamedTuple):
@@ -185,15 +199,14 @@ def _derivatives(
     of rays that are lost at rest.
     """
     segments, _, terms = prepared.figure_matrix.shape
-    surfaces = len(prepared.system.surfaces)
-    elements, dofs = getattr(rest(TILE, segments, surfaces, terms), moved).shape[1:]
+    elements, dofs = getattr(_rest(prepared, TILE), moved).shape[1:]
     tiles = min(max(_LAUNCH_NUMBERS // (TILE * segments * (terms + 20)), 1), _LAUNCH_TILES)
     pairs = tiles * TILE // 2
     parts = []
     for first in range(0, elements * dofs, pairs):
         element, dof = np.divmod(np.arange(first, min(first + pairs, elements * dofs)), dofs)
         plus = 2 * np.arange(len(element))
-        states = rest(padded(2 * len(element)), segments, surfaces, terms)
+        states = _rest(prepared, padded(2 * len(element)))
         states.field[:] = field
         getattr(states, moved)[plus, element, dof] = sizes[dof]
         getattr(states, moved)[plus + 1, element, dof] = -sizes[dof]

@@ -139,7 +139,12 @@ def _two_points(
     primary[:, :, [0, 4, 8]] = 1.0
     primary[0, 0, 9:11] = lanes.T
     parent = replace(
-        prepared.train, edges=np.zeros((1, 0, 3)), figure_frames=np.zeros((1, 4)), figure_degree=-1
+        prepared.train,
+        edges=np.zeros((1, 0, 3)),
+        figure_frames=np.zeros((1, 4)),
+        figure_degree=-1,
+        semi_diameters=None,
+        mirror_degree=-1,
     )
     traced = trace_segmented(
         parent,

@@ -23,22 +23,30 @@ class SurfaceStates:
         incoming light), pivot at the surface's vertex.
     field : ndarray, shape (batch, 2)
         Direction of the incoming light: angles in rad to the z axis, x and y; mount motion and field points.
+    mirror_figure : ndarray, shape (batch, surface - 1, term), optional
+        Circular Noll Zernike coefficients in mm of M2, M3, ... (not the image), j = 1..term, over the axial
+        beam's footprint; positive along the z axis of the surface's frame, which for M2 is along the incoming
+        light.
     """
 
     segment_motion: NDArray[np.float64]
     segment_figure: NDArray[np.float64]
     surface_motion: NDArray[np.float64]
     field: NDArray[np.float64]
+    mirror_figure: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return int(self.field.shape[0])
 
 
-def rest(batch: int, segments: int, surfaces: int, figure_terms: int = 0) -> SurfaceStates:
+def rest(
+    batch: int, segments: int, surfaces: int, figure_terms: int = 0, mirror_terms: int = 0
+) -> SurfaceStates:
     """Return the reference configuration for `batch` instants."""
     return SurfaceStates(
         segment_motion=np.zeros((batch, segments, 6)),
         segment_figure=np.zeros((batch, segments, figure_terms)),
         surface_motion=np.zeros((batch, surfaces, 6)),
         field=np.zeros((batch, 2)),
+        mirror_figure=np.zeros((batch, surfaces - 1, mirror_terms)) if mirror_terms else None,
     )

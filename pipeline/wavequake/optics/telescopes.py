@@ -89,8 +89,8 @@ def _tmt(
 ) -> SegmentedTelescope:
     """Assemble a TMT; M2's conic is negative, where Table 4.2 has lost the sign."""
     rows = [
-        Row("M2", m2_radius, -1.31822813, 27093.75),
-        Row("M3", inf, 0.0, 23593.75, tilt=pi / 4.0),
+        Row("M2", m2_radius, -1.31822813, 27093.75, semi_diameter=1512.2),
+        Row("M3", inf, 0.0, 23593.75, tilt=pi / 4.0, semi_diameter=1753.95),
         Row("image", inf, 0.0, _M3_TO_IMAGE),
     ]
     return SegmentedTelescope(name, segments, TMT_RADIUS, conic, sequential_surfaces(rows), _STOP_Z, *pupil)
@@ -137,7 +137,8 @@ def custom(
         What follows M1, the image plane last: ``name``, ``radius_mm`` (None for a plane; negative if the
         center of curvature lies towards the sky's side of an unfolded telescope), ``conic`` (0 by default),
         ``distance_mm`` along the light from the previous surface, ``tilt_deg`` of a fold mirror about its y
-        axis (0 by default).
+        axis (0 by default), ``semi_diameter_mm`` beyond which it vignettes light (None, without an edge, by
+        default).
     """
     if not (isfinite(primary_radius) and primary_radius < 0.0):
         raise UserError(
@@ -158,29 +159,38 @@ def custom(
 
 def _row(surface: Mapping[str, Any], index: int) -> Row:
     """Check one surface of a custom prescription."""
-    keys = ["name", "radius_mm", "conic", "distance_mm", "tilt_deg"]
+    keys = ["name", "radius_mm", "conic", "distance_mm", "tilt_deg", "semi_diameter_mm"]
     name = str(surface.get("name", f"surface {index}"))
     for key in surface:
         if key not in keys:
             raise UserError(f"The surface {name!r} has the unknown key {key!r}; {_nearest(key, keys)}.")
-    radius = surface.get("radius_mm")
+    radius, edge = surface.get("radius_mm"), surface.get("semi_diameter_mm")
     values = {
         "radius_mm": inf if radius is None else radius,
         "conic": surface.get("conic", 0.0),
         "distance_mm": surface.get("distance_mm"),
         "tilt_deg": surface.get("tilt_deg", 0.0),
+        "semi_diameter_mm": inf if edge is None else edge,
     }
     for key, value in values.items():
         if (
             not isinstance(value, int | float)
             or value != value
-            or (key != "radius_mm" and not isfinite(value))
+            or (key not in ("radius_mm", "semi_diameter_mm") and not isfinite(value))
         ):
             raise UserError(f"The surface {name!r} has {key} = {value!r}; it must be a number.")
     if values["radius_mm"] == 0.0 or not values["distance_mm"] > 0.0:
         raise UserError(f"The surface {name!r} needs a radius_mm other than 0 and a distance_mm above 0.")
-    tilt = values["tilt_deg"] * pi / 180.0
-    return Row(name, float(values["radius_mm"]), float(values["conic"]), float(values["distance_mm"]), tilt)
+    if not values["semi_diameter_mm"] > 0.0:
+        raise UserError(f"The surface {name!r} needs a semi_diameter_mm above 0, or none.")
+    return Row(
+        name,
+        radius=float(values["radius_mm"]),
+        conic=float(values["conic"]),
+        distance=float(values["distance_mm"]),
+        tilt=values["tilt_deg"] * pi / 180.0,
+        semi_diameter=float(values["semi_diameter_mm"]),
+    )
 
 
 def _around_its_glass(

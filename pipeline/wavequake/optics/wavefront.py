@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from wavequake.kernels.devices import Device
 from wavequake.kernels.segmented import Traced
 from wavequake.kernels.tiles import TILE, from_tiles
-from wavequake.kernels.train import OK
+from wavequake.kernels.train import OK, vignetted
 from wavequake.optics.fits import Fit, refit, segment_planes
 from wavequake.optics.prepared import PreparedTrace, chief_rays, trace_states
 from wavequake.optics.slopes import coefficients_of_tile
@@ -55,6 +55,8 @@ class Wavefront:
         waves/mm; NaN for a lost segment.
     lost : ndarray of int, shape (batch,)
         Number of lost rays; all numbers above are those of the remaining rays.
+    vignetted : ndarray of int, shape (batch,)
+        Those of them that meet a mirror after M1 beyond its edge.
     lost_segments : ndarray of bool, shape (batch, S)
         Segments whose remaining rays do not determine a plane: mostly, that lost all their rays.
     """
@@ -71,6 +73,7 @@ class Wavefront:
     strehl: Array
     segment_phase: Array
     lost: NDArray[np.int64]
+    vignetted: NDArray[np.int64]
     lost_segments: NDArray[np.bool_]
 
 
@@ -143,6 +146,9 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array) -> Wavefront:
         strehl=strehl,
         segment_phase=phase,
         lost=lost,
+        vignetted=np.concatenate(
+            [np.count_nonzero(vignetted(prepared.train, status), axis=0) for status in traced.status]
+        ),
         lost_segments=lost_segments,
     )
 

@@ -124,7 +124,7 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
         name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
         for name, variable in template(study_text).per_case.items()
     }
-    for name in ("exposure", "rayleigh", "marechal"):  # sums over a case's launches
+    for name in ("exposure", "rayleigh", "marechal", "vignetted"):  # gathered over a case's launches
         arrays[name][:] = 0.0
     messages = [""] * len(cases)
     for launch in _pieces(draws):
@@ -204,6 +204,7 @@ def _record(
     arrays["wfe_rms_raw"][row, there] = wavefront.rms_raw[here] * to_nm
     arrays["wfe_pv"][row, there] = wavefront.pv[here] * to_nm
     arrays["spot_rms"][row, there] = wavefront.spot_rms[here] * abs(to_mas)
+    arrays["vignetted"][row] = max(arrays["vignetted"][row], wavefront.vignetted[here].max())
     arrays["rayleigh"][row] += np.count_nonzero(meets_rayleigh(wavefront.pv[here]))
     arrays["marechal"][row] += np.count_nonzero(meets_marechal(wavefront.rms_flat[here]))
     arrays["zernike"][row, there] = in_basis(bench, wavefront.zernike[here]) * to_nm

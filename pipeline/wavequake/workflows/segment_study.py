@@ -20,6 +20,9 @@ class SurfaceSection(Section):
     conic: float = 0.0
     distance_mm: float = Field(description="along the light from the previous surface", gt=0)
     tilt_deg: float = Field(default=0.0, gt=-90, lt=90, description="of a fold mirror about its y axis")
+    semi_diameter_mm: float | None = Field(
+        default=None, gt=0, description="light beyond it is vignetted; None is a mirror without an edge"
+    )
 
 
 class TelescopeSection(Section):

@@ -75,6 +75,9 @@ def template(study_text: str) -> Template:
             "share of instants with an rms over the rays on glass, piston and tilt removed, of at most "
             "lambda/14 (Störkle 2018, Eq. 3.55)",
         ),
+        "vignetted": variable(
+            (), (), "1", "largest number of rays at an instant that miss the clear part of a mirror after M1"
+        ),
         "ee50": variable(
             (), (), "lambda/D", "radius of 50 % encircled energy of the exposure; inf beyond the frame"
         ),

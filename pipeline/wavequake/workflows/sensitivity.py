@@ -46,6 +46,7 @@ def sensitivity(
     *,
     store: str | Path | None = None,
     figure_terms: int | None = None,
+    mirror_terms: int = 0,
     **overrides: Any,
 ) -> "xr.Dataset":
     """Return the kinematic-optical sensitivities of a study's telescope.
@@ -58,6 +59,8 @@ def sensitivity(
         Folder of the store, which keeps them as ``sensitivity.zarr``; by default that of the study's runs.
     figure_terms : int, optional
         Circular Noll Zernike terms of the figure of each segment; by default those of the study.
+    mirror_terms : int
+        The same of each mirror after M1 (Störkle 2018, Eq. 4.26), over the axial beam's footprint.
     **overrides
         Further keys with double underscores for dots, e.g. ``optics__wavelength_nm=1000.0``.
 
@@ -74,11 +77,11 @@ def sensitivity(
     keys = {key.replace("__", "."): value for key, value in overrides.items()}
     loaded = study_with(study, keys) if isinstance(study, Study) else load_study(study, keys)
     path = Path(store or loaded.store.path or loaded.default_store())
-    return stored_sensitivity(loaded, path, figure_terms)[0]
+    return stored_sensitivity(loaded, path, figure_terms, mirror_terms)[0]
 
 
 def stored_sensitivity(
-    study: Study, path: Path, figure_terms: int | None = None
+    study: Study, path: Path, figure_terms: int | None = None, mirror_terms: int = 0
 ) -> tuple["xr.Dataset", bool]:
     """Return the sensitivities that the store at `path` keeps, and whether they were there already.
 
@@ -99,8 +102,11 @@ def stored_sensitivity(
         refuse_other(path, manifest, study.study.workflow, text, manifest.device_kind)
     bench = bench_of(text)
     terms = bench.figure_terms if figure_terms is None else figure_terms
-    if not 0 <= terms <= _MOST_TERMS:
-        raise UserError(f"There cannot be {terms} figure terms; choose from 0 to {_MOST_TERMS}.")
+    for number in (terms, mirror_terms):
+        if not 0 <= number <= _MOST_TERMS:
+            raise UserError(f"There cannot be {number} figure terms; choose from 0 to {_MOST_TERMS}.")
+    if mirror_terms and len(bench.system.surfaces) < 2:
+        raise UserError(f"The telescope {bench.system.name} has no mirror after M1 that could have a figure.")
     if target.exists():
         kept = open_sensitivity(path)
         if kept.attrs["study"] != text:
@@ -109,22 +115,24 @@ def stored_sensitivity(
                 f"{target} belongs to another study ({name}-{kept.attrs['study_sha256'][:8]}, this one is "
                 f"{study.study.name}-{study.identity()[:8]}); choose another --store."
             )
-        if kept.attrs["figure_terms"] == terms:
+        if (kept.attrs["figure_terms"], kept.attrs["mirror_terms"]) == (terms, mirror_terms):
             return kept, True
-    made = dataset(bench, _of_bench(bench, device, terms), device)
-    made.attrs["figure_terms"] = terms
+    made = dataset(bench, _of_bench(bench, device, terms, mirror_terms), device)
+    made.attrs |= {"figure_terms": terms, "mirror_terms": mirror_terms}
     _write(made, target)
     return open_sensitivity(path), False
 
 
-def _of_bench(bench: Bench, device: Device, figure_terms: int) -> Sensitivities:
+def _of_bench(bench: Bench, device: Device, figure_terms: int, mirror_terms: int) -> Sensitivities:
     prepared = replace(
         bench.prepared, slopes=None, sphere=None
     )  # always those of the OPD about the chief ray
     with threadpool_limits(1):  # their number decides the last bits
-        if figure_terms != bench.figure_terms:
+        if figure_terms != bench.figure_terms or mirror_terms:
             terms = bench.study.wavefront.zernike_terms
-            prepared = prepare(bench.system, prepared.rays, prepared.wavelength, terms, figure_terms)
+            prepared = prepare(
+                bench.system, prepared.rays, prepared.wavelength, terms, figure_terms, mirror_terms
+            )
         return sensitivities(prepared, device, field=bench.field)
 
 
@@ -135,7 +143,8 @@ def dataset(bench: Bench, found: Sensitivities, device: Device) -> "xr.Dataset":
     -------
     xarray.Dataset
         For ``X`` in ``surface`` (dims surface, dof), ``segment`` (segment, dof) and, with figure terms,
-        ``figure`` (segment, term): ``sensitivity_zernike_X`` (..., noll) in nm per m or rad,
+        ``figure`` (segment, term) and ``mirror`` (mirror, mirror_term):
+        ``sensitivity_zernike_X`` (..., noll) in nm per m or rad,
         ``sensitivity_los_X`` and ``sensitivity_centroid_X`` (..., axis) in mm per m or rad,
         ``sensitivity_wfe_rms_raw_X`` in nm per m or rad, ``step_error_X``. A column of dx, dy, dz or of a
         figure is per m, one of rx, ry, rz per rad.
@@ -145,6 +154,8 @@ def dataset(bench: Bench, found: Sensitivities, device: Device) -> "xr.Dataset":
     matrices = {"surface": ("surface", found.surfaces), "segment": ("segment", found.segments)}
     if found.figures is not None:
         matrices["figure"] = ("segment", found.figures)
+    if found.mirrors is not None:
+        matrices["mirror"] = ("mirror", found.mirrors)
     variables: dict[str, _Array] = {}
     for name, (element, matrix) in matrices.items():
         variables |= _variables(name, element, matrix, bench.study.optics.wavelength_nm)
@@ -160,6 +171,13 @@ def dataset(bench: Bench, found: Sensitivities, device: Device) -> "xr.Dataset":
             ("term",),
             np.arange(1, len(found.figures.dofs) + 1),
             {"long_name": "Noll index of the figure over the segment's circumscribed circle"},
+        )
+    if found.mirrors is not None:
+        coordinates["mirror"] = (("mirror",), _text(found.mirrors.elements), {"long_name": "mirror after M1"})
+        coordinates["mirror_term"] = (
+            ("mirror_term",),
+            np.arange(1, len(found.mirrors.dofs) + 1),
+            {"long_name": "Noll index of the figure over the axial beam's footprint"},
         )
     worst = {name: matrix.worst for name, (_, matrix) in matrices.items()}
     attrs = {
@@ -183,15 +201,16 @@ def dataset(bench: Bench, found: Sensitivities, device: Device) -> "xr.Dataset":
 
 def _variables(name: str, element: str, matrix: SensitivityMatrix, wavelength_nm: float) -> dict[str, _Array]:
     """Return the arrays of one matrix by name, in nm or mm per m or rad."""
-    column = "term" if name == "figure" else "dof"
+    column = {"figure": "term", "mirror": "mirror_term"}.get(name, "dof")
     frame = {
         "surface": "motion about the vertex in the axes of the optics frame (z along the incoming light)",
         "segment": "motion about the center in the segment's local frame (dz to the sky)",
         "figure": "surface height to the sky",
+        "mirror": "surface height along the surface's z axis (for M2 along the incoming light)",
     }[name]
     per_mm = np.array([dof not in DOFS[3:] for dof in matrix.dofs])
     scale = np.where(per_mm, MM_PER_M, 1.0)
-    unit = "m" if column == "term" else "m or rad"
+    unit = "m or rad" if column == "dof" else "m"
     dims = (element, column)
 
     def named(long_name: str, units: str) -> dict[str, str]:
