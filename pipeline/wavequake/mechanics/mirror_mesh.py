@@ -87,7 +87,7 @@ def _quadrilaterals(ring: Integers, step: Integers, steps: Integers) -> Integers
     All arguments, shape (2 a + 1, 2 b + 1), number the nodes of the block; odd places are middles of edges:
     half rings from the center, half steps along the ring, and how many of them go around.
     """
-    numbers = np.stack(np.broadcast_arrays(ring, step % steps, steps), axis=-1)
+    numbers = np.stack([ring, step % steps, steps], axis=-1)
     lower, upper = slice(0, -1, 2), slice(2, None, 2)
     middle = slice(1, None, 2)
     corners = [(lower, lower), (upper, lower), (upper, upper), (lower, upper)]
