@@ -253,3 +253,11 @@ def test_a_folded_telescope_focuses_on_its_image(a, b):
     traced = trace_sequence_numpy(pack(system, 550e-6), rays, moving(system, rest_states(system)))
     np.testing.assert_allclose(np.stack([traced.x[0], traced.y[0]]), 0.0, atol=1e-10)
     np.testing.assert_allclose(traced.path[0], 900 + 1000, rtol=1e-13)
+
+
+def test_the_table_of_the_documentation():
+    page = (Path(__file__).parents[2] / "docs" / "systems.md").read_text()
+    text = page.split("```text\n")[1].split("```")[0]
+    system = build(section(text))
+    assert [surface.name for surface in system.surfaces] == ["M1", "flat", "image"]
+    np.testing.assert_allclose(system.surfaces[2].position, [0.0, 200.0, -800.0], atol=1e-12)
