@@ -37,6 +37,11 @@ ALIASES = {
     "F_SILICA": "SILICA",
     "SI": "SILICON",
     "GE": "GERMANIUM",
+    # Grades of higher transmission, with the dispersion of their glass.
+    **{f"{base}HT": base for base in ("F2", "N-BAK4", "N-BK7", "N-KZFS4", "N-LASF45", "N-LASF9", "N-SK2")},
+    **{f"{base}HT": base for base in ("N-SF57", "N-SF6", "SF6")},
+    **{f"{base}HTULTRA": base for base in ("N-SF57", "N-SF6", "SF57")},
+    "N-BK7HTI": "N-BK7",
 }
 """Other names of glasses, in upper case, and the name that the catalogue has."""
 
