@@ -83,28 +83,28 @@ def load_model(section: ImportedModel, folder: Path) -> Imported:
 
 
 def import_model(
-    file: Path,
+    file: Path | str,
     *,
     units: str | None,
     interfaces: NodeChoice,
     surface: NodeChoice,
-    mass: Path | None = None,
-    dofs: Path | None = None,
-    mesh: Path | None = None,
+    mass: Path | str | None = None,
+    dofs: Path | str | None = None,
+    mesh: Path | str | None = None,
     damping: RayleighDamping | None = None,
 ) -> Imported:
     """Read matrices and mesh of a finite-element program into a model in SI units.
 
     Parameters
     ----------
-    file : Path
+    file : path
         CalculiX ``.sti``; Abaqus or Matrix Market ``.mtx``; Nastran ``.pch`` or ``.op4``; Ansys ``.full``;
         ``.npz``; HDF5 ``.h5``.
     units : str
         The files' units of length, mass, time and force, e.g. ``"mm,t,s,N"``. They are never guessed.
     interfaces, surface : str or sequence of int or str
         Node sets and node numbers that carry forces, and that form the optical surface.
-    mass, dofs, mesh : Path, optional
+    mass, dofs, mesh : path, optional
         Where not beside `file` under its name.
     damping : RayleighDamping, optional
         In SI units.
@@ -114,11 +114,13 @@ def import_model(
     UserError
         For whatever is missing, damaged or contradictory; see `wavequake.mechanics.importers.checks`.
     """
+    file = Path(file)
     if not units:
         raise UserError(
             f"the units of {file.name} are not declared; say for example units = 'm,kg,s,N' or 'mm,t,s,N'"
         )
     length, mass_factor, stiffness_factor = si_factors(units)
+    mass, dofs, mesh = (None if path is None else Path(path) for path in (mass, dofs, mesh))
     contents = _read(file)
     stiffness_entries, mass_entries = _pair(contents, file, mass)
     table = _dofs(contents, (stiffness_entries, mass_entries), file, dofs)
