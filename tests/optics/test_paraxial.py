@@ -126,6 +126,13 @@ def test_stop_in_the_focal_plane_is_telecentric():
         paraxial(lens(100.0, -100.0, 0.0, 100.0, stop=2, after=[SurfaceRow("stop", thickness=100.0)]))
 
 
+def test_stop_in_the_front_focal_plane_is_telecentric_in_the_image():
+    data = paraxial(lens(100.0, -100.0, 0.0, 100.0, rows=[SurfaceRow("stop", thickness=100.0)]))
+    assert data.exit_pupil == inf
+    assert data.exit_pupil_diameter == inf
+    assert data.image_na == pytest.approx(0.05)
+
+
 def test_pupil_kinds_agree():
     reference = paraxial(lens(80.0, -120.0, 5.0, 90.0))
     slope = 5.0 / reference.focal_length

@@ -122,39 +122,39 @@ def paraxial(system: OpticalSystem, wavelength: float | None = None) -> Paraxial
         """Return a distance, infinite where rounding alone makes it finite."""
         if denominator == 0.0 or abs(numerator) > _INFINITE * size * abs(denominator):
             return inf
-        return numerator / denominator
+        return float(numerator / denominator)
 
     focal = ratio(1.0, power)
     # The ray from the point of the axis that lies L behind the first surface is (y, n u) = (-L / n, 1) there.
-    entrance = n * ratio(to_stop[0, 1], to_stop[0, 0])
-    pupil_scale = 1.0 / to_stop[0, 0] if isfinite(entrance) else inf
+    entrance = ratio(n * to_stop[0, 1], to_stop[0, 0])
+    pupil_scale = float(1.0 / to_stop[0, 0]) if isfinite(entrance) else inf
     distance = -system.object_distance if isfinite(system.object_distance) else -inf
     marginal = np.array([1.0, 0.0]) if distance == -inf else np.array([-distance / n, 1.0])
     at_last, at_image = lens @ marginal, whole @ marginal
     scale = _scale(system, marginal, at_image, to_stop, n, n_image, entrance, focal)
     marginal, at_last, at_image = scale * marginal, scale * at_last, scale * at_image
-    image_distance = -n_image * ratio(at_last[0], at_last[1])
-    exit_pupil = -n_image * ratio(from_stop[0, 1], from_stop[1, 1])
+    image_distance = ratio(-n_image * at_last[0], at_last[1])
+    exit_pupil = ratio(-n_image * from_stop[0, 1], from_stop[1, 1])
     chief = _chief(system, to_stop, n)
     last_way = steps[-1].way
     stop_radius = abs(float((to_stop @ marginal)[0]))
     return Paraxial(
         focal_length=focal,
-        back_focus=n_image * ratio(lens[0, 0], power),
-        front_focus=-n * ratio(lens[1, 1], power),
-        front_principal=n * ratio(1.0 - lens[1, 1], power),
-        rear_principal=-n_image * ratio(1.0 - lens[0, 0], power),
+        back_focus=ratio(n_image * lens[0, 0], power),
+        front_focus=ratio(-n * lens[1, 1], power),
+        front_principal=ratio(n * (1.0 - lens[1, 1]), power),
+        rear_principal=ratio(-n_image * (1.0 - lens[0, 0]), power),
         image_distance=image_distance,
         defocus=last_way - image_distance,
         magnification=_magnification(system, lens, distance, image_distance, n, n_image),
         entrance_pupil=entrance,
         entrance_pupil_diameter=2.0 * stop_radius * abs(pupil_scale),
         exit_pupil=exit_pupil,
-        exit_pupil_diameter=2.0 * stop_radius / abs(from_stop[1, 1]) if isfinite(exit_pupil) else inf,
+        exit_pupil_diameter=float(2.0 * stop_radius / abs(from_stop[1, 1])) if isfinite(exit_pupil) else inf,
         stop_radius=stop_radius,
         object_na=abs(float(marginal[1])),
         image_na=abs(float(at_image[1])),
-        f_number=float(ratio(0.5, abs(at_image[1]))),
+        f_number=ratio(0.5, abs(at_image[1])),
         lagrange=float(chief[0] * marginal[1] - chief[1] * marginal[0]),
         pupil_magnification=pupil_scale,
     )
@@ -168,13 +168,13 @@ def entrance_pupil_center(system: OpticalSystem, wavelength: float | None = None
     data = paraxial(system, wavelength)
     if not isfinite(data.entrance_pupil):
         return np.array([0.0, 0.0, inf])
-    first = _first_vertex_z(system)
+    first = first_vertex_z(system)
     return np.array(
         [*(_off_axis(system)[system.stop] * data.pupil_magnification), first + data.entrance_pupil]
     )
 
 
-def _first_vertex_z(system: OpticalSystem) -> float:
+def first_vertex_z(system: OpticalSystem) -> float:
     """Return where the axis ray meets the vertex plane of the first surface."""
     surface = system.surfaces[0]
     normal = surface.rotation[:, 2]
@@ -199,7 +199,7 @@ def _off_axis(system: OpticalSystem) -> list[Array]:
 
 def _unfolded(system: OpticalSystem, wavelength: float) -> Iterator[_Step]:
     """Follow the axis ray: yield the way to each surface (first: 0) and what the surface does."""
-    point, direction = np.array([0.0, 0.0, _first_vertex_z(system)]), np.array([0.0, 0.0, 1.0])
+    point, direction = np.array([0.0, 0.0, first_vertex_z(system)]), np.array([0.0, 0.0, 1.0])
     index = refractive_index(system.medium, wavelength)
     for number, surface in enumerate(system.surfaces):
         normal = surface.rotation[:, 2]

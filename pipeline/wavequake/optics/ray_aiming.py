@@ -19,7 +19,7 @@ from wavequake.kernels.sequence import (
 from wavequake.kernels.sequential_numpy import trace_sequence_numpy
 from wavequake.optics.media import refractive_index
 from wavequake.optics.packing import moving, pack
-from wavequake.optics.paraxial import Paraxial, entrance_pupil_center, paraxial
+from wavequake.optics.paraxial import Paraxial, entrance_pupil_center, first_vertex_z, paraxial
 from wavequake.optics.system import OpticalSystem
 from wavequake.optics.system_kinematics import rest_states
 
@@ -108,11 +108,11 @@ def pupil_rays(system: OpticalSystem, field: Array, wavelength: float, x: Array,
     _require_aimed(system, aim, chief, np.zeros((2, 1)), "chief ray")
     target = radius * np.stack([x, y])
     _, slopes = aim.meet_with_slopes(chief)
-    if abs(np.linalg.det(slopes[0])) * beam**2 < 1e-12 * radius**2:
+    if abs(_determinant(slopes)[0]) * beam**2 < 1e-12 * radius**2:
         raise UserError(
             f"the stop of {system.name} lies in an image of its object and limits no cone of light"
         )
-    numbers = _newton(aim, chief + np.linalg.solve(slopes[0], target), target, chief)
+    numbers = _newton(aim, chief + _solved(slopes, target), target, chief)
     _require_aimed(system, aim, numbers, target, f"of {x.size} rays")
     return bundle.rays(numbers)
 
@@ -150,12 +150,23 @@ def _newton(aim: _Aim, numbers: Array, target: Array, safe: Array | None = None)
         going = (np.max(np.abs(miss), axis=0) > 0.1 * _AIMED) & np.isfinite(slopes).all(axis=(1, 2))
         if not going.any():
             break
-        determinant = np.linalg.det(np.where(going[:, None, None], slopes, np.eye(2)))
-        going &= determinant != 0.0
-        safe_slopes = np.where(going[:, None, None], slopes, np.eye(2))
-        step = np.linalg.solve(safe_slopes, np.where(going, miss, 0.0).T[..., None])[..., 0].T
+        going &= _determinant(slopes) != 0.0
+        slopes = np.where(going[:, None, None], slopes, np.eye(2))
+        step = _solved(slopes, np.where(going, miss, 0.0))
         numbers = _recovered(aim, numbers, numbers + step)
     return numbers
+
+
+def _determinant(slopes: Array) -> Array:
+    """Return the determinants (N,) of matrices (N, 2, 2)."""
+    return np.asarray(slopes[:, 0, 0] * slopes[:, 1, 1] - slopes[:, 0, 1] * slopes[:, 1, 0])
+
+
+def _solved(slopes: Array, right: Array) -> Array:
+    """Return the solutions (2, N) of N systems, each by itself: a ray's bits do not depend on the others."""
+    x = slopes[:, 1, 1] * right[0] - slopes[:, 0, 1] * right[1]
+    y = slopes[:, 0, 0] * right[1] - slopes[:, 1, 0] * right[0]
+    return np.stack([x, y]) / _determinant(slopes)
 
 
 def _recovered(aim: _Aim, good: Array, numbers: Array) -> Array:
@@ -171,7 +182,7 @@ def _recovered(aim: _Aim, good: Array, numbers: Array) -> Array:
 def _bundle(system: OpticalSystem, data: Paraxial, field: Array, wavelength: float) -> tuple[_Bundle, Array]:
     """Return the bundle of a field point and the numbers of its paraxial chief ray."""
     index = refractive_index(system.medium, wavelength)
-    first = _first_plane(system)
+    first = first_vertex_z(system)
     if not isfinite(system.object_distance):
         if not isfinite(data.entrance_pupil):
             raise UserError(
@@ -202,13 +213,6 @@ def _bundle(system: OpticalSystem, data: Paraxial, field: Array, wavelength: flo
     return _Bundle(origin, None, origin, index), towards[:2] / towards[2]
 
 
-def _first_plane(system: OpticalSystem) -> float:
-    """Return z where the axis ray meets the vertex plane of the first surface."""
-    surface = system.surfaces[0]
-    normal = surface.rotation[:, 2]
-    return float(normal @ surface.position / normal[2])
-
-
 def _beam_size(system: OpticalSystem, data: Paraxial, wavelength: float) -> float:
     """Return the radius of the beam as the numbers of a bundle measure it."""
     if not isfinite(system.object_distance):
@@ -237,8 +241,8 @@ def _require_aimed(system: OpticalSystem, aim: _Aim, numbers: Array, target: Arr
     # Where the ray goes on its way to the target, not where the iteration has retreated to.
     met, slopes = aim.meet_with_slopes(numbers[:, bad[:1]])
     ahead = numbers[:, bad[:1]]
-    if np.isfinite(slopes).all() and np.linalg.det(slopes[0]) != 0.0:
-        ahead = ahead + np.linalg.solve(slopes[0], target[:, bad[:1]] - met)
+    if np.isfinite(slopes).all() and _determinant(slopes)[0] != 0.0:
+        ahead = ahead + _solved(slopes, target[:, bad[:1]] - met)
     traced = trace_sequence_numpy(aim.sequence, aim.bundle.rays(ahead), aim.poses, True)
     status, surface = int(traced.status[0, 0]), int(traced.surface[0, 0])
     count = f"{bad.size} {which}" if which.startswith("of") else f"the {which}"
