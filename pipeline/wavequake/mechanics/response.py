@@ -90,17 +90,25 @@ def respond(modal: ModalModel, drives: Sequence[Drive], time: Array) -> Response
         raise UserError("a response needs at least one drive")
     step = time_step(time)
     blocks = _blocks(modal, step)
-    free, held = modal.free, modal.prescribed
-    cases, instants = len(drives), len(time)
-    coordinates = np.empty((cases, instants, int(np.sum(~free))))
-    rigid = np.empty((cases, instants, int(np.sum(free))))
-    prescribed = np.empty((cases, instants, int(np.sum(held))))
+    free, held = int(np.sum(modal.free)), modal.prescribed
+    moved = np.empty((len(drives), len(time), len(modal.squared)))
+    prescribed = np.empty((len(drives), len(time), int(np.sum(held))))
     for case, drive in enumerate(drives):
-        position = _propagate(modal, blocks, drive, time, step)[0]
-        coordinates[case], rigid[case] = position[~free].T, position[free].T
+        _check_drive(modal, drive, time)
+        for block in blocks:
+            states = _chain(block.transition, *_forcing(block, drive, time, step))
+            position = states[:, :, : block.modes.shape[1]]
+            moved[case][:, block.modes] = _over_time(position, len(time)) / block.scale
         prescribed[case] = values(drive, time)[:, held]
+    # Modes are sorted by stiffness: the free ones come first.
     return Response(
-        time, coordinates, rigid, prescribed, modal.modes[:, ~free], modal.modes[:, free], modal.lift[:, held]
+        time,
+        moved[..., free:],
+        moved[..., :free],
+        prescribed,
+        modal.modes[:, free:],
+        modal.modes[:, :free],
+        modal.lift[:, held],
     )
 
 
@@ -110,7 +118,15 @@ def propagate(modal: ModalModel, drive: Drive, time: Array) -> tuple[Array, Arra
     The velocity of a prescribed model is that of x less G1 u, which is continuous.
     """
     step = time_step(time)
-    return _propagate(modal, _blocks(modal, step), drive, time, step)
+    _check_drive(modal, drive, time)
+    position, rate = np.empty((2, len(time), len(modal.squared)))
+    for block in _blocks(modal, step):
+        states = _chain(block.transition, *_forcing(block, drive, time, step))
+        both = _over_time(states, len(time))
+        count = block.modes.shape[1]
+        position[:, block.modes] = both[..., :count] / block.scale
+        rate[:, block.modes] = both[..., count:]
+    return position.T, rate.T
 
 
 def displacements(response: Response, rows: Array) -> Array:
@@ -208,20 +224,6 @@ def _step(
     return np.ascontiguousarray(power[:, :states, :states].real), gain
 
 
-def _propagate(
-    modal: ModalModel, blocks: list[_Block], drive: Drive, time: Array, step: float
-) -> tuple[Array, Array]:
-    """Modal positions and velocities, each (r, t)."""
-    _check_drive(modal, drive, time)
-    position, rate = np.empty((2, len(modal.squared), len(time)))
-    for block in blocks:
-        states = _chain(block.transition, *_forcing(block, drive, time, step))
-        count = block.modes.shape[1]
-        position[block.modes] = states[:, :count] / block.scale[..., None]
-        rate[block.modes] = states[:, count:]
-    return position, rate
-
-
 def _forcing(block: _Block, drive: Drive, time: Array, step: float) -> tuple[Array, Array]:
     """Return what the drive adds to the states by each instant, as gains (g, s, f) @ signals (f, t)."""
     gains: list[Array] = []
@@ -267,7 +269,7 @@ def _next_instant(at: float, time: Array, step: float) -> tuple[int, float]:
 
 
 def _chain(transition: Array, gains: Array, signals: Array) -> Array:
-    """Chain the steps x_k = T x_(k-1) + gains @ signals_k from x = 0; states (g, s, t).
+    """Chain the steps x_k = T x_(k-1) + gains @ signals_k from x = 0; states (length, g, s, blocks).
 
     In about sqrt(t) blocks side by side, first each from rest and then with what the block before leaves.
     """
@@ -276,7 +278,7 @@ def _chain(transition: Array, gains: Array, signals: Array) -> Array:
     blocks = -(-instants // length)
     padded = np.pad(signals, ((0, 0), (0, blocks * length - instants)))
     in_blocks = np.ascontiguousarray(padded.reshape(count, blocks, length).transpose(2, 0, 1))
-    chained = (gains.reshape(stack * states, count) @ in_blocks).reshape(length, stack, states, blocks)
+    chained: Array = (gains.reshape(stack * states, count) @ in_blocks).reshape(length, stack, states, blocks)
     for k in range(1, length):
         chained[k] += transition @ chained[k - 1]
     carry = np.zeros((stack, states, blocks))
@@ -286,8 +288,13 @@ def _chain(transition: Array, gains: Array, signals: Array) -> Array:
     for k in range(length):
         carry = transition @ carry
         chained[k] += carry
-    result: Array = chained.transpose(1, 2, 3, 0).reshape(stack, states, -1)[..., :instants]
-    return result
+    return chained
+
+
+def _over_time(chained: Array, instants: int) -> Array:
+    """Put blocks of instants one after the other: (length, g, s, blocks) to (t, g, s)."""
+    length, stack, states, blocks = chained.shape
+    return chained.transpose(3, 0, 1, 2).reshape(blocks * length, stack, states)[:instants]
 
 
 def _check_drive(modal: ModalModel, drive: Drive, time: Array) -> None:
