@@ -27,7 +27,7 @@ def test_the_intermediate_model_stands_for_the_full_one(coarse_mirror, mirror_st
     ["craigb36", "rubin37", "modal37", "hintz36", "guyan9", "modalfix36", "inertia37", "krylov(200*2,450*2)"],
 )
 def test_variants_are_those_of_the_full_model(coarse_mirror, mirror_stage, name):
-    """The 21st and 22nd elastic mode are a pair: rubin36 (and modal36 at the 30th) would keep one of them, turned at random."""
+    """The 21st and 22nd elastic mode are a pair: rubin36 would keep one, turned at random."""
     direct, dense = reduce(coarse_mirror, name), reduce_variants(mirror_stage, [name])[0]
     assert pseudo_frequencies(dense) == pytest.approx(pseudo_frequencies(direct), rel=1e-6, abs=1e-6)
     wanted = receptance(direct, BAND)
@@ -102,6 +102,15 @@ def test_methods_on_modal_coordinates_use_an_intermediate_model():
         reduce_variants(intermediate(model), ["flbt42(0-1200)"])[0],
     )
     assert pseudo_frequencies(direct)[:30] == pytest.approx(pseudo_frequencies(dense)[:30], rel=1e-6)
+
+
+def test_interfaces_alone_are_enough_for_transfer_functions(mirror_stage):
+    with_optics, without = (
+        reduce_variants(mirror_stage, ["rubin36"], optics=flag)[0] for flag in (True, False)
+    )
+    assert np.array_equal(receptance(without, BAND), receptance(with_optics, BAND))
+    assert without.surface.shape == (0, 36)
+    assert len(without.surface_nodes) == len(without.surface_weights) == 0
 
 
 def test_factorizations_are_shared(coarse_mirror):

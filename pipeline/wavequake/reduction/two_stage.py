@@ -4,7 +4,9 @@ Variants that the intermediate model does not cover are reduced directly.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from wavequake.errors import UserError
@@ -19,7 +21,8 @@ from wavequake.reduction.structure import Structure
 
 def reference(model: Intermediate) -> ReducedModel:
     """Return the whole intermediate model as a reduced model: what a sweep is compared with."""
-    return reduce_variants(model, [Variant("modal", model.order)])[0]
+    whole = Variant("modal", model.order)
+    return reduced(dense_structure(model), whole, model, lambda shapes: model.surface @ shapes)
 
 
 def covers(model: Intermediate, variant: Variant) -> bool:
@@ -43,7 +46,11 @@ def covers(model: Intermediate, variant: Variant) -> bool:
 
 
 def reduce_variants(
-    model: Intermediate, variants: Sequence[str | Variant], full: FiniteElementModel | None = None
+    model: Intermediate,
+    variants: Sequence[str | Variant],
+    full: FiniteElementModel | None = None,
+    *,
+    optics: bool = True,
 ) -> list[ReducedModel]:
     """Return the reduced models of many variants.
 
@@ -53,29 +60,37 @@ def reduce_variants(
     variants : sequence of str or Variant
     full : FiniteElementModel, optional
         Reduces those variants directly that the intermediate model does not cover (`covers`).
+    optics : bool
+        False leaves out the optical nodes, which cost more than all the rest where only interfaces matter.
 
     Raises
     ------
     UserError
         If a variant is not covered and the full model is not given, or does not suit the model.
     """
+    if not optics:
+        model = replace(
+            model,
+            surface=model.surface[:0],
+            surface_nodes=model.surface_nodes[:0],
+            surface_weights=np.zeros(0),
+        )
     body = dense_structure(model)
-    return [_reduce_one(model, body, variant, full) for variant in variants]
+    chosen = [parse(name) if isinstance(name, str) else name for name in variants]
+    return [_reduce_one(model, body, variant, full) for variant in chosen]
 
 
 def _reduce_one(
-    model: Intermediate, body: Structure, name: str | Variant, full: FiniteElementModel | None
+    model: Intermediate, body: Structure, variant: Variant, full: FiniteElementModel | None
 ) -> ReducedModel:
-    variant = parse(name) if isinstance(name, str) else name
-    whole = variant == Variant("modal", model.order)
-    if not whole and not covers(model, variant):
-        if full is None:
-            raise UserError(
-                f"The variant {variant} is outside what the intermediate model of {model.name} covers "
-                f"({model.modes} modes, {model.highest:g} Hz, order {model.order}); give the full model too."
-            )
-        return reduce(full, variant)
-    return reduced(body, variant, model, lambda shapes: model.surface @ shapes)
+    if covers(model, variant):
+        return reduced(body, variant, model, lambda shapes: model.surface @ shapes)
+    if full is None:
+        raise UserError(
+            f"The variant {variant} is outside what the intermediate model of {model.name} covers "
+            f"({model.modes} modes, {model.highest:g} Hz, order {model.order}); give the full model too."
+        )
+    return reduce(full, variant)
 
 
 def spot_check(model: FiniteElementModel, variants: Sequence[ReducedModel], frequencies: ArrayLike) -> Array:
