@@ -268,7 +268,8 @@ INLINE real spline_grid(__global const double *a, const int rows, const int colu
     whole_lanes corner;
     corner.all = row * columns + column;
 #endif
-    #pragma unroll
+    // Rows stay a loop: the nodes of 16 lanes are loaded one by one, and compilers take long over them.
+    #pragma unroll 1
     for (int j = 0; j < 4; ++j) {
         real line = 0.0, steep = 0.0;
         #pragma unroll

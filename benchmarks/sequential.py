@@ -1,0 +1,239 @@
+"""How fast the sequential trace is against batoid, numba and the processor's limits, with equal threads.
+
+The four surfaces of the TMT with 28 or 105 annular Zernike terms on M1. Measurements are interleaved; medians
+of same-run ratios are what to compare between machines. `python -m benchmarks.sequential` starts one process
+for each number of threads.
+"""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks._limits import limit_jobs, limits
+from benchmarks._numba_trace import numba_tracer
+from benchmarks.raytrace import workload
+from wavequake.kernels.devices import Device, list_devices
+from wavequake.kernels.segmented import trace_segmented
+from wavequake.kernels.sequence import Element, Moving, Rays, Sequence
+from wavequake.kernels.sequential import trace_sequence
+from wavequake.kernels.tiles import TILE
+from wavequake.optics.surface_basis import zernike_basis
+from wavequake.optics.telescopes import telescope as bundled
+
+Array = NDArray[np.float64]
+REPEATS = 7
+RAYS, BATOID_RAYS = 1_000_000, 100_000
+BATCH, BATCH_RAYS, BATOID_INSTANTS = 1000, 2000, 3
+TILES = 4  # of the segmented trace, which flags failures and searches segments
+OUTER, INNER = 15e3, 3e3
+M1, K1, M2, K2 = -60e3, -1.00095348, -6227.68, -1.31822813
+WANTED = ("path", "x", "y")
+# Multiplications, additions and multiply-adds of the algorithm per ray of four surfaces, without status and
+# choices; divisions and roots; bytes: three read, three written after they are read, two codes likewise.
+ARITHMETIC, DIVISIONS, ROOTS, BYTES = {28: 223, 105: 384}, 5, 2, 76
+
+HALF = np.sqrt(0.5)
+FOLD = np.array([[HALF, 0, -HALF], [0, 1, 0], [HALF, 0, HALF]])
+IMAGE = np.array([[0, 0, 1], [0, 1, 0], [-1.0, 0, 0]])
+ORIGINS = np.array([[0, 0, 0], [0, 0, -27093.75], [0, 0, -3500.0], [-20000.0, 0, -3500.0]])
+
+
+def telescope(degree: int) -> Sequence:
+    primary = Element(1 / M1, K1, "reflect", deformation_degree=degree, deformation_radius=OUTER)
+    return Sequence((primary, Element(1 / M2, K2, "reflect"), Element(action="reflect"), Element()))
+
+
+def poses(shifts: Array, tilts: Array) -> Array:
+    """Relative poses (T, 4, 12) for shifts (T, 2, 3) of M1 and M2 in mm and tilts (T, 2) of both in rad."""
+    instants = len(shifts)
+    axes = np.zeros((instants, 4, 3, 3))
+    axes[:, :2] = np.eye(3)
+    axes[:, 2], axes[:, 3] = FOLD, IMAGE
+    cosine, sine = np.cos(tilts), np.sin(tilts)
+    axes[:, :2, 1, 1], axes[:, :2, 1, 2], axes[:, :2, 2, 1], axes[:, :2, 2, 2] = cosine, sine, -sine, cosine
+    origins = np.tile(ORIGINS, (instants, 1, 1))
+    origins[:, :2] += shifts
+    before = np.concatenate([np.tile(np.eye(3), (instants, 1, 1, 1)), axes[:, :-1]], axis=1)
+    start = np.concatenate([np.zeros((instants, 1, 3)), origins[:, :-1]], axis=1)
+    turn = axes @ np.swapaxes(before, 2, 3)
+    offset = (axes @ (start - origins)[..., None])[..., 0]
+    return np.concatenate([turn.reshape(instants, 4, 9), offset], axis=2)
+
+
+def sunflower(count: int) -> Rays:
+    i = np.arange(count) + 0.5
+    r, phi = np.sqrt(INNER**2 + (OUTER**2 - INNER**2) * i / count), i * np.pi * (3 - np.sqrt(5))
+    direction = np.array([1e-4, -5e-5, np.sqrt(1 - 1e-8 - 2.5e-9)])
+    return Rays(
+        np.stack([r * np.cos(phi), r * np.sin(phi), np.full(count, -1e4)]),
+        np.broadcast_to(direction[:, None], (3, count)),
+        np.broadcast_to(0.0, count),
+    )
+
+
+def figures(terms: int, instants: int) -> tuple[Array, int, Array]:
+    """Return annular Noll coefficients (T, terms) of 20 nm rms each from j = 4, degree, and monomials."""
+    heights = np.random.default_rng(1).normal(0.0, 2e-5, (instants, terms))
+    heights[:, :3] = 0.0
+    basis = zernike_basis(terms, INNER / OUTER)
+    return heights, basis.degree, heights @ basis.matrix.T
+
+
+def batoid_optic(heights: Array, shifts: Array, tilts: Array) -> Any:
+    """Return the telescope in meters, for which batoid's tolerances are made."""
+    import batoid
+
+    figure = batoid.Zernike(
+        np.concatenate([[0.0], 1e-3 * heights]), R_outer=1e-3 * OUTER, R_inner=1e-3 * INNER
+    )
+    primary = batoid.Sum([batoid.Quadric(1e-3 * M1, K1), figure])
+    shapes = [primary, batoid.Quadric(1e-3 * M2, K2), batoid.Plane(), batoid.Plane()]
+    turns = [FOLD.T.copy(), IMAGE.T.copy()]
+    for c, s in zip(np.cos(tilts)[::-1], np.sin(tilts)[::-1], strict=True):
+        turns.insert(0, np.array([[1, 0, 0], [0, c, -s], [0, s, c]]))
+    origins = 1e-3 * (ORIGINS + np.concatenate([shifts, np.zeros((2, 3))]))
+    kinds = [batoid.Mirror, batoid.Mirror, batoid.Mirror, batoid.Detector]
+    parts = zip("1234", kinds, shapes, origins, turns, strict=True)
+    items = [
+        kind(shape, name=name, coordSys=batoid.CoordSys(o, turn)) for name, kind, shape, o, turn in parts
+    ]
+    return batoid.CompoundOptic(items, name="telescope")
+
+
+def batoid_rays(rays: Rays) -> Any:
+    import batoid
+
+    direction = [np.ascontiguousarray(row) for row in rays.direction]
+    return batoid.RayVector(*(1e-3 * row for row in rays.position), *direction, np.zeros(rays.path.size))
+
+
+def interleaved(jobs: dict[str, Callable[[], Any]]) -> dict[str, Array]:
+    for job in jobs.values():
+        job()
+    seconds: dict[str, list[float]] = {name: [] for name in jobs}
+    for _ in range(REPEATS):
+        for name, job in jobs.items():
+            start = time.perf_counter()
+            job()
+            seconds[name].append(time.perf_counter() - start)
+    return {name: np.array(times) for name, times in seconds.items()}
+
+
+def measure(device: Device, terms: int, batoid: bool, console: Console) -> None:
+    """Print the table of one number of terms."""
+    heights, degree, monomials = figures(terms, BATCH)
+    random = np.random.default_rng(2)
+    shifts = random.normal(0.0, 1e-3, (BATCH, 2, 3))
+    tilts = random.normal(0.0, 1e-7, (BATCH, 2))
+    many, few, some = sunflower(RAYS), sunflower(BATCH_RAYS), sunflower(BATOID_RAYS)
+    sequence, none = telescope(degree), (None, None, None)
+    rest = Moving(poses(0 * shifts[:1], 0 * tilts[:1]), (monomials[:1], *none))
+    batch = Moving(poses(shifts, tilts), (monomials, *none))
+    large = trace_sequence(sequence, many, rest, device, outputs=WANTED)
+    batched = trace_sequence(sequence, few, batch, device, outputs=WANTED)
+    bound_jobs, amounts = limit_jobs(device)
+    jobs: dict[str, Callable[[], Any]] = {
+        "kernel": lambda: trace_sequence(sequence, many, rest, device, outputs=WANTED, out=large),
+        "batch": lambda: trace_sequence(sequence, few, batch, device, outputs=WANTED, out=batched),
+        "small": lambda: trace_sequence(sequence, few, rest, device, outputs=WANTED),
+        "492 segments": partial(trace_segmented, **workload(bundled("tmt"), TILES, 28), device=device),
+    }
+    rays = {"kernel": RAYS, "batch": BATCH * BATCH_RAYS, "small": BATCH_RAYS}
+    rays["492 segments"] = TILES * TILE * 18 * 492
+    numba = numba_tracer(degree)
+    if numba:
+        conics = np.array([[1 / M1, 1 + K1], [1 / M2, 1 + K2]])
+        out = np.empty((3, RAYS))
+        direction = many.direction[:, 0].copy()
+        arguments = (conics, rest.poses[0], monomials[0], OUTER, many.position, direction, *out)
+        jobs["numba"], rays["numba"] = lambda: numba(*arguments), RAYS
+    else:
+        console.print("numba is not installed (pip install numba): that comparison is skipped")
+    if batoid:
+        optic, light, light_few = (
+            batoid_optic(heights[0], 0 * shifts[0], 0 * tilts[0]),
+            batoid_rays(some),
+            batoid_rays(few),
+        )
+
+        def batoid_loop() -> None:
+            for i in range(BATOID_INSTANTS):
+                batoid_optic(heights[i], shifts[i], tilts[i]).trace(light_few.copy())
+
+        jobs |= {"batoid": lambda: optic.trace(light.copy()), "batoid loop": batoid_loop}
+        rays |= {"batoid": BATOID_RAYS, "batoid loop": BATOID_INSTANTS * BATCH_RAYS}
+        agreement(trace_sequence(sequence, few, rest, device), optic.trace(light_few.copy()), console)
+    if numba:
+        numba(*arguments)
+        worst = max(np.abs(getattr(large, name) - row).max() for name, row in zip(WANTED, out, strict=True))
+        console.print(f"largest difference to numba: {worst:.1e} mm")
+    report(interleaved(jobs | bound_jobs), rays, amounts, terms, console)
+
+
+def agreement(traced: Any, light: Any, console: Console) -> None:
+    place = max(np.abs(traced.x[0] - 1e3 * light.x).max(), np.abs(traced.y[0] - 1e3 * light.y).max())
+    path = np.abs(traced.path[0] - 1e3 * light.t).max()
+    console.print(f"difference to batoid: position {place:.1e} mm, path {path:.1e} mm")
+
+
+def report(
+    seconds: dict[str, Array], rays: dict[str, int], amounts: dict[str, float], terms: int, console: Console
+) -> None:
+    rates = {name: 4e-6 * count / seconds[name] for name, count in rays.items()}
+    speed = limits({name: amount / float(np.median(seconds[name])) for name, amount in amounts.items()})
+    bounds = {
+        "multiply-add": 4e-6 * speed["multiply_add"] / ARITHMETIC[terms],
+        "division and root": 4e-6 / (DIVISIONS / speed["divide"] + ROOTS / speed["root"]),
+        "memory": 4e-6 * speed["move"] / BYTES,
+    }
+    table = Table("trace", "10^6 ray-surfaces/s", "kernel is faster by", "batch is faster by", box=None)
+    for name, rate in rates.items():
+        ratios = [f"{np.median(rates[own] / rate):.2f}" for own in ("kernel", "batch")]
+        table.add_row(name, f"{np.median(rate):.1f}", *ratios)
+    for name, bound in bounds.items():
+        table.add_row(f"limit by {name}", f"{bound:.0f}", f"{np.median(rates['kernel']) / bound:.0%} of it")
+    console.print(table)
+    console.print(
+        f"batch: {1e3 * np.median(seconds['batch']) / BATCH:.4f} ms per instant of {BATCH_RAYS} rays; "
+        f"one instant alone: {1e3 * np.median(seconds['small']):.3f} ms"
+    )
+
+
+def main() -> None:
+    """Measure with one and with two threads, each in a process of its own."""
+    for threads in ("1", "2"):
+        names = ("POCL_MAX_PTHREAD_COUNT", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+        environment = os.environ | dict.fromkeys(names, threads)
+        subprocess.run([sys.executable, "-m", "benchmarks.sequential", threads], env=environment, check=True)
+
+
+def measure_all(threads: str) -> None:
+    console = Console(width=110)
+    devices = [device for device in list_devices() if device.kind == "cpu"]
+    if not devices:
+        console.print("no OpenCL processor was found: there is nothing to measure")
+        return
+    try:
+        import batoid
+    except ImportError:
+        batoid = None
+        console.print("batoid is not installed (pip install batoid): that comparison is skipped")
+    for terms in (28, 105):
+        console.print(f"{devices[0].name}, {threads} thread(s), {terms} terms, {RAYS} rays")
+        measure(devices[0], terms, batoid is not None, console)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        measure_all(sys.argv[1])
+    else:
+        main()
