@@ -6,7 +6,6 @@ Reference Guide, OUTPUT4; pyYeti documents the layouts as well).
 """
 
 import re
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from wavequake.mechanics.importers.entries import Array, Contents, Entries, fixe
 SYMMETRIC = 6
 BIG = 65536
 """From this number of rows on, strings have two integers even without the sign that says BIGMAT."""
+_HEADER = 24  # bytes of a matrix's first record where integers have 32 bits
 Run = tuple[int, int, int]  # column, first row, count; all from 0
 
 
@@ -32,7 +32,7 @@ def read_matrices(path: Path) -> Contents:
     binary = min(data[:4]) == 0
     try:
         matrices = _binary(data, path.name) if binary else _text(data, path.name)
-    except (struct.error, IndexError, ValueError) as error:
+    except (IndexError, ValueError) as error:
         raise UserError(f"{path.name} is no OUTPUT4 file, or is cut off: {error}") from error
     if not matrices:
         raise UserError(f"{path.name} holds no matrix")
@@ -112,45 +112,48 @@ def _string(head: tuple[int, ...], big: bool) -> tuple[int, int]:
 
 def _binary(data: bytes, source: str) -> dict[str, Entries]:
     order = "<" if data[0] else ">"
-    if struct.unpack_from(order + "i", data)[0] != 24:
+    raw = np.frombuffer(data, order + "i4")
+    if raw[0] != _HEADER:
         raise UserError(f"{source} has 64-bit integers (or is no OUTPUT4 file); write it with 32-bit ones")
+    words = raw.astype(np.intc).data  # plain integers, several times faster than those of an array
     matrices: dict[str, Entries] = {}
     at = 0
-    while at < len(data):
-        columns, rows, _, kind = struct.unpack_from(order + "4i", data, at + 4)
-        name = data[at + 20 : at + 28].decode("latin-1").strip().upper()
+    while at < len(words):
+        columns, rows, _, kind = words[at + 1 : at + 5].tolist()
+        name = data[4 * at + 20 : 4 * at + 28].decode("latin-1").strip().upper()
         _check(name, rows, columns, kind, source)
-        runs, parts, at = _binary_columns(data, at + 32, columns, (rows, kind, order))
-        values = np.concatenate([np.zeros(0), *parts]).astype(np.float64)
-        matrices[name] = _entries(f"{name} of {source}", columns, runs, values)
+        runs, starts, at = _binary_columns(words, at + _HEADER // 4 + 2, columns, (rows, kind))
+        sizes = kind * np.array([run[2] for run in runs], dtype=np.int64)
+        places = np.repeat(np.array(starts, dtype=np.int64) - np.cumsum(sizes) + sizes, sizes)
+        values = raw[places + np.arange(len(places))].view(order + ("f4", "f8")[kind - 1])
+        matrices[name] = _entries(f"{name} of {source}", columns, runs, values.astype(np.float64))
     return matrices
 
 
 def _binary_columns(
-    data: bytes, at: int, last: int, layout: tuple[int, int, str]
-) -> tuple[list[Run], list[Array], int]:
-    """Return runs, their values and the byte after the matrix; layout: rows, type and byte order."""
-    rows, kind, order = layout
+    words: memoryview, at: int, last: int, layout: tuple[int, int]
+) -> tuple[list[Run], list[int], int]:
+    """Return runs, the words where their values begin, and the word after the matrix; layout: rows, type."""
+    rows, kind = layout
     big = rows < 0 or rows >= BIG
     runs: list[Run] = []
-    parts: list[Array] = []
+    starts: list[int] = []
     while True:
-        length, column, row, words = struct.unpack_from(order + "4i", data, at)
-        following = at + length + 8
-        if following > len(data):
-            raise ValueError(f"a record of {length} bytes begins at byte {at}, {len(data) - at} are left")
-        at += 16
+        length, column, row, count = words[at : at + 4].tolist()
+        following = at + length // 4 + 2
+        if following > len(words):
+            raise ValueError(f"a record of {length} bytes begins at byte {4 * at}, fewer are left")
+        at += 4
         if column > last:
-            return runs, parts, following
-        while words > 0:
-            if row:  # dense
-                start, size, words = row - 1, words, 0
-            else:
-                head = struct.unpack_from(order + ("2i" if big else "i"), data, at)
-                size, start = _string(head, big)
-                at += 4 * len(head)
-                words -= size + len(head)
+            return runs, starts, following
+        if row:  # dense
+            runs.append((column - 1, row - 1, count // kind))
+            starts.append(at)
+        while not row and count > 0:
+            size, start = _string((words[at], words[at + 1]), big)
+            at += 1 + big
             runs.append((column - 1, start, size // kind))
-            parts.append(np.frombuffer(data, order + ("f4", "f8")[kind - 1], size // kind, at))
-            at += 4 * size
+            starts.append(at)
+            at += size
+            count -= size + 1 + big
         at = following
