@@ -464,3 +464,20 @@ def test_vignetted_rays_are_counted(newton, edge):
 def test_a_mirror_that_lets_nothing_pass_is_refused(newton):
     with pytest.raises(UserError, match=r"No ray of segment a .* reaches the image"):
         workflow.check(with_edge(newton, 1.0).identity_text())
+
+
+def test_distorted_corners_come_from_a_file_and_belong_to_the_study(tmp_path):
+    """A corner 15 mm farther out: more glass, another identity, and rays where the new glass is."""
+    path = tmp_path / "small.toml"
+    path.write_text(STUDY)
+    (tmp_path / "corners.csv").write_text("segment,corner,dx_mm,dy_mm\n18,1,7.5,-12.99\n")
+    plain, bent = load_study(path), load_study(path, {"telescope.corners": "corners.csv"})
+    assert plain.identity() != bent.identity()
+    (tmp_path / "corners.csv").unlink()
+    change = bench_of(bent.identity_text()).layout.areas_m2 - bench_of(plain.identity_text()).layout.areas_m2
+    assert np.flatnonzero(change).tolist() == [17]
+    result = workflow.compute(only_pistons(bent).identity_text(), np.array([0]), DEVICE)
+    assert (result.status == DONE).all()
+    monolith = {"telescope.name": "tmt-thesis", "telescope.gap_mm": None, "telescope.corners_csv": "x"}
+    with pytest.raises(UserError, match="corners_csv belongs to the telescope tmt or tmt-18 or jwst"):
+        study_with(plain, monolith)

@@ -14,6 +14,7 @@ from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import TILE
 from wavequake.mechanics.disturbances import Disturbance
 from wavequake.mechanics.layout import SegmentLayout
+from wavequake.optics.corner_table import distorted
 from wavequake.optics.prepared import PreparedTrace, chief_rays, prepare, trace_states
 from wavequake.optics.pupils import PupilRays, on_glass, segment_rays, sunflower
 from wavequake.optics.segmented_telescope import FirstOrder, SegmentedTelescope, first_order
@@ -127,10 +128,11 @@ def build_telescope(study: SegmentStudy) -> SegmentedTelescope:
             primary_conic=section.primary_conic,
             surfaces=surfaces,
         )
-    if section.name in ("tmt-thesis", "jwst"):
-        return telescope(section.name)
     options = {"side": section.side_mm, "gap": section.gap_mm}
-    return telescope(section.name, **{key: value for key, value in options.items() if value is not None})
+    system = telescope(section.name, **{key: value for key, value in options.items() if value is not None})
+    if section.corners_csv is None:
+        return system
+    return replace(system, segments=distorted(system.segments, io.StringIO(section.corners_csv)))
 
 
 def build_rays(study: SegmentStudy, system: SegmentedTelescope) -> PupilRays:

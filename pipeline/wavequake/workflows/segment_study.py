@@ -35,6 +35,13 @@ class TelescopeSection(Section):
         default=None, exclude=True, description="custom: CSV file of polygons (read when the study is loaded)"
     )
     polygons_csv: str | None = Field(default=None, description="custom: the text of that file")
+    corners: str | None = Field(
+        default=None,
+        exclude=True,
+        description="tmt, tmt-18, jwst: CSV file segment,corner,dx_mm,dy_mm of displaced corners of glass; "
+        "corners count from 1, counter-clockwise (read when the study is loaded)",
+    )
+    corners_csv: str | None = Field(default=None, description="the text of that file")
     primary_radius_mm: float | None = Field(
         default=None, lt=0, description="custom: radius of M1, concave < 0"
     )
@@ -46,6 +53,8 @@ class TelescopeSection(Section):
         owners = {
             "side_mm": ("tmt-18",),
             "gap_mm": ("tmt", "tmt-18"),
+            "corners": ("tmt", "tmt-18", "jwst"),
+            "corners_csv": ("tmt", "tmt-18", "jwst"),
             "polygons": ("custom",),
             "polygons_csv": ("custom",),
             "primary_radius_mm": ("custom",),
@@ -160,6 +169,8 @@ class SegmentStudy(Study):
             path = base / telescope["polygons"]
             telescope["polygons_csv"] = text_of(path, "telescope.polygons")
             read_polygons(path)  # here an error can name the file
+        if isinstance(telescope, dict) and isinstance(telescope.get("corners"), str):
+            telescope["corners_csv"] = text_of(base / telescope["corners"], "telescope.corners")
         for entry in record.get("disturbance") or ():
             if isinstance(entry, dict) and isinstance(entry.get("file"), str):
                 entry["file_csv"] = text_of(base / entry["file"], f"disturbance.{entry.get('name')}.file")
