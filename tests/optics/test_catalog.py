@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
+from wavequake.kernels.sequence import Rays
 from wavequake.kernels.sequential_numpy import trace_sequence_numpy
 from wavequake.optics.catalog import optical_system, system_names
 from wavequake.optics.packing import moving, pack
@@ -13,6 +14,7 @@ from wavequake.optics.paraxial import paraxial
 from wavequake.optics.pupils import sunflower
 from wavequake.optics.quality import spot
 from wavequake.optics.ray_aiming import pupil_rays
+from wavequake.optics.shape_sag import shape_sag
 from wavequake.optics.system import wavelength_of
 from wavequake.optics.system_kinematics import rest_states
 
@@ -82,6 +84,7 @@ def test_the_thesis_tmt_is_that_of_an_extended_precision_tracer():
         ("double-gauss", "back_focus", 61.487536, 1e-6),
         ("six-lens", "magnification", 1 - (0.071 - 0.366 + 1.303 - 0.913 + 1.394 + 0.145), 1e-12),
         ("six-lens", "image_na", 0.01, 1e-12),
+        ("euv", "magnification", 0.25, 1e-3),
     ],
 )
 def test_first_order_data_are_the_published_ones(name, field, value, tolerance):
@@ -142,6 +145,57 @@ def test_the_gregorian_is_unobscured():
     assert m2_x.max() < incoming.min()
     at_m1 = m2_x + (image_x - m2_x) * (m1_z - m2_z) / (image_z - m2_z)
     assert at_m1.max() < incoming.min()
+
+
+@pytest.mark.parametrize("height", [117.0, 120.0, 123.0])
+def test_the_euv_objective_is_diffraction_limited_in_its_ring(height):
+    system = optical_system("euv")
+    for azimuth in (0.0, 0.4):  # along the ring
+        field = height * np.array([np.sin(azimuth), np.cos(azimuth)])
+        image = spot_of(system, field)
+        airy = 0.61 * 13.5e-6 / 0.25
+        assert image.rms[0] < 0.25 * airy
+        np.testing.assert_allclose(image.centroid[0], field / 4.0, atol=1.1e-5)  # 11 nm of distortion
+        points = sunflower(0.0, 1.0, 400)
+        rays = pupil_rays(system, field, 13.5e-6, points.x, points.y)
+        sphere = np.array([[*image.centroid[0], 0.0, 500.0]])
+        result = trace_sequence_numpy(
+            pack(system, 13.5e-6), rays, moving(system, rest_states(system), sphere)
+        )
+        waves = result.path[0] / 13.5e-6
+        assert np.std(waves) < 0.025  # Marechal's limit is 0.071
+        assert np.hypot(result.u.mean(), result.v.mean()) < 0.02
+        aperture = np.hypot(result.u - result.u.mean(), result.v - result.v.mean()).max()
+        assert aperture == pytest.approx(0.25, rel=0.05)
+
+
+def test_no_mirror_of_the_euv_objective_stands_in_its_light():
+    system = optical_system("euv")
+    edge = np.pi * np.arange(41) / 40
+    rays = [
+        pupil_rays(system, field, 13.5e-6, r * np.sin(2 * edge), r * np.cos(2 * edge))
+        for field in system.fields
+        for r in (0.5, 1.0)
+    ]
+    light = Rays(
+        *(np.concatenate([getattr(r, n) for r in rays], axis=-1) for n in ("position", "direction", "path"))
+    )
+    y, z = [light.position[1]], [light.position[2]]
+    for last, surface in enumerate(system.surfaces):
+        part = replace(system, stop=0, surfaces=(*system.surfaces[:last], replace(surface, action="pass")))
+        hit = trace_sequence_numpy(pack(part, 13.5e-6), light, moving(part, rest_states(part)))
+        y.append(hit.y[0])
+        z.append(shape_sag(surface.shape, hit.x[0], hit.y[0])[0] + surface.position[2])
+    crossings = 0
+    for mirror in range(1, 7):
+        for leg in set(range(7)) - {mirror - 1, mirror}:
+            share = (z[mirror].mean() - z[leg]) / (z[leg + 1] - z[leg])
+            if ((share > 0.0) & (share < 1.0)).any():
+                beam = y[leg] + (y[leg + 1] - y[leg]) * share
+                gap = max(beam.min() - y[mirror].max(), y[mirror].min() - beam.max())
+                assert gap > 3.0
+                crossings += 1
+    assert crossings >= 6
 
 
 def test_the_six_lenses_have_the_sensitivities_of_table_5_1():

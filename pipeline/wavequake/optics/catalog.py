@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from wavequake.errors import UserError
 from wavequake.optics.catalog_lenses import double_gauss, six_lens
+from wavequake.optics.catalog_lithography import euv
 from wavequake.optics.catalog_telescopes import gregorian, herschel, jwst, tmt, tmt_thesis
 from wavequake.optics.system import OpticalSystem
 
@@ -19,6 +20,7 @@ _BUILDERS: dict[str, Callable[[], OpticalSystem]] = {
     "gregorian": gregorian,
     "double-gauss": double_gauss,
     "six-lens": six_lens,
+    "euv": euv,
 }
 
 
