@@ -236,6 +236,8 @@ def test_calculix_plate_is_our_plate():
     assert_allclose(model.surface_weights, own.surface_weights, rtol=1e-9)
 
 
+# brick.*: one C3D20 of 0.2 x 0.3 x 0.01 m (70 GPa, 0.33, 2700 kg/m^3), stored and solved by CalculiX 2.20;
+# brick_reduced.mas is the mass of the same element as C3D20R.
 def test_frequencies_are_those_that_calculix_prints():
     section = ImportedModel(file="brick.sti", units="m,kg,s,N", interfaces=[7, 17, 27], surface="MIRROR")
     model = load_model(section, DATA).model

@@ -122,14 +122,9 @@ def import_model(
     length, mass_factor, stiffness_factor = si_factors(units)
     mass, dofs, mesh = (None if path is None else Path(path) for path in (mass, dofs, mesh))
     contents = _read(file)
-    stiffness_entries, mass_entries = _pair(contents, file, mass)
-    table = _dofs(contents, (stiffness_entries, mass_entries), file, dofs)
-    grid = _mesh(contents, file, mesh)
     notes: list[str] = []
-    K, M = (assemble(entries, table, notes) for entries in (stiffness_entries, mass_entries))
-    free = free_dofs(K, M, table, notes)
-    K, M, table = csc_array(K[free][:, free]), csc_array(M[free][:, free]), table[free]
-    check_mass(M, table, mass_entries.source)
+    K, M, table = _matrices(contents, file, (mass, dofs), notes)
+    grid = _mesh(contents, file, mesh)
     dof_node = positions(grid, table[:, 0], "degree of freedom")
     optical, mounts = chosen_nodes(grid, surface, "surface"), chosen_nodes(grid, interfaces, "interfaces")
     for what, nodes in (("surface", optical), ("interfaces", mounts)):
@@ -148,6 +143,19 @@ def import_model(
         node_sets={name: positions(grid, nodes, name) for name, nodes in grid.sets.items()},
     )
     return Imported(model, tuple(notes))
+
+
+def _matrices(
+    contents: Contents, file: Path, others: tuple[Path | None, Path | None], notes: list[str]
+) -> tuple[csc_array, csc_array, Integers]:
+    """Return stiffness, mass and the free displacements; `others` are the files of mass and dofs."""
+    stiffness, mass = _pair(contents, file, others[0])
+    table = _dofs(contents, (stiffness, mass), file, others[1])
+    K, M = (assemble(entries, table, notes) for entries in (stiffness, mass))
+    free = free_dofs(K, M, table, notes)
+    K, M, table = csc_array(K[free][:, free]), csc_array(M[free][:, free]), table[free]
+    check_mass(M, table, mass.source)
+    return K, M, table
 
 
 def _read(path: Path) -> Contents:
