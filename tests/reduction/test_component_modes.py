@@ -181,3 +181,8 @@ def test_two_interface_nodes_are_enough_where_nothing_is_clamped(make_lattice, e
     model = make_lattice(interfaces=[0, 4])
     wanted = exact(model, [10.0])
     assert receptance(reduce(model, name), 10.0) == pytest.approx(wanted, abs=2e-2 * np.abs(wanted).max())
+
+
+def test_more_than_half_of_many_modes_are_refused(coarse_mirror):
+    with pytest.raises(UserError, match="1000 modes are too many for the 1845 degrees of freedom"):
+        reduce(coarse_mirror, "modal1006")

@@ -1,6 +1,9 @@
 """Names of variants: ``craigb36``, ``krylov108(200,450,700)``, ``flbt42(0-1200)``.
 
-A name is a method, an order, and for some methods arguments in brackets:
+A name is a method, an order, and for some methods arguments in brackets. Of component modes there are modal
+(free-interface modes), modalfix (fixed-interface modes, the thesis' "Guyan"), guyan (static condensation),
+craigb, rubin (with MacNeal), dualcb (Martinez), inertia and hintz; then krylov, irka, bt (balanced
+truncation; flbt in frequency bands, fwbt with weights) and pod.
 
 - ``krylov36(150)``: expansion points in Hz. A real point f lies on the imaginary axis, s0 = 2 pi i f; a
   complex one a+bj is s0 = 2 pi (b + i a), so that ``150j`` is the real s0 = 2 pi 150.

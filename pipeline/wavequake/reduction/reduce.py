@@ -21,6 +21,9 @@ def reduce(
     POD from generated snapshots work on all elastic modes of a small model, and on the intermediate model of
     a large one (built for bands of 1200 Hz, or as high as the variant's own).
 
+    A body of threefold symmetry has pairs of modes of equal frequency. A method that truncates modes between
+    the two keeps an arbitrary one of them: prefer orders that keep pairs together.
+
     Parameters
     ----------
     model : FiniteElementModel

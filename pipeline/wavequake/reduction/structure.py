@@ -319,20 +319,27 @@ def _modes(body: Structure, count: int, fixed: Integers | None) -> tuple[Array, 
             f"{count} modes of the model {body.name} were asked for, but it has only {available}"
             + (" elastic ones." if fixed is None else f" with {len(fixed)} coordinates clamped.")
         )
-    key = ("modes", None if fixed is None else tuple(fixed.tolist()))
-    squared, shapes = body.cache.get(key, (np.zeros(0), np.zeros((body.order, 0))))
-    if len(squared) < count:
-        if body.is_dense:
-            squared, shapes = _dense_modes(body, fixed)
-        elif 2 * count < available:
-            squared, shapes = _sparse_modes(body, count, fixed)
-        else:
-            raise UserError(
-                f"{count} modes are too many for the {body.order} degrees of freedom of the model "
-                f"{body.name}; ask for fewer than half of them."
-            )
-        body.cache[key] = squared, shapes
+    size = available if body.is_dense else _step(body, count, available)
+    key = ("modes", None if fixed is None else tuple(fixed.tolist()), size)
+    if key not in body.cache:
+        body.cache[key] = _dense_modes(body, fixed) if body.is_dense else _sparse_modes(body, size, fixed)
+    squared, shapes = body.cache[key]
     return squared[:count], shapes[:, :count]
+
+
+def _step(body: Structure, count: int, available: int) -> int:
+    """Return how many modes to compute: the next power of two, whatever was asked for before.
+
+    A pair of equal frequencies is turned differently in runs of different size, and a variant that keeps one
+    of the two must not depend on the variants before it.
+    """
+    if 2 * count >= available:
+        raise UserError(
+            f"{count} modes are too many for the {body.order} degrees of freedom of the model {body.name}; "
+            "ask for fewer than half of them."
+        )
+    size = max(32, 1 << (count - 1).bit_length())
+    return size if 2 * size < available else (available - 1) // 2
 
 
 def _dense_modes(body: Structure, fixed: Integers | None) -> tuple[Array, Array]:
