@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from wavequake.errors import UserError
 from wavequake.optics.media import Medium, glass
 from wavequake.optics.paraxial import entrance_pupil_center, paraxial
-from wavequake.optics.shapes import Conic, EvenAsphere
+from wavequake.optics.shapes import Conic, EvenAsphere, GridDeformation, ZernikeDeformation
 from wavequake.optics.system import OpticalSystem, Pupil, Surface
 from wavequake.optics.system_kinematics import Break, SurfaceRow, sequential
 
@@ -254,6 +254,19 @@ def test_dispersion_moves_the_focus():
         ({"surfaces": (Surface("bad", Conic(np.nan)), Surface("image"))}, "surface bad of x"),
         ({"surfaces": (Surface("bad", position=np.array([0, 0, np.nan])), Surface("image"))}, "position"),
         ({"surfaces": (Surface("bad", rotation=2 * np.eye(3)), Surface("image"))}, "rotation"),
+        (
+            {"surfaces": (Surface("bad", deformation=ZernikeDeformation(0, 1.0)), Surface("image"))},
+            "0 Zernike",
+        ),
+        ({"surfaces": (Surface("bad", deformation=ZernikeDeformation(3, 0.0)), Surface("image"))}, "radius"),
+        (
+            {"surfaces": (Surface("bad", deformation=ZernikeDeformation(3, 1.0, 1.0)), Surface("image"))},
+            "annulus",
+        ),
+        (
+            {"surfaces": (Surface("bad", deformation=GridDeformation(3, 9, 1.0, 1.0)), Surface("image"))},
+            "3 rows",
+        ),
         ({"surfaces": (Surface("bad", action="absorb"), Surface("image"))}, "absorb"),
         (
             {

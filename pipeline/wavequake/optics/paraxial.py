@@ -1,7 +1,8 @@
 """First-order optics of any sequential system: focal length, principal planes, pupils, magnification.
 
 A paraxial ray (height y, reduced slope n u) follows the axis ray, which enters along the z axis through the
-origin and goes on through every surface as if it met it at its vertex plane; folds are straightened.
+origin and goes on through every surface as if it met it at its vertex plane; folds are straightened, and a
+tilted surface with power counts as if it stood upright.
 Distances count along the light: a mirror does not change their sign.
 """
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.optics.media import AIR, Medium
 from wavequake.optics.shape_sag import require_shape
-from wavequake.optics.shapes import Conic, Deformation, Opening, Shape, SurfaceAction
+from wavequake.optics.shapes import Conic, Deformation, Opening, Shape, SurfaceAction, ZernikeDeformation
 
 Array = NDArray[np.float64]
 
@@ -149,6 +149,7 @@ def _require_surface(system: str, surface: Surface) -> None:
         require_shape(surface.shape)
     except UserError as error:
         raise UserError(f"{where}: {error}") from error
+    _require_deformation(where, surface.deformation)
     if surface.position.shape != (3,) or not np.isfinite(surface.position).all():
         raise UserError(f"the position of {where} must be 3 finite numbers")
     turn = surface.rotation
@@ -165,6 +166,22 @@ def _require_surface(system: str, surface: Surface) -> None:
         raise UserError(
             f"the opening of {where} reaches from radius {opening.inner:g} to {opening.outer:g} mm; it needs "
             "0 <= inner < outer"
+        )
+
+
+def _require_deformation(where: str, form: Deformation | None) -> None:
+    if isinstance(form, ZernikeDeformation):
+        if not (form.terms >= 1 and np.isfinite(form.pupil_radius) and form.pupil_radius > 0.0):
+            raise UserError(
+                f"{where} deforms by {form.terms} Zernike terms over a radius of {form.pupil_radius} mm; it "
+                "needs at least 1 term and a positive radius"
+            )
+        if not 0.0 <= form.obscuration < 1.0:
+            raise UserError(f"{where} deforms over an annulus of {form.obscuration}; it must lie in [0, 1)")
+    elif form is not None and not (min(form.rows, form.columns) >= 4 and form.dx > 0.0 and form.dy > 0.0):
+        raise UserError(
+            f"{where} deforms on a grid of {form.rows} rows and {form.columns} columns, {form.dx} and "
+            f"{form.dy} mm apart; it needs at least 4 of each and positive spacings"
         )
 
 

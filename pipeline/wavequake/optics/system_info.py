@@ -111,7 +111,7 @@ def _length(value: float) -> str:
 
 
 def _number(value: float) -> str:
-    return "infinite" if not isfinite(value) else f"{value:.8g}"
+    return "infinite" if not isfinite(value) else f"{value + 0.0:.8g}"
 
 
 def _columns(rows: Sequence[tuple[str, ...]], right: tuple[int, ...] = ()) -> list[str]:
