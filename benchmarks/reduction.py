@@ -1,10 +1,11 @@
 """How fast models are reduced and evaluated, and how that compares with pyMOR and with the naive way.
 
-The circular mirror of Störkle 2018, Section 4.3 (7083 degrees of freedom); processor time of one thread. A
-sweep of 150 variants is reduced from one intermediate model and evaluated at 131 frequencies. The naive way, one
-sparse factorization per frequency, is timed at three frequencies and extrapolated to 1000. pyMOR gets the same
-elastic modal model for balanced truncation, and the same full matrices for its transfer function at one
-frequency; it is left out where it is not installed.
+The circular mirror of Störkle 2018, Section 4.3 (7083 degrees of freedom); processor time of one
+thread. A sweep of 150 variants is reduced from one intermediate model and evaluated at 131
+frequencies. The naive way, one sparse factorization per frequency, is timed at three frequencies
+and extrapolated to 1000. pyMOR gets the same elastic modal model for balanced truncation, and the
+same full matrices for its transfer function at one frequency; it is left out where it is not
+installed.
 """
 
 import time
