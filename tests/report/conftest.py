@@ -107,6 +107,7 @@ def campaign():
             "study": json.dumps(study),
             "versions": json.dumps({"numpy": "2.1"}),
             "device": "<cpu>",
+            "study_title": "a <title> of a study",
             "seed": 7,
         },
     )

@@ -79,6 +79,7 @@ def test_nothing_from_the_study_or_the_store_is_believed(html):
     assert "<cpu>" not in html
     assert "&lt;cpu&gt;" in html
     assert '</title><script>alert("x")</script>' in "".join(reader.text)
+    assert "a <title> of a study" in reader.text
 
 
 def test_hostile_disturbances_messages_and_segments_are_text(campaign, detail):

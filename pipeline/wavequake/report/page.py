@@ -83,7 +83,7 @@ def render_page(dataset: xr.Dataset, page: Page) -> str:
     )
     return environment.get_template("report.html.j2").render(
         name=_entry(study, "name") or "Campaign",
-        title=_entry(study, "title"),
+        title=str(dataset.attrs.get("study_title", "")),
         page=page,
         left_out=page.left_out[:LISTED],
         more_left_out=max(0, len(page.left_out) - LISTED),

@@ -64,6 +64,7 @@ def run_study(
         workers=workers,
         progress=progress,
         recompute=damaged,
+        title=study.study.title,
     )
 
 
@@ -108,7 +109,7 @@ def run(
     if cases is not None:
         keys["campaign.cases"] = cases
     loaded = study_with(study, keys) if isinstance(study, Study) else load_study(study, keys)
-    path = Path(store or loaded.store.path or loaded.default_store())
+    path = loaded.folder(store)
     run_study(loaded, path, on=on, workers=workers)
     return open_store(path)
 

@@ -58,6 +58,7 @@ def run_campaign(
     workers: int | None = None,
     progress: Progress | None = None,
     recompute: AbstractSet[Chunk] = frozenset(),
+    title: str = "",
 ) -> CampaignSummary:
     """Compute what the store at `path` lacks of `cases` cases; the store is made or extended if need be.
 
@@ -79,6 +80,8 @@ def run_campaign(
         Called with the numbers of cases done, wanted and quarantined, at first and after every chunk.
     recompute : set of (int, int)
         Chunks to compute again although they are done (:attr:`VerifyReport.chunks`).
+    title : str
+        Of the study, which is no part of its identity; a new store keeps it.
 
     Raises
     ------
@@ -99,7 +102,7 @@ def run_campaign(
         )
     kind = choose_device(device).kind
     with _locked(path):
-        manifest = _prepared(workflow, study, path, cases, chunk, device, kind)
+        manifest = _prepared(workflow, study, path, cases, chunk, device, kind, title)
         wanted = [piece for piece in manifest.plan() if piece[0] < cases]
         records = store.done_records(manifest, read_journal(path / store.JOURNAL))
         again = recompute | verify.lost_chunks(path, manifest, records)
@@ -177,11 +180,11 @@ def _locked(path: Path) -> Iterator[None]:
 
 
 def _prepared(
-    workflow: Workflow, study: str, path: Path, cases: int, chunk: int, device: str, kind: str
+    workflow: Workflow, study: str, path: Path, cases: int, chunk: int, device: str, kind: str, title: str
 ) -> Manifest:
     """Create the store, or check that it is ours and extend it."""
     if not (path / store.MANIFEST).exists():
-        sources = provenance.collect(choose_device(device))
+        sources = {"study_title": title, **provenance.collect(choose_device(device))}
         return store.create_store(path, workflow, study, cases, chunk, device, sources)
     store.refuse_other(path, store.read_manifest(path), workflow.name, study, kind)
     return store.extend_store(path, workflow, cases)

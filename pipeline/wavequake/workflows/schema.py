@@ -80,6 +80,19 @@ class Study(Section):
         """Return the folder that results go to when the study names none: another study never lands in it."""
         return Path("runs") / f"{self.study.name}-{self.identity()[:8]}"
 
+    def folder(self, store: object = None) -> Path:
+        """Return the folder of results: the one asked for, or the study's own, or the default one.
+
+        Raises
+        ------
+        UserError
+            If what was asked for is no path.
+        """
+        chosen = store if store not in (None, "") else self.store.path or self.default_store()
+        if not isinstance(chosen, str | Path):
+            raise UserError(f"The store is {chosen!r}; it must be the path of a folder, as text.")
+        return Path(chosen)
+
 
 Kind = TypeVar("Kind", bound=Study)
 

@@ -76,7 +76,7 @@ def sensitivity(
     """
     keys = {key.replace("__", "."): value for key, value in overrides.items()}
     loaded = study_with(study, keys) if isinstance(study, Study) else load_study(study, keys)
-    path = Path(store or loaded.store.path or loaded.default_store())
+    path = loaded.folder(store)
     return stored_sensitivity(loaded, path, figure_terms, mirror_terms)[0]
 
 

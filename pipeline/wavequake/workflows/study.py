@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
 from wavequake.errors import UserError
@@ -134,7 +135,7 @@ def _override(record: dict[str, Any], key: str, value: Any, model: type[Study]) 
             )
     if isinstance(node, list):
         raise UserError(f"The key {key!r} names a whole entry; write {key}.key=value.")
-    node[last] = value
+    node[last] = value.item() if isinstance(value, np.generic) else value  # np.int64 is a number, too
 
 
 def _entry(entries: list[Any], name: str, where: str) -> Any:
