@@ -1,3 +1,4 @@
+from dataclasses import replace
 from math import inf
 
 import numpy as np
@@ -204,6 +205,13 @@ def test_afocal_system_has_infinite_data_and_refuses_an_f_number():
     assert data.image_na == pytest.approx(0.0, abs=1e-15)
     with pytest.raises(UserError, match="afocal"):
         paraxial(OpticalSystem("mersenne", sequential(rows), 0, Pupil("f_number", 10.0)))
+
+
+def test_small_misalignment_does_not_count():
+    aligned = lens(80.0, -120.0, 5.0, 90.0)
+    front = replace(aligned.surfaces[0], position=np.array([0.5, -0.3, 0.0]))
+    decentered = replace(aligned, surfaces=(front, *aligned.surfaces[1:]))
+    assert paraxial(decentered) == paraxial(aligned)
 
 
 def test_entrance_pupil_follows_a_decentered_stop():

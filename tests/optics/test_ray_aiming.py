@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -6,6 +8,7 @@ from hypothesis import strategies as st
 from wavequake.errors import UserError
 from wavequake.kernels.sequential_numpy import trace_sequence_numpy
 from wavequake.optics.catalog import optical_system, system_names
+from wavequake.optics.kinematics import cardan
 from wavequake.optics.media import Medium
 from wavequake.optics.packing import moving, pack
 from wavequake.optics.paraxial import paraxial
@@ -97,6 +100,20 @@ def test_telecentric_chief_rays_are_parallel_to_the_axis():
     )
     with pytest.raises(UserError, match="declared telecentric"):
         pupil_rays(moved, np.zeros(2), 550e-6, X, Y)
+
+
+def test_rays_are_aimed_through_misaligned_lenses():
+    system = optical_system("double-gauss")
+    surfaces = list(system.surfaces)
+    for number in (0, 1, 2):
+        turn = cardan(np.array([0.01, -0.02, 0.0]))
+        surfaces[number] = replace(
+            surfaces[number], position=surfaces[number].position + np.array([0.4, -0.2, 0.0]), rotation=turn
+        )
+    crooked = replace(system, surfaces=tuple(surfaces))
+    rays = pupil_rays(crooked, np.array([0.0, 0.1]), 587.5618e-6, X, Y)
+    radius = paraxial(crooked, 587.5618e-6).stop_radius
+    assert np.abs(at_stop(crooked, rays, 587.5618e-6) - radius * np.stack([X, Y])).max() < 1e-9
 
 
 def test_the_chief_ray_of_an_annular_pupil_is_virtual():

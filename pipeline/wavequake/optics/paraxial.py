@@ -1,8 +1,8 @@
 """First-order optics of any sequential system: focal length, principal planes, pupils, magnification.
 
 A paraxial ray (height y, reduced slope n u) follows the axis ray, which enters along the z axis through the
-origin and goes on through every surface as if it met it at its vertex plane; folds are straightened, and a
-tilted surface with power counts as if it stood upright.
+origin and goes on through every surface as if it met it at its vertex; folds are straightened, and a surface
+with power that is tilted or slightly decentered counts as if it stood upright and centered.
 Distances count along the light: a mirror does not change their sign.
 """
 
@@ -20,7 +20,7 @@ from wavequake.optics.system import OpticalSystem, require_system, wavelength_of
 
 Array = NDArray[np.float64]
 
-_CENTERED = 1e-6  # how far the axis ray may miss the vertex of a surface with power, mm
+_DECENTERED = 0.05  # largest slope of a surface where the axis ray meets it that counts as centered
 _GRAZING = 1e-6  # smallest cosine of incidence of the axis ray
 _INFINITE = 1e12  # what lies further away than so many times the system's size is at infinity
 
@@ -211,11 +211,12 @@ def _unfolded(system: OpticalSystem, wavelength: float) -> Iterator[_Step]:
         curvature = vertex_curvature(surface.shape)
         last = number == len(system.surfaces) - 1
         acts = surface.action != "pass" and not last
-        if acts and curvature != 0.0 and np.linalg.norm(point - surface.position) > _CENTERED:
+        beside = float(np.linalg.norm(point - surface.position))
+        if acts and abs(curvature) * beside > _DECENTERED:
             raise UserError(
                 f"the axis ray of {system.name} misses the vertex of the surface {surface.name} by "
-                f"{np.linalg.norm(point - surface.position):.3g} mm; first-order data need surfaces centered "
-                "on the z axis (and its folds by plane mirrors)"
+                f"{beside:.3g} mm; first-order data need surfaces that stand nearly centered on the z axis (and "
+                "its folds by plane mirrors)"
             )
         sense = float(np.sign(cosine))
         after = index
