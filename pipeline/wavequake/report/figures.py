@@ -48,8 +48,8 @@ STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "wavequake",
 }
-_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
-_LINES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)))
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
+LINES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)))
 _GRID, _DIVERGING = "#dddddd", "RdBu_r"
 Quantity = Literal["wfe", "strehl"]
 _MAP_PIXELS = 400
@@ -94,8 +94,8 @@ def spot_diagram(detail: Detail) -> Figure:
     spot = spot - spot.mean(axis=0) if len(spot) else spot
     distance = np.hypot(*spot.T)
     reach = 1.1 * max(float(distance.max(initial=0.0)), detail.airy_mas)
-    axes.add_patch(Circle((0.0, 0.0), detail.airy_mas, facecolor="none", edgecolor=_COLORS[1], lw=1.2))
-    axes.scatter(spot[:, 0], spot[:, 1], s=3, color=_COLORS[0], lw=0, alpha=0.5, rasterized=True)
+    axes.add_patch(Circle((0.0, 0.0), detail.airy_mas, facecolor="none", edgecolor=COLORS[1], lw=1.2))
+    axes.scatter(spot[:, 0], spot[:, 1], s=3, color=COLORS[0], lw=0, alpha=0.5, rasterized=True)
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="x (mas)", ylabel="y (mas)", aspect="equal")
     rms = number(float(np.sqrt(np.mean(distance**2)))) if len(spot) else "–"
     axes.set_title(
@@ -320,7 +320,7 @@ def _draw_distributions(
     ]
     for index, (population, values) in enumerate(zip(named, samples, strict=True)):
         curve = distribution(values, draws=len(population.cases))
-        color, line = _COLORS[index % len(_COLORS)], _LINES[index % len(_LINES)]
+        color, line = COLORS[index % len(COLORS)], LINES[index % len(LINES)]
         axes.fill_between(curve.values, curve.low, curve.high, step="post", color=color, alpha=0.18, lw=0)
         steps = np.append(curve.values[:1], curve.values), np.append(0.0, curve.probability)
         axes.step(*steps, where="post", color=color, ls=line, lw=1.5)
@@ -356,8 +356,8 @@ def _draw_history(axes: Axes, population: Population, values: NDArray[np.float64
     low, high = np.quantile(values, [0.05, 0.95], axis=0)
     axes.fill_between(time, low, high, color="#999999", alpha=0.25, lw=0, label="90 % of the cases")
     for index, name, color, line in (
-        (population.median_index, "median", _COLORS[0], "-"),
-        (population.worst_index, "worst", _COLORS[1], (0, (5, 1.5))),
+        (population.median_index, "median", COLORS[0], "-"),
+        (population.worst_index, "worst", COLORS[1], (0, (5, 1.5))),
     ):
         axes.plot(
             population.time_s[index], values[index], color=color, ls=line, lw=1.3, marker="o", ms=3,

@@ -27,7 +27,7 @@ from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.system_wavefront import PreparedSystem, measure_system, prepare_system
 from wavequake.optics.zernike import annular_zernike
 from wavequake.reduction.intermediate import Intermediate, intermediate
-from wavequake.reduction.metrics import eps_mor, receptance
+from wavequake.reduction.metrics import eps_mor, full_receptance, receptance
 from wavequake.reduction.two_stage import reduce_variants, reference
 from wavequake.workflows.mirror_study import FULL, MirrorStudy
 from wavequake.workflows.model_store import digest, kept_intermediate, kept_model
@@ -53,6 +53,8 @@ class Optics:
     radius : float
         Pupil radius, mm.
     obscuration : float
+    resolution : float
+        lambda/D in the image, mm.
     fit : ndarray, shape (J, 3 p)
         Displacements of the surface nodes (m) to Noll coefficients of the deformation along z of the optics
         (mm): the linearized sag residual of Störkle 2018, Eq. 4.7-4.10.
@@ -63,6 +65,7 @@ class Optics:
     prepared: PreparedSystem
     radius: float
     obscuration: float
+    resolution: float
     fit: Array
     sensitivity: Array
 
@@ -98,7 +101,8 @@ class MirrorModel:
 @lru_cache(maxsize=2)
 def study_of(text: str) -> MirrorStudy:
     """Rebuild a mirror study from its identity."""
-    return study_from_identity(MirrorStudy, text)
+    study: MirrorStudy = study_from_identity(MirrorStudy, text)
+    return study
 
 
 @lru_cache(maxsize=4)
@@ -131,12 +135,12 @@ def model_of(text: str, name: str) -> MirrorModel:
 def frequencies_of(study: MirrorStudy) -> Array:
     """Return the frequencies of a study, Hz."""
     section = study.reduction
-    return np.linspace(section.first_hz, section.last_hz, section.frequencies)
+    return np.asarray(np.linspace(section.first_hz, section.last_hz, section.frequencies), dtype=np.float64)
 
 
 def time_of(study: MirrorStudy) -> Array:
     """Return the instants of a study, s."""
-    return np.arange(study.time.instants) * study.time.step_s
+    return np.arange(study.time.instants, dtype=np.float64) * study.time.step_s
 
 
 def build_model(study: MirrorStudy, name: str) -> FiniteElementModel:
@@ -180,8 +184,6 @@ def spot_check(text: str, name: str) -> tuple[Array, Array]:
     frequencies, errors : ndarray, shape (checks,)
         Hz, and the relative error of the transfer matrix (Störkle 2018, Eq. 2.10).
     """
-    from wavequake.reduction.metrics import full_receptance
-
     study, model = study_of(text), model_of(text, name)
     count, section = study.reduction.spot_checks, study.reduction
     # Irrational parts of the band: no expansion point of the basis lies there.
@@ -224,6 +226,7 @@ def optics_of(study: MirrorStudy, name: str, stage: Intermediate) -> Optics:
         prepared=prepared,
         radius=radius,
         obscuration=obscuration,
+        resolution=prepared.wavelength * focal_length / (2 * radius),
         fit=sag_fit(nodes, stage.surface_weights, own_focal_length * MM_PER_M, radius, obscuration, terms),
         sensitivity=deformation_sensitivity(prepared, terms),
     )

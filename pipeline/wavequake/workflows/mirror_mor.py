@@ -26,7 +26,7 @@ from wavequake.workflows.mirror_bench import (
     study_of,
     time_of,
 )
-from wavequake.workflows.mirror_study import MirrorStudy
+from wavequake.workflows.mirror_study import FULL, MirrorStudy
 
 Array = NDArray[np.float64]
 
@@ -36,8 +36,8 @@ MODES = 40
 
 
 def cases_of(study: MirrorStudy) -> list[tuple[str, str]]:
-    """Return model and variant of every case."""
-    return [(model, variant) for model in study.models for variant in study.reduction.variants]
+    """Return model and variant of every case; the first of each model is the reference itself."""
+    return [(model, variant) for model in study.models for variant in study.compared]
 
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
@@ -67,9 +67,7 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
 
 def judged(study: MirrorStudy, model: MirrorModel, variant: str) -> dict[str, Array | float]:
     """Return all stored numbers of one variant."""
-    (reduced,) = reduce_variants(
-        model.stage, [variant], None if covers(model.stage, parse(variant)) else model.full()
-    )
+    reduced = model.reference if variant == study.reduction.reference else _reduced(model, variant)
     rows = optical_rows(model.optics, reduced)
     terms = len(rows) - 2
     frequencies = frequencies_of(study)
@@ -95,9 +93,15 @@ def judged(study: MirrorStudy, model: MirrorModel, variant: str) -> dict[str, Ar
         "wfe_error": _wavefront_error(apart),
         "los_mm": aberrations[..., :2],
         "los_error": np.linalg.norm(apart[..., :2], axis=2),
+        "resolution_mm": model.optics.resolution,
         "exposure": images,
         "image_error": _image_error(images, reference_exposures(study, model)),
     }
+
+
+def _reduced(model: MirrorModel, variant: str) -> ReducedModel:
+    full = None if covers(model.stage, parse(variant)) else model.full()
+    return reduce_variants(model.stage, [variant], full)[0]
 
 
 def _wavefront_error(aberrations: Array) -> Array:
@@ -113,7 +117,7 @@ def _padded(values: Array) -> Array:
 
 
 def _mac(model: MirrorModel, reduced: ReducedModel) -> Array:
-    """Return the MAC of a variant's first modes with those of the intermediate model, at the surface nodes."""
+    """Return the MAC of a variant's first modes with those of the reference, at the surface nodes."""
     table = np.full((MODES, MODES), np.nan)
     found = mac(surface_modes(reduced)[:, :MODES], surface_modes(model.reference)[:, :MODES])
     table[: found.shape[0], : found.shape[1]] = found
@@ -159,7 +163,7 @@ def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.g
     return {
         "model": np.array([model for model, _ in rows], dtype=object),
         "variant": np.array([variant for _, variant in rows], dtype=object),
-        "method": np.array([parse(variant).method for _, variant in rows], dtype=object),
+        "method": np.array([FULL if one == FULL else parse(one).method for _, one in rows], dtype=object),
         "seed": np.full(last - first, study.study.seed, dtype=np.int64),
     }
 
@@ -216,6 +220,7 @@ def template(study_text: str) -> Template:
             (excitations, pixels, pixels),
             {"units": "1", "long_name": "mean of the instants' images; 1 = peak of the perfect one"},
         ),
+        "resolution_mm": scalar("mm", "lambda/D in the image: wavelength times focal length over diameter"),
         "image_error": Variable(
             ("excitation",),
             (excitations,),

@@ -146,8 +146,13 @@ class CriterionSection(Section):
     """When a variant is good enough."""
 
     measure: Literal["wfe", "los", "image"] = "wfe"
-    relative_error: float = Field(
-        default=0.01, gt=0, description="of the reference's largest value over time; image: L2 norm itself"
+    largest: float = Field(
+        default=0.01,
+        gt=0,
+        description="wfe: share of the reference's largest value over time; los: lambda/D; image: L2 norm",
+    )
+    excitations: tuple[str, ...] = Field(
+        default=(), strict=False, description="which ones decide; all if left out"
     )
 
 
@@ -185,15 +190,29 @@ class MirrorStudy(Study):
                 raise ValueError(f"two excitations are called {name!r}; each needs a name of its own")
         return value
 
+    @model_validator(mode="after")
+    def _criterion_names_excitations(self) -> "MirrorStudy":
+        names = [entry.name for entry in self.excitation]
+        for name in self.criterion.excitations:
+            if name not in names:
+                raise ValueError(f"criterion.excitations names {name!r}; there are {', '.join(names)}")
+        return self
+
     @property
     def models(self) -> tuple[str, ...]:
         """Names of the models: the built-in shapes, or "file"."""
         return ("file",) if self.model.content is not None else self.model.shapes
 
     @property
+    def compared(self) -> tuple[str, ...]:
+        """The variants of each model, the reference first."""
+        reference = self.reduction.reference
+        return (reference, *(name for name in self.reduction.variants if name != reference))
+
+    @property
     def cases(self) -> int:
         """All variants of all models, or as many of them as the campaign asks for."""
-        every = len(self.models) * len(self.reduction.variants)
+        every = len(self.models) * len(self.compared)
         return min(self.campaign.cases or every, every)
 
     @classmethod

@@ -1,0 +1,177 @@
+"""Figures of a mirror-mor store, after Figs. 4.17 to 4.23 and 4.27 to 4.32 of Störkle 2018."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.variants import MEASURES, Criterion, ModelResult, VariantResult, largest
+
+# Noll indices whose responses Fig. 4.29 shows: one of each pair that three-fold symmetry makes alike.
+_SHOWN = (2, 4, 5, 7, 9, 11)
+
+
+def _figure() -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
+    return figure, figure.add_subplot()
+
+
+def _style(number: int) -> dict[str, Any]:
+    return {"color": COLORS[number % len(COLORS)], "linestyle": LINES[number % len(LINES)], "linewidth": 1.2}
+
+
+@rc_context(STYLE)
+def errors_over_order(models: Sequence[ModelResult], criterion: Criterion) -> Figure:
+    """Draw the deciding error of all variants over their order, one marker per method."""
+    figure, axes = _figure()
+    methods = list(dict.fromkeys(one.method for model in models for one in model.variants))
+    markers = "osD^v<>PX*hd8p"
+    for model_number, model in enumerate(models):
+        for number, method in enumerate(methods):
+            mine = [
+                one for one in model.variants if one.method == method and np.isfinite(largest(one, criterion))
+            ]
+            axes.plot(
+                [one.order for one in mine],
+                [max(largest(one, criterion), 1e-12) for one in mine],
+                markers[number % len(markers)],
+                color=COLORS[number % len(COLORS)],
+                markersize=5,
+                fillstyle="full" if model_number == 0 else "none",
+                label=method if model_number == 0 else None,
+            )
+    axes.axhline(criterion.bound, color="#444444", linewidth=0.8, linestyle=(0, (5, 2)))
+    axes.set_yscale("log")
+    axes.set_xlabel("order (coordinates of the variant)")
+    axes.set_ylabel(f"largest {MEASURES[criterion.measure]}, relative")
+    names = [f"{'full' if number == 0 else 'open'}: {model.name}" for number, model in enumerate(models)]
+    axes.set_title(", ".join(names) if len(models) > 1 else "")
+    axes.legend(fontsize=7.5, ncols=2)
+    return figure
+
+
+@rc_context(STYLE)
+def spectra(
+    dataset: xr.Dataset, name: str, shown: Sequence[VariantResult], reference: VariantResult | None
+) -> Figure:
+    """Draw a stored spectrum of some variants over frequency, and that of the reference beneath them."""
+    figure, axes = _figure()
+    frequency = dataset["frequency"].to_numpy()
+    rows = {int(case): row for row, case in enumerate(dataset["case"].to_numpy())}
+    if reference is not None:
+        values = dataset[name].isel(case=rows[reference.case]).to_numpy()
+        axes.semilogy(frequency, values, color="#999999", linewidth=2.6, label=reference.variant)
+    for number, one in enumerate(shown):
+        values = dataset[name].isel(case=rows[one.case]).to_numpy()
+        axes.semilogy(frequency, np.maximum(values, 1e-16), label=one.variant, **_style(number))
+    axes.set_xlabel("frequency (Hz)")
+    units = dataset[name].attrs.get("units", "1")
+    axes.set_ylabel(_SPECTRA[name] + (f" ({units})" if units != "1" else ""))
+    axes.legend(fontsize=7.5)
+    return figure
+
+
+_SPECTRA = {
+    "frf_mech": "interface receptance, Frobenius norm",
+    "eps_mech": "relative error of the receptance",
+    "frf_opt": "mechanical-optical response, Frobenius norm",
+    "eps_opt": "relative error of the optical response",
+}
+
+
+@rc_context(STYLE)
+def coefficient_spectra(dataset: xr.Dataset, reference: VariantResult) -> Figure:
+    """Draw which aberrations respond at which frequency, for the reference (Fig. 4.29a)."""
+    figure, axes = _figure()
+    values = dataset["frf_zernike"].sel(case=reference.case)
+    for number, j in enumerate(j for j in _SHOWN if j in values["noll"].to_numpy()):
+        axes.semilogy(
+            dataset["frequency"].to_numpy(),
+            values.sel(noll=j).to_numpy(),
+            label=f"c{j}",
+            **_style(number),
+        )
+    axes.set_xlabel("frequency (Hz)")
+    axes.set_ylabel("response of the coefficient (nm/N)")
+    axes.legend(fontsize=7.5, ncols=2)
+    return figure
+
+
+@rc_context(STYLE)
+def wavefront_history(
+    dataset: xr.Dataset, excitation: str, shown: Sequence[VariantResult], reference: VariantResult
+) -> Figure:
+    """Draw the wavefront error over time, and beneath it how far the variants are off the reference."""
+    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
+    above, below = figure.subplots(2, sharex=True)
+    time = dataset["time"].to_numpy() * 1e3
+    part = dataset.sel(excitation=excitation)
+    above.plot(time, part["wfe_rms"].sel(case=reference.case), color="#999999", linewidth=2.6)
+    for number, one in enumerate(shown):
+        above.plot(time, part["wfe_rms"].sel(case=one.case), **_style(number))
+        off = np.maximum(part["wfe_error"].sel(case=one.case).to_numpy(), 1e-9)
+        below.semilogy(time, off, label=one.variant, **_style(number))
+    above.set_ylabel("WFE rms (nm)")
+    above.set_title(f"{excitation}; gray: {reference.variant}")
+    below.set_ylabel("off the reference (nm)")
+    below.set_xlabel("time (ms)")
+    below.legend(fontsize=7, ncols=2)
+    return figure
+
+
+@rc_context(STYLE)
+def pseudo_frequencies(shown: Sequence[VariantResult]) -> Figure:
+    """Draw the largest pseudo-eigenfrequency of some variants (Fig. 4.21a)."""
+    figure, axes = _figure()
+    place = np.arange(len(shown))
+    axes.barh(place, [one.pseudo_frequency_max / 1e3 for one in shown], color=COLORS[0])
+    axes.set_yticks(place, [one.variant for one in shown])
+    axes.invert_yaxis()
+    axes.set_xlabel("largest pseudo-eigenfrequency (kHz)")
+    return figure
+
+
+@rc_context(STYLE)
+def mac_map(dataset: xr.Dataset, one: VariantResult, reference: VariantResult) -> Figure:
+    """Map the modal assurance criterion of a variant's modes with the reference's (Fig. 4.19)."""
+    figure, axes = _figure()
+    table: NDArray[np.float64] = dataset["mac"].sel(case=one.case).to_numpy()
+    count = int(np.isfinite(table).any(axis=1).sum())
+    image = axes.imshow(table[:count], cmap="Greys", vmin=0.0, vmax=1.0, origin="lower", extent=None)
+    axes.set_xlabel(f"mode of {reference.variant}")
+    axes.set_ylabel(f"mode of {one.variant}")
+    figure.colorbar(image, ax=axes, label="MAC", shrink=0.8)
+    return figure
+
+
+@rc_context(STYLE)
+def exposure_panels(
+    dataset: xr.Dataset, excitation: str, shown: Sequence[VariantResult], reference: VariantResult
+) -> Figure:
+    """Show the exposures of the reference and of some variants with one logarithmic scale (Fig. 4.32b)."""
+    chosen = [reference, *shown][:4]
+    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
+    panels = figure.subplots(2, 2, sharex=True, sharey=True, squeeze=False).ravel()
+    x = dataset["x"].to_numpy()
+    images = dataset["exposure"].sel(excitation=excitation)
+    top = float(images.sel(case=reference.case).max())
+    image = None
+    for panel, one in zip(panels, chosen, strict=False):
+        pixels = np.maximum(images.sel(case=one.case).to_numpy(), 1e-5 * top)
+        image = panel.imshow(
+            pixels, norm=LogNorm(1e-4 * top, top), origin="lower", extent=(x[0], x[-1], x[0], x[-1])
+        )
+        panel.set_title(one.variant, fontsize=8)
+    for panel in panels[len(chosen) :]:
+        panel.set_visible(False)
+    figure.supxlabel("λ/D", fontsize=8)
+    if image is not None:
+        figure.colorbar(image, ax=list(panels), shrink=0.8)
+    return figure

@@ -1,0 +1,174 @@
+"""The report of a mirror-mor store: its variants in a table, the smallest that is enough, and figures."""
+
+import json
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+
+from wavequake.report import mirror_figures as draw
+from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.table import MISSING, number
+from wavequake.report.variants import (
+    MEASURES,
+    Criterion,
+    ModelResult,
+    VariantResult,
+    criterion_of,
+    largest,
+    left_out,
+    model_results,
+    representatives,
+)
+
+_SMALL_PRINT = (
+    "ε: largest relative error of the transfer matrix over frequency, in small print over the lower third of "
+    "the band. WFE: largest error over time as a share of the reference's largest value; LOS: largest error; "
+    "image: L2 norm of the difference of unit-energy exposures; each for the worst of the excitations that "
+    "decide."
+)
+_DEFINITIONS = (
+    ("ε mech", "‖H - H_ref‖ / ‖H_ref‖ of the receptance at the interfaces (Störkle 2018, Eq. 2.10)."),
+    ("ε opt", "The same of the response of the Zernike coefficients c_2 and on (Eq. 4.23)."),
+    ("WFE", "Root of the sum of squares of the Zernike coefficients j ≥ 4, total, not relative to rest."),
+    ("LOS", "Direction of the best-fit plane in the image, Eq. 3.39."),
+    ("f max", "Largest eigenfrequency of the reduced model: an integrator's step would have to follow it."),
+    (
+        "full",
+        "The rich intermediate model from which the variants are made; the plan (wavequake plan) prints how "
+        "far it is off the finite-element model at frequencies that it was not built on.",
+    ),
+)
+
+
+def table_of(store: Path, dataset: xr.Dataset) -> Table:
+    """Return the table of a store for the terminal."""
+    models, criterion = _results(dataset)
+    headers = list(_HEADERS)
+    table = Table(box=SIMPLE_HEAD, caption=answer(models, criterion), caption_justify="left")
+    for header in headers:
+        table.add_column(header, justify="left" if header in headers[:1] else "right")
+    for model in models:
+        table.add_row(Text(model.name, style="bold"))
+        for one in model.variants:
+            cells = _row(one, criterion)
+            mark = " ←" if one is model.enough else ""
+            table.add_row(one.variant + mark, *(value for value, _ in list(cells.values())[1:]))
+    return table
+
+
+def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
+    """Write the HTML report."""
+    models, criterion = _results(dataset)
+    page = Page(
+        answer=answer(models, criterion),
+        table=[
+            {"model": (model.name, ""), **_row(one, criterion)} for model in models for one in model.variants
+        ],
+        small_print=_SMALL_PRINT,
+        overview=[
+            picture(
+                "order", "Error of all variants over their order", draw.errors_over_order(models, criterion)
+            )
+        ],
+        sections=[Section(model.name, list(_figures(dataset, model))) for model in models],
+        definitions=list(_DEFINITIONS),
+        kind="variant",
+        left_out=left_out(dataset),
+    )
+    return write_page(render_page(dataset, page), target)
+
+
+def _results(dataset: xr.Dataset) -> tuple[list[ModelResult], Criterion]:
+    study: dict[str, Any] = json.loads(dataset.attrs["study"])
+    criterion = criterion_of(study)
+    return model_results(dataset, study["reduction"]["reference"], criterion), criterion
+
+
+_HEADERS = ("variant", "order", "made in (ms)", "f max (kHz)", "ε mech", "ε opt", "WFE", "LOS (λ/D)", "image")
+
+
+def _row(one: VariantResult, criterion: Criterion) -> dict[str, tuple[str, str]]:
+    """Return header -> (value, small print) of one variant."""
+    values = (
+        (one.variant, ""),
+        (str(one.order), ""),
+        (number(one.reduce_seconds * 1e3), ""),
+        (number(one.pseudo_frequency_max / 1e3), ""),
+        (_tiny(one.eps_mech), _tiny(one.eps_mech_low)),
+        (_tiny(one.eps_opt), _tiny(one.eps_opt_low)),
+        (_percent(largest(one, replace(criterion, measure="wfe"))), ""),
+        (_tiny(largest(one, replace(criterion, measure="los"))), ""),
+        (_tiny(largest(one, replace(criterion, measure="image"))), ""),
+    )
+    return dict(zip(_HEADERS, values, strict=True))
+
+
+def _tiny(value: float) -> str:
+    return MISSING if value != value else f"{value:.1e}"
+
+
+def _percent(value: float) -> str:
+    return MISSING if value != value else f"{number(100 * value)} %"
+
+
+def answer(models: Iterable[ModelResult], criterion: Criterion) -> str:
+    """Say per model which variant is the smallest that is good enough."""
+    limit = _worded(criterion.bound, criterion)
+    words = []
+    for model in models:
+        if model.reference is None:
+            words.append(f"{model.name}: the reference is not done, so nothing can be said yet.")
+        elif model.enough is None:
+            words.append(f"{model.name}: no variant keeps the {MEASURES[criterion.measure]} below {limit}.")
+        else:
+            found = largest(model.enough, criterion)
+            words.append(
+                f"{model.name}: {model.enough.variant} ({model.enough.order} coordinates) is the smallest "
+                f"variant that keeps the {MEASURES[criterion.measure]} below {limit} "
+                f"({_worded(found, criterion)})."
+            )
+    return " ".join(words)
+
+
+def _worded(value: float, criterion: Criterion) -> str:
+    units = {"wfe": " %", "los": " λ/D", "image": ""}[criterion.measure]
+    return number(100 * value if criterion.measure == "wfe" else value) + units
+
+
+def _figures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
+    reference = model.reference
+    if reference is None:
+        return
+    shown, name = representatives(model), model.name
+    for key, text, ground in (
+        ("frf_mech", "Receptance over frequency", reference),
+        ("eps_mech", "Error of the receptance over frequency", None),
+        ("frf_opt", "Mechanical-optical response over frequency", reference),
+        ("eps_opt", "Error of the mechanical-optical response over frequency", None),
+    ):
+        yield picture(f"{name}-{key}", text, draw.spectra(dataset, key, shown, ground))
+    yield picture(
+        f"{name}-zernike", "Response of each aberration", draw.coefficient_spectra(dataset, reference)
+    )
+    yield picture(f"{name}-fmax", "Largest pseudo-eigenfrequencies", draw.pseudo_frequencies(shown))
+    for excitation in map(str, dataset["excitation"].to_numpy()):
+        yield picture(
+            f"{name}-{excitation}-time",
+            f"Wavefront error over time, {excitation}",
+            draw.wavefront_history(dataset, excitation, shown, reference),
+        )
+        yield picture(
+            f"{name}-{excitation}-image",
+            f"Exposures, {excitation}",
+            draw.exposure_panels(dataset, excitation, shown, reference),
+        )
+    for one in shown[:2]:
+        yield picture(
+            f"{name}-mac-{one.case}", f"MAC of {one.variant}", draw.mac_map(dataset, one, reference)
+        )

@@ -1,0 +1,159 @@
+"""From a mirror-mor store to what its report compares: one record per variant, and which one is enough."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from wavequake.report.populations import Excluded
+from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
+
+Array = NDArray[np.float64]
+
+# Methods of which one variant each is drawn, as far as there is room.
+_DRAWN = ("craigb", "krylov", "rubin", "flbt", "modal", "bt", "hintz")
+MEASURES = {"wfe": "wavefront error", "los": "line-of-sight error", "image": "image error"}
+
+
+@dataclass(frozen=True)
+class VariantResult:
+    """What one variant of one model is worth.
+
+    ``errors`` maps "wfe", "los" and "image" to one number per excitation: the largest error over time as a
+    share of the reference's largest value (wavefront), in lambda/D (line of sight), and the L2 norm of the
+    difference of unit-energy exposures.
+    ``eps_mech`` and ``eps_opt`` are the largest over frequency, ``*_low`` those over its lower third.
+    """
+
+    case: int
+    variant: str
+    method: str
+    order: int
+    reduce_seconds: float
+    pseudo_frequency_max: float
+    eps_mech: float
+    eps_mech_low: float
+    eps_opt: float
+    eps_opt_low: float
+    errors: dict[str, Array]
+
+
+@dataclass(frozen=True)
+class ModelResult:
+    """The variants of one model by order, its reference, and the smallest variant that is good enough."""
+
+    name: str
+    reference: VariantResult | None
+    variants: tuple[VariantResult, ...]
+    enough: VariantResult | None
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """Which error decides ("wfe", "los" or "image"), the largest that is good enough, and excitations."""
+
+    measure: str
+    bound: float
+    excitations: tuple[int, ...]
+
+
+def criterion_of(study: dict[str, Any]) -> Criterion:
+    """Return the criterion of a store's effective study."""
+    section = study["criterion"]
+    names = [entry["name"] for entry in study["excitation"]]
+    chosen = section["excitations"] or names
+    places = tuple(place for place, name in enumerate(names) if name in chosen)
+    return Criterion(section["measure"], float(section["largest"]), places)
+
+
+def model_results(dataset: xr.Dataset, reference: str, criterion: Criterion) -> list[ModelResult]:
+    """Return the finished variants of every model of a store.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        What ``open_store`` gives.
+    reference : str
+        Name of the variant that errors refer to.
+    criterion : Criterion
+    """
+    done = np.flatnonzero(dataset["status"].to_numpy() == DONE)
+    models, variants = dataset["model"].to_numpy(), dataset["variant"].to_numpy()
+    found = []
+    for name in dict.fromkeys(models):
+        rows = [int(row) for row in done if models[row] == name]
+        own = next((row for row in rows if variants[row] == reference), None)
+        if own is None:
+            found.append(ModelResult(str(name), None, (), None))
+            continue
+        scale = dataset["wfe_rms"].isel(case=own).to_numpy().max(axis=-1)
+        results = [_result(dataset, row, scale) for row in rows]
+        others = sorted(
+            (result for result in results if result.variant != reference),
+            key=lambda result: (result.order, largest(result, criterion)),
+        )
+        enough = next((one for one in others if largest(one, criterion) <= criterion.bound), None)
+        mine = next(result for result in results if result.variant == reference)
+        found.append(ModelResult(str(name), mine, tuple(others), enough))
+    return found
+
+
+def largest(result: VariantResult, criterion: Criterion) -> float:
+    """Return the largest error of the criterion's measure over its excitations."""
+    return float(np.max(result.errors[criterion.measure][list(criterion.excitations)]))
+
+
+def _result(dataset: xr.Dataset, row: int, scale: Array) -> VariantResult:
+    case = dataset.isel(case=row)
+    eps = {name: case[name].to_numpy() for name in ("eps_mech", "eps_opt")}
+    third = max(1, len(eps["eps_mech"]) // 3)
+
+    worst = {name: case[f"{name}_error"].to_numpy().max(axis=-1) for name in ("wfe", "los")}
+    return VariantResult(
+        case=int(case["case"]),
+        variant=str(case["variant"].to_numpy()),
+        method=str(case["method"].to_numpy()),
+        order=int(case["order"]),
+        reduce_seconds=float(case["reduce_seconds"]),
+        pseudo_frequency_max=float(case["pseudo_frequency_max"]),
+        eps_mech=float(eps["eps_mech"].max()),
+        eps_mech_low=float(eps["eps_mech"][:third].max()),
+        eps_opt=float(eps["eps_opt"].max()),
+        eps_opt_low=float(eps["eps_opt"][:third].max()),
+        errors={
+            "wfe": np.divide(worst["wfe"], scale, out=np.full_like(scale, np.nan), where=scale > 0),
+            "los": worst["los"] / float(case["resolution_mm"]),
+            "image": case["image_error"].to_numpy(),
+        },
+    )
+
+
+def left_out(dataset: xr.Dataset) -> list[Excluded]:
+    """Return the variants that failed, with the reason."""
+    status, meanings = dataset["status"].to_numpy(), STATUS_MEANINGS.split()
+    return [
+        Excluded(
+            case=int(dataset["case"].to_numpy()[row]),
+            disturbance=f"{dataset['model'].to_numpy()[row]} {dataset['variant'].to_numpy()[row]}",
+            realization=None,
+            reason=meanings[status[row]],
+            message=str(dataset["message"].to_numpy()[row]),
+        )
+        for row in np.flatnonzero((status != DONE) & (status != TODO))
+    ]
+
+
+def representatives(model: ModelResult, most: int = 6) -> list[VariantResult]:
+    """Return variants to draw: the one that is enough, then of each method that of the nearest order."""
+    order = model.enough.order if model.enough else 36
+    chosen: list[VariantResult] = [model.enough] if model.enough else []
+    for method in _DRAWN:
+        mine = [one for one in model.variants if one.method == method and one not in chosen]
+        if mine and len(chosen) < most:
+            chosen.append(min(mine, key=lambda one: abs(one.order - order)))
+    for one in model.variants:
+        if len(chosen) < most and one not in chosen:
+            chosen.append(one)
+    return sorted(chosen, key=lambda one: (one.order, one.variant))
