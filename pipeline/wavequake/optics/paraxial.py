@@ -215,7 +215,7 @@ def _unfolded(system: OpticalSystem, wavelength: float) -> Iterator[_Step]:
         if acts and abs(curvature) * beside > _DECENTERED:
             raise UserError(
                 f"the axis ray of {system.name} misses the vertex of the surface {surface.name} by "
-                f"{beside:.3g} mm; first-order data need surfaces that stand nearly centered on the z axis (and "
+                f"{beside:.3g} mm; first-order data need surfaces nearly centered on the z axis (and "
                 "its folds by plane mirrors)"
             )
         sense = float(np.sign(cosine))
