@@ -428,3 +428,43 @@ def test_arrays_that_do_not_fit_are_named(change, message):
         trace_sequence(
             Sequence((IMAGE, IMAGE)), collimated(), replace(Moving(shifts(0.0, 1.0)), **change), NUMPY
         )
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_only_what_is_wanted_comes_and_memory_is_used_again(device):
+    mirror, deformation, _ = paraboloids()["moving"]
+    arguments = (Sequence((mirror, IMAGE)), collimated(), Moving(shifts(0.0, -900.0), (deformation, None)))
+    whole = trace_sequence(*arguments, device)
+    some = trace_sequence(*arguments, device, outputs=("y", "path"))
+    np.testing.assert_array_equal(some.path, whole.path)
+    np.testing.assert_array_equal(some.y, whole.y)
+    np.testing.assert_array_equal(some.status, whole.status)
+    assert some.x.size == some.u.size == some.v.size == some.w_sign.size == 0
+    if device != NUMPY:
+        some.path[:] = 0.0
+        again = trace_sequence(*arguments, device, outputs=("y", "path"), out=some)
+        assert again.path is some.path
+        np.testing.assert_array_equal(again.path, whole.path)
+        with pytest.raises(ValueError, match="out must hold path, x, status and surface"):
+            trace_sequence(*arguments, device, outputs=("path", "x"), out=some)
+    with pytest.raises(ValueError, match="outputs"):
+        trace_sequence(*arguments, device, outputs=("z",))
+
+
+@pytest.mark.parametrize("device", **NAMES)
+@pytest.mark.parametrize("count", [1, 15, 16, 17, 40])
+def test_any_number_of_rays_and_a_shared_direction_give_the_same_bits(count, device):
+    element, deformation, grid = surfaces()["moving grid"]
+    sequence = Sequence((replace(element, action="reflect"), IMAGE))
+    moving = Moving(np.tile(shifts(0.0, -50.0), (2, 1, 1)), (deformation, None), (grid, None))
+    rays = collimated(angle=0.05, count=40)
+    whole = trace_sequence(sequence, rays, moving, device)
+    view = Rays(
+        rays.position[:, :count],
+        np.broadcast_to(rays.direction[:, :1], (3, count)),
+        np.broadcast_to(0.0, count),
+    )
+    part = trace_sequence(sequence, view, moving, device)
+    assert (whole.status == OK).all()
+    for name in ("path", "x", "y", "u", "v", "w_sign", "status", "surface"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[:, :count])

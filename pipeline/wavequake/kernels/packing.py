@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 _HEIGHT, _SLOPE, _LEAN = 1e-12, 1e-13, 1e-7
 # Monomials are sampled a little beyond their radius, since rays may fall there.
 _BEYOND = 1.02
-# A polynomial may bend more than that many times as strongly between samples: no random one came near.
+# A polynomial may bend more strongly between samples, but no random one came near that many times.
 _MARGIN = 2.0
 
 
@@ -113,8 +113,8 @@ def _grids(number: int, element: Element, moving: Moving) -> list[tuple[Grid, Ar
 @lru_cache(maxsize=64)
 def _second_derivatives(degree: int, basis: Basis) -> Array:
     """Return the second derivatives uu, sqrt(2) uv and vv of each term at points of a disk of radius 1."""
-    radii = np.array([0.35, 0.7, 0.9, 1.0]) * (_BEYOND if basis == "monomial" else 1.0)
-    angles = np.linspace(0.0, 2.0 * np.pi, 2 * degree + 6, endpoint=False)
+    radii = np.array([0.6, 0.9, 1.0]) * (_BEYOND if basis == "monomial" else 1.0)
+    angles = np.linspace(0.0, 2.0 * np.pi, 2 * degree + 2, endpoint=False)
     points = radii[:, None] * np.stack([np.cos(angles), np.sin(angles)])[:, None]
     u, v = points.reshape(2, -1)
     kind = np.polynomial.Polynomial if basis == "monomial" else np.polynomial.Chebyshev

@@ -1,0 +1,66 @@
+"""What the host tells the kernel about how strongly a surface bends holds everywhere on it."""
+
+import numpy as np
+import pytest
+
+from wavequake.kernels import packing
+from wavequake.kernels.polynomial_numpy import polynomial
+from wavequake.kernels.sequence import Element, Grid, Moving, Polynomial, Sequence, terms
+
+
+def strongest_bend(slopes, radius, points):
+    """Largest directional second derivative on a disk, from central differences of the slopes."""
+    x, y = np.meshgrid(*[np.linspace(-radius, radius, points)] * 2)
+    x, y = (grid[np.hypot(x, y) <= radius] for grid in (x, y))
+    h = 1e-5 * radius
+    right, left, up, down = (slopes(x + h * a, y + h * b) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1)))
+    xx, xy = ((right[k] - left[k]) / (2 * h) for k in (0, 1))
+    yy = (up[1] - down[1]) / (2 * h)
+    mean, spread = 0.5 * np.abs(xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    return (mean + spread).max()
+
+
+def bend_of(element):
+    moving = Moving(np.zeros((1, 1, 12)))
+    numbers, arrays = [], []
+    _, bends, reach = packing._parts(0, element, moving, numbers, arrays)
+    return float(bends[0]), reach
+
+
+@pytest.mark.parametrize("basis", ["monomial", "chebyshev"])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3, 6, 13, 20])
+def test_no_polynomial_bends_more_than_the_host_says(degree, basis):
+    random = np.random.default_rng(degree)
+    for kind in range(6):
+        coefficients = random.normal(size=terms(degree)) / (1.0 + np.arange(terms(degree))) ** (0.5 * kind)
+        element = Element(polynomial=Polynomial(degree, 40.0, coefficients, basis))
+        bend, reach = bend_of(element)
+        true = strongest_bend(
+            lambda x, y, c=coefficients: polynomial(degree, 40.0, basis, c, x, y)[1:], reach, 121
+        )
+        assert true <= bend + 1e-8
+        # Not so cautious that weak surfaces would seem strong.
+        assert bend <= 6.0 * true + 1e-8
+
+
+def test_no_grid_bends_more_than_the_host_says():
+    from wavequake.kernels.grid_numpy import spline_grid
+
+    random = np.random.default_rng(3)
+    for _ in range(5):
+        grid = Grid(-50.0, -60.0, 10.0, 12.0, random.normal(size=(11, 11)))
+        bend, reach = bend_of(Element(grid=grid))
+        assert reach == np.inf
+        # Inside of the edge, where the slope jumps.
+        assert (
+            strongest_bend(lambda x, y, g=grid: spline_grid(g, g.coefficients, x, y)[1:], 39.0, 201) <= bend
+        )
+
+
+def test_even_powers_always_take_the_full_iteration():
+    sequence = Sequence((Element(even=(1e-9,)), Element()))
+    shapes, fixed, limits, _ = packing.packed_elements(sequence, Moving(np.zeros((3, 2, 12))), False)
+    assert limits.shape == (3, 1)
+    assert (limits < 0.0).all()
+    assert [shape.bare for shape in shapes] == [False, True]
+    assert fixed.dtype == np.float64
