@@ -62,6 +62,15 @@ def test_the_thesis_tmt_is_that_of_an_extended_precision_tracer():
         np.testing.assert_allclose(chief, [1e3 * entry["chief_x_m"], 0.0], rtol=1e-10, atol=1e-9)
 
 
+def test_light_turned_by_the_line_of_sight_is_that_of_the_field():
+    system, states = optical_system("tmt-thesis"), rest_states(optical_system("tmt-thesis"), 3)
+    angle = np.radians(5.0 / 60.0)
+    states.line_of_sight[1:] = [[angle, 0.0], [0.0, -angle]]
+    chief = chief_of(system, [0.0, 0.0], states)
+    expected = np.array([[0.0, 0.0], [654.53272750661, 0.0], [0.0, -654.53272750661]])
+    np.testing.assert_allclose(chief, expected, rtol=1e-10, atol=1e-8)
+
+
 @pytest.mark.parametrize(
     ("name", "field", "value", "tolerance"),
     [
