@@ -87,8 +87,8 @@ def sampled(drive: Drive, time: Array) -> Drive:
 def ramped_sine(omega: float, amplitude: Array, ramp: float) -> tuple[Harmonic, ...]:
     """Return amplitude sin(omega t), swung in by sin^2(pi t / (2 ramp)) until `ramp` (0: at once).
 
-    The ramp times the sine is a sum of three sines, so the whole is five harmonics, two of which undo the
-    side bands after the ramp.
+    The ramp times the sine is a sum of three sines; three more that start at `ramp` undo the side bands and
+    complete the sine.
     """
     zero = np.zeros_like(amplitude)
     if ramp == 0.0:

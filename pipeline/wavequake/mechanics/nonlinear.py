@@ -90,7 +90,8 @@ def flexible_body(
     mass : ndarray or sparse array, shape (N, N)
         Mass between nodes, kg, the same in every direction.
     shapes : ndarray, shape (N, 3, r)
-        Displacements of the nodes; for `fly`, no combination of them may be a rigid motion.
+        Displacements of the nodes; for `fly`, no combination of them may be a rigid motion. Modes (orthogonal
+        in mass and stiffness) integrate fastest and most exactly.
     stiffness, damping : ndarray, shape (r, r)
         No damping if left out.
 

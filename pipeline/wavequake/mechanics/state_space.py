@@ -1,5 +1,6 @@
 """Linear state space of a mechanical model, as control software takes it (Störkle 2018, Eq. 2.13, 2.14)."""
 
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -65,7 +66,8 @@ def to_control(system: StateSpace) -> Any:
         If python-control is not installed.
     """
     try:
-        import control
+        # By name: a plain import would read as this package's folder of the same name.
+        control = import_module("control")
     except ImportError:
         raise UserError("python-control is not installed; run: pip install control") from None
     return control.ss(*system)
