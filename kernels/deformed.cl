@@ -4,17 +4,17 @@
 // One evaluation at the hit of the bare conic gives a Newton step; a second step takes the height there from
 // the slopes at hand. What that leaves is bounded by the square of the lateral step: `limit` is the square
 // of the longest lateral step that is short enough, within the square `reach` of the distance from the axis.
-// Rays for which it is not go on with Newton's iteration (Stoerkle 2018, Algorithm 1); the others are left
-// alone, so that no ray's bits depend on its neighbors. Returns where the surface is met; `missed` is where
+// Rays for which it is not take Newton's iteration from the start (Stoerkle 2018, Algorithm 1); the others are
+// left alone, so that no ray's bits depend on its neighbors. Returns where the surface is met; `missed` is where
 // the bare conic is not, and the iteration started at the vertex plane.
 
 INLINE mask JOIN(meet_, NUMBER)(numbers t, ray *r, double c, double k1, double index, double limit,
                                 double reach, triple *normal, mask *missed)
 {
     const triple d = r->direction;
-    real way = conic_step(r->position, d, c, k1);
-    triple hit = along(r->position, way, d);
-    *missed = NOT(finite(way) & ((c * k1) * hit.z < 1.0));
+    const real bare = conic_step(r->position, d, c, k1);
+    triple hit = along(r->position, bare, d);
+    *missed = NOT(finite(bare) & ((c * k1) * hit.z < 1.0));
 
     real slope_x, slope_y;
     real height = JOIN(height_, NUMBER)(t, hit.x, hit.y, &slope_x, &slope_y);
@@ -33,23 +33,24 @@ INLINE mask JOIN(meet_, NUMBER)(numbers t, ray *r, double c, double k1, double i
     met &= NOT(*missed) & (square <= reach);
     step += f * inverse;
     hit = along(hit, f * inverse, d);
-    way += step;
+    real way = bare + step;
 
     if (any_lane(NOT(met))) {
-        real to_plane = -r->position.z / d.z;
-        way = EITHER(*missed, to_plane, way);
-        hit = choose(*missed, along(r->position, to_plane, d), hit);
+        // Strong deformations need the sag itself: F has a second sheet that attracts the iteration.
+        real to_start = EITHER(*missed, -r->position.z / d.z, bare);
+        way = EITHER(met, way, to_start);
+        hit = choose(met, hit, along(r->position, to_start, d));
         mask open = NOT(met) & finite(way);
         for (int i = 0; i < NEWTON_STEPS && any_lane(open); ++i) {
             height = JOIN(height_, NUMBER)(t, hit.x, hit.y, &slope_x, &slope_y);
-            q = hit.z - height;
-            f = c * (hit.x * hit.x + hit.y * hit.y + k1 * (q * q)) - 2.0 * q;
-            triple lean = conic_plus(hit, q, slope_x, slope_y, c, k1);
-            step = -0.5 * f / dot3(lean, d);
+            square = hit.x * hit.x + hit.y * hit.y;
+            real edge = root(1.0 - (c * c * k1) * square);
+            real sag = c * square / (1.0 + edge), steep = c / edge;
+            triple lean = {steep * hit.x + slope_x, steep * hit.y + slope_y, -1.0};
+            step = (hit.z - sag - height) / dot3(lean, d);
             *normal = choose(open, lean, *normal);
             hit = choose(open, along(hit, step, d), hit);
             way = EITHER(open, way + step, way);
-            square = hit.x * hit.x + hit.y * hit.y;
             real far = step * r->length;
             met |= open & (far * far <= CONVERGED * CONVERGED + ROUNDING * ROUNDING * square);
             open &= NOT(met) & finite(step);

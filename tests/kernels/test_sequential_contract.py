@@ -63,7 +63,7 @@ def random_element(words, random, scale):
     """An element of the parts that `words` name and its moving coefficients; `scale` is its deformation."""
     parts, deformation, heights = {}, None, None
     if "plane" not in words:
-        parts |= {"curvature": 1.0 / random.choice([-1, 1]) / random.uniform(12, 200)}
+        parts |= {"curvature": 1.0 / random.choice([-1, 1]) / random.uniform(11, 150)}
         parts |= {"conic": random.uniform(-2.0, 1.0)}
     if "even" in words:
         parts["even"] = tuple(random.normal(size=3) * scale / 10.0 ** np.array([2, 4, 6]))
@@ -74,7 +74,7 @@ def random_element(words, random, scale):
         parts["polynomial"] = Polynomial(degree, 20.0, coefficients, basis)
     if "moving" in words:
         parts |= {"deformation_degree": 4, "deformation_radius": 20.0}
-        parts["deformation_basis"] = random.choice(["monomial", "chebyshev"])
+        parts["deformation_basis"] = "chebyshev" if "grid" in words else "monomial"
         deformation = scale * random.normal(size=(INSTANTS, 15))
     if "grid" in words:
         parts |= {"grid": grid}
@@ -92,7 +92,7 @@ def random_element(words, random, scale):
     if "blocked" in words:
         regions = [Region("circle", (1.0, 0.0, 1.5), blocks=True)]
     parts["action"] = next((word for word in ("reflect", "refract") if word in words), "pass")
-    parts["index"] = random.choice([1.0, 1.4, 2.5])
+    parts["index"] = random.choice([1.0, 1.4, 3.0])
     return Element(**parts, regions=tuple(regions)), deformation, heights
 
 
@@ -133,7 +133,7 @@ def test_the_kernel_agrees_with_its_twin_on_random_systems(device, name, seed, s
 def test_the_random_systems_lose_rays_in_every_way():
     """What the test above compares is there to be compared."""
     found = np.zeros(5, dtype=int)
-    for seed in range(12):
+    for seed in range(25):
         for name in SYSTEMS:
             traced = trace_sequence(*random_system(SYSTEMS[name], seed, 0.1), NUMPY)
             found += np.bincount(traced.status.ravel(), minlength=5)
