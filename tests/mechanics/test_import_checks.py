@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 import scipy.sparse
 import tetrahedron
 from pydantic import ValidationError
@@ -186,7 +187,7 @@ def test_unsymmetric_square_of_abaqus(file):
             for i in range(12)
             for j in range(12)
         ]
-        file.with_name(name).write_text("\n".join(lines).replace(")", ""))
+        file.with_name(name).write_text("\n".join([*lines, ""]).replace(")", ""))
     refused(file.with_name("t_STIF1.mtx"), "t_STIF1.mtx is not symmetric", mesh=file.with_suffix(".inp"))
 
 
@@ -315,6 +316,33 @@ def test_complex_dmig(file):
     path = file.with_suffix(".pch")
     path.write_text((DATA / "truss.pch").read_text().replace("6       2       0", "6       4       0"))
     refused(path, r"KAAX is complex \(TIN 4\)")
+
+
+@pytest.mark.parametrize("storage", [scipy.sparse.coo_array, np.asarray])
+def test_matrix_market_with_other_lines_than_announced(file, storage):
+    path = file.with_name("t_K.mtx")
+    scipy.io.mmwrite(path, storage(K), precision=17)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:3], "", *lines[3:]]) + "\n")
+    import_model(
+        path,
+        mass=file.with_suffix(".mas"),
+        dofs=file.with_suffix(".dof"),
+        **CHOICE,
+        mesh=file.with_suffix(".inp"),
+    )
+    for body in (lines[:-3], [*lines, *lines[-9:]]):
+        path.write_text("\n".join(body) + "\n")
+        refused(path, r"t_K.mtx is no complete Matrix Market file: it announces \d+ entries and has")
+    path.write_text("\n".join(lines))
+    refused(path, r"t_K.mtx, line \d+ has no end: the file is cut off")
+
+
+@pytest.mark.parametrize("name", ["truss.sti", "truss.mas"])
+def test_zero_bytes(file, name):
+    path = file.with_name(name)
+    path.write_bytes(path.read_bytes().replace(b"00", b"0\0", 1))
+    refused(file, f"{name} holds zero bytes: it is no text file, or it is damaged")
 
 
 def test_ambiguous_names(file):

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from wavequake.errors import UserError
-from wavequake.mechanics.importers.entries import DIRECTIONS, Contents, Entries, numbers, read_bytes
+from wavequake.mechanics.importers.entries import DIRECTIONS, Contents, Entries, numbers, whole_lines
 
 
 def read_matrix(path: Path) -> Contents:
@@ -21,7 +21,7 @@ def read_matrix(path: Path) -> Contents:
     UserError
         If its lines have neither 3 nor 5 numbers, or one cannot be read; it is named.
     """
-    body, first = _without_comments(read_bytes(path))
+    body, first = _without_comments(whole_lines(path))
     width = len(body.split(b"\n", 1)[0].replace(b",", b" ").split())
     if width not in (3, 5):
         raise UserError(

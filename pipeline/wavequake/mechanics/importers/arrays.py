@@ -6,7 +6,9 @@ A file holds ``stiffness`` and ``mass``, each a square array or compressed colum
 absent). An ``.npz`` of `scipy.sparse.save_npz` holds one matrix.
 """
 
+import io
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -28,11 +30,19 @@ def read_npz(path: Path) -> Contents:
     UserError
         If it is no such file, or its arrays make no square matrices.
     """
-    read_bytes(path)
+    data = io.BytesIO(read_bytes(path))
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with np.load(data, allow_pickle=False) as file:
             content = {name: file[name] for name in file.files}
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
+    except (
+        OSError,
+        ValueError,
+        EOFError,
+        NotImplementedError,
+        RuntimeError,
+        zlib.error,
+        zipfile.BadZipFile,
+    ) as error:
         raise UserError(f"{path.name} is no NumPy .npz file: {error}") from error
     if "format" in content:
         from scipy.sparse import load_npz

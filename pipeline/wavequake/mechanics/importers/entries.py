@@ -89,9 +89,11 @@ def whole_lines(path: Path) -> bytes:
     Raises
     ------
     UserError
-        If it cannot be read, is empty or ends within a line.
+        If it cannot be read, is empty, holds zero bytes or ends within a line.
     """
     data = read_bytes(path)
+    if b"\0" in data:  # SciPy's reader of triples would crash on it
+        raise UserError(f"{path.name} holds zero bytes: it is no text file, or it is damaged")
     if not data.endswith(b"\n"):
         line = data.count(b"\n") + 1
         raise UserError(f"{path.name}, line {line} has no end: the file is cut off, write it again")
