@@ -4,9 +4,9 @@
 // One evaluation at the hit of the bare conic gives a Newton step; a second step takes the height there from
 // the slopes at hand. What that leaves is bounded by the square of the lateral step: `limit` is the square
 // of the longest lateral step that is short enough, within the square `reach` of the distance from the axis.
-// Rays for which it is not take Newton's iteration from the start (Stoerkle 2018, Algorithm 1); the others are
-// left alone, so that no ray's bits depend on its neighbors. Returns where the surface is met; `missed` is where
-// the bare conic is not, and the iteration started at the vertex plane.
+// Rays for which it is not take Newton's iteration from the start (Stoerkle 2018, Algorithm 1); the others
+// are left alone, so that no ray's bits depend on its neighbors. Returns where the surface is met; `missed`
+// is where the bare conic is not, and the iteration started at the vertex plane.
 
 INLINE mask JOIN(meet_, NUMBER)(numbers t, ray *r, double c, double k1, double index, double limit,
                                 double reach, triple *normal, mask *missed)

@@ -135,7 +135,8 @@ INLINE mask to_sphere(ray *r, __global const double *sphere, double index)
 
 // Heights over the vertex plane: each function returns one and adds its slopes to *slope_x and *slope_y.
 
-INLINE real even_powers(__global const double *a, const int count, real x, real y, real *slope_x, real *slope_y)
+INLINE real even_powers(__global const double *a, const int count, real x, real y,
+                        real *slope_x, real *slope_y)
 {
     real square = x * x + y * y, value = a[count - 1], derivative = 0.0;
     #pragma unroll
