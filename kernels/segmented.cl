@@ -10,7 +10,7 @@
 
 #define TERMS(degree) (((degree) + 1) * ((degree) + 2) / 2)
 
-enum { OK = 0, GAP = 1, MISS = 2, VIGNETTED = MISS + SURFACES + 1 };
+enum { OK = 0, GAP = 1, MISS = 2 };
 
 #if DEGREE >= 0
 #define FIGURE(part) segment_figure_##part
@@ -70,9 +70,10 @@ INLINE mask reflect_at_segments(ray *r, int candidates, __global const int *cand
     return found;
 }
 
-// Reflect at surface i after M1, or stop there if it is the last; tells whether the ray met it.
+// Reflect at surface i after M1, or stop there if it is the last; tells whether the ray met its clear part.
 INLINE mask reflect_at_surface(ray *r, int i, __global const double *pose, double c, double k1,
-                               __global const double *figure, __global const double *frame)
+                               double clear_square, __global const double *figure,
+                               __global const double *frame)
 {
     r->position = moved(pose, r->position);
     r->direction = turned(pose, r->direction);
@@ -81,6 +82,8 @@ INLINE mask reflect_at_surface(ray *r, int i, __global const double *pose, doubl
         real step = -r->position.z / r->direction.z;
         advance(r, step);
         met = finite(step);
+        if (EDGED >> i & 1)
+            met &= r->position.x * r->position.x + r->position.y * r->position.y <= clear_square;
         if (i < SURFACES - 1)
             r->direction.z = -r->direction.z;
     } else {
@@ -93,6 +96,8 @@ INLINE mask reflect_at_surface(ray *r, int i, __global const double *pose, doubl
         step += further;
 #endif
         met = finite(step) & (normal.z < 0.0);
+        if (EDGED >> i & 1)
+            met &= r->position.x * r->position.x + r->position.y * r->position.y <= clear_square;
         reflect(r, normal);
     }
     return met;
@@ -133,12 +138,8 @@ __kernel void segmented(
     #pragma unroll
     for (int i = 0; i < SURFACES; ++i) {
         met = reflect_at_surface(&r, i, surface_poses + i * 12 * 16, curvatures[i], conics_plus_1[i],
-                                 mirror_figures + i * TERMS(MIRROR_DEGREE) * 16, mirror_frames + i * 4);
+                                 clear_squares[i], mirror_figures + i * TERMS(MIRROR_DEGREE) * 16, mirror_frames + i * 4);
         status = EITHER(NOT(met) & (status == OK), (mask)(MISS + i), status);
-        if (EDGED >> i & 1) {
-            real square = r.position.x * r.position.x + r.position.y * r.position.y;
-            status = EITHER((square > clear_squares[i]) & (status == OK), (mask)(VIGNETTED + i), status);
-        }
     }
     real back = back_to_sphere(&r, LOAD(chief), LOAD(chief + 16), sphere_square);
     real opd = LOAD(chief + 32) - (r.path - back);

@@ -461,6 +461,15 @@ def test_vignetted_rays_are_counted(newton, edge):
     assert static.vignetted[0] == static.lost[0] == expected
 
 
+@pytest.mark.parametrize(("arcmin", "looks"), [(0.0, False), (0.05, False), (2.0, True), (5.0, True)])
+def test_edges_are_looked_at_where_the_beam_may_reach_them(study, arcmin, looks):
+    """On the axis M2 of the TMT is 3.6 % wider than the beam of 1459.6 mm; 10 arcmin reach its edge."""
+    aside = study_with(study, {"optics.field_arcmin": [arcmin, 0.0]})
+    bench = bench_of(aside.identity_text())
+    assert (bench.prepared.train.semi_diameters is not None) == looks
+    assert bench.static.vignetted[0] == 0
+
+
 def test_a_mirror_that_lets_nothing_pass_is_refused(newton):
     with pytest.raises(UserError, match=r"No ray of segment a .* reaches the image"):
         workflow.check(with_edge(newton, 1.0).identity_text())

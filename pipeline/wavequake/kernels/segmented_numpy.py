@@ -215,10 +215,9 @@ def _through_surfaces(
         figure = figures[surface] if figures is not None and surface < last else None
         frames = train.mirror_frames[surface : surface + 1]
         path, slopes = _meet((c, kappa), frames, train.mirror_degree, figure, position, direction)
-        status = np.where((status == OK) & np.isnan(path), np.int8(MISS + surface), status)
         position, opl = position + path * direction, opl + path
-        outside = position[0] ** 2 + position[1] ** 2 > clear_squares[surface]
-        status = np.where((status == OK) & outside, np.int8(MISS + last + 2 + surface), status)
+        clear = position[0] ** 2 + position[1] ** 2 <= clear_squares[surface]  # not where there is no path
+        status = np.where((status == OK) & ~clear, np.int8(MISS + surface), status)
         if surface < last:
             direction = _reflected(direction, *slopes)
     return position, direction, opl, status

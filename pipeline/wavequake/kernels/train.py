@@ -81,8 +81,8 @@ class Traced:
     x, y : ndarray, shape (T, N, 16)
         Position in the image frame, mm.
     status : ndarray of int8, shape (T, N, 16)
-        0 = ok, 1 = meets no candidate segment (a gap), 2 + i = misses surface i after M1 (i = L: the
-        reference sphere), 3 + L + i = meets surface i outside its semi-diameter (see `vignetted`).
+        0 = ok, 1 = meets no candidate segment (a gap), 2 + i = misses surface i after M1 or its
+        semi-diameter (i = L: the reference sphere).
     """
 
     opd: Array
@@ -92,8 +92,8 @@ class Traced:
 
 
 def vignetted(train: SegmentedTrain, status: NDArray[np.int8]) -> NDArray[np.bool_]:
-    """Return which rays of a `Traced.status` are lost at the edge of a mirror after M1."""
-    return np.asarray(status > MISS + train.surface_curvatures.size)
+    """Return which rays of a `Traced.status` pass by a mirror after M1."""
+    return np.asarray((status >= MISS) & (status < MISS + train.surface_curvatures.size - 1))
 
 
 def figure_terms(degree: int) -> int:

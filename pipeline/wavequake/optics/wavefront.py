@@ -56,7 +56,7 @@ class Wavefront:
     lost : ndarray of int, shape (batch,)
         Number of lost rays; all numbers above are those of the remaining rays.
     vignetted : ndarray of int, shape (batch,)
-        Those of them that meet a mirror after M1 beyond its edge.
+        Those of them that pass by a mirror after M1, beyond its edge.
     lost_segments : ndarray of bool, shape (batch, S)
         Segments whose remaining rays do not determine a plane: mostly, that lost all their rays.
     """
@@ -132,6 +132,10 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array) -> Wavefront:
         np.concatenate(values) for values in zip(*parts, strict=True)
     )
     image_point = from_tiles(chief)[:, :2]
+    passed_by = np.zeros(len(lost), dtype=np.int64)
+    for tile in np.flatnonzero(lost.reshape(-1, TILE).any(axis=1)):
+        gone = vignetted(prepared.train, traced.status[tile])
+        passed_by[tile * TILE : (tile + 1) * TILE] = np.count_nonzero(gone, axis=0)
     factor = float(np.copysign(1.0 / np.sqrt(1.0 + prepared.obscuration**2), prepared.focal_length))
     return Wavefront(
         zernike=zernike,
@@ -146,9 +150,7 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array) -> Wavefront:
         strehl=strehl,
         segment_phase=phase,
         lost=lost,
-        vignetted=np.concatenate(
-            [np.count_nonzero(vignetted(prepared.train, status), axis=0) for status in traced.status]
-        ),
+        vignetted=passed_by,
         lost_segments=lost_segments,
     )
 
@@ -205,7 +207,7 @@ def _analyse_tile(
     waves -= mean(waves)
     rms_raw = np.sqrt(mean(np.square(waves, out=waves)))
     rms = np.sqrt(np.sum(zernike[3:] ** 2, axis=0))
-    lost = np.count_nonzero(~ok, axis=0)
+    lost = np.zeros(TILE, dtype=np.int64) if complete else np.count_nonzero(~ok, axis=0)
     phase = phase.transpose(2, 0, 1)
     return (
         *(zernike.T, rms, rms_raw, rms_flat, pv, shift.T, centroid, spot_rms),

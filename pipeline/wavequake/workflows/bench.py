@@ -17,7 +17,7 @@ from wavequake.mechanics.layout import SegmentLayout
 from wavequake.optics.corner_table import distorted
 from wavequake.optics.prepared import PreparedTrace, chief_rays, prepare, trace_states
 from wavequake.optics.pupils import PupilRays, on_glass, segment_rays, sunflower
-from wavequake.optics.segmented_telescope import FirstOrder, SegmentedTelescope, first_order
+from wavequake.optics.segmented_telescope import FirstOrder, SegmentedTelescope, first_order, footprints
 from wavequake.optics.segments import areas, is_monolithic
 from wavequake.optics.slopes import slope_fit
 from wavequake.optics.sphere_fit import reference_fit
@@ -82,6 +82,8 @@ def _prepared(study_text: str) -> Bench:
     prepared = prepare(system, rays, wavelength, study.wavefront.zernike_terms, figure_terms=terms)
     field = np.array(study.optics.field_arcmin) * _ARCMIN
     at = (float(field[0]), float(field[1]))
+    if _beam_clears_mirrors(prepared, field):  # looking at their edges takes a tenth of the trace
+        prepared = replace(prepared, train=replace(prepared.train, semi_diameters=None))
     if study.wavefront.method == "slopes":
         prepared = replace(prepared, slopes=slope_fit(prepared, at))
     if study.wavefront.reference == "fitted":
@@ -99,6 +101,20 @@ def _prepared(study_text: str) -> Bench:
         terms,
         field,
     )
+
+
+def _beam_clears_mirrors(prepared: PreparedTrace, field: NDArray[np.float64]) -> bool:
+    """Return whether the beam stays inside all mirrors by 1 %, more than any motion that can be imaged needs.
+
+    From the axial footprint and, generously, four times the way of light from the field point.
+    """
+    system, rays = prepared.system, prepared.rays
+    edges = np.array([mirror.semi_diameter for mirror in system.surfaces[:-1]])
+    places = np.array([np.zeros(3), *(surface.position for surface in system.surfaces)])
+    way = np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
+    reach = max(1.0, np.hypot(rays.x, rays.y).max() / system.pupil_outer)  # glass beyond the pupil's annulus
+    beam = reach * footprints(system) + 4.0 * way * np.tan(np.abs(field)).sum()
+    return bool((beam <= 0.99 * edges).all())
 
 
 def in_basis(bench: Bench, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:

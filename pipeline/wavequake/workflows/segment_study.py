@@ -76,7 +76,12 @@ class OpticsSection(Section):
     """Light and rays."""
 
     wavelength_nm: float = Field(default=550.0, gt=0, le=1e6)
-    sampling: Literal["segments", "sunflower"] = "segments"
+    sampling: Literal["segments", "sunflower"] = Field(
+        default="segments",
+        description="rays over all glass, or over the annulus of the pupil; the glass of tmt-18 reaches to "
+        "1.21 times the radius of its annulus, where the polynomials are not orthogonal: "
+        "take sunflower where its coefficients matter",
+    )
     rays_per_segment: Literal[6, 18, 36, 72] = Field(
         default=18,
         description="of a hexagon, six triangles: 18 for piston and tilt; "
