@@ -359,3 +359,16 @@ def test_section_of_a_study_is_strict(wrong):
     ImportedModel(**right)
     with pytest.raises(ValidationError):
         ImportedModel(**right | wrong)
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in DATA.glob("truss_*.op4")))
+def test_damaged_output4_is_refused_or_read_but_never_hangs(file, name):
+    good = (DATA / name).read_bytes()
+    path = file.with_name("bad.op4")
+    rng = np.random.default_rng(11)
+    for place in rng.integers(0, len(good), 40):
+        path.write_bytes(good[:place] + rng.bytes(1) + good[place + 1 :])
+        try:
+            import_model(path, dofs=file.with_suffix(".dof"), mesh=file.with_suffix(".inp"), **CHOICE)
+        except UserError:
+            continue

@@ -75,7 +75,7 @@ def read_hdf5(path: Path) -> Contents:
     try:
         with h5py.File(path, "r") as file:
             file.visititems(collect)
-    except OSError as error:
+    except (OSError, RuntimeError, KeyError, ValueError) as error:
         raise UserError(f"{path.name} is no HDF5 file: {error}") from error
     return _contents(content, path.name)
 

@@ -105,9 +105,10 @@ def _text_columns(
 
 def _string(head: tuple[int, ...], big: bool) -> tuple[int, int]:
     """Return the number of words and the first row (from 0) of a sparse string."""
-    if big:
-        return head[0] - 1, head[1] - 1
-    return (head[0] >> 16) - 1, (head[0] & 0xFFFF) - 1
+    length, row = (head[0] - 1, head[1] - 1) if big else ((head[0] >> 16) - 1, (head[0] & 0xFFFF) - 1)
+    if length < 1:
+        raise ValueError(f"a string of {length} words")
+    return length, row
 
 
 def _binary(data: bytes, source: str) -> dict[str, Entries]:
@@ -141,12 +142,14 @@ def _binary_columns(
     while True:
         length, column, row, count = words[at : at + 4].tolist()
         following = at + length // 4 + 2
-        if following > len(words):
-            raise ValueError(f"a record of {length} bytes begins at byte {4 * at}, fewer are left")
+        if length < 12 or following > len(words):
+            raise ValueError(f"a record of {length} bytes begins at byte {4 * at}")
         at += 4
         if column > last:
             return runs, starts, following
         if row:  # dense
+            if not 0 < count < following - at:
+                raise ValueError(f"a column of {count} words does not fit its record")
             runs.append((column - 1, row - 1, count // kind))
             starts.append(at)
         while not row and count > 0:
@@ -155,5 +158,7 @@ def _binary_columns(
             runs.append((column - 1, start, size // kind))
             starts.append(at)
             at += size
+            if at >= following:
+                raise ValueError(f"a string of {size} words is longer than its record")
             count -= size + 1 + big
         at = following
