@@ -15,7 +15,8 @@ STATUS_MEANINGS = "todo done raised crashed timed_out diverged"
 class Variable:
     """A stored array: ``dims`` after the leading ``case``, their sizes, dtype, attributes (units, long_name).
 
-    A ``coordinate`` labels other arrays (the time of each instant); the rest is data.
+    A ``coordinate`` labels other arrays (the time of each instant); the rest is data. What is ``measured``
+    with a stopwatch differs from run to run.
     """
 
     dims: tuple[str, ...]
@@ -23,6 +24,7 @@ class Variable:
     attrs: Mapping[str, str]
     dtype: str = "float64"
     coordinate: bool = False
+    measured: bool = False
 
 
 @dataclass(frozen=True)

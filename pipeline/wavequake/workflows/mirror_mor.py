@@ -13,26 +13,30 @@ from wavequake.imaging.matrix_fourier import psf
 from wavequake.mechanics.model import ReducedModel
 from wavequake.reduction.metrics import eps_mor, frobenius, mac, pseudo_frequencies, receptance, surface_modes
 from wavequake.reduction.names import parse
-from wavequake.reduction.two_stage import covers, reduce_variants
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.mirror_bench import (
-    MirrorModel,
+    Answers,
+    Bench,
     aberrations_over_time,
+    answers_of,
+    bench_of,
     frequencies_of,
     image_of,
-    model_of,
-    optical_rows,
     spot_check,
     study_of,
     time_of,
+    variant_of,
 )
+from wavequake.workflows.mirror_optics import Optics, mode_residuals, optical_rows
 from wavequake.workflows.mirror_study import FULL, MirrorStudy
 
 Array = NDArray[np.float64]
 
-# Coefficients whose frequency responses are kept one by one (Störkle 2018, Fig. 4.29), and modes of the MAC.
+# Coefficients whose frequency responses are kept one by one (Störkle 2018, Fig. 4.29), modes of the MAC, and
+# modes whose fit is judged.
 SHOWN_TERMS = 15
 MODES = 40
+FITTED_MODES = 120
 
 
 def cases_of(study: MirrorStudy) -> list[tuple[str, str]]:
@@ -48,15 +52,15 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
     study = study_of(study_text)
     arrays = {
         name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
-        for name, variable in template(study_text).per_case.items()
+        for name, variable in variables(study).items()
     }
     status = np.full(len(cases), DONE, dtype=np.int8)
     messages = [""] * len(cases)
     with threadpool_limits(1):
         for row, (name, variant) in enumerate(cases_of(study)[int(case)] for case in cases):
-            model = model_of(study_text, name)
+            bench, answers = bench_of(study_text, name), answers_of(study_text, name)
             try:
-                found = judged(study, model, variant)
+                found = judged(study, bench, answers, variant)
             except UserError as error:
                 status[row], messages[row] = RAISED, str(error)
                 continue
@@ -65,43 +69,40 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
     return ChunkResult(arrays, status, tuple(messages))
 
 
-def judged(study: MirrorStudy, model: MirrorModel, variant: str) -> dict[str, Array | float]:
+def judged(study: MirrorStudy, bench: Bench, answers: Answers, variant: str) -> dict[str, Array | float]:
     """Return all stored numbers of one variant."""
-    reduced = model.reference if variant == study.reduction.reference else _reduced(model, variant)
-    rows = optical_rows(model.optics, reduced)
-    terms = len(rows) - 2
+    is_reference = variant == study.reduction.reference
+    reduced = answers.reference if is_reference else variant_of(bench, variant)
+    optics = bench.optics
+    rows = optical_rows(optics, reduced)
     frequencies = frequencies_of(study)
     mechanical, optical = receptance(reduced, frequencies), receptance(reduced, frequencies, rows[3:])
     aberrations = aberrations_over_time(study, reduced, rows)
-    apart = aberrations - model.aberrations
-    images = exposures(study, model, aberrations)
+    apart = aberrations - answers.aberrations
+    images = exposures(study, optics, aberrations)
     shown = np.full((len(frequencies), SHOWN_TERMS - 1), np.nan)
-    kept = min(SHOWN_TERMS, terms) - 1
+    kept = min(SHOWN_TERMS, optics.terms) - 1
     shown[:, :kept] = np.linalg.norm(optical[:, :kept], axis=2)
     return {
         "order": float(reduced.order),
         "reduce_seconds": reduced.seconds,
         "pseudo_frequency_max": float(pseudo_frequencies(reduced)[-1]),
         "frf_mech": frobenius(mechanical),
-        "eps_mech": eps_mor(model.mechanical, mechanical),
+        "eps_mech": eps_mor(answers.mechanical, mechanical),
         "frf_opt": frobenius(optical),
-        "eps_opt": eps_mor(model.optical, optical),
+        "eps_opt": eps_mor(answers.optical, optical),
         "frf_zernike": shown,
-        "mac": _mac(model, reduced),
-        "mode_frequency": _padded(pseudo_frequencies(reduced)[:MODES]),
+        "mac": _mac(answers.reference, reduced),
+        "mode_frequency": _padded(pseudo_frequencies(reduced), MODES),
+        "fit_residual": _padded(mode_residuals(optics, reduced), FITTED_MODES),
         "wfe_rms": _wavefront_error(aberrations),
         "wfe_error": _wavefront_error(apart),
         "los_mm": aberrations[..., :2],
         "los_error": np.linalg.norm(apart[..., :2], axis=2),
-        "resolution_mm": model.optics.resolution,
+        "resolution_mm": optics.resolution,
         "exposure": images,
-        "image_error": _image_error(images, reference_exposures(study, model)),
+        "image_error": _image_error(images, reference_exposures(study, bench, answers)),
     }
-
-
-def _reduced(model: MirrorModel, variant: str) -> ReducedModel:
-    full = None if covers(model.stage, parse(variant)) else model.full()
-    return reduce_variants(model.stage, [variant], full)[0]
 
 
 def _wavefront_error(aberrations: Array) -> Array:
@@ -110,24 +111,24 @@ def _wavefront_error(aberrations: Array) -> Array:
     return rms
 
 
-def _padded(values: Array) -> Array:
-    filled = np.full(MODES, np.nan)
-    filled[: len(values)] = values
+def _padded(values: Array, count: int) -> Array:
+    filled = np.full(count, np.nan)
+    filled[: len(values)] = values[:count]
     return filled
 
 
-def _mac(model: MirrorModel, reduced: ReducedModel) -> Array:
+def _mac(whole: ReducedModel, reduced: ReducedModel) -> Array:
     """Return the MAC of a variant's first modes with those of the reference, at the surface nodes."""
     table = np.full((MODES, MODES), np.nan)
-    found = mac(surface_modes(reduced)[:, :MODES], surface_modes(model.reference)[:, :MODES])
+    found = mac(surface_modes(reduced)[:, :MODES], surface_modes(whole)[:, :MODES])
     table[: found.shape[0], : found.shape[1]] = found
     return table
 
 
-def exposures(study: MirrorStudy, model: MirrorModel, aberrations: Array) -> Array:
+def exposures(study: MirrorStudy, optics: Optics, aberrations: Array) -> Array:
     """Return the mean image over the time response of each excitation, (excitation, pixels, pixels)."""
     section, terms = study.imaging, aberrations.shape[2] - 2
-    maker = image_of(section.pupil_samples, section.pixels, section.sampling, model.optics.obscuration, terms)
+    maker = image_of(section.pupil_samples, section.pixels, section.sampling, optics.obscuration, terms)
     count = min(section.instants, aberrations.shape[1])
     instants = np.unique(np.linspace(0, aberrations.shape[1] - 1, count).round().astype(int))
     radians = 2 * np.pi * section.scale / study.optics.wavelength_nm
@@ -139,14 +140,14 @@ def exposures(study: MirrorStudy, model: MirrorModel, aberrations: Array) -> Arr
     )
 
 
-_REFERENCES: dict[tuple[int, str], Array] = {}
+_REFERENCES: dict[tuple[str, str], Array] = {}
 
 
-def reference_exposures(study: MirrorStudy, model: MirrorModel) -> Array:
+def reference_exposures(study: MirrorStudy, bench: Bench, answers: Answers) -> Array:
     """Return the exposures of the reference, computed once per process."""
-    key = (id(model), study.identity())
+    key = (study.identity(), bench.name)
     if key not in _REFERENCES:
-        _REFERENCES[key] = exposures(study, model, model.aberrations)
+        _REFERENCES[key] = exposures(study, bench.optics, answers.aberrations)
     return _REFERENCES[key]
 
 
@@ -171,6 +172,11 @@ def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.g
 def template(study_text: str) -> Template:
     """Return what a store of this study holds."""
     study = study_of(study_text)
+    return Template(variables(study), _fixed(study))
+
+
+def variables(study: MirrorStudy) -> dict[str, Variable]:
+    """Return what is stored per case."""
     excitations, instants = len(study.excitation), study.time.instants
     frequencies, pixels = study.reduction.frequencies, study.imaging.pixels
     over_frequency, over_time = ("frequency",), ("excitation", "time")
@@ -184,9 +190,11 @@ def template(study_text: str) -> Template:
     def history(units: str, long_name: str) -> Variable:
         return Variable(over_time, (excitations, instants), {"units": units, "long_name": long_name})
 
-    per_case = {
+    return {
         "order": scalar("1", "number of coordinates of the variant"),
-        "reduce_seconds": scalar("s", "time of the reduction"),
+        "reduce_seconds": Variable(
+            (), (), {"units": "s", "long_name": "time of the reduction"}, measured=True
+        ),
         "pseudo_frequency_max": scalar("Hz", "largest eigenfrequency of the reduced model"),
         "frf_mech": spectrum("m/N", "Frobenius norm of the receptance at the interfaces"),
         "eps_mech": spectrum("1", "relative error of the receptance (Störkle 2018, Eq. 2.10)"),
@@ -206,6 +214,11 @@ def template(study_text: str) -> Template:
         ),
         "mode_frequency": Variable(
             ("mode",), (MODES,), {"units": "Hz", "long_name": "eigenfrequencies of the variant"}
+        ),
+        "fit_residual": Variable(
+            ("own_mode",),
+            (FITTED_MODES,),
+            {"units": "1", "long_name": "share of each mode that the Zernikes miss (Störkle 2018, Eq. 4.11)"},
         ),
         "wfe_rms": history("nm", "wavefront error rms of the fitted Zernikes j >= 4"),
         "wfe_error": history("nm", "rms of the difference of wavefronts from the reference's, j >= 4"),
@@ -227,16 +240,20 @@ def template(study_text: str) -> Template:
             {"units": "1", "long_name": "L2 norm of the difference of unit-energy exposures"},
         ),
     }
-    return Template(per_case, _fixed(study, study_text))
 
 
 def _fixed(
-    study: MirrorStudy, study_text: str
+    study: MirrorStudy,
 ) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]]:
     pixels = (np.arange(study.imaging.pixels) - study.imaging.pixels // 2) * study.imaging.sampling
     lambda_over_d = {"units": "lambda/D"}
     names = [excitation.name for excitation in study.excitation]
+    checks = [spot_check(study, name) for name in study.models]
+    checked = {"units": "1", "long_name": "error of the intermediate model against the full one (Eq. 2.10)"}
     return {
+        "checked_model": (("checked_model",), np.array(study.models, dtype=object), {"long_name": "model"}),
+        "spot_frequency": (("check",), checks[0][0], {"units": "Hz", "long_name": "frequency of the check"}),
+        "spot_error": (("checked_model", "check"), np.array([errors for _, errors in checks]), checked),
         "frequency": (("frequency",), frequencies_of(study), {"units": "Hz", "long_name": "frequency"}),
         "time": (("time",), time_of(study), {"units": "s", "long_name": "time"}),
         "excitation": (("excitation",), np.array(names, dtype=object), {"long_name": "excitation"}),
@@ -252,11 +269,11 @@ def describe(study_text: str) -> dict[str, str]:
     study = study_of(study_text)
     lines = {}
     for name in study.models:
-        model = model_of(study_text, name)
-        frequencies, errors = spot_check(study_text, name)
+        stage = bench_of(study_text, name).stage
+        frequencies, errors = spot_check(study, name)
         worst = f", at most {errors.max():.1e} off the full model" if len(errors) else ""
         lines[f"model {name}"] = (
-            f"{model.stage.full_order} degrees of freedom, intermediate {model.stage.order}{worst}"
+            f"{stage.full_order} degrees of freedom, intermediate {stage.order}{worst}"
             + (f" at {', '.join(f'{one:.0f}' for one in frequencies)} Hz" if len(errors) else "")
         )
     return lines
@@ -266,7 +283,7 @@ def check(study_text: str) -> None:
     """Raise UserError for a study that no variant of can succeed: model, excitations or optics do not fit."""
     study = study_of(study_text)
     for name in study.models:
-        model_of(study_text, name)
+        answers_of(study_text, name)
 
 
 WORKFLOW = Workflow("mirror-mor", template, case_table, compute, describe, check=check)

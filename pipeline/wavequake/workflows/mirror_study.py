@@ -34,7 +34,12 @@ class ModelSection(Section):
     mount_angles_deg: tuple[float, ...] = Field(default=(0.0, 120.0, 240.0), strict=False)
     damping_alpha: float = Field(default=0.0, ge=0, description="1/s, times the mass")
     damping_beta: float = Field(default=5e-6, ge=0, description="s, times the stiffness")
-    rings: int | None = Field(default=None, ge=1, le=60, description="elements along the radius: finer mesh")
+    rings: int | None = Field(
+        default=None,
+        ge=1,
+        le=60,
+        description="elements along the radius, and around in proportion: 6 by default, less is coarser",
+    )
     file: str | None = Field(
         default=None,
         exclude=True,
@@ -61,17 +66,11 @@ class ModelSection(Section):
         return self
 
 
-class ReductionSection(Section):
-    """Which variants are compared, and over which frequencies."""
+class VariantsSection(Section):
+    """Which reduced models are made, and up to which frequency."""
 
     variants: tuple[str, ...] = Field(min_length=1, strict=False, description="e.g. 'craigb36'")
-    reference: str = Field(default=FULL, description="what errors refer to: 'full', or a variant")
-    first_hz: float = Field(default=5.0, gt=0)
-    last_hz: float = Field(default=1200.0, gt=0)
-    frequencies: int = Field(default=600, ge=2, le=20000)
-    spot_checks: int = Field(
-        default=3, ge=0, le=50, description="frequencies at which the sweep's basis is checked in full"
-    )
+    last_hz: float = Field(default=1200.0, gt=0, description="upper end of the band that the basis covers")
 
     @field_validator("variants")
     @classmethod
@@ -81,6 +80,17 @@ class ReductionSection(Section):
         if twice:
             raise ValueError(f"the variant {twice[0]!r} is listed twice")
         return names
+
+
+class ReductionSection(VariantsSection):
+    """Which variants are compared, and over which frequencies."""
+
+    reference: str = Field(default=FULL, description="what errors refer to: 'full', or a variant")
+    first_hz: float = Field(default=5.0, gt=0)
+    frequencies: int = Field(default=600, ge=2, le=20000)
+    spot_checks: int = Field(
+        default=3, ge=0, le=50, description="frequencies at which the sweep's basis is checked in full"
+    )
 
     @field_validator("reference")
     @classmethod
@@ -168,16 +178,14 @@ class MirrorStoreSection(StoreSection):
     chunk_cases: int = Field(default=5, ge=1, le=100_000, description="K: cases per task and per shard")
 
 
-class MirrorStudy(Study):
-    """A validated study file of ``mirror-mor`` or ``mirror-trace``: cases are the variants of each model."""
+class AnyMirrorStudy(Study):
+    """What the studies of mirrors have in common: cases are the variants of each model."""
 
     model: ModelSection = ModelSection()
-    reduction: ReductionSection
+    reduction: VariantsSection
     excitation: tuple[AnyExcitation, ...] = Field(min_length=1, strict=False)
     time: TimeSection = TimeSection()
     optics: MirrorOpticsSection = MirrorOpticsSection()
-    imaging: MirrorImagingSection = MirrorImagingSection()
-    criterion: CriterionSection = CriterionSection()
     campaign: MirrorCampaignSection = MirrorCampaignSection()
     store: MirrorStoreSection = MirrorStoreSection()
 
@@ -190,14 +198,6 @@ class MirrorStudy(Study):
                 raise ValueError(f"two excitations are called {name!r}; each needs a name of its own")
         return value
 
-    @model_validator(mode="after")
-    def _criterion_names_excitations(self) -> "MirrorStudy":
-        names = [entry.name for entry in self.excitation]
-        for name in self.criterion.excitations:
-            if name not in names:
-                raise ValueError(f"criterion.excitations names {name!r}; there are {', '.join(names)}")
-        return self
-
     @property
     def models(self) -> tuple[str, ...]:
         """Names of the models: the built-in shapes, or "file"."""
@@ -205,9 +205,8 @@ class MirrorStudy(Study):
 
     @property
     def compared(self) -> tuple[str, ...]:
-        """The variants of each model, the reference first."""
-        reference = self.reduction.reference
-        return (reference, *(name for name in self.reduction.variants if name != reference))
+        """The variants of each model."""
+        return self.reduction.variants
 
     @property
     def cases(self) -> int:
@@ -226,3 +225,31 @@ class MirrorStudy(Study):
             keys = {key: value for key, value in model.items() if key in ImportedModel.model_fields}
             model["content"] = keep_imported(keys, base)
             model.pop("shapes", None)
+
+
+class MirrorStudy(AnyMirrorStudy):
+    """A validated study file of ``mirror-mor``; the first variant of each model is the reference."""
+
+    reduction: ReductionSection
+    imaging: MirrorImagingSection = MirrorImagingSection()
+    criterion: CriterionSection = CriterionSection()
+
+    @model_validator(mode="after")
+    def _criterion_names_excitations(self) -> "MirrorStudy":
+        names = [entry.name for entry in self.excitation]
+        for name in self.criterion.excitations:
+            if name not in names:
+                raise ValueError(f"criterion.excitations names {name!r}; there are {', '.join(names)}")
+        return self
+
+    @property
+    def compared(self) -> tuple[str, ...]:
+        """The variants of each model, the reference first."""
+        reference = self.reduction.reference
+        return (reference, *(name for name in self.reduction.variants if name != reference))
+
+
+class TraceStudy(AnyMirrorStudy):
+    """A validated study file of ``mirror-trace``."""
+
+    time: TimeSection = TimeSection(duration_s=0.0199)

@@ -22,14 +22,14 @@ from scipy.sparse import csc_array, issparse
 
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.model import ImportedModel, load_model
-from wavequake.mechanics.model import FiniteElementModel, RayleighDamping
+from wavequake.mechanics.model import FiniteElementModel, RayleighDamping, check_model
 from wavequake.reduction.intermediate import Intermediate
 
 Arrays = dict[str, NDArray[Any]]
 Kind = TypeVar("Kind", FiniteElementModel, Intermediate)
 
 # Part of every hash: raise it when the way in which models are built changes their numbers.
-_VERSION = 1
+_VERSION = 2
 _SPARSE = ("data", "indices", "indptr", "shape")
 
 
@@ -46,11 +46,16 @@ def digest(record: Mapping[str, Any]) -> str:
 
 def kept_intermediate(name: str, build: Callable[[], Intermediate]) -> Intermediate:
     """Return an intermediate model by its hash; it is built and kept if it is not there, or not readable."""
+    return _unpacked(Intermediate, kept_arrays(name, lambda: _packed(build())))
+
+
+def kept_arrays(name: str, build: Callable[[], Arrays]) -> Arrays:
+    """Return named arrays by their hash, as `kept_intermediate` does a model."""
     found = _read(name)
     if found is None:
-        found = _packed(build())
+        found = build()
         _write(name, found)
-    return _unpacked(Intermediate, found)
+    return found
 
 
 def keep_imported(keys: Mapping[str, Any], base: Path) -> str:
@@ -68,7 +73,9 @@ def keep_imported(keys: Mapping[str, Any], base: Path) -> str:
         where = ".".join(("model", *map(str, first["loc"])))
         reason = "is missing" if first["type"] == "missing" else first["msg"]
         raise UserError(f"{where}: {reason[0].lower()}{reason[1:]}.") from None
-    packed = _packed(load_model(section, base).model)
+    model = load_model(section, base).model
+    check_model(model)
+    packed = _packed(model)
     contents = hashlib.sha256()
     for key in sorted(packed):
         contents.update(key.encode() + np.ascontiguousarray(packed[key]).tobytes())

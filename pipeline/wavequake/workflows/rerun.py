@@ -58,6 +58,7 @@ def retry_store(
         if any(code in wanted for code, _ in record.failures.values())
     }
     rows = {chunk: _done_rows(path, chunk, set(records[chunk].failures)) for chunk in chunks}
+    measured = {name for name, one in workflow.template(manifest.study).per_case.items() if one.measured}
     before = {chunk: _digests(path, manifest, rows[chunk]) for chunk in chunks}
     summary = run_campaign(
         workflow,
@@ -73,7 +74,9 @@ def retry_store(
     )
     for chunk in sorted(chunks):
         after = _digests(path, manifest, rows[chunk])
-        differing = sorted(name for name in after if after[name] != before[chunk][name])
+        differing = sorted(
+            name for name in after if name not in measured and after[name] != before[chunk][name]
+        )
         if differing:
             raise StoreDamageError(
                 f"cases {chunk[0]} to {chunk[1] - 1} were computed again, and {', '.join(differing)} of "
