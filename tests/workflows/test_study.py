@@ -30,7 +30,7 @@ def minimal(tmp_path):
 @pytest.mark.parametrize("name", bundled_studies())
 def test_bundled_studies_load_and_come_back_from_their_identity(name):
     study = load_study(name)
-    again = study_from_identity(SegmentStudy, study.identity_text())
+    again = study_from_identity(type(study), study.identity_text())
     assert again.identity() == study.identity()
     assert study.study.title
 
