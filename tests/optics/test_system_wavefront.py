@@ -162,3 +162,21 @@ def test_an_instant_does_not_depend_on_its_batch():
 def test_bad_input():
     with pytest.raises(UserError, match="no field 1"):
         prepare_system(parabola(), *quadrature(0.0), 10, field=1)
+
+
+def test_strehl_of_a_deformed_parabola_is_what_its_phase_says():
+    """Small aberrations: exp(-sigma^2) to fourth order (Maréchal); a tilt costs nothing."""
+    form = ZernikeDeformation(11, RADIUS)
+    system = parabola(form)
+    prepared = prepare_system(system, *quadrature(0.0), 36)
+    states = rest_states(system, 3)
+    wave = prepared.wavelength
+    states.deformations[0][1, 10] = 0.02 * wave
+    states.deformations[0][2, 1] = 0.5 * wave
+    found = measure_system(prepared, states, NUMPY)
+    assert found.strehl[[0, 2]] == pytest.approx(1.0, abs=1e-5)
+    sigma = 2 * np.pi * found.rms[1]
+    assert found.strehl[1] == pytest.approx(1 - sigma**2 + sigma**4 / 2, abs=0.1 * sigma**4)
+    # Z11 runs from sqrt(5) at center and rim down to -sqrt(5)/2; the rim's slope of f/1.7 takes 1 % of it.
+    assert found.pv[1] == pytest.approx(1.5 * np.sqrt(5) * found.rms[1], rel=1e-2)
+    assert found.pv[2] < 1e-2

@@ -53,6 +53,8 @@ class PreparedSystem:
     cosines : ndarray, shape (2, 2)
         Change of the direction cosines (u, v) in the image frame from the pupil's center to its rim, for x
         (first column) and y: the numerical aperture with its signs.
+    field : int
+        Index of the field point.
     """
 
     system: OpticalSystem
@@ -65,6 +67,7 @@ class PreparedSystem:
     sphere_radius: float
     image_index: float
     cosines: Array
+    field: int
 
 
 @dataclass(frozen=True)
@@ -76,12 +79,16 @@ class SystemWavefront:
     zernike : ndarray, shape (T, J)
         Noll coefficients, waves.
     rms, rms_raw, pv : ndarray, shape (T,)
-        Rms of the terms j >= 4, rms over the rays without piston, and peak to valley; waves.
+        Rms of the terms j >= 4, rms over the rays without piston, and peak to valley about the best-fit
+        plane; waves.
     chief, los, centroid : ndarray, shape (T, 2)
         Image point of the chief ray, of the best-fit plane (Störkle 2018, Eq. 3.39) and of the rays' center;
         mm in the frame of the image.
     spot_rms : ndarray, shape (T,)
         Rms distance of the rays' image points from their center, mm.
+    strehl : ndarray, shape (T,)
+        Squared modulus of the mean of exp(2 pi i OPD) about the best-fit plane: the intensity in the plane's
+        direction, relative to that of a perfect wavefront.
     lost, vignetted : ndarray of int, shape (T,)
         Rays that do not arrive, and those of them that an opening stops.
     """
@@ -94,6 +101,7 @@ class SystemWavefront:
     los: Array
     centroid: Array
     spot_rms: Array
+    strehl: Array
     lost: NDArray[np.int64]
     vignetted: NDArray[np.int64]
 
@@ -149,6 +157,7 @@ def prepare_system(
         sphere_radius=radius,
         image_index=refracting[-1] if refracting else sequence.index,
         cosines=np.stack([(rim[:, 0] - rim[:, 1]) / 2.0, (rim[:, 2] - rim[:, 3]) / 2.0], axis=1),
+        field=field,
     )
 
 
@@ -212,16 +221,20 @@ def measure_system(prepared: PreparedSystem, states: SystemStates, device: Devic
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.sum(np.where(ok, opd * weight, 0.0), axis=1) / kept
         square = np.sum(np.where(ok, (opd - mean[:, None]) ** 2 * weight, 0.0), axis=1) / kept
+        flat = opd - np.sum(zernike[:, None, 1:3] * prepared.fit.basis[:, 1:3], axis=2)
+        phasor = np.where(ok, np.exp(2j * np.pi * np.where(ok, flat, 0.0)) * weight, 0.0)
+        strehl = np.abs(np.sum(phasor, axis=1) / kept) ** 2
     spots = spot(np.where(ok, traced.x, np.nan), np.where(ok, traced.y, np.nan), weight)
     return SystemWavefront(
         zernike=zernike,
         rms=np.sqrt(np.sum(zernike[:, 3:] ** 2, axis=1)),
         rms_raw=np.sqrt(square),
-        pv=peak_to_valley(opd),
+        pv=peak_to_valley(flat),
         chief=chief,
         los=line_of_sight(prepared, chief, zernike),
         centroid=spots.centroid,
         spot_rms=spots.rms,
+        strehl=strehl,
         lost=np.count_nonzero(~ok, axis=1),
         vignetted=np.count_nonzero(traced.status == VIGNETTED, axis=1),
     )

@@ -9,13 +9,17 @@ from rich.table import Table
 
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.devices import choose_device
-from wavequake.report import mirrors, segments
+from wavequake.report import mirrors, segments, systems
 from wavequake.report.export import export, target_of
 from wavequake.workflows.store import JOURNAL, REPORT, Manifest, open_store, read_manifest
 from wavequake.workflows.verify import verify_store
 
 # Each has table_of(store, dataset) and write_report_of(store, dataset, target, device).
-_REPORTS: dict[str, ModuleType] = {"segment-disturbance": segments, "mirror-mor": mirrors}
+_REPORTS: dict[str, ModuleType] = {
+    "segment-disturbance": segments,
+    "mirror-mor": mirrors,
+    "system-disturbance": systems,
+}
 
 
 def report_path(store: Path) -> Path:

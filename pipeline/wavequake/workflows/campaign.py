@@ -17,6 +17,7 @@ from wavequake.workflows.schema import Study
 from wavequake.workflows.segment_disturbance import WORKFLOW as SEGMENT_DISTURBANCE
 from wavequake.workflows.store import JOURNAL, MANIFEST, done_records, open_store, read_manifest
 from wavequake.workflows.study import load_study, study_with
+from wavequake.workflows.system_disturbance import WORKFLOW as SYSTEM_DISTURBANCE
 from wavequake.workflows.verify import verify_store
 
 if TYPE_CHECKING:
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int, int], None]
 
-WORKFLOWS: dict[str, Workflow] = {workflow.name: workflow for workflow in (SEGMENT_DISTURBANCE, MIRROR_MOR)}
+WORKFLOWS: dict[str, Workflow] = {
+    workflow.name: workflow for workflow in (SEGMENT_DISTURBANCE, MIRROR_MOR, SYSTEM_DISTURBANCE)
+}
 
 
 def workflow_of(study: Study) -> Workflow:

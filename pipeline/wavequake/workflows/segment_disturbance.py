@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from wavequake.imaging.exposure import encircled_energy_radius
 from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import TILE, padded
 from wavequake.mechanics.disturbances import Disturbance, Motion, analytic_rms, draw_case, time_axis
+from wavequake.mechanics.population import Population
 from wavequake.optics.prepared import chief_rays, trace_states
 from wavequake.optics.quality import meets_marechal, meets_rayleigh
 from wavequake.optics.states import SurfaceStates
@@ -45,7 +47,10 @@ class CaseDraw:
     motion: Motion
 
 
-def slot(populations: tuple[Disturbance, ...], case: int) -> tuple[Disturbance, int]:
+Kind = TypeVar("Kind", bound=Population)
+
+
+def slot(populations: tuple[Kind, ...], case: int) -> tuple[Kind, int]:
     """Return the population and realization of a case.
 
     Cases repeat a pattern in which each population has ``share`` rows, so that adding cases changes no

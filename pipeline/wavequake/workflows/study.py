@@ -14,9 +14,14 @@ from wavequake.files import folder
 from wavequake.workflows.mirror_study import MirrorStudy
 from wavequake.workflows.schema import Study, describe
 from wavequake.workflows.segment_study import SegmentStudy
+from wavequake.workflows.system_study import SystemStudy
 
 # The model of its study files by each workflow's name.
-STUDIES: dict[str, type[Study]] = {"segment-disturbance": SegmentStudy, "mirror-mor": MirrorStudy}
+STUDIES: dict[str, type[Study]] = {
+    "segment-disturbance": SegmentStudy,
+    "mirror-mor": MirrorStudy,
+    "system-disturbance": SystemStudy,
+}
 
 
 def bundled_studies() -> dict[str, Path]:

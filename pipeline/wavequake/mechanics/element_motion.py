@@ -1,0 +1,200 @@
+"""Random motion and figure of the surfaces and bodies of any optical system: alignment, vibration, polishing.
+
+An element is a surface or a body, addressed by its name. Each has random numbers of its own: choosing further
+elements never changes another one's draws.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from typing import Annotated, Any, Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from wavequake.mechanics.disturbances import Combine, parts
+from wavequake.mechanics.line_of_sight import LineOfSight, draw_sight
+from wavequake.mechanics.motion import generator
+from wavequake.mechanics.population import NonNegative, Population, time_axis
+from wavequake.mechanics.vibration_lines import VibrationLines, draw_lines
+
+Array = NDArray[np.float64]
+Names = Annotated[tuple[str, ...], Field(min_length=1, strict=False)]
+NollIndex = Annotated[int, Field(ge=4, le=231, strict=False)]
+
+_MICRO = 1e-6
+_NANO = 1e-9
+
+
+class RigidSizes(BaseModel):
+    """How much an element moves in its own frame at rest: shifts along x, y, z and turns about them."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    dx_um: NonNegative = 0.0
+    dy_um: NonNegative = 0.0
+    dz_um: NonNegative = 0.0
+    rx_urad: NonNegative = 0.0
+    ry_urad: NonNegative = 0.0
+    rz_urad: NonNegative = 0.0
+
+
+class SurfaceRandom(Population):
+    """Independent Gaussian misalignment of surfaces and bodies, constant over the instants of a case."""
+
+    model: Literal["surface-random"] = "surface-random"
+    instants: int = Field(default=1, ge=1, le=4096, description="all alike")
+    of: Names = Field(description="names of surfaces and bodies; each moves for itself")
+    rms: RigidSizes = Field(description="dx_um, dy_um, dz_um, rx_urad, ry_urad, rz_urad of each element")
+
+
+class VibrationLine(BaseModel):
+    """A sinusoid of fixed frequency and amplitude and of random phase."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    frequency_hz: float = Field(gt=0, le=1e6)
+    amplitude: RigidSizes
+
+
+class SurfaceVibration(Population):
+    """Vibration of surfaces and bodies: sinusoids whose phases are random and independent per motion."""
+
+    model: Literal["surface-vibration"] = "surface-vibration"
+    of: Names = Field(description="names of surfaces and bodies; each moves for itself")
+    lines: tuple[VibrationLine, ...] = Field(
+        min_length=1,
+        strict=False,
+        description="frequency_hz and amplitude = { dx_um, ..., rz_urad }; a motion's rms is amplitude / "
+        "sqrt(2)",
+    )
+
+
+class SurfaceDeformation(Population):
+    """Independent Gaussian figure errors of surfaces, constant over the instants of a case."""
+
+    model: Literal["surface-deformation"] = "surface-deformation"
+    instants: int = Field(default=1, ge=1, le=4096, description="all alike")
+    of: Names = Field(description="names of surfaces")
+    rms_nm: dict[NollIndex, NonNegative] = Field(
+        min_length=1,
+        description="surface rms by Noll index j >= 4 over the radius that the surface deforms in: its "
+        "normalization radius or semi-diameter, or else what the beams of all fields fill",
+    )
+
+
+SingleElementDisturbance = (
+    SurfaceRandom | SurfaceVibration | SurfaceDeformation | LineOfSight | VibrationLines
+)
+ElementDisturbance = Annotated[SingleElementDisturbance | Combine, Field(discriminator="model")]
+
+
+@dataclass(frozen=True)
+class ElementMotion:
+    """Disturbances of one case over n instants, SI units.
+
+    Attributes
+    ----------
+    rigid : dict of ndarray, shape (n, 6)
+        By the element's name: dx, dy, dz in m and rx, ry, rz in rad in its own frame at rest.
+    figure : dict of ndarray, shape (terms,)
+        By the surface's name: Noll coefficients from j = 1 in m; static.
+    sight : ndarray, shape (n, 2)
+        Rotation of the incoming bundle on the sky, rad, along x and y.
+    """
+
+    rigid: dict[str, Array]
+    figure: dict[str, Array]
+    sight: Array
+
+
+def draw_elements(
+    populations: Sequence[ElementDisturbance], population: ElementDisturbance, seed: int, realization: int
+) -> ElementMotion:
+    """Draw one case of a population; every part of a combination is drawn as it is alone.
+
+    Raises
+    ------
+    UserError
+        If a combination names what is none of `populations`, or contains itself.
+    """
+    time = time_axis(population)
+    drawn = [_draw(part, time, seed, realization) for part in single_parts(populations, population)]
+    return ElementMotion(
+        _summed([one.rigid for one in drawn]),
+        _summed([one.figure for one in drawn]),
+        reduce(np.add, [one.sight for one in drawn]),
+    )
+
+
+def single_parts(
+    populations: Sequence[ElementDisturbance], population: ElementDisturbance
+) -> list[SingleElementDisturbance]:
+    """Return the single disturbances that a population is made of; raises as `draw_elements`."""
+    return cast(
+        list[SingleElementDisturbance], parts(cast(Any, populations), cast(Any, population))
+    )  # it handles names and combinations alone
+
+
+def _draw(part: SingleElementDisturbance, time: Array, seed: int, realization: int) -> ElementMotion:
+    still = np.zeros((len(time), 2))
+    match part:
+        case LineOfSight():
+            sight = draw_sight(part, 0, time, generator(seed, part.name, realization)).mount
+            return ElementMotion({}, {}, sight)
+        case VibrationLines():
+            sight = draw_lines(part, 0, time, generator(seed, part.name, realization)).mount
+            return ElementMotion({}, {}, sight)
+    own = {name: generator(seed, f"{part.name}/{name}", realization) for name in part.of}
+    match part:
+        case SurfaceRandom():
+            moved = {name: _misalignment(part, time, random) for name, random in own.items()}
+            return ElementMotion(moved, {}, still)
+        case SurfaceVibration():
+            moved = {name: _vibration(part, time, random) for name, random in own.items()}
+            return ElementMotion(moved, {}, still)
+        case SurfaceDeformation():
+            return ElementMotion({}, {name: _figure(part, random) for name, random in own.items()}, still)
+
+
+def _misalignment(part: SurfaceRandom, time: Array, random: np.random.Generator) -> Array:
+    return np.tile(random.standard_normal(6) * _sizes(part.rms), (len(time), 1))
+
+
+def _vibration(part: SurfaceVibration, time: Array, random: np.random.Generator) -> Array:
+    """Return the sum of the lines; every phase is drawn whether its amplitude is zero or not."""
+    phase = random.uniform(0.0, 2.0 * np.pi, (len(part.lines), 6))
+    frequency = np.array([line.frequency_hz for line in part.lines])
+    amplitude = np.array([_sizes(line.amplitude) for line in part.lines])
+    angle = 2.0 * np.pi * frequency[:, None] * time
+    moved: Array = np.sum(amplitude[:, None] * np.sin(angle[..., None] + phase[:, None]), axis=0)
+    return moved
+
+
+def _figure(part: SurfaceDeformation, random: np.random.Generator) -> Array:
+    terms = max(part.rms_nm)
+    rms = np.array([part.rms_nm.get(noll, 0.0) * _NANO for noll in range(1, terms + 1)])
+    return np.asarray(random.standard_normal(terms) * rms)
+
+
+def _sizes(sizes: RigidSizes) -> Array:
+    """Return the six numbers in m and rad."""
+    return _MICRO * np.array(
+        [sizes.dx_um, sizes.dy_um, sizes.dz_um, sizes.rx_urad, sizes.ry_urad, sizes.rz_urad]
+    )
+
+
+def _summed(maps: Sequence[dict[str, Array]]) -> dict[str, Array]:
+    """Return the sums by name; the arrays of a name may differ in the length of their last axis."""
+    total: dict[str, Array] = {}
+    for one in maps:
+        for name, values in one.items():
+            before = total.get(name, np.zeros_like(values))
+            size = max(before.shape[-1], values.shape[-1])
+            total[name] = _grown(before, size) + _grown(values, size)
+    return total
+
+
+def _grown(values: Array, size: int) -> Array:
+    return np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, size - values.shape[-1])])

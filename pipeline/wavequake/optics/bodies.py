@@ -1,0 +1,142 @@
+"""Surfaces that move as one rigid body, such as the faces of a lens, and what a beam fills of a surface."""
+
+import difflib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.errors import UserError
+from wavequake.kernels.devices import NUMPY
+from wavequake.kernels.sequence import Moving
+from wavequake.kernels.sequential import trace_sequence
+from wavequake.optics.kinematics import cardan
+from wavequake.optics.packing import moving, pack
+from wavequake.optics.ray_aiming import pupil_rays
+from wavequake.optics.system import OpticalSystem, wavelength_of
+from wavequake.optics.system_kinematics import motion_about, rest_poses, rest_states
+
+Array = NDArray[np.float64]
+
+_RIM_RAYS = 64
+
+
+@dataclass(frozen=True)
+class Body:
+    """Surfaces, by index, that shift along the axes of ``rotation`` and turn about them through ``point``.
+
+    ``point`` (3,) and ``rotation`` (3, 3), from the body's frame to the system's, are those at rest.
+    """
+
+    name: str
+    surfaces: tuple[int, ...]
+    point: Array
+    rotation: Array
+
+
+def surface_index(system: OpticalSystem, name: str) -> int:
+    """Return the index of a surface by name; UserError with the nearest name if there is none."""
+    names = [surface.name for surface in system.surfaces]
+    if name not in names:
+        near = difflib.get_close_matches(name, names, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(names)}."
+        raise UserError(f"{system.name} has no surface {name!r}; {hint}")
+    return names.index(name)
+
+
+def rigid_body(
+    system: OpticalSystem, name: str, surfaces: Sequence[str], point: Sequence[float] | None = None
+) -> Body:
+    """Return the body of the named surfaces, with the axes of the first of them.
+
+    Parameters
+    ----------
+    system : OpticalSystem
+    name : str
+    surfaces : sequence of str
+    point : sequence of 3 floats, optional
+        Where it turns, in the system's frame, mm; by default the middle between its first and last vertex.
+
+    Raises
+    ------
+    UserError
+        If a surface does not exist or is named twice.
+    """
+    try:
+        chosen = tuple(surface_index(system, one) for one in surfaces)
+    except UserError as error:
+        raise UserError(f"The body {name!r}: {error}") from None
+    if len(set(chosen)) < len(chosen):
+        raise UserError(f"The body {name!r} names a surface twice; name each one once.")
+    first, last = (system.surfaces[index] for index in (min(chosen), max(chosen)))
+    middle = (first.position + last.position) / 2.0
+    at = middle if point is None else np.array(point, dtype=np.float64)
+    return Body(name, chosen, at, np.asarray(first.rotation, dtype=np.float64))
+
+
+def with_bodies(system: OpticalSystem, own: Array, bodies: Sequence[tuple[Body, Array]]) -> Array:
+    """Return the motions of surfaces that move by themselves and are carried by bodies.
+
+    Parameters
+    ----------
+    system : OpticalSystem
+    own : ndarray, shape (T, L, 6)
+        Of each surface in its own frame at rest, mm and rad.
+    bodies : sequence of (Body, ndarray of shape (T, 6))
+        Of each body in its frame at rest; where bodies share a surface, later ones carry earlier ones.
+
+    Returns
+    -------
+    ndarray, shape (T, L, 6)
+        As ``SystemStates.surface_motion``; exact for large motions.
+    """
+    position, rotation = rest_poses(system)
+    motion = own.copy()
+    for body, moved in bodies:
+        turn = body.rotation @ cardan(moved[:, 3:]) @ body.rotation.T
+        shift = moved[:, :3] @ body.rotation.T
+        for index in body.surfaces:
+            home = rotation[index]
+            # The surface's point p, away from the body's point by a, moves by G a - a + shift.
+            away = position[index] + motion[:, index, :3] @ home.T - body.point
+            change = shift - motion_about(away, turn)
+            motion[:, index, :3] += change @ home
+            motion[:, index, 3:] = _angles(home.T @ turn @ home @ cardan(motion[:, index, 3:]))
+    return motion
+
+
+def _angles(rotation: Array) -> Array:
+    """Return the Cardan angles x-y-z (T, 3) of rotations (T, 3, 3), the inverse of `cardan`."""
+    return np.stack(
+        [
+            np.arctan2(-rotation[:, 1, 2], rotation[:, 2, 2]),
+            np.arctan2(rotation[:, 0, 2], np.hypot(rotation[:, 0, 0], rotation[:, 0, 1])),
+            np.arctan2(-rotation[:, 0, 1], rotation[:, 0, 0]),
+        ],
+        axis=1,
+    )
+
+
+def beam_radius(system: OpticalSystem, surface: int) -> float:
+    """Return how far from its vertex the beams of all fields fill a surface at rest, mm.
+
+    Raises
+    ------
+    UserError
+        If no ray from the pupil's rim reaches the surface, or rays cannot be aimed at the stop.
+    """
+    wavelength, count = wavelength_of(system), surface + 1
+    whole, rest = pack(system, wavelength), moving(system, rest_states(system))
+    sequence = replace(whole, elements=whole.elements[:count])
+    poses = Moving(rest.poses[:, :count], rest.deformations[:count], rest.grids[:count])
+    angle = 2.0 * np.pi * np.arange(_RIM_RAYS) / _RIM_RAYS
+    reach = 0.0
+    for field in system.fields:
+        rays = pupil_rays(system, field, wavelength, np.cos(angle), np.sin(angle))
+        traced = trace_sequence(sequence, rays, poses, NUMPY, ignore_apertures=True)
+        reach = max(reach, float(np.max(np.nan_to_num(np.hypot(traced.x, traced.y)))))
+    if reach == 0.0:
+        name = system.surfaces[surface].name
+        raise UserError(f"no ray from the rim of the pupil of {system.name} reaches the surface {name}")
+    return reach

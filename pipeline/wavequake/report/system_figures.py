@@ -1,0 +1,100 @@
+"""Figures of a system-disturbance store: spots, distributions and maps over the field."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from numpy.typing import NDArray
+
+from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.statistics import distribution
+from wavequake.report.table import number
+
+Array = NDArray[np.float64]
+
+_MOST_PANELS = 9
+
+
+@rc_context(STYLE)
+def distributions(values: Mapping[str, Array], label: str) -> Figure:
+    """Draw the empirical distribution functions of values by name, each with its 95 % band."""
+    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
+    axes = figure.add_subplot()
+    for index, (name, samples) in enumerate(values.items()):
+        found, color = distribution(samples), COLORS[index % len(COLORS)]
+        axes.fill_between(found.values, found.low, found.high, step="post", color=color, alpha=0.12, lw=0)
+        axes.step(
+            found.values,
+            found.probability,
+            where="post",
+            color=color,
+            linestyle=LINES[index % len(LINES)],
+            label=name,
+        )
+    axes.set_ylim(0, 1)
+    axes.set_xlabel(label)
+    axes.set_ylabel("share of cases")
+    axes.legend(loc="lower right")
+    return figure
+
+
+@rc_context(STYLE)
+def field_map(points: Array, values: Array, unit: str) -> Figure:
+    """Draw a value (nm) at every field point (F, 2)."""
+    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
+    axes = figure.add_subplot()
+    marks = axes.scatter(points[:, 0], points[:, 1], c=values, s=160, cmap="viridis", edgecolors="#444444")
+    for (x, y), value in zip(points, values, strict=True):
+        axes.annotate(number(float(value)), (x, y), xytext=(9, 0), textcoords="offset points", va="center")
+    figure.colorbar(marks, ax=axes, label="WFE rms, median of the cases (nm)")
+    axes.margins(0.3)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel(f"field x ({unit})")
+    axes.set_ylabel(f"field y ({unit})")
+    return figure
+
+
+@rc_context(STYLE)
+def spot_diagrams(
+    panels: Sequence[Sequence[Array]],
+    fields: Sequence[str],
+    wavelengths: Sequence[str],
+    airy: float,
+    title: str,
+) -> Figure:
+    """Draw the image points (N, 2) in um of every field and wavelength, and the Airy disc at rest.
+
+    All panels have one scale; of many fields the first nine are drawn.
+    """
+    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
+    shown = list(zip(panels, fields, strict=True))[:_MOST_PANELS]
+    columns = int(np.ceil(np.sqrt(len(shown))))
+    rows = -(-len(shown) // columns)
+    reach = max(float(np.nanmax(np.abs(spot), initial=airy)) for spots, _ in shown for spot in spots)
+    for index, (spots, name) in enumerate(shown):
+        axes = figure.add_subplot(rows, columns, index + 1)
+        _spots(axes, spots, wavelengths, airy, 1.08 * reach)
+        axes.set_title(name, fontsize=8.5)
+    figure.legend(
+        *axes.get_legend_handles_labels(), loc="outside lower right", ncols=4, fontsize=7, markerscale=4
+    )
+    figure.suptitle(f"{title}; about the chief ray at rest, circle: Airy disc", fontsize=9)
+    figure.supxlabel("x (µm)", fontsize=9)
+    figure.supylabel("y (µm)", fontsize=9)
+    return figure
+
+
+def _spots(axes: Axes, spots: Sequence[Array], wavelengths: Sequence[str], airy: float, reach: float) -> None:
+    for index, (spot, wavelength) in enumerate(zip(spots, wavelengths, strict=True)):
+        arrived = spot[np.isfinite(spot).all(axis=1)]
+        color = COLORS[index % len(COLORS)]
+        axes.plot(
+            *arrived.T, ".", markersize=1.4, color=color, label=wavelength, rasterized=True
+        )  # thousands of points are smaller as an image
+    axes.add_patch(Circle((0.0, 0.0), airy, fill=False, linewidth=0.8, edgecolor="#222222"))
+    axes.set_xlim(-reach, reach)
+    axes.set_ylim(-reach, reach)
+    axes.set_aspect("equal")

@@ -1,0 +1,289 @@
+"""The report of a system-disturbance store: a row per disturbance and field point, and figures."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+
+from wavequake.kernels.devices import choose_device
+from wavequake.mechanics.population import time_axis
+from wavequake.optics.paraxial import paraxial
+from wavequake.optics.system_wavefront import trace_system
+from wavequake.report import system_figures as draw_figures
+from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.populations import Excluded
+from wavequake.report.statistics import Jitter, Quantile, case_rms, jitter, quantile
+from wavequake.report.table import interval, number
+from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
+from wavequake.workflows.store import read_manifest
+from wavequake.workflows.system_bench import (
+    SystemBench,
+    at_instant,
+    field_name,
+    system_bench,
+    system_states,
+)
+from wavequake.workflows.system_disturbance import draw
+
+Array = NDArray[np.float64]
+
+_SMALL_PRINT = (
+    "At the primary wavelength. WFE, its change from rest and spot: rms of a case over its instants; P50 "
+    "and P95 over cases, in small print its distribution-free 95 % interval. LOS: rms of both axes "
+    "about the mean of all cases and instants, ± standard error. Strehl: over all instants. Vignetted: the "
+    "largest number of rays at any instant that openings stop, of all that are traced."
+)
+_DEFINITIONS = (
+    ("WFE", "Root of the sum of squares of the Noll Zernike coefficients j ≥ 4: piston and tilt removed."),
+    ("WFE change", "The same of the coefficients less those at rest: what the disturbance adds."),
+    ("LOS", "Image point of the best-fit plane (Störkle 2018, Eq. 3.39), relative to rest."),
+    ("spot", "Rms distance of the rays' image points from their centroid."),
+    ("Strehl", "Intensity in the direction of the best-fit plane, relative to a perfect wavefront."),
+)
+
+
+@dataclass(frozen=True)
+class FieldResult:
+    """What one population does at one field point, at the primary wavelength.
+
+    ``wfe``, ``change`` (nm) and ``spot`` (um) hold the rms over its instants of each case, (C,).
+    """
+
+    field: str
+    wfe: Array
+    change: Array
+    spot: Array
+    strehl_p50: float
+    los: Jitter
+    vignetted: int
+
+
+@dataclass(frozen=True)
+class SystemPopulation:
+    """The finished cases of one disturbance.
+
+    Attributes
+    ----------
+    name : str
+    cases : ndarray of int, shape (C,)
+        Ids.
+    fields : tuple of FieldResult
+    worst : tuple of int or None
+        Case and instant of the largest change of the wavefront at any field point.
+    """
+
+    name: str
+    cases: NDArray[np.int64]
+    fields: tuple[FieldResult, ...]
+    worst: tuple[int, int] | None
+
+
+def table_of(store: Path, dataset: xr.Dataset) -> Table:
+    """Return the table of a store for the terminal."""
+    bench = system_bench(read_manifest(store).study)
+    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=_SMALL_PRINT, caption_justify="left")
+    for header in ("disturbance", "field"):
+        table.add_column(header)
+    for header in _HEADERS[3:]:
+        table.add_column(header.replace(" (", "\n("), justify="right", no_wrap=True)
+    for population in populations(dataset, bench):
+        table.add_row(Text(f"{population.name}, {len(population.cases)} cases", style="bold"))
+        for one in population.fields:
+            cells = list(_row(population, one, bench).values())
+            table.add_row("", one.field, *(value for value, _ in cells[3:]))
+    return table
+
+
+def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
+    """Write the HTML report; the worst case of every disturbance is traced again for its spot diagrams."""
+    bench = system_bench(read_manifest(store).study)
+    found = populations(dataset, bench)
+    page = Page(
+        answer=answer(found),
+        table=[_row(population, one, bench) for population in found for one in population.fields],
+        small_print=_SMALL_PRINT,
+        overview=[
+            picture(
+                "distributions",
+                "Distribution of the wavefront error of all disturbances",
+                draw_figures.distributions(_worst_fields(found), "WFE rms of a case (nm), worst field"),
+            )
+        ]
+        if any(len(one.cases) for one in found)
+        else [],
+        sections=[Section(one.name, list(_figures(bench, one, dataset, device))) for one in found],
+        definitions=list(_DEFINITIONS),
+        kind="disturbance",
+        left_out=_left_out(dataset),
+    )
+    return write_page(render_page(dataset, page), target)
+
+
+def populations(dataset: xr.Dataset, bench: SystemBench) -> list[SystemPopulation]:
+    """Split a store by disturbance, in the order in which the disturbances first appear."""
+    primary = bench.system.primary_wavelength
+    light = dataset.isel(wavelength=primary)
+    names = np.array([str(name) for name in dataset["disturbance"].to_numpy()])
+    done = dataset["status"].to_numpy() == DONE
+    return [
+        _population(light.isel(case=done & (names == name)), name) for name in dict.fromkeys(names.tolist())
+    ]
+
+
+def _population(light: xr.Dataset, name: str) -> SystemPopulation:
+    cases = light["case"].to_numpy()
+    if not len(cases):
+        return SystemPopulation(name, cases, (), None)
+    present = np.isfinite(light["time_s"].to_numpy()[0])  # the same number of instants in each case
+    values = {
+        key: light[key].to_numpy()[:, present]
+        for key in ("wfe_rms", "wfe_change", "spot_rms", "strehl", "los_mm")
+    }
+    vignetted = light["vignetted"].to_numpy()
+    fields = tuple(
+        FieldResult(
+            field=str(label),
+            wfe=case_rms(values["wfe_rms"][..., index]),
+            change=case_rms(values["wfe_change"][..., index]),
+            spot=case_rms(values["spot_rms"][..., index]),
+            strehl_p50=float(np.median(values["strehl"][..., index])),
+            los=jitter(values["los_mm"][:, :, index] * 1e3),
+            vignetted=int(vignetted[:, index].max()),
+        )
+        for index, label in enumerate(light["field"].to_numpy())
+    )
+    change = values["wfe_change"].max(axis=2)
+    case, instant = np.unravel_index(int(np.argmax(change)), change.shape)
+    return SystemPopulation(name, cases, fields, (int(cases[case]), int(instant)))
+
+
+_HEADERS = (
+    "disturbance",
+    "cases",
+    "field",
+    "WFE P50 (nm)",
+    "WFE P95 (nm)",
+    "change P95 (nm)",
+    "LOS (µm)",
+    "spot P50 (µm)",
+    "Strehl P50",
+    "vignetted",
+)
+
+
+def _row(population: SystemPopulation, one: FieldResult, bench: SystemBench) -> dict[str, tuple[str, str]]:
+    """Return header -> (value, small print) of one population at one field point."""
+    error = one.los.standard_error
+    rays = bench.study.optics.rays
+    values = (
+        (population.name, ""),
+        (str(len(population.cases)), ""),
+        (one.field, ""),
+        _quantile(quantile(one.wfe, 0.5)),
+        _quantile(quantile(one.wfe, 0.95)),
+        _quantile(quantile(one.change, 0.95)),
+        (number(one.los.radial), f"± {number(error, 2)}" if np.isfinite(error) else ""),
+        _quantile(quantile(one.spot, 0.5)),
+        (number(one.strehl_p50), ""),
+        (f"{one.vignetted} of {rays}" if one.vignetted else "0", ""),
+    )
+    return dict(zip(_HEADERS, values, strict=True))
+
+
+def _quantile(found: Quantile) -> tuple[str, str]:
+    return number(found.value), interval(found)
+
+
+def answer(found: Sequence[SystemPopulation]) -> str:
+    """Say which disturbance changes the wavefront most, and where."""
+    results = [(population.name, one) for population in found for one in population.fields]
+    if not results:
+        return "No case is done yet."
+    name, one = max(results, key=lambda result: quantile(result[1].change, 0.95).value)
+    value = number(quantile(one.change, 0.95).value)
+    return (
+        f"{name} changes the wavefront most: in 95 % of its cases by at most {value} nm rms at field "
+        f"{one.field}, where the line of sight moves by {number(one.los.radial)} µm rms."
+    )
+
+
+def _worst_fields(found: Sequence[SystemPopulation]) -> dict[str, Array]:
+    """Return the rms of each case at the field point whose median is largest, by disturbance."""
+    return {
+        one.name: max((field.wfe for field in one.fields), key=lambda wfe: float(np.median(wfe)))
+        for one in found
+        if one.fields
+    }
+
+
+def _figures(
+    bench: SystemBench, population: SystemPopulation, dataset: xr.Dataset, device: str
+) -> Iterator[Picture]:
+    if population.worst is None:
+        return
+    name = population.name
+    yield picture(
+        f"{name}-wfe",
+        f"Distribution of the wavefront error by field, {name}",
+        draw_figures.distributions({one.field: one.wfe for one in population.fields}, "WFE rms (nm)"),
+    )
+    points = np.stack([dataset["field_x"].to_numpy(), dataset["field_y"].to_numpy()], axis=1)
+    medians = np.array([np.median(one.wfe) for one in population.fields])
+    unit = str(dataset["field_x"].attrs["units"])
+    yield picture(
+        f"{name}-field",
+        f"Wavefront error over the field, {name}",
+        draw_figures.field_map(points, medians, unit),
+    )
+    yield picture(f"{name}-spots", f"Spot diagrams, {name}", _spots(bench, population.worst, device))
+
+
+def _spots(bench: SystemBench, worst: tuple[int, int], device: str) -> Figure:
+    """Trace the worst instant again and draw its spots about where the chief rays arrive at rest."""
+    case, instant = worst
+    population, drawn = draw(bench, case)
+    states = at_instant(system_states(bench, drawn), instant)
+    panels = []
+    for row, rest in zip(bench.prepared, bench.static, strict=True):
+        center = rest[bench.system.primary_wavelength].chief[0]
+        spots = []
+        for prepared in row:
+            _, traced, _ = trace_system(prepared, states, choose_device(device))
+            spots.append(1e3 * (np.stack([traced.x[0], traced.y[0]], axis=1) - center))
+        panels.append(spots)
+    first_order = paraxial(bench.system)
+    airy = 0.61e3 * float(bench.system.wavelengths[bench.system.primary_wavelength]) / first_order.image_na
+    time = time_axis(population)[instant]
+    return draw_figures.spot_diagrams(
+        panels,
+        [str(name) for name in _field_labels(bench)],
+        [f"{1e6 * wave:.5g} nm" for wave in bench.system.wavelengths],
+        airy,
+        f"case {case}, t = {time:.4g} s",
+    )
+
+
+def _field_labels(bench: SystemBench) -> list[str]:
+    return [field_name(bench.system, index) for index in range(len(bench.prepared))]
+
+
+def _left_out(dataset: xr.Dataset) -> list[Excluded]:
+    """Return the cases that failed, with the reason."""
+    status, meanings = dataset["status"].to_numpy(), STATUS_MEANINGS.split()
+    return [
+        Excluded(
+            case=int(dataset["case"].to_numpy()[row]),
+            disturbance=str(dataset["disturbance"].to_numpy()[row]),
+            realization=int(dataset["realization"].to_numpy()[row]),
+            reason=meanings[status[row]],
+            message=str(dataset["message"].to_numpy()[row]),
+        )
+        for row in np.flatnonzero((status != DONE) & (status != TODO))
+    ]

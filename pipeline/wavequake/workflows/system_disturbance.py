@@ -1,0 +1,234 @@
+"""The workflow ``system-disturbance``: Monte Carlo of any optical system whose surfaces move and deform.
+
+One case is one realization of one population of disturbances over its instants; every instant is traced for
+all fields and wavelengths.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from wavequake.kernels.devices import Device, choose_device
+from wavequake.mechanics.element_motion import ElementDisturbance, ElementMotion, draw_elements
+from wavequake.mechanics.population import time_axis
+from wavequake.optics.packing import moving
+from wavequake.optics.system_wavefront import PreparedSystem, SystemWavefront, measure_system
+from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.workflows.schema import study_from_identity
+from wavequake.workflows.segment_disturbance import slot
+from wavequake.workflows.system_bench import (
+    NM_PER_MM,
+    SystemBench,
+    failure,
+    field_name,
+    system_bench,
+    system_states,
+)
+from wavequake.workflows.system_study import SystemStudy
+
+Array = NDArray[np.float64]
+
+
+def draw(bench: SystemBench, case: int) -> tuple[ElementDisturbance, ElementMotion]:
+    """Return the population of a case and its motion: of seed, disturbance and realization only."""
+    study = bench.study
+    population, realization = slot(study.disturbance, case)
+    return population, draw_elements(study.disturbance, population, study.study.seed, realization)
+
+
+def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
+    """Compute the numbers of `cases`; one in which a field's light is lost is quarantined with the reason.
+
+    Each case is traced by itself and with one BLAS thread, so that its bits depend on no other case.
+    """
+    bench, device = system_bench(study_text), choose_device(device_name)
+    arrays = {
+        name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
+        for name, variable in template(study_text).per_case.items()
+    }
+    messages = [""] * len(cases)
+    with threadpool_limits(1):
+        for row, case in enumerate(cases):
+            population, drawn = draw(bench, int(case))
+            found, messages[row] = _judged(bench, time_axis(population), drawn, device)
+            for name, values in found.items():
+                arrays[name][row][tuple(slice(0, size) for size in values.shape)] = values
+    status = np.array([RAISED if message else DONE for message in messages], dtype=np.int8)
+    return ChunkResult(arrays, status, tuple(messages))
+
+
+def _judged(
+    bench: SystemBench, time: Array, drawn: ElementMotion, device: Device
+) -> tuple[dict[str, Array], str]:
+    """Return a case's numbers, or none and why it has none."""
+    states = system_states(bench, drawn)
+    found: dict[str, list[Array]] = {}
+    for row, still in zip(bench.prepared, bench.static, strict=True):
+        for prepared, rest in zip(row, still, strict=True):
+            wavefront = measure_system(prepared, states, device)
+            trouble = failure(prepared, wavefront, states)
+            if trouble:
+                return {}, f"at t = {time[trouble[0]]:.4g} s {trouble[1]}"
+            for name, values in _numbers(prepared, wavefront, rest).items():
+                found.setdefault(name, []).append(values)
+    return {"time_s": time} | {name: _shaped(bench, values) for name, values in found.items()}, ""
+
+
+def _shaped(bench: SystemBench, values: list[Array]) -> Array:
+    """Return ([time], field, wavelength, ...) from one array ([time], ...) per field and wavelength."""
+    grid = (len(bench.prepared), len(bench.prepared[0]))
+    if not np.ndim(values[0]):
+        return np.array(values).reshape(grid)
+    stacked = np.stack(values, axis=1)
+    return stacked.reshape(len(stacked), *grid, *stacked.shape[2:])
+
+
+def _numbers(prepared: PreparedSystem, wavefront: SystemWavefront, rest: SystemWavefront) -> dict[str, Array]:
+    to_nm = prepared.wavelength * NM_PER_MM
+    return {
+        "wfe_rms": wavefront.rms * to_nm,
+        "wfe_change": np.sqrt(np.sum((wavefront.zernike - rest.zernike)[:, 3:] ** 2, axis=1)) * to_nm,
+        "wfe_rms_raw": wavefront.rms_raw * to_nm,
+        "wfe_pv": wavefront.pv * to_nm,
+        "zernike": wavefront.zernike * to_nm,
+        "los_mm": wavefront.los - rest.los,
+        "centroid_mm": wavefront.centroid - rest.centroid,
+        "spot_rms": wavefront.spot_rms * 1e3,
+        "strehl": wavefront.strehl,
+        "vignetted": np.asarray(wavefront.vignetted.max(), dtype=np.float64),
+        "lost": np.asarray(wavefront.lost.max(), dtype=np.float64),
+    }
+
+
+def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
+    """Return the labels of cases first <= id < last: disturbance, realization and seed."""
+    study = study_from_identity(SystemStudy, study_text)
+    slots = [slot(study.disturbance, case) for case in range(first, last)]
+    return {
+        "disturbance": np.array([population.name for population, _ in slots], dtype=object),
+        "realization": np.array([realization for _, realization in slots], dtype=np.int64),
+        "seed": np.full(last - first, study.study.seed, dtype=np.int64),
+    }
+
+
+def template(study_text: str) -> Template:
+    """Return what a store of this study holds."""
+    bench = system_bench(study_text)
+    study = bench.study
+    instants = max(population.instants for population in study.disturbance)
+    grid = {"field": len(bench.prepared), "wavelength": len(bench.prepared[0])}
+    sizes = {"time": instants, **grid, "noll": study.wavefront.zernike_terms, "axis": 2}
+
+    def variable(units: str, long_name: str, *dims: str) -> Variable:
+        return Variable(dims, tuple(sizes[dim] for dim in dims), {"units": units, "long_name": long_name})
+
+    over = ("time", "field", "wavelength")
+    per_case = {
+        "time_s": Variable(
+            ("time",),
+            (instants,),
+            {"units": "s", "long_name": "time of the instant; NaN beyond the population's instants"},
+            coordinate=True,
+        ),
+        "wfe_rms": variable("nm", "wavefront error rms of the fitted Zernikes j >= 4", *over),
+        "wfe_change": variable(
+            "nm", "rms of the wavefront's change from rest, of the fitted Zernikes j >= 4", *over
+        ),
+        "wfe_rms_raw": variable(
+            "nm",
+            "wavefront error rms over the rays that arrive, piston removed, tilt about the chief ray's "
+            "image point",
+            *over,
+        ),
+        "wfe_pv": variable("nm", "peak to valley of the wavefront about its best-fit plane", *over),
+        "zernike": variable("nm", "Noll Zernike coefficients, total", *over, "noll"),
+        "los_mm": variable(
+            "mm",
+            "line of sight of the best-fit plane in the image, relative to rest "
+            "(Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2))",
+            *over,
+            "axis",
+        ),
+        "centroid_mm": variable(
+            "mm", "geometric centroid of the rays in the image, relative to rest", *over, "axis"
+        ),
+        "spot_rms": variable("um", "rms distance of the rays' image points from their centroid", *over),
+        "strehl": variable("1", "Strehl ratio in the direction of the best-fit plane", *over),
+        "vignetted": variable("1", "largest number of rays at an instant that openings stop", *over[1:]),
+        "lost": variable("1", "largest number of rays at an instant that do not arrive", *over[1:]),
+    }
+    return Template(per_case, _fixed(bench))
+
+
+def _fixed(bench: SystemBench) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]]:
+    system = bench.system
+    far = bool(np.isinf(system.object_distance))
+    points = np.rad2deg(system.fields) if far else system.fields
+    grid = ("field", "wavelength")
+
+    def still(
+        name: str, units: str, long_name: str, *more: str
+    ) -> tuple[tuple[str, ...], Array, dict[str, str]]:
+        rows = [
+            _numbers(prepared, rest, rest)[name]
+            for row, found in zip(bench.prepared, bench.static, strict=True)
+            for prepared, rest in zip(row, found, strict=True)
+        ]
+        values = _shaped(bench, rows)
+        return (
+            (*grid, *more),
+            values[0] if values.ndim > 2 else values,
+            {"units": units, "long_name": long_name},
+        )
+
+    names = np.array([field_name(system, field) for field in range(len(points))], dtype=object)
+    unit = {"units": "deg" if far else "mm"}
+    return {
+        "field": (("field",), names, {"long_name": "field point"}),
+        "field_x": (("field",), points[:, 0], {**unit, "long_name": "field point along x"}),
+        "field_y": (("field",), points[:, 1], {**unit, "long_name": "field point along y"}),
+        "wavelength": (
+            ("wavelength",),
+            system.wavelengths * NM_PER_MM,
+            {"units": "nm", "long_name": "wavelength"},
+        ),
+        "noll": (
+            ("noll",),
+            np.arange(1, bench.study.wavefront.zernike_terms + 1),
+            {"long_name": "Noll index"},
+        ),
+        "axis": (("axis",), np.array(["x", "y"], dtype=object), {"long_name": "axis of the image plane"}),
+        "zernike_static": still("zernike", "nm", "Zernike coefficients at rest", "noll"),
+        "wfe_rms_static": still("wfe_rms", "nm", "wavefront error rms at rest, j >= 4"),
+        "spot_rms_static": still("spot_rms", "um", "rms spot radius at rest"),
+        "strehl_static": still("strehl", "1", "Strehl ratio at rest"),
+        "vignetted_static": still("vignetted", "1", "rays that openings stop at rest"),
+    }
+
+
+def describe(study_text: str) -> dict[str, str]:
+    """Return first-order data of the system and its wavefronts at rest, for the plan."""
+    bench = system_bench(study_text)
+    system, rays = bench.system, bench.study.optics.rays
+    errors = [
+        max(one.rms[0] * prepared.wavelength * NM_PER_MM for prepared, one in zip(*pair, strict=True))
+        for pair in zip(bench.prepared, bench.static, strict=True)
+    ]
+    stopped = [max(int(one.vignetted[0]) for one in row) for row in bench.static]
+    lines = {
+        f"field {field_name(system, field)}": f"{error:.4g} nm rms at rest"
+        + (f", {count} of {rays} rays vignetted" if count else "")
+        for field, (error, count) in enumerate(zip(errors, stopped, strict=True))
+    }
+    return {"rays": f"{rays} per field and wavelength", **lines, "system": system.info()}
+
+
+def check(study_text: str) -> None:
+    """Raise UserError if the system at rest has no image, or a disturbance does not fit the system."""
+    bench = system_bench(study_text)
+    for population in bench.study.disturbance:
+        drawn = draw_elements(bench.study.disturbance, population, bench.study.study.seed, 0)
+        moving(bench.system, system_states(bench, drawn))
+
+
+WORKFLOW = Workflow("system-disturbance", template, case_table, compute, describe, check=check)

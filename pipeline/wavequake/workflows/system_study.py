@@ -1,0 +1,100 @@
+"""Study files of the workflow "system-disturbance": any optical system, and what moves its surfaces."""
+
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, Field, field_validator, model_validator
+
+from wavequake.mechanics.element_motion import ElementDisturbance
+from wavequake.mechanics.line_of_sight import LineOfSight
+from wavequake.mechanics.vibration_lines import VibrationLines
+from wavequake.optics.system_file import SystemSection, embed_file
+from wavequake.workflows.schema import Section, Study, text_of
+
+
+class BodySection(Section):
+    """Surfaces that move as one rigid body, such as the two faces of a lens."""
+
+    name: str = Field(min_length=1, description="by which disturbances address it")
+    surfaces: tuple[str, ...] = Field(
+        min_length=1, strict=False, description="names; the first one's axes at rest are those of the body"
+    )
+    about_mm: tuple[float, float, float] | None = Field(
+        default=None,
+        strict=False,
+        description="where it turns, x, y, z of the system; default: the middle between its first and last "
+        "vertex",
+    )
+
+
+class SystemOpticsSection(Section):
+    """Rays per field point and wavelength, spread evenly over the pupil."""
+
+    rays: int = Field(default=500, ge=10, le=1_000_000)
+
+
+class SystemWavefrontSection(Section):
+    """What is fitted to the wavefronts."""
+
+    zernike_terms: int = Field(
+        default=28, ge=4, le=231, description="by Noll index; annular where the pupil is obscured"
+    )
+
+
+class SystemStudy(Study):
+    """A validated study file."""
+
+    system: SystemSection
+    body: tuple[BodySection, ...] = Field(default=(), strict=False)
+    disturbance: tuple[ElementDisturbance, ...] = Field(min_length=1, strict=False)
+    optics: SystemOpticsSection = SystemOpticsSection()
+    wavefront: SystemWavefrontSection = SystemWavefrontSection()
+
+    @field_validator("disturbance")
+    @classmethod
+    def _populations_are_sound(cls, value: tuple[Any, ...]) -> tuple[Any, ...]:
+        names = [entry.name for entry in value]
+        for entry in value:
+            if names.count(entry.name) > 1:
+                raise ValueError(f"two disturbances are called {entry.name!r}; each needs a name of its own")
+            chosen = getattr(entry, "of", ())
+            twice = next((name for name in chosen if chosen.count(name) > 1), None)
+            if twice is not None:
+                raise ValueError(f"{entry.name!r} names {twice!r} twice; name it once")
+            if entry.model == "combine":
+                unknown = next((name for name in chosen if name not in names or name == entry.name), None)
+                if unknown is not None:
+                    raise ValueError(
+                        f"{entry.name!r} combines {unknown!r}, which is not another disturbance of this study"
+                    )
+            if isinstance(entry, LineOfSight | VibrationLines) and entry.act != "mount":
+                raise ValueError(
+                    f"{entry.name!r} acts on {entry.act}, which belongs to segmented telescopes; a mirror is "
+                    'tilted by the model "surface-vibration"'
+                )
+        if not any(entry.share for entry in value):
+            raise ValueError("every disturbance has share 0, so there is nothing to run")
+        return value
+
+    @model_validator(mode="after")
+    def _bodies_have_names_of_their_own(self) -> "SystemStudy":
+        names = [body.name for body in self.body] + [surface.name for surface in self.system.surface]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise ValueError(f"two bodies or surfaces are called {twice!r}; each needs a name of its own")
+        return self
+
+    @classmethod
+    def read_files(cls, record: dict[str, Any], base: Path) -> None:
+        """Read the lens file and the spectra of the line of sight."""
+        if isinstance(record.get("system"), dict):
+            embed_file(record["system"], base)
+        for entry in record.get("disturbance") or ():
+            if isinstance(entry, dict) and isinstance(entry.get("file"), str):
+                entry["file_csv"] = text_of(base / entry["file"], f"disturbance.{entry.get('name')}.file")
+
+
+def element_models() -> dict[str, type[BaseModel]]:
+    """Return the parameter models of all disturbances by the name that a study file gives them."""
+    union = get_args(ElementDisturbance)[0]
+    return {model.model_fields["model"].default: model for model in get_args(union)}
