@@ -3,9 +3,9 @@
 import sys
 from pathlib import Path
 
-from wavequake.report.segments import detail
 from wavequake.report.figures import summary_figure
 from wavequake.report.populations import populations, representatives
+from wavequake.report.segments import detail
 from wavequake.workflows.store import open_store, read_manifest
 
 
