@@ -34,6 +34,9 @@ class Device:
     vector_width: int
 
 
+# Of path lengths of tens of meters on a device and on NumPy, mm.
+LARGEST_DIFFERENCE = 1e-9
+
 NUMPY = Device("numpy", "numpy", "NumPy", TILE)
 
 
@@ -74,8 +77,8 @@ def choose_device(request: str = "auto") -> Device:
     Raises
     ------
     UserError
-        If there is no OpenCL device, or none that fits the request, or PoCL has no linker to build kernels
-        with.
+        If there is no OpenCL device, or none that fits the request, PoCL has no linker to build kernels with,
+        or the device computes something else than NumPy (`self_test`, once per process).
     """
     if request == "numpy":
         return NUMPY
@@ -83,7 +86,7 @@ def choose_device(request: str = "auto") -> Device:
     if not devices:
         raise UserError(_NO_OPENCL)
     if request == "auto":
-        return _usable(min(devices, key=lambda device: device.kind != "gpu"))
+        return _trusted(min(devices, key=lambda device: device.kind != "gpu"))
     if request in ("cpu", "gpu"):
         fitting = [device for device in devices if device.kind == request]
     else:
@@ -93,7 +96,21 @@ def choose_device(request: str = "auto") -> Device:
         raise UserError(
             f"no OpenCL device fits device={request!r}; use auto, cpu, gpu, numpy or part of one of: {names}"
         )
-    return _usable(fitting[0])
+    return _trusted(fitting[0])
+
+
+@lru_cache(maxsize=8)
+def _trusted(device: Device) -> Device:
+    """Return a device that is usable and has passed its self test in this process."""
+    _usable(device)
+    difference = self_test(device)
+    if not difference <= LARGEST_DIFFERENCE:
+        raise UserError(
+            f"the OpenCL device {device.name!r} ({device.platform}) computes wrong numbers: in its self test "
+            f"it is {difference:.1e} mm off NumPy, at most {LARGEST_DIFFERENCE:g} is allowed; update its "
+            "driver, or choose another device (campaign.device=numpy always works)"
+        )
+    return device
 
 
 def _usable(device: Device) -> Device:
@@ -118,14 +135,18 @@ def opencl_handle(device: Device) -> Any:
 
 
 def self_test(device: Device) -> float:
-    """Trace a few rays on `device` and return the largest difference of the OPD to the NumPy twin in mm.
+    """Trace a few rays on `device` and return the largest difference of path lengths to NumPy in mm.
 
-    A healthy device stays below 1e-9 mm; NaN says that it loses rays which the twin does not.
+    The traces are those of a segmented telescope and of a lens with aspheric and deformed surfaces. A healthy
+    device stays below 1e-9 mm; NaN says that it loses rays which the twin does not.
     """
-    from wavequake.kernels.example import two_mirrors
+    from wavequake.kernels.example import lens, two_mirrors
     from wavequake.kernels.segmented import trace_segmented
+    from wavequake.kernels.sequential import trace_sequence
 
-    arguments = two_mirrors()
-    expected = trace_segmented(**arguments, device=NUMPY)
-    found = trace_segmented(**arguments, device=device)
-    return float(np.abs(found.opd - expected.opd).max())
+    telescope, system = two_mirrors(), lens()
+    apart = (
+        [trace_segmented(**telescope, device=where).opd for where in (device, NUMPY)],
+        [trace_sequence(*system, where).path for where in (device, NUMPY)],
+    )
+    return float(np.max([np.abs(found - expected).max() for found, expected in apart]))

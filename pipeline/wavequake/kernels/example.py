@@ -1,10 +1,11 @@
-"""A small segmented telescope for the self test of devices."""
+"""A small segmented telescope and a lens for the self test of devices."""
 
 from typing import Any
 
 import numpy as np
 
 from wavequake.kernels.segmented import SegmentedTrain, trace_chief
+from wavequake.kernels.sequence import Element, Moving, Polynomial, Rays, Sequence
 from wavequake.kernels.tiles import TILE
 
 _SIDE = 1000.0
@@ -60,3 +61,31 @@ def two_mirrors(tiles: int = 1, degree: int = 3, seed: int = 0) -> dict[str, Any
         "directions": directions,
         "chief": chief,
     }
+
+
+def lens(instants: int = 2, seed: int = 0) -> tuple[Sequence, Rays, Moving]:
+    """Return arguments of `trace_sequence`, all but the device: an asphere, a deformed sphere and an image.
+
+    The first surface is an even asphere, the second one deforms from instant to instant by some 100 nm.
+    """
+    random = np.random.default_rng(seed)
+    front = Element(1.0 / 80.0, -0.6, "refract", 1.5, even=(0.0, 1e-8))
+    rear = Element(
+        -1.0 / 200.0,
+        0.0,
+        "refract",
+        1.0,
+        polynomial=Polynomial(3, 20.0, random.normal(0.0, 1e-4, 10)),
+        deformation_degree=4,
+        deformation_radius=20.0,
+    )
+    poses = np.zeros((instants, 3, 12))
+    poses[..., [0, 4, 8]] = 1.0
+    poses[..., 9:] = random.normal(0.0, 1e-4, (instants, 3, 3))
+    poses[:, 1:, 11] -= np.array([8.0, 110.0])
+    square, azimuth = random.uniform(0.0, 1.0, 48), random.uniform(0.0, 2.0 * np.pi, 48)
+    radius = 15.0 * np.sqrt(square)
+    position = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), np.full(48, -10.0)])
+    direction = np.broadcast_to(np.array([[0.0], [0.0], [1.0]]), (3, 48))
+    moving = Moving(poses, deformations=(None, random.normal(0.0, 1e-4, (instants, 15)), None))
+    return Sequence((front, rear, Element())), Rays(position, direction, np.zeros(48)), moving
