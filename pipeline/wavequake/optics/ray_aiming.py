@@ -112,8 +112,9 @@ def pupil_rays(system: OpticalSystem, field: Array, wavelength: float, x: Array,
         raise UserError(
             f"the stop of {system.name} lies in an image of its object and limits no cone of light"
         )
-    numbers = _newton(aim, chief + _solved(slopes, target), target, chief)
-    _require_aimed(system, aim, numbers, target, f"of {x.size} rays")
+    guess = chief + _solved(slopes, target)
+    numbers = _newton(aim, guess, target, chief)
+    _require_aimed(system, aim, numbers, target, f"of {x.size} rays", guess)
     return bundle.rays(numbers)
 
 
@@ -232,7 +233,14 @@ def _up_to_stop(system: OpticalSystem, wavelength: float) -> tuple[Sequence, Mov
     )
 
 
-def _require_aimed(system: OpticalSystem, aim: _Aim, numbers: Array, target: Array, which: str) -> None:
+def _require_aimed(
+    system: OpticalSystem,
+    aim: _Aim,
+    numbers: Array,
+    target: Array,
+    which: str,
+    guess: Array | None = None,
+) -> None:
     """Raise UserError if rays do not meet their points of the stop; name the surface that loses the first."""
     miss = np.max(np.abs(aim.meet(numbers) - target), axis=0)
     bad = np.flatnonzero(~(miss <= _AIMED))
@@ -243,6 +251,8 @@ def _require_aimed(system: OpticalSystem, aim: _Aim, numbers: Array, target: Arr
     ahead = numbers[:, bad[:1]]
     if np.isfinite(slopes).all() and _determinant(slopes)[0] != 0.0:
         ahead = ahead + _solved(slopes, target[:, bad[:1]] - met)
+    if guess is not None and np.isfinite(aim.meet(ahead)).all():
+        ahead = guess[:, bad[:1]]  # it got stuck; the paraxial ray shows at what
     traced = trace_sequence_numpy(aim.sequence, aim.bundle.rays(ahead), aim.poses, True)
     status, surface = int(traced.status[0, 0]), int(traced.surface[0, 0])
     count = f"{bad.size} {which}" if which.startswith("of") else f"the {which}"
