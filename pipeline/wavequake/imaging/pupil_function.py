@@ -1,12 +1,18 @@
-"""The pupil function of a circular or annular aperture on a grid (Störkle 2018, Eq. 3.68 and 3.69)."""
+"""The pupil function of an aperture on a grid (Störkle 2018, Eq. 3.68 and 3.69).
 
-from dataclasses import dataclass
-from typing import Any
+A cell on a rim holds the mean of the complex amplitude over it, not of the optical path, which would cost
+0.2 % of the peak: its amplitude is the share of it that is lit, its phase that at the center of its light. A
+cell in which several pieces of a wavefront meet holds the sum over the pieces.
+"""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.imaging.coverage import coverage
+from wavequake.imaging.outlines import Outline, annulus
 
 Real = NDArray[np.float64]
 
@@ -15,6 +21,8 @@ Real = NDArray[np.float64]
 class PupilGrid:
     """A pupil sampled on n x n cells, in units of its outer radius.
 
+    A patch is what one piece of the wavefront lights of one cell.
+
     Attributes
     ----------
     axis : ndarray, shape (n,)
@@ -22,9 +30,13 @@ class PupilGrid:
     amplitude : ndarray, shape (n, n)
         Mean amplitude of each cell (rows are y): between 0 and 1 on the rims.
     x, y : ndarray, shape (m,)
-        Where the light of each cell that has any is centered: there a phase is to be evaluated.
+        Where the light of each patch is centered: there a phase is to be evaluated.
     cells : ndarray of int, shape (m,)
-        Index of these cells in the flat grid.
+        Index of the patches' cells in the flat grid.
+    light : ndarray, shape (m,)
+        What each patch adds to the amplitude of its cell.
+    piece : ndarray of int, shape (m,)
+        Which piece of the wavefront (segment) a patch belongs to.
     """
 
     axis: Real
@@ -32,13 +44,12 @@ class PupilGrid:
     x: Real
     y: Real
     cells: NDArray[np.intp]
+    light: Real
+    piece: NDArray[np.intp]
 
 
-def annular_pupil(samples: int, obscuration: float = 0.0, subdivisions: int = 16) -> PupilGrid:
+def annular_pupil(samples: int, obscuration: float = 0.0) -> PupilGrid:
     """Sample a circular or annular pupil.
-
-    A cell on a rim holds the mean of the amplitude over it, and its phase is taken at the center of its
-    light: so the complex amplitude is averaged, not the optical path, which would cost 0.2 % of the peak.
 
     Parameters
     ----------
@@ -46,38 +57,86 @@ def annular_pupil(samples: int, obscuration: float = 0.0, subdivisions: int = 16
         Cells across the diameter.
     obscuration : float
         Inner radius over outer radius.
-    subdivisions : int
-        Points per direction with which a rim's cell is resolved.
 
     Raises
     ------
     UserError
         If there are fewer than 8 samples, or the obscuration is not in [0, 1).
     """
-    if samples < 8:
-        raise UserError(f"the pupil has {samples} samples across; it needs at least 8")
     if not 0.0 <= obscuration < 1.0:
         raise UserError(f"the obscuration is {obscuration:g}; it must lie in 0 <= obscuration < 1")
-    axis = (2.0 * np.arange(samples) + 1.0) / samples - 1.0
-    fine = ((2.0 * np.arange(samples * subdivisions) + 1.0) / (samples * subdivisions) - 1.0).reshape(
-        samples, subdivisions
+    return sampled_pupil(annulus(1.0, obscuration), samples, 2.0)
+
+
+def sampled_pupil(outline: Outline, samples: int, diameter: float) -> PupilGrid:
+    """Sample an outline, whose origin is the grid's middle.
+
+    Parameters
+    ----------
+    outline : Outline
+        Corners in any unit.
+    samples : int
+        Cells across the diameter.
+    diameter : float
+        In the outline's unit; it encloses the outline.
+
+    Raises
+    ------
+    UserError
+        If there are fewer than 8 samples, the diameter is impossible or too small, or no light passes.
+    """
+    if samples < 8:
+        raise UserError(f"the pupil has {samples} samples across; it needs at least 8")
+    if not (np.isfinite(diameter) and diameter > 0.0):
+        raise UserError(f"the diameter of the pupil must be above 0 and finite, not {diameter}")
+    corners = (outline.corners / diameter + 0.5) * samples
+    patches = coverage(Outline(corners, outline.sign, outline.piece), samples)
+    if not patches.share.size:
+        raise UserError("no light passes the pupil: everything is blocked")
+    amplitude: Real = np.bincount(patches.cells, patches.share, samples * samples).astype(np.float64)
+    return PupilGrid(
+        axis=(2.0 * np.arange(samples) + 1.0) / samples - 1.0,
+        amplitude=amplitude.reshape(samples, samples),
+        x=2.0 * patches.x / samples - 1.0,
+        y=2.0 * patches.y / samples - 1.0,
+        cells=patches.cells,
+        light=patches.share,
+        piece=patches.piece,
     )
-    square = fine**2
-    amplitude, moment_x, moment_y = (np.zeros((samples, samples)) for _ in range(3))
-    for row in range(samples):  # a row at a time bounds the memory
-        radius = square[row][:, None, None] + square[None]
-        lit = (radius <= 1.0) & (radius >= obscuration**2)
-        amplitude[row] = lit.mean(axis=(0, 2))
-        moment_x[row] = (lit * fine).mean(axis=(0, 2))
-        moment_y[row] = (lit * fine[row][:, None, None]).mean(axis=(0, 2))
-    cells = np.flatnonzero(amplitude)
-    light = amplitude.ravel()[cells]
-    return PupilGrid(axis, amplitude, moment_x.ravel()[cells] / light, moment_y.ravel()[cells] / light, cells)
+
+
+def apodized(grid: PupilGrid, transmission: Real) -> PupilGrid:
+    """Weaken the amplitude of each patch by a factor (m,).
+
+    Raises
+    ------
+    UserError
+        If a factor is negative or not finite.
+    """
+    if transmission.shape != grid.light.shape:
+        raise UserError(
+            f"a pupil of {grid.light.size} patches needs as many factors, not {transmission.shape}"
+        )
+    if not (np.isfinite(transmission).all() and (transmission >= 0.0).all()):
+        raise UserError("the amplitude that a pupil transmits must be finite and at least 0")
+    light = grid.light * transmission
+    amplitude: Real = np.bincount(grid.cells, light, grid.amplitude.size).astype(np.float64)
+    return replace(grid, light=light, amplitude=amplitude.reshape(grid.amplitude.shape))
 
 
 def pupil_function(grid: PupilGrid, phase: Real) -> NDArray[np.complex128]:
-    """Return the complex amplitude (batch, n, n) for phases (batch, m) in rad at the grid's lit cells."""
+    """Return the complex amplitude (batch, n, n) for phases (batch, m) in rad at the grid's patches."""
     batch, samples = len(phase), len(grid.axis)
-    field: NDArray[Any] = np.zeros((batch, samples * samples), dtype=np.complex128)
-    field[:, grid.cells] = grid.amplitude.ravel()[grid.cells] * np.exp(1j * phase)
+    field = np.zeros((batch, samples * samples), dtype=np.complex128)
+    patches = grid.light * np.exp(1j * phase)
+    if single_patches(grid):
+        field[:, grid.cells] = patches
+    else:
+        for instant, values in zip(field, patches, strict=True):
+            np.add.at(instant, grid.cells, values)
     return field.reshape(batch, samples, samples)
+
+
+def single_patches(grid: PupilGrid) -> bool:
+    """Return whether it is plain that no cell holds several patches, so that a cell has one phase."""
+    return bool((np.diff(grid.cells) > 0).all())
