@@ -1,6 +1,6 @@
-"""Figures of a mirror-mor store, after Figs. 4.17 to 4.23 and 4.27 to 4.32 of Störkle 2018."""
+"""Figures of mirror-mor and mirror-trace, after Figs. 4.17 to 4.23 and 4.27 to 4.36 of Störkle 2018."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -174,4 +174,60 @@ def exposure_panels(
     figure.supxlabel("λ/D", fontsize=8)
     if image is not None:
         figure.colorbar(image, ax=list(panels), shrink=0.8)
+    return figure
+
+
+@rc_context(STYLE)
+def mode_fits(dataset: xr.Dataset, shown: Sequence[VariantResult]) -> Figure:
+    """Draw how badly the Zernike polynomials fit each mode of some variants (Fig. 4.36)."""
+    figure, axes = _figure()
+    for number, one in enumerate(shown):
+        values = dataset["fit_residual"].sel(case=one.case).to_numpy()[: one.order]
+        axes.semilogy(
+            np.arange(1, len(values) + 1), np.maximum(values, 1e-16), label=one.variant, **_style(number)
+        )
+    axes.set_ylim(bottom=1e-6)
+    axes.set_xlabel("mode of the variant, rigid motions first")
+    axes.set_ylabel("share of the mode that the fit misses")
+    axes.legend(fontsize=7.5)
+    return figure
+
+
+@rc_context(STYLE)
+def both_methods(dataset: xr.Dataset, excitation: str, shown: Sequence[tuple[int, str]]) -> Figure:
+    """Draw the wavefront error over time by both methods, and beneath it their difference (Fig. 4.33)."""
+    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
+    above, below = figure.subplots(2, sharex=True)
+    time = dataset["time"].to_numpy() * 1e3
+    part = dataset.sel(excitation=excitation)
+    for number, (case, variant) in enumerate(shown):
+        one, color = part.sel(case=case), COLORS[number % len(COLORS)]
+        above.plot(time, one["wfe_rms_standard"], color=color, linewidth=2.4, alpha=0.35)
+        above.plot(time, one["wfe_rms_modal"], color=color, linewidth=0.9)
+        off = np.maximum(one["wfe_difference"].to_numpy(), 1e-9)
+        below.semilogy(time, off, label=variant, **_style(number))
+    above.set_ylabel("WFE rms (nm)")
+    above.set_title(f"{excitation}; wide: every instant traced, thin: sensitivities of modes")
+    below.set_ylabel("difference (nm)")
+    below.set_xlabel("time (ms)")
+    below.legend(fontsize=7, ncols=2)
+    return figure
+
+
+@rc_context(STYLE)
+def costs(seconds: Mapping[str, Mapping[str, float]]) -> Figure:
+    """Draw the time of each stage as a bar per variant (Table 4.1)."""
+    figure = Figure(figsize=(2 * WIDTH, 1.0 + 0.3 * len(seconds)), layout="constrained")
+    axes = figure.add_subplot()
+    start = np.zeros(len(seconds))
+    for number, stage in enumerate(next(iter(seconds.values()))):
+        width = 1e3 * np.array([stages[stage] for stages in seconds.values()])
+        if stage == "sensitivities":  # once per model, and longer than all others together
+            continue
+        axes.barh(np.arange(len(seconds)), width, left=start, label=stage, color=COLORS[number % len(COLORS)])
+        start += width
+    axes.set_yticks(np.arange(len(seconds)), list(seconds))
+    axes.invert_yaxis()
+    axes.set_xlabel("time (ms), without the sensitivities of the model")
+    axes.legend(fontsize=7, ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return figure

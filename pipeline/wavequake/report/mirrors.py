@@ -40,23 +40,25 @@ _DEFINITIONS = (
     ("f max", "Largest eigenfrequency of the reduced model: an integrator's step would have to follow it."),
     (
         "full",
-        "The rich intermediate model from which the variants are made; the plan (wavequake plan) prints how "
-        "far it is off the finite-element model at frequencies that it was not built on.",
+        "The rich intermediate model from which the variants are made; how far it is off the finite-element "
+        "model, at frequencies that it was not built on, stands beneath the table.",
     ),
 )
 
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
-    models, criterion = _results(dataset)
+    models, criterion = results_of(dataset)
     headers = list(_HEADERS)
-    table = Table(box=SIMPLE_HEAD, caption=answer(models, criterion), caption_justify="left")
+    words = f"{answer(models, criterion)} {checked(dataset)}"
+    table = Table(box=SIMPLE_HEAD, caption=words, caption_justify="left")
     for header in headers:
-        table.add_column(header, justify="left" if header in headers[:1] else "right")
+        first = header in headers[:1]
+        table.add_column(header, justify="left" if first else "right", no_wrap=first)
     for model in models:
         table.add_row(Text(model.name, style="bold"))
         for one in model.variants:
-            cells = _row(one, criterion)
+            cells = row_of(one, criterion)
             mark = " ←" if one is model.enough else ""
             table.add_row(one.variant + mark, *(value for value, _ in list(cells.values())[1:]))
     return table
@@ -64,11 +66,13 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
 
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
     """Write the HTML report."""
-    models, criterion = _results(dataset)
+    models, criterion = results_of(dataset)
     page = Page(
         answer=answer(models, criterion),
         table=[
-            {"model": (model.name, ""), **_row(one, criterion)} for model in models for one in model.variants
+            {"model": (model.name, ""), **row_of(one, criterion)}
+            for model in models
+            for one in model.variants
         ],
         small_print=_SMALL_PRINT,
         overview=[
@@ -84,7 +88,8 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     return write_page(render_page(dataset, page), target)
 
 
-def _results(dataset: xr.Dataset) -> tuple[list[ModelResult], Criterion]:
+def results_of(dataset: xr.Dataset) -> tuple[list[ModelResult], Criterion]:
+    """Return the finished variants of every model of a store, and what decides between them."""
     study: dict[str, Any] = json.loads(dataset.attrs["study"])
     criterion = criterion_of(study)
     return model_results(dataset, study["reduction"]["reference"], criterion), criterion
@@ -93,7 +98,7 @@ def _results(dataset: xr.Dataset) -> tuple[list[ModelResult], Criterion]:
 _HEADERS = ("variant", "order", "made in (ms)", "f max (kHz)", "ε mech", "ε opt", "WFE", "LOS (λ/D)", "image")
 
 
-def _row(one: VariantResult, criterion: Criterion) -> dict[str, tuple[str, str]]:
+def row_of(one: VariantResult, criterion: Criterion) -> dict[str, tuple[str, str]]:
     """Return header -> (value, small print) of one variant."""
     values = (
         (one.variant, ""),
@@ -136,6 +141,22 @@ def answer(models: Iterable[ModelResult], criterion: Criterion) -> str:
     return " ".join(words)
 
 
+def checked(dataset: xr.Dataset) -> str:
+    """Say how far the intermediate models are off the full ones where their bases were not built."""
+    frequencies = [f"{one:.0f}" for one in dataset["spot_frequency"].to_numpy()]
+    if not frequencies:
+        return "The intermediate models were not checked (reduction.spot_checks = 0)."
+    errors = dataset["spot_error"].max("check").to_numpy()
+    worst = ", ".join(
+        f"{error:.0e} ({name})"
+        for name, error in zip(dataset["checked_model"].to_numpy(), errors, strict=True)
+    )
+    return (
+        f"Spot check at {', '.join(frequencies)} Hz, where no basis was built: the intermediate model is at "
+        f"most {worst} off full-size solutions."
+    )
+
+
 def _worded(value: float, criterion: Criterion) -> str:
     units = {"wfe": " %", "los": " λ/D", "image": ""}[criterion.measure]
     return number(100 * value if criterion.measure == "wfe" else value) + units
@@ -156,6 +177,7 @@ def _figures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
     yield picture(
         f"{name}-zernike", "Response of each aberration", draw.coefficient_spectra(dataset, reference)
     )
+    yield picture(f"{name}-fits", "Fit of each mode by Zernike polynomials", draw.mode_fits(dataset, shown))
     yield picture(f"{name}-fmax", "Largest pseudo-eigenfrequencies", draw.pseudo_frequencies(shown))
     for excitation in map(str, dataset["excitation"].to_numpy()):
         yield picture(

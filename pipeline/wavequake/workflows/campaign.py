@@ -13,6 +13,7 @@ from wavequake.workflows.contract import Workflow
 from wavequake.workflows.engine import CampaignSummary, run_campaign
 from wavequake.workflows.journal import read_journal
 from wavequake.workflows.mirror_mor import WORKFLOW as MIRROR_MOR
+from wavequake.workflows.mirror_trace import WORKFLOW as MIRROR_TRACE
 from wavequake.workflows.schema import Study
 from wavequake.workflows.segment_disturbance import WORKFLOW as SEGMENT_DISTURBANCE
 from wavequake.workflows.store import JOURNAL, MANIFEST, done_records, open_store, read_manifest
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int, int], None]
 
 WORKFLOWS: dict[str, Workflow] = {
-    workflow.name: workflow for workflow in (SEGMENT_DISTURBANCE, MIRROR_MOR, SYSTEM_DISTURBANCE)
+    workflow.name: workflow
+    for workflow in (SEGMENT_DISTURBANCE, MIRROR_MOR, MIRROR_TRACE, SYSTEM_DISTURBANCE)
 }
 
 

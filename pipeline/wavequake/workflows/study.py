@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from wavequake.errors import UserError
 from wavequake.files import folder
-from wavequake.workflows.mirror_study import MirrorStudy
+from wavequake.workflows.mirror_study import MirrorStudy, TraceStudy
 from wavequake.workflows.schema import Study, describe
 from wavequake.workflows.segment_study import SegmentStudy
 from wavequake.workflows.system_study import SystemStudy
@@ -20,8 +20,11 @@ from wavequake.workflows.system_study import SystemStudy
 STUDIES: dict[str, type[Study]] = {
     "segment-disturbance": SegmentStudy,
     "mirror-mor": MirrorStudy,
+    "mirror-trace": TraceStudy,
     "system-disturbance": SystemStudy,
 }
+# Keys that name files.
+_FILES = ("file", "mass", "dofs", "mesh", "polygons", "corners")
 
 
 def bundled_studies() -> dict[str, Path]:
@@ -38,7 +41,8 @@ def load_study(name: str | Path, overrides: Mapping[str, Any] | Iterable[str] = 
         ``tmt-segments`` or ``my/study.toml``.
     overrides : mapping or iterable of ``"section.key=value"``
         Values of text overrides are TOML values; bare words are strings. A disturbance is addressed by its
-        name: ``disturbance.wind.mean_speed_m_s=8``.
+        name: ``disturbance.wind.mean_speed_m_s=8``. Files that overrides name are looked for in the current
+        folder, then beside the study file.
 
     Raises
     ------
@@ -56,7 +60,7 @@ def load_study(name: str | Path, overrides: Mapping[str, Any] | Iterable[str] = 
     pairs = overrides.items() if isinstance(overrides, Mapping) else [_split(text) for text in overrides]
     model = _model(record, path.name)
     for key, value in pairs:
-        _override(record, key, value, model)
+        _override(record, key, _located(key, value, path.parent), model)
     model.read_files(record, path.parent)
     return _validated(model, record, path.name)
 
@@ -67,6 +71,14 @@ def study_with(study: Study, keys: Mapping[str, Any]) -> Study:
     for key, value in keys.items():
         _override(record, key, value, type(study))
     return _validated(type(study), record, study.study.name)
+
+
+def _located(key: str, value: Any, base: Path) -> Any:
+    """Return the path of a file that an override names: in the current folder, or else beside the study."""
+    if key.rpartition(".")[2] not in _FILES or not isinstance(value, str):
+        return value
+    here = Path.cwd() / value
+    return value if (base / value).exists() and not here.exists() else str(here)
 
 
 def _model(record: Mapping[str, Any], where: str) -> type[Study]:
