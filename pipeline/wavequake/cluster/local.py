@@ -109,6 +109,13 @@ def _stop(client: Any, cluster: Any) -> None:
         cluster.close(timeout=5)
 
 
+def memory_limit() -> int:
+    """Return the bytes of memory that this process may use: of the machine, or of its container."""
+    from distributed.system import MEMORY_LIMIT
+
+    return int(MEMORY_LIMIT)
+
+
 def silence() -> None:
     """Keep Dask from logging in this process; for good, because threads of a closed cluster still log."""
     for name in ("distributed", "distributed.client"):

@@ -1,26 +1,24 @@
 """The task of the engine: compute the cases of one chunk, write them, record them.
 
-The same function runs in the driver (serial), in a Dask worker, and, where a chunk kills its workers, case by
-case in processes of its own. Only a few scalars travel back; the numbers go to the store.
+The same function runs in the driver (serial) and in a Dask worker; chunks that kill their workers or hang are
+computed in :mod:`wavequake.workflows.isolation`. Only a few scalars travel back; the numbers go to the store.
 """
 
-import multiprocessing
-import signal
+import errno
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from wavequake.cluster.local import interrupts_blocked, worker_environment
 from wavequake.errors import UserError
-from wavequake.workflows import journal
+from wavequake.workflows import journal, provenance
 from wavequake.workflows.arrays import Array, array_of, open_group, write_chunk
-from wavequake.workflows.contract import CRASHED, DIVERGED, DONE, RAISED, ChunkResult, Template, Workflow
+from wavequake.workflows.contract import DIVERGED, DONE, RAISED, ChunkResult, Template, Workflow
 from wavequake.workflows.journal import Chunk, Record
 from wavequake.workflows.store import DATA, JOURNAL, Manifest, read_manifest, write_errors_explained
 
@@ -30,17 +28,32 @@ class BrokenWorkflowError(Exception):
 
 
 # What ends a run: everything else that a case raises is quarantined with it.
-_FATAL = (UserError, BrokenWorkflowError)
+FATAL = (UserError, BrokenWorkflowError)
+
+
+# What a network's file system says when it is busy: the same call succeeds a little later.
+_TRANSIENT = {
+    getattr(errno, name)
+    for name in ("EIO", "ESTALE", "EAGAIN", "EINTR", "EBUSY", "ETIMEDOUT", "EREMOTEIO", "ENOLCK", "ENFILE")
+    if hasattr(errno, name)
+}
+_PAUSES_S = (0.1, 1.0, 5.0)
+
+Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True)
 class Job:
-    """What the chunks of a run share; it travels with every task and is small: functions go by reference."""
+    """What the chunks of a run share; it travels with every task and is small: functions go by reference.
+
+    Where ``code`` is not empty, a worker that runs other code refuses to compute.
+    """
 
     workflow: Workflow
     path: str
     device: str
     run: str
+    code: str = ""
 
 
 @dataclass(frozen=True)
@@ -54,19 +67,33 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class _Opened:
+class Opened:
+    """An open store and what its chunks look like."""
+
     manifest: Manifest
     template: Template
     arrays: Mapping[str, Array]
 
 
 @lru_cache(maxsize=2)
-def _opened(workflow: Workflow, path: str, run: str) -> _Opened:
+def opened_store(workflow: Workflow, path: str, run: str) -> Opened:
     """Open the store once per process and run; a later run may have extended it."""
-    manifest = read_manifest(path)
-    group = open_group(Path(path) / DATA)
+    manifest = patiently(lambda: read_manifest(path))
+    group = patiently(lambda: open_group(Path(path) / DATA))
     arrays = {name: array_of(group, name) for name in manifest.variables}
-    return _Opened(manifest, workflow.template(manifest.study), arrays)
+    return Opened(manifest, workflow.template(manifest.study), arrays)
+
+
+def patiently(action: Callable[[], Answer]) -> Answer:
+    """Return what `action` returns; it is tried again after errors that pass, and can be done twice."""
+    for pause in _PAUSES_S:
+        try:
+            return action()
+        except OSError as error:
+            if error.errno not in _TRANSIENT:
+                raise
+        time.sleep(pause)
+    return action()
 
 
 def compute_chunk(job: Job, first: int, last: int) -> Outcome:
@@ -78,35 +105,40 @@ def compute_chunk(job: Job, first: int, last: int) -> Outcome:
     Raises
     ------
     UserError
-        If the workflow says that the study is impossible, or the disk is full or cannot be written.
+        If the workflow says that the study is impossible, the disk is full or cannot be written, or this
+        worker runs other code than the driver.
     """
-    opened = _opened(job.workflow, job.path, job.run)
+    if job.code and job.code != provenance.code():
+        raise UserError(
+            f"A worker computes with {provenance.code()}, the driver with {job.code}: install the same versions"
+            " everywhere, or give --allow-mixed."
+        )
+    opened = opened_store(job.workflow, job.path, job.run)
     start = time.perf_counter()
     with threadpool_limits(1):
         try:
             result = _computed(job, opened, first, last)
-        except _FATAL:
+        except FATAL:
             raise
         except Exception:
-            parts = [_computed_alone(job, opened, case) for case in range(first, last)]
-            result = _joined(parts)
-    return _store(job, opened, (first, last), result, time.perf_counter() - start)
+            result = joined([computed_alone(job, opened, case) for case in range(first, last)])
+    return store_chunk(job, (first, last), result, time.perf_counter() - start)
 
 
-def _computed(job: Job, opened: _Opened, first: int, last: int) -> ChunkResult:
+def _computed(job: Job, opened: Opened, first: int, last: int) -> ChunkResult:
     cases = np.arange(first, last, dtype=np.int64)
-    return _checked(
-        job.workflow.compute(opened.manifest.study, cases, job.device), opened.template, len(cases)
-    )
+    result = job.workflow.compute(opened.manifest.study, cases, job.device)
+    return _judged(_checked(result, opened.template, len(cases)), opened.template)
 
 
-def _computed_alone(job: Job, opened: _Opened, case: int) -> ChunkResult:
+def computed_alone(job: Job, opened: Opened, case: int) -> ChunkResult:
+    """Return the result of one case, quarantined if computing it raises."""
     try:
         return _computed(job, opened, case, case + 1)
-    except _FATAL:
+    except FATAL:
         raise
     except Exception as error:
-        return _failed(opened.template, RAISED, f"{type(error).__name__}: {error}")
+        return failed(opened.template, RAISED, f"{type(error).__name__}: {error}")
 
 
 def _checked(result: ChunkResult, template: Template, count: int) -> ChunkResult:
@@ -132,7 +164,29 @@ def _broken(what: str) -> BrokenWorkflowError:
     return BrokenWorkflowError(f"the workflow {what}")
 
 
-def _failed(template: Template, code: int, message: str) -> ChunkResult:
+def _judged(result: ChunkResult, template: Template) -> ChunkResult:
+    """Return the result with the cases whose time series are not finite marked as diverged.
+
+    Instants that a case does not have are no numbers by intent, and so may be results that are no series
+    (a radius within which there never is 80 % of the light).
+    """
+    status, messages = result.status.copy(), list(result.messages)
+    exists = np.isfinite(result.arrays["time_s"]) if "time_s" in template.per_case else None
+    for name, variable in template.per_case.items():
+        if "time" not in variable.dims or variable.coordinate or np.dtype(variable.dtype).kind not in "fc":
+            continue
+        axis = 1 + variable.dims.index("time")
+        wrong = ~np.isfinite(np.moveaxis(result.arrays[name], axis, 1))
+        wrong = wrong.reshape(*wrong.shape[:2], -1).any(axis=2)
+        if exists is not None:
+            wrong &= exists
+        for row in np.flatnonzero(wrong.any(axis=1) & (status == DONE)):
+            status[row] = DIVERGED
+            messages[row] = f"{name} is not finite from instant {int(np.argmax(wrong[row]))} on"
+    return ChunkResult(result.arrays, status, tuple(messages), result.timings)
+
+
+def failed(template: Template, code: int, message: str) -> ChunkResult:
     """Return the place of one case without numbers."""
     blank = {}
     for name, variable in template.per_case.items():
@@ -141,7 +195,8 @@ def _failed(template: Template, code: int, message: str) -> ChunkResult:
     return ChunkResult(blank, np.array([code], dtype=np.int8), (message,))
 
 
-def _joined(parts: Sequence[ChunkResult]) -> ChunkResult:
+def joined(parts: Sequence[ChunkResult]) -> ChunkResult:
+    """Return the results of consecutive cases as one."""
     arrays = {name: np.concatenate([part.arrays[name] for part in parts]) for name in parts[0].arrays}
     messages = tuple(message for part in parts for message in part.messages)
     names = {name for part in parts for name in part.timings}
@@ -149,12 +204,12 @@ def _joined(parts: Sequence[ChunkResult]) -> ChunkResult:
     return ChunkResult(arrays, np.concatenate([part.status for part in parts]), messages, timings)
 
 
-def _store(job: Job, opened: _Opened, chunk: Chunk, result: ChunkResult, compute_s: float) -> Outcome:
+def store_chunk(job: Job, chunk: Chunk, result: ChunkResult, compute_s: float) -> Outcome:
     """Write the data of a chunk, and once it is on disk its record."""
+    opened, path = opened_store(job.workflow, job.path, job.run), Path(job.path)
     start = time.perf_counter()
-    path = Path(job.path)
     with write_errors_explained(path):
-        digests = write_chunk(opened.arrays, chunk, result)
+        digests = patiently(lambda: write_chunk(opened.arrays, chunk, result))
         write_s = time.perf_counter() - start
         timings = {"compute_s": compute_s, "write_s": write_s, **result.timings}
         codes = result.status.tolist()
@@ -162,71 +217,7 @@ def _store(job: Job, opened: _Opened, chunk: Chunk, result: ChunkResult, compute
         failures = {
             chunk[0] + row: (code, result.messages[row]) for row, code in enumerate(codes) if code != DONE
         }
-        record = Record(*chunk, digests, counts, failures, {k: round(v, 4) for k, v in timings.items()})
-        journal.append(path / JOURNAL, record)
+        rounded = {name: round(seconds, 4) for name, seconds in timings.items()}
+        record = Record(*chunk, digests, counts, failures, rounded, code=provenance.code())
+        patiently(lambda: journal.append(path / JOURNAL, record))
     return Outcome(chunk, record.quarantined, compute_s, write_s)
-
-
-def compute_isolated(job: Job, first: int, last: int) -> Outcome:
-    """Compute a chunk that killed its workers, case by case in processes of its own, and write and record it.
-
-    A case whose process dies is tried once more, alone in a fresh process: if that dies too, the case is
-    CRASHED.
-    """
-    opened = _opened(job.workflow, job.path, job.run)
-    start = time.perf_counter()
-    parts: list[ChunkResult] = []
-    while first + len(parts) < last:
-        done, _ = _in_process(job, range(first + len(parts), last))
-        parts += done
-        if first + len(parts) < last:
-            suspect = first + len(parts)
-            alone, death = _in_process(job, range(suspect, suspect + 1))
-            parts += alone or [_failed(opened.template, CRASHED, f"the process that computed it {death}")]
-    return _store(job, opened, (first, last), _joined(parts), time.perf_counter() - start)
-
-
-def _in_process(job: Job, cases: range) -> tuple[list[ChunkResult], str]:
-    """Compute cases one by one in a new process; return the results up to its death, and how it died."""
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_serve, args=(theirs, job, cases), daemon=True)
-    with worker_environment(), interrupts_blocked():
-        process.start()
-    theirs.close()
-    results: list[ChunkResult] = []
-    try:
-        while len(results) < len(cases):
-            answer = ours.recv()
-            if isinstance(answer, _FATAL):
-                raise answer
-            results.append(answer)
-    except EOFError:
-        pass
-        process.join()
-    finally:
-        process.kill()  # only if we were interrupted it is still alive
-        process.join()
-        ours.close()
-    return results, _death(process.exitcode or 0)
-
-
-def _serve(connection: Connection, job: Job, cases: range) -> None:
-    """Be the process of :func:`_in_process`."""
-    opened = _opened(job.workflow, job.path, job.run)
-    with threadpool_limits(1):
-        for case in cases:
-            try:
-                connection.send(_computed_alone(job, opened, case))
-            except _FATAL as error:
-                connection.send(error)
-                return
-
-
-def _death(code: int) -> str:
-    if code >= 0:
-        return f"ended with exit status {code}"
-    try:
-        return f"was killed by {signal.Signals(-code).name}"
-    except ValueError:
-        return f"was killed by signal {-code}"

@@ -22,8 +22,9 @@ from wavequake.cluster.local import leave_if_imported_by_a_worker, local_cluster
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.devices import choose_device
 from wavequake.workflows import provenance, store, verify
-from wavequake.workflows.chunks import Job, Outcome, compute_chunk, compute_isolated
+from wavequake.workflows.chunks import Job, Outcome, compute_chunk
 from wavequake.workflows.contract import Workflow
+from wavequake.workflows.isolation import compute_isolated
 from wavequake.workflows.journal import Chunk, read_journal
 from wavequake.workflows.store import Manifest
 
@@ -201,7 +202,7 @@ def _run_on_dask(job: Job, todo: list[Chunk], on: str, workers: int | None, tall
     with cluster as client:
         suspects = _stream(client, job, todo, tally)
     for piece in suspects:
-        tally.add(compute_isolated(job, *piece))
+        tally.add(compute_isolated(job, *piece, 1800.0))
 
 
 def _stream(client: "Client", job: Job, todo: list[Chunk], tally: _Tally) -> list[Chunk]:

@@ -33,7 +33,8 @@ class Record:
     """What is known of a finished chunk, cases first <= id < last.
 
     ``digests`` identify the stored bytes of each array, ``counts[s]`` is the number of cases with status s,
-    ``failures`` gives status and message of each quarantined case, and ``timings`` are in s.
+    ``failures`` gives status and message of each quarantined case, ``timings`` are in s, and ``code`` says
+    which versions computed it.
     """
 
     first: int
@@ -45,6 +46,7 @@ class Record:
     time: float = field(default_factory=time.time)
     host: str = field(default_factory=socket.gethostname)
     pid: int = field(default_factory=os.getpid)
+    code: str = ""
 
     @property
     def chunk(self) -> Chunk:

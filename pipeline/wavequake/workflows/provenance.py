@@ -1,14 +1,17 @@
 """Where and with what numbers were made: versions, commit, machine, BLAS and OpenCL device."""
 
+import hashlib
 import platform
 import subprocess
 from datetime import UTC, datetime
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from threadpoolctl import threadpool_info
 
 from wavequake import __version__
+from wavequake.files import folder
 from wavequake.kernels.devices import Device, opencl_handle
 
 _PACKAGES = (
@@ -22,6 +25,9 @@ _PACKAGES = (
     "distributed",
 )
 _PACKAGE_FOLDER = Path(__file__).resolve().parents[1]
+# What last bits depend on beside our own code; and what of that code cannot change a number.
+_NUMERICS = ("numpy", "scipy", "pocl-binary-distribution")
+_NO_NUMBERS = ("report", "cluster", "cli.py", "cli_data.py", "__main__.py")
 
 
 def collect(device: Device) -> dict[str, str]:
@@ -35,6 +41,7 @@ def collect(device: Device) -> dict[str, str]:
     return {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "wavequake": __version__,
+        "code": code(),
         "git_commit": git_commit(_PACKAGE_FOLDER),
         "python": platform.python_version(),
         "packages": ", ".join(f"{name} {_version(name)}" for name in _PACKAGES),
@@ -43,6 +50,34 @@ def collect(device: Device) -> dict[str, str]:
         "blas": blas(),
         "opencl": opencl(device),
     }
+
+
+@lru_cache(maxsize=1)
+def code() -> str:
+    """Return what computes numbers here: Wavequake with a digest of its sources, and the libraries below it.
+
+    Chunks of one store must agree in it, or their bits may differ.
+    """
+    parts = [f"wavequake {__version__} ({source_digest(_PACKAGE_FOLDER, folder('kernels'))})"]
+    parts += [f"{name} {_version(name)}" for name in _NUMERICS]
+    return ", ".join([*parts, *blas_cores()])
+
+
+def source_digest(package: Path, kernels: Path) -> str:
+    """Return a short digest of the sources that make numbers: Python files of the package, and kernels."""
+    found = hashlib.blake2b(digest_size=6)
+    for home, suffixes in ((package, (".py",)), (kernels, (".cl", ".h"))):
+        for file in sorted(home.rglob("*")):
+            name = file.relative_to(home)
+            if file.suffix in suffixes and name.parts[0] not in _NO_NUMBERS:
+                found.update(f"{name.as_posix()}\0".encode() + file.read_bytes())
+    return found.hexdigest()
+
+
+def blas_cores() -> list[str]:
+    """Return the kinds of processor core that NumPy's BLAS computes for, which decide its last bits."""
+    pools = [pool for pool in threadpool_info() if "numpy" in Path(pool["filepath"]).as_posix()]
+    return sorted({str(pool["architecture"]) for pool in pools if pool.get("architecture")})
 
 
 def _version(package: str) -> str:
