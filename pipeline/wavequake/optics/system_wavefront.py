@@ -213,7 +213,11 @@ def measure_system(prepared: PreparedSystem, states: SystemStates, device: Devic
     UserError
         If the states do not fit the system.
     """
-    opd, traced, chief = trace_system(prepared, states, device)
+    return analyse_system(prepared, *trace_system(prepared, states, device))
+
+
+def analyse_system(prepared: PreparedSystem, opd: Array, traced: TracedRays, chief: Array) -> SystemWavefront:
+    """Reduce what `trace_system` returns to the numbers of its wavefronts."""
     ok = np.isfinite(opd)
     zernike = zernike_fit(prepared.fit, opd)
     weight = prepared.fit.weight
