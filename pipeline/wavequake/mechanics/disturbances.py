@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from wavequake.errors import UserError
+from wavequake.mechanics.common_history import CommonHistory, amplitude_generator, draw_common, history
 from wavequake.mechanics.edge_sensors import EdgeSensorNoise, draw_edge_noise, edge_noise_rms_nm
 from wavequake.mechanics.layout import SegmentLayout
 from wavequake.mechanics.line_of_sight import LineOfSight, draw_sight, sight_rms_mas
@@ -42,7 +43,13 @@ class Combine(Population):
 
 
 SingleDisturbance = (
-    StaticRandom | LineOfSight | VibrationLines | SegmentHistory | SegmentWind | EdgeSensorNoise
+    StaticRandom
+    | LineOfSight
+    | VibrationLines
+    | SegmentHistory
+    | CommonHistory
+    | SegmentWind
+    | EdgeSensorNoise
 )
 Disturbance = Annotated[SingleDisturbance | Combine, Field(discriminator="model")]
 
@@ -61,6 +68,8 @@ def draw(
             return draw_sight(parameters, len(layout), time, random)
         case SegmentHistory():
             return draw_history(parameters, layout, time, random)
+        case CommonHistory():
+            return draw_common(parameters, layout, time, random)
         case SegmentWind():
             return draw_wind(parameters, layout, time, random)
         case EdgeSensorNoise():
@@ -84,6 +93,9 @@ def analytic_rms(parameters: Disturbance, layout: SegmentLayout) -> tuple[float,
             return _root_mean_square(segment_wind_rms_nm(parameters, layout)), "nm"
         case StaticRandom():
             return parameters.piston_nm, "nm"
+        case CommonHistory():
+            swing = history(parameters, time_axis(parameters))
+            return parameters.piston_nm * _root_mean_square(swing), "nm"
         case EdgeSensorNoise():
             return edge_noise_rms_nm(parameters, layout), "nm"
         case _:
@@ -114,10 +126,18 @@ def draw_case(
     time = time_axis(population)
     return add(
         [
-            draw(part, layout, time, generator(seed, part.name, realization))
+            draw(part, layout, time, _generator_of(part, layout, seed, realization))
             for part in parts(populations, population)
         ]
     )
+
+
+def _generator_of(
+    part: SingleDisturbance, layout: SegmentLayout, seed: int, realization: int
+) -> np.random.Generator:
+    if isinstance(part, CommonHistory):
+        return amplitude_generator(part, len(layout), seed, realization)
+    return generator(seed, part.name, realization)
 
 
 def parts(

@@ -90,7 +90,20 @@ def generator(seed: int, stream_name: str, realization: int) -> np.random.Genera
     The stream is a 32-bit fingerprint of the disturbance's name: adding, dropping or reordering disturbances
     never changes another one's numbers, and a realization of a name is one draw for all that is compared.
     """
-    stream = int.from_bytes(hashlib.blake2b(stream_name.encode(), digest_size=4).digest(), "little")
     return np.random.Generator(
-        np.random.Philox(np.random.SeedSequence(seed, spawn_key=(stream, realization)))
+        np.random.Philox(np.random.SeedSequence(seed, spawn_key=(_stream(stream_name), realization)))
     )
+
+
+def counted_generator(seed: int, stream_name: str, steps: int) -> np.random.Generator:
+    """Return the random numbers of a disturbance in all realizations, from a step of the counter on.
+
+    Where every realization takes a fixed number of steps, each of four 64-bit numbers, those of any run of
+    realizations are drawn at once and do not depend on where the run begins.
+    """
+    key = np.random.SeedSequence(seed, spawn_key=(_stream(stream_name),)).generate_state(2, np.uint64)
+    return np.random.Generator(np.random.Philox(counter=steps, key=key))
+
+
+def _stream(name: str) -> int:
+    return int.from_bytes(hashlib.blake2b(name.encode(), digest_size=4).digest(), "little")
