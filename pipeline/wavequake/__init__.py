@@ -3,6 +3,7 @@
 >>> import wavequake as wq
 >>> ds = wq.run("tmt-segments", cases=100)          # doctest: +SKIP
 >>> ds = wq.open_store("runs/tmt-segments-1a2b3c4d")  # doctest: +SKIP
+>>> print(wq.load_system("double-gauss").info())      # doctest: +SKIP
 """
 
 from importlib import import_module
@@ -11,24 +12,39 @@ from typing import TYPE_CHECKING, Any
 from wavequake.errors import StoreDamageError, UserError
 
 if TYPE_CHECKING:
+    from wavequake.optics.zemax_export import write_zmx
     from wavequake.workflows.campaign import plan, run
     from wavequake.workflows.schema import Study
     from wavequake.workflows.sensitivity import sensitivity
     from wavequake.workflows.store import open_store
     from wavequake.workflows.study import load_study
+    from wavequake.workflows.system_source import load_system
 
 __version__ = "0.1.0"
-__all__ = ["StoreDamageError", "Study", "UserError", "load_study", "open_store", "plan", "run", "sensitivity"]
+__all__ = [
+    "StoreDamageError",
+    "Study",
+    "UserError",
+    "load_study",
+    "load_system",
+    "open_store",
+    "plan",
+    "run",
+    "sensitivity",
+    "write_zmx",
+]
 
 # Heavy modules are imported when a name is first used, so that `import wavequake` and `wavequake --version`
 # stay quick.
 _HOMES = {
     "Study": "wavequake.workflows.schema",
     "load_study": "wavequake.workflows.study",
+    "load_system": "wavequake.workflows.system_source",
     "open_store": "wavequake.workflows.store",
     "plan": "wavequake.workflows.campaign",
     "run": "wavequake.workflows.campaign",
     "sensitivity": "wavequake.workflows.sensitivity",
+    "write_zmx": "wavequake.optics.zemax_export",
 }
 
 

@@ -150,6 +150,20 @@ def plan(
 
 
 @app.command()
+def info(
+    system: Annotated[
+        str, typer.Argument(help="Name of a bundled optical system, FILE.zmx, or a study by name or path.")
+    ],
+    overrides: OverridesArgument = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Print first-order data, fields, wavelengths and surfaces of an optical system."""
+    from wavequake.workflows.system_source import load_system
+
+    out.print(load_system(system, overrides or []).info(), markup=False, soft_wrap=True)
+
+
+@app.command()
 def studies() -> None:
     """List the bundled studies."""
     from wavequake.workflows.study import bundled_studies, load_study
@@ -167,7 +181,7 @@ def status(
     store: StoreArgument, debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False
 ) -> None:
     """Say what of a store is done, quarantined (and why) and still to do."""
-    from wavequake.workflows.store import status as store_status
+    from wavequake.workflows.status import store_status
 
     for line in store_status(store).lines():
         out.print(line, markup=False, soft_wrap=True)

@@ -254,5 +254,5 @@ def test_a_wavelength_out_of_a_glass_range_is_refused(tmp_path):
     text = STUDY.replace("[500.0, 1000.0]", "[500.0, 5000.0]").replace(
         "stop = true", 'stop = true\n[[system.surface]]\nname = "lens"\ndistance_mm = 500.0\nglass = "N-BK7"'
     )
-    with pytest.raises(UserError, match="N-BK7 is known from .* not at 5000 nm"):
+    with pytest.raises(UserError, match=r"N-BK7 is known from .* not at 5000 nm"):
         check(study_of(tmp_path, text).identity_text())

@@ -189,7 +189,7 @@ def _fixed(bench: SystemBench) -> dict[str, tuple[tuple[str, ...], NDArray[np.ge
         "field_y": (("field",), points[:, 1], {**unit, "long_name": "field point along y"}),
         "wavelength": (
             ("wavelength",),
-            system.wavelengths * NM_PER_MM,
+            np.round(system.wavelengths * NM_PER_MM, 9),  # as it was written in nm
             {"units": "nm", "long_name": "wavelength"},
         ),
         "noll": (
