@@ -16,6 +16,7 @@ from wavequake.workflows.mirror_mor import WORKFLOW as MIRROR_MOR
 from wavequake.workflows.mirror_trace import WORKFLOW as MIRROR_TRACE
 from wavequake.workflows.schema import Study
 from wavequake.workflows.segment_disturbance import WORKFLOW as SEGMENT_DISTURBANCE
+from wavequake.workflows.segment_mor import WORKFLOW as SEGMENT_MOR
 from wavequake.workflows.store import JOURNAL, MANIFEST, done_records, open_store, read_manifest
 from wavequake.workflows.study import load_study, study_with
 from wavequake.workflows.system_disturbance import WORKFLOW as SYSTEM_DISTURBANCE
@@ -28,7 +29,7 @@ Progress = Callable[[int, int, int], None]
 
 WORKFLOWS: dict[str, Workflow] = {
     workflow.name: workflow
-    for workflow in (SEGMENT_DISTURBANCE, MIRROR_MOR, MIRROR_TRACE, SYSTEM_DISTURBANCE)
+    for workflow in (SEGMENT_DISTURBANCE, MIRROR_MOR, MIRROR_TRACE, SEGMENT_MOR, SYSTEM_DISTURBANCE)
 }
 
 

@@ -13,6 +13,7 @@ from wavequake.errors import UserError
 from wavequake.files import folder
 from wavequake.workflows.mirror_study import MirrorStudy, TraceStudy
 from wavequake.workflows.schema import Study, describe
+from wavequake.workflows.segment_mor_study import SegmentMorStudy
 from wavequake.workflows.segment_study import SegmentStudy
 from wavequake.workflows.system_study import SystemStudy
 
@@ -20,6 +21,7 @@ from wavequake.workflows.system_study import SystemStudy
 STUDIES: dict[str, type[Study]] = {
     "segment-disturbance": SegmentStudy,
     "mirror-mor": MirrorStudy,
+    "segment-mor": SegmentMorStudy,
     "mirror-trace": TraceStudy,
     "system-disturbance": SystemStudy,
 }
