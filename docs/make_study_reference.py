@@ -1,21 +1,26 @@
 """Write the tables of keys in docs/study.md from the code: ``python docs/make_study_reference.py``."""
 
+from collections.abc import Iterator
 from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from wavequake.workflows.segment_study import SegmentStudy, SurfaceSection, disturbance_models
+from wavequake.workflows.schema import Study
+from wavequake.workflows.study import STUDIES
 
 PAGE = Path(__file__).with_name("study.md")
 MARK = "<!-- the tables below are made by make_study_reference.py -->\n"
+TAGS = ("model", "kind")  # keys that say which of several kinds an entry is of
 
 
 def table(model: type[BaseModel], skip: frozenset[str] = frozenset()) -> str:
     """Return one Markdown table: key, default, meaning."""
     lines = ["| key | default | meaning |", "|---|---|---|"]
     for name, info in model.model_fields.items():
-        if name in skip or name.endswith("_csv"):
+        if name in skip or name.endswith(("_csv", "_text")) or models(info.annotation):
             continue
         default = (
             "required"
@@ -23,28 +28,80 @@ def table(model: type[BaseModel], skip: frozenset[str] = frozenset()) -> str:
             else f"`{info.get_default(call_default_factory=True)}`"
         )
         lines.append(f"| `{name}` | {default} | {info.description or ''} |")
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines) + "\n" if len(lines) > 2 else ""
+
+
+def models(annotation: Any) -> list[type[BaseModel]]:
+    """Return the models that an annotation speaks of: itself, or inside Annotated, unions and tuples."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    if get_origin(annotation) in (Annotated, Union, UnionType, tuple):
+        return [model for part in get_args(annotation) for model in models(part)]
+    return []
+
+
+def is_list(annotation: Any) -> bool:
+    """Return whether an annotation is that of a list of entries."""
+    if get_origin(annotation) in (Annotated, Union, UnionType):
+        return any(is_list(part) for part in get_args(annotation))
+    return get_origin(annotation) is tuple
+
+
+def sections(model: type[BaseModel], path: str = "") -> Iterator[tuple[str, list[type[BaseModel]]]]:
+    """Yield the heading and the models of each section of a model, and of those inside it."""
+    for name, info in model.model_fields.items():
+        found = models(info.annotation)
+        if not found:
+            continue
+        place = f"{path}{name}"
+        yield (f"[[{place}]]" if is_list(info.annotation) else f"[{place}]"), found
+        for one in found:
+            yield from sections(one, f"{place}.")
+
+
+def words(model: type[BaseModel]) -> str:
+    """Return the docstring in one paragraph."""
+    return " ".join(line.strip() for line in (model.__doc__ or "").strip().splitlines())
+
+
+def kinds(heading: str, found: list[type[BaseModel]]) -> Iterator[tuple[str, str]]:
+    """Yield headings and texts of a section that is of one kind, or of one of several."""
+    if len(found) == 1:
+        yield f"`{heading}`", f"{words(found[0])}\n\n{table(found[0])}"
+        return
+    tag = next(key for key in TAGS if key in found[0].model_fields)
+    shared = found[0].__mro__[1]
+    common: frozenset[str] = frozenset()
+    if issubclass(shared, BaseModel) and len(shared.model_fields) > 0:
+        common = frozenset(shared.model_fields)
+        yield f"`{heading}`: what all have", table(shared)
+    for model in found:
+        name = model.model_fields[tag].default
+        own = {key for key in common if model.model_fields[key].default == shared.model_fields[key].default}
+        yield (
+            f'`{heading}` with `{tag} = "{name}"`',
+            f"{words(model)}\n\n{table(model, frozenset(own) | {tag})}",
+        )
 
 
 def reference() -> str:
-    """Return all tables."""
-    parts = []
-    for name, info in SegmentStudy.model_fields.items():
-        if name == "disturbance":
-            continue
-        section = info.annotation
-        assert isinstance(section, type)
-        parts.append(f"## `[{name}]`\n{(section.__doc__ or '').strip()}\n\n{table(section)}")
-    parts.append(f"## `[[telescope.surfaces]]`\n{SurfaceSection.__doc__}\n\n{table(SurfaceSection)}")
-    common = frozenset({"name", "duration_s", "instants", "share"})
-    models = disturbance_models()
-    shared = next(iter(models.values())).__mro__[1]
-    parts.append(f"## `[[disturbance]]`: what all have\nOne population of cases each.\n\n{table(shared)}")
-    for name, model in models.items():
-        words = " ".join(line.strip() for line in (model.__doc__ or "").strip().splitlines())
-        parts.append(
-            f'## `[[disturbance]]` with `model = "{name}"`\n{words}\n\n{table(model, common | {"model"})}'
-        )
+    """Return all tables: what all workflows have, then what each has of its own or shares with another."""
+    parts: list[str] = []
+    homes: dict[tuple[str, str], str] = {}
+    for workflow, study in {"": Study, **STUDIES}.items():
+        own, shared = [], {}
+        for heading, found in sections(study):
+            for title, text in kinds(heading, found):
+                home = homes.setdefault((title, text), workflow)
+                if home == workflow:
+                    own.append(f"{'###' if workflow else '##'} {title}\n{text}")
+                elif home:
+                    shared.setdefault(home, []).append(title)
+        if workflow:
+            parts.append(f"## Workflow `{workflow}`\n")
+        for home, titles in shared.items():
+            parts.append(f"As of `{home}`: {'; '.join(dict.fromkeys(titles))}.\n")
+        parts += own
     return "\n".join(parts)
 
 
