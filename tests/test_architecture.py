@@ -77,3 +77,8 @@ def test_every_package_has_its_rule():
 
 def test_files_are_readable_in_one_sitting():
     assert not [str(path) for path in MODULES if len(path.read_text().splitlines()) > 400]
+
+
+def test_test_files_have_names_of_their_own():
+    names = [path.name for path in Path(__file__).parent.rglob("test_*.py")]
+    assert sorted(names) == sorted(set(names))
