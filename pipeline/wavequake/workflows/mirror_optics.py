@@ -43,6 +43,7 @@ _NODES_PER_TERM = 4
 # What of an imported surface is flat, off its axis, or a hole: sag over radius, offset over radius, and
 # distance of the innermost node in mean distances of nodes.
 _FLAT, _OFF_AXIS, _HOLE = 1e-6, 0.02, 2.0
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -217,6 +218,13 @@ def optical_rows(optics: Optics, model: ReducedModel) -> Array:
 
 
 def mode_residuals(optics: Optics, model: ReducedModel) -> Array:
-    """Return how badly the polynomials fit each mode of a model, (r,): Störkle 2018, Eq. 4.11, Fig. 4.36."""
-    above = heights(optics.surface, displacements_mm(surface_modes(model).T))
-    return relative_residual(optics.surface, above, coefficients(optics.surface, above))
+    """Return how badly the polynomials fit each mode of a model, (r,): Störkle 2018, Eq. 4.11, Fig. 4.36.
+
+    0 for a mode that leaves the surface as it is, such as a turn about the axis.
+    """
+    shapes = displacements_mm(surface_modes(model).T)
+    above = heights(optics.surface, shapes)
+    left = relative_residual(optics.surface, above, coefficients(optics.surface, above))
+    moved = np.sqrt(np.square(shapes).sum(axis=(1, 2)))
+    seen = np.sqrt(np.square(above).sum(axis=1)) > _ROUNDING * moved
+    return np.asarray(np.where(seen, left, 0.0))

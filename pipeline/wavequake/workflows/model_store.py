@@ -77,7 +77,7 @@ def keep_imported(keys: Mapping[str, Any], base: Path) -> str:
     check_model(model)
     packed = _packed(model)
     contents = hashlib.sha256()
-    for key in sorted(packed):
+    for key in sorted(packed.keys() - {"name"}):  # a renamed file is the same model
         contents.update(key.encode() + np.ascontiguousarray(packed[key]).tobytes())
     name = digest({"contents": contents.hexdigest()})
     if _read(name) is None:
