@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from wavequake.errors import StoreDamageError
 
-# Text of exceptions may hold addresses, and a stopwatch reads otherwise in every run: neither is a number of the
-# campaign.
+# Text of exceptions may hold addresses, and a stopwatch reads otherwise in every run: neither is a number of
+# the campaign. Names end so.
 _NOT_COMPARED = ("message", "seconds")
 
 Chunk = tuple[int, int]
