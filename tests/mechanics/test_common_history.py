@@ -23,10 +23,8 @@ def test_a_realization_has_the_same_bits_in_every_run_of_realizations(segments, 
 
 
 def test_realizations_names_and_seeds_do_not_share_numbers():
-    whole = np.concatenate(
-        [block(SWING, 18, 0, 50), block(SWING.model_copy(update={"name": "b"}), 18, 0, 50)]
-        + [block(SWING, 18, 0, 50, seed=4)]
-    )
+    other = SWING.model_copy(update={"name": "b"})
+    whole = np.stack([block(SWING, 18, 0, 50), block(other, 18, 0, 50), block(SWING, 18, 0, 50, seed=4)])
     assert len(np.unique(whole)) == whole.size
     assert block(SWING, 18, 2**40, 1).shape == (1, 18)
 
