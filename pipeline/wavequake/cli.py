@@ -270,12 +270,18 @@ def sensitivity(
         typer.Option(min=0, max=231, help="Zernike terms of each segment's figure (default: the study's)."),
     ] = None,
     mirror_terms: Annotated[
-        int, typer.Option(min=0, max=231, help="Zernike terms of the figure of M2 and each further mirror.")
+        int,
+        typer.Option(
+            min=0,
+            max=231,
+            help="Zernike terms of the figure of M2 and each further mirror, or of each surface.",
+        ),
     ] = 0,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Show and keep how line of sight and wavefront follow motions of every surface and segment."""
-    from wavequake.report.sensitivity import explanations, mirror_table, segment_table, surface_table
+    from wavequake.report import sensitivity as of_segments
+    from wavequake.report import system_sensitivity as of_system
     from wavequake.workflows.sensitivity import stored_sensitivity
     from wavequake.workflows.store import SENSITIVITY
     from wavequake.workflows.study import load_study
@@ -283,11 +289,10 @@ def sensitivity(
     loaded = load_study(study, overrides or [])
     path = store or Path(loaded.store.path or loaded.default_store())
     found, kept = stored_sensitivity(loaded, path, figure_terms, mirror_terms)
-    out.print(surface_table(found))
-    out.print(segment_table(found))
-    if mirror_terms:
-        out.print(mirror_table(found))
-    for line in explanations(found):
+    words_of = of_system if loaded.study.workflow == "system-disturbance" else of_segments
+    for table in words_of.tables(found):
+        out.print(table)
+    for line in words_of.explanations(found):
         out.print(line, markup=False)
     words = "Were there already, nothing was computed" if kept else "Written"
     out.print(f"{words}: {(path / SENSITIVITY).resolve()}", markup=False, soft_wrap=True)

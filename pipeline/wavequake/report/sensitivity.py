@@ -1,5 +1,6 @@
 """Sensitivities for the terminal: a table of the surfaces, one of the segments, and what the numbers mean."""
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,6 +38,14 @@ def zernike_name(j: int) -> str:
     axis = "" if m == 0 else " x" if m > 0 else " y"
     ordinal = {1: "", 2: "2nd ", 3: "3rd "}.get(order, f"{order}th ")
     return f"{ordinal}{family}{axis}"
+
+
+def tables(found: "xr.Dataset") -> Iterator[Table]:
+    """Yield the tables of surfaces, segments and figures of mirrors that a dataset holds."""
+    yield surface_table(found)
+    yield segment_table(found)
+    if "sensitivity_los_mirror" in found:
+        yield mirror_table(found)
 
 
 def surface_table(found: "xr.Dataset") -> Table:

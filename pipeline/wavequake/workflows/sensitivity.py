@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import uuid
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ from wavequake.workflows.bench import MM_PER_M, Bench, bench_of
 from wavequake.workflows.journal import digest, flush_folder
 from wavequake.workflows.provenance import collect
 from wavequake.workflows.schema import Study
+from wavequake.workflows.segment_study import SegmentStudy
 from wavequake.workflows.store import (
     MANIFEST,
     SENSITIVITY,
@@ -29,6 +31,7 @@ from wavequake.workflows.store import (
     write_errors_explained,
 )
 from wavequake.workflows.study import load_study, study_with
+from wavequake.workflows.system_study import SystemStudy
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -49,7 +52,7 @@ def sensitivity(
     mirror_terms: int = 0,
     **overrides: Any,
 ) -> "xr.Dataset":
-    """Return the kinematic-optical sensitivities of a study's telescope.
+    """Return the kinematic-optical sensitivities of a study's telescope or optical system.
 
     Parameters
     ----------
@@ -60,7 +63,8 @@ def sensitivity(
     figure_terms : int, optional
         Circular Noll Zernike terms of the figure of each segment; by default those of the study.
     mirror_terms : int
-        The same of each mirror after M1 (Störkle 2018, Eq. 4.26), over the axial beam's footprint.
+        The same of each mirror after M1 (Störkle 2018, Eq. 4.26), over the axial beam's footprint; of each
+        surface of any other optical system.
     **overrides
         Further keys with double underscores for dots, e.g. ``optics__wavelength_nm=1000.0``.
 
@@ -94,19 +98,55 @@ def stored_sensitivity(
     StoreDamageError
         If what is there cannot be read.
     """
-    text, target = study.identity_text(), path / SENSITIVITY
+    if isinstance(study, SystemStudy):
+        from wavequake.workflows.system_sensitivity import stored_system_sensitivity  # it builds on this
+
+        return stored_system_sensitivity(study, path, figure_terms, mirror_terms)
+    if not isinstance(study, SegmentStudy):
+        raise UserError(f"The workflow {study.study.workflow} of {study.study.name} has no sensitivities.")
+    require_own_store(study, path)
     device = choose_device(study.campaign.device)
+    bench = bench_of(study.identity_text())
+    terms = bench.figure_terms if figure_terms is None else figure_terms
+    require_terms(terms, mirror_terms)
+    if mirror_terms and len(bench.system.surfaces) < 2:
+        raise UserError(f"The telescope {bench.system.name} has no mirror after M1 that could have a figure.")
+    return kept_or_made(
+        study,
+        path,
+        {"figure_terms": terms, "mirror_terms": mirror_terms},
+        lambda: dataset(bench, _of_bench(bench, device, terms, mirror_terms), device),
+    )
+
+
+def require_terms(*numbers: int) -> None:
+    """Raise UserError unless the numbers of Zernike terms can be."""
+    for number in numbers:
+        if not 0 <= number <= _MOST_TERMS:
+            raise UserError(f"There cannot be {number} figure terms; choose from 0 to {_MOST_TERMS}.")
+
+
+def require_own_store(study: Study, path: Path) -> None:
+    """Raise UserError if the store at `path` is that of another study, or no store."""
     refuse_foreign(path)
     if (path / MANIFEST).exists():
         manifest = read_manifest(path)
-        refuse_other(path, manifest, study.study.workflow, text, manifest.device_kind)
-    bench = bench_of(text)
-    terms = bench.figure_terms if figure_terms is None else figure_terms
-    for number in (terms, mirror_terms):
-        if not 0 <= number <= _MOST_TERMS:
-            raise UserError(f"There cannot be {number} figure terms; choose from 0 to {_MOST_TERMS}.")
-    if mirror_terms and len(bench.system.surfaces) < 2:
-        raise UserError(f"The telescope {bench.system.name} has no mirror after M1 that could have a figure.")
+        refuse_other(path, manifest, study.study.workflow, study.identity_text(), manifest.device_kind)
+
+
+def kept_or_made(
+    study: Study, path: Path, terms: Mapping[str, int], make: Callable[[], "xr.Dataset"]
+) -> tuple["xr.Dataset", bool]:
+    """Return the sensitivities that a store keeps if they have these `terms`, or those that are made now.
+
+    Raises
+    ------
+    UserError
+        If it keeps those of another study, or cannot be written.
+    StoreDamageError
+        If what is there cannot be read.
+    """
+    text, target = study.identity_text(), path / SENSITIVITY
     if target.exists():
         kept = open_sensitivity(path)
         if kept.attrs["study"] != text:
@@ -115,10 +155,10 @@ def stored_sensitivity(
                 f"{target} belongs to another study ({name}-{kept.attrs['study_sha256'][:8]}, this one is "
                 f"{study.study.name}-{study.identity()[:8]}); choose another --store."
             )
-        if (kept.attrs["figure_terms"], kept.attrs["mirror_terms"]) == (terms, mirror_terms):
+        if all(kept.attrs.get(key) == value for key, value in terms.items()):
             return kept, True
-    made = dataset(bench, _of_bench(bench, device, terms, mirror_terms), device)
-    made.attrs |= {"figure_terms": terms, "mirror_terms": mirror_terms}
+    made = make()
+    made.attrs |= dict(terms)
     _write(made, target)
     return open_sensitivity(path), False
 

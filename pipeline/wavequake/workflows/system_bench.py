@@ -1,6 +1,7 @@
 """What a system-disturbance study prepares once per process: the system, its bodies, rays, fits, and rest."""
 
 import difflib
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -68,22 +69,28 @@ def system_bench(study_text: str) -> SystemBench:
         bodies = tuple(rigid_body(system, one.name, one.surfaces, one.about_mm) for one in study.body)
         _require_elements(study, system)
         system = _deformable(study, system)
-        pupil = sunflower(system.pupil.obscuration, 1.0, study.optics.rays)
-        prepared = tuple(
-            tuple(
-                prepare_system(
-                    system, pupil.x, pupil.y, pupil.weight, study.wavefront.zernike_terms, field, wavelength
-                )
-                for wavelength in map(float, system.wavelengths)
-            )
-            for field in range(len(system.fields))
-        )
+        prepared = prepared_fields(study, system, range(len(system.wavelengths)))
         rest = rest_states(system)
         static = tuple(tuple(measure_system(one, rest, NUMPY) for one in row) for row in prepared)
         for row, found in zip(prepared, static, strict=True):
             for one, wavefront in zip(row, found, strict=True):
                 _require_light(one, wavefront, rest)
     return SystemBench(study, system, bodies, prepared, static)
+
+
+def prepared_fields(
+    study: SystemStudy, system: OpticalSystem, wavelengths: Iterable[int]
+) -> tuple[tuple[PreparedSystem, ...], ...]:
+    """Return what the trace takes, per field and chosen wavelength."""
+    pupil, terms = sunflower(system.pupil.obscuration, 1.0, study.optics.rays), study.wavefront.zernike_terms
+    chosen = [float(system.wavelengths[index]) for index in wavelengths]
+    return tuple(
+        tuple(
+            prepare_system(system, pupil.x, pupil.y, pupil.weight, terms, field, wavelength)
+            for wavelength in chosen
+        )
+        for field in range(len(system.fields))
+    )
 
 
 def element_names(study: SystemStudy, system: OpticalSystem) -> tuple[str, ...]:
@@ -122,6 +129,15 @@ def _deformable(study: SystemStudy, system: OpticalSystem) -> OpticalSystem:
             if isinstance(part, SurfaceDeformation):
                 for index in (surface_index(system, name) for name in part.of):
                     terms[index] = max(terms.get(index, 0), *part.rms_nm)
+    return deformable(system, terms)
+
+
+def deformable(system: OpticalSystem, terms: Mapping[int, int]) -> OpticalSystem:
+    """Return the system in which surfaces, by index, can deform by at least so many Noll terms.
+
+    A surface that could not deform before does so over its semi-diameter, or else over what the beams of all
+    fields fill.
+    """
     surfaces = [
         _able(system, index, surface, terms[index]) if index in terms else surface
         for index, surface in enumerate(system.surfaces)

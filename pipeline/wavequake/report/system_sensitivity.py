@@ -1,0 +1,105 @@
+"""The sensitivities of an optical system as tables for the terminal."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from wavequake.report.sensitivity import zernike_name
+from wavequake.report.table import MISSING, number
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Array = NDArray[np.float64]
+
+_NOTHING = 1e-6  # of the largest number of the same unit: what rounding leaves of a zero
+_TITLES = {
+    "surface": "Surfaces: motion about the vertex, in the surface's own axes",
+    "body": "Bodies: motion about the body's point, in the axes of its first surface",
+    "deformation": "Figures of surfaces, heights along z",
+}
+
+
+def tables(found: "xr.Dataset") -> Iterator[Table]:
+    """Yield the tables of surfaces, bodies and figures that a dataset holds."""
+    for name in _TITLES:
+        if f"sensitivity_los_{name}" in found:
+            yield _table(found, name)
+
+
+def _table(found: "xr.Dataset", name: str) -> Table:
+    zernike = found[f"sensitivity_zernike_{name}"]
+    element, column = map(str, zernike.dims[1:3])
+    fields, labels = ([str(one) for one in found[key].values] for key in ("field", column))
+    turning = name != "deformation"
+    units = (" or rad", "µm or µrad") if turning else ("", "nm")
+    table = Table(
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        title=f"{_TITLES[name]}\nLOS in mm per mm{units[0]}; WFE rms, j ≥ 4, in nm per {units[1]}",
+        title_justify="left",
+    )
+    table.add_column(f"{element}\n{'motion' if turning else 'figure'}")
+    for axis in "xy":
+        table.add_column(f"LOS {axis}\n{fields[0]}", justify="right", no_wrap=True)
+    for field in fields:
+        table.add_column(f"WFE\n{field}", justify="right", no_wrap=True)
+    table.add_column(f"largest term\n{fields[-1]}", no_wrap=True)
+    turns = np.array([label.startswith("r") for label in labels])
+    los = _zeroed(found[f"sensitivity_los_{name}"].values * np.where(turns, 1.0, 1e-3)[:, None], turns)
+    waves = _zeroed(zernike.values[..., 3:] * (1e-6 if turning else 1e-9), turns)
+    rms = np.sqrt(np.sum(waves**2, axis=-1))
+    for row, label in enumerate(map(str, found[element].values)):
+        head = f"[bold]{label}[/]"
+        for index, dof in enumerate(labels):
+            if not (los[:, row, index].any() or rms[:, row, index].any()):
+                continue
+            cells = [number(float(value), 5) for value in los[0, row, index]]
+            cells += [number(float(value), 4) for value in rms[:, row, index]]
+            motion = dof if turning else f"Z{dof}"
+            table.add_row(f"{head}  {motion}", *cells, _largest(waves[-1, row, index]))
+            head = " " * len(label)
+        table.add_section()
+    return table
+
+
+def _largest(values: Array) -> str:
+    place = int(np.argmax(np.abs(values)))
+    return zernike_name(place + 4) if values[place] else MISSING
+
+
+def _zeroed(values: Array, turns: NDArray[np.bool_]) -> Array:
+    """Zero what is small beside the largest of values (field, element, dof, ...) of the same unit."""
+    kept = values.copy()
+    for mask in (turns, ~turns):
+        part = kept[:, :, mask]
+        size = np.abs(part)
+        kept[:, :, mask] = np.where(size < _NOTHING * size.max(initial=0.0), 0.0, part)
+    return kept
+
+
+def explanations(found: "xr.Dataset") -> list[str]:
+    """Return what the numbers mean, how they were made and how far two steps agree, in lines."""
+    attrs = found.attrs
+    errors = "; ".join(
+        f"{name} {attrs[f'worst_step_error_{name}']}"
+        for name in _TITLES
+        if f"worst_step_error_{name}" in attrs
+    )
+    steps = found["step_surface"].values
+    lines = [
+        f"At {attrs['wavelength_nm']:.6g} nm. LOS: {attrs['line_of_sight']}, in the image plane. WFE: rms of "
+        "the fitted Zernike terms j ≥ 4. Motions that change neither are left out.",
+        f"Central differences, steps {steps[0]:g} m and {steps[3]:.2g} rad. Steps twice as large agree to "
+        f"(worst, relative): {errors}.",
+    ]
+    if not attrs["steps_agree"]:
+        lines.append(
+            f"Not to be trusted: the columns whose step_error is above {attrs['step_tolerance']:g}. A ray "
+            "crosses an edge there or the system acts nonlinearly."
+        )
+    return lines
