@@ -9,7 +9,15 @@ from rich.table import Table
 
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.devices import choose_device
-from wavequake.report import mirror_traces, mirrors, segment_variants, segments, systems
+from wavequake.report import (
+    exposures,
+    mirror_exposures,
+    mirror_traces,
+    mirrors,
+    segment_variants,
+    segments,
+    systems,
+)
 from wavequake.report.export import export, target_of
 from wavequake.workflows.store import JOURNAL, REPORT, Manifest, open_store, read_manifest
 from wavequake.workflows.verify import verify_store
@@ -21,6 +29,8 @@ _REPORTS: dict[str, ModuleType] = {
     "segment-mor": segment_variants,
     "mirror-trace": mirror_traces,
     "system-disturbance": systems,
+    "telescope-exposure": exposures,
+    "mirror-exposure": mirror_exposures,
 }
 
 

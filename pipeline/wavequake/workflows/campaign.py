@@ -12,6 +12,7 @@ from wavequake.kernels.devices import choose_device
 from wavequake.workflows.contract import Workflow
 from wavequake.workflows.engine import CampaignSummary, run_campaign
 from wavequake.workflows.journal import read_journal
+from wavequake.workflows.mirror_exposure import WORKFLOW as MIRROR_EXPOSURE
 from wavequake.workflows.mirror_mor import WORKFLOW as MIRROR_MOR
 from wavequake.workflows.mirror_trace import WORKFLOW as MIRROR_TRACE
 from wavequake.workflows.schema import Study
@@ -20,6 +21,7 @@ from wavequake.workflows.segment_mor import WORKFLOW as SEGMENT_MOR
 from wavequake.workflows.store import JOURNAL, MANIFEST, done_records, open_store, read_manifest
 from wavequake.workflows.study import load_study, study_with
 from wavequake.workflows.system_disturbance import WORKFLOW as SYSTEM_DISTURBANCE
+from wavequake.workflows.telescope_exposure import WORKFLOW as TELESCOPE_EXPOSURE
 from wavequake.workflows.verify import verify_store
 
 if TYPE_CHECKING:
@@ -29,7 +31,15 @@ Progress = Callable[[int, int, int], None]
 
 WORKFLOWS: dict[str, Workflow] = {
     workflow.name: workflow
-    for workflow in (SEGMENT_DISTURBANCE, MIRROR_MOR, MIRROR_TRACE, SEGMENT_MOR, SYSTEM_DISTURBANCE)
+    for workflow in (
+        SEGMENT_DISTURBANCE,
+        MIRROR_MOR,
+        MIRROR_TRACE,
+        SEGMENT_MOR,
+        SYSTEM_DISTURBANCE,
+        TELESCOPE_EXPOSURE,
+        MIRROR_EXPOSURE,
+    )
 }
 
 

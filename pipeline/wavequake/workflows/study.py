@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from wavequake.errors import UserError
 from wavequake.files import folder
+from wavequake.workflows.exposure_study import MirrorExposureStudy, TelescopeExposureStudy
 from wavequake.workflows.mirror_study import MirrorStudy, TraceStudy
 from wavequake.workflows.schema import Study, describe
 from wavequake.workflows.segment_mor_study import SegmentMorStudy
@@ -24,6 +25,8 @@ STUDIES: dict[str, type[Study]] = {
     "segment-mor": SegmentMorStudy,
     "mirror-trace": TraceStudy,
     "system-disturbance": SystemStudy,
+    "telescope-exposure": TelescopeExposureStudy,
+    "mirror-exposure": MirrorExposureStudy,
 }
 # Keys that name files.
 _FILES = ("file", "mass", "dofs", "mesh", "polygons", "corners")

@@ -1,0 +1,89 @@
+"""Figures of exposures: panels with the track of the line of sight, and histories over time."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+
+Array = NDArray[np.float64]
+
+# Decades below the peak that a picture shows.
+_DECADES = 4
+_TRACK = "#ff4d4d"
+
+
+@dataclass(frozen=True)
+class Panel:
+    """An exposure (n, n), its title, and the track (instants, 2) of its line of sight in lambda/D."""
+
+    title: str
+    image: Array
+    track: Array
+
+
+@rc_context(STYLE)
+def exposure_panels(panels: Sequence[Panel], axis: Array) -> Figure:
+    """Show exposures with one logarithmic scale and the line of sight as a line (Fig. 4.32b and 4.45)."""
+    columns = 2 if len(panels) > 1 else 1
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(WIDTH, HEIGHT * rows / 2 if rows > 1 else HEIGHT), layout="constrained")
+    places = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    top = max(float(panel.image.max()) for panel in panels)
+    half = 0.5 * (axis[1] - axis[0])
+    extent = (axis[0] - half, axis[-1] + half, axis[0] - half, axis[-1] + half)
+    picture = None
+    for place, panel in zip(places, panels, strict=False):
+        floor = 10.0**-_DECADES * top
+        picture = place.imshow(
+            np.maximum(panel.image, floor), norm=LogNorm(floor, top), origin="lower", extent=extent
+        )
+        place.plot(panel.track[:, 0], panel.track[:, 1], color=_TRACK, linewidth=0.8)
+        place.plot(*panel.track[-1], "o", color=_TRACK, markersize=2.0)
+        place.set_xlim(*extent[:2])
+        place.set_ylim(*extent[2:])
+        place.set_title(panel.title, fontsize=8)
+    for place in places[len(panels) :]:
+        place.set_visible(False)
+    figure.supxlabel("x (λ/D)", fontsize=8)
+    figure.supylabel("y (λ/D)", fontsize=8)
+    if picture is not None:
+        figure.colorbar(picture, ax=list(places), shrink=0.8, label="irradiance; 1 = perfect peak")
+    return figure
+
+
+@rc_context(STYLE)
+def line_of_sight(time_ms: Array, tracks: Mapping[str, Array], unit: str) -> Figure:
+    """Draw x and y of lines of sight (instants, 2) over time (Fig. 4.43)."""
+    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
+    for place, axes in enumerate(figure.subplots(2, sharex=True)):
+        for number, (name, track) in enumerate(tracks.items()):
+            axes.plot(time_ms, track[:, place], label=name, **_style(number))
+        axes.set_ylabel(f"line of sight {'xy'[place]} ({unit})")
+    axes.set_xlabel("time (ms)")
+    axes.legend(fontsize=7.5)
+    return figure
+
+
+@rc_context(STYLE)
+def wavefront_error(time_ms: Array, histories: Mapping[str, Array]) -> Figure:
+    """Draw the rms of the wavefront over time (Fig. 4.44)."""
+    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
+    axes = figure.add_subplot()
+    for number, (name, values) in enumerate(histories.items()):
+        axes.plot(time_ms, values, label=name, **_style(number))
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("time (ms)")
+    axes.set_ylabel("wavefront error rms, j ≥ 4 (nm)")
+    axes.legend(fontsize=7.5)
+    return figure
+
+
+def _style(number: int) -> dict[str, Any]:
+    return {"color": COLORS[number % len(COLORS)], "linestyle": LINES[number % len(LINES)], "linewidth": 1.3}

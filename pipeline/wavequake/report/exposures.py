@@ -1,0 +1,162 @@
+"""The report of a telescope-exposure store: what each controller does for the image, what shortcuts miss."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from wavequake.report import exposure_figures as draw
+from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.populations import Excluded
+from wavequake.report.table import number
+from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
+
+Array = NDArray[np.float64]
+
+_HEADERS = (
+    *("disturbance", "controller", "WFE (nm)", "LOS rms (mas)", "peak", "EE50 (λ/D)", "EE80 (λ/D)"),
+    *("LOS only", "Gaussian"),
+)
+_ERRORS = ("image_error", "peak_error")
+_SMALL_PRINT = (
+    "Medians over cases; WFE: mean over time of the rms of the fitted Zernike terms j ≥ 4; EE: > field where "
+    "the circle leaves the frame. LOS only and Gaussian are shortcuts for the exposure: L2 norm of the "
+    "difference of unit-energy images; in small print the error of the peak."
+)
+_DEFINITIONS = (
+    ("static", "The telescope at rest."),
+    ("disturbed", "Nothing is done about the disturbance."),
+    ("rigid", "M2 tilts so that the line of sight stays, Störkle 2018, Eq. 4.25, without delay or error."),
+    ("elastic", "M2 deforms so that line of sight and fitted wavefront stay, Eq. 4.27, likewise."),
+    ("exposure", "Mean of every instant's own image, placed at its own line of sight, Eq. 3.79."),
+    ("LOS only", "The image at rest convolved with the trajectory of the line of sight, Eq. 3.80."),
+    ("Gaussian", "The image at rest blurred by a Gaussian of the trajectory's mean and covariance."),
+    (
+        "fitted terms",
+        "Images of the wavefronts that the Zernike terms describe; those of all rays also hold what segments "
+        "leave beside the terms, which no deformation of M2 by these terms takes away.",
+    ),
+)
+
+
+def table_of(store: Path, dataset: xr.Dataset) -> Table:
+    """Return the table of a store for the terminal."""
+    table = Table(box=SIMPLE_HEAD, caption=answer(dataset), caption_justify="left")
+    for place, header in enumerate(_HEADERS):
+        table.add_column(header, justify="left" if place < 2 else "right")
+    for row in _rows(dataset):
+        table.add_row(*(value for value, _ in row.values()))
+    return table
+
+
+def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
+    """Write the HTML report."""
+    page = Page(
+        answer=answer(dataset),
+        table=_rows(dataset),
+        small_print=_SMALL_PRINT,
+        overview=[],
+        sections=[Section(name, list(_figures(cases, name))) for name, cases in _populations(dataset)],
+        definitions=list(_DEFINITIONS),
+        kind="disturbance",
+        left_out=_left_out(dataset),
+    )
+    return write_page(render_page(dataset, page), target)
+
+
+def answer(dataset: xr.Dataset) -> str:
+    """Say what is left of the peak under each controller."""
+    words = []
+    for name, cases in _populations(dataset):
+        peaks = {
+            str(c): float(np.median(np.asarray(cases["peak"].sel(controller=c))))
+            for c in cases["controller"].values
+        }
+        words.append(
+            f"{name}: of the peak at rest the exposure keeps {_part(peaks, 'disturbed')} disturbed, "
+            f"{_part(peaks, 'rigid')} with a rigid M2 and {_part(peaks, 'elastic')} with an elastic one."
+        )
+    return " ".join(words) or "No case is done yet."
+
+
+def _part(peaks: dict[str, float], controller: str) -> str:
+    return f"{number(100.0 * peaks[controller] / peaks['static'])} %"
+
+
+def _populations(dataset: xr.Dataset) -> Iterator[tuple[str, xr.Dataset]]:
+    """Yield each disturbance's finished cases."""
+    done = dataset.isel(case=np.flatnonzero(dataset["status"].to_numpy() == DONE))
+    names = done["disturbance"].to_numpy()
+    for name in dict.fromkeys(names):
+        yield str(name), done.isel(case=np.flatnonzero(names == name))
+
+
+def _rows(dataset: xr.Dataset) -> list[dict[str, tuple[str, str]]]:
+    rows = []
+    for name, cases in _populations(dataset):
+        names = ["wfe_rms", "los", "peak", "ee50", "ee80", *_ERRORS]
+        numbers: xr.Dataset = cases[names].load()
+        for controller in map(str, cases["controller"].to_numpy()):
+            one = numbers.sel(controller=controller)
+            los = one["los"] - one["los"].mean("time")
+            cells = [
+                (name, ""),
+                (controller, ""),
+                (number(float(one["wfe_rms"].mean("time").median())), ""),
+                (number(float(((los**2).sum("axis").mean("time") ** 0.5).median())), ""),
+                (number(float(one["peak"].median())), ""),
+                *((_radius(float(one[key].median())), "") for key in ("ee50", "ee80")),
+            ]
+            for shortcut in ("los_only", "gaussian"):
+                image, peak = (float(one[key].sel(shortcut=shortcut).median()) for key in _ERRORS)
+                cells.append((f"{image:.1e}", f"{number(100.0 * peak)} %"))
+            rows.append(dict(zip(_HEADERS, cells, strict=True)))
+    return rows
+
+
+def _radius(value: float) -> str:
+    return number(value) if np.isfinite(value) else "> field"
+
+
+def _figures(cases: xr.Dataset, name: str) -> Iterator[Picture]:
+    """Draw the case with the median peak of the disturbed exposure."""
+    peaks = cases["peak"].sel(controller="disturbed").to_numpy()
+    shown = cases.isel(case=int(np.argsort(peaks, kind="stable")[(len(peaks) - 1) // 2])).load()
+    kept = np.isfinite(shown["time_s"].to_numpy())
+    time = shown["time_s"].to_numpy()[kept] * 1e3
+    controllers = [str(one) for one in shown["controller"].to_numpy()]
+    axis, case = shown["x"].to_numpy(), int(shown["case"])
+    los = {one: shown["los"].sel(controller=one).to_numpy()[kept] for one in controllers}
+    wfe = {one: shown["wfe_rms"].sel(controller=one).to_numpy()[kept] for one in controllers}
+    per_mas = 1.0 / float(shown["resolution_mas"])
+    for key, text in (
+        ("exposure", f"Exposures of case {case}, and the line of sight"),
+        ("exposure_fitted", f"Exposures of case {case}, of the fitted Zernike terms alone"),
+        ("exposure_los_only", f"Case {case} by the shortcut: image at rest along the line of sight"),
+        ("exposure_gaussian", f"Case {case} by the shortcut: image at rest and Gaussian jitter"),
+    ):
+        panels = [
+            draw.Panel(one, shown[key].sel(controller=one).to_numpy(), los[one] * per_mas)
+            for one in controllers
+        ]
+        yield picture(f"{name}-{key}", text, draw.exposure_panels(panels, axis))
+    yield picture(f"{name}-los", "Line of sight over time", draw.line_of_sight(time, los, "mas"))
+    yield picture(f"{name}-wfe", "Wavefront error over time", draw.wavefront_error(time, wfe))
+
+
+def _left_out(dataset: xr.Dataset) -> list[Excluded]:
+    status, meanings = dataset["status"].to_numpy(), STATUS_MEANINGS.split()
+    return [
+        Excluded(
+            case=int(dataset["case"].to_numpy()[row]),
+            disturbance=str(dataset["disturbance"].to_numpy()[row]),
+            realization=int(dataset["realization"].to_numpy()[row]),
+            reason=meanings[status[row]],
+            message=str(dataset["message"].to_numpy()[row]),
+        )
+        for row in np.flatnonzero((status != DONE) & (status != TODO))
+    ]

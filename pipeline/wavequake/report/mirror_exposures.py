@@ -1,0 +1,153 @@
+"""The report of a mirror-exposure store: what each reduced model makes of an exposure."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from wavequake.report import exposure_figures as draw
+from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.table import number
+from wavequake.report.variants import left_out
+from wavequake.workflows.contract import DONE
+
+_HEADERS = (
+    *("model", "excitation", "variant", "WFE (nm)", "off", "LOS rms (λ/D)", "peak", "EE80 (λ/D)"),
+    *("image off", "LOS only", "Gaussian"),
+)
+_SMALL_PRINT = (
+    "WFE: largest rms over time of the Zernike terms j ≥ 4, not scaled; off: largest error of a variant as a "
+    "share of it. Image off: L2 norm of the difference of unit-energy images, of the variant from the "
+    "reference. LOS only and Gaussian are shortcuts for the exposure: the same norm, in small print the "
+    "error of the peak."
+)
+_DEFINITIONS = (
+    (
+        "exposure",
+        "Mean of every instant's own image, placed at its own line of sight (Störkle 2018, Eq. 3.79).",
+    ),
+    ("LOS only", "The image at rest convolved with the trajectory of the line of sight, Eq. 3.80."),
+    ("Gaussian", "The image at rest blurred by a Gaussian of the trajectory's mean and covariance."),
+)
+
+
+def table_of(store: Path, dataset: xr.Dataset) -> Table:
+    """Return the table of a store for the terminal."""
+    table = Table(box=SIMPLE_HEAD, caption=answer(dataset), caption_justify="left")
+    for place, header in enumerate(_HEADERS):
+        table.add_column(header, justify="left" if place < 3 else "right")
+    for row in _rows(dataset):
+        table.add_row(*(value for value, _ in row.values()))
+    return table
+
+
+def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
+    """Write the HTML report."""
+    page = Page(
+        answer=answer(dataset),
+        table=_rows(dataset),
+        small_print=_SMALL_PRINT,
+        overview=[],
+        sections=[
+            Section(f"{model}, {excitation}", list(_figures(cases, f"{model}-{excitation}", excitation)))
+            for model, cases in _models(dataset)
+            for excitation in map(str, dataset["excitation"].to_numpy())
+        ],
+        definitions=list(_DEFINITIONS),
+        kind="variant",
+        left_out=left_out(dataset),
+    )
+    return write_page(render_page(dataset, page), target)
+
+
+def answer(dataset: xr.Dataset) -> str:
+    """Say how far the variants' exposures are off the reference's."""
+    words = []
+    for row in _rows(dataset):
+        cells = {header: value for header, (value, _) in row.items()}
+        if cells["image off"] != "reference":
+            words.append(
+                f"{cells['model']}, {cells['excitation']}: {cells['variant']} is off by "
+                f"{cells['off']} in wavefront and {cells['image off']} in the exposed image."
+            )
+    return " ".join(words) or "No variant is done yet."
+
+
+def _study(dataset: xr.Dataset) -> dict[str, Any]:
+    study: dict[str, Any] = json.loads(dataset.attrs["study"])
+    return study
+
+
+def _models(dataset: xr.Dataset) -> Iterator[tuple[str, xr.Dataset]]:
+    """Yield each model's finished cases."""
+    done = dataset.isel(case=np.flatnonzero(dataset["status"].to_numpy() == DONE))
+    names = done["model"].to_numpy()
+    for name in dict.fromkeys(names):
+        yield str(name), done.isel(case=np.flatnonzero(names == name))
+
+
+def _rows(dataset: xr.Dataset) -> list[dict[str, tuple[str, str]]]:
+    study = _study(dataset)
+    reference, scale = study["reduction"]["reference"], study["imaging"]["scale"]
+    rows = []
+    for model, cases in _models(dataset):
+        for excitation in map(str, cases["excitation"].to_numpy()):
+            for case in range(cases.sizes["case"]):
+                one = cases.sel(excitation=excitation).isel(case=case)
+                cells = _cells(one, reference, scale, cases.sel(excitation=excitation))
+                values = ((model, ""), (excitation, ""), *cells)
+                rows.append(dict(zip(_HEADERS, values, strict=True)))
+    return rows
+
+
+def _cells(one: xr.Dataset, reference: str, scale: float, cases: xr.Dataset) -> Iterator[tuple[str, str]]:
+    variant = str(one["variant"].to_numpy())
+    los = one["los_mm"].to_numpy() * scale / float(one["resolution_mm"])
+    wfe, ee80 = float(one["wfe_rms"].max()), float(one["ee80"])
+    yield variant, ""
+    yield number(wfe), ""
+    yield f"{number(100.0 * float(one['wfe_error'].max()) / wfe)} %" if wfe > 0.0 else "–", ""
+    yield f"{np.sqrt(np.mean(np.sum((los - los.mean(axis=0)) ** 2, axis=1))):.1g}", ""
+    yield number(float(one["peak"])), ""
+    yield number(ee80) if np.isfinite(ee80) else "> field", ""
+    others = np.flatnonzero(cases["variant"].to_numpy() == reference)
+    if variant == reference or not len(others):
+        yield "reference" if variant == reference else "–", ""
+    else:
+        images = [part["exposure"].to_numpy() for part in (one, cases.isel(case=int(others[0])))]
+        first, second = (image / image.sum() for image in images)
+        yield f"{np.linalg.norm(first - second):.1e}", ""
+    for shortcut in ("los_only", "gaussian"):
+        errors = one.sel(shortcut=shortcut)
+        yield f"{float(errors['image_error']):.1e}", f"{number(100.0 * float(errors['peak_error']))} %"
+
+
+def _figures(cases: xr.Dataset, key: str, excitation: str) -> Iterator[Picture]:
+    scale = float(_study(cases)["imaging"]["scale"])
+    part = cases.sel(excitation=excitation).load()
+    variants = [str(one) for one in part["variant"].to_numpy()]
+    time, axis = part["time"].to_numpy() * 1e3, part["x"].to_numpy()
+    tracks = {
+        one: part["los_mm"].isel(case=row).to_numpy() * (scale / float(part["resolution_mm"].isel(case=row)))
+        for row, one in enumerate(variants)
+    }
+    wfe = {one: part["wfe_rms"].isel(case=row).to_numpy() for row, one in enumerate(variants)}
+    static = draw.Panel("static", part["exposure_static"].isel(case=0).to_numpy(), np.zeros((1, 2)))
+    for name, text in (
+        ("exposure", "Exposures, and the line of sight"),
+        ("exposure_los_only", "By the shortcut: image at rest along the line of sight"),
+        ("exposure_gaussian", "By the shortcut: image at rest and Gaussian jitter"),
+    ):
+        panels = [
+            draw.Panel(one, part[name].isel(case=row).to_numpy(), tracks[one])
+            for row, one in enumerate(variants[:3])
+        ]
+        figure = draw.exposure_panels([static, *panels], axis)
+        yield picture(f"{key}-{name}", f"{text}, scale {scale:g}", figure)
+    yield picture(f"{key}-los", "Line of sight over time, scaled", draw.line_of_sight(time, tracks, "λ/D"))
+    yield picture(f"{key}-wfe", "Wavefront error over time", draw.wavefront_error(time, wfe))

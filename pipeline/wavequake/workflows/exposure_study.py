@@ -1,0 +1,53 @@
+"""Study files of the workflows "telescope-exposure" and "mirror-exposure"."""
+
+from pydantic import Field, model_validator
+
+from wavequake.workflows.mirror_study import MirrorStudy
+from wavequake.workflows.schema import Section
+from wavequake.workflows.segment_study import SegmentStudy
+
+
+class ExposureSection(Section):
+    """How strongly the telescope is disturbed, and what the deformable M2 can do about it."""
+
+    scale: float = Field(
+        default=5.0,
+        gt=0,
+        le=1e6,
+        description="of all disturbances, so that the image shows what they do; all numbers are those of the "
+        "scaled motion",
+    )
+    figure_terms: int | None = Field(
+        default=None,
+        ge=4,
+        le=231,
+        description="Noll terms with which M2 is deformed; default: as many as wavefront.zernike_terms",
+    )
+
+
+class TelescopeExposureStudy(SegmentStudy):
+    """A validated study file of ``telescope-exposure``."""
+
+    exposure: ExposureSection = ExposureSection()
+
+    @model_validator(mode="after")
+    def _the_correction_is_measured(self) -> "TelescopeExposureStudy":
+        if self.wavefront.method != "opd" or self.wavefront.reference != "chief":
+            raise ValueError("exposures need wavefront.method = 'opd' and wavefront.reference = 'chief'")
+        if self.figure_terms > self.wavefront.zernike_terms:
+            raise ValueError(
+                f"exposure.figure_terms {self.figure_terms} is more than wavefront.zernike_terms "
+                f"{self.wavefront.zernike_terms}, which cannot tell such deformations apart"
+            )
+        if self.store.keep:
+            raise ValueError("store.keep belongs to segment-disturbance; leave it out")
+        return self
+
+    @property
+    def figure_terms(self) -> int:
+        """Number of Noll terms of M2's deformation."""
+        return self.exposure.figure_terms or self.wavefront.zernike_terms
+
+
+class MirrorExposureStudy(MirrorStudy):
+    """A validated study file of ``mirror-exposure``: cases are the variants of each model."""

@@ -1,0 +1,173 @@
+"""The workflow "mirror-exposure": what a detector receives of a vibrating mirror, by reduced model.
+
+A case is one variant of one model, as in mirror-mor. Its image is exposed over the time response to each
+excitation, as in Störkle 2018, Fig. 4.32.
+"""
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from wavequake.errors import UserError
+from wavequake.imaging.exposure_models import cut
+from wavequake.imaging.matrix_fourier import psf
+from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.workflows.exposures import CANVAS, exposed, exposure_variables, frame_coordinates
+from wavequake.workflows.mirror_bench import (
+    aberrations_over_time,
+    bench_of,
+    image_of,
+    study_of,
+    time_of,
+    variant_of,
+)
+from wavequake.workflows.mirror_mor import case_table, cases_of
+from wavequake.workflows.mirror_optics import Optics, optical_rows
+from wavequake.workflows.mirror_study import MirrorStudy
+
+Array = NDArray[np.float64]
+
+# Instants at once: bounds the memory, however long an exposure is.
+_BLOCK = 32
+
+
+def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
+    """Expose the images of the variants `cases`; one that does not suit the model is quarantined."""
+    study = study_of(study_text)
+    arrays = {
+        name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
+        for name, variable in template(study_text).per_case.items()
+    }
+    status, messages = np.full(len(cases), DONE, dtype=np.int8), [""] * len(cases)
+    with threadpool_limits(1):
+        for row, (name, variant) in enumerate(cases_of(study)[int(case)] for case in cases):
+            try:
+                found = exposed_variant(study_text, name, variant)
+            except UserError as error:
+                status[row], messages[row] = RAISED, str(error)
+                continue
+            for key, value in found.items():
+                arrays[key][row] = value
+    return ChunkResult(arrays, status, tuple(messages))
+
+
+def exposed_variant(study_text: str, model: str, variant: str) -> dict[str, Any]:
+    """Return all stored numbers of one variant of a model."""
+    study, optics = study_of(study_text), bench_of(study_text, model).optics
+    aberrations = aberrations_of(study_text, model, variant)
+    static = next(local_images(study, optics, np.zeros((1, aberrations.shape[2]))))[0]
+    found: dict[str, list[Array]] = {}
+    for history in aberrations:
+        for name, values in _exposure(study, optics, history, static).items():
+            found.setdefault(name, []).append(values)
+    reference = aberrations_of(study_text, model, study.reduction.reference)
+    return {
+        **{name: np.stack(values) for name, values in found.items()},
+        "wfe_rms": _wavefront_error(aberrations),
+        "wfe_error": _wavefront_error(aberrations - reference),
+        "los_mm": aberrations[..., :2],
+        "exposure_static": cut(static, study.imaging.pixels),
+        "resolution_mm": optics.resolution,
+    }
+
+
+@lru_cache(maxsize=2)
+def aberrations_of(study_text: str, model: str, variant: str) -> Array:
+    """Return what a variant does over time, (excitation, time, 2 + J): line of sight in mm, terms in nm."""
+    with threadpool_limits(1):
+        bench = bench_of(study_text, model)
+        reduced = variant_of(bench, variant)
+        return aberrations_over_time(study_of(study_text), reduced, optical_rows(bench.optics, reduced))
+
+
+def exposed_instants(study: MirrorStudy) -> NDArray[np.intp]:
+    """Return the instants of the time response that are exposed, evenly spread."""
+    count = study.time.instants
+    chosen = np.linspace(0, count - 1, min(study.imaging.instants, count)).round()
+    return np.unique(chosen.astype(np.intp))
+
+
+def local_images(study: MirrorStudy, optics: Optics, history: Array) -> Iterator[Array]:
+    """Yield images (block, n, n) about the line of sight of aberrations (instants, 2 + J), by blocks.
+
+    The line of sight has no part in them: it places them.
+    """
+    section, terms = study.imaging, history.shape[1] - 2
+    maker = image_of(
+        section.pupil_samples, CANVAS * section.pixels, section.sampling, optics.obscuration, terms
+    )
+    # The OPD of a positive line of sight falls along +x, a phase that moves the image to +x grows.
+    per_nm = -2.0 * np.pi * section.scale / study.optics.wavelength_nm
+    for first in range(0, len(history), _BLOCK):
+        yield psf(maker.transform, per_nm * history[first : first + _BLOCK, 5:] @ maker.basis[3:])
+
+
+def _exposure(study: MirrorStudy, optics: Optics, history: Array, static: Array) -> dict[str, Array]:
+    imaging = study.imaging
+    shown = history[exposed_instants(study)]
+    return exposed(
+        local_images(study, optics, shown),
+        static,
+        shown[:, :2] * (imaging.scale / optics.resolution),
+        imaging.pixels,
+        imaging.sampling,
+        area=np.pi * optics.radius**2 * (1.0 - optics.obscuration**2),
+        diameter=2.0 * optics.radius,
+    )
+
+
+def _wavefront_error(aberrations: Array) -> Array:
+    return np.asarray(np.sqrt(np.sum(aberrations[..., 5:] ** 2, axis=-1)))
+
+
+def template(study_text: str) -> Template:
+    """Return what a store of this study holds."""
+    study = study_of(study_text)
+    excitations, instants, pixels = len(study.excitation), study.time.instants, study.imaging.pixels
+
+    def history(units: str, long_name: str) -> Variable:
+        shape = (excitations, instants)
+        return Variable(("excitation", "time"), shape, {"units": units, "long_name": long_name})
+
+    per_case = {
+        "wfe_rms": history("nm", "wavefront error rms of the fitted Zernikes j >= 4, not scaled"),
+        "wfe_error": history("nm", "rms of the difference of wavefronts from the reference's, j >= 4"),
+        "los_mm": Variable(
+            ("excitation", "time", "axis"),
+            (excitations, instants, 2),
+            {"units": "mm", "long_name": "line of sight in the image (Störkle 2018, Eq. 3.39), not scaled"},
+        ),
+        **exposure_variables("excitation", excitations, pixels),
+        "exposure_static": Variable(
+            ("y", "x"), (pixels, pixels), {"units": "1", "long_name": "image at rest; 1 = its peak"}
+        ),
+        "resolution_mm": Variable(
+            (),
+            (),
+            {
+                "units": "mm",
+                "long_name": "lambda/D in the image: wavelength times focal length over diameter",
+            },
+        ),
+    }
+    names = np.array([excitation.name for excitation in study.excitation], dtype=object)
+    fixed = {
+        "time": (("time",), time_of(study), {"units": "s", "long_name": "time"}),
+        "excitation": (("excitation",), names, {"long_name": "excitation"}),
+        **frame_coordinates(pixels, study.imaging.sampling),
+    }
+    return Template(per_case, fixed)
+
+
+def check(study_text: str) -> None:
+    """Raise UserError for a study that no variant of can succeed: model, reference or optics do not fit."""
+    study = study_of(study_text)
+    for name in study.models:
+        aberrations_of(study_text, name, study.reduction.reference)
+
+
+WORKFLOW = Workflow("mirror-exposure", template, case_table, compute, check=check)
