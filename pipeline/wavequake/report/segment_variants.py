@@ -17,7 +17,7 @@ from wavequake.report.figures import opd_map, segment_map
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.variants import ModelResult, VariantResult, left_out, representatives
 from wavequake.workflows.bench import MAS_PER_RAD, MM_PER_M, Bench
-from wavequake.workflows.segment_mor import SHAKEN, launches
+from wavequake.workflows.segment_mor import SHAKEN, at_rest, launches
 from wavequake.workflows.segment_mor_bench import (
     chosen_segments,
     model_of,
@@ -38,7 +38,7 @@ _SMALL_PRINT = (
 _DEFINITIONS = [
     ("ε mech", "‖H - H_ref‖ / ‖H_ref‖ of the receptance at the supports (Störkle 2018, Eq. 2.10)."),
     ("ε opt", "The same of the Zernike coefficients of the segment's surface, its piston and tilt included."),
-    ("WFE", "Rms over the telescope's rays on glass about the best-fit plane, and of differences so."),
+    ("WFE", "Rms over the rays on glass of the telescope's wavefront relative to rest, plane removed."),
     ("LOS", "Direction of the best-fit plane in the image, Eq. 3.39."),
     ("f max", "Largest eigenfrequency of the reduced model: an integrator's step would have to follow it."),
     ("one, all", "Whether one segment of the telescope is shaken, or all of them."),
@@ -153,7 +153,8 @@ def detail(
             moved = motions(alone, model, variant, which.tolist())[0, instant]
             (launched,) = launches(bench, which, moved[None], choose_device(device_name))
             spot = np.stack([launched[2].x[0, :, 0], launched[2].y[0, :, 0]], axis=1)
-            parts.append((moved, launched[2].opd[0, :, 0], spot - bench.static.chief[0]))
+            opd = launched[2].opd[0] - at_rest(bench.text, device_name)
+            parts.append((moved, opd[:, 0], spot - bench.static.chief[0]))
     moved, opd, spot = parts[0] if less is None else (two - one for one, two in zip(*parts, strict=True))
     return _detail(case, bench, which, moved, opd, spot, float(dataset["time"][instant]), str(excitation))
 

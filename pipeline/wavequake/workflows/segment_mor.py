@@ -22,7 +22,7 @@ from wavequake.optics.states import SurfaceStates
 from wavequake.optics.wavefront import Wavefront, analyse
 from wavequake.reduction.metrics import eps_mor, frobenius, pseudo_frequencies, receptance
 from wavequake.reduction.names import parse
-from wavequake.workflows.bench import Bench
+from wavequake.workflows.bench import Bench, bench_of
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Workflow
 from wavequake.workflows.images import summed_images
 from wavequake.workflows.mirror_study import FULL
@@ -154,7 +154,7 @@ def traced(
 ) -> dict[str, Array]:
     """Trace motions (excitation, time, segment, 6 + J); return what is seen, and the ``opd`` of every ray.
 
-    ``opd`` (excitation, tile, ray, 16) is in nm about its best-fit plane.
+    ``opd`` (excitation, tile, ray, 16) is that beyond rest, in nm about its best-fit plane.
 
     Raises
     ------
@@ -169,7 +169,7 @@ def traced(
 def _traced_history(
     bench: Bench, which: NDArray[np.int64], history: Array, device: Device
 ) -> dict[str, Array]:
-    to_nm = bench.study.optics.wavelength_nm
+    to_nm, still = bench.study.optics.wavelength_nm, at_rest(bench.text, device.name)
     pieces: dict[str, list[Array]] = {}
     exposure = np.zeros((bench.study.imaging.pixels,) * 2)
     for first, last, rays, wavefront in launches(bench, which, history, device):
@@ -181,12 +181,14 @@ def _traced_history(
                 "segments out of the beam; lower the amplitude of the excitations."
             )
         exposure += summed_images(bench, rays, wavefront, slice(0, padded(count) // TILE), count)
+        opd = flattened(bench.prepared, rays.opd - still)
+        zernike = wavefront.zernike[here, 3:] - bench.static.zernike[0, 3:]
         for name, values in (
-            ("wfe_rms", wavefront.rms_flat[here] * to_nm),
-            ("wfe_zernike", wavefront.rms[here] * to_nm),
+            ("wfe_rms", _rms(bench.prepared, opd)[here]),
+            ("wfe_zernike", np.linalg.norm(zernike, axis=1) * to_nm),
             ("strehl", wavefront.strehl[here]),
             ("los_mm", wavefront.los[here] - bench.static.los[0]),
-            ("opd", flattened(bench.prepared, rays.opd)),
+            ("opd", opd),
         ):
             pieces.setdefault(name, []).append(values)
     return {name: np.concatenate(values) for name, values in pieces.items()} | {
@@ -206,6 +208,21 @@ def launches(
         yield first, last, rays, analyse(bench.prepared, rays, chief_rays(bench.prepared, states))
 
 
+@lru_cache(maxsize=2)
+def at_rest(bench_text: str, device_name: str) -> Array:
+    """Return the path differences of the undisturbed telescope's rays, (ray, 1) in mm."""
+    bench = bench_of(bench_text)
+    nothing = np.zeros((TILE, 0, 6 + bench.figure_terms))
+    _, _, rays, _ = next(launches(bench, np.arange(0), nothing, choose_device(device_name)))
+    return rays.opd[0, :, :1].copy()
+
+
+def _rms(prepared: PreparedTrace, flat: Array) -> Array:
+    """Return the rms over the rays of wavefronts (tile, ray, 16), over the instants."""
+    rms: Array = np.sqrt(np.einsum("n,tnl->tl", prepared.weight, flat**2)).ravel()
+    return rms
+
+
 def flattened(prepared: PreparedTrace, opd: Array) -> Array:
     """Return path differences (tile, ray, 16) in nm without their best-fit plane."""
     plane = prepared.plane
@@ -215,9 +232,7 @@ def flattened(prepared: PreparedTrace, opd: Array) -> Array:
 
 def _apart(prepared: PreparedTrace, opd: Array, reference: Array, instants: int) -> Array:
     """Return the rms over the rays of the differences of wavefronts, (excitation, time), nm."""
-    square = np.einsum("n,etnl->etl", prepared.weight, (opd - reference) ** 2)
-    rms: Array = np.sqrt(square.reshape(len(opd), -1))[:, :instants]
-    return rms
+    return np.stack([_rms(prepared, part)[:instants] for part in opd - reference])
 
 
 def _image_error(images: Array, reference: Array) -> Array:

@@ -175,7 +175,7 @@ def hexagon_of(system: SegmentedTelescope) -> tuple[float, float]:
         turn = float(np.angle(angles.mean())) / 6
         if np.abs(np.angle(angles * np.exp(-6j * turn))).max() / 6 <= np.deg2rad(_SKEW_DEG):
             radii = np.linalg.norm(segments.corners - segments.centers[:, None, :2], axis=2)
-            return float(radii.max()), turn if turn >= -1e-9 else turn + np.pi / 3
+            return float(radii.max()), turn if turn > -np.deg2rad(_SKEW_DEG) else turn + np.pi / 3
     raise UserError(
         f"The segments of the telescope {system.name} are not hexagons that lie alike in their local frames; "
         "segment-mor models such segments: choose tmt, tmt-18 or jwst."

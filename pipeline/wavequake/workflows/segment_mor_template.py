@@ -47,12 +47,15 @@ def _per_case(study: SegmentMorStudy) -> dict[str, Variable]:
         ),
         "eps_opt": spectrum("1", "relative error of the response of the segment's Zernike coefficients"),
         "wfe_rms": history(
-            "nm", "wavefront error rms over the telescope's rays on glass about the best-fit plane"
+            "nm",
+            "rms over the rays on glass of the wavefront relative to rest, best-fit plane removed",
         ),
         "wfe_error": history(
             "nm", "rms over the rays on glass of the difference from the reference's, best-fit plane removed"
         ),
-        "wfe_zernike": history("nm", "wavefront error rms of the fitted annular Zernikes j >= 4"),
+        "wfe_zernike": history(
+            "nm", "root of the sum of squares of the annular Zernikes j >= 4, relative to rest"
+        ),
         "strehl": history("1", "Strehl ratio in the direction of the best-fit plane"),
         "los_mm": Variable(
             ("excitation", "time", "axis"),
