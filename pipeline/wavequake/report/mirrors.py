@@ -74,7 +74,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
             for model in models
             for one in model.variants
         ],
-        small_print=_SMALL_PRINT,
+        small_print=f"{_SMALL_PRINT} {checked(dataset)}",
         overview=[
             picture(
                 "order", "Error of all variants over their order", draw.errors_over_order(models, criterion)
