@@ -9,7 +9,8 @@ from wavequake.cli import app
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.workflows.campaign import WORKFLOWS
 from wavequake.workflows.rerun import retry_store, statuses
-from wavequake.workflows.store import open_store
+from wavequake.workflows.status import store_status
+from wavequake.workflows.store import extend_store, open_store
 from wavequake.workflows.verify import verify_store
 
 
@@ -57,8 +58,21 @@ def test_other_statuses_are_left_alone(tmp_path, monkeypatch):
 def test_a_done_case_with_other_numbers_alarms(tmp_path, monkeypatch):
     path = failed_store(tmp_path, monkeypatch)
     (tmp_path / "flag").touch()
-    with pytest.raises(StoreDamageError, match=r"cases 10 to 19 .* strehl of cases"):
+    before, digests = open_store(path).load(), toy.digests(path)
+    with pytest.raises(StoreDamageError, match=r"cases 10 to 19 .* strehl of cases .*Nothing was changed"):
         retry_store(workflow(tmp_path / "flag", 1e-9), path, statuses("2"), on="serial")
+    assert open_store(path).load().identical(before)
+    assert toy.digests(path) == digests
+
+
+def test_a_retry_computes_nothing_that_was_not_computed_before(tmp_path, monkeypatch):
+    path = failed_store(tmp_path, monkeypatch)
+    extend_store(path, toy.TOY, 60)
+    (tmp_path / "flag").touch()
+    summary = retry_store(workflow(tmp_path / "flag"), path, statuses("raised"), on="serial")
+    assert (summary.chunks, summary.computed, summary.quarantined) == (1, 10, 0)
+    assert store_status(path).counts[:2] == (40, 20)  # 23 cases were done: the short last chunk has grown
+    assert verify_store(path).damaged == ()
 
 
 def test_unknown_statuses_are_named():

@@ -14,6 +14,7 @@ import zarr
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.workflows import arrays, journal, store
 from wavequake.workflows.contract import ChunkResult, Variable
+from wavequake.workflows.status import store_status
 from wavequake.workflows.store import create_store, extend_store, open_store, read_manifest
 
 
@@ -156,7 +157,7 @@ def test_paths_that_are_no_place_for_a_store(tmp_path):
     with pytest.raises(UserError, match="There is no store at"):
         open_store(tmp_path / "nowhere")
     with pytest.raises(UserError, match="There is no store at"):
-        store.status(tmp_path / "file")
+        store_status(tmp_path / "file")
     with pytest.raises(UserError, match=r"at least one case \(campaign.cases is 0\)"):
         new(tmp_path / "s", cases=0)
 
@@ -285,7 +286,7 @@ def test_a_disk_that_fills_up_loses_nothing(tmp_path, monkeypatch, where):
 def test_status_says_what_is_done_and_why_not(tmp_path):
     toy.run(tmp_path / "s", {"poison": [17], "reasons": [3]})
     extend_store(tmp_path / "s", toy.TOY, 60)
-    found = store.status(tmp_path / "s")
+    found = store_status(tmp_path / "s")
     assert found.counts == (20, 38, 2, 0, 0, 0)
     assert (found.chunks_done, found.quarantined) == (4, 2)
     text = "\n".join(found.lines())

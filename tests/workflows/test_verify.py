@@ -108,11 +108,41 @@ def test_leftovers_of_a_crash_are_told_and_swept(done):
     assert not leftover.exists()
 
 
-@pytest.mark.parametrize("damage", [delete, flip, truncate])
-def test_damaged_labels_are_named(done, damage):
-    damage(done / "data.zarr" / "realization" / "c.0")
-    with pytest.raises(StoreDamageError, match="realization is damaged"):
-        verify_store(done)
+LAYOUT = ["realization/c.0", "disturbance/c.0", "zernike_static/c.0", "strehl/zarr.json", "zarr.json"]
+
+
+def files_of(folder):
+    return {file.relative_to(folder): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+@pytest.mark.parametrize("damage", [delete, empty, flip, truncate])
+@pytest.mark.parametrize("name", LAYOUT)
+def test_damaged_labels_and_metadata_are_named_and_repaired(done, damage, name):
+    before = files_of(done / "data.zarr")
+    damage(done / "data.zarr" / name)
+    report = verify_store(done)
+    assert not report.ok
+    assert name.split("/")[0] in " ".join(report.layout)
+    assert report.lines()[-1] == "To repair the store, run the study again with --repair."
+    assert toy.run(done, {"reasons": [15]}, cases=43, repair=True).computed == 0
+    assert files_of(done / "data.zarr") == before
+    assert verify_store(done).ok
+
+
+@pytest.mark.parametrize("name", LAYOUT)
+def test_a_run_puts_lost_labels_and_metadata_back(done, name):
+    before = files_of(done / "data.zarr")
+    delete(done / "data.zarr" / name)
+    toy.run(done, {"reasons": [15]}, cases=43)
+    assert files_of(done / "data.zarr") == before
+
+
+def test_a_repair_mends_layout_and_numbers_at_once(done):
+    before = files_of(done / "data.zarr")
+    flip(done / "data.zarr" / "zernike" / "zarr.json")
+    flip(done / "data.zarr" / "zernike" / "c.1.0.0")
+    assert toy.run(done, {"reasons": [15]}, cases=43, repair=True).computed == 10
+    assert files_of(done / "data.zarr") == before
 
 
 def test_two_runs_with_other_numbers_are_an_alarm_everywhere(done):

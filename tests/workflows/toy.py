@@ -90,6 +90,8 @@ def run(path, options=None, *, cases=40, chunk=10, on="serial", workers=None, **
     """Run a toy campaign with these study options."""
     from wavequake.workflows.engine import run_campaign
 
+    # The sources may be edited while tests run.
+    keywords.setdefault("allow_mixed", True)
     return run_campaign(
         TOY,
         study(**(options or {})),

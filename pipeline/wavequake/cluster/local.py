@@ -4,10 +4,12 @@ import logging
 import multiprocessing
 import os
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
@@ -53,21 +55,23 @@ def leave_if_imported_by_a_worker() -> None:
 
 
 @contextmanager
-def local_cluster(workers: int | None = None, dashboard: str | None = None) -> Iterator["Client"]:
+def local_cluster(workers: int | None = None, dashboard: bool = False) -> Iterator["Client"]:
     """Start worker processes and yield the Dask client that feeds them.
 
     Parameters
     ----------
     workers : int, optional
         Number of worker processes; by default one per CPU that this process may use.
-    dashboard : str, optional
-        Address of the dashboard, e.g. "127.0.0.1:8787"; none by default.
+    dashboard : bool
+        Whether to serve Dask's dashboard, on loopback; `dashboard_link` of the client says where.
 
     Raises
     ------
     UserError
-        If the worker processes do not start.
+        If the worker processes do not start, or the dashboard lacks its library.
     """
+    if dashboard and find_spec("bokeh") is None:
+        raise UserError("The dashboard needs Bokeh: pip install 'wavequake[dashboard]'.")
     import dask
     from dask.system import CPU_COUNT
     from distributed import Client, LocalCluster
@@ -83,9 +87,10 @@ def local_cluster(workers: int | None = None, dashboard: str | None = None) -> I
                         threads_per_worker=1,
                         processes=True,
                         host="127.0.0.1",
-                        dashboard_address=dashboard,
+                        dashboard_address=f"127.0.0.1:{_free_port(8787)}" if dashboard else None,
                         # The scheduler listens for HTTP also without a dashboard: on loopback, any port.
                         scheduler_kwargs={} if dashboard else {"dashboard_address": "127.0.0.1:0"},
+                        memory_limit=memory_limit() // (workers or CPU_COUNT),
                         silence_logs=logging.CRITICAL,
                     )
                 except RuntimeError as error:
@@ -107,6 +112,12 @@ def _stop(client: Any, cluster: Any) -> None:
                 with suppress(ProcessLookupError):
                     os.kill(nanny.pid, signal.SIGKILL)
         cluster.close(timeout=5)
+
+
+def _free_port(wanted: int) -> int:
+    """Return `wanted` if nobody listens there, or 0, which means any."""
+    with socket.socket() as probe:
+        return 0 if probe.connect_ex(("127.0.0.1", wanted)) == 0 else wanted
 
 
 def memory_limit() -> int:

@@ -18,11 +18,10 @@ from wavequake.workflows.mirror_trace import WORKFLOW as MIRROR_TRACE
 from wavequake.workflows.schema import Study
 from wavequake.workflows.segment_disturbance import WORKFLOW as SEGMENT_DISTURBANCE
 from wavequake.workflows.segment_mor import WORKFLOW as SEGMENT_MOR
-from wavequake.workflows.store import JOURNAL, MANIFEST, done_records, open_store, read_manifest
+from wavequake.workflows.store import JOURNAL, done_records, open_store, read_manifest
 from wavequake.workflows.study import load_study, study_with
 from wavequake.workflows.system_disturbance import WORKFLOW as SYSTEM_DISTURBANCE
 from wavequake.workflows.telescope_exposure import WORKFLOW as TELESCOPE_EXPOSURE
-from wavequake.workflows.verify import verify_store
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -56,8 +55,12 @@ def run_study(
     workers: int | None = None,
     progress: Progress | None = None,
     repair: bool = False,
+    allow_mixed: bool = False,
+    dashboard: Callable[[str], None] | None = None,
 ) -> CampaignSummary:
     """Compute what of `study` the store at `path` lacks; with `repair`, also what is damaged there.
+
+    Further arguments are those of :func:`wavequake.workflows.engine.run_campaign`.
 
     Raises
     ------
@@ -68,7 +71,6 @@ def run_study(
     text = study.identity_text()
     device = choose_device(study.campaign.device)
     workflow.check(text)  # a study that cannot work says so before a store is made or a worker started
-    damaged = verify_store(path).chunks if repair and (path / MANIFEST).exists() else frozenset()
     return run_campaign(
         workflow,
         text,
@@ -79,8 +81,11 @@ def run_study(
         on=on,
         workers=workers,
         progress=progress,
-        recompute=damaged,
         title=study.study.title,
+        timeout_s=study.campaign.timeout_s,
+        allow_mixed=allow_mixed,
+        repair=repair,
+        dashboard=dashboard,
     )
 
 

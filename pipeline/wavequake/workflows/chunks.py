@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from wavequake.errors import UserError
+from wavequake.errors import StoreDamageError, UserError
 from wavequake.workflows import journal, provenance
 from wavequake.workflows.arrays import Array, array_of, open_group, write_chunk
 from wavequake.workflows.contract import DIVERGED, DONE, RAISED, ChunkResult, Template, Workflow
@@ -46,7 +46,8 @@ Answer = TypeVar("Answer")
 class Job:
     """What the chunks of a run share; it travels with every task and is small: functions go by reference.
 
-    Where ``code`` is not empty, a worker that runs other code refuses to compute.
+    Where ``code`` is not empty, a worker that runs other code refuses to compute. A ``guarded`` job changes
+    no case that is done.
     """
 
     workflow: Workflow
@@ -54,6 +55,7 @@ class Job:
     device: str
     run: str
     code: str = ""
+    guarded: bool = False
 
 
 @dataclass(frozen=True)
@@ -107,11 +109,13 @@ def compute_chunk(job: Job, first: int, last: int) -> Outcome:
     UserError
         If the workflow says that the study is impossible, the disk is full or cannot be written, or this
         worker runs other code than the driver.
+    StoreDamageError
+        If a guarded job would change a case that is done.
     """
     if job.code and job.code != provenance.code():
         raise UserError(
-            f"A worker computes with {provenance.code()}, the driver with {job.code}: install the same versions"
-            " everywhere, or give --allow-mixed."
+            f"A worker computes with {provenance.code()}, the driver with {job.code}: install the same "
+            "versions everywhere, or give --allow-mixed."
         )
     opened = opened_store(job.workflow, job.path, job.run)
     start = time.perf_counter()
@@ -207,6 +211,8 @@ def joined(parts: Sequence[ChunkResult]) -> ChunkResult:
 def store_chunk(job: Job, chunk: Chunk, result: ChunkResult, compute_s: float) -> Outcome:
     """Write the data of a chunk, and once it is on disk its record."""
     opened, path = opened_store(job.workflow, job.path, job.run), Path(job.path)
+    if job.guarded:
+        _refuse_changes(opened, chunk, result)
     start = time.perf_counter()
     with write_errors_explained(path):
         digests = patiently(lambda: write_chunk(opened.arrays, chunk, result))
@@ -221,3 +227,20 @@ def store_chunk(job: Job, chunk: Chunk, result: ChunkResult, compute_s: float) -
         record = Record(*chunk, digests, counts, failures, rounded, code=provenance.code())
         patiently(lambda: journal.append(path / JOURNAL, record))
     return Outcome(chunk, record.quarantined, compute_s, write_s)
+
+
+def _refuse_changes(opened: Opened, chunk: Chunk, result: ChunkResult) -> None:
+    """Raise StoreDamageError if a case of the chunk that is done in the store has other numbers now."""
+    done = np.asarray(opened.arrays["status"][slice(*chunk)]) == DONE
+    differing = [
+        name
+        for name, values in {**result.arrays, "status": result.status}.items()
+        if not (name in opened.template.per_case and opened.template.per_case[name].measured)
+        and journal.digest(np.asarray(opened.arrays[name][slice(*chunk)])[done])
+        != journal.digest(values[done])
+    ]
+    if differing:
+        raise StoreDamageError(
+            f"cases {chunk[0]} to {chunk[1] - 1} were computed again, and {', '.join(sorted(differing))} of "
+            "cases that were done differ: machines or versions disagree. Nothing was changed."
+        )

@@ -9,13 +9,12 @@ import os
 import socket
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import islice
+from logging import Logger
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from wavequake.cluster.address import connected
 from wavequake.cluster.local import leave_if_imported_by_a_worker, local_cluster
@@ -25,11 +24,10 @@ from wavequake.workflows import provenance, store, verify
 from wavequake.workflows.chunks import Job, Outcome, compute_chunk
 from wavequake.workflows.contract import Workflow
 from wavequake.workflows.isolation import compute_isolated
-from wavequake.workflows.journal import Chunk, read_journal
+from wavequake.workflows.journal import Chunk, Record, read_journal
+from wavequake.workflows.runlog import run_log
 from wavequake.workflows.store import Manifest
-
-if TYPE_CHECKING:
-    from distributed import Client, Future
+from wavequake.workflows.stream import limit_of, stream
 
 Progress = Callable[[int, int, int], None]
 
@@ -59,7 +57,12 @@ def run_campaign(
     workers: int | None = None,
     progress: Progress | None = None,
     recompute: AbstractSet[Chunk] = frozenset(),
+    retry: bool = False,
     title: str = "",
+    timeout_s: float | None = None,
+    allow_mixed: bool = False,
+    repair: bool = False,
+    dashboard: Callable[[str], None] | None = None,
 ) -> CampaignSummary:
     """Compute what the store at `path` lacks of `cases` cases; the store is made or extended if need be.
 
@@ -80,17 +83,28 @@ def run_campaign(
     progress : callable, optional
         Called with the numbers of cases done, wanted and quarantined, at first and after every chunk.
     recompute : set of (int, int)
-        Chunks to compute again although they are done (:attr:`VerifyReport.chunks`).
+        Chunks to compute again although they are done.
+    retry : bool
+        Compute the chunks of `recompute` only, and change no case of them that is done.
     title : str
         Of the study, which is no part of its identity; a new store keeps it.
+    timeout_s : float, optional
+        Longest time that a chunk, or a case tried alone, may take on workers; by default 20 times the median
+        chunk's, at least half an hour. A case that exceeds it is quarantined.
+    allow_mixed : bool
+        Go on with a store that other versions of the code began; the journal keeps what computed each chunk.
+    repair : bool
+        Read the whole store first; put back metadata and labels, and compute chunks again, that are damaged.
+    dashboard : callable, optional
+        Start Dask's dashboard and call this with its link.
 
     Raises
     ------
     UserError
-        If the store belongs to another study or kind of device, is in use or cannot be written, or `on` is
-        unknown.
+        If the store belongs to another study, kind of device or version, is in use or cannot be written, or
+        `on` is unknown.
     StoreDamageError
-        If two runs of a chunk gave different numbers.
+        If two runs of a chunk gave different numbers, or `retry` would change a case that is done.
     KeyboardInterrupt
         On Ctrl-C, with all workers gone; finished chunks stay, and the next run continues.
     """
@@ -103,23 +117,31 @@ def run_campaign(
         )
     kind = choose_device(device).kind
     with _locked(path):
-        manifest = _prepared(workflow, study, path, cases, chunk, device, kind, title)
-        wanted = [piece for piece in manifest.plan() if piece[0] < cases]
+        manifest = _prepared(workflow, study, path, cases, chunk, device, kind, title, repair)
+        wanted = [p for p in manifest.plan() if p[0] < cases and (p in recompute or not retry)]
         records = store.done_records(manifest, read_journal(path / store.JOURNAL))
+        if repair:
+            recompute = recompute | verify.verify_store(path).chunks
         again = recompute | verify.lost_chunks(path, manifest, records)
         todo = [piece for piece in wanted if piece not in records or piece in again]
-        tally = _Tally(
-            wanted, {p: records[p].quarantined for p in wanted if p in records and p not in again}, progress
-        )
+        kept = {piece: records[piece] for piece in wanted if piece in records and piece not in again}
+        tally = _Tally(wanted, kept, progress)
         done_before = tally.done
         if todo:
+            if not allow_mixed:
+                store.refuse_mixed(path, manifest, provenance.code())
             _sweep(path)
-            job = Job(workflow, str(path), device, uuid.uuid4().hex)
-            if on == "serial":
-                for piece in todo:
-                    tally.add(compute_chunk(job, *piece))
-            else:
-                _run_on_dask(job, todo, on, workers or (1 if kind == "gpu" else None), tally)
+            code = provenance.code() if on.startswith("tcp://") and not allow_mixed else ""
+            job = Job(workflow, str(path), device, uuid.uuid4().hex, code, retry)
+            with run_log(path / store.LOG) as tally.log:
+                tally.log.info("%s on %s; on=%s, device %s", provenance.code(), _this_process(), on, device)
+                tally.log.info("%d cases wanted, %d done before", tally.total, tally.done)
+                if on == "serial":
+                    for piece in todo:
+                        tally.add(compute_chunk(job, *piece))
+                else:
+                    processes = workers or (1 if kind == "gpu" else None)
+                    _run_on_dask(job, todo, on, processes, tally, timeout_s, dashboard)
         records = store.done_records(manifest, read_journal(path / store.JOURNAL))
         lacking = [piece for piece in wanted if piece not in records]
     if lacking:
@@ -129,7 +151,7 @@ def run_campaign(
     return CampaignSummary(
         done_before,
         tally.done - done_before,
-        sum(records[piece].quarantined for piece in wanted),
+        sum(record.quarantined for piece, record in records.items() if piece[0] < cases),
         len(todo),
         time.perf_counter() - start,
         tally.compute_s,
@@ -138,13 +160,17 @@ def run_campaign(
 
 
 class _Tally:
-    """Counts of a run, told to the caller's progress after each chunk."""
+    """Counts of a run, told to the caller's progress and to the log after each chunk."""
 
-    def __init__(self, wanted: list[Chunk], before: dict[Chunk, int], progress: Progress | None) -> None:
+    def __init__(
+        self, wanted: list[Chunk], before: Mapping[Chunk, Record], progress: Progress | None
+    ) -> None:
         self.total = sum(last - first for first, last in wanted)
         self.done = sum(last - first for first, last in before)
-        self.quarantined = sum(before.values())
+        self.quarantined = sum(record.quarantined for record in before.values())
+        self.chunk_seconds = [record.timings.get("compute_s", 0.0) for record in before.values()]
         self.compute_s = self.write_s = 0.0
+        self.log = Logger("nothing yet")
         self._progress = progress or (lambda done, total, quarantined: None)
         self._progress(self.done, self.total, self.quarantined)
 
@@ -154,6 +180,11 @@ class _Tally:
         self.quarantined += outcome.quarantined
         self.compute_s += outcome.compute_s
         self.write_s += outcome.write_s
+        self.chunk_seconds.append(outcome.compute_s)
+        self.log.info(
+            "cases %d to %d: computed in %.3f s, written in %.3f s, %d quarantined",
+            *(first, last - 1, outcome.compute_s, outcome.write_s, outcome.quarantined),
+        )
         self._progress(self.done, self.total, self.quarantined)
 
 
@@ -175,19 +206,34 @@ def _locked(path: Path) -> Iterator[None]:
             ) from None
         with store.write_errors_explained(path):
             file.truncate(0)
-            file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
+            file.write(f"{_this_process()}\n")
             file.flush()
         yield
 
 
+def _this_process() -> str:
+    return f"process {os.getpid()} on {socket.gethostname()}"
+
+
 def _prepared(
-    workflow: Workflow, study: str, path: Path, cases: int, chunk: int, device: str, kind: str, title: str
+    workflow: Workflow,
+    study: str,
+    path: Path,
+    cases: int,
+    chunk: int,
+    device: str,
+    kind: str,
+    title: str,
+    repair: bool,
 ) -> Manifest:
     """Create the store, or check that it is ours and extend it."""
     if not (path / store.MANIFEST).exists():
         sources = {"study_title": title, **provenance.collect(choose_device(device))}
         return store.create_store(path, workflow, study, cases, chunk, device, sources)
-    store.refuse_other(path, store.read_manifest(path), workflow.name, study, kind)
+    manifest = store.read_manifest(path)
+    store.refuse_other(path, manifest, workflow.name, study, kind)
+    if repair or store.lost_layout(path, manifest):
+        store.mend_layout(path, manifest, workflow)
     return store.extend_store(path, workflow, cases)
 
 
@@ -197,42 +243,23 @@ def _sweep(path: Path) -> None:
         name.unlink(missing_ok=True)
 
 
-def _run_on_dask(job: Job, todo: list[Chunk], on: str, workers: int | None, tally: _Tally) -> None:
-    cluster = local_cluster(workers and min(workers, len(todo))) if on == "local" else connected(on)
+def _run_on_dask(
+    job: Job,
+    todo: list[Chunk],
+    on: str,
+    workers: int | None,
+    tally: _Tally,
+    timeout_s: float | None,
+    dashboard: Callable[[str], None] | None,
+) -> None:
+    def limit() -> float:
+        return limit_of(timeout_s, tally.chunk_seconds)
+
+    processes = workers and min(workers, len(todo))
+    cluster = local_cluster(processes, dashboard is not None) if on == "local" else connected(on)
     with cluster as client:
-        suspects = _stream(client, job, todo, tally)
+        if dashboard is not None:
+            dashboard(client.dashboard_link)
+        suspects = stream(client, job, todo, tally.add, limit, tally.log)
     for piece in suspects:
-        tally.add(compute_isolated(job, *piece, 1800.0))
-
-
-def _stream(client: "Client", job: Job, todo: list[Chunk], tally: _Tally) -> list[Chunk]:
-    """Feed chunks to the workers, a window at a time, and return those that killed them."""
-    from distributed import CancelledError, as_completed
-    from distributed.scheduler import KilledWorker
-
-    def submit(piece: Chunk) -> "Future":
-        # Tuple keys with a common first part: the scheduler keeps the tasks in its queue, and does not assign
-        # them to workers that may die with them.
-        return client.submit(compute_chunk, job, *piece, key=(f"chunk-{job.run}", piece[0]), pure=False)
-
-    waiting = iter(todo)
-    window = max(32, 4 * sum(client.nthreads().values()))
-    pieces = {future: piece for piece in islice(waiting, window) for future in [submit(piece)]}
-    finished = as_completed(list(pieces), loop=client.loop)
-    suspects: list[Chunk] = []
-    for future in finished:
-        piece = pieces.pop(future)
-        try:
-            tally.add(future.result())
-        except KilledWorker:
-            suspects.append(piece)
-        except CancelledError:
-            raise UserError(
-                "The Dask scheduler went away; what is done is kept, so run the same command again."
-            ) from None
-        future.release()
-        for more in islice(waiting, 1):
-            new = submit(more)
-            pieces[new] = more
-            finished.add(new)
-    return suspects
+        tally.add(compute_isolated(job, *piece, limit()))

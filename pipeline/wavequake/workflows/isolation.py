@@ -1,7 +1,7 @@
 """Compute a suspect chunk case by case in processes of its own, so that only guilty cases are quarantined.
 
-Suspects are chunks that killed the worker which computed them, or ran for too long. What such a case can do to
-its process (crash, hang, take all memory) it does to one that does nothing else.
+Suspects are chunks that killed the worker which computed them, or ran for too long. What such a case can do
+to its process (crash, hang, take all memory) it does to one that does nothing else.
 """
 
 import multiprocessing

@@ -23,16 +23,16 @@ from numpy.typing import NDArray
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.devices import choose_device
 from wavequake.workflows import arrays
-from wavequake.workflows.contract import STATUS_MEANINGS, Template, Workflow
+from wavequake.workflows.contract import Template, Workflow
 from wavequake.workflows.difference import first_difference
-from wavequake.workflows.journal import Chunk, Journal, Record, flush_folder, read_journal
+from wavequake.workflows.journal import Chunk, Journal, Record, flush_folder
 
 if TYPE_CHECKING:
     import xarray as xr
 
 SCHEMA = 1
 MANIFEST, DATA, JOURNAL, LOCK, REPORT = "manifest.json", "data.zarr", "done", "lock", "report.html"
-SENSITIVITY = "sensitivity.zarr"
+SENSITIVITY, LOG = "sensitivity.zarr", "log"
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def refuse_foreign(path: Path) -> None:
     if not names or MANIFEST in names:
         return
     # Where we wrote data, we had made the journal's folder before: other data are somebody else's.
-    ours = (MANIFEST, JOURNAL, LOCK, REPORT, SENSITIVITY, *([DATA] if JOURNAL in names else []))
+    ours = (MANIFEST, JOURNAL, LOCK, REPORT, SENSITIVITY, LOG, *([DATA] if JOURNAL in names else []))
     foreign = [name for name in names if name.split(".partial")[0] not in ours]
     if foreign:
         raise UserError(
@@ -141,8 +141,6 @@ def create_store(
         )
     refuse_foreign(path)
     chosen = choose_device(device)
-    template = workflow.template(study)
-    per_case = {**template.per_case, **arrays.ENGINE_VARIABLES}
     identity = sha256(study.encode()).hexdigest()
     manifest = Manifest(
         SCHEMA,
@@ -151,27 +149,88 @@ def create_store(
         identity,
         cases,
         chunk,
-        tuple(per_case),
+        (*workflow.template(study).per_case, *arrays.ENGINE_VARIABLES),
         chosen.name,
         chosen.kind,
         dict(provenance),
     )
-    labels = _labels(workflow, study, 0, cases)
     with write_errors_explained(path):
         path.mkdir(parents=True, exist_ok=True)
         if (path / DATA).exists():  # left by a creation that did not reach its manifest
             shutil.rmtree(path / DATA)
         (path / JOURNAL).mkdir(exist_ok=True)
-        group = arrays.create_group(path / DATA, _attributes(manifest, template, tuple(labels)))
-        for name, variable in per_case.items():
-            arrays.create_per_case(group, name, variable, cases, chunk)
-        for name, (dims, values, attrs) in template.fixed.items():
-            arrays.create_fixed(group, name, dims, np.asarray(values), attrs)
-        for name, values in labels.items():
-            arrays.create_fixed(group, name, ("case",), values, {"long_name": name.replace("_", " ")})
-        arrays.consolidate(path / DATA)
+        _write_layout(path / DATA, manifest, workflow)
         _write_manifest(path, manifest)
     return manifest
+
+
+def _write_layout(folder: Path, manifest: Manifest, workflow: Workflow) -> None:
+    """Write everything of the zarr folder that no chunk writes: metadata, labels, fixed arrays."""
+    template = workflow.template(manifest.study)
+    labels = _labels(workflow, manifest.study, 0, manifest.cases)
+    group = arrays.create_group(folder, _attributes(manifest, template, tuple(labels)))
+    for name, variable in {**template.per_case, **arrays.ENGINE_VARIABLES}.items():
+        arrays.create_per_case(group, name, variable, manifest.cases, manifest.chunk)
+    for name, (dims, values, attrs) in template.fixed.items():
+        arrays.create_fixed(group, name, dims, np.asarray(values), attrs)
+    for name, values in labels.items():
+        arrays.create_fixed(group, name, ("case",), values, {"long_name": name.replace("_", " ")})
+    arrays.consolidate(folder)
+
+
+def lost_layout(path: Path, manifest: Manifest) -> list[Path]:
+    """Return the files of metadata, labels and fixed arrays that are missing, empty or no longer agree.
+
+    The root of the zarr folder has a copy of all metadata. Numbers are not read, only the sizes of files.
+    """
+    data = path / DATA
+    entries = _consolidated(data)
+    if not entries.keys() >= set(manifest.variables):
+        return [data / "zarr.json"]
+    lost = [data / name / "zarr.json" for name, entry in entries.items() if _metadata(data / name) != entry]
+    for name in entries.keys() - set(manifest.variables):
+        sizes, pieces = entries[name]["shape"], entries[name]["chunk_grid"]["configuration"]["chunk_shape"]
+        grid = [-(-size // piece) for size, piece in zip(sizes, pieces, strict=True)]
+        files = [data / name / ".".join(["c", *map(str, index)]) for index in np.ndindex(*grid)]
+        lost += [file for file in files if not file.is_file() or not file.stat().st_size]
+    return sorted(lost)
+
+
+def _metadata(folder: Path) -> dict[str, Any]:
+    try:
+        found = json.loads((folder / "zarr.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _consolidated(folder: Path) -> dict[str, dict[str, Any]]:
+    try:
+        return dict(_metadata(folder)["consolidated_metadata"]["metadata"])
+    except (KeyError, TypeError, ValueError):
+        return {}
+
+
+def mend_layout(path: Path, manifest: Manifest, workflow: Workflow) -> list[str]:
+    """Put back metadata, labels and fixed arrays that differ from what a new store would hold.
+
+    Chunks of numbers are left alone. Returns the names of the files that were replaced.
+    """
+    fresh = path / f"{DATA}.partial-{uuid.uuid4().hex}"
+    replaced = []
+    with write_errors_explained(path):
+        try:
+            _write_layout(fresh, manifest, workflow)
+            for file in sorted(file for file in fresh.rglob("*") if file.is_file()):
+                target = path / DATA / file.relative_to(fresh)
+                if not target.is_file() or target.read_bytes() != file.read_bytes():
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    file.replace(target)
+                    flush_folder(target.parent)
+                    replaced.append(str(target.relative_to(path)))
+        finally:
+            shutil.rmtree(fresh, ignore_errors=True)
+    return replaced
 
 
 def extend_store(path: Path | str, workflow: Workflow, cases: int) -> Manifest:
@@ -284,6 +343,17 @@ def refuse_other(path: Path, manifest: Manifest, workflow: str, study: str, kind
         )
 
 
+def refuse_mixed(path: Path, manifest: Manifest, code: str) -> None:
+    """Raise UserError if another version of the code began a store."""
+    theirs = manifest.provenance.get("code", code)
+    if theirs != code:
+        raise UserError(
+            f"{path} was begun by {theirs}; this is {code}, which may give other last bits: give "
+            "--allow-mixed to go on all the same (the journal keeps what computed each chunk), or choose "
+            "another --store."
+        )
+
+
 def open_store(path: Path | str) -> "xr.Dataset":
     """Open a store as a labelled lazy dataset, one Dask chunk per K cases.
 
@@ -320,66 +390,6 @@ def open_store(path: Path | str) -> "xr.Dataset":
     return ordered
 
 
-@dataclass(frozen=True)
-class StoreStatus:
-    """How far a store is: ``counts[s]`` is the number of cases with status s, 0 being what is still to do."""
-
-    path: Path
-    manifest: Manifest
-    counts: tuple[int, ...]
-    chunks_done: int
-    failures: Mapping[int, tuple[int, str]]
-    torn: int
-
-    @property
-    def quarantined(self) -> int:
-        """Number of cases that ended without valid numbers."""
-        return sum(self.counts[2:])
-
-    def lines(self, most: int = 20) -> list[str]:
-        """Return the status in words; at most `most` quarantined cases are listed."""
-        meanings = STATUS_MEANINGS.split()
-        manifest, chunks = self.manifest, len(self.manifest.plan())
-        lines = [
-            f"{self.path}: {manifest.workflow}, study {manifest.identity[:12]}, device {manifest.device}",
-            f"{manifest.cases} cases in {chunks} chunks of {manifest.chunk}; {self.chunks_done} are done",
-            ", ".join(f"{count} {word}" for word, count in zip(meanings, self.counts, strict=True) if count),
-        ]
-        lines += [
-            f"case {case} {meanings[code]}: {text}"
-            for case, (code, text) in sorted(self.failures.items())[:most]
-        ]
-        if len(self.failures) > most:
-            lines.append(f"... and {len(self.failures) - most} more (open_store(...).message has them all)")
-        if self.torn:
-            lines.append(
-                f"{self.torn} records of the journal were cut off by a crash and do not count (harmless)"
-            )
-        return lines
-
-
 def done_records(manifest: Manifest, journal: Journal) -> dict[Chunk, Record]:
     """Return the record of each chunk of the plan that is done; a short last chunk that has grown is not."""
     return {chunk: journal.records[chunk] for chunk in manifest.plan() if chunk in journal.records}
-
-
-def status(path: Path | str) -> StoreStatus:
-    """Count what the journal of a store says is done, quarantined and still to do.
-
-    Raises
-    ------
-    UserError
-        If there is no store at `path`.
-    StoreDamageError
-        If its manifest is damaged or its journal contradicts itself.
-    """
-    path = Path(path)
-    manifest = read_manifest(path)
-    journal = read_journal(path / JOURNAL)
-    done = done_records(manifest, journal)
-    counts = [
-        sum(record.counts[code] for record in done.values()) for code in range(len(STATUS_MEANINGS.split()))
-    ]
-    counts[0] = manifest.cases - sum(counts)
-    failures = {case: failure for record in done.values() for case, failure in record.failures.items()}
-    return StoreStatus(path, manifest, tuple(counts), len(done), failures, journal.torn)

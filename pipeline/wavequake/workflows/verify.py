@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from wavequake.errors import StoreDamageError
 from wavequake.workflows.arrays import Array, array_of, chunk_file, open_group
 from wavequake.workflows.journal import Chunk, Record, digest, read_journal
-from wavequake.workflows.store import DATA, JOURNAL, Manifest, done_records, read_manifest
+from wavequake.workflows.store import DATA, JOURNAL, Manifest, done_records, lost_layout, read_manifest
 
 # A chunk without failed cases has no file for its messages.
 _OPTIONAL = "message"
@@ -34,8 +33,8 @@ class VerifyReport:
     """What a check found.
 
     ``checked`` chunks were read; ``missing`` ones are not done yet; ``damaged`` names arrays whose numbers
-    changed since they were written; ``extra`` names files that belong to no array (harmless leftovers of a
-    crash).
+    changed since they were written; ``layout`` says what is wrong with metadata and labels, which a repair
+    writes anew; ``extra`` names files that belong to no array (harmless leftovers of a crash).
     """
 
     path: Path
@@ -44,11 +43,12 @@ class VerifyReport:
     damaged: tuple[Damage, ...]
     extra: tuple[str, ...]
     torn: int
+    layout: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
         """Whether every case is there, as it was written."""
-        return not self.missing and not self.damaged
+        return not (self.missing or self.damaged or self.layout)
 
     @property
     def chunks(self) -> frozenset[Chunk]:
@@ -60,6 +60,7 @@ class VerifyReport:
         lines = [
             f"{self.path}: {self.checked} chunks read, {len(self.chunks)} damaged, {len(self.missing)} to do"
         ]
+        lines += [f"damaged {what}" for what in self.layout]
         lines += [f"damaged {damage}" for damage in self.damaged[:most]]
         if len(self.damaged) > most:
             lines.append(f"... and {len(self.damaged) - most} more")
@@ -69,7 +70,7 @@ class VerifyReport:
             lines.append(
                 f"{len(self.extra)} leftover files of a crash (harmless), for example {self.extra[0]}"
             )
-        if self.damaged:
+        if self.damaged or self.layout:
             lines.append("To repair the store, run the study again with --repair.")
         elif self.missing:
             lines.append("Run the study again to complete the store.")
@@ -86,12 +87,15 @@ def verify_store(path: Path | str) -> VerifyReport:
     UserError
         If there is no store at `path`.
     StoreDamageError
-        If its manifest or the metadata of an array is damaged, or its journal contradicts itself.
+        If its manifest is damaged, or its journal contradicts itself.
     """
     path = Path(path)
     manifest = read_manifest(path)
     journal = read_journal(path / JOURNAL)
     records = done_records(manifest, journal)
+    layout = [f"{file}: it is missing, empty or changed" for file in lost_layout(path, manifest)]
+    if layout:
+        return VerifyReport(path, 0, (), (), (), journal.torn, tuple(layout))
     group = open_group(path / DATA, read_only=True)
     arrays = {name: array_of(group, name) for name in manifest.variables}
     damaged = [
@@ -100,12 +104,14 @@ def verify_store(path: Path | str) -> VerifyReport:
         for name, array in arrays.items()
         if (reason := _damage(path, array, record))
     ]
-    for name, array in group.arrays():
-        if name not in arrays and (reason := _unreadable(path, array)):
-            raise StoreDamageError(f"{path / DATA / name} is damaged: {reason}; begin a new store.")
+    layout += [
+        f"{path / DATA / name}: {reason}"
+        for name, array in group.arrays()
+        if name not in arrays and (reason := _unreadable(array))
+    ]
     missing = tuple(chunk for chunk in manifest.plan() if chunk not in records)
     extra = tuple(sorted(str(file.relative_to(path)) for file in (path / DATA).rglob("*.partial")))
-    return VerifyReport(path, len(records), missing, tuple(damaged), extra, journal.torn)
+    return VerifyReport(path, len(records), missing, tuple(damaged), extra, journal.torn, tuple(layout))
 
 
 def _damage(path: Path, array: Array, record: Record) -> str:
@@ -122,14 +128,11 @@ def _damage(path: Path, array: Array, record: Record) -> str:
     return "" if stored == record.digests[name] else "the numbers are not those that were written"
 
 
-def _unreadable(path: Path, array: Array) -> str:
-    chunks = array.nchunks - array.nchunks_initialized
-    if chunks:
-        return f"{chunks} of its files are missing"
+def _unreadable(array: Array) -> str:
     try:
         array[...]
     except Exception as error:
-        return str(error)
+        return f"it cannot be read ({error})"
     return ""
 
 

@@ -1,0 +1,42 @@
+"""The log of a run: a text file in its store that says when what was done, and what went wrong."""
+
+import logging
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+
+class _QuietHandler(logging.FileHandler):
+    """Writes lines to a file, and never disturbs the run: its disk may be full."""
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 (the name is logging's)
+        """Say nothing."""
+
+
+@contextmanager
+def run_log(folder: Path) -> Iterator[logging.Logger]:
+    """Make a new file in `folder`, write what is logged to it, and at last how the run ended."""
+    logger = logging.Logger("wavequake.run")  # of this run alone: no global state
+    start = datetime.now(UTC)
+    handler: logging.Handler = logging.NullHandler()
+    try:
+        folder.mkdir(exist_ok=True)
+        handler = _QuietHandler(folder / f"{start:%Y%m%dT%H%M%SZ}-{os.getpid()}.log", encoding="utf-8")
+    except OSError:
+        pass  # what cannot be written, the data will say
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)-7s %(message)s"))
+    logger.addHandler(handler)
+    try:
+        yield logger
+        logger.info("the run is complete")
+    except KeyboardInterrupt:
+        logger.warning("interrupted; what is done is kept, and the next run continues")
+        raise
+    except BaseException as error:
+        logger.exception("the run ended early: %s", error)
+        raise
+    finally:
+        logger.removeHandler(handler)
+        handler.close()
