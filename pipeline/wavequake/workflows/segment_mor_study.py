@@ -15,7 +15,7 @@ from wavequake.workflows.mirror_study import (
     TimeSection,
 )
 from wavequake.workflows.schema import Section, StoreSection, Study, text_of
-from wavequake.workflows.segment_study import OpticsSection, SegmentStudy, TelescopeSection
+from wavequake.workflows.segment_study import SegmentStudy, TelescopeSection
 
 
 class SegmentModelSection(Section):
@@ -77,12 +77,18 @@ class TracedTimeSection(TimeSection):
     traced: int = Field(default=48, ge=1, le=4096, description="at most, evenly spread; 16 fill a tile")
 
 
-class SegmentMorOpticsSection(OpticsSection):
+class SegmentMorOpticsSection(Section):
     """Light and rays, and the Zernike terms of the telescope's wavefront."""
 
+    wavelength_nm: float = Field(default=550.0, gt=0, le=1e6)
+    sampling: Literal["segments", "sunflower"] = Field(
+        default="segments", description="rays over all glass, or over the annulus of the pupil"
+    )
     rays_per_segment: Literal[6, 18, 36, 72] = Field(
         default=36, description="of a hexagon, six triangles; 72 for few, large segments"
     )
+    rays: int = Field(default=2000, ge=10, le=2_000_000, description="sunflower: rays over the annulus")
+    field_arcmin: tuple[float, float] = Field(default=(0.0, 0.0), strict=False, description="of the star")
     zernike_terms: int = Field(default=45, ge=4, le=231)
 
 
