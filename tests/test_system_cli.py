@@ -1,5 +1,6 @@
 """Optical systems at the command line: what a user gets, and what a user gets wrong."""
 
+import csv
 import sys
 
 import numpy as np
@@ -106,6 +107,13 @@ def test_a_system_runs_to_its_report(wavequake, newton, tmp_path):
     np.testing.assert_array_equal(wq.open_store(store)["wfe_rms"].values[:12], ds["wfe_rms"].values)
     assert wavequake("verify", store)[0] == 0
     assert wavequake("export", store, tmp_path / "all.nc")[0] == 0
+    assert wavequake("export", store, tmp_path / "all.csv")[0] == 0
+    with (tmp_path / "all.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 16
+    moved = ds["los_mm"].values[1, :, 1, 0, 1]  # hum, second field, along y
+    assert float(rows[1]["los_mm_field2_wavelength1_y_mean (mm)"]) == pytest.approx(moved.mean(), rel=1e-12)
+    assert rows[1]["vignetted_field1_wavelength1 (1)"] == "0.0"
 
 
 def test_the_report_says_what_is_vignetted_and_left_out(wavequake, newton, tmp_path):

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 
 _LABELS = ("case", "seed", "disturbance", "realization", "status", "message")
+# Dimensions of which each entry has a column of its own.
+_SPREAD = ("excitation", "field", "wavelength", "axis")
 _NETCDF3_BYTES = 2**31 - 2**20
 
 
@@ -20,7 +22,8 @@ def export(dataset: xr.Dataset, path: str | Path, overwrite: bool = False) -> Pa
 
     NetCDF is of version 3 (64-bit offsets), at most 2 GiB of numbers; integers that do not fit its 32 bits,
     such as seeds, become decimal text. CSV holds the labels of each case, its scalars, and the mean and rms
-    (about zero) over its instants; a number that is missing is an empty cell.
+    (about zero) over its instants, at each field, wavelength and excitation (``_field1_wavelength2``, from
+    1); a number that is missing is an empty cell.
 
     Raises
     ------
@@ -75,22 +78,35 @@ def _netcdf3(variable: xr.Variable) -> xr.Variable:
 
 def _write_csv(dataset: xr.Dataset, path: Path) -> None:
     columns = {name: dataset[name].to_numpy().tolist() for name in _LABELS if name in dataset.variables}
-    present = np.isfinite(dataset["time_s"].to_numpy())
     for name, variable in dataset.data_vars.items():
-        if name in _LABELS:
+        dims = tuple(map(str, variable.dims))
+        if name in _LABELS or dims[:1] != ("case",) or not {*dims} <= {"case", "time", *_SPREAD}:
             continue
+        spread = [dim for dim in dims if dim in _SPREAD]
         unit = f" ({variable.attrs.get('units', '1')})"
-        if variable.dims == ("case",):
-            columns[f"{name}{unit}"] = _cells(variable.to_numpy())
-        elif variable.dims == ("case", "time"):
-            columns |= _over_instants(str(name), unit, variable.to_numpy(), present)
-        elif variable.dims == ("case", "time", "axis"):
-            for axis, values in zip("xy", np.moveaxis(variable.to_numpy(), 2, 0), strict=True):
-                columns |= _over_instants(f"{name}_{axis}", unit, values, present)
+        for place in np.ndindex(*(dataset.sizes[dim] for dim in spread)):
+            one = variable.isel(dict(zip(spread, place, strict=True))).to_numpy()
+            column = str(name) + "".join(map(_suffix, spread, place))
+            if "time" in dims:
+                columns |= _over_instants(column, unit, one, _present(dataset, one))
+            else:
+                columns[f"{column}{unit}"] = _cells(one)
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
         writer.writerows(zip(*columns.values(), strict=True))
+
+
+def _suffix(dim: str, index: int) -> str:
+    """Return what names one of several columns: ``_x``, ``_y``, or a dimension and a number from 1."""
+    return f"_{'xy'[index]}" if dim == "axis" else f"_{dim}{index + 1}"
+
+
+def _present(dataset: xr.Dataset, values: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which instants each case has, (case, time): all of them where none has a time of its own."""
+    if "time_s" not in dataset:
+        return np.ones(values.shape, dtype=bool)
+    return np.asarray(np.isfinite(dataset["time_s"].to_numpy()))
 
 
 def _over_instants(
