@@ -5,8 +5,10 @@ from hypothesis import strategies as st
 from scipy.special import j1
 
 from wavequake.errors import UserError
-from wavequake.imaging.matrix_fourier import matrix_fourier, psf, samples_needed
-from wavequake.imaging.pupil_function import annular_pupil, pupil_function
+from wavequake.imaging.matrix_fourier import matrix_fourier, psf, psf_sum, samples_needed
+from wavequake.imaging.outlines import segments
+from wavequake.imaging.pupil_function import annular_pupil, pupil_function, sampled_pupil
+from wavequake.kernels.devices import NUMPY, list_devices
 
 GRIDS = {eps: annular_pupil(256, eps) for eps in (0.0, 0.4)}
 
@@ -107,3 +109,31 @@ def test_nan_phases_give_nan_images_alone():
     assert np.isfinite(images[0]).all()
     assert np.isnan(images[1]).all()
     assert pupil_function(grid, phase).shape == (2, 16, 16)
+
+
+OPENCL = [device for device in list_devices() if device.kind != "numpy"]
+
+
+@pytest.mark.parametrize("device", OPENCL, ids=lambda device: device.kind)
+@pytest.mark.parametrize(("dtype", "tolerance"), [("float64", 1e-14), ("float32", 2e-6)])
+@pytest.mark.parametrize("pixels", [64, 33])
+def test_devices_agree_with_numpy(flower, device, dtype, tolerance, pixels):
+    halves = sampled_pupil(segments(flower.corners), 128, 2700.0)  # cells with two segments
+    for grid in (GRIDS[0.4], halves):
+        phase = np.random.default_rng(3).normal(0, 1.0, (5, grid.cells.size))
+        transform, folded = (matrix_fourier(grid, pixels, 0.3, on, dtype) for on in (NUMPY, device))
+        expected, weights = psf(transform, phase), np.array([0.1, 0.0, 0.4, 0.3, 0.2])
+        assert np.abs(psf(folded, phase) - expected).max() < tolerance
+        for on in (transform, folded):
+            assert psf_sum(on, phase, weights) == pytest.approx(
+                np.einsum("b,bij", weights, expected), abs=tolerance
+            )
+
+
+def test_weights_are_checked():
+    transform = matrix_fourier(annular_pupil(16), 8, 0.5)
+    phase = np.zeros((2, len(transform.pupil.cells)))
+    with pytest.raises(UserError, match="2 instants need as many finite weights"):
+        psf_sum(transform, phase, np.array([1.0, np.nan]))
+    with pytest.raises(UserError, match="sampling above 0"):
+        matrix_fourier(transform.pupil, 8, np.nan)

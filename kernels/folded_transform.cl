@@ -1,0 +1,234 @@
+// Fourier transforms of pupils to images by two matrix products, four quadrants at a time.
+//
+// Grid and image are symmetric about 0 in both directions. Split into parts even and odd in x and in y, the
+// pupil meets real cosines and sines only, and the four signs of a pair of frequencies share all the work.
+//
+// Compile-time constants: W lanes, SINGLE, N pupil cells and HALF = (N + 1) / 2 along an axis, PIXELS of the
+// image and QUARTER = (PIXELS + 1) / 2, ROWS = QUARTER padded to whole groups of TALL rows that share what is
+// read, COLUMNS = QUARTER padded to whole groups of WIDE vectors, PACK and LINE columns that lie together in the
+// table along x and in the transformed rows, FIELD (1: the pupil comes as complex numbers, 0: as phases),
+// SHARED (1: other work-items fold the pupil, into global memory; 0: each folds the row that it needs).
+//
+// The eight parts of a folded pupil are (even x, even y), (even x, odd y), (odd x, even y), (odd x, odd y),
+// each real and imaginary.
+
+#include "waves.h"
+
+#if FIELD
+INLINE wave light(__global const scalar *pupil, __global const scalar *amplitude,
+                  __global const scalar *ramp, int row, int column)
+{
+    pupil += (size_t)row * N + column;
+    return (wave){LOAD(pupil), LOAD(pupil + N * N)};
+}
+#else
+INLINE wave light(__global const scalar *pupil, __global const scalar *amplitude,
+                  __global const scalar *ramp, int row, int column)
+{
+    const size_t place = (size_t)row * N + column;
+    wave result = wave_of(LOAD(pupil + place) + (LOAD(ramp + column) + ramp[row]));
+    const real weight = LOAD(amplitude + place);
+    // A phase that is not a number counts only where there is light.
+    const whole lit = LIT(weight != 0);
+    result.re = TO_REAL(TO_WHOLE(result.re * weight) & lit);
+    result.im = TO_REAL(TO_WHOLE(result.im * weight) & lit);
+    return result;
+}
+#endif
+
+INLINE wave sum(wave a, wave b) { return (wave){a.re + b.re, a.im + b.im}; }
+INLINE wave difference(wave a, wave b) { return (wave){a.re - b.re, a.im - b.im}; }
+INLINE wave reversed(wave a) { return (wave){REVERSED(a.re), REVERSED(a.im)}; }
+
+// Fold W cells right of the middle with their mirror images: the parts lie HALF apart.
+#define FOLD(pupil, amplitude, ramp, row, column, parts) \
+    do { \
+        const int right = N / 2 + (column), left = N - W - right, up = N / 2 + (row), down = N - 1 - up; \
+        const wave here = light(pupil, amplitude, ramp, up, right); \
+        const wave beside = reversed(light(pupil, amplitude, ramp, up, left)); \
+        const wave below = light(pupil, amplitude, ramp, down, right); \
+        const wave across = reversed(light(pupil, amplitude, ramp, down, left)); \
+        const wave even_up = sum(here, beside), odd_up = difference(here, beside); \
+        const wave even_down = sum(below, across), odd_down = difference(below, across); \
+        const wave part[4] = {sum(even_up, even_down), difference(even_up, even_down), \
+                              sum(odd_up, odd_down), difference(odd_up, odd_down)}; \
+        _Pragma("unroll") for (int i = 0; i < 4; ++i) \
+        { \
+            STORE_AT(part[i].re, (parts) + (2 * i) * HALF); \
+            STORE_AT(part[i].im, (parts) + (2 * i + 1) * HALF); \
+        } \
+    } while (0)
+
+#if SHARED
+#define STORE_AT(value, address) STORE(value, address)
+#define PARTS_MEMORY __global
+#else
+#define STORE_AT(value, address) STORE_LOCAL(value, address)
+#define PARTS_MEMORY __local
+#endif
+
+#if SHARED
+__kernel void fold(__global const scalar *pupil, __global const scalar *amplitude,
+                   __global const scalar *ramp, __global scalar *folded)
+{
+    const int column = get_global_id(0), row = get_global_id(1);
+    const size_t image = get_global_id(2);
+    if (column >= HALF)
+        return;
+    pupil += image * ((FIELD + 1) * (size_t)N * N);
+    FOLD(pupil, amplitude, ramp, row, column, folded + (image * HALF + row) * (8 * HALF) + column);
+}
+#endif
+
+// Transform a folded row along x.
+__kernel void transform_rows(__global const scalar *pupil, __global const scalar *amplitude,
+                             __global const scalar *ramp, __global const int *range,
+                             __global const scalar *along_x,
+#if SHARED
+                             __global const scalar *folded,
+#endif
+                             __global scalar *rows)
+{
+    const size_t image = get_global_id(2);
+    const int row = get_global_id(1), low = range[2 * row], high = range[2 * row + 1];
+    rows += image * HALF * 8 * COLUMNS;
+#if SHARED
+    folded += (image * HALF + row) * (8 * HALF);
+    const int first = get_global_id(0), last = first + 1;
+    if (first >= COLUMNS / (WIDE * W))
+        return;
+#else
+    __local scalar folded[8 * HALF];
+    pupil += image * ((FIELD + 1) * (size_t)N * N);
+    for (int column = low; column < high; column += W) {
+        // The last group overlaps the one before it, so that all lanes are columns.
+        const int start = column + W > HALF ? HALF - W : column;
+        FOLD(pupil, amplitude, ramp, row, start, folded + start);
+    }
+    const int first = 0, last = COLUMNS / (WIDE * W);
+#endif
+    for (int block = first; block < last; ++block)
+        for (int parity = 0; parity < 2; ++parity) {
+            const int u = block * WIDE * W;
+            __global const scalar *table = along_x + ((size_t)parity * COLUMNS + u / PACK * PACK) * HALF + u % PACK;
+            PARTS_MEMORY const scalar *part = folded + 4 * parity * HALF;
+            real sums[4][WIDE];
+            #pragma unroll
+            for (int i = 0; i < 4; ++i)
+                #pragma unroll
+                for (int wide = 0; wide < WIDE; ++wide)
+                    sums[i][wide] = 0.0f;
+            for (int k = low; k < high; ++k) {
+                real values[WIDE];
+                #pragma unroll
+                for (int wide = 0; wide < WIDE; ++wide)
+                    values[wide] = LOAD(table + k * PACK + wide * W);
+                #pragma unroll
+                for (int i = 0; i < 4; ++i)
+                    #pragma unroll
+                    for (int wide = 0; wide < WIDE; ++wide)
+                        sums[i][wide] += part[i * HALF + k] * values[wide];
+            }
+            #pragma unroll
+            for (int wide = 0; wide < WIDE; ++wide) {
+                const int at = u + wide * W;
+                __global scalar *out = rows + (size_t)(at / LINE * LINE) * 8 * HALF + at % LINE
+                                       + (size_t)(row * 8 + 4 * parity) * LINE;
+                #pragma unroll
+                for (int i = 0; i < 4; ++i)
+                    STORE(sums[i][wide], out + i * LINE);
+            }
+        }
+}
+
+// Store W pixels of a row right of its middle, or left of it.
+INLINE void put(real value, __global scalar *row, int u, int plus)
+{
+#if W > 1
+    if (u + W > QUARTER) {
+        for (int i = 0; u + i < QUARTER; ++i)
+            row[plus ? PIXELS / 2 + u + i : (PIXELS - 1) / 2 - u - i] = LANE(value, i);
+        return;
+    }
+#endif
+    if (plus)
+        STORE(value, row + PIXELS / 2 + u);
+    else
+        STORE(REVERSED(value), row + (PIXELS - 1) / 2 - u - (W - 1));
+}
+
+// Transform along y, square, and put the four quadrants of an image together.
+__kernel void transform_columns(const scalar scale, __global const scalar *along_y,
+                                __global const scalar *rows, __global scalar *images)
+{
+    const size_t image = get_global_id(2);
+#if SHARED
+    const int u = get_global_id(0), v = get_global_id(1) * TALL;
+#else
+    const int u = get_global_id(1) * W, v = get_global_id(0) * TALL;
+#endif
+    if (u >= QUARTER || v >= QUARTER)
+        return;
+    rows += image * HALF * 8 * COLUMNS + (size_t)(u / LINE * LINE) * 8 * HALF + u % LINE;
+    images += image * PIXELS * PIXELS;
+    // Cosines meet the parts even in y (0, 1 and 4, 5), sines the odd ones (2, 3 and 6, 7).
+    real total[2][TALL][4];
+    #pragma unroll
+    for (int parity = 0; parity < 2; ++parity) {
+        __global const scalar *table = along_y + ((size_t)parity * ROWS + v) * HALF;
+        real sums[TALL][4];
+        #pragma unroll
+        for (int i = 0; i < TALL; ++i)
+            #pragma unroll
+            for (int part = 0; part < 4; ++part)
+                sums[i][part] = 0.0f;
+        __global const scalar *line = rows + 2 * parity * LINE;
+        for (int k = 0; k < HALF; ++k) {
+            #pragma unroll
+            for (int part = 0; part < 4; ++part) {
+                const real value = LOAD(line + ((part & 1) + 4 * (part >> 1)) * LINE);
+                #pragma unroll
+                for (int i = 0; i < TALL; ++i)
+                    sums[i][part] += table[i] * value;
+            }
+            line += 8 * LINE;
+            table += TALL;
+        }
+        #pragma unroll
+        for (int i = 0; i < TALL; ++i)
+            #pragma unroll
+            for (int part = 0; part < 4; ++part)
+                total[parity][i][part] = sums[i][part];
+    }
+    #pragma unroll
+    for (int i = 0; i < TALL; ++i) {
+        if (v + i >= QUARTER)
+            return;
+        __global scalar *above = images + (PIXELS / 2 + v + i) * PIXELS;
+        __global scalar *below = images + ((PIXELS - 1) / 2 - v - i) * PIXELS;
+        const real ee_re = total[0][i][0], ee_im = total[0][i][1];
+        const real eo_re = total[0][i][2], eo_im = total[0][i][3];  // odd in x
+        const real oe_re = total[1][i][0], oe_im = total[1][i][1];  // odd in y
+        const real oo_re = total[1][i][2], oo_im = total[1][i][3];
+        real a = ee_re - oo_re, b = ee_im - oo_im, c = oe_im + eo_im, d = oe_re + eo_re;
+        put(((a + c) * (a + c) + (b - d) * (b - d)) * scale, above, u, 1);
+        put(((a - c) * (a - c) + (b + d) * (b + d)) * scale, below, u, 0);
+        a = ee_re + oo_re, b = ee_im + oo_im, c = eo_im - oe_im, d = eo_re - oe_re;
+        put(((a + c) * (a + c) + (b - d) * (b - d)) * scale, below, u, 1);
+        put(((a - c) * (a - c) + (b + d) * (b + d)) * scale, above, u, 0);
+    }
+}
+
+// Add weighted images to a sum, one after the other: the sum's bits do not depend on how many come at once.
+__kernel void accumulate(const int count, __global const double *weight, __global const scalar *images,
+                         __global const double *before, __global double *after)
+{
+    const int pixel = get_global_id(1);
+    if (pixel >= PIXELS * PIXELS)
+        return;
+    double total = before[pixel];
+    for (int i = 0; i < count; ++i)
+        if (weight[i] != 0.0)
+            total += weight[i] * (double)images[(size_t)i * PIXELS * PIXELS + pixel];
+    after[pixel] = total;
+}

@@ -1,0 +1,89 @@
+"""Run several kernels one after the other on buffers that stay on the device."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from wavequake.kernels.devices import Device
+from wavequake.kernels.program import _LOCK, _input, _kernel, _output, _queue, source
+
+# Scratch memory is kept for the next call: (device, name) to buffer.
+_SCRATCH: dict[tuple[Device, str], Any] = {}
+
+
+@dataclass(frozen=True)
+class Step:
+    """One launch of a kernel of a file with compile-time constants.
+
+    ``size`` and ``group`` are those of OpenCL; ``arguments`` are NumPy scalars and names of buffers.
+    """
+
+    file: str
+    kernel: str
+    constants: tuple[tuple[str, int], ...]
+    size: tuple[int, int, int]
+    group: tuple[int, int, int]
+    arguments: tuple[Any, ...]
+
+
+def run_steps(
+    device: Device,
+    steps: Sequence[Step],
+    inputs: Mapping[str, np.ndarray[Any, Any]],
+    outputs: Mapping[str, np.ndarray[Any, Any]],
+    scratch: Mapping[str, int],
+) -> None:
+    """Run kernels in order and wait for their outputs.
+
+    Parameters
+    ----------
+    device : Device
+        An OpenCL device.
+    steps : sequence of Step
+        A size is rounded up to whole groups; kernels must ignore what lies beyond.
+    inputs : mapping of name to ndarray
+        What kernels read.
+    outputs : mapping of name to contiguous ndarray
+        What kernels write; a CPU works in the arrays' own memory.
+    scratch : mapping of name to int
+        Sizes in bytes of buffers that stay on the device; their memory is used again by later calls.
+    """
+    import pyopencl as cl
+
+    arrays = {name: np.ascontiguousarray(array) for name, array in inputs.items()}
+    with _LOCK:
+        queue = _queue(device)
+        buffers = {name: _input(queue, device, array) for name, array in arrays.items()}
+        buffers |= {name: _output(queue, device, array) for name, array in outputs.items()}
+        buffers |= {name: _scratch(queue, device, name, size) for name, size in scratch.items()}
+        for step in steps:
+            kernel = _kernel(device, step.kernel, step.constants, _text(step.file))
+            kernel.set_args(*(buffers[a] if isinstance(a, str) else a for a in step.arguments))
+            size = tuple(-(-n // g) * g for n, g in zip(step.size, step.group, strict=True))
+            cl.enqueue_nd_range_kernel(queue, kernel, size, step.group)
+        for name, out in outputs.items():
+            if device.kind == "cpu":
+                mapped, _ = cl.enqueue_map_buffer(
+                    queue, buffers[name], cl.map_flags.READ, 0, out.shape, out.dtype, is_blocking=False
+                )
+                mapped.base.release(queue)
+            else:
+                cl.enqueue_copy(queue, out, buffers[name], is_blocking=False)
+        queue.finish()
+
+
+@lru_cache(maxsize=8)
+def _text(file: str) -> str:
+    return source(file)
+
+
+def _scratch(queue: Any, device: Device, name: str, size: int) -> Any:
+    import pyopencl as cl
+
+    kept = _SCRATCH.get((device, name))
+    if kept is None or kept.size < size:
+        kept = _SCRATCH[device, name] = cl.Buffer(queue.context, cl.mem_flags.READ_WRITE, max(size, 64))
+    return kept
