@@ -15,7 +15,11 @@ INSTANTS, TERMS = 4, 3
 
 
 def study(**options):
-    """Canonical study text. Options: seed, sleep_s (per case), poison, crash, once (case ids), folder."""
+    """Canonical study text.
+
+    Options: seed, sleep_s (per case), folder, and ids of cases in poison, reasons, crash, once, hang, hoard
+    and blow.
+    """
     return json.dumps({"study": {"name": "toy", "seed": 7}, **options}, sort_keys=True, separators=(",", ":"))
 
 
@@ -62,6 +66,8 @@ def compute(text, cases, device):
     for row, case in enumerate(cases):
         if case in options.get("reasons", ()):
             status[row], messages[row], zernike[row] = RAISED, f"case {case} loses a segment", np.nan
+        if case in options.get("blow", ()):
+            zernike[row, 2:, 1] = [np.inf, np.nan]
     arrays = {
         "time_s": np.tile(np.arange(INSTANTS) * 0.1, (len(cases), 1)),
         "zernike": zernike,
@@ -76,6 +82,13 @@ def _misbehave(options, cases):
         time.sleep(options.get("sleep_s", 0.0))
         if case in options.get("crash", ()):
             os.kill(os.getpid(), signal.SIGSEGV)
+        if case in options.get("hang", ()):
+            sum(range(10**15))  # holds the interpreter's lock: no thread of this process runs any more
+        if case in options.get("hoard", ()):
+            hoard = []
+            while len(hoard) < 150:
+                hoard.append(np.ones(2**22))  # 32 MB
+                time.sleep(0.03)
         if case in options.get("once", ()):  # dies the first time only
             flag = os.path.join(options["folder"], f"died-{case}")
             if not os.path.exists(flag):

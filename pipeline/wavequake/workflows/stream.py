@@ -2,6 +2,8 @@
 
 import time
 from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
+from contextlib import suppress
 from itertools import islice
 from logging import Logger
 from queue import Empty, SimpleQueue
@@ -32,11 +34,14 @@ class _Watchdog:
 
     def __init__(self, client: "Client", limit: Callable[[], float]) -> None:
         self._client, self._limit = client, limit
-        self._since: dict[Any, float] = {}
+        self._since: dict[tuple[str, Any], float] = {}
         self._next = time.monotonic()
 
-    def overdue(self) -> dict[Any, str]:
-        """Return key and worker of the chunks that run for too long; looks only now and then."""
+    def overdue(self, ours: AbstractSet[Any]) -> dict[str, Any]:
+        """Return the workers that have one of our chunks for too long, and its key; looks only now and then.
+
+        Where a worker has more than one, which the scheduler avoids for many chunks, the first is running.
+        """
         now, limit = time.monotonic(), self._limit()
         if now < self._next:
             return {}
@@ -45,12 +50,17 @@ class _Watchdog:
             at_work = self._client.processing()
         except (OSError, TimeoutError):
             return {}  # the scheduler went away, which the futures will say
-        running = {key: worker for worker, keys in at_work.items() for key in keys}
-        self._since = {key: self._since.get(key, now) for key in running}
-        return {key: worker for key, worker in running.items() if now - self._since[key] > limit}
+        running = [(worker, key) for worker, keys in at_work.items() for key in sorted(ours & set(keys))]
+        self._since = {pair: self._since.get(pair, now) for pair in running}
+        late = [pair for pair in running if now - self._since[pair] > limit]
+        return dict(reversed(late))
 
     def end(self, worker: str) -> None:
         """Kill a worker, in whose place its nanny starts a new one."""
+        with suppress(KeyError, TimeoutError):  # it has gone already, or will
+            self._end(worker)
+
+    def _end(self, worker: str) -> None:
         try:
             self._client.restart_workers([worker], timeout=60, raise_for_error=False)
         except ValueError:
@@ -95,14 +105,13 @@ def stream(
     for _ in range(max(32, 4 * sum(client.nthreads().values()))):
         submit()
     while pieces:
-        for key, worker in watchdog.overdue().items():
-            if key in pieces:
-                piece, future = pieces.pop(key)
-                log.warning("cases %d to %d ran for too long on %s, which is restarted", *piece, worker)
-                suspects.append(piece)
-                future.cancel()
-                watchdog.end(worker)
-                submit()
+        for worker, key in watchdog.overdue(pieces.keys()).items():
+            piece, future = pieces.pop(key)
+            log.warning("cases %d to %d ran for too long on %s, which is restarted", *piece, worker)
+            suspects.append(piece)
+            future.cancel()
+            watchdog.end(worker)
+            submit()
         try:
             future = arrived.get(timeout=min(1.0, limit() / 4))
         except Empty:

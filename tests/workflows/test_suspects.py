@@ -1,0 +1,166 @@
+"""Cases that hang, take all memory or diverge, and busy disks: the guilty are named, the others are kept."""
+
+import errno
+import os
+import time
+
+import numpy as np
+import pytest
+import toy
+
+from wavequake.cluster import local
+from wavequake.errors import UserError
+from wavequake.workflows import arrays, chunks, isolation, journal, provenance
+from wavequake.workflows.chunks import Job, compute_chunk
+from wavequake.workflows.status import store_status
+from wavequake.workflows.store import create_store, open_store
+from wavequake.workflows.stream import limit_of
+from wavequake.workflows.verify import verify_store
+
+
+def others_are_kept(stored, guilty):
+    others = stored.isel(case=~np.isin(stored.case, guilty))
+    np.testing.assert_array_equal(others.status, 1)
+    np.testing.assert_array_equal(others.zernike, [toy.numbers(case) for case in others.case.values])
+
+
+def test_a_case_that_hangs_is_ended_and_quarantined_alone(tmp_path):
+    start = time.monotonic()
+    summary = toy.run(tmp_path / "s", {"hang": [13]}, on="local", workers=2, timeout_s=4.0)
+    assert time.monotonic() - start < 60
+    assert (summary.computed, summary.quarantined) == (40, 1)
+    stored = open_store(tmp_path / "s").load()
+    assert stored.status.sel(case=13) == 4
+    assert stored.message.sel(case=13).item() == "it took longer than 4 s (campaign.timeout_s)"
+    others_are_kept(stored, [13])
+    assert verify_store(tmp_path / "s").ok
+    (log,) = (tmp_path / "s" / "log").glob("*.log")
+    assert "cases 10 to 20 ran for too long on tcp://127.0.0.1:" in log.read_text()
+
+
+def test_a_case_that_takes_all_memory_is_quarantined_alone(tmp_path, monkeypatch):
+    for module in (local, isolation):
+        monkeypatch.setattr(module, "memory_limit", lambda: 600 * 2**20)
+    summary = toy.run(tmp_path / "s", {"hoard": [3]}, cases=20, on="local", workers=1)
+    assert (summary.computed, summary.quarantined) == (20, 1)
+    stored = open_store(tmp_path / "s").load()
+    assert stored.status.sel(case=3) == 2
+    assert "MemoryError: Unable to allocate" in stored.message.sel(case=3).item()
+    others_are_kept(stored, [3])
+
+
+def test_the_usual_time_of_a_chunk_says_when_one_hangs():
+    assert limit_of(7.5, [100.0] * 5) == 7.5
+    assert limit_of(None, []) == 3 * 3600
+    assert limit_of(None, [1.0, 2.0, 500.0]) == 1800
+    assert limit_of(None, [100.0, 300.0, 200.0]) == 4000
+
+
+def test_a_case_that_is_not_finite_has_diverged_and_keeps_its_numbers(tmp_path):
+    summary = toy.run(tmp_path / "s", {"blow": [12], "reasons": [15]})
+    assert summary.quarantined == 2
+    stored = open_store(tmp_path / "s").load()
+    assert stored.status.sel(case=[12, 15]).values.tolist() == [5, 2]
+    assert stored.message.sel(case=12).item() == "zernike is not finite from instant 2 on"
+    np.testing.assert_array_equal(stored.zernike.sel(case=12)[:2], toy.numbers(12)[:2])
+    others_are_kept(stored, [12, 15])
+
+
+def test_instants_that_a_case_does_not_have_do_not_diverge(tmp_path):
+    def shorter(*arguments):
+        result = toy.compute(*arguments)
+        for name in ("time_s", "zernike"):
+            result.arrays[name][:, 3:] = np.nan
+        result.arrays["strehl"][:] = np.inf  # no series: this may mean something
+        return result
+
+    create_store(tmp_path / "s", toy.TOY, toy.study(), 10, 10, "numpy", {})
+    short = toy.Workflow("toy", toy.template, toy.case_table, shorter)
+    assert compute_chunk(Job(short, str(tmp_path / "s"), "numpy", "run"), 0, 10).quarantined == 0
+
+
+@pytest.mark.parametrize("times", [1, 3, 4])
+def test_a_disk_that_is_busy_for_a_while_is_waited_for(tmp_path, monkeypatch, times):
+    monkeypatch.setattr(chunks, "_PAUSES_S", (0.0, 0.0, 0.0))
+    failures = {"data": times, "journal": times}
+    put, record = arrays.LocalStore.set, journal.append
+
+    def fail(what):
+        if failures[what]:
+            failures[what] -= 1
+            raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+
+    async def busy(self, key, value):
+        if "/c." in key:
+            fail("data")
+        await put(self, key, value)
+
+    def busy_journal(folder, entry):
+        fail("journal")
+        record(folder, entry)
+
+    create_store(tmp_path / "s", toy.TOY, toy.study(), 40, 10, "numpy", {})
+    monkeypatch.setattr(arrays.LocalStore, "set", busy)
+    monkeypatch.setattr(journal, "append", busy_journal)
+    if times > 3:
+        with pytest.raises(OSError, match=r"[Ss]tale"):
+            toy.run(tmp_path / "s")
+        monkeypatch.undo()
+    toy.run(tmp_path / "s")
+    toy.run(tmp_path / "whole")
+    assert toy.digests(tmp_path / "s") == toy.digests(tmp_path / "whole")
+    assert toy.records(tmp_path / "s") == 4
+
+
+def test_another_version_of_the_code_is_refused_unless_allowed_and_then_recorded(tmp_path, monkeypatch):
+    toy.run(tmp_path / "s")
+    one = provenance.code()
+    monkeypatch.setattr(provenance, "code", lambda: "wavequake 9.9 (feed)")
+    with pytest.raises(
+        UserError, match=r"was begun by wavequake .*; this is wavequake 9\.9 \(feed\).*--allow-m"
+    ):
+        toy.run(tmp_path / "s", cases=60, allow_mixed=False)
+    assert toy.run(tmp_path / "s", allow_mixed=False).computed == 0  # what is done is done
+    assert toy.run(tmp_path / "s", cases=60, allow_mixed=True).computed == 20
+    found = store_status(tmp_path / "s")
+    assert found.codes == {one: 4, "wavequake 9.9 (feed)": 2}
+    assert "  2 chunks by wavequake 9.9 (feed)" in found.lines()
+
+
+def test_a_worker_with_other_code_refuses(tmp_path):
+    toy.run(tmp_path / "s")
+    with pytest.raises(
+        UserError, match=r"A worker computes with wavequake .* the driver with wavequake 9: inst"
+    ):
+        compute_chunk(Job(toy.TOY, str(tmp_path / "s"), "numpy", "run", code="wavequake 9"), 0, 10)
+
+
+def test_every_run_that_computes_leaves_a_log(tmp_path):
+    toy.run(tmp_path / "s", {"reasons": [15]})
+    toy.run(tmp_path / "s", {"reasons": [15]})
+    (log,) = (tmp_path / "s" / "log").glob("*.log")
+    lines = log.read_text().splitlines()
+    assert "wavequake" in lines[0]
+    assert "on=serial" in lines[0]
+    assert sum("cases " in line and "computed in" in line for line in lines) == 4
+    assert "cases 10 to 19: computed in" in lines[3]
+    assert lines[3].endswith("1 quarantined")
+    assert lines[-1].endswith("the run is complete")
+
+
+def test_the_log_keeps_what_ended_a_run(tmp_path):
+    def stop(done, total, quarantined):
+        if done == 20:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        toy.run(tmp_path / "s", progress=stop)
+    (log,) = (tmp_path / "s" / "log").glob("*.log")
+    assert "WARNING interrupted; what is done is kept" in log.read_text()
+
+
+def test_the_dashboard_is_announced(tmp_path):
+    links = []
+    toy.run(tmp_path / "s", on="local", workers=1, dashboard=links.append)
+    assert links[0].startswith("http://127.0.0.1:")
+    assert links[0].endswith("/status")
