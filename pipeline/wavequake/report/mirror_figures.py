@@ -7,8 +7,10 @@ import numpy as np
 import xarray as xr
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
@@ -21,6 +23,18 @@ _SHOWN = (2, 4, 5, 7, 9, 11)
 def _figure() -> tuple[Figure, Axes]:
     figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
     return figure, figure.add_subplot()
+
+
+def _power(value: float, place: int | None = None) -> str:
+    """Return a power of ten in plain text: parsing formulas takes longer than all the rest of a figure."""
+    exponent = f"{np.log10(value):.0f}" if value > 0 else ""
+    return "10" + exponent.translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def _powers(axis: Axis) -> None:
+    """Label a logarithmic axis at powers of ten."""
+    axis.set_major_formatter(FuncFormatter(_power))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _style(number: int) -> dict[str, Any]:
@@ -49,6 +63,7 @@ def errors_over_order(models: Sequence[ModelResult], criterion: Criterion) -> Fi
             )
     axes.axhline(criterion.bound, color="#444444", linewidth=0.8, linestyle=(0, (5, 2)))
     axes.set_yscale("log")
+    _powers(axes.yaxis)
     axes.set_xlabel("order (coordinates of the variant)")
     axes.set_ylabel(f"largest {MEASURES[criterion.measure]}, relative")
     names = [f"{'full' if number == 0 else 'open'}: {model.name}" for number, model in enumerate(models)]
@@ -71,6 +86,7 @@ def spectra(
     for number, one in enumerate(shown):
         values = dataset[name].isel(case=rows[one.case]).to_numpy()
         axes.semilogy(frequency, np.maximum(values, 1e-16), label=one.variant, **_style(number))
+    _powers(axes.yaxis)
     axes.set_xlabel("frequency (Hz)")
     units = dataset[name].attrs.get("units", "1")
     axes.set_ylabel(_SPECTRA[name] + (f" ({units})" if units != "1" else ""))
@@ -98,6 +114,7 @@ def coefficient_spectra(dataset: xr.Dataset, reference: VariantResult) -> Figure
             label=f"c{j}",
             **_style(number),
         )
+    _powers(axes.yaxis)
     axes.set_xlabel("frequency (Hz)")
     axes.set_ylabel("response of the coefficient (nm/N)")
     axes.legend(fontsize=7.5, ncols=2)
@@ -120,6 +137,7 @@ def wavefront_history(
         below.semilogy(time, off, label=one.variant, **_style(number))
     above.set_ylabel("WFE rms (nm)")
     above.set_title(f"{excitation}; gray: {reference.variant}")
+    _powers(below.yaxis)
     below.set_ylabel("off the reference (nm)")
     below.set_xlabel("time (ms)")
     below.legend(fontsize=7, ncols=2)
@@ -173,7 +191,7 @@ def exposure_panels(
         panel.set_visible(False)
     figure.supxlabel("λ/D", fontsize=8)
     if image is not None:
-        figure.colorbar(image, ax=list(panels), shrink=0.8)
+        figure.colorbar(image, ax=list(panels), shrink=0.8, format=FuncFormatter(_power))
     return figure
 
 
@@ -186,6 +204,7 @@ def mode_fits(dataset: xr.Dataset, shown: Sequence[VariantResult]) -> Figure:
         axes.semilogy(
             np.arange(1, len(values) + 1), np.maximum(values, 1e-16), label=one.variant, **_style(number)
         )
+    _powers(axes.yaxis)
     axes.set_ylim(bottom=1e-6)
     axes.set_xlabel("mode of the variant, rigid motions first")
     axes.set_ylabel("share of the mode that the fit misses")
@@ -208,6 +227,7 @@ def both_methods(dataset: xr.Dataset, excitation: str, shown: Sequence[tuple[int
         below.semilogy(time, off, label=variant, **_style(number))
     above.set_ylabel("WFE rms (nm)")
     above.set_title(f"{excitation}; wide: every instant traced, thin: sensitivities of modes")
+    _powers(below.yaxis)
     below.set_ylabel("difference (nm)")
     below.set_xlabel("time (ms)")
     below.legend(fontsize=7, ncols=2)
