@@ -1,0 +1,149 @@
+"""Feedback and observer gains by pole placement or optimal for a quadratic cost (Störkle 2018, Fig. 2.2)."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import solve_continuous_are, solve_discrete_are
+from scipy.signal import place_poles
+
+from wavequake.control.linear import Array, LinearModel
+from wavequake.control.modes import check_controllable, check_observable, check_stable, modes
+from wavequake.errors import UserError
+
+
+def regulator_gain(model: LinearModel, q: ArrayLike, r: ArrayLike) -> Array:
+    """Return the linear-quadratic regulator K, u = -K x, (p, n), of a continuous model.
+
+    It minimizes the integral of x' Q x + u' R u.
+
+    Raises
+    ------
+    UserError
+        If a mode that does not decay is not driven, or a weight is of the wrong shape or sign.
+    """
+    count, inputs = model.b.shape
+    weight, cost = _weight(q, count, "Q"), _weight(r, inputs, "R")
+    _positive(cost, "R")
+    lost = [mode for mode in modes(model) if mode.controllability < 1e-9 and not mode.stable]
+    if lost:
+        raise UserError(f"The regulator cannot be designed: the input does not drive {lost[0]}, which grows.")
+    solution = _riccati(model.a, model.b, weight, cost)
+    gain = np.asarray(np.linalg.solve(cost, model.b.T @ solution), dtype=np.float64)
+    check_stable(replace(model, a=model.a - model.b @ gain), "The regulator")
+    return gain
+
+
+def kalman_bucy_gain(model: LinearModel, q: ArrayLike, r: ArrayLike, g: ArrayLike | None = None) -> Array:
+    """Return the gain L (n, m) of the stationary Kalman-Bucy filter (Störkle 2018, Eq. 2.16 to 2.23).
+
+    Parameters
+    ----------
+    model : LinearModel
+        Continuous; its outputs are measured.
+    q, r : array_like
+        Power spectral densities of process noise, (w, w), and of measurement noise, (m, m); numbers stand
+        for multiples of the unit matrix.
+    g : array_like, shape (n, w), optional
+        Input matrix of the process noise; the unit matrix by default.
+
+    Raises
+    ------
+    UserError
+        If a mode that does not decay is not seen, or a density is of the wrong shape or sign.
+    """
+    count = len(model.a)
+    into = np.eye(count) if g is None else np.asarray(g, dtype=np.float64).reshape(count, -1)
+    weight, noise = _weight(q, into.shape[1], "Q"), _weight(r, len(model.c), "R")
+    _positive(noise, "R")
+    lost = [mode for mode in modes(model) if mode.observability < 1e-9 and not mode.stable]
+    if lost:
+        raise UserError(
+            f"The filter cannot be designed: the measurement does not see {lost[0]}, which grows."
+        )
+    solution = _riccati(model.a.T, model.c.T, into @ weight @ into.T, noise)
+    gain = np.asarray(np.linalg.solve(noise, model.c @ solution), dtype=np.float64).T
+    check_stable(replace(model, a=model.a - gain @ model.c), "The filter")
+    return gain
+
+
+def kalman_gain(a: Array, c: Array, q: ArrayLike, r: ArrayLike) -> Array:
+    """Return the gain M (n, m) of the stationary sampled Kalman filter: x := x + M (y - C x), then x := A x.
+
+    Parameters
+    ----------
+    a, c : ndarray, shapes (n, n), (m, n)
+        One step, and the measurement.
+    q, r : array_like
+        Covariances of process noise per step and of the measurement.
+
+    Raises
+    ------
+    UserError
+        If the Riccati equation has no stabilizing solution: a mode on or outside the unit circle is hidden.
+    """
+    weight, noise = _weight(q, len(a), "Q"), _weight(r, len(c), "R")
+    _positive(noise, "R")
+    try:
+        solution = solve_discrete_are(a.T, c.T, weight, noise)
+    except (np.linalg.LinAlgError, ValueError):
+        raise UserError(
+            "The sampled filter cannot be designed: the measurement does not see a mode that does not decay."
+        ) from None
+    gain: Array = np.linalg.solve(c @ solution @ c.T + noise, c @ solution).T
+    return gain
+
+
+def placed_regulator(model: LinearModel, poles: Sequence[complex]) -> Array:
+    """Return K (p, n) with which A - B K has the given eigenvalues; raises UserError as placed_observer."""
+    check_controllable(model)
+    return _placed(model.a, model.b, poles)
+
+
+def placed_observer(model: LinearModel, poles: Sequence[complex]) -> Array:
+    """Return L (n, m) with which A - L C has the given eigenvalues.
+
+    Raises
+    ------
+    UserError
+        If a mode is hidden (says which), or the poles are not n in number, conjugate, or too often repeated.
+    """
+    check_observable(model)
+    return _placed(model.a.T, model.c.T, poles).T
+
+
+def _placed(a: Array, b: Array, poles: Sequence[complex]) -> Array:
+    wanted = np.asarray(poles, dtype=np.complex128)
+    if len(wanted) != len(a):
+        raise UserError(f"{len(wanted)} poles are given; a model of {len(a)} states needs as many.")
+    try:
+        gain: Array = place_poles(a, b, wanted).gain_matrix
+    except ValueError as error:
+        raise UserError(f"The poles cannot be placed: {str(error).rstrip('.')}.") from None
+    return gain
+
+
+def _weight(value: ArrayLike, count: int, name: str) -> Array:
+    given = np.asarray(value, dtype=np.float64)
+    matrix = given * np.eye(count) if given.ndim == 0 else np.diag(given) if given.ndim == 1 else given
+    if matrix.shape != (count, count) or not np.allclose(matrix, matrix.T):
+        raise UserError(f"{name} must be a number, {count} numbers or a symmetric ({count}, {count}) matrix.")
+    if not np.isfinite(matrix).all() or np.linalg.eigvalsh(matrix)[0] < -1e-12 * np.abs(matrix).max():
+        raise UserError(f"{name} must be finite and without negative eigenvalues.")
+    return matrix
+
+
+def _positive(matrix: Array, name: str) -> None:
+    if np.linalg.eigvalsh(matrix)[0] <= 0:
+        raise UserError(f"{name} must be positive definite.")
+
+
+def _riccati(a: Array, b: Array, q: Array, r: Array) -> Array:
+    try:
+        return np.asarray(solve_continuous_are(a, b, q, r))
+    except (np.linalg.LinAlgError, ValueError):
+        raise UserError(
+            "The Riccati equation has no stabilizing solution: a mode neither decays nor is weighted, or "
+            "is hidden; give Q for it."
+        ) from None
