@@ -322,8 +322,14 @@ def _blocks(
 
 def segment_drive(study: SegmentMorStudy, excitation: AnyExcitation, time: Array, segment: int) -> Drive:
     """Return what an excitation does at the three supports of one segment."""
-    drive = drive_of(excitation, 3, time, study.study.seed, segment)
+    drive = _drawn(excitation, len(time), study.time.step_s, study.study.seed, segment)
     return drive if study.model.support == "rigid" else through_springs(drive, study.model.spring_n_m)
+
+
+@lru_cache(maxsize=2048)
+def _drawn(excitation: AnyExcitation, instants: int, step: float, seed: int, segment: int) -> Drive:
+    """Draw an excitation once for all variants."""
+    return drive_of(excitation, 3, np.arange(instants, dtype=np.float64) * step, seed, segment)
 
 
 def through_springs(drive: Drive, stiffness: tuple[float, float, float]) -> Drive:
