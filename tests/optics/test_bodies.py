@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
-from wavequake.optics.bodies import Body, beam_radius, rigid_body, with_bodies
+from wavequake.optics.bodies import Body, beam_radii, rigid_body, with_bodies
 from wavequake.optics.catalog import optical_system
 from wavequake.optics.kinematics import cardan
 from wavequake.optics.paraxial import entrance_pupil_center, paraxial
@@ -138,10 +138,13 @@ def test_beams_fill_what_first_order_optics_says():
     system = replace(optical_system("double-gauss"), pupil=Pupil("f_number", 50.0))
     data = paraxial(system)
     marginal = data.entrance_pupil_diameter / 2
-    assert beam_radius(replace(system, fields=np.zeros((1, 2))), 0) == pytest.approx(marginal, rel=1e-3)
+    assert beam_radii(replace(system, fields=np.zeros((1, 2))), [0])[0] == pytest.approx(marginal, rel=1e-3)
     small = np.array([[0.0, 0.0], [0.0, 0.01]])
     chief = np.tan(0.01) * data.entrance_pupil
-    assert beam_radius(replace(system, fields=small), 0) == pytest.approx(marginal + chief, rel=2e-3)
+    assert beam_radii(replace(system, fields=small), [0])[0] == pytest.approx(marginal + chief, rel=2e-3)
+    everywhere = beam_radii(replace(system, fields=np.zeros((1, 2))), range(len(system.surfaces)))
+    assert everywhere[system.stop] == pytest.approx(data.stop_radius, rel=1e-3)
+    assert everywhere[-1] < 0.01  # the focus
 
 
 def test_what_does_not_exist_is_named():

@@ -1,6 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import wavequake as wq
 from wavequake.errors import UserError
 from wavequake.workflows.contract import DONE, RAISED
 from wavequake.workflows.study import load_study
@@ -256,3 +259,26 @@ def test_a_wavelength_out_of_a_glass_range_is_refused(tmp_path):
     )
     with pytest.raises(UserError, match=r"N-BK7 is known from .* not at 5000 nm"):
         check(study_of(tmp_path, text).identity_text())
+
+
+def test_a_name_that_two_surfaces_of_a_lens_file_share_is_refused(tmp_path):
+    system = wq.load_system("double-gauss")
+    twins = [replace(one, name="face") if one.name.startswith("surface") else one for one in system.surfaces]
+    wq.write_zmx(replace(system, surfaces=tuple(twins)), tmp_path / "lens.zmx")
+    text = """
+    [study]
+    name = "twins"
+    workflow = "system-disturbance"
+    [system]
+    file = "lens.zmx"
+    [[disturbance]]
+    name = "askew"
+    model = "surface-random"
+    of = ["face"]
+    rms = { dx_um = 1.0 }
+    """
+    with pytest.raises(UserError, match="10 surfaces of that name"):
+        check(study_of(tmp_path, text).identity_text())
+    body = text + '[[body]]\nname = "lens"\nsurfaces = ["face"]\n'
+    with pytest.raises(UserError, match="10 surfaces called 'face'"):
+        check(study_of(tmp_path, body.replace('of = ["face"]', 'of = ["lens"]')).identity_text())

@@ -36,12 +36,16 @@ class Body:
 
 
 def surface_index(system: OpticalSystem, name: str) -> int:
-    """Return the index of a surface by name; UserError with the nearest name if there is none."""
+    """Return the index of a surface by name; UserError if there is none, or more than one."""
     names = [surface.name for surface in system.surfaces]
     if name not in names:
         near = difflib.get_close_matches(name, names, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(names)}."
         raise UserError(f"{system.name} has no surface {name!r}; {hint}")
+    if names.count(name) > 1:
+        raise UserError(
+            f"{system.name} has {names.count(name)} surfaces called {name!r}, which one is meant?"
+        )
     return names.index(name)
 
 
@@ -118,25 +122,39 @@ def _angles(rotation: Array) -> Array:
     )
 
 
-def beam_radius(system: OpticalSystem, surface: int) -> float:
-    """Return how far from its vertex the beams of all fields fill a surface at rest, mm.
+def beam_radii(system: OpticalSystem, surfaces: Sequence[int]) -> Array:
+    """Return how far from their vertices the beams of all fields fill surfaces at rest, mm.
+
+    Parameters
+    ----------
+    system : OpticalSystem
+    surfaces : sequence of int
+        Indices.
+
+    Returns
+    -------
+    ndarray, shape (len(surfaces),)
 
     Raises
     ------
     UserError
-        If no ray from the pupil's rim reaches the surface, or rays cannot be aimed at the stop.
+        If no ray from the pupil's rim reaches one of them, or rays cannot be aimed at the stop.
     """
-    wavelength, count = wavelength_of(system), surface + 1
+    wavelength = wavelength_of(system)
     whole, rest = pack(system, wavelength), moving(system, rest_states(system))
-    sequence = replace(whole, elements=whole.elements[:count])
-    poses = Moving(rest.poses[:, :count], rest.deformations[:count], rest.grids[:count])
     angle = 2.0 * np.pi * np.arange(_RIM_RAYS) / _RIM_RAYS
-    reach = 0.0
+    reach = np.zeros(len(surfaces))
     for field in system.fields:
         rays = pupil_rays(system, field, wavelength, np.cos(angle), np.sin(angle))
-        traced = trace_sequence(sequence, rays, poses, NUMPY, ignore_apertures=True)
-        reach = max(reach, float(np.max(np.nan_to_num(np.hypot(traced.x, traced.y)))))
-    if reach == 0.0:
-        name = system.surfaces[surface].name
-        raise UserError(f"no ray from the rim of the pupil of {system.name} reaches the surface {name}")
+        for place, surface in enumerate(surfaces):
+            count = surface + 1
+            sequence = replace(whole, elements=whole.elements[:count])
+            poses = Moving(rest.poses[:, :count], rest.deformations[:count], rest.grids[:count])
+            traced = trace_sequence(sequence, rays, poses, NUMPY, ignore_apertures=True)
+            away = np.nan_to_num(np.hypot(traced.x, traced.y))
+            reach[place] = max(reach[place], float(away.max()))
+    for surface, radius in zip(surfaces, reach, strict=True):
+        if radius == 0.0:
+            name = system.surfaces[surface].name
+            raise UserError(f"no ray from the rim of the pupil of {system.name} reaches the surface {name}")
     return reach

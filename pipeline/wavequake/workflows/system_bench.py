@@ -14,11 +14,11 @@ from wavequake.kernels.devices import NUMPY
 from wavequake.kernels.sequence import DIVERGED, MISS, OK, TOTAL_REFLECTION, VIGNETTED
 from wavequake.kernels.sequential import trace_sequence
 from wavequake.mechanics.element_motion import ElementMotion, SurfaceDeformation, single_parts
-from wavequake.optics.bodies import Body, beam_radius, rigid_body, surface_index, with_bodies
+from wavequake.optics.bodies import Body, beam_radii, rigid_body, surface_index, with_bodies
 from wavequake.optics.packing import moving
 from wavequake.optics.pupils import sunflower
 from wavequake.optics.shapes import ZernikeDeformation
-from wavequake.optics.system import OpticalSystem, Surface, SystemStates
+from wavequake.optics.system import OpticalSystem, SystemStates
 from wavequake.optics.system_file import build
 from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.system_wavefront import PreparedSystem, SystemWavefront, measure_system, prepare_system
@@ -115,6 +115,12 @@ def _require_elements(study: SystemStudy, system: OpticalSystem) -> None:
                         f"The disturbance {part.name!r} acts on {name!r}, but {system.name} has no such "
                         f"surface or body; {hint}"
                     )
+                if names.count(name) > 1:
+                    raise UserError(
+                        f"The disturbance {part.name!r} acts on {name!r}, but {system.name} has "
+                        f"{names.count(name)} surfaces of that name; give each a comment of its own in the "
+                        "lens file."
+                    )
                 if isinstance(part, SurfaceDeformation) and name in (body.name for body in study.body):
                     raise UserError(
                         f"The disturbance {part.name!r} deforms the body {name!r}; only a surface deforms."
@@ -138,21 +144,23 @@ def deformable(system: OpticalSystem, terms: Mapping[int, int]) -> OpticalSystem
     A surface that could not deform before does so over its semi-diameter, or else over what the beams of all
     fields fill.
     """
-    surfaces = [
-        _able(system, index, surface, terms[index]) if index in terms else surface
-        for index, surface in enumerate(system.surfaces)
-    ]
+    edges = {
+        index: opening.outer
+        for index in terms
+        if (opening := system.surfaces[index].opening) is not None and np.isfinite(opening.outer)
+    }
+    able = {i for i in terms if isinstance(system.surfaces[i].deformation, ZernikeDeformation)}
+    bare = [index for index in terms if index not in edges and index not in able]
+    edges |= dict(zip(bare, map(float, beam_radii(system, bare)), strict=True))
+    surfaces = list(system.surfaces)
+    for index, count in terms.items():
+        form = surfaces[index].deformation
+        if isinstance(form, ZernikeDeformation):
+            form = replace(form, terms=max(count, form.terms))
+        else:
+            form = ZernikeDeformation(count, edges[index])
+        surfaces[index] = replace(surfaces[index], deformation=form)
     return replace(system, surfaces=tuple(surfaces))
-
-
-def _able(system: OpticalSystem, index: int, surface: Surface, terms: int) -> Surface:
-    form = surface.deformation
-    if isinstance(form, ZernikeDeformation):
-        return replace(surface, deformation=replace(form, terms=max(terms, form.terms)))
-    opening = surface.opening
-    known = opening is not None and np.isfinite(opening.outer)
-    radius = opening.outer if opening is not None and known else beam_radius(system, index)
-    return replace(surface, deformation=ZernikeDeformation(terms, radius))
 
 
 def field_name(system: OpticalSystem, field: int) -> str:
