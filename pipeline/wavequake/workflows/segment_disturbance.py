@@ -5,10 +5,8 @@ are drawn (`mechanics`), every instant is ray traced and its wavefront measured 
 instants' point spread functions make the case's exposure (`imaging`).
 """
 
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -25,11 +23,15 @@ from wavequake.optics.quality import meets_marechal, meets_rayleigh
 from wavequake.optics.states import SurfaceStates
 from wavequake.optics.wavefront import Wavefront, analyse
 from wavequake.workflows.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis, monolithic
+from wavequake.workflows.case_pattern import slots
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Workflow
 from wavequake.workflows.images import energy_scale, refuse_what_cannot_be_imaged, summed_images
+from wavequake.workflows.retention import kept_arrays
 from wavequake.workflows.schema import study_from_identity
+from wavequake.workflows.segment_modal import modal_cases, model_of
 from wavequake.workflows.segment_study import SegmentStudy
-from wavequake.workflows.segment_template import template
+from wavequake.workflows.segment_template import computed, template, traced
+from wavequake.workflows.stopwatch import Stopwatch
 
 Array = NDArray[np.float64]
 
@@ -51,16 +53,9 @@ Kind = TypeVar("Kind", bound=Population)
 
 
 def slot(populations: tuple[Kind, ...], case: int) -> tuple[Kind, int]:
-    """Return the population and realization of a case.
-
-    Cases repeat a pattern in which each population has ``share`` rows, so that adding cases changes no
-    earlier one, and the n-th case of every population is realization n: comparisons between populations are
-    paired.
-    """
-    pattern = [population for population in populations for _ in range(population.share)]
-    round_, place = divmod(case, len(pattern))
-    population = pattern[place]
-    return population, round_ * population.share + pattern[:place].count(population)
+    """Return the population and realization of a case, see `case_pattern.slots`."""
+    which, realization = slots([population.share for population in populations], np.array([case]))
+    return populations[which[0]], int(realization[0])
 
 
 def draw(bench: Bench, case: int) -> CaseDraw:
@@ -117,29 +112,42 @@ def _joined(states: list[SurfaceStates]) -> SurfaceStates:
 
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
-    """Compute the numbers of `cases`.
+    """Compute what the study keeps of the numbers of `cases`, by full traces or by the modal model."""
+    study = bench_of(study_text).study
+    if study.optics.method == "modal":
+        result = modal_cases(study_text, cases, device_name, trace_cases)
+    else:
+        result = trace_cases(study_text, cases, device_name)
+    which, _ = slots([entry.share for entry in study.disturbance], cases)
+    instants = np.array([entry.instants for entry in study.disturbance])[which]
+    return replace(result, arrays=kept_arrays(study.store, computed(study_text), result.arrays, instants))
+
+
+def trace_cases(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
+    """Compute the numbers of `cases` over their instants by full traces.
 
     A case in which a segment loses all its rays, or is tilted beyond what can be imaged, is quarantined with
     the reason.
     """
-    bench, device, clock = bench_of(study_text), choose_device(device_name), _Stopwatch()
+    bench, device, clock = bench_of(study_text), choose_device(device_name), Stopwatch()
     with clock("draw"):
         draws = [draw(bench, int(case)) for case in cases]
     arrays = {
         name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
-        for name, variable in template(study_text).per_case.items()
+        for name, variable in traced(study_text).items()
     }
     for name in ("exposure", "rayleigh", "marechal", "vignetted"):  # gathered over a case's launches
-        arrays[name][:] = 0.0
+        if name in arrays:
+            arrays[name][:] = 0.0
     messages = [""] * len(cases)
     for launch in _pieces(draws):
         with clock("draw"):
             states = [surface_states(bench, draws[row], first, last) for row, first, last in launch]
             joined = _joined(states)
         with clock("trace"):
-            traced = trace_states(bench.prepared, joined, device)
+            rays = trace_states(bench.prepared, joined, device)
         with clock("wavefront"):
-            wavefront = analyse(bench.prepared, traced, chief_rays(bench.prepared, joined))
+            wavefront = analyse(bench.prepared, rays, chief_rays(bench.prepared, joined))
         tile = 0
         for (row, first, last), state in zip(launch, states, strict=True):
             tiles = slice(tile, tile + len(state) // TILE)
@@ -149,9 +157,11 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
             if messages[row]:
                 continue
             _record(bench, arrays, row, slice(first, last), wavefront, here, draws[row])
+            if "exposure" not in arrays:
+                continue
             try:
                 with clock("image"):
-                    arrays["exposure"][row] += summed_images(bench, traced, wavefront, tiles, last - first)
+                    arrays["exposure"][row] += summed_images(bench, rays, wavefront, tiles, last - first)
             except UserError as error:  # tilts that no image can be made of concern this case alone
                 messages[row] = str(error)
     status = np.full(len(cases), DONE, dtype=np.int8)
@@ -160,25 +170,13 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
             status[row] = RAISED
             for array in arrays.values():
                 array[row] = np.nan
-        else:
+            continue
+        for name in ("rayleigh", "marechal"):
+            arrays[name][row] /= len(draws[row].time)
+        if "exposure" in arrays:
             with clock("image"):
                 _finish_exposure(bench, arrays, row, len(draws[row].time))
     return ChunkResult(arrays, status, tuple(messages), clock.seconds)
-
-
-class _Stopwatch:
-    """Seconds by the kind of work, for the journal."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def __call__(self, name: str) -> Iterator[None]:
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
 
 def _lost_segment(bench: Bench, drawn: CaseDraw, wavefront: Wavefront, here: slice, first: int) -> str:
@@ -225,8 +223,6 @@ def _record(
 def _finish_exposure(bench: Bench, arrays: dict[str, Array], row: int, instants: int) -> None:
     exposure = arrays["exposure"][row]
     exposure /= instants
-    for name in ("rayleigh", "marechal"):
-        arrays[name][row] /= instants
     for name, fraction in (("ee50", 0.5), ("ee80", 0.8)):
         arrays[name][row] = encircled_energy_radius(exposure, fraction, **energy_scale(bench))
 
@@ -234,10 +230,10 @@ def _finish_exposure(bench: Bench, arrays: dict[str, Array], row: int, instants:
 def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
     """Return the labels of cases first <= id < last: disturbance, realization and seed."""
     study = study_from_identity(SegmentStudy, study_text)
-    slots = [slot(study.disturbance, case) for case in range(first, last)]
+    which, realizations = slots([entry.share for entry in study.disturbance], np.arange(first, last))
     return {
-        "disturbance": np.array([population.name for population, _ in slots], dtype=object),
-        "realization": np.array([realization for _, realization in slots], dtype=np.int64),
+        "disturbance": np.array([entry.name for entry in study.disturbance], dtype=object)[which],
+        "realization": realizations,
         "seed": np.full(last - first, study.study.seed, dtype=np.int64),
     }
 
@@ -257,6 +253,8 @@ def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
     """Return the number of ray-surfaces traced for `cases` cases (padding of the instants included)."""
     bench = bench_of(study_text)
     populations = bench.study.disturbance
+    if bench.study.optics.method == "modal":
+        return {"draw": (float(cases), "cases"), "modal": (float(cases), "cases")}
     instants = sum(entry.share * padded(entry.instants) for entry in populations)
     per_instant = len(bench.prepared.weight) * (1 + len(bench.system.surfaces))
     return {
@@ -267,7 +265,10 @@ def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
 def check(study_text: str) -> None:
     """Raise UserError if the telescope at rest has no image, or a disturbance does not fit its mirror."""
     bench = bench_of(study_text)
-    refuse_what_cannot_be_imaged(bench)
+    if bench.study.imaging.enabled:
+        refuse_what_cannot_be_imaged(bench)
+    if bench.study.optics.method == "modal":
+        model_of(study_text, choose_device("auto").name)
     if monolithic(bench.system):  # where every draw is quick
         for population in bench.study.disturbance:
             draw_case(bench.study.disturbance, population, bench.layout, bench.study.study.seed, 0)

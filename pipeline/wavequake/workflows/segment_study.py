@@ -91,6 +91,23 @@ class OpticsSection(Section):
     field_arcmin: tuple[float, float] = Field(
         default=(0.0, 0.0), strict=False, description="of the star; the image plane stays, not refocused"
     )
+    method: Literal["standard", "modal"] = Field(
+        default="standard",
+        description="of segment-disturbance: trace every instant, or take wavefronts from derivatives that "
+        "are traced once (modal: for up to millions of cases of small motions; no images)",
+    )
+    modal_tolerance_nm: float = Field(
+        default=0.1,
+        gt=0,
+        description="modal: a case whose OPD may miss this much of second order (rms) is traced in full",
+    )
+    modal_sample: float = Field(
+        default=0.001,
+        ge=0,
+        le=1,
+        description="modal: share of cases that are traced besides, to measure the error; the first 100 "
+        "cases always are",
+    )
 
 
 class WavefrontSection(Section):
@@ -123,6 +140,7 @@ class WavefrontSection(Section):
 class ImagingSection(Section):
     """The exposure of each case: mean of its instants' point spread functions."""
 
+    enabled: bool = Field(default=True, description="false: no exposures, which are most of the work")
     pixels: int = Field(default=64, ge=8, le=512, multiple_of=2)
     sampling: float = Field(default=0.25, gt=0, le=0.5, description="pixel in lambda/D")
     moments: Literal["auto", 1, 6, 15] = Field(
@@ -134,6 +152,12 @@ class SegmentStoreSection(StoreSection):
     """Where the results go; not part of the identity, but for what is kept."""
 
     keep: tuple[Literal["segment_motion"], ...] = Field(default=(), strict=False)
+    every: int = Field(default=1, ge=1, description="keep the numbers of every n-th instant only")
+    reduce: Literal["none", "summary"] = Field(
+        default="none",
+        description="summary: of each series over the instants of a case, keep mean, rms, min, max, 95 % "
+        "quantile and last value, and of the coefficients their rms",
+    )
 
 
 class SegmentStudy(Study):
@@ -165,6 +189,32 @@ class SegmentStudy(Study):
         if not any(entry.share for entry in value):
             raise ValueError("every disturbance has share 0, so there is nothing to run")
         return value
+
+    @model_validator(mode="after")
+    def _what_is_kept_is_there(self) -> "SegmentStudy":
+        store, wavefront = self.store, self.wavefront
+        modal = self.optics.method == "modal"
+        if self.study.workflow != "segment-disturbance" and (
+            modal or not self.imaging.enabled or store.every > 1 or store.reduce != "none"
+        ):
+            raise ValueError(
+                "optics.method = 'modal', imaging.enabled = false, store.every and store.reduce belong to "
+                "the workflow segment-disturbance"
+            )
+        if modal and self.imaging.enabled:
+            raise ValueError("optics.method = 'modal' makes no images; set imaging.enabled = false")
+        if modal and (wavefront.method != "opd" or wavefront.reference != "chief"):
+            raise ValueError(
+                "optics.method = 'modal' needs wavefront.method = 'opd' and wavefront.reference = 'chief'"
+            )
+        if store.reduce == "summary" and (store.keep or store.every > 1):
+            raise ValueError(
+                "store.reduce = 'summary' keeps nothing over time; leave store.keep and store.every out"
+            )
+        fewest = min(entry.instants for entry in self.disturbance if entry.share)
+        if store.every > fewest:
+            raise ValueError(f"store.every is {store.every}, but there are cases of {fewest} instants")
+        return self
 
     @classmethod
     def read_files(cls, record: dict[str, Any], base: Path) -> None:

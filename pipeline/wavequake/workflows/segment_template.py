@@ -1,17 +1,83 @@
 """What a store of the workflow ``segment-disturbance`` holds: names, dimensions, units."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.workflows.bench import Bench, bench_of, in_basis
 from wavequake.workflows.contract import Template, Variable
 from wavequake.workflows.images import image_axis
+from wavequake.workflows.retention import STATISTICS, kept_variables
 from wavequake.workflows.segment_study import SegmentStudy
+
+IMAGED = ("exposure", "ee50", "ee80")
+# What the modal model does not know.
+TRACED_ONLY = ("wfe_pv", "spot_rms", "strehl", "rayleigh", "vignetted", *IMAGED)
 
 
 def template(study_text: str) -> Template:
     """Return what a store of this study holds."""
     bench = bench_of(study_text)
+    return Template(kept_variables(bench.study.store, computed(study_text)), _fixed(bench))
+
+
+@lru_cache(maxsize=2)
+def computed(study_text: str) -> dict[str, Variable]:
+    """Return what is computed of each case, over all of its instants."""
+    variables = traced(study_text)
+    if bench_of(study_text).study.optics.method == "standard":
+        return variables
+    return {name: one for name, one in variables.items() if name not in TRACED_ONLY} | _modal()
+
+
+@lru_cache(maxsize=2)
+def traced(study_text: str) -> dict[str, Variable]:
+    """Return what full traces, and images if the study wants them, tell of each case."""
+    bench = bench_of(study_text)
+    variables = _variables(bench)
+    imaging = bench.study.imaging.enabled
+    return {name: variable for name, variable in variables.items() if imaging or name not in IMAGED}
+
+
+def _modal() -> dict[str, Variable]:
+    """Return what tells of the modal model's error."""
+    largest = "largest {} of the modal model, where the case was traced to measure it"
+    errors = {
+        "wfe_rms_raw": ("nm", largest.format("error over the instants of the wfe_rms_raw")),
+        "wfe_rms": ("nm", largest.format("error over the instants of the wfe_rms")),
+        "zernike": ("nm", largest.format("error over instants and terms of the zernike")),
+        "los": ("mas", largest.format("error over the instants of the los")),
+        "centroid": ("mas", largest.format("error over the instants of the centroid")),
+    }
+    return {
+        "traced": Variable(
+            (),
+            (),
+            {
+                "units": "1",
+                "long_name": "0: numbers of the modal model; 1: of the modal model, and traced in full to "
+                "measure its error; 2: of full traces, as the motion is beyond the model's range",
+            },
+            dtype="int8",
+        ),
+        "modal_bound": Variable(
+            (),
+            (),
+            {
+                "units": "nm",
+                "long_name": "bound of the rms over the rays of the second order that the modal model leaves "
+                "out; inf where rays may cross the edge of a segment",
+            },
+        ),
+        **{
+            f"modal_error_{name}": Variable((), (), {"units": unit, "long_name": words})
+            for name, (unit, words) in errors.items()
+        },
+    }
+
+
+def _variables(bench: Bench) -> dict[str, Variable]:
     study = bench.study
     instants = max(population.instants for population in study.disturbance)
     terms, pixels = study.wavefront.zernike_terms, study.imaging.pixels
@@ -99,7 +165,7 @@ def template(study_text: str) -> Template:
             "m, rad",
             "rigid motion in the segment's local frame (dz to the sky)",
         )
-    return Template(per_case, _fixed(bench))
+    return per_case
 
 
 def _fixed(bench: Bench) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]]:
@@ -112,14 +178,21 @@ def _fixed(bench: Bench) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic]
             {"long_name": "Noll index"},
         ),
         "axis": (("axis",), np.array(["x", "y"], dtype=object), {"long_name": "axis of the image plane"}),
-        "y": (("y",), axis, {"units": "lambda/D", "long_name": "image y"}),
-        "x": (("x",), axis, {"units": "lambda/D", "long_name": "image x"}),
         "zernike_static": (
             ("noll",),
             in_basis(bench, bench.static.zernike[0]) * wavelength,
             {"units": "nm", "long_name": "Zernike coefficients at rest (a_0 of Störkle 2018, Eq. 3.41)"},
         ),
     }
+    if bench.study.imaging.enabled:
+        for name in ("y", "x"):
+            fixed[name] = ((name,), axis, {"units": "lambda/D", "long_name": f"image {name}"})
+    if bench.study.store.reduce == "summary":
+        fixed["statistic"] = (
+            ("statistic",),
+            np.array(STATISTICS, dtype=object),
+            {"long_name": "statistic over the instants of a case"},
+        )
     if "segment_motion" in bench.study.store.keep:
         fixed["segment"] = (
             ("segment",),
