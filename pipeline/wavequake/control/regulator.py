@@ -1,0 +1,217 @@
+"""The modal regulator: an observer of modes, and one row that inverts stage, hold and delay at their poles.
+
+At a mode e^{λt}, a command γ z_k that is held over steps of T and arrives t_c late moves the stage by
+γ H(λ) z with H = G(λ) (1 - e^{-λT})/(λT) e^{-λ t_c}. The row γ_j = -ρ_j / (s_5 H(λ_j)) therefore cancels
+the image motion ρ_j z_j of each mode exactly (an output regulator, whose Sylvester equation is diagonal in
+modes): no inverse filter, no prediction step, any sample time.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.control.bench import (
+    COMPENSATOR,
+    MEASURED,
+    SENSITIVITIES,
+    Bench,
+    bench_modes,
+    force_column,
+    image_row,
+)
+from wavequake.control.gains import kalman_gain
+from wavequake.control.hammer import HAMMER, Hammer, hammer_force
+from wavequake.control.linear import Array
+from wavequake.control.stage import Stage, stage_response
+from wavequake.errors import UserError
+
+Complex = NDArray[np.complex128]
+
+# A mode that shows in lens 4 by less than this share of the largest is taken as hidden.
+HIDDEN = 1e-4
+
+
+@dataclass(frozen=True)
+class ModalModel:
+    """Free motion after a blow at t = 0: y_L4 = Re Σ z_j, a = Re Σ ρ_j z_j, z_j = blow_j e^{λ_j t}.
+
+    Attributes
+    ----------
+    poles : ndarray of complex, shape (m,)
+        λ, 1/s, positive imaginary parts.
+    image : ndarray of complex, shape (m,)
+        ρ, image motion per motion of lens 4.
+    blow : ndarray of complex, shape (m,)
+        State after the blow, referred to t = 0, m.
+    """
+
+    poles: Complex
+    image: Complex
+    blow: Complex
+
+
+@dataclass(frozen=True)
+class ModalRegulator:
+    """What the control unit runs: m complex modes.
+
+    In each step z += start_k (for k steps from the trigger on), e = y - Re Σ z, z += gain e,
+    u = Re Σ row z, and for the next step z *= step.
+
+    Attributes
+    ----------
+    name : str
+    sample_time, compute_delay : float
+        s.
+    step : ndarray of complex, shape (m,)
+        e^{λT}.
+    gain : ndarray of complex, shape (m,)
+        Of the sampled Kalman filter.
+    row : ndarray of complex, shape (m,)
+        γ, command in m per modal coordinate in m.
+    start : ndarray of complex, shape (k, m)
+        Added in the first steps from the trigger on, m.
+    """
+
+    name: str
+    sample_time: float
+    compute_delay: float
+    step: Complex
+    gain: Complex
+    row: Complex
+    start: Complex
+
+
+def modal_model(bench: Bench, hammer: Hammer = HAMMER) -> ModalModel:
+    """Return the modes of a bench as lens 4 sees them.
+
+    Raises
+    ------
+    UserError
+        If lens 4 hardly sees a mode; says which.
+    """
+    modes = bench_modes(bench)
+    seen = modes.shapes[MEASURED]
+    driven = force_column(bench) @ modes.shapes
+    # η = Im(z)/ω_d for z' = λ z + φᵀ f; in y = Re(z') the coordinate is -i z φ_4/ω_d.
+    blow = -1j * seen * driven / modes.poles.imag * _laplace(hammer, modes.poles)
+    share = np.abs(blow) / np.abs(blow).max()
+    if (share < HIDDEN).any():
+        number = int(np.argmin(share))
+        raise UserError(
+            f"The modal observer cannot be designed: lens 4 does not see mode {number + 1} "
+            f"({modes.omega[number]:.4g} rad/s, {modes.omega[number] / 2 / np.pi:.3g} Hz); change the "
+            "springs or measure another lens."
+        )
+    return ModalModel(modes.poles, (image_row(bench) @ modes.shapes / seen).astype(complex), blow)
+
+
+def _laplace(hammer: Hammer, poles: Complex, until: float = np.inf) -> Complex:
+    """Return the integral of e^{-λt} F(t) over the blow: what a mode's state is afterwards, referred to 0."""
+    last = min(until, 5 * hammer.p1)
+    nodes, weights = np.polynomial.legendre.leggauss(48)
+    time = (nodes + 1) * last / 2
+    force = hammer_force(hammer, time) * weights * last / 2
+    return np.asarray(np.exp(-np.outer(poles, time)) @ force)
+
+
+def stage_gain(stage: Stage, poles: Complex, sample_time: float, compute_delay: float) -> Complex:
+    """Return H(λ): the stage's motion per held and late command that swings as e^{λt}."""
+    step = poles * sample_time
+    return np.asarray(stage_response(stage, poles) * -np.expm1(-step) / step * np.exp(-poles * compute_delay))
+
+
+def modal_regulator(
+    model: ModalModel,
+    stage: Stage,
+    sample_time: float = 0.002,
+    compute_delay: float = 0.0002,
+    *,
+    name: str = "modal",
+    process_noise: float = 0.003,
+    sensor_noise: float = 6.6e-6,
+    hammer: Hammer = HAMMER,
+) -> ModalRegulator:
+    """Design observer and row for a modal model.
+
+    Parameters
+    ----------
+    model : ModalModel
+    stage : Stage
+        As identified.
+    sample_time, compute_delay : float
+        s.
+    name : str
+    process_noise : float
+        Standard deviation of what a mode gains per step, as a share of its amplitude after the blow.
+    sensor_noise : float
+        Standard deviation of the measurement, m.
+    hammer : Hammer
+        Its shape tells which share of the blow each of the first steps has seen.
+
+    Raises
+    ------
+    UserError
+        If a mode is unstable, or does not show in lens 4 (says which), or the stage has a zero at a pole.
+    """
+    growing = model.poles.real >= 0
+    if growing.any():
+        pole = model.poles[int(np.argmax(growing))]
+        raise UserError(
+            f"The modal regulator cannot be designed: mode {int(np.argmax(growing)) + 1} "
+            f"({abs(pole):.4g} rad/s) does not decay, real part {pole.real:.3g} 1/s."
+        )
+    if not np.isfinite(model.image).all() or (model.blow == 0).any():
+        number = int(np.argmin(np.isfinite(model.image) & (model.blow != 0)))
+        raise UserError(
+            f"The modal regulator cannot be designed: lens 4 does not see mode {number + 1} "
+            f"({abs(model.poles[number]):.4g} rad/s)."
+        )
+    gain = stage_gain(stage, model.poles, sample_time, compute_delay)
+    step = np.exp(model.poles * sample_time)
+    count = len(step)
+    a = np.zeros((2 * count, 2 * count))
+    for j, factor in enumerate(step):
+        a[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] = [[factor.real, -factor.imag], [factor.imag, factor.real]]
+    c = np.tile([[1.0, 0.0]], count)
+    noise = np.repeat((process_noise * np.abs(model.blow)) ** 2, 2)
+    columns = kalman_gain(a, c, noise, sensor_noise**2)[:, 0]
+    row = -model.image / (SENSITIVITIES[COMPENSATOR] * gain)
+    start = first_steps(model, sample_time, hammer)
+    return ModalRegulator(
+        name, sample_time, compute_delay, step, columns[::2] + 1j * columns[1::2], row, start
+    )
+
+
+def first_steps(model: ModalModel, sample_time: float, hammer: Hammer = HAMMER) -> Complex:
+    """Return what the blow adds to the modes in each step from the trigger on, (k, m).
+
+    What it hands over within a step arrives at the next one. Shares are those of the hammer's known shape;
+    they sum up to the whole blow, referred to each step's instant.
+    """
+    count = max(1, int(np.ceil(4 * hammer.p1 / sample_time)))
+    instants = sample_time * np.arange(count + 1)
+    whole = _laplace(hammer, model.poles)
+    until = np.stack([_laplace(hammer, model.poles, float(t)) if t else 0 * whole for t in instants])
+    until[-1] = whole
+    shares = np.diff(until, axis=0) / whole
+    grown = np.exp(np.outer(instants[1:], model.poles))
+    start: Complex = np.vstack([0 * model.blow[None], shares * model.blow * grown])
+    return start
+
+
+def run_regulators(step: Complex, gain: Complex, row: Complex, start: Complex, measured: Array) -> Array:
+    """Run n regulators of m modes beside each other: commands (n, k) for measured positions (n, k), in m.
+
+    `step`, `gain` and `row` have shape (n, m), `start` (n, s, m), s steps from the trigger at the first
+    sample on. Sums run over modes alone, so that a row does not depend on its neighbors.
+    """
+    state = np.zeros_like(step)
+    commands = np.empty_like(measured)
+    for k in range(measured.shape[1]):
+        if k < start.shape[1]:
+            state = state + start[:, k]
+        state = state + gain * (measured[:, k] - state.real.sum(axis=1))[:, None]
+        commands[:, k] = (row * state).real.sum(axis=1)
+        state = state * step
+    return commands
