@@ -169,10 +169,11 @@ def test_strehl_of_a_deformed_parabola_is_what_its_phase_says():
     form = ZernikeDeformation(11, RADIUS)
     system = parabola(form)
     prepared = prepare_system(system, *quadrature(0.0), 36)
-    states = rest_states(system, 3)
+    states = rest_states(system, 4)
     wave = prepared.wavelength
     states.deformations[0][1, 10] = 0.02 * wave
     states.deformations[0][2, 1] = 0.5 * wave
+    states.deformations[0][3, 7] = 0.02 * wave
     found = measure_system(prepared, states, NUMPY)
     assert found.strehl[[0, 2]] == pytest.approx(1.0, abs=1e-5)
     sigma = 2 * np.pi * found.rms[1]
@@ -180,3 +181,7 @@ def test_strehl_of_a_deformed_parabola_is_what_its_phase_says():
     # Z11 runs from sqrt(5) at center and rim down to -sqrt(5)/2; the rim's slope of f/1.7 takes 1 % of it.
     assert found.pv[1] == pytest.approx(1.5 * np.sqrt(5) * found.rms[1], rel=1e-2)
     assert found.pv[2] < 1e-2
+    assert found.rms_flat[1] == pytest.approx(found.rms[1], rel=1e-6)
+    # Coma about the chief ray is 3 sqrt(8) rho^3 cos(theta), of which a plane takes 2/3.
+    assert found.rms_flat[3] == pytest.approx(found.rms[3], rel=1e-4)
+    assert found.rms_raw[3] == pytest.approx(3 * found.rms[3], rel=1e-2)

@@ -78,9 +78,10 @@ class SystemWavefront:
     ----------
     zernike : ndarray, shape (T, J)
         Noll coefficients, waves.
-    rms, rms_raw, pv : ndarray, shape (T,)
-        Rms of the terms j >= 4, rms over the rays without piston, and peak to valley about the best-fit
-        plane; waves.
+    rms, rms_raw : ndarray, shape (T,)
+        Rms of the terms j >= 4, and rms over the rays without piston; waves.
+    rms_flat, pv : ndarray, shape (T,)
+        Rms and peak to valley over the rays about the best-fit plane, waves.
     chief, los, centroid : ndarray, shape (T, 2)
         Image point of the chief ray, of the best-fit plane (Störkle 2018, Eq. 3.39) and of the rays' center;
         mm in the frame of the image.
@@ -96,6 +97,7 @@ class SystemWavefront:
     zernike: Array
     rms: Array
     rms_raw: Array
+    rms_flat: Array
     pv: Array
     chief: Array
     los: Array
@@ -223,16 +225,16 @@ def analyse_system(prepared: PreparedSystem, opd: Array, traced: TracedRays, chi
     weight = prepared.fit.weight
     kept = np.sum(np.where(ok, weight, 0.0), axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.sum(np.where(ok, opd * weight, 0.0), axis=1) / kept
-        square = np.sum(np.where(ok, (opd - mean[:, None]) ** 2 * weight, 0.0), axis=1) / kept
         flat = opd - np.sum(zernike[:, None, 1:3] * prepared.fit.basis[:, 1:3], axis=2)
+        rms_raw, rms_flat = (_rms_without_piston(values, ok, weight, kept) for values in (opd, flat))
         phasor = np.where(ok, np.exp(2j * np.pi * np.where(ok, flat, 0.0)) * weight, 0.0)
         strehl = np.abs(np.sum(phasor, axis=1) / kept) ** 2
     spots = spot(np.where(ok, traced.x, np.nan), np.where(ok, traced.y, np.nan), weight)
     return SystemWavefront(
         zernike=zernike,
         rms=np.sqrt(np.sum(zernike[:, 3:] ** 2, axis=1)),
-        rms_raw=np.sqrt(square),
+        rms_raw=rms_raw,
+        rms_flat=rms_flat,
         pv=peak_to_valley(flat),
         chief=chief,
         los=line_of_sight(prepared, chief, zernike),
@@ -242,6 +244,13 @@ def analyse_system(prepared: PreparedSystem, opd: Array, traced: TracedRays, chi
         lost=np.count_nonzero(~ok, axis=1),
         vignetted=np.count_nonzero(traced.status == VIGNETTED, axis=1),
     )
+
+
+def _rms_without_piston(values: Array, ok: NDArray[np.bool_], weight: Array, kept: Array) -> Array:
+    """Return the rms (T,) of values (T, N) about their means over the rays that are `ok`."""
+    mean = np.sum(np.where(ok, values * weight, 0.0), axis=1) / kept
+    square = np.sum(np.where(ok, (values - mean[:, None]) ** 2 * weight, 0.0), axis=1) / kept
+    return np.asarray(np.sqrt(square))
 
 
 def zernike_fit(fit: Fit, opd: Array) -> Array:

@@ -20,7 +20,7 @@ from wavequake.report import system_figures as draw_figures
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import Excluded
 from wavequake.report.statistics import Jitter, Quantile, case_rms, jitter, quantile
-from wavequake.report.table import interval, number
+from wavequake.report.table import interval, number, share
 from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
 from wavequake.workflows.store import read_manifest
 from wavequake.workflows.system_bench import (
@@ -37,8 +37,9 @@ Array = NDArray[np.float64]
 _SMALL_PRINT = (
     "At the primary wavelength. WFE, its change from rest and spot: rms of a case over its instants; P50 "
     "and P95 over cases, in small print its distribution-free 95 % interval. LOS: rms of both axes "
-    "about the mean of all cases and instants, ± standard error. Strehl: over all instants. Vignetted: the "
-    "largest number of rays at any instant that openings stop, of all that are traced."
+    "about the mean of all cases and instants, ± standard error. Strehl: over all instants. Maréchal: share "
+    "of instants with an rms of at most λ/14 about the best-fit plane. Vignetted: the largest number of rays "
+    "at any instant that openings stop, of all that are traced."
 )
 _DEFINITIONS = (
     ("WFE", "Root of the sum of squares of the Noll Zernike coefficients j ≥ 4: piston and tilt removed."),
@@ -61,6 +62,7 @@ class FieldResult:
     change: Array
     spot: Array
     strehl_p50: float
+    marechal: float
     los: Jitter
     vignetted: int
 
@@ -146,7 +148,7 @@ def _population(light: xr.Dataset, name: str) -> SystemPopulation:
         key: light[key].to_numpy()[:, present]
         for key in ("wfe_rms", "wfe_change", "spot_rms", "strehl", "los_mm")
     }
-    vignetted = light["vignetted"].to_numpy()
+    vignetted, marechal = light["vignetted"].to_numpy(), light["marechal"].to_numpy()
     fields = tuple(
         FieldResult(
             field=str(label),
@@ -154,6 +156,7 @@ def _population(light: xr.Dataset, name: str) -> SystemPopulation:
             change=case_rms(values["wfe_change"][..., index]),
             spot=case_rms(values["spot_rms"][..., index]),
             strehl_p50=float(np.median(values["strehl"][..., index])),
+            marechal=float(marechal[:, index].mean()),
             los=jitter(values["los_mm"][:, :, index] * 1e3),
             vignetted=int(vignetted[:, index].max()),
         )
@@ -174,6 +177,7 @@ _HEADERS = (
     "LOS (µm)",
     "spot P50 (µm)",
     "Strehl P50",
+    "Maréchal",
     "vignetted",
 )
 
@@ -192,6 +196,7 @@ def _row(population: SystemPopulation, one: FieldResult, bench: SystemBench) -> 
         (number(one.los.radial), f"± {number(error, 2)}" if np.isfinite(error) else ""),
         _quantile(quantile(one.spot, 0.5)),
         (number(one.strehl_p50), ""),
+        (share(one.marechal), ""),
         (f"{one.vignetted} of {rays}" if one.vignetted else "0", ""),
     )
     return dict(zip(_HEADERS, values, strict=True))

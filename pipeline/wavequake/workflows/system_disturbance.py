@@ -12,6 +12,7 @@ from wavequake.kernels.devices import Device, choose_device
 from wavequake.mechanics.element_motion import ElementDisturbance, ElementMotion, draw_elements
 from wavequake.mechanics.population import time_axis
 from wavequake.optics.packing import moving
+from wavequake.optics.quality import meets_marechal, meets_rayleigh
 from wavequake.optics.system_wavefront import PreparedSystem, SystemWavefront, measure_system
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.schema import study_from_identity
@@ -95,6 +96,8 @@ def _numbers(prepared: PreparedSystem, wavefront: SystemWavefront, rest: SystemW
         "centroid_mm": wavefront.centroid - rest.centroid,
         "spot_rms": wavefront.spot_rms * 1e3,
         "strehl": wavefront.strehl,
+        "rayleigh": np.mean(meets_rayleigh(wavefront.pv)),
+        "marechal": np.mean(meets_marechal(wavefront.rms_flat)),
         "vignetted": np.asarray(wavefront.vignetted.max(), dtype=np.float64),
         "lost": np.asarray(wavefront.lost.max(), dtype=np.float64),
     }
@@ -154,6 +157,17 @@ def template(study_text: str) -> Template:
         ),
         "spot_rms": variable("um", "rms distance of the rays' image points from their centroid", *over),
         "strehl": variable("1", "Strehl ratio in the direction of the best-fit plane", *over),
+        "rayleigh": variable(
+            "1",
+            "share of instants with a peak to valley of at most lambda/4 (Störkle 2018, Eq. 3.54)",
+            *over[1:],
+        ),
+        "marechal": variable(
+            "1",
+            "share of instants with an rms over the rays, piston and tilt removed, of at most lambda/14 "
+            "(Störkle 2018, Eq. 3.55)",
+            *over[1:],
+        ),
         "vignetted": variable("1", "largest number of rays at an instant that openings stop", *over[1:]),
         "lost": variable("1", "largest number of rays at an instant that do not arrive", *over[1:]),
     }
