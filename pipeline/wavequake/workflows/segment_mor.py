@@ -37,10 +37,10 @@ from wavequake.workflows.segment_mor_bench import (
     reduced,
     spot_check,
     study_of,
-    traced_instants,
 )
 from wavequake.workflows.segment_mor_study import SegmentMorStudy
 from wavequake.workflows.segment_mor_template import template
+from wavequake.workflows.stopwatch import Stopwatch
 
 Array = NDArray[np.float64]
 
@@ -65,30 +65,35 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
         name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
         for name, variable in template(study_text).per_case.items()
     }
-    status = np.full(len(cases), DONE, dtype=np.int8)
+    status, clock = np.full(len(cases), DONE, dtype=np.int8), Stopwatch()
     messages = [""] * len(cases)
     with threadpool_limits(1):
         for row, case in enumerate(cases):
             try:
-                found = judged(study_text, *cases_of(study)[int(case)], device_name)
+                found = judged(study_text, *cases_of(study)[int(case)], device_name, clock)
             except UserError as error:
                 status[row], messages[row] = RAISED, str(error)
                 continue
             for key, value in found.items():
                 arrays[key][row] = value
-    return ChunkResult(arrays, status, tuple(messages))
+    return ChunkResult(arrays, status, tuple(messages), clock.seconds)
 
 
-def judged(study_text: str, disturbed: str, variant: str, device_name: str) -> dict[str, Array | float]:
+def judged(
+    study_text: str, disturbed: str, variant: str, device_name: str, clock: Stopwatch
+) -> dict[str, Array | float]:
     """Return all stored numbers of one case."""
     study, model = study_of(study_text), model_of(study_text)
-    truth = traced_reference(study_text, disturbed, device_name)
+    with clock("reference"):
+        truth = traced_reference(study_text, disturbed, device_name)
     if variant == study.reduction.reference:
         chosen, moved, seen = model.reference, truth[0], truth[1]
     else:
-        chosen = reduced(model, variant)
-        moved = motions(study, model, chosen, chosen_segments(study, model.bench, disturbed).tolist())
-        seen = traced(study, model.bench, disturbed, moved, choose_device(device_name))
+        with clock("response"):
+            chosen = reduced(model, variant)
+            moved = motions(study, model, chosen, chosen_segments(study, model.bench, disturbed).tolist())
+        with clock("light"):
+            seen = traced(study, model.bench, disturbed, moved, choose_device(device_name))
     return {
         **_mechanical(study, model, chosen),
         "segment_piston_rms": np.sqrt(np.mean(moved[..., 2] ** 2, axis=2)) * NM_PER_MM,
@@ -269,14 +274,6 @@ def describe(study_text: str) -> dict[str, str]:
     }
 
 
-def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
-    """Return the number of ray-surfaces traced for `cases` cases (padding of the instants included)."""
-    study, bench = study_of(study_text), model_of(study_text).bench
-    instants = len(study.excitation) * padded(len(traced_instants(study)))
-    per_instant = len(bench.prepared.weight) * (1 + len(bench.system.surfaces))
-    return {"trace": (float(cases * instants * per_instant), "ray-surfaces")}
-
-
 def check(study_text: str) -> None:
     """Raise UserError for a study of which no case can succeed: telescope, segment, excitations."""
     study, model = study_of(study_text), model_of(study_text)
@@ -285,4 +282,4 @@ def check(study_text: str) -> None:
         motions(study, model, model.reference, first)
 
 
-WORKFLOW = Workflow("segment-mor", template, case_table, compute, describe, work, check)
+WORKFLOW = Workflow("segment-mor", template, case_table, compute, describe, check=check)
