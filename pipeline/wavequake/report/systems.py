@@ -91,15 +91,14 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     bench = system_bench(read_manifest(store).study)
     table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=_SMALL_PRINT, caption_justify="left")
-    for header in ("disturbance", "field"):
-        table.add_column(header)
+    table.add_column("disturbance\nfield")
     for header in _HEADERS[3:]:
-        table.add_column(header.replace(" (", "\n("), justify="right", no_wrap=True)
+        table.add_column(header.replace(" ", "\n"), justify="right", no_wrap=True)
     for population in populations(dataset, bench):
         table.add_row(Text(f"{population.name}, {len(population.cases)} cases", style="bold"))
         for one in population.fields:
             cells = list(_row(population, one, bench).values())
-            table.add_row("", one.field, *(value for value, _ in cells[3:]))
+            table.add_row(f"  {one.field}", *(value for value, _ in cells[3:]))
     return table
 
 
