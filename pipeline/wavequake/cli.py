@@ -2,20 +2,17 @@
 
 import io
 import shlex
+import signal
 import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from wavequake import __version__
 from wavequake.errors import StoreDamageError, UserError
+from wavequake.terminal import err, live_progress, out, print_pairs
 
 EXIT_BAD_INPUT, EXIT_QUARANTINED, EXIT_DAMAGED, EXIT_INTERRUPTED = 2, 3, 4, 130
 
@@ -25,10 +22,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
-# Where the output is no terminal (a log, a pipe), lines have room for the table.
-out = Console(highlight=False, width=None if sys.stdout and sys.stdout.isatty() else 110)
-err = Console(stderr=True, highlight=False)
-
 StudyArgument = Annotated[str, typer.Argument(help="Name of a bundled study or path of a .toml file.")]
 StoreArgument = Annotated[Path, typer.Argument(help="Folder of the store.")]
 OverridesArgument = Annotated[
@@ -40,6 +33,8 @@ StoreOption = Annotated[Path | None, typer.Option("--store", help="Folder of the
 def main() -> None:
     """Run the command line; the exit code says how it ended (0, 1, 2, 3, 4 or 130)."""
     debug = "--debug" in sys.argv
+    # What ends a job on a cluster is to it what Ctrl-C is at a terminal.
+    signal.signal(signal.SIGTERM, lambda number, frame: signal.raise_signal(signal.SIGINT))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that has no Greek shall not end a run
@@ -98,6 +93,12 @@ def run(
     repair: Annotated[
         bool, typer.Option("--repair", help="Read all results first and compute damaged chunks again.")
     ] = False,
+    allow_mixed: Annotated[
+        bool, typer.Option("--allow-mixed", help="Go on with a store that other versions of the code began.")
+    ] = False,
+    dashboard: Annotated[
+        bool, typer.Option("--dashboard", help="Serve Dask's dashboard on this machine and show its link.")
+    ] = False,
     profile: Annotated[bool, typer.Option("--profile", help="Say where the time went.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
@@ -110,8 +111,17 @@ def run(
     path = store or Path(loaded.store.path or loaded.default_store())
     out.print(f"{loaded.study.name}  {loaded.cases} cases  ->  {path}", markup=False, soft_wrap=True)
     try:
-        with _progress() as progress:
-            summary = run_study(loaded, path, on=on, workers=workers, progress=progress, repair=repair)
+        with live_progress() as progress:
+            summary = run_study(
+                loaded,
+                path,
+                on=on,
+                workers=workers,
+                progress=progress,
+                repair=repair,
+                allow_mixed=allow_mixed,
+                dashboard=_show_link if dashboard else None,
+            )
     except KeyboardInterrupt:
         words = shlex.join(["wavequake", "run", study, *(overrides or []), "--store", str(path)])
         err.print(f"\nInterrupted. What is done is kept; to continue: {words}", markup=False, soft_wrap=True)
@@ -126,13 +136,17 @@ def run(
         out.print(f"All {summary.done_before} cases were done already; nothing was computed.")
     _write_report(path, fresh=summary.computed > 0)
     if profile:
-        _print_pairs(profile_of(path))
+        print_pairs(profile_of(path))
     if summary.quarantined:
         words = shlex.join(["wavequake", "status", str(path)])
         err.print(
             f"{summary.quarantined} cases are quarantined; {words} says why.", markup=False, soft_wrap=True
         )
         sys.exit(EXIT_QUARANTINED)
+
+
+def _show_link(link: str) -> None:
+    out.print(f"Dashboard: {link}", markup=False, soft_wrap=True)
 
 
 @app.command()
@@ -146,7 +160,7 @@ def plan(
     from wavequake.workflows.campaign import plan as plan_study
     from wavequake.workflows.study import load_study
 
-    _print_pairs(plan_study(load_study(study, overrides or [])))
+    print_pairs(plan_study(load_study(study, overrides or [])))
 
 
 @app.command()
@@ -253,11 +267,31 @@ def retry(
     from wavequake.workflows.store import read_manifest
 
     wanted, workflow = rerun.statuses(statuses), WORKFLOWS[read_manifest(store).workflow]
-    with _progress() as progress:
+    with live_progress() as progress:
         summary = rerun.retry_store(workflow, store, wanted, on=on, workers=workers, progress=progress)
     out.print(f"{summary.chunks} chunks computed again; {summary.quarantined} cases are quarantined now.")
     if summary.quarantined:
         sys.exit(EXIT_QUARANTINED)
+
+
+@app.command("rerun")
+def rerun_case(
+    store: StoreArgument,
+    case: Annotated[int, typer.Option("--case", min=0, help="Id of the case.")],
+    file: Annotated[
+        Path | None, typer.Option("--file", help="Where its numbers go (.nc; default: STORE/case-ID.nc).")
+    ] = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Compute one case again in full detail and compare its bits with the store (exit code 4 if others)."""
+    from wavequake.report.rerun import rerun_stored
+
+    found = rerun_stored(store, case, file)
+    out.print(found.table())
+    for line in found.lines():
+        out.print(line, markup=False, soft_wrap=True)
+    if found.differing:
+        sys.exit(EXIT_DAMAGED)
 
 
 @app.command()
@@ -311,13 +345,6 @@ def devices() -> None:
     out.print(table)
 
 
-def _print_pairs(pairs: dict[str, str]) -> None:
-    table = Table(show_header=False, box=None)
-    for key, value in pairs.items():
-        table.add_row(key, value)
-    out.print(table)
-
-
 def _write_report(store: Path, fresh: bool) -> None:
     from wavequake.report.campaign import is_current, report_path, report_store, summary_table
 
@@ -327,54 +354,3 @@ def _write_report(store: Path, fresh: bool) -> None:
         table, path = summary_table(store), report_path(store)
     out.print(table)
     out.print(f"Report: {path.resolve()}", markup=False, soft_wrap=True)
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[int, int, int], None]]:
-    """Give a callback (done, total, quarantined): one live line on a terminal, plain lines elsewhere."""
-    if not out.is_terminal:
-        yield _plain_progress()
-        return
-    columns = (
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("cases  {task.fields[rate]:.0f}/s  ETA"),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[quarantined]} quarantined"),
-    )
-    with Progress(*columns, console=out, transient=True) as bar:
-        task = bar.add_task("", total=None, rate=0.0, quarantined=0)
-        rate = _Rate()
-
-        def update(done: int, total: int, quarantined: int) -> None:
-            bar.update(task, completed=done, total=total, rate=rate(done), quarantined=quarantined)
-
-        yield update
-
-
-class _Rate:
-    """Cases per second since the first call."""
-
-    def __init__(self) -> None:
-        self._start: tuple[float, int] | None = None
-
-    def __call__(self, done: int) -> float:
-        now = time.monotonic()
-        if self._start is None:
-            self._start = (now, done)
-        elapsed = now - self._start[0]
-        return (done - self._start[1]) / elapsed if elapsed > 0 else 0.0
-
-
-def _plain_progress(every_s: float = 5.0) -> Callable[[int, int, int], None]:
-    rate, last = _Rate(), [0.0]
-
-    def update(done: int, total: int, quarantined: int) -> None:
-        first, speed, now = not last[0], rate(done), time.monotonic()
-        if (now - last[0] < every_s and done < total) or (first and done == total):
-            return
-        last[0] = now
-        left = f"{(total - done) / speed:.0f} s left" if speed > 0 else "starting"
-        out.print(f"{done}/{total} cases  {speed:.0f}/s  {left}  {quarantined} quarantined")
-
-    return update

@@ -132,7 +132,7 @@ def compute_chunk(job: Job, first: int, last: int) -> Outcome:
 def _computed(job: Job, opened: Opened, first: int, last: int) -> ChunkResult:
     cases = np.arange(first, last, dtype=np.int64)
     result = job.workflow.compute(opened.manifest.study, cases, job.device)
-    return _judged(_checked(result, opened.template, len(cases)), opened.template)
+    return checked(result, opened.template, len(cases))
 
 
 def computed_alone(job: Job, opened: Opened, case: int) -> ChunkResult:
@@ -145,8 +145,14 @@ def computed_alone(job: Job, opened: Opened, case: int) -> ChunkResult:
         return failed(opened.template, RAISED, f"{type(error).__name__}: {error}")
 
 
-def _checked(result: ChunkResult, template: Template, count: int) -> ChunkResult:
-    """Return the result in the types of the store; a workflow that breaks its contract is no failed case."""
+def checked(result: ChunkResult, template: Template, count: int) -> ChunkResult:
+    """Return the result in the types of the store, those cases diverged that are not finite.
+
+    Raises
+    ------
+    BrokenWorkflowError
+        If the workflow does not keep its contract, which is no failed case.
+    """
     status = np.asarray(result.status)
     if set(result.arrays) != set(template.per_case):
         raise _broken(f"gave the arrays {sorted(result.arrays)} instead of {sorted(template.per_case)}")
@@ -161,7 +167,9 @@ def _checked(result: ChunkResult, template: Template, count: int) -> ChunkResult
         arrays[name] = np.asarray(result.arrays[name], dtype=variable.dtype)
         if arrays[name].shape != (count, *variable.shape):
             raise _broken(f"gave {name!r} the shape {arrays[name].shape}, not {(count, *variable.shape)}")
-    return ChunkResult(arrays, status.astype(np.int8), tuple(result.messages), result.timings)
+    return _judged(
+        ChunkResult(arrays, status.astype(np.int8), tuple(result.messages), result.timings), template
+    )
 
 
 def _broken(what: str) -> BrokenWorkflowError:

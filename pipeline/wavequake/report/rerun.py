@@ -1,0 +1,157 @@
+"""One case of a store computed again in full detail: the same bits, and what the store does not keep."""
+
+import faulthandler
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from traceback import format_exception
+
+import numpy as np
+import xarray as xr
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+
+from wavequake.errors import UserError
+from wavequake.report.campaign import device_at_hand
+from wavequake.report.export import export, target_of
+from wavequake.report.segments import detail
+from wavequake.workflows.campaign import WORKFLOWS
+from wavequake.workflows.chunks import checked
+from wavequake.workflows.contract import DIVERGED, DONE, RAISED, STATUS_MEANINGS, TODO, ChunkResult, Template
+from wavequake.workflows.journal import digest
+from wavequake.workflows.store import Manifest, open_store, read_manifest
+
+
+@dataclass(frozen=True)
+class CaseRerun:
+    """A case computed again.
+
+    ``labels`` say what it is; ``numbers`` gives each variable's range, in words; ``differing`` names those
+    whose bits are not those of the store; ``trouble`` is the traceback or the reason if it failed again;
+    ``file`` has all numbers.
+    """
+
+    case: int
+    labels: Mapping[str, str]
+    stored_status: int
+    status: int
+    numbers: Mapping[str, str]
+    differing: tuple[str, ...]
+    trouble: str
+    file: Path | None
+
+    def table(self) -> Table:
+        """Return labels and numbers for the terminal."""
+        table = Table(box=None, show_header=False)
+        for name, text in {**self.labels, **self.numbers}.items():
+            table.add_row(name, text, "differs from the store" if name in self.differing else "")
+        return table
+
+    def lines(self) -> list[str]:
+        """Return the verdict, and where the numbers are."""
+        words = STATUS_MEANINGS.split()
+        lines = [f"case {self.case}: {words[self.stored_status]} in the store, {words[self.status]} now"]
+        if self.trouble:
+            lines.append(self.trouble)
+        if self.differing:
+            lines.append(f"Not the bits of the store: {', '.join(self.differing)}.")
+        elif self.status == self.stored_status == DONE:
+            lines.append("Every number has the bits of the store.")
+        return [*lines, *([f"Written: {self.file}"] if self.file else [])]
+
+
+def rerun_stored(store: Path, case: int, file: Path | None = None) -> CaseRerun:
+    """Compute a case of a store again from its study and id, and compare every number with the stored one.
+
+    The numbers go to `file`, by default ``STORE/case-ID.nc``, with what the store does not keep: for
+    segment-disturbance the motion of every segment and the path of every ray. The store is not changed.
+
+    Raises
+    ------
+    UserError
+        If there is no store or no such case, or `file` cannot be written.
+    """
+    manifest = read_manifest(store)
+    if case not in range(manifest.cases):
+        raise UserError(f"{store} has cases 0 to {manifest.cases - 1}; there is no case {case}.")
+    target = target_of(file or Path(store) / f"case-{case}.nc", overwrite=True)
+    if target.suffix != ".nc":
+        raise UserError(f"{target} must end in .nc.")
+    stored = open_store(store).sel(case=[case]).load()
+    device, workflow = device_at_hand(manifest), WORKFLOWS[manifest.workflow]
+    template = workflow.template(manifest.study)
+    if sys.__stderr__:  # a case that crashed in the campaign will do so here, and say where
+        faulthandler.enable(sys.__stderr__)
+    status, trouble, result = RAISED, "", None
+    try:
+        with threadpool_limits(1):
+            result = checked(workflow.compute(manifest.study, np.array([case]), device), template, 1)
+        status, trouble = int(result.status[0]), result.messages[0]
+    except Exception as error:
+        trouble = "".join(format_exception(error)).rstrip()
+    before = int(stored["status"].item())
+    return CaseRerun(
+        case,
+        {str(name): str(values.item()) for name, values in stored.coords.items() if values.dims == ("case",)},
+        before,
+        status,
+        _ranges(result, template) if result else {},
+        _differing(stored, result, template) if result and before != TODO else (),
+        trouble,
+        _written(manifest, stored, result, device, target) if result and status in (DONE, DIVERGED) else None,
+    )
+
+
+def _ranges(result: ChunkResult, template: Template) -> dict[str, str]:
+    texts = {}
+    for name, variable in template.per_case.items():
+        values = np.asarray(result.arrays[name][0])
+        unit = variable.attrs.get("units", "").replace("1", "")
+        if values.dtype.kind not in "fiub" or not np.isfinite(values).any():
+            continue
+        least, most = np.nanmin(values), np.nanmax(values)
+        texts[name] = f"{most:.6g} {unit}" if least == most else f"{least:.6g} to {most:.6g} {unit}"
+    return texts
+
+
+def _differing(stored: xr.Dataset, result: ChunkResult, template: Template) -> tuple[str, ...]:
+    return tuple(
+        name
+        for name, variable in template.per_case.items()
+        if not variable.measured and digest(stored[name].to_numpy()) != digest(result.arrays[name])
+    )
+
+
+def _written(manifest: Manifest, stored: xr.Dataset, result: ChunkResult, device: str, target: Path) -> Path:
+    case = int(stored["case"].item())
+    numbers = stored.assign(
+        {name: stored[name].copy(data=np.asarray(values)) for name, values in result.arrays.items()}
+    )
+    numbers["status"][:], numbers["message"] = result.status, ("case", list(result.messages))
+    if manifest.workflow == "segment-disturbance":
+        numbers = numbers.isel(case=0).merge(_segment_detail(manifest, case, device, stored))
+    return export(numbers, target, overwrite=True)
+
+
+def _segment_detail(manifest: Manifest, case: int, device: str, stored: xr.Dataset) -> xr.Dataset:
+    """Return what the report's maps show of a case; instants are those that it has."""
+    found = detail(manifest.study, case, device, stored)
+
+    def variable(dims: tuple[str, ...], values: np.ndarray, units: str, long_name: str) -> xr.Variable:
+        return xr.Variable(dims, values, {"units": units, "long_name": long_name})
+
+    degrees = ["dx", "dy", "dz", "rx", "ry", "rz"]
+    return xr.Dataset(
+        {
+            "segment_motion": variable(
+                ("instant", "segment", "dof"), found.segment_motion, "m, rad", "motion in the segment's frame"
+            ),
+            "opd": variable(("instant", "ray"), found.opd, "nm", "optical path difference; NaN: lost"),
+            "spot": variable(("instant", "ray", "axis"), found.spot, "mas", "where rays meet the image"),
+            "ray_x": variable(("ray",), found.ray_x, "mm", "where rays meet the aperture"),
+            "ray_y": variable(("ray",), found.ray_y, "mm", "where rays meet the aperture"),
+            "ray_segment": variable(("ray",), found.ray_segment, "1", "segment that a ray hits, -1: none"),
+        },
+        {"segment": list(found.segment_names), "dof": degrees},
+    )

@@ -1,0 +1,73 @@
+"""What the command line prints on: its consoles, pairs of words, and the progress of a run."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+# Where the output is no terminal (a log, a pipe), lines have room for the table.
+out = Console(highlight=False, width=None if sys.stdout and sys.stdout.isatty() else 110)
+err = Console(stderr=True, highlight=False)
+
+
+def print_pairs(pairs: dict[str, str]) -> None:
+    """Print two columns of words."""
+    table = Table(show_header=False, box=None)
+    for key, value in pairs.items():
+        table.add_row(key, value)
+    out.print(table)
+
+
+@contextmanager
+def live_progress() -> Iterator[Callable[[int, int, int], None]]:
+    """Give a callback (done, total, quarantined): one live line on a terminal, plain lines elsewhere."""
+    if not out.is_terminal:
+        yield _plain_progress()
+        return
+    columns = (
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("cases  {task.fields[rate]:.0f}/s  ETA"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[quarantined]} quarantined"),
+    )
+    with Progress(*columns, console=out, transient=True) as bar:
+        task = bar.add_task("", total=None, rate=0.0, quarantined=0)
+        rate = _Rate()
+
+        def update(done: int, total: int, quarantined: int) -> None:
+            bar.update(task, completed=done, total=total, rate=rate(done), quarantined=quarantined)
+
+        yield update
+
+
+class _Rate:
+    """Cases per second since the first call."""
+
+    def __init__(self) -> None:
+        self._start: tuple[float, int] | None = None
+
+    def __call__(self, done: int) -> float:
+        now = time.monotonic()
+        if self._start is None:
+            self._start = (now, done)
+        elapsed = now - self._start[0]
+        return (done - self._start[1]) / elapsed if elapsed > 0 else 0.0
+
+
+def _plain_progress(every_s: float = 5.0) -> Callable[[int, int, int], None]:
+    rate, last = _Rate(), [0.0]
+
+    def update(done: int, total: int, quarantined: int) -> None:
+        first, speed, now = not last[0], rate(done), time.monotonic()
+        if (now - last[0] < every_s and done < total) or (first and done == total):
+            return
+        last[0] = now
+        left = f"{(total - done) / speed:.0f} s left" if speed > 0 else "starting"
+        out.print(f"{done}/{total} cases  {speed:.0f}/s  {left}  {quarantined} quarantined")
+
+    return update
