@@ -14,6 +14,7 @@ from wavequake.kernels.devices import choose_device
 from wavequake.mechanics.mirrors import HexagonalSegment, mirror_mesh
 from wavequake.optics.telescopes import telescope
 from wavequake.workflows import model_store
+from wavequake.workflows.bench import bench_of
 from wavequake.workflows.contract import DONE, RAISED
 from wavequake.workflows.segment_mor import case_table, check, compute, describe, launches, template, traced
 from wavequake.workflows.segment_mor_bench import (
@@ -26,11 +27,13 @@ from wavequake.workflows.segment_mor_bench import (
     reduced,
     segment_drive,
     study_of,
+    telescope_study,
     time_of,
     traced_instants,
 )
 from wavequake.workflows.study import load_study
 
+DATA = Path(__file__).parents[1] / "data"
 # Thick, so that the large segments of tmt-18 are stiff; few elements.
 STUDY = """
 [study]
@@ -187,7 +190,7 @@ def test_supports_that_rise_slowly_lift_the_segment_as_one(write, support):
     seen = traced(study, model.bench, "one", moved[None, None, None], choose_device("auto"))
     # Segment 8 of a tracer that shares no code with ours: waves per m along z of the optics, of which the
     # normal's part counts; the rest slides the segment along its surface.
-    facts = json.loads((Path(__file__).parents[1] / "data" / "tmt18_segments.json").read_text())
+    facts = json.loads((DATA / "tmt18_segments.json").read_text())
     per_z = np.linalg.norm(facts["piston_z"]["zernike"][7][3:])
     along = model.bench.system.segments.axes[7, 2, 2]
     np.testing.assert_allclose(seen["wfe_zernike"][0, 0], per_z / along * lifted * 550.0, rtol=1e-2)
@@ -206,6 +209,22 @@ def test_one_lifted_segment_is_a_plateau_of_the_wavefront(text_of):
     square = share - share**2 - np.sum((share * centers[7]) ** 2) / spread
     rise = 2 * 50.0 * model.bench.system.segments.axes[7, 2, 2]
     np.testing.assert_allclose(seen["wfe_rms"][0, 0], rise * np.sqrt(square), rtol=5e-3)
+
+
+@pytest.mark.parametrize("name", ["A1", "B10"])
+def test_one_lifted_segment_of_the_tmt_is_that_of_a_foreign_tracer(text_of, name):
+    facts = json.loads((DATA / "tmt492_segments.json").read_text())["segments"]
+    study = study_of(text_of("telescope.name=tmt", f"segments.name={name}"))
+    bench = bench_of(telescope_study(study).identity_text())
+    (place,) = chosen_segments(study, bench, "one")
+    moved = np.zeros((1, 1, 1, 6 + 11))
+    moved[..., :3] = 50e-6 * bench.system.segments.axes[place, 2]  # along the telescope's axis, mm
+    seen = traced(study, bench, "one", moved, choose_device("auto"))
+    # Theirs keeps the plane, of which one of 492 segments has little.
+    center, share = bench.system.segments.centers[place, :2], 1 / 492
+    plane = share * np.sum(center**2) / np.mean(bench.system.segments.centers[:, :2] ** 2)
+    expected = 50.0 * facts[name]["piston_z"]["rms_opd_full_pupil_piston_removed"]
+    np.testing.assert_allclose(seen["wfe_rms"][0, 0], expected * (1 - plane / 2), rtol=2e-3)
 
 
 def test_a_stiff_segment_on_springs_is_an_oscillator(text_of):
