@@ -5,8 +5,8 @@
 //
 // Compile-time constants: W lanes, SINGLE, N pupil cells and HALF = (N + 1) / 2 along an axis, PIXELS of the
 // image and QUARTER = (PIXELS + 1) / 2, ROWS = QUARTER padded to whole groups of TALL rows that share what is
-// read, COLUMNS = QUARTER padded to whole groups of WIDE vectors, PACK and LINE columns that lie together in the
-// table along x and in the transformed rows, FIELD (1: the pupil comes as complex numbers, 0: as phases),
+// read, COLUMNS = QUARTER padded to whole groups of WIDE vectors, PACK and LINE columns that lie together in
+// the table along x and in the transformed rows, FIELD (1: the pupil comes as complex numbers, 0: as phases),
 // SHARED (1: other work-items fold the pupil, into global memory; 0: each folds the row that it needs).
 //
 // The eight parts of a folded pupil are (even x, even y), (even x, odd y), (odd x, even y), (odd x, odd y),
@@ -110,7 +110,8 @@ __kernel void transform_rows(__global const scalar *pupil, __global const scalar
     for (int block = first; block < last; ++block)
         for (int parity = 0; parity < 2; ++parity) {
             const int u = block * WIDE * W;
-            __global const scalar *table = along_x + ((size_t)parity * COLUMNS + u / PACK * PACK) * HALF + u % PACK;
+            __global const scalar *table =
+                along_x + ((size_t)parity * COLUMNS + u / PACK * PACK) * HALF + u % PACK;
             PARTS_MEMORY const scalar *part = folded + 4 * parity * HALF;
             real sums[4][WIDE];
             #pragma unroll

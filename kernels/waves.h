@@ -27,6 +27,7 @@ typedef long bits;
 typedef scalar real;
 typedef bits whole;
 #define LOAD(address) (*(address))
+#define LOAD_LOCAL(address) (*(address))
 #define STORE(value, address) (*(address) = (value))
 #define STORE_LOCAL(value, address) (*(address) = (value))
 #define LANE(value, i) (value)
@@ -37,11 +38,13 @@ typedef JOIN(INTEGERS, W) whole;
 #if defined(__clang__)
 typedef real loose_real __attribute__((aligned(4)));
 #define LOAD(address) (*(__global const loose_real *)(address))
+#define LOAD_LOCAL(address) (*(__local const loose_real *)(address))
 #define STORE(value, address) (*(__global loose_real *)(address) = (value))
 #define STORE_LOCAL(value, address) (*(__local loose_real *)(address) = (value))
 #define LANE(value, i) ((value)[i])
 #else
 #define LOAD(address) JOIN(vload, W)(0, address)
+#define LOAD_LOCAL(address) JOIN(vload, W)(0, address)
 #define STORE(value, address) JOIN(vstore, W)(value, 0, address)
 #define STORE_LOCAL(value, address) JOIN(vstore, W)(value, 0, address)
 #define LANE(value, i) (((scalar *)&(value))[i])

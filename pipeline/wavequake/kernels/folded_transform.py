@@ -1,18 +1,19 @@
 """Transform pupils to images by matrix products on the pixels that are wanted, many pupils in a launch."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from wavequake.kernels.devices import Device, opencl_handle
-from wavequake.kernels.steps import Step, run_steps
+from wavequake.kernels.devices import Device
+from wavequake.kernels.program import source
+from wavequake.kernels.steps import Step, run_steps, vector_width
 
 Floating = NDArray[np.float32] | NDArray[np.float64]
 Real = NDArray[np.float64]
 
-_FILE = "folded_transform.cl"
 # Images in a launch: their transformed columns (1 MB each at 512 cells and 128 pixels) stay in the cache.
 _BATCH = 8
 # Rows of an image that share what is read, and vectors of pixels in a row: as many sums as registers hold.
@@ -148,7 +149,7 @@ def folded_sum(transform: FoldedTransform, pupils: NDArray[Any], weights: Real, 
         group = {"cpu": 1024, "gpu": 64}[transform.device.kind]
         arguments = (np.int32(len(part)), "weights", "images", "before", "after")
         steps.append(
-            Step(_FILE, "accumulate", steps[0].constants, (1, pixels * pixels, 1), (1, group, 1), arguments)
+            Step(_text(), "accumulate", steps[0].constants, (1, pixels * pixels, 1), (1, group, 1), arguments)
         )
         total = np.empty((pixels, pixels))
         run_steps(transform.device, steps, inputs, {"after": total}, scratch)
@@ -179,11 +180,11 @@ def _image_steps(
     folded = ("folded",) if gpu else ()
     along = (_GROUP, 1, 1) if gpu else (1, 1, 1)
     sizes = [(blocks if gpu else 1, half, batch), (lines, tiles, batch) if gpu else (tiles, lines, batch)]
-    steps = [Step(_FILE, "fold", names, (half, half, batch), along, (*pupil, "folded"))] if gpu else []
+    steps = [Step(_text(), "fold", names, (half, half, batch), along, (*pupil, "folded"))] if gpu else []
     rows = (*pupil, "range", "along_x", *folded, "rows")
     columns = (dtype.type(t.scale), "along_y", "rows", "images")
-    steps += [Step(_FILE, "transform_rows", names, sizes[0], along, rows)]
-    steps += [Step(_FILE, "transform_columns", names, sizes[1], along, columns)]
+    steps += [Step(_text(), "transform_rows", names, sizes[0], along, rows)]
+    steps += [Step(_text(), "transform_columns", names, sizes[1], along, columns)]
     inputs: dict[str, NDArray[Any]] = {"pupil": np.asarray(pupils, dtype), "amplitude": t.amplitude}
     inputs |= {"ramp": t.ramp, "range": t.range, "along_y": t.along_y, "along_x": t.along_x}
     scratch = {"rows": batch * half * 8 * t.columns * dtype.itemsize}
@@ -192,19 +193,17 @@ def _image_steps(
     return steps, inputs, scratch
 
 
-def _width(device: Device, dtype: np.dtype[Any], half: int) -> int:
-    """Return the lanes of a vector: the processor's own, but no more than half a row of the pupil.
+@lru_cache(maxsize=1)
+def _text() -> str:
+    return source("folded_transform.cl")
 
-    AMD's processors to Zen 4 calculate with 256 bits at a time, and the compilers of PoCL know no more.
-    """
-    if device.kind == "gpu":
-        return 1
-    handle = opencl_handle(device)
-    own = int(handle.native_vector_width_double) * (8 // dtype.itemsize)
-    width = min(own, 32 // dtype.itemsize) if "AMD" in device.name else own
+
+def _width(device: Device, dtype: np.dtype[Any], half: int) -> int:
+    """Return the lanes of a vector: the processor's own, but no more than half a row of the pupil."""
+    width = vector_width(device, dtype)
     while width > half:
         width //= 2
-    return max(width, 1)
+    return width
 
 
 def _lit_columns(amplitude: Real) -> NDArray[np.int32]:

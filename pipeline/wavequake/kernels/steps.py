@@ -2,13 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from wavequake.kernels.devices import Device
-from wavequake.kernels.program import _LOCK, _input, _kernel, _output, _queue, source
+from wavequake.kernels.devices import Device, opencl_handle
+from wavequake.kernels.program import _LOCK, _input, _kernel, _output, _queue
 
 # Scratch memory is kept for the next call: (device, name) to buffer.
 _SCRATCH: dict[tuple[Device, str], Any] = {}
@@ -16,12 +15,12 @@ _SCRATCH: dict[tuple[Device, str], Any] = {}
 
 @dataclass(frozen=True)
 class Step:
-    """One launch of a kernel of a file with compile-time constants.
+    """One launch of a kernel of some source text with compile-time constants.
 
     ``size`` and ``group`` are those of OpenCL; ``arguments`` are NumPy scalars and names of buffers.
     """
 
-    file: str
+    text: str
     kernel: str
     constants: tuple[tuple[str, int], ...]
     size: tuple[int, int, int]
@@ -60,7 +59,7 @@ def run_steps(
         buffers |= {name: _output(queue, device, array) for name, array in outputs.items()}
         buffers |= {name: _scratch(queue, device, name, size) for name, size in scratch.items()}
         for step in steps:
-            kernel = _kernel(device, step.kernel, step.constants, _text(step.file))
+            kernel = _kernel(device, step.kernel, step.constants, step.text)
             kernel.set_args(*(buffers[a] if isinstance(a, str) else a for a in step.arguments))
             size = tuple(-(-n // g) * g for n, g in zip(step.size, step.group, strict=True))
             cl.enqueue_nd_range_kernel(queue, kernel, size, step.group)
@@ -75,9 +74,15 @@ def run_steps(
         queue.finish()
 
 
-@lru_cache(maxsize=8)
-def _text(file: str) -> str:
-    return source(file)
+def vector_width(device: Device, dtype: np.dtype[Any]) -> int:
+    """Return how many real numbers the device calculates with at once: on a GPU 1.
+
+    AMD's processors to Zen 4 calculate with 256 bits at a time, and the compilers of PoCL know no more.
+    """
+    if device.kind == "gpu":
+        return 1
+    own = int(opencl_handle(device).native_vector_width_double) * (8 // dtype.itemsize)
+    return max(1, min(own, 32 // dtype.itemsize) if "AMD" in device.name else own)
 
 
 def _scratch(queue: Any, device: Device, name: str, size: int) -> Any:

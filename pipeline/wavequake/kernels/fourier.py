@@ -1,0 +1,151 @@
+"""Two-dimensional discrete Fourier transforms of many images, by OpenCL or by SciPy, whichever is faster."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import scipy.fft
+from numpy.typing import DTypeLike, NDArray
+
+from wavequake.errors import UserError
+from wavequake.kernels.devices import NUMPY, Device
+from wavequake.kernels.fourier_source import factors, kernel_source, radices, row_lanes
+from wavequake.kernels.steps import Step, run_steps, vector_width
+
+Complex = NDArray[np.complex64] | NDArray[np.complex128]
+
+ENGINES = ("auto", "opencl", "scipy")
+# Below this many numbers a launch takes longer than the transform.
+_SMALL = 128 * 128
+# What a work-item may keep in local memory.
+_LOCAL_BYTES = {"cpu": 1 << 20, "gpu": 32 << 10}
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which engine transforms, "opencl" or "scipy", and why."""
+
+    engine: str
+    reason: str
+
+
+def choose_fourier(shape: tuple[int, ...], dtype: DTypeLike, device: Device = NUMPY) -> Choice:
+    """Choose who transforms images of shape (..., rows, columns) the fastest.
+
+    The choice depends on its arguments alone, so that results are the same in every run.
+    """
+    rows, columns = shape[-2:]
+    unable = _unable((rows, columns), np.dtype(dtype), device)
+    if unable:
+        return Choice("scipy", unable)
+    if device.kind == "gpu":
+        return Choice("scipy", "the kernels are shaped for processors with vectors and caches, not for GPUs")
+    lanes = row_lanes(columns, vector_width(device, _real(dtype)))
+    if lanes < 4:
+        return Choice("scipy", f"rows of {columns} leave {lanes} of the vectors' lanes busy")
+    if np.prod(shape) < _SMALL:
+        return Choice("scipy", f"{'x'.join(map(str, shape))} numbers are too few for a launch")
+    return Choice("opencl", f"{rows}x{columns} has factors 2, 3 and 5 and fills {lanes} lanes")
+
+
+def fourier_2d(
+    values: NDArray[Any], inverse: bool = False, device: Device = NUMPY, engine: str = "auto"
+) -> Complex:
+    """Return the discrete Fourier transform over the last two axes, as `scipy.fft.fft2` or `ifft2`.
+
+    Parameters
+    ----------
+    values : ndarray, shape (..., rows, columns), complex64 or complex128
+    inverse : bool
+        Whether to transform back, with the factor 1 / (rows columns).
+    device : Device
+        Where to run.
+    engine : {"auto", "opencl", "scipy"}
+        "auto" is what `choose_fourier` says.
+
+    Raises
+    ------
+    UserError
+        If the values are no images of complex numbers, or the engine cannot transform them.
+    """
+    values = np.asarray(values)
+    if values.dtype not in (np.complex64, np.complex128) or values.ndim < 2 or 0 in values.shape[-2:]:
+        raise UserError(
+            f"a transform takes complex64 or complex128 of shape (..., rows, columns), not {values.dtype} of "
+            f"shape {values.shape}"
+        )
+    if engine not in ENGINES:
+        raise UserError(f"the engine of a Fourier transform is one of {', '.join(ENGINES)}, not {engine!r}")
+    if engine == "auto":
+        engine = choose_fourier(values.shape, values.dtype, device).engine
+    if engine == "scipy":
+        transform = scipy.fft.ifft2 if inverse else scipy.fft.fft2
+        return np.asarray(transform(values))
+    unable = _unable(values.shape[-2:], values.dtype, device)
+    if unable:
+        raise UserError(f'the OpenCL transform cannot run: {unable}; use engine="scipy"')
+    return _opencl(values, inverse, device)
+
+
+def _unable(shape: tuple[int, ...], dtype: np.dtype[Any], device: Device) -> str:
+    """Return why OpenCL cannot transform, or nothing."""
+    if device.kind == "numpy":
+        return "the device is NumPy"
+    for length in shape:
+        if not radices(length):
+            return f"{length} has a prime factor above 5"
+    width = vector_width(device, _real(dtype))
+    need = max(2 * dtype.itemsize * shape[1], 2 * dtype.itemsize * shape[0] * width)
+    if need > _LOCAL_BYTES[device.kind]:
+        return f"a panel of {need >> 10} KiB does not fit into local memory"
+    return ""
+
+
+def _opencl(values: NDArray[Any], inverse: bool, device: Device) -> Complex:
+    rows, columns = values.shape[-2:]
+    real = _real(values.dtype)
+    images = values.reshape(-1, rows, columns)
+    out = np.empty_like(images, order="C")
+    width = vector_width(device, real)
+    lanes = row_lanes(columns, width)
+    while width > columns:
+        width //= 2
+    # Groups of columns that overlap may not write where others still read.
+    inner = "out" if columns % width == 0 else "rows"
+    common = {"SINGLE": int(real == np.float32), "INVERSE": int(inverse)}
+    scale = 1.0 / (rows * columns) if inverse else 1.0
+    count, groups = len(images) * rows, -(-columns // width)
+    steps = [
+        Step(
+            kernel_source(columns, True),
+            "transform",
+            tuple((common | {"W": lanes, "N": columns, "OTHER": rows}).items()),
+            (1, count, 1),
+            (1, 1, 1),
+            (np.int32(count), "in", "row_factors", real.type(1.0), inner),
+        ),
+        Step(
+            kernel_source(rows, False),
+            "transform",
+            tuple((common | {"W": width, "N": rows, "OTHER": columns}).items()),
+            (1, groups, len(images)),
+            (1, 1, 1),
+            (np.int32(groups), inner, "column_factors", real.type(scale), "out"),
+        ),
+    ]
+    inputs = {"in": images.view(real), "row_factors": _factors(columns, True, real.name)}
+    inputs["column_factors"] = _factors(rows, False, real.name)
+    scratch = {} if inner == "out" else {"rows": images.nbytes}
+    if len(images):
+        run_steps(device, steps, inputs, {"out": out.view(real)}, scratch)
+    return out.reshape(values.shape)
+
+
+@lru_cache(maxsize=32)
+def _factors(length: int, along_rows: bool, dtype: str) -> NDArray[Any]:
+    return np.append(factors(length, along_rows), 0.0).astype(dtype)
+
+
+def _real(dtype: DTypeLike) -> np.dtype[Any]:
+    return np.dtype(np.float32 if np.dtype(dtype) == np.complex64 else np.float64)
