@@ -21,6 +21,7 @@ _HEADERS = (
     *("disturbance", "controller", "WFE (nm)", "LOS rms (mas)", "peak", "EE50 (λ/D)", "EE80 (λ/D)"),
     *("LOS only", "Gaussian"),
 )
+_IMAGES = ("exposure", "exposure_fitted", "exposure_los_only", "exposure_gaussian")
 _ERRORS = ("image_error", "peak_error")
 _SMALL_PRINT = (
     "Medians over cases; WFE: mean over time of the rms of the fitted Zernike terms j ≥ 4; EE: > field where "
@@ -133,17 +134,28 @@ def _figures(cases: xr.Dataset, name: str) -> Iterator[Picture]:
     los = {one: shown["los"].sel(controller=one).to_numpy()[kept] for one in controllers}
     wfe = {one: shown["wfe_rms"].sel(controller=one).to_numpy()[kept] for one in controllers}
     per_mas = 1.0 / float(shown["resolution_mas"])
+    pictures = {key: shown[key].to_numpy() for key in _IMAGES}
     for key, text in (
         ("exposure", f"Exposures of case {case}, and the line of sight"),
         ("exposure_fitted", f"Exposures of case {case}, of the fitted Zernike terms alone"),
-        ("exposure_los_only", f"Case {case} by the shortcut: image at rest along the line of sight"),
-        ("exposure_gaussian", f"Case {case} by the shortcut: image at rest and Gaussian jitter"),
     ):
         panels = [
-            draw.Panel(one, shown[key].sel(controller=one).to_numpy(), los[one] * per_mas)
-            for one in controllers
+            draw.Panel(one, pictures[key][row], los[one] * per_mas) for row, one in enumerate(controllers)
         ]
         yield picture(f"{name}-{key}", text, draw.exposure_panels(panels, axis))
+    row = controllers.index("disturbed")
+    titles = (
+        "disturbed, in full",
+        "of the fitted terms",
+        "image at rest along the line of sight",
+        "Gaussian",
+    )
+    panels = [
+        draw.Panel(title, pictures[key][row], los["disturbed"] * per_mas)
+        for title, key in zip(titles, _IMAGES, strict=True)
+    ]
+    text = f"The disturbed exposure of case {case} and its shortcuts"
+    yield picture(f"{name}-shortcuts", text, draw.exposure_panels(panels, axis))
     yield picture(f"{name}-los", "Line of sight over time", draw.line_of_sight(time, los, "mas"))
     yield picture(f"{name}-wfe", "Wavefront error over time", draw.wavefront_error(time, wfe))
 

@@ -137,16 +137,21 @@ def _figures(cases: xr.Dataset, key: str, excitation: str) -> Iterator[Picture]:
         for row, one in enumerate(variants)
     }
     wfe = {one: part["wfe_rms"].isel(case=row).to_numpy() for row, one in enumerate(variants)}
+    images = {name: part[name].to_numpy() for name in ("exposure", "exposure_los_only", "exposure_gaussian")}
     static = draw.Panel("static", part["exposure_static"].isel(case=0).to_numpy(), np.zeros((1, 2)))
-    for name, text in (
-        ("exposure", "Exposures, and the line of sight"),
-        ("exposure_los_only", "By the shortcut: image at rest along the line of sight"),
-        ("exposure_gaussian", "By the shortcut: image at rest and Gaussian jitter"),
+    exposed = [draw.Panel(one, images["exposure"][row], tracks[one]) for row, one in enumerate(variants[:3])]
+    shortcuts = [
+        draw.Panel(title, images[name][0], tracks[variants[0]])
+        for title, name in (
+            (f"{variants[0]} in full", "exposure"),
+            ("image at rest along the line of sight", "exposure_los_only"),
+            ("image at rest, Gaussian jitter", "exposure_gaussian"),
+        )
+    ]
+    for name, text, panels in (
+        ("exposure", "Exposures, and the line of sight", exposed),
+        ("shortcuts", "The exposure and its shortcuts", shortcuts),
     ):
-        panels = [
-            draw.Panel(one, part[name].isel(case=row).to_numpy(), tracks[one])
-            for row, one in enumerate(variants[:3])
-        ]
         figure = draw.exposure_panels([static, *panels], axis)
         yield picture(f"{key}-{name}", f"{text}, scale {scale:g}", figure)
     yield picture(f"{key}-los", "Line of sight over time, scaled", draw.line_of_sight(time, tracks, "λ/D"))

@@ -1,0 +1,165 @@
+"""Exposures of a shaken mirror against sums over its pupil, and the reports of both exposure workflows."""
+
+import numpy as np
+import pytest
+from small_mirrors import eleven
+
+from wavequake.imaging.pupil_function import annular_pupil
+from wavequake.report import mirror_exposures
+from wavequake.report.campaign import report_store, summary_table
+from wavequake.workflows import model_store
+from wavequake.workflows.campaign import run_study
+from wavequake.workflows.contract import DONE
+from wavequake.workflows.mirror_exposure import aberrations_of, compute, exposed_instants, template
+from wavequake.workflows.store import open_store
+from wavequake.workflows.study import load_study
+
+SMALL = {
+    "model.rings": 2,
+    "reduction.variants": ["craigb18"],
+    "imaging.pixels": 32,
+    "imaging.pupil_samples": 32,
+    "imaging.instants": 21,
+    "imaging.scale": 0.003,
+    "optics.rays": 200,
+    "optics.zernike_terms": 11,
+    "time.duration_s": 0.005,
+}
+SINE, ONE = range(2)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def models(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        folder = tmp_path_factory.getbasetemp() / "mirror-exposure-models"
+        patch.setattr(model_store, "model_folder", lambda: folder)
+        yield
+
+
+@pytest.fixture(scope="module")
+def study():
+    return load_study("mirror-exposure", SMALL)
+
+
+@pytest.fixture(scope="module")
+def store(study, tmp_path_factory):
+    path = tmp_path_factory.mktemp("exposure") / "store"
+    run_study(study, path, on="serial")
+    return path
+
+
+@pytest.fixture(scope="module")
+def dataset(store):
+    found = open_store(store).load()
+    assert (found["status"] == DONE).all(), found["message"].values
+    return found
+
+
+@pytest.mark.parametrize("excitation", [SINE, ONE])
+def test_the_exposure_is_the_mean_of_sums_over_the_pupil(study, dataset, excitation):
+    """Noll's polynomials written out, the motion of the image as a tilt of the pupil, every cell summed."""
+    text = study.identity_text()
+    history = aberrations_of(text, "circular", "craigb18")[excitation][exposed_instants(study)]
+    pupil = annular_pupil(32)
+    scale = study.imaging.scale
+    waves = scale * history[:, 5:] @ eleven(pupil.x, pupil.y)[:, 3:].T / study.optics.wavelength_nm
+    los = scale * history[:, :2] / float(dataset["resolution_mm"][1])
+    middles = pupil.axis[np.array(np.unravel_index(pupil.cells, pupil.amplitude.shape)[::-1])]
+    phase = np.pi * los @ middles - 2 * np.pi * waves
+    axis = (np.arange(32) - 16) * study.imaging.sampling
+    along_x, along_y = (np.exp(-1j * np.pi * np.outer(axis, where)) for where in middles)
+    light = pupil.amplitude.ravel()[pupil.cells]
+    field = np.einsum("yc,xc,tc->tyx", along_y, along_x, light * np.exp(1j * phase), optimize=True)
+    wanted = (np.abs(field) ** 2).mean(axis=0) / light.sum() ** 2
+    np.testing.assert_allclose(dataset["exposure"][1, excitation], wanted, atol=2e-4)
+    assert wanted.max() < 0.9
+
+
+def test_the_mirror_at_rest_shows_its_own_peak(dataset):
+    assert dataset["exposure_static"].max() == pytest.approx(1.0, abs=1e-12)
+    assert (dataset["peak"] < 0.95).all()
+
+
+def test_one_mount_tilts_the_mirror_three_do_not(dataset):
+    los = np.abs(dataset["los_mm"]).max(dim=("time", "axis")).to_numpy()
+    assert (los[:, SINE] < 1e-2 * los[:, ONE]).all()
+
+
+def test_the_reference_is_off_by_nothing(dataset):
+    error = dataset["wfe_error"].max("time").to_numpy()
+    assert (error[0] == 0.0).all()
+    assert (error[1] > 0.0).all()
+
+
+def test_shortcuts_become_right_in_proportion_to_a_small_vibration():
+    """Odd aberrations, as the trefoil of three mounts, change the image to first order, even ones to second."""
+    errors = []
+    for scale in (1e-5, 3e-5):
+        calm = load_study("mirror-exposure", {**SMALL, "imaging.scale": scale}).identity_text()
+        errors.append(compute(calm, np.array([0]), "numpy").arrays["image_error"][0])
+    np.testing.assert_allclose(errors[1] / errors[0], 3.0, rtol=2e-2)
+
+
+def test_a_case_does_not_depend_on_its_chunk(study):
+    text = study.identity_text()
+    together, alone = (compute(text, np.array(cases), "numpy").arrays for cases in ([0, 1], [1]))
+    for name, values in alone.items():
+        np.testing.assert_array_equal(values[0], together[name][1], err_msg=name)
+    assert {name: values.shape[1:] for name, values in alone.items()} == {
+        name: variable.shape for name, variable in template(text).per_case.items()
+    }
+
+
+def test_the_table_of_a_mirror(store, dataset):
+    table = summary_table(store)
+    columns = {column.header: list(column.cells) for column in table.columns}
+    assert columns["variant"] == ["krylov108(200,450,700)", "craigb18"] * 2
+    assert columns["image off"][0] == columns["image off"][2] == "reference"
+    peaks = dataset["peak"].to_numpy().T.ravel()
+    np.testing.assert_allclose([float(value) for value in columns["peak"]], peaks, rtol=6e-3)
+    assert "craigb18 is off by" in table.caption
+
+
+def test_the_report_of_a_mirror(store, dataset, tmp_path):
+    target = tmp_path / "report.html"
+    text = mirror_exposures.write_report_of(
+        store, dataset.isel(excitation=[ONE]), target, "numpy"
+    ).read_text()
+    assert text.count("<svg") == 4
+    for words in ("Störkle 2018, Eq. 3.79", "krylov108(200,450,700)", "circular, one300"):
+        assert words in text
+
+
+@pytest.fixture(scope="module")
+def telescope_store(tmp_path_factory):
+    path = tmp_path_factory.mktemp("telescope") / "store"
+    keys = {
+        "optics.rays": 400,
+        "wavefront.zernike_terms": 15,
+        "imaging.pixels": 16,
+        "disturbance.history.instants": 6,
+        "campaign.cases": 2,
+        "campaign.device": "numpy",
+    }
+    run_study(load_study("tmt-exposure", keys), path, on="serial")
+    return path
+
+
+def test_the_report_of_a_telescope(telescope_store):
+    table, path = report_store(telescope_store)
+    text = path.read_text()
+    assert table.row_count == 4
+    assert "of the peak at rest the exposure keeps" in table.caption
+    assert text.count("<svg") == 5
+    for controller in ("static", "disturbed", "rigid", "elastic"):
+        assert controller in text
+
+
+def test_the_table_of_a_telescope_says_what_its_store_holds(telescope_store):
+    columns = {column.header: list(column.cells) for column in summary_table(telescope_store).columns}
+    stored = open_store(telescope_store).load()
+    peaks = stored["peak"].median("case").to_numpy()
+    np.testing.assert_allclose([float(value) for value in columns["peak"]], peaks, rtol=6e-3)
+    assert columns["controller"] == ["static", "disturbed", "rigid", "elastic"]
+    wfe = stored["wfe_rms"].mean("time").median("case").to_numpy()
+    np.testing.assert_allclose([float(value) for value in columns["WFE (nm)"]], wfe, rtol=6e-3)
