@@ -10,6 +10,7 @@ from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import from_tiles
 from wavequake.mechanics.disturbances import analytic_rms
 from wavequake.optics.prepared import trace_states
+from wavequake.report import reduced
 from wavequake.report.detail import Detail
 from wavequake.report.html import write_report
 from wavequake.report.populations import Summary, populations, representatives, summarize
@@ -21,6 +22,8 @@ from wavequake.workflows.store import read_manifest
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
+    if reduced.is_reduced(dataset):
+        return reduced.table_of(store, dataset)
     return terminal_table(_summaries(dataset, _analytic(store)))
 
 
@@ -30,6 +33,8 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     The worst case of every disturbance is recomputed in full for the maps; its numbers are those of the
     store, bit for bit, if the device that computed them is at hand.
     """
+    if reduced.is_reduced(dataset):
+        return reduced.write_report_of(store, dataset, target, device)
     study = read_manifest(store).study
     worst = [case for _, case in representatives(dataset).values()]
     details = [detail(study, case, device, dataset) for case in worst]

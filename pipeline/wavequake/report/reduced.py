@@ -1,0 +1,256 @@
+"""The report of a segment-disturbance store without images or without instants: large campaigns.
+
+One number per case and quantity, of up to millions of cases; and how good the modal model was.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+
+from wavequake.mechanics.disturbances import analytic_rms
+from wavequake.report.page import Page, Picture, picture, render_page, write_page
+from wavequake.report.populations import Excluded
+from wavequake.report.statistics import Quantile, case_rms, quantile
+from wavequake.report.system_figures import distributions
+from wavequake.report.table import MISSING, interval, number, share
+from wavequake.workflows.bench import bench_of
+from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
+from wavequake.workflows.segment_modal import CERTIFIED, TRACED
+from wavequake.workflows.store import read_manifest
+
+Array = NDArray[np.float64]
+
+_SMALL_PRINT = (
+    "WFE, LOS: rms of a case over its instants, of the LOS the distance from rest; P50, P95 and P99.9 over "
+    "cases, with their distribution-free 95 % confidence interval (≤, ≥: too few cases for both bounds). "
+    "Segments: rms along their normals, in brackets what the model of the disturbance implies. Maréchal: "
+    "share of instants with an rms of at most λ/14, piston and tilt removed."
+)
+_ERRORS = {
+    "wfe_rms_raw": "WFE on glass",
+    "wfe_rms": "WFE j ≥ 4",
+    "zernike": "Zernike coefficients",
+    "los": "LOS",
+    "centroid": "centroid",
+}
+_PERCENTILES = ((0.5, "P50"), (0.95, "P95"), (0.999, "P99.9"))
+_LISTED = 1000
+
+
+@dataclass(frozen=True)
+class ReducedPopulation:
+    """The finished cases of one disturbance, one number per case: nm, mas on the sky, shares."""
+
+    name: str
+    wfe_raw: Array
+    wfe: Array
+    los: Array
+    segments: Array
+    segments_model: float | None
+    marechal: Array
+    unfinished: int
+
+
+def is_reduced(dataset: xr.Dataset) -> bool:
+    """Return whether a store has no images or no instants."""
+    return "exposure" not in dataset or "time" not in dataset["wfe_rms"].dims
+
+
+def reduced_populations(store: Path, dataset: xr.Dataset) -> list[ReducedPopulation]:
+    """Split a store by disturbance, in the order in which the disturbances first appear."""
+    bench = bench_of(read_manifest(store).study)
+    model = {entry.name: analytic_rms(entry, bench.layout) for entry in bench.study.disturbance}
+    names = dataset["disturbance"].to_numpy()
+    done = dataset["status"].to_numpy() == DONE
+    per_case = {
+        name: _per_case(dataset, name) for name in ("wfe_rms_raw", "wfe_rms", "los", "segment_piston_rms")
+    }
+    marechal = dataset["marechal"].to_numpy()
+    found = []
+    for name in dict.fromkeys(names.tolist()):
+        mine = (names == name) & done
+        value, unit = model.get(name) or (0.0, "")
+        found.append(
+            ReducedPopulation(
+                name=str(name),
+                wfe_raw=per_case["wfe_rms_raw"][mine],
+                wfe=per_case["wfe_rms"][mine],
+                los=per_case["los"][mine],
+                segments=per_case["segment_piston_rms"][mine],
+                segments_model=value if unit == "nm" else None,
+                marechal=marechal[mine],
+                unfinished=int(np.count_nonzero((names == name) & ~done)),
+            )
+        )
+    return found
+
+
+def _per_case(dataset: xr.Dataset, name: str) -> Array:
+    """Return the rms over the instants of each case (case,); instants that a case does not have are NaN."""
+    variable = dataset[name]
+    if "statistic" in variable.dims:
+        return variable.sel(statistic="rms").to_numpy().astype(np.float64)
+    values = variable.transpose("case", "time", ...).to_numpy().reshape(*variable.shape[:2], -1)
+    squares = np.sum(values**2, axis=2)
+    there = np.isfinite(squares)
+    total = np.where(there, squares, 0.0).sum(axis=1)
+    return np.asarray(np.sqrt(total / np.maximum(there.sum(axis=1), 1)), dtype=np.float64)
+
+
+def table_of(store: Path, dataset: xr.Dataset) -> Table:
+    """Return the table of a store for the terminal."""
+    caption = "\n\n".join([_SMALL_PRINT, *certificate(store, dataset)])
+    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=caption, caption_justify="left")
+    table.add_column("disturbance\ncases", overflow="fold")
+    table.add_column("")
+    for header in ("WFE on glass\nrms (nm)", "WFE j ≥ 4\nrms (nm)", "LOS rms\n(mas)", "segments\nrms (nm)"):
+        table.add_column(header, justify="right", no_wrap=True)
+    table.add_column("Maréchal", justify="right")
+    for one in reduced_populations(store, dataset):
+        model = "" if one.segments_model is None else f"\n({number(one.segments_model)})"
+        missing = f"\n{one.unfinished} missing" if one.unfinished else ""
+        wide = [_with_interval(quantile(one.wfe_raw, p)) for p, _ in _PERCENTILES]
+        others = [
+            "\n".join(number(quantile(values, p).value) for p, _ in _PERCENTILES)
+            for values in (one.wfe, one.los)
+        ]
+        table.add_row(
+            Text.assemble((one.name, "bold"), f"\n{len(one.wfe)}", (missing, "yellow")),
+            "\n".join(label for _, label in _PERCENTILES),
+            "\n".join(wide),
+            *others,
+            number(_rms(one.segments)) + model,
+            share(float(one.marechal.mean())) if len(one.marechal) else MISSING,
+        )
+    return table
+
+
+def _with_interval(found: Quantile) -> str:
+    return number(found.value) if np.isnan(found.value) else f"{number(found.value)} ({interval(found)})"
+
+
+def _rms(values: Array) -> float:
+    return float(case_rms(values[None])[0]) if values.size else np.nan
+
+
+def certificate(store: Path, dataset: xr.Dataset) -> list[str]:
+    """Say how large the errors of the modal model are; nothing of a store that is traced in full."""
+    if "traced" not in dataset:
+        return []
+    optics = bench_of(read_manifest(store).study).study.optics
+    done = dataset["status"].to_numpy() == DONE
+    traced = dataset["traced"].to_numpy()[done]
+    certified, beyond = (int(np.count_nonzero(traced == code)) for code in (CERTIFIED, TRACED))
+    parts = []
+    for name, values in _errors(dataset, done).items():
+        unit = dataset[f"modal_error_{name}"].attrs["units"]
+        levels = [number(quantile(values, p).value, 2) for p in (0.5, 0.95, 1.0)]
+        parts.append(f"{_ERRORS[name]} {', '.join(levels)} {unit}")
+    words = [
+        f"Modal model: {len(traced) - beyond} cases, of which {certified} were traced in full to measure its "
+        f"error; {beyond} cases beyond its range (second order above {optics.modal_tolerance_nm:g} nm) are "
+        "numbers of full traces."
+    ]
+    if parts:
+        words.append(f"Largest error of a case (P50, P95, largest over cases): {'; '.join(parts)}.")
+        raw = _errors(dataset, done)["wfe_rms_raw"]
+        wrong = int(np.count_nonzero(raw > optics.modal_tolerance_nm))
+        if wrong:
+            words.append(
+                f"WARNING: the error of {wrong} of {len(raw)} traced cases is above the tolerance; use "
+                "optics.method = 'standard', or a smaller optics.modal_tolerance_nm."
+            )
+    return words
+
+
+def _errors(dataset: xr.Dataset, done: NDArray[np.bool_]) -> dict[str, Array]:
+    found = {name: dataset[f"modal_error_{name}"].to_numpy()[done] for name in _ERRORS}
+    finite = {name: values[np.isfinite(values)] for name, values in found.items()}
+    return {name: values for name, values in finite.items() if len(values)}
+
+
+def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
+    """Write the HTML report: the table, distributions over cases, and those of the model's error."""
+    found = [one for one in reduced_populations(store, dataset) if len(one.wfe)]
+    done = dataset["status"].to_numpy() == DONE
+    pictures: list[Picture] = []
+    if found:
+        for attribute, label in (
+            ("wfe_raw", "WFE on glass, rms of a case (nm)"),
+            ("los", "LOS, rms of a case about rest (mas)"),
+        ):
+            values = {one.name: getattr(one, attribute) for one in found}
+            pictures.append(
+                picture(attribute.replace("_", "-"), f"Distribution: {label}", distributions(values, label))
+            )
+    errors = _errors(dataset, done) if "traced" in dataset else {}
+    in_nm = {_ERRORS[name]: errors[name] for name in errors if name not in ("los", "centroid")}
+    if in_nm:
+        label = "largest error of the modal model in a case (nm)"
+        pictures.append(picture("modal-error", f"Distribution: {label}", distributions(in_nm, label)))
+    page = Page(
+        answer=" ".join([_answer(found), *certificate(store, dataset)]),
+        table=[_row(one) for one in found],
+        small_print=_SMALL_PRINT,
+        overview=pictures,
+        sections=[],
+        definitions=[
+            (term, str(dataset[name].attrs["long_name"]) + ".")
+            for term, name in (
+                ("WFE on glass", "wfe_rms_raw"),
+                ("WFE j ≥ 4", "wfe_rms"),
+                ("LOS", "los"),
+                ("segments", "segment_piston_rms"),
+                ("Maréchal", "marechal"),
+            )
+        ],
+        kind="disturbance",
+        left_out=_left_out(dataset),
+    )
+    return write_page(render_page(dataset, page), target)
+
+
+def _answer(found: list[ReducedPopulation]) -> str:
+    if not found:
+        return "No case is done yet."
+    worst = max(found, key=lambda one: quantile(one.wfe_raw, 0.95).value)
+    return (
+        f"{worst.name} disturbs most: 95 % of its {len(worst.wfe)} cases have a wavefront error of at most "
+        f"{number(quantile(worst.wfe_raw, 0.95).value)} nm rms on glass."
+    )
+
+
+def _row(one: ReducedPopulation) -> dict[str, tuple[str, str]]:
+    """Return header -> (value, small print) of one population."""
+    row = {"disturbance": (one.name, ""), "cases": (str(len(one.wfe)), "")}
+    for header, values in (
+        ("WFE on glass {} (nm)", one.wfe_raw),
+        ("WFE j\u00a0≥\u00a04 {} (nm)", one.wfe),
+        ("LOS {} (mas)", one.los),
+    ):
+        for p, label in _PERCENTILES:
+            level = quantile(values, p)
+            row[header.format(label)] = number(level.value), interval(level)
+    model = "" if one.segments_model is None else f"model {number(one.segments_model)}"
+    row["segments (nm)"] = number(_rms(one.segments)), model
+    row["Maréchal"] = share(float(one.marechal.mean())), ""
+    return row
+
+
+def _left_out(dataset: xr.Dataset) -> list[Excluded]:
+    """Return the first cases that failed, with the reason."""
+    status, meanings = dataset["status"].to_numpy(), STATUS_MEANINGS.split()
+    failed = dataset[["message", "disturbance", "realization"]].isel(
+        case=np.flatnonzero((status != DONE) & (status != TODO))[:_LISTED]
+    )
+    columns = (failed[name].to_numpy() for name in ("case", "disturbance", "realization", "message"))
+    return [
+        Excluded(int(case), str(name), int(realization), meanings[status[case]], str(message))
+        for case, name, realization, message in zip(*columns, strict=True)
+    ]

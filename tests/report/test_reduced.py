@@ -1,0 +1,84 @@
+"""Reports of stores without images or instants, on the 18-segment telescope."""
+
+import io
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+import wavequake as wq
+from wavequake.report import reduced
+from wavequake.report.campaign import report_store, summary_table
+from wavequake.workflows.study import load_study
+
+KEYS = {
+    "telescope.name": "tmt-18",
+    "optics.rays_per_segment": 6,
+    "wavefront.zernike_terms": 11,
+    "store.chunk_cases": 64,
+}
+CASES = 120
+
+
+def made(folder, **keys):
+    study = load_study("tmt-million", KEYS | {key.replace("__", "."): value for key, value in keys.items()})
+    wq.run(study, cases=CASES, store=folder)
+    return folder
+
+
+def printed(store):
+    buffer = io.StringIO()
+    Console(file=buffer, width=200, color_system=None).print(summary_table(store))
+    return " ".join(buffer.getvalue().split())
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    return made(tmp_path_factory.mktemp("store") / "summary")
+
+
+def test_a_summary_has_the_numbers_of_the_arrays_over_time(store, tmp_path):
+    whole = made(tmp_path / "whole", store__reduce="none")
+    (short,), (long,) = (reduced.reduced_populations(path, wq.open_store(path)) for path in (store, whole))
+    for name in ("wfe_raw", "wfe", "los", "segments"):
+        np.testing.assert_allclose(getattr(short, name), getattr(long, name), rtol=1e-12)
+        assert getattr(short, name).shape == (CASES,)
+    assert short.segments_model == pytest.approx(np.sqrt(np.mean(short.segments**2)), rel=0.1)
+
+
+def test_the_table_has_the_quantiles_and_the_certificate(store):
+    dataset, text = wq.open_store(store), printed(store)
+    raw = dataset["wfe_rms_raw"].sel(statistic="rms").to_numpy()
+    for p in (0.5, 0.95):
+        assert f"{np.quantile(raw, p):.1f}" in text
+    certified = int((dataset["traced"] == 1).sum())
+    assert 100 <= certified < CASES
+    assert f"Modal model: {CASES} cases, of which {certified} were traced in full" in text
+    assert "0 cases beyond its range (second order above 0.1 nm)" in text
+    assert "WARNING" not in text
+
+
+def test_the_report_is_one_page_with_figures_and_definitions(store):
+    text = report_store(store)[1].read_text()
+    assert text.count("<svg") == 3
+    for words in ("WFE on glass", "largest error of the modal model", "tilt removed", "swing disturbs most"):
+        assert words in text
+
+
+def test_errors_above_the_tolerance_are_not_passed_over(tmp_path, monkeypatch):
+    """A bound that is far too small: the traces of the sample tell."""
+    from wavequake.optics import modal
+
+    monkeypatch.setattr(modal, "error_bound", lambda model, sizes: np.zeros(len(sizes)))
+    store = made(tmp_path / "far", disturbance__swing__piston_nm=5e6)
+    assert "WARNING: the error of 1" in printed(store)
+    assert "above the tolerance" in report_store(store)[1].read_text()
+
+
+def test_full_traces_without_images_need_no_certificate(tmp_path):
+    store = made(tmp_path / "standard", optics__method="standard", store__reduce="none")
+    text = printed(store)
+    assert "Modal" not in text
+    raw = wq.open_store(store)["wfe_rms_raw"].to_numpy()
+    assert f"{np.quantile(np.sqrt(np.mean(raw**2, axis=1)), 0.5):.1f}" in text
+    assert report_store(store)[1].read_text().count("<svg") == 2
