@@ -142,6 +142,14 @@ def test_the_reference_has_no_error_and_small_variants_have_one(results, text_of
             assert (results.arrays[name][row].max() == 0.0) == (variant == "full"), (name, variant)
 
 
+def test_a_variant_can_be_the_reference(text_of):
+    text = text_of("reduction.reference=modal12", "segments.disturbed=['one']")
+    assert list(case_table(text, 0, 4)["variant"]) == ["modal12", "guyan9", "craigb18", "craigb4"]
+    found = compute(text, np.array([0, 1]), "auto").arrays
+    assert found["order"][0] == 12
+    assert found["wfe_error"][0].max() == 0.0 < found["wfe_error"][1].max()
+
+
 def test_errors_are_differences_of_wavefronts(results, text_of):
     # ||a - b|| lies between | ||a|| - ||b|| | and ||a|| + ||b||.
     wfe, error = results.arrays["wfe_rms"], results.arrays["wfe_error"]

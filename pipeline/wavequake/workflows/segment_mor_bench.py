@@ -116,7 +116,7 @@ def model_of(text: str) -> SegmentModel:
         )
         fit = figure_fit(study, bench.system, stage, side, turn)
         name = study.reduction.reference
-        chosen = reference(stage) if name == FULL else reduce_variants(stage, [name], full())[0]
+        chosen = reference(stage) if name == FULL else _variant(stage, full, name)
         frequencies = frequencies_of(study)
         return SegmentModel(
             bench=bench,
@@ -259,8 +259,12 @@ def motion_rows(fit: SurfaceFit, turn: float, model: ReducedModel) -> Array:
 
 def reduced(model: SegmentModel, variant: str) -> ReducedModel:
     """Return a variant of the segment's model."""
-    full = None if covers(model.stage, parse(variant)) else model.full()
-    return reduce_variants(model.stage, [variant], full)[0]
+    return _variant(model.stage, model.full, variant)
+
+
+def _variant(stage: Intermediate, full: Callable[[], FiniteElementModel], name: str) -> ReducedModel:
+    whole = None if covers(stage, parse(name)) else full()
+    return reduce_variants(stage, [name], whole)[0]
 
 
 def chosen_segments(study: SegmentMorStudy, bench: Bench, disturbed: str) -> NDArray[np.int64]:
