@@ -1,0 +1,80 @@
+"""Cases per second of the modal model, by disturbance, and its error against full traces.
+
+``python -m benchmarks.modal [CASES]``
+"""
+
+import sys
+import time
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from wavequake.kernels.devices import choose_device
+from wavequake.mechanics.common_history import CommonHistory, amplitude_generator, amplitudes
+from wavequake.workflows import segment_disturbance as workflow
+from wavequake.workflows.segment_study import SegmentStudy
+from wavequake.workflows.study import load_study, study_with
+
+CHUNK = 4096
+# Cases of ten instants that are drawn one by one, and how many of them to time.
+OTHERS = {
+    "static-random": ({"piston_nm": 20.0, "tip_nrad": 20.0, "tilt_nrad": 20.0}, 1024),
+    "segment-history": ({}, 256),
+    "segment-wind": ({}, 64),
+    "edge-sensor-noise": ({}, 64),
+    "line-of-sight": ({}, 256),
+}
+
+
+def seconds_of(study, first: int, cases: int, device: str) -> tuple[float, dict[str, float]]:
+    """Return the CPU time of a chunk of cases, and its parts, after what a process does once."""
+    text = study.identity_text()
+    workflow.compute(text, np.arange(first - 8, first), device)
+    start = time.process_time()
+    found = workflow.compute(text, np.arange(first, first + cases), device)
+    return time.process_time() - start, dict(found.timings)
+
+
+def random_numbers() -> None:
+    parameters = CommonHistory(name="swing")
+    for distribution in ("gaussian", "uniform"):
+        one = parameters.model_copy(update={"piston_distribution": distribution})
+        random = amplitude_generator(one, 492, 1, 0)
+        start = time.process_time()
+        amplitudes(one, 492, random, CHUNK)
+        rate = CHUNK * 492 / (time.process_time() - start)
+        print(f"  random numbers, {distribution:8} {rate / 1e6:8.1f} M/s")
+
+
+def main(cases: int = 100_000) -> None:
+    device = choose_device("auto").name
+    million = load_study("tmt-million")
+    print(f"modal: 492 segments, ten instants, j <= 45, summaries; CPU time of one process, on {device}")
+    with threadpool_limits(1):
+        random_numbers()
+        spent, parts = 0.0, {}
+        for first in range(CHUNK, CHUNK + cases, CHUNK):
+            count = min(CHUNK, CHUNK + cases - first)
+            seconds, timings = seconds_of(million, first, count, device)
+            spent += seconds
+            for name, value in timings.items():
+                parts[name] = parts.get(name, 0.0) + value
+        shares = ", ".join(f"{name} {value / sum(parts.values()):.0%}" for name, value in parts.items())
+        print(f"  common-history    {cases} cases: {spent / cases * 1e6:7.1f} us per case ({shares})")
+        print(f"                    a million: {spent / cases * 1e6:.0f} s, one in 1000 traced in full")
+        for model, (keys, count) in OTHERS.items():
+            entry = {"name": model, "model": model, "instants": 10, **keys}
+            study = SegmentStudy.model_validate({**million.model_dump(mode="json"), "disturbance": [entry]})
+            study = study_with(study, {"optics.modal_sample": 0.0})
+            modal, _ = seconds_of(study, 1024, count, device)
+            standard = study_with(study, {"optics.method": "standard"})
+            full, _ = seconds_of(standard, 1024, min(count, 64), device)
+            full *= count / min(count, 64)
+            print(
+                f"  {model:17} {modal / count * 1e6:9.0f} us per case, {count / modal:7.0f} cases/s; "
+                f"full traces {full / count * 1e6:7.0f} us"
+            )
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))
