@@ -101,7 +101,7 @@ def psf(transform: MatrixFourier, phase: Real) -> Real:
     UserError
         If the phase has the wrong shape.
     """
-    _check_phase(transform, phase)
+    check_phase(transform, phase)
     kernel, folded = transform.kernel, transform.folded
     images = np.empty((len(phase), len(kernel), len(kernel)))
     for first in range(0, len(phase), _BATCH):
@@ -138,7 +138,7 @@ def psf_sum(transform: MatrixFourier, phase: Real, weights: Real) -> Real:
     UserError
         If the phase has the wrong shape, or the weights are not one finite number for each instant.
     """
-    _check_phase(transform, phase)
+    check_phase(transform, phase)
     weights = np.asarray(weights, dtype=np.float64)
     if weights.shape != (len(phase),) or not np.isfinite(weights).all():
         raise UserError(f"{len(phase)} instants need as many finite weights, not {weights.shape}")
@@ -153,7 +153,8 @@ def psf_sum(transform: MatrixFourier, phase: Real, weights: Real) -> Real:
     return total
 
 
-def _check_phase(transform: MatrixFourier, phase: Real) -> None:
+def check_phase(transform: MatrixFourier, phase: Real) -> None:
+    """Raise UserError if phases have not the shape (batch, m) of the transform's pupil."""
     if phase.ndim != 2 or phase.shape[1] != len(transform.pupil.cells):
         raise UserError(
             f"the phase has the shape {phase.shape}; it must be (batch, {len(transform.pupil.cells)})"

@@ -1,0 +1,308 @@
+"""Point spread functions by whichever of three engines is the cheapest for a pupil and an image.
+
+- "fft": a zero-padded fast Fourier transform, which makes many pixels nobody asked for.
+- "matrix": matrix products for just the pixels that are wanted (`wavequake.imaging.matrix_fourier`).
+- "segments": closed-form transforms of the segments' polygons (`wavequake.imaging.segment_psf`), which sample
+  nothing; instants whose slopes exceed what its series is good for are sampled and left to "matrix".
+"""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.errors import UserError
+from wavequake.imaging import matrix_fourier as matrix
+from wavequake.imaging.outlines import segments
+from wavequake.imaging.pupil_function import PupilGrid, pupil_function, sampled_pupil, single_patches
+from wavequake.imaging.segment_psf import SegmentBasis, moments_needed, segment_basis, truncation_error
+from wavequake.imaging.segment_psf import psf as segments_psf
+from wavequake.imaging.wavefront_phase import segment_phase
+from wavequake.kernels.devices import NUMPY, Device
+from wavequake.kernels.fourier import choose_fourier, fourier_2d
+
+Real = NDArray[np.float64]
+
+ENGINES = ("fft", "matrix", "segments")
+# Measured on one thread of an AMD Zen 4 core: seconds per exponential, operations per second in products of
+# matrices, and in Fourier transforms.
+_WAVE = {"numpy": 25e-9, "opencl": 2e-9}
+_PRODUCTS = {"numpy": 3e10, "opencl": 4e10}
+_TRANSFORMS = {"scipy": 5e9, "opencl": 1e10}
+# Seconds to build one moment of one segment at one node.
+_MOMENT = 2e-8
+# Numbers in the padded pupils that are transformed at once: bounds the memory.
+_PADDED = 1 << 22
+
+
+@dataclass(frozen=True)
+class SegmentedPupil:
+    """A pupil of convex segments.
+
+    Attributes
+    ----------
+    corners : ndarray, shape (S, V, 2)
+        Projected corners in mm, counter-clockwise; a polygon with fewer than V corners repeats its last one.
+    centers : ndarray, shape (S, 2)
+        Points in mm to which the pistons belong and about which the slopes turn.
+    diameter : float
+        Length in mm that defines wavelength / diameter and encloses the pupil.
+    """
+
+    corners: Real
+    centers: Real
+    diameter: float
+
+
+@dataclass(frozen=True)
+class PsfEngine:
+    """A prepared engine for one pupil and one image.
+
+    Attributes
+    ----------
+    name : str
+        "fft", "matrix" or "segments".
+    reason : str
+        Why it was chosen.
+    seconds : dict of str to float
+        What each engine that can make the image is estimated to take for an instant.
+    pupil : PupilGrid or SegmentedPupil
+    grid : PupilGrid
+        The sampled pupil.
+    transform : MatrixFourier
+    basis : SegmentBasis, optional
+    tolerance : float
+        Largest error that ending the series in segments' slopes may make, relative to the perfect peak.
+    device : Device
+    """
+
+    name: str
+    reason: str
+    seconds: dict[str, float]
+    pupil: PupilGrid | SegmentedPupil
+    grid: PupilGrid
+    transform: matrix.MatrixFourier
+    basis: SegmentBasis | None
+    tolerance: float
+    device: Device
+
+
+def prepare_psf(
+    pupil: PupilGrid | SegmentedPupil,
+    pixels: int,
+    sampling: float,
+    engine: str = "auto",
+    device: Device = NUMPY,
+    instants: int = 1000,
+    corner_phase: float = 0.0,
+    tolerance: float = 1e-4,
+    samples: int = 512,
+) -> PsfEngine:
+    """Choose and prepare the engine that images a pupil.
+
+    Parameters
+    ----------
+    pupil : PupilGrid or SegmentedPupil
+    pixels : int
+        An image has pixels x pixels points; [pixels // 2, pixels // 2] is the origin, rows are y.
+    sampling : float
+        Distance of the points in wavelengths / diameter.
+    engine : {"auto", "fft", "matrix", "segments"}
+        "auto" is the one with the smallest estimate.
+    device : Device
+        Where "fft" and "matrix" run.
+    instants : int
+        How many images will be made: they share the time of the preparation.
+    corner_phase : float
+        Largest phase in rad that slopes make between a segment's center and a corner; 0 for pistons alone.
+    tolerance : float
+        Largest error that ending the series in segments' slopes may make, relative to the perfect peak.
+    samples : int
+        Cells across a segmented pupil where it has to be sampled.
+
+    Raises
+    ------
+    UserError
+        If the engine cannot make the image, or the image or pupil is impossible.
+    """
+    grid = pupil
+    if isinstance(pupil, SegmentedPupil):
+        grid = sampled_pupil(segments(pupil.corners), samples, pupil.diameter)
+    assert isinstance(grid, PupilGrid)
+    transform = matrix.matrix_fourier(grid, pixels, sampling, device)
+    moments, unable = _moments(pupil, corner_phase, tolerance)
+    seconds = {"matrix": _matrix_seconds(grid, pixels, device)}
+    padded = _padded_size(len(grid.axis), sampling)
+    if padded:
+        seconds["fft"] = _fft_seconds(grid, padded, device)
+    if moments:
+        assert isinstance(pupil, SegmentedPupil)
+        seconds["segments"] = _segments_seconds(pupil, pixels, sampling, moments, max(instants, 1))
+    if engine not in ("auto", *ENGINES):
+        raise UserError(f"the engine of an image is auto, {', '.join(ENGINES)}, not {engine!r}")
+    if engine != "auto" and engine not in seconds:
+        why = (
+            unable if engine == "segments" else f"{len(grid.axis)} samples / {sampling:g} is no whole number"
+        )
+        raise UserError(f"the engine {engine!r} cannot make this image: {why}")
+    name = min(seconds, key=lambda key: seconds[key]) if engine == "auto" else engine
+    basis = None
+    if name == "segments":
+        assert isinstance(pupil, SegmentedPupil)
+        corners, centers = pupil.corners, pupil.centers
+        basis = segment_basis(corners, centers, pixels, sampling, pupil.diameter, moments, np.complex128)
+    estimates = ", ".join(f"{key} {1e3 * value:.3g} ms" for key, value in sorted(seconds.items()))
+    reason = "asked for" if engine != "auto" else f"the least of {estimates} per image"
+    if engine == "auto" and unable:
+        reason += f"; segments cannot: {unable}"
+    return PsfEngine(name, reason, seconds, pupil, grid, transform, basis, tolerance, device)
+
+
+def point_spread(engine: PsfEngine, wavefront: Real, check: bool = True) -> Real:
+    """Return point spread functions, whose unit is the peak of the perfect one.
+
+    Parameters
+    ----------
+    engine : PsfEngine
+    wavefront : ndarray
+        For a `PupilGrid` phases (batch, m) in rad at its patches; for a `SegmentedPupil` pistons in waves
+        and slopes in waves per mm, (batch, S, 3). An instant that is not a number gives an image of NaN.
+    check : bool
+        Whether to warn if a sampled pupil is too coarse for the phase, which takes a fraction of the image.
+
+    Returns
+    -------
+    ndarray, shape (batch, pixels, pixels)
+
+    Raises
+    ------
+    UserError
+        If the wavefront has the wrong shape.
+    """
+    pupil = engine.pupil
+    if not isinstance(pupil, SegmentedPupil):
+        return _sampled(engine, wavefront, check)
+    motion = np.asarray(wavefront, dtype=np.float64)
+    count = len(pupil.centers)
+    if motion.ndim != 3 or motion.shape[1:] != (count, 3):
+        raise UserError(f"{count} segments need motions of shape (batch, {count}, 3), not {motion.shape}")
+    pixels = len(engine.transform.axis)
+    images = np.empty((len(motion), pixels, pixels))
+    steep = np.ones(len(motion), dtype=bool)
+    if engine.basis is not None:
+        steep = np.asarray(truncation_error(engine.basis, motion)[-1] > engine.tolerance)
+        exact = segments_psf(engine.basis, motion[~steep], engine.tolerance)
+        images[~steep] = exact.reshape(-1, pixels, pixels)
+    chosen = np.flatnonzero(steep)
+    for first in range(0, chosen.size, 16):  # phases of a sampled pupil are large
+        part = chosen[first : first + 16]
+        phase = segment_phase(engine.grid, pupil.centers, motion[part], 0.5 * pupil.diameter)
+        images[part] = _sampled(engine, phase, check)
+    return images
+
+
+def samples_for(grid: PupilGrid, phase: Real, field: float) -> int:
+    """Return how many samples across the pupil its steepest phase and the image's field need.
+
+    Parameters
+    ----------
+    grid : PupilGrid
+    phase : ndarray, shape (batch, m)
+        rad at the grid's patches; what is not a number does not count.
+    field : float
+        Width of the image in wavelengths / diameter.
+    """
+    steepest = 0.0
+    for before, after in _neighbors(grid):
+        step = np.abs(phase[:, after] - phase[:, before])
+        steepest = max(steepest, float(np.nanmax(step, initial=0.0, where=np.isfinite(step))))
+    return matrix.samples_needed(steepest * len(grid.axis) / 2.0, field)
+
+
+def _sampled(engine: PsfEngine, phase: Real, check: bool) -> Real:
+    grid, transform = engine.grid, engine.transform
+    if check and phase.ndim == 2 and phase.shape[1] == grid.cells.size:
+        field = 2.0 * float(np.abs(transform.axis).max())
+        needed = samples_for(grid, phase, field)
+        if needed > len(grid.axis):
+            warnings.warn(
+                f"the pupil has {len(grid.axis)} samples across, but its phase and an image of {field:g} "
+                f"lambda/D need {needed}: light is folded back into the image",
+                stacklevel=3,
+            )
+    return _fft_psf(engine, phase) if engine.name == "fft" else matrix.psf(transform, phase)
+
+
+def _neighbors(grid: PupilGrid) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Return pairs of patches of one piece in whole cells side by side, and one above the other."""
+    samples = len(grid.axis)
+    whole = np.flatnonzero(grid.light > 0.5)
+    order = whole[np.lexsort((grid.cells[whole], grid.piece[whole]))]
+    place = grid.piece[order] * samples * samples + grid.cells[order]
+    pairs = []
+    for step in (1, samples):
+        found = np.minimum(np.searchsorted(place, place + step), place.size - 1)
+        met = place[found] == place + step
+        if step == 1:
+            met &= grid.cells[order] % samples < samples - 1
+        pairs.append((order[met], order[found[met]]))
+    return pairs
+
+
+def _fft_psf(engine: PsfEngine, phase: Real) -> Real:
+    grid, transform = engine.grid, engine.transform
+    matrix.check_phase(transform, phase)
+    pixels, samples = len(transform.axis), len(grid.axis)
+    padded = _padded_size(samples, float(transform.axis[1] - transform.axis[0]) if pixels > 1 else 1.0)
+    wanted = (np.arange(pixels) - pixels // 2) % padded
+    images = np.empty((len(phase), pixels, pixels))
+    each = max(1, _PADDED // padded**2)
+    for first in range(0, len(phase), each):
+        part = phase[first : first + each]
+        field = np.zeros((len(part), padded, padded), dtype=np.complex128)
+        field[:, :samples, :samples] = pupil_function(grid, part)
+        image = fourier_2d(field, device=engine.device)[:, wanted[:, None], wanted]
+        images[first : first + each] = (image.real**2 + image.imag**2) / transform.peak
+    return images
+
+
+def _padded_size(samples: int, sampling: float) -> int:
+    """Return the size of the padded transform that has the sampling, or 0 if there is none."""
+    size = samples / sampling
+    whole = round(size)
+    return whole if whole >= samples and abs(size - whole) < 1e-9 * size else 0
+
+
+def _moments(pupil: PupilGrid | SegmentedPupil, corner_phase: float, tolerance: float) -> tuple[int, str]:
+    """Return the moments that the segment basis needs, or 0 and why it cannot be used."""
+    if not isinstance(pupil, SegmentedPupil):
+        return 0, "the pupil is no sum of segments"
+    try:
+        return moments_needed(corner_phase, tolerance), ""
+    except UserError as error:
+        return 0, str(error)
+
+
+def _matrix_seconds(grid: PupilGrid, pixels: int, device: Device) -> float:
+    n, kind = len(grid.axis), "numpy" if device.kind == "numpy" else "opencl"
+    share = 1.0 if kind == "numpy" else 0.25  # folded by parity
+    operations = 8.0 * share * (n * n * pixels + n * pixels * pixels)
+    # Cells that hold several patches are put together by NumPy.
+    wave = _WAVE[kind] if single_patches(grid) else 2.0 * _WAVE["numpy"]
+    return grid.cells.size * wave + operations / _PRODUCTS[kind]
+
+
+def _fft_seconds(grid: PupilGrid, padded: int, device: Device) -> float:
+    engine = choose_fourier((1, padded, padded), np.complex128, device).engine
+    operations = 5.0 * padded**2 * np.log2(float(padded) ** 2)
+    return float(grid.cells.size * _WAVE["numpy"] + operations / _TRANSFORMS[engine])
+
+
+def _segments_seconds(
+    pupil: SegmentedPupil, pixels: int, sampling: float, moments: int, instants: int
+) -> float:
+    nodes = 1.1 * pixels * sampling + 18.0
+    columns = moments * len(pupil.centers)
+    operations = 4.0 * nodes**2 * columns + 4.0 * pixels * nodes * (nodes + pixels)
+    return operations / _PRODUCTS["numpy"] + _MOMENT * columns * nodes**2 / instants
