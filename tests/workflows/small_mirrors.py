@@ -13,7 +13,7 @@ MOR = {
     "optics.rays": 200,
     "optics.zernike_terms": 11,
     "time.duration_s": 0.005,
-    "excitation.sine300.interfaces": [0],
+    "excitation.sine300.interfaces": [1],
 }
 TRACE = {
     "model.shapes": ["circular"],
