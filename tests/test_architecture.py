@@ -23,7 +23,8 @@ ALLOWED = {
     "cluster": BASE,
     "workflows": BASE | PHYSICS | {"kernels", "cluster", "firmware"},
     "report": BASE | PHYSICS | {"kernels", "workflows"},
-    "cli": BASE | PHYSICS | {"kernels", "workflows", "report", "cluster", "firmware"},
+    "terminal": set(),
+    "cli": BASE | PHYSICS | {"kernels", "workflows", "report", "cluster", "firmware", "terminal"},
     "__main__": {"cli"},
 }
 # The package's front door imports lazily, for users; provenance may ask it for the version.

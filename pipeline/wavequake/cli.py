@@ -2,10 +2,9 @@
 
 import io
 import shlex
-import signal
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 from rich.table import Table
@@ -33,8 +32,6 @@ StoreOption = Annotated[Path | None, typer.Option("--store", help="Folder of the
 def main() -> None:
     """Run the command line; the exit code says how it ended (0, 1, 2, 3, 4 or 130)."""
     debug = "--debug" in sys.argv
-    # What ends a job on a cluster is to it what Ctrl-C is at a terminal.
-    signal.signal(signal.SIGTERM, lambda number, frame: signal.raise_signal(signal.SIGINT))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that has no Greek shall not end a run
@@ -45,7 +42,11 @@ def main() -> None:
     except StoreDamageError as error:
         _fail(f"Damaged store: {error}", EXIT_DAMAGED, debug)
     except KeyboardInterrupt:
-        _fail("Interrupted. What is done is kept; the same command continues.", EXIT_INTERRUPTED, debug)
+        _interrupted()
+    except SystemExit as end:
+        if end.code == EXIT_INTERRUPTED:  # typer's way to pass Ctrl-C on
+            _interrupted()
+        raise
     except OSError as error:
         _fail(f"Error: {error.strerror or error}: {error.filename or 'a file'}.", EXIT_BAD_INPUT, debug)
     except Exception as error:
@@ -54,6 +55,12 @@ def main() -> None:
             1,
             debug,
         )
+
+
+def _interrupted() -> NoReturn:
+    words = shlex.join(["wavequake", *sys.argv[1:]])
+    err.print(f"\nInterrupted. What is done is kept; to continue: {words}", markup=False, soft_wrap=True)
+    sys.exit(EXIT_INTERRUPTED)
 
 
 def _fail(message: str, code: int, debug: bool) -> None:
@@ -110,22 +117,17 @@ def run(
     loaded = load_study(study, overrides or [])
     path = store or Path(loaded.store.path or loaded.default_store())
     out.print(f"{loaded.study.name}  {loaded.cases} cases  ->  {path}", markup=False, soft_wrap=True)
-    try:
-        with live_progress() as progress:
-            summary = run_study(
-                loaded,
-                path,
-                on=on,
-                workers=workers,
-                progress=progress,
-                repair=repair,
-                allow_mixed=allow_mixed,
-                dashboard=_show_link if dashboard else None,
-            )
-    except KeyboardInterrupt:
-        words = shlex.join(["wavequake", "run", study, *(overrides or []), "--store", str(path)])
-        err.print(f"\nInterrupted. What is done is kept; to continue: {words}", markup=False, soft_wrap=True)
-        sys.exit(EXIT_INTERRUPTED)
+    with live_progress() as progress:
+        summary = run_study(
+            loaded,
+            path,
+            on=on,
+            workers=workers,
+            progress=progress,
+            repair=repair,
+            allow_mixed=allow_mixed,
+            dashboard=_show_link if dashboard else None,
+        )
     if summary.computed:
         rate = summary.computed / max(summary.seconds, 1e-9)
         out.print(

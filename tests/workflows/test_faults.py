@@ -1,9 +1,11 @@
 """Processes are killed in the middle of a campaign: nothing is lost, and no bit changes."""
 
 import os
+import shlex
 import signal
 import subprocess
 import sys
+import time
 
 import numpy as np
 import psutil
@@ -132,3 +134,25 @@ def test_a_scheduler_that_dies_ends_the_run_with_one_sentence(tmp_path, referenc
     process.communicate()
     assert toy.run(tmp_path / "s", SLOW, cases=100).done_before >= 20
     assert toy.digests(tmp_path / "s") == reference
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_a_command_that_is_interrupted_says_how_to_resume(tmp_path, sent):
+    words = ["run", "tmt18-history", "campaign.cases=5000", "--store", str(tmp_path / "s")]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "wavequake", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    toy.wait_for_records(tmp_path / "s", 1, timeout_s=60)
+    start = time.monotonic()
+    os.killpg(process.pid, sent)
+    _, complained = process.communicate(timeout=30)
+    assert time.monotonic() - start < 4  # 2 s on a machine that has nothing else to do
+    assert process.returncode == 130
+    assert complained == (
+        f"\nInterrupted. What is done is kept; to continue: wavequake {shlex.join(words)}\n"
+    )
+    assert verify_store(tmp_path / "s").damaged == ()

@@ -78,7 +78,7 @@ def report_store(store: Path) -> tuple[Table, Path]:
     dataset, manifest = open_store(store), read_manifest(store)
     report = _REPORTS[manifest.workflow]
     with _damage_named(store):
-        path = report.write_report_of(store, dataset, report_path(store), _device_at_hand(manifest))
+        path = report.write_report_of(store, dataset, report_path(store), device_at_hand(manifest))
         return report.table_of(store, dataset), path
 
 
@@ -89,7 +89,7 @@ def export_store(store: Path, path: Path, overwrite: bool = False) -> Path:
         return export(dataset, target, overwrite)
 
 
-def _device_at_hand(manifest: Manifest) -> str:
+def device_at_hand(manifest: Manifest) -> str:
     """Return the store's own device, or where that is missing one of its kind, or NumPy."""
     for request in (manifest.device, manifest.device_kind):
         with suppress(UserError):
