@@ -16,7 +16,7 @@ from wavequake.control.camera import (
 )
 from wavequake.errors import UserError
 
-STRAIGHT = Camera(distortion=0.0, rows=60)
+STRAIGHT = Camera(distortion=0.0, rows=60, unsteadiness=0.0)
 STEPS = 1e-3 * np.arange(-3, 4)
 
 

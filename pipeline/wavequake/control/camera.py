@@ -33,6 +33,8 @@ class Camera:
         Frames per s.
     distortion : float
         Cubic term: a point at x shows at x (1 + distortion (x / half width)²).
+    unsteadiness : float
+        Standard deviation of a light point's position that is not its own: air, exposure, video compression.
     """
 
     columns: int = 800
@@ -45,6 +47,7 @@ class Camera:
     threshold: float = 40.0
     rate: float = 200.0
     distortion: float = -0.01
+    unsteadiness: float = 20e-6
 
     def __post_init__(self) -> None:
         if min(self.columns, self.rows, self.pixel, self.spot_radius, self.blur, self.rate) <= 0:
@@ -159,7 +162,7 @@ def camera_error(camera: Camera, calibration: Calibration, rng: np.random.Genera
     A campaign of thousands of runs adds these instead of rendering every frame anew.
     """
     reach = float(calibration.position[-1])
-    position = np.linspace(-reach, reach, 97)
+    position = np.linspace(-reach, reach, 25)
     bias, spread = np.empty(len(position)), np.empty(len(position))
     for place, point in enumerate(position):
         noise = rng.standard_normal((2, camera.rows, camera.columns))
@@ -167,7 +170,7 @@ def camera_error(camera: Camera, calibration: Calibration, rng: np.random.Genera
             calibration, center_of_intensity(camera, render(camera, np.full(2, point), noise))
         )
         bias[place], spread[place] = found.mean() - point, np.diff(found)[0] / np.sqrt(2)
-    return CameraError(position, bias, float(np.sqrt(np.mean(spread**2))))
+    return CameraError(position, bias, float(np.hypot(np.sqrt(np.mean(spread**2)), camera.unsteadiness)))
 
 
 def camera_reading(error: CameraError, position: Array, noise: Array) -> Array:

@@ -1,0 +1,339 @@
+"""The lens experiment: draw plants with all their errors, and run all controllers on the same blow.
+
+Störkle 2018, Section 5.3 and 5.4, as a Monte Carlo over plants.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from wavequake.control.bench import COMPENSATOR, SENSITIVITIES, Bench
+from wavequake.control.camera import Camera, CameraError, calibrate, camera_error, camera_reading
+from wavequake.control.identification import Identified, Record, identify
+from wavequake.control.linear import Array
+from wavequake.control.loop import (
+    late_deviation,
+    peak_to_peak,
+    remaining_image,
+    run_thesis,
+    stage_motion,
+)
+from wavequake.control.plant import FreeRuns, swing
+from wavequake.control.regulator import (
+    ModalModel,
+    ModalRegulator,
+    modal_model,
+    modal_regulator,
+    run_regulators,
+)
+from wavequake.control.sensor import SensorChain, quantized_command, read_positions
+from wavequake.control.stage import Stage
+from wavequake.control.thesis import SampledController, feed_forward, future_integration
+
+CONTROLLERS = ("uncontrolled", "FF", "FI", "FF+FI", "modal", "identified")
+
+# Width of the arrays in which benches swing beside each other: constant, so that bits depend on nothing else.
+TILE = 16
+PLANT_STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What the plant has and its nominal model lacks; standard deviations unless said otherwise.
+
+    Attributes
+    ----------
+    stiffness : float
+        Of the logarithm of each spring.
+    friction : float
+        Coulomb friction of each lens's bearing, N.
+    stage_gain, stage_poles : float
+        Of the logarithms of the stage's gain, its real pole and its pair of poles.
+    blow : float
+        Of the logarithm of a blow's strength.
+    """
+
+    stiffness: float = 0.02
+    friction: float = 0.3e-3
+    stage_gain: float = 0.01
+    stage_poles: float = 0.05
+    blow: float = 0.0
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Sample times and delays of the controllers, s, and the noise that the modal observers reckon with.
+
+    Attributes
+    ----------
+    ff_step, fi_step, both_step, modal_step : float
+        Sample times of FF, FI, FF+FI and the modal regulators.
+    ff_delay, fi_delay, both_delay, modal_delay : float
+        From sampling to the command.
+    nominal_noise, identified_noise : float
+        Process noise per step, as shares of the modes' amplitudes after the blow.
+    """
+
+    ff_step: float = 0.002
+    fi_step: float = 0.008
+    both_step: float = 0.002
+    modal_step: float = 0.002
+    ff_delay: float = 0.001
+    fi_delay: float = 0.003
+    both_delay: float = 0.001
+    modal_delay: float = 0.0002
+    nominal_noise: float = 0.01
+    identified_noise: float = 0.003
+
+
+@dataclass(frozen=True)
+class Designs:
+    """Everything that is designed on nominal models, before a plant is known."""
+
+    stage: Stage
+    settings: Settings
+    thesis: tuple[SampledController, ...]
+    model: ModalModel
+    regulator: ModalRegulator
+
+
+@dataclass(frozen=True)
+class Plant:
+    """One draw: what swings, what moves lens 5, what is measured, and two blows."""
+
+    bench: Bench
+    stage: Stage
+    phases: Array
+    blows: tuple[float, float]
+    noise: Array
+    frame_noise: Array
+
+
+@dataclass(frozen=True)
+class Runs:
+    """What c plants do under all controllers; lengths in m.
+
+    Attributes
+    ----------
+    time : ndarray, shape (k,)
+    image, command, stage : ndarray, shape (c, controller, k)
+        What is left of the image motion, held commands, positions of the stage.
+    lens, measured : ndarray, shape (c, k)
+        Lens 4, and what the control unit takes for it.
+    identified : tuple of Identified
+    """
+
+    time: Array
+    image: Array
+    command: Array
+    stage: Array
+    lens: Array
+    measured: Array
+    identified: tuple[Identified, ...] = field(default=())
+
+
+def design(bench: Bench, stage: Stage, settings: Settings) -> Designs:
+    """Design all controllers on nominal models.
+
+    Raises
+    ------
+    UserError
+        If lens 4 does not see a mode (says which), or ode3 is unstable at a sample time (says its spectral
+        radius).
+    """
+    both = feed_forward(bench, stage, settings.both_step, settings.both_delay, ahead=2)
+    thesis = (
+        feed_forward(bench, stage, settings.ff_step, settings.ff_delay),
+        future_integration(bench, settings.fi_step, settings.fi_delay),
+        both,
+    )
+    model = modal_model(bench)
+    return Designs(
+        stage, settings, thesis, model, regulator(model, stage, settings, "modal", settings.nominal_noise)
+    )
+
+
+def regulator(
+    model: ModalModel, stage: Stage, settings: Settings, name: str, process_noise: float
+) -> ModalRegulator:
+    """Design a modal regulator with the sample time and delay of the settings."""
+    return modal_regulator(
+        model, stage, settings.modal_step, settings.modal_delay, name=name, process_noise=process_noise
+    )
+
+
+def draw_plant(
+    rng: np.random.Generator,
+    bench: Bench,
+    stage: Stage,
+    errors: Errors,
+    waves: int,
+    instants: int,
+    frames: int,
+) -> Plant:
+    """Draw one plant around nominal models; the same generator gives paired plants for other springs."""
+    scatter = np.exp(errors.stiffness * rng.standard_normal(18))
+    gain, real, pair = np.exp(
+        np.array([errors.stage_gain, errors.stage_poles, errors.stage_poles]) * rng.standard_normal(3)
+    )
+    blows = np.exp(errors.blow * rng.standard_normal(2))
+    phases = rng.uniform(0, 2 * np.pi, waves)
+    noise = rng.standard_normal((2, instants))
+    frame_noise = rng.standard_normal(frames)
+    shaken = replace(
+        bench,
+        lens_springs=bench.lens_springs * scatter[:6],
+        ring_springs=bench.ring_springs * scatter[6:12],
+        couplings=bench.couplings * scatter[12:17],
+        housing_spring=bench.housing_spring * float(scatter[17]),
+    )
+    poles = tuple(pole * (real if np.imag(pole) == 0 else pair) for pole in stage.poles)
+    return Plant(
+        shaken,
+        replace(stage, poles=poles, gain=stage.gain * float(gain)),
+        phases,
+        (float(blows[0]), float(blows[1])),
+        noise,
+        frame_noise,
+    )
+
+
+def camera_of(camera: Camera, seed: int) -> CameraError:
+    """Calibrate the camera with the stage and return what its readings are off (Fig. 5.24)."""
+    rng = np.random.default_rng(seed)
+    calibration = calibrate(camera, 1e-3 * np.arange(-3, 4), SENSITIVITIES[COMPENSATOR])
+    return camera_error(camera, calibration, rng)
+
+
+def instants_of(duration: float) -> int:
+    """Return the number of instants of the plant's own grid, the first at 0."""
+    return round(duration / PLANT_STEP) + 1
+
+
+def run_plants(
+    designs: Designs,
+    plants: Sequence[Plant],
+    chain: SensorChain,
+    camera: CameraError,
+    *,
+    friction: float,
+    duration: float,
+    frame_rate: float = 200.0,
+    output_step: float = 0.002,
+) -> Runs:
+    """Hit each plant twice: one uncontrolled run identifies it, the other one is what controllers face.
+
+    Parameters
+    ----------
+    designs : Designs
+    plants : sequence of Plant
+        At most `TILE`.
+    chain : SensorChain
+    camera : CameraError
+        For the identification alone.
+    friction : float
+        N.
+    duration : float
+        s.
+    frame_rate : float
+        Hz.
+    output_step : float
+        Of the histories that are returned, a multiple of the plant's step, s.
+
+    Raises
+    ------
+    UserError
+        If an identification fails, or a time does not fit the plant's step.
+    """
+    width = len(plants)
+    padded = [*plants, *[plants[-1]] * (TILE - width)]
+    benches = [plant.bench for plant in padded]
+    first, second = (
+        swing(benches, np.array([plant.blows[run] for plant in padded]), friction=friction, duration=duration)
+        for run in (0, 1)
+    )
+    phases, noise = np.stack([plant.phases for plant in padded]), np.stack([plant.noise for plant in padded])
+    found = tuple(
+        _identified(designs, plant, first, row, chain, camera, frame_rate) for row, plant in enumerate(plants)
+    )
+    measured = read_positions(chain, second.measured, phases, noise[:, 1])
+    models = [one.model for one in found]
+    tuned = [
+        regulator(model, designs.stage, designs.settings, "identified", designs.settings.identified_noise)
+        for model in models
+    ]
+    commands: list[tuple[Array, SampledController | ModalRegulator]] = [
+        (run_thesis(one, measured[:, :: _every(one.sample_time)]), one) for one in designs.thesis
+    ]
+    modal = measured[:, :: _every(designs.settings.modal_step)]
+    commands.append((_modal_commands([designs.regulator] * TILE, modal), designs.regulator))
+    commands.append((_modal_commands([*tuned, *[tuned[-1]] * (TILE - width)], modal), tuned[0]))
+    return _gathered(plants, second, measured, commands, output_step, found)
+
+
+def _every(time: float) -> int:
+    return max(1, round(time / PLANT_STEP))
+
+
+def _identified(
+    designs: Designs,
+    plant: Plant,
+    runs: FreeRuns,
+    row: int,
+    chain: SensorChain,
+    camera: CameraError,
+    frame_rate: float,
+) -> Identified:
+    """Identify one plant from its first run: lens 4 at the controller's instants, image at the camera's."""
+    every, frames = _every(0.002), _every(1 / frame_rate)
+    lens = read_positions(chain, runs.measured[row], plant.phases, plant.noise[0])[::every]
+    image = runs.image[row, ::frames]
+    seen = camera_reading(camera, image, plant.frame_noise[: len(image)])
+    record = Record(runs.time[::every], lens, runs.time[::frames], seen)
+    return identify(record, designs.model)
+
+
+def _modal_commands(regulators: Sequence[ModalRegulator], measured: Array) -> Array:
+    return run_regulators(
+        np.stack([one.step for one in regulators]),
+        np.stack([one.gain for one in regulators]),
+        np.stack([one.row for one in regulators]),
+        np.stack([one.start for one in regulators]),
+        measured,
+    )
+
+
+def _gathered(
+    plants: Sequence[Plant],
+    runs: FreeRuns,
+    measured: Array,
+    commands: Sequence[tuple[Array, SampledController | ModalRegulator]],
+    output_step: float,
+    found: tuple[Identified, ...],
+) -> Runs:
+    """Move the stage by the commands, and keep what is stored."""
+    width, every = len(plants), _every(output_step)
+    count = runs.image.shape[1]
+    held = np.zeros((width, len(CONTROLLERS), count))
+    stage = np.zeros_like(held)
+    for place, (given, one) in enumerate(commands, start=1):
+        held[:, place] = np.repeat(quantized_command(given[:width]), _every(one.sample_time), axis=1)[
+            :, :count
+        ]
+        for row, plant in enumerate(plants):
+            stage[row, place] = stage_motion(
+                plant.stage, given[row], one.sample_time, one.compute_delay, PLANT_STEP, count
+            )
+    image = remaining_image(runs.image[:width, None], stage)
+    kept = slice(None, None, every)
+    return Runs(
+        runs.time[kept], image[..., kept], held[..., kept], stage[..., kept],
+        runs.measured[:width, kept], measured[:width, kept], found,
+    )  # fmt: skip
+
+
+def residuals(runs: Runs) -> tuple[Array, Array]:
+    """Return ranges and standard deviations after 1 s, (c, controller), in % of uncontrolled (Fig. 5.33)."""
+    whole, late = peak_to_peak(runs.image), late_deviation(runs.image, runs.time)
+    return 100 * whole / whole[:, :1], 100 * late / late[:, :1]

@@ -1,0 +1,109 @@
+"""The lens experiment: the reference's orderings and levels, the regulator's target, bits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wavequake.control.bench import fitted_bench
+from wavequake.control.camera import CameraError
+from wavequake.control.experiment import (
+    CONTROLLERS,
+    Errors,
+    Settings,
+    design,
+    draw_plant,
+    instants_of,
+    residuals,
+    run_plants,
+)
+from wavequake.control.sensor import SensorChain
+from wavequake.control.stage import Stage
+from wavequake.errors import UserError
+
+DURATION = 4.0
+CAMERA = CameraError(np.array([-1e-2, 1e-2]), np.zeros(2), 20e-6)
+BENCH, STAGE = fitted_bench(), Stage()
+DESIGNS = design(BENCH, STAGE, Settings())
+
+
+def plants(errors, seeds):
+    return [
+        draw_plant(np.random.default_rng(seed), BENCH, STAGE, errors, 2, instants_of(DURATION), 900)
+        for seed in seeds
+    ]
+
+
+def run(errors, strip, seeds):
+    chain = SensorChain(strip_error=strip)
+    return run_plants(
+        DESIGNS, plants(errors, seeds), chain, CAMERA, friction=errors.friction, duration=DURATION
+    )
+
+
+@pytest.fixture(scope="module")
+def everything():
+    return run(Errors(blow=0.01), 40e-6, range(3))
+
+
+def test_levels_of_the_reference_come_out_similar(everything):
+    """Störkle 2018, Fig. 5.33: FF 30 % and 30 %, FI 54 % and 17 %, FF+FI a factor of almost 4."""
+    ranges, deviations = (
+        dict(zip(CONTROLLERS, np.median(v, axis=0), strict=True)) for v in residuals(everything)
+    )
+    assert 26 < ranges["FF"] < 36
+    assert 22 < deviations["FF"] < 38
+    assert 50 < ranges["FI"] < 72
+    assert 15 < deviations["FI"] < 32
+    assert 8 < ranges["FF+FI"] < 25
+    assert 10 < deviations["FF+FI"] < 28
+    # FF is better at once, FI later (Section 5.4.2).
+    assert ranges["FF"] < ranges["FI"]
+    assert deviations["FI"] < deviations["FF"]
+    assert ranges["uncontrolled"] == deviations["uncontrolled"] == 100.0
+
+
+def test_identified_regulator_keeps_its_target_with_all_errors_on(everything):
+    for values in residuals(everything):
+        assert (values[:, CONTROLLERS.index("identified")] <= 5.0).all()
+        assert (values[:, CONTROLLERS.index("modal")] > 5.0).any()
+
+
+def test_without_errors_only_converters_are_left():
+    ranges, deviations = residuals(run(Errors(0, 0, 0, 0, 0), 0.0, range(1)))
+    assert ranges[0, -2] < 1.0 > deviations[0, -2]
+    assert ranges[0, -1] < 1.0 > deviations[0, -1]
+
+
+def test_bits_of_a_plant_do_not_depend_on_its_neighbors(everything):
+    alone = run(Errors(blow=0.01), 40e-6, [2])
+    for name in ("image", "command", "stage", "lens", "measured"):
+        np.testing.assert_array_equal(getattr(alone, name)[0], getattr(everything, name)[2])
+
+
+def test_histories_belong_together(everything):
+    runs = everything
+    np.testing.assert_allclose(
+        runs.image, runs.image[:, :1] + 1.394 * runs.stage, rtol=1e-12, atol=1e-15
+    )  # Eq. 5.5
+    assert not runs.command[:, 0].any()
+    assert np.abs(runs.measured - runs.lens).max() < 120e-6
+    assert len(np.unique(runs.command[0, 2])) > 100
+    held = runs.command[0, 2].reshape(-1)[: 4 * (runs.command.shape[2] // 4)].reshape(-1, 4)
+    assert (held == held[:, :1]).all()  # FI commands every 8 ms, histories every 2 ms
+
+
+def test_draws_are_paired_between_springs():
+    soft = replace(BENCH, lens_springs=0.6 * BENCH.lens_springs)
+    one, other = (
+        draw_plant(np.random.default_rng(4), bench, STAGE, Errors(), 2, 100, 10) for bench in (BENCH, soft)
+    )
+    np.testing.assert_allclose(other.bench.lens_springs, 0.6 * one.bench.lens_springs)
+    np.testing.assert_array_equal(one.noise, other.noise)
+    assert one.stage == other.stage
+    assert one.stage != STAGE
+
+
+def test_impossible_settings_are_refused():
+    with pytest.raises(UserError, match="FF is unstable at a sample time of 8 ms"):
+        design(BENCH, STAGE, Settings(ff_step=0.008))
