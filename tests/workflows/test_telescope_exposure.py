@@ -6,10 +6,17 @@ import pytest
 from wavequake.errors import UserError
 from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import from_tiles
+from wavequake.optics.sensitivity import sensitivities
 from wavequake.workflows import telescope_exposure as workflow
 from wavequake.workflows.contract import DONE, RAISED
 from wavequake.workflows.study import load_study
-from wavequake.workflows.telescope_control import CONTROLLERS, control_bench_of, controlled, trace
+from wavequake.workflows.telescope_control import (
+    CONTROLLERS,
+    control_bench_of,
+    controlled,
+    figure_gains,
+    trace,
+)
 
 STUDY = """
 [study]
@@ -101,6 +108,16 @@ def test_m2_turns_as_the_matrix_of_sensitivities_says(text, result):
     assert np.abs([xx, yy]).max() < 1e-4 * abs(xy)
     assert xy == pytest.approx(-yx, rel=1e-4)
     assert abs(xy) == pytest.approx(85460, rel=0.03)  # that of the larger circular pupil
+
+
+def test_gains_of_m2s_figure_are_the_sensitivities(text):
+    """Those of `wavequake sensitivity`, which differ in step, batch and code; Störkle 2018, Eq. 4.26."""
+    control = control_bench_of(text)
+    mirrors = sensitivities(control.prepared, choose_device("numpy")).mirrors
+    factor = control.prepared.numerical_aperture / (2 * control.prepared.wavelength)
+    tilt = mirrors.los[0, 1:] * factor * np.hypot(1, control.prepared.obscuration)
+    wanted = np.hstack([tilt, mirrors.zernike[0, 1:, 3:]]).T
+    np.testing.assert_allclose(figure_gains(control), wanted, atol=1e-6 * np.abs(wanted).max())
 
 
 def test_the_exposure_is_the_mean_of_sums_over_rays(text, result):

@@ -15,10 +15,10 @@ from threadpoolctl import threadpool_limits
 from wavequake.errors import UserError
 from wavequake.imaging.segment_psf import SegmentBasis, psf, ray_basis
 from wavequake.kernels.devices import Device, choose_device
-from wavequake.kernels.tiles import TILE, from_tiles
+from wavequake.kernels.tiles import TILE, from_tiles, padded
 from wavequake.kernels.train import Traced
 from wavequake.optics.prepared import PreparedTrace, chief_rays, prepare, trace_states
-from wavequake.optics.sensitivity import sensitivities
+from wavequake.optics.sensitivity import TOLERANCE
 from wavequake.optics.states import SurfaceStates, rest
 from wavequake.optics.wavefront import Wavefront, analyse
 from wavequake.workflows.bench import Bench, bench_of, monolithic
@@ -31,6 +31,10 @@ Array = NDArray[np.float64]
 
 CONTROLLERS = ("static", "disturbed", "rigid", "elastic")
 STATIC, DISTURBED, RIGID, ELASTIC = CONTROLLERS
+# Half width of the central differences of M2's figure, mm.
+_STEP = 1e-5
+# Beyond it, two deformations cannot be told apart.
+_CONDITION = 1e6
 
 
 @dataclass(frozen=True)
@@ -183,22 +187,42 @@ def elastic_figure(control: ControlBench, measured: Wavefront) -> Array:
     return figure
 
 
-def _correction(control: ControlBench) -> Array:
-    """Return minus the pseudo-inverse of the sensitivities of line of sight and Noll 4..J to M2's figure.
+def figure_gains(control: ControlBench) -> Array:
+    """Return how line of sight (as tilt) and Noll 4..J follow M2's figure, (J - 1, F - 1), waves per mm.
 
     The line of sight stands for the tilt: rows c_2 and c_3 nearly vanish, as the chief ray follows the tilt.
+    Central differences of ray traces (Störkle 2018, Eq. 4.26), in NumPy as all that a study prepares.
+
+    Raises
+    ------
+    UserError
+        If steps of h and 2 h do not agree.
     """
-    found = sensitivities(control.prepared, choose_device("numpy"), control.bench.field)
-    mirrors = found.mirrors
-    assert mirrors is not None
-    if mirrors.disagreement[0].max() > mirrors.tolerance:
+    prepared, terms = control.prepared, control.study.figure_terms
+    steps = _STEP * np.eye(terms)[1:]
+    figures = np.concatenate([factor * steps for factor in (1.0, -1.0, 2.0, -2.0)])
+    surfaces, segments = len(prepared.system.surfaces), len(prepared.system.segments)
+    states = rest(padded(len(figures)), segments, surfaces, control.bench.figure_terms, terms)
+    assert states.mirror_figure is not None
+    states.mirror_figure[: len(figures), 0] = figures
+    states = replace(states, field=states.field + control.bench.field)
+    found = trace(prepared, states, choose_device("numpy"))[1]
+    values = np.hstack([found.los * control.tilt_per_mm, found.zernike[:, 3:]])[: len(figures)]
+    plus, minus, wide_plus, wide_minus = values.reshape(4, terms - 1, -1)
+    gains, wide = (plus - minus) / (2.0 * _STEP), (wide_plus - wide_minus) / (4.0 * _STEP)
+    apart = np.abs(gains - wide).max() / np.abs(gains).max()
+    if not apart < TOLERANCE:
         raise UserError(
-            f"the sensitivities of M2's figure differ by {mirrors.disagreement[0].max():.2g} between two "
-            "steps; use more rays or fewer exposure.figure_terms"
+            f"the sensitivities of M2's figure differ by {apart:.2g} between two steps; use more rays or "
+            "fewer exposure.figure_terms"
         )
-    tilt = mirrors.los[0, 1:] * control.tilt_per_mm
-    gains = np.hstack([tilt, mirrors.zernike[0, 1:, 3:]]).T
-    if not np.linalg.cond(gains) < 1e6:
+    return np.ascontiguousarray(gains.T)
+
+
+def _correction(control: ControlBench) -> Array:
+    """Return minus the pseudo-inverse of `figure_gains`."""
+    gains = figure_gains(control)
+    if not np.linalg.cond(gains) < _CONDITION:
         raise UserError(
             f"the deformations of M2 by {control.study.figure_terms} terms act nearly alike on the "
             "wavefront, so that they are not determined; use fewer exposure.figure_terms"

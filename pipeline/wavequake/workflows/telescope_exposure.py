@@ -29,6 +29,7 @@ from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segment_disturbance import CaseDraw, draw, surface_states
 from wavequake.workflows.telescope_control import (
     CONTROLLERS,
+    STATIC,
     ControlBench,
     control_bench_of,
     controlled,
@@ -87,11 +88,15 @@ def exposed_case(control: ControlBench, drawn: CaseDraw, device: Device) -> dict
     """
     imaging = control.study.imaging
     grid = imaging.pixels, imaging.sampling, control.area, control.diameter
+    instants = len(drawn.time)
     found: dict[str, list[Array]] = {}
     for controller in CONTROLLERS:
-        history = _history(control, drawn, device, controller)
+        # All instants at rest are one.
+        case = replace(drawn, time=drawn.time[:1]) if controller == STATIC else drawn
+        history = _history(control, case, device, controller)
         los = history.pop("position")
-        images, fitted = (_images(control, drawn, device, controller, of) for of in ("rays", "terms"))
+        history = {name: np.repeat(values, instants // len(los), axis=0) for name, values in history.items()}
+        images, fitted = (_images(control, case, device, controller, of) for of in ("rays", "terms"))
         history |= exposed(images, control.static_image, los, *grid)
         history["exposure_fitted"] = cut(full_exposure(fitted, los, imaging.sampling), imaging.pixels)
         for name, values in history.items():
