@@ -39,6 +39,7 @@ _ERRORS = {
     "los": "LOS",
     "centroid": "centroid",
 }
+_SERIES = ("wfe_rms_raw", "wfe_rms", "los", "segment_piston_rms")
 _PERCENTILES = ((0.5, "P50"), (0.95, "P95"), (0.999, "P99.9"))
 _LISTED = 1000
 
@@ -62,15 +63,26 @@ def is_reduced(dataset: xr.Dataset) -> bool:
     return "exposure" not in dataset or "time" not in dataset["wfe_rms"].dims
 
 
+def _loaded(dataset: xr.Dataset) -> xr.Dataset:
+    """Read what the report needs, once."""
+    names = [
+        *_SERIES,
+        "marechal",
+        "status",
+        "message",
+        "traced",
+        *(f"modal_error_{name}" for name in _ERRORS),
+    ]
+    return dataset[[name for name in names if name in dataset]].load()
+
+
 def reduced_populations(store: Path, dataset: xr.Dataset) -> list[ReducedPopulation]:
     """Split a store by disturbance, in the order in which the disturbances first appear."""
     bench = bench_of(read_manifest(store).study)
     model = {entry.name: analytic_rms(entry, bench.layout) for entry in bench.study.disturbance}
     names = dataset["disturbance"].to_numpy()
     done = dataset["status"].to_numpy() == DONE
-    per_case = {
-        name: _per_case(dataset, name) for name in ("wfe_rms_raw", "wfe_rms", "los", "segment_piston_rms")
-    }
+    per_case = {name: _per_case(dataset, name) for name in _SERIES}
     marechal = dataset["marechal"].to_numpy()
     found = []
     for name in dict.fromkeys(names.tolist()):
@@ -105,6 +117,7 @@ def _per_case(dataset: xr.Dataset, name: str) -> Array:
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
+    dataset = _loaded(dataset)
     caption = "\n\n".join([_SMALL_PRINT, *certificate(store, dataset)])
     table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=caption, caption_justify="left")
     table.add_column("disturbance\ncases", overflow="fold")
@@ -177,6 +190,7 @@ def _errors(dataset: xr.Dataset, done: NDArray[np.bool_]) -> dict[str, Array]:
 
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
     """Write the HTML report: the table, distributions over cases, and those of the model's error."""
+    dataset = _loaded(dataset)
     found = [one for one in reduced_populations(store, dataset) if len(one.wfe)]
     done = dataset["status"].to_numpy() == DONE
     pictures: list[Picture] = []

@@ -5,6 +5,7 @@ pools instants counts each case as one draw, which can only make an interval too
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,7 @@ class Jitter:
     standard_error: float
 
 
+@lru_cache(maxsize=64)
 def quantile_ranks(draws: int, probability: float, confidence: float = CONFIDENCE) -> tuple[int, int]:
     """Return the ranks of the order statistics that hold a quantile with at least the given confidence.
 

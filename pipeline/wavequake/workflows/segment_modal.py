@@ -35,7 +35,7 @@ MODAL, CERTIFIED, TRACED = range(3)
 ALWAYS_CERTIFIED = 100  # that many first cases: cases are independent draws, so they are a random sample, too
 
 _ROWS = 64  # cases of one matrix product
-_TRACED_AT_ONCE = 32
+_AT_ONCE, _TRACED_AT_ONCE = 512, 32  # cases that are in memory together
 _NM_PER_MM = 1e6
 
 
@@ -91,8 +91,9 @@ def modal_cases(study_text: str, cases: Cases, device_name: str, trace: Trace) -
     }
     which, realizations = slots([entry.share for entry in study.disturbance], cases)
     for index, population in enumerate(study.disturbance):
-        rows = np.flatnonzero(which == index)
-        if len(rows):
+        mine = np.flatnonzero(which == index)
+        for first in range(0, len(mine), _AT_ONCE):
+            rows = mine[first : first + _AT_ONCE]
             with clock("draw"):
                 drawn = _drawn(bench, model, population, cases[rows], realizations[rows])
             with clock("modal"):
@@ -101,11 +102,9 @@ def modal_cases(study_text: str, cases: Cases, device_name: str, trace: Trace) -
     beyond = ~(arrays["modal_bound"] <= study.optics.modal_tolerance_nm)
     certified = sampled(study.study.seed, cases, study.optics.modal_sample) & ~beyond
     arrays["traced"] = np.where(beyond, TRACED, np.where(certified, CERTIFIED, MODAL)).astype(np.int8)
-    for group in np.array_split(
-        chosen := np.flatnonzero(beyond | certified), -(-len(chosen) // _TRACED_AT_ONCE) or 1
-    ):
-        if not len(group):
-            continue
+    chosen = np.flatnonzero(beyond | certified)
+    for first in range(0, len(chosen), _TRACED_AT_ONCE):
+        group = chosen[first : first + _TRACED_AT_ONCE]
         full = trace(study_text, cases[group], device_name)
         for name, seconds in full.timings.items():
             clock.seconds[name] = clock.seconds.get(name, 0.0) + seconds
