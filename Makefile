@@ -9,10 +9,11 @@ comma := ,
 LINKER := $(shell command -v ld >/dev/null || echo '[linker]')
 export PYTHONUNBUFFERED := 1
 
-.PHONY: help run test lint bench wheel clean
+.PHONY: help run test soak lint bench wheel clean
 help:
 	@echo "make run    run the bundled study $(STUDY) and write its report"
 	@echo "make test   run the tests"
+	@echo "make soak   kill campaigns at 200 random moments; nothing may be lost (about ten minutes)"
 	@echo "make lint   ruff and mypy"
 	@echo "make bench  run the benchmarks"
 	@echo "make wheel  build the wheel into dist/"
@@ -22,6 +23,9 @@ run: $(VENV)/.run
 
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+soak: $(VENV)/.dev
+	SOAK_KILLS=$${SOAK_KILLS:-200} $(BIN)/python -m pytest -q -s tests/workflows/test_soak.py
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
