@@ -2,10 +2,16 @@
 
 import numpy as np
 import pytest
+from PIL import Image
 from small_mirrors import eleven
 
+from wavequake.errors import UserError
+from wavequake.imaging.matrix_fourier import matrix_fourier
+from wavequake.imaging.mtf import ideal_mtf
 from wavequake.imaging.pupil_function import annular_pupil
-from wavequake.report import mirror_exposures
+from wavequake.imaging.through_focus import through_focus
+from wavequake.report import mirror_exposures, psf_figures
+from wavequake.report.animation import animate_case
 from wavequake.report.campaign import report_store, summary_table
 from wavequake.workflows import model_store
 from wavequake.workflows.campaign import run_study
@@ -92,7 +98,7 @@ def test_the_reference_is_off_by_nothing(dataset):
 
 
 def test_shortcuts_become_right_in_proportion_to_a_small_vibration():
-    """Odd aberrations, as the trefoil of three mounts, change the image to first order, even ones to second."""
+    """Odd aberrations, as the trefoil of three mounts, act on the image in first order, even ones in second."""
     errors = []
     for scale in (1e-5, 3e-5):
         calm = load_study("mirror-exposure", {**SMALL, "imaging.scale": scale}).identity_text()
@@ -150,7 +156,7 @@ def test_the_report_of_a_telescope(telescope_store):
     text = path.read_text()
     assert table.row_count == 4
     assert "of the peak at rest the exposure keeps" in table.caption
-    assert text.count("<svg") == 5
+    assert text.count("<svg") == 6
     for controller in ("static", "disturbed", "rigid", "elastic"):
         assert controller in text
 
@@ -163,3 +169,39 @@ def test_the_table_of_a_telescope_says_what_its_store_holds(telescope_store):
     assert columns["controller"] == ["static", "disturbed", "rigid", "elastic"]
     wfe = stored["wfe_rms"].mean("time").median("case").to_numpy()
     np.testing.assert_allclose([float(value) for value in columns["WFE (nm)"]], wfe, rtol=6e-3)
+
+
+def test_a_case_is_animated(telescope_store):
+    path = animate_case(telescope_store, 0, "elastic", "numpy")
+    assert path.name == "case-0-elastic.gif"
+    with Image.open(path) as film:
+        assert film.n_frames == 6
+        film.seek(5)
+        assert len(set(film.convert("L").tobytes())) > 20
+
+
+@pytest.mark.parametrize(
+    ("case", "controller", "words"), [(0, "robust", "choose one of static"), (-1, "static", "count from 0")]
+)
+def test_what_cannot_be_animated(telescope_store, case, controller, words):
+    with pytest.raises(UserError, match=words):
+        animate_case(telescope_store, case, controller)
+
+
+def test_only_telescopes_are_animated(store):
+    with pytest.raises(UserError, match="is one of mirror-exposure"):
+        animate_case(store, 0)
+
+
+def test_figures_of_images():
+    """An image that ends at its frame's border still has curves; a perfect one follows the gray line."""
+    axis = (np.arange(64) - 32) * 0.25
+    pupil = annular_pupil(64)
+    transform = matrix_fourier(pupil, 64, 0.25)
+    images = through_focus(transform, np.zeros(len(pupil.cells)), [-0.2, 0.0, 0.2])
+    assert len(psf_figures.log_psf(images[1], axis).axes) == 2
+    (axes,) = psf_figures.mtf_curves({"perfect": images[1]}, 0.25).axes
+    curve = axes.lines[0]
+    np.testing.assert_allclose(curve.get_ydata(), ideal_mtf(curve.get_xdata()), atol=0.05)
+    panels = psf_figures.focus_panels(images, [-0.2, 0.0, 0.2], axis).axes
+    assert [place.get_title(loc="left") for place in panels] == ["-0.2 waves", "+0 waves", "+0.2 waves"]

@@ -12,6 +12,7 @@ from rich.table import Table
 from wavequake.report import exposure_figures as draw
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import Excluded
+from wavequake.report.psf_figures import mtf_curves
 from wavequake.report.table import number
 from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
 
@@ -156,6 +157,9 @@ def _figures(cases: xr.Dataset, name: str) -> Iterator[Picture]:
     ]
     text = f"The disturbed exposure of case {case} and its shortcuts"
     yield picture(f"{name}-shortcuts", text, draw.exposure_panels(panels, axis))
+    exposures = dict(zip(controllers, pictures["exposure"], strict=True))
+    curves = mtf_curves(exposures, axis[1] - axis[0])
+    yield picture(f"{name}-mtf", f"Modulation transfer of the exposures of case {case}", curves)
     yield picture(f"{name}-los", "Line of sight over time", draw.line_of_sight(time, los, "mas"))
     yield picture(f"{name}-wfe", "Wavefront error over time", draw.wavefront_error(time, wfe))
 

@@ -107,7 +107,7 @@ def exposed_case(control: ControlBench, drawn: CaseDraw, device: Device) -> dict
     return {"time_s": drawn.time, **stacked, **motion, "resolution_mas": resolution}
 
 
-def _blocks(
+def case_blocks(
     control: ControlBench, drawn: CaseDraw, device: Device, controller: str
 ) -> Iterator[tuple[int, Traced, Wavefront]]:
     """Trace a case under a controller: number of instants, rays and wavefronts of each block."""
@@ -131,7 +131,7 @@ def _history(control: ControlBench, drawn: CaseDraw, device: Device, controller:
     to_nm = control.study.optics.wavelength_nm
     to_mas = MAS_PER_RAD / control.bench.first_order.focal_length
     parts: list[dict[str, Array]] = []
-    for count, _, wavefront in _blocks(control, drawn, device, controller):
+    for count, _, wavefront in case_blocks(control, drawn, device, controller):
         if wavefront.lost[:count].any():
             lost = int(wavefront.lost[:count].max())
             raise UserError(f"{lost} rays are lost ({controller}), so that the image would have holes")
@@ -150,7 +150,7 @@ def _images(
     control: ControlBench, drawn: CaseDraw, device: Device, controller: str, of: str
 ) -> Iterator[Array]:
     """Yield the local images of a case by blocks: of its rays, or of the fitted Zernike terms alone."""
-    for count, traced, wavefront in _blocks(control, drawn, device, controller):
+    for count, traced, wavefront in case_blocks(control, drawn, device, controller):
         opd = measured_opd(control, traced) if of == "rays" else fitted_opd(control, wavefront)
         yield local_images(control, opd, wavefront)[:count]
 
