@@ -11,6 +11,7 @@ from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.devices import choose_device
 from wavequake.report import (
     exposures,
+    lens,
     mirror_exposures,
     mirror_traces,
     mirrors,
@@ -31,6 +32,7 @@ _REPORTS: dict[str, ModuleType] = {
     "system-disturbance": systems,
     "telescope-exposure": exposures,
     "mirror-exposure": mirror_exposures,
+    "lens-experiment": lens,
 }
 
 

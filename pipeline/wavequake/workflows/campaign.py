@@ -12,6 +12,7 @@ from wavequake.kernels.devices import choose_device
 from wavequake.workflows.contract import Workflow
 from wavequake.workflows.engine import CampaignSummary, run_campaign
 from wavequake.workflows.journal import read_journal
+from wavequake.workflows.lens_experiment import WORKFLOW as LENS_EXPERIMENT
 from wavequake.workflows.mirror_exposure import WORKFLOW as MIRROR_EXPOSURE
 from wavequake.workflows.mirror_mor import WORKFLOW as MIRROR_MOR
 from wavequake.workflows.mirror_trace import WORKFLOW as MIRROR_TRACE
@@ -38,6 +39,7 @@ WORKFLOWS: dict[str, Workflow] = {
         SYSTEM_DISTURBANCE,
         TELESCOPE_EXPOSURE,
         MIRROR_EXPOSURE,
+        LENS_EXPERIMENT,
     )
 }
 

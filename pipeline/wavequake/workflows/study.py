@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from wavequake.errors import UserError
 from wavequake.files import folder
 from wavequake.workflows.exposure_study import MirrorExposureStudy, TelescopeExposureStudy
+from wavequake.workflows.lens_study import LensStudy
 from wavequake.workflows.mirror_study import MirrorStudy, TraceStudy
 from wavequake.workflows.schema import Study, describe
 from wavequake.workflows.segment_mor_study import SegmentMorStudy
@@ -27,6 +28,7 @@ STUDIES: dict[str, type[Study]] = {
     "system-disturbance": SystemStudy,
     "telescope-exposure": TelescopeExposureStudy,
     "mirror-exposure": MirrorExposureStudy,
+    "lens-experiment": LensStudy,
 }
 # Keys that name files.
 _FILES = ("file", "mass", "dofs", "mesh", "polygons", "corners")

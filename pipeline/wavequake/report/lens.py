@@ -1,0 +1,237 @@
+"""The report of a lens-experiment store: what each controller leaves, and the reference's figures."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+
+from wavequake.control.experiment import CONTROLLERS
+from wavequake.report import lens_figures as draw
+from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.populations import Excluded
+from wavequake.report.table import MISSING, number
+from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
+from wavequake.workflows.lens_experiment import bench_of, stage_of, study_of
+
+Array = NDArray[np.float64]
+
+# What the reference measured, peak-to-peak and standard deviation in % (Störkle 2018, Fig. 5.33); FF+FI it
+# could only simulate, "by a factor of almost 4" (Section 5.3.2).
+_REFERENCE = {"FF": ("30", "30"), "FI": ("54", "17"), "FF+FI": ("about 25", "about 25")}
+_NAMES = {"modal": "modal, nominal", "identified": "modal, identified"}
+_SMALL_PRINT = (
+    "Image displacement after one blow of the hammer: range, and standard deviation later than 1 s, in % of "
+    "the uncontrolled one. Median over plants; in small print from the smallest to the largest. The bench is "
+    "synthetic: fitted to what is published about the real one. The reference's values are those measured on "
+    "the real one with the initial springs (FF+FI: simulated)."
+)
+_DEFINITIONS = (
+    ("FF", "Kalman filter with the hammer's force, then the all-pass inverse of the stage (Eq. 5.21), 2 ms."),
+    ("FI", "Kalman filter without it, predicting two steps (Eq. 5.20), 8 ms."),
+    ("FF+FI", "Both in a row, 2 ms: the reference's hardware could not run it."),
+    ("modal, nominal", "Observer of 11 modes and one row that inverts stage, hold and delay at their poles."),
+    ("modal, identified", "The same with poles, image row and blow identified from one uncontrolled run."),
+    (
+        "all errors",
+        "Springs, friction, strip, converters, stage and strength of the blow, as the study says.",
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """The finished plants of one configuration of springs.
+
+    Attributes
+    ----------
+    springs : str
+    rows : ndarray of int, shape (c,)
+        In the dataset.
+    ranges, deviations : ndarray, shape (c, controller)
+        In % of uncontrolled.
+    ranges_mm, deviations_mm : ndarray, shape (c, controller)
+    shown : int or None
+        Row of the plant that is drawn: that of the median range under FF.
+    """
+
+    springs: str
+    rows: NDArray[np.int64]
+    ranges: Array
+    deviations: Array
+    ranges_mm: Array
+    deviations_mm: Array
+    shown: int | None
+
+
+def configurations(dataset: xr.Dataset) -> list[Configuration]:
+    """Split a store by springs, in the order of the study."""
+    springs = np.array([str(one) for one in dataset["springs"].to_numpy()])
+    done = dataset["status"].to_numpy() == DONE
+    found = []
+    for name in study_of(dataset.attrs["study"]).bench.springs:
+        rows = np.flatnonzero(done & (springs == name))
+        ranges, deviations, ranges_mm, deviations_mm = (
+            dataset[key].isel(case=rows).to_numpy()
+            for key in ("peak_to_peak", "deviation", "peak_to_peak_mm", "deviation_mm")
+        )
+        order = np.argsort(ranges[:, CONTROLLERS.index("FF")], kind="stable")
+        shown = int(rows[order[len(rows) // 2]]) if len(rows) else None
+        found.append(Configuration(name, rows, ranges, deviations, ranges_mm, deviations_mm, shown))
+    return found
+
+
+def table_of(store: Path, dataset: xr.Dataset) -> Table:
+    """Return the table of a store for the terminal."""
+    found = configurations(dataset)
+    table = Table(box=SIMPLE_HEAD, caption=answer(found), caption_justify="left")
+    for header in _HEADERS:
+        table.add_column(header, justify="left" if header == _HEADERS[0] else "right")
+    for one in found:
+        table.add_row(Text(f"{one.springs} springs, {len(one.rows)} plants", style="bold"))
+        for place in range(len(CONTROLLERS)):
+            cells = list(_row(one, place).values())
+            table.add_row("  " + cells[0][0], *(_with_small(*cell) for cell in cells[1:]))
+    return table
+
+
+_HEADERS = (
+    "controller", "range (%)", "std (%)", "range (mm)", "std (mm)", "reference (%)",
+)  # fmt: skip
+
+
+def _with_small(value: str, small: str) -> str:
+    return f"{value} ({small})" if small else value
+
+
+def _row(one: Configuration, place: int) -> dict[str, tuple[str, str]]:
+    """Return header -> (median, smallest to largest) of one controller."""
+    name = CONTROLLERS[place]
+    reference = ", ".join(_REFERENCE[name]) if name in _REFERENCE and one.springs == "initial" else ""
+    values = (
+        _median(one.ranges[:, place], name != "uncontrolled"),
+        _median(one.deviations[:, place], name != "uncontrolled"),
+        _median(one.ranges_mm[:, place], False),
+        _median(one.deviations_mm[:, place], False),
+    )
+    return dict(zip(_HEADERS, ((_NAMES.get(name, name), ""), *values, (reference, "")), strict=True))
+
+
+def _median(values: Array, varies: bool) -> tuple[str, str]:
+    if not len(values):
+        return MISSING, ""
+    spread = f"{number(float(values.min()), 2)}–{number(float(values.max()), 2)}"
+    return number(float(np.median(values))), spread if varies and len(values) > 1 else ""
+
+
+def answer(found: list[Configuration]) -> str:
+    """Say what the best controller and the reference's best one leave."""
+    words = []
+    for one in found:
+        if not len(one.rows):
+            words.append(f"{one.springs.capitalize()} springs: no plant is done.")
+            continue
+        medians = [
+            (float(np.median(one.ranges[:, place])), float(np.median(one.deviations[:, place])))
+            for place in (CONTROLLERS.index("identified"), CONTROLLERS.index("FF"))
+        ]
+        (best, best_late), (old, old_late) = medians
+        words.append(
+            f"{one.springs.capitalize()} springs: the identified modal regulator leaves {number(best, 2)} % "
+            f"of the image's range and {number(best_late, 2)} % of its standard deviation "
+            f"(median of {len(one.rows)} plants), FF {number(old, 2)} % and {number(old_late, 2)} %."
+        )
+    return " ".join(words)
+
+
+def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
+    """Write the HTML report."""
+    found = configurations(dataset)
+    page = Page(
+        answer=answer(found),
+        table=[
+            {"springs": (one.springs, f"{len(one.rows)} plants"), **_row(one, place)}
+            for one in found
+            for place in range(len(CONTROLLERS))
+        ],
+        small_print=_SMALL_PRINT,
+        overview=[
+            picture(
+                f"bars-{one.springs}",
+                f"Residuals of the controllers, {one.springs} springs",
+                draw.bars(one.ranges, one.deviations, one.springs, _NAMES),
+            )
+            for one in found
+            if len(one.rows)
+        ],
+        sections=[
+            Section(f"{one.springs} springs", list(_figures(dataset, one))) for one in found if len(one.rows)
+        ]
+        + [Section("hammer and stage", list(_hardware(dataset, found)))],
+        definitions=list(_DEFINITIONS),
+        kind="configuration",
+        left_out=_left_out(dataset),
+    )
+    return write_page(render_page(dataset, page), target)
+
+
+def _figures(dataset: xr.Dataset, one: Configuration) -> Iterator[Picture]:
+    """Yield the figures of one plant, after Figs. 5.5 and 5.28 to 5.38."""
+    assert one.shown is not None
+    case = draw.Shown.of(dataset, one.shown)
+    study, springs = study_of(dataset.attrs["study"]), one.springs
+    nominal = draw.nominal_of(bench_of(study, springs), stage_of(study), case)
+    for key, text, figure in (
+        ("model", "Simulated and actual image motion, uncontrolled", draw.model(case, nominal)),
+        ("filter", "Image motion that the Kalman filter estimates", draw.filter_start(case, nominal)),
+        ("filter-late", "The same at the end of the run", draw.filter_end(case, nominal)),
+        ("target", "Commanded and expected motion of the stage", draw.targets(case, nominal)),
+        ("remaining-both", "Remaining error of FF+FI", draw.remaining(case, ("uncontrolled", "FF+FI"))),
+        ("remaining", "Remaining error of FF and FI", draw.remaining(case, ("uncontrolled", "FF", "FI"))),
+        (
+            "remaining-modal",
+            "Remaining error of the modal regulators",
+            draw.remaining(case, ("FF+FI", "modal", "identified")),
+        ),
+        ("stage-ff", "Command and position of the stage under FF", draw.stage_history(case, nominal, "FF")),
+        ("stage-fi", "Command and position of the stage under FI", draw.stage_history(case, nominal, "FI")),
+        ("sensor", "Lens 4 and what the control unit reads", draw.sensor(case)),
+    ):
+        yield picture(f"{springs}-{key}", f"{text}, {springs} springs", figure)
+
+
+def _hardware(dataset: xr.Dataset, found: list[Configuration]) -> Iterator[Picture]:
+    """Yield the figures of hammer and stage, after Figs. 5.10 to 5.12 and 5.15."""
+    stage = stage_of(study_of(dataset.attrs["study"]))
+    yield picture("hammer", "Force of the hammer and its equivalent", draw.hammer())
+    record = draw.step_record(stage)
+    yield picture("step", "Step response of the stage, measured and identified", draw.step(record))
+    yield picture(
+        "zeros", "Poles and zeros of the stage, true and identified", draw.pole_zero_map(stage, record)
+    )
+    for one in found[:1]:
+        if one.shown is not None:
+            case = draw.Shown.of(dataset, one.shown)
+            yield picture(
+                "follow", "The stage during a blow, actual and simulated", draw.following(case, record)
+            )
+
+
+def _left_out(dataset: xr.Dataset) -> list[Excluded]:
+    """Return the plants that failed, with the reason."""
+    status, meanings = dataset["status"].to_numpy(), STATUS_MEANINGS.split()
+    return [
+        Excluded(
+            case=int(dataset["case"].to_numpy()[row]),
+            disturbance=str(dataset["springs"].to_numpy()[row]),
+            realization=int(dataset["realization"].to_numpy()[row]),
+            reason=meanings[status[row]],
+            message=str(dataset["message"].to_numpy()[row]),
+        )
+        for row in np.flatnonzero((status != DONE) & (status != TODO))
+    ]

@@ -1,0 +1,349 @@
+"""Figures of lens-experiment, after those of Störkle 2018, Chapter 5."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import xarray as xr
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from wavequake.control.bench import COMPENSATOR, SENSITIVITIES, Bench
+from wavequake.control.experiment import CONTROLLERS
+from wavequake.control.hammer import HAMMER, equivalent_force, hammer_force, impulse
+from wavequake.control.linear import bogacki_shampine, linear_model, simulate, zero_order_hold
+from wavequake.control.plant import swing
+from wavequake.control.stage import Stage, stage_model
+from wavequake.control.stage_identification import IdentifiedStage, identify_stage, smoothed
+from wavequake.control.thesis import KalmanFilter, kalman_filter
+from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+
+Array = NDArray[np.float64]
+
+_LABELS = {
+    "uncontrolled": "uncontrolled",
+    "modal": "modal, nominal",
+    "identified": "modal, identified",
+}
+_SHORT = (0.0, 3.0)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One plant of a store: histories in mm over time in s."""
+
+    case: int
+    time: Array
+    image: dict[str, Array]
+    command: dict[str, Array]
+    stage: dict[str, Array]
+    lens: Array
+    sensor: Array
+
+    @classmethod
+    def of(cls, dataset: xr.Dataset, row: int) -> Self:
+        """Read the plant in a row of a dataset."""
+        one = dataset.isel(case=row)
+
+        def histories(name: str) -> dict[str, Array]:
+            return dict(zip(CONTROLLERS, one[name].to_numpy().astype(np.float64), strict=True))
+
+        return cls(
+            int(dataset["case"].to_numpy()[row]),
+            dataset["time"].to_numpy(),
+            histories("image"),
+            histories("command"),
+            histories("stage_position"),
+            one["lens_position"].to_numpy().astype(np.float64),
+            one["sensor"].to_numpy().astype(np.float64),
+        )
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """What nominal models make of a plant's sensor readings, mm.
+
+    Attributes
+    ----------
+    free : ndarray
+        Image motion of the nominal bench after a blow, uncontrolled.
+    with_force, without_force : ndarray
+        Image motion that the Kalman filter estimates (Eq. 5.18).
+    direct : ndarray
+        Position of the nominal stage if the filter's target is commanded as it is.
+    stage : dict
+        Position of the nominal stage under each controller's command.
+    """
+
+    free: Array
+    with_force: Array
+    without_force: Array
+    direct: Array
+    stage: dict[str, Array]
+
+    @property
+    def target(self) -> Array:
+        """Target of the stage (Eq. 5.6)."""
+        return -self.with_force / SENSITIVITIES[COMPENSATOR]
+
+
+def nominal_of(bench: Bench, stage: Stage, case: Shown) -> Nominal:
+    """Run nominal bench, Kalman filter and stage beside a plant."""
+    step = float(case.time[1] - case.time[0])
+    free = swing([bench, bench], np.ones(2), duration=float(case.time[-1])).image[0]
+    every = round(step / 1e-3)
+    known, unknown = (
+        _estimate(kalman_filter(bench, with_force=given), case.sensor, step) for given in (True, False)
+    )
+    follow = zero_order_hold(stage_model(stage), step)
+    direct = simulate(follow, -known / SENSITIVITIES[COMPENSATOR])[:, 0]
+    moved = {name: simulate(follow, given)[:, 0] for name, given in case.command.items()}
+    return Nominal(1e3 * free[::every][: len(case.time)], known, unknown, direct, moved)
+
+
+def _estimate(estimator: KalmanFilter, sensor: Array, step: float) -> Array:
+    model = linear_model(estimator.a, estimator.b, estimator.image)
+    steps = max(1, round(0.004 / step))
+    force = np.zeros(len(sensor))
+    force[:steps] = 1e3 * equivalent_force(HAMMER, steps * step)  # lengths are mm here
+    return simulate(bogacki_shampine(model, step), np.column_stack([sensor, force]))[:, 0]
+
+
+def _figure() -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(1.4 * WIDTH, HEIGHT), layout="constrained")
+    return figure, figure.add_subplot()
+
+
+def _lines(
+    axes: Axes,
+    time: Array,
+    histories: Mapping[str, Array],
+    span: tuple[float, float] = _SHORT,
+    most: int = 1500,
+) -> None:
+    """Draw histories over a span of time, thinned to what can be seen."""
+    kept = np.flatnonzero((time >= span[0]) & (time <= span[1]))
+    kept = kept[:: max(1, len(kept) // most)]
+    for number, (name, values) in enumerate(histories.items()):
+        axes.plot(
+            time[kept], values[kept], color=COLORS[number % len(COLORS)],
+            linestyle=LINES[number % len(LINES)], linewidth=1.0, label=name,
+        )  # fmt: skip
+    axes.set_xlim(*span)
+    axes.set_xlabel("time (s)")
+    axes.legend(loc="upper right", ncols=min(3, len(histories)))
+
+
+def _image_axis(axes: Axes, case: Shown) -> None:
+    axes.set_ylabel("image displacement (mm)")
+    axes.set_title(f"case {case.case}")
+
+
+@rc_context(STYLE)
+def model(case: Shown, nominal: Nominal) -> Figure:
+    """Compare the nominal bench with a plant, uncontrolled (Fig. 5.5)."""
+    figure, axes = _figure()
+    _lines(axes, case.time, {"plant": case.image["uncontrolled"], "nominal model": nominal.free})
+    _image_axis(axes, case)
+    return figure
+
+
+def _filter(case: Shown, nominal: Nominal, span: tuple[float, float]) -> Figure:
+    figure, axes = _figure()
+    histories = {
+        "plant": case.image["uncontrolled"],
+        "KF with force": nominal.with_force,
+        "KF without": nominal.without_force,
+        "model alone": nominal.free,
+    }
+    _lines(axes, case.time, histories, span)
+    _image_axis(axes, case)
+    return figure
+
+
+@rc_context(STYLE)
+def filter_start(case: Shown, nominal: Nominal) -> Figure:
+    """Compare the Kalman filter's image motion with the plant's after the blow (Fig. 5.28)."""
+    return _filter(case, nominal, (0.0, 1.5))
+
+
+@rc_context(STYLE)
+def filter_end(case: Shown, nominal: Nominal) -> Figure:
+    """Do so at the end of the run (Fig. 5.29)."""
+    last = float(case.time[-1])
+    return _filter(case, nominal, (last - 1.5, last))
+
+
+@rc_context(STYLE)
+def targets(case: Shown, nominal: Nominal) -> Figure:
+    """Show the stage's target, its motion if commanded directly, and that under FF+FI (Fig. 5.30)."""
+    figure, axes = _figure()
+    histories = {
+        "target": nominal.target,
+        "target commanded": nominal.direct,
+        "command FF+FI": case.command["FF+FI"],
+        "stage FF+FI": case.stage["FF+FI"],
+    }
+    _lines(axes, case.time, histories, (0.0, 0.6))
+    axes.set_ylabel("position (mm)")
+    axes.set_title(f"case {case.case}")
+    return figure
+
+
+@rc_context(STYLE)
+def remaining(case: Shown, controllers: Sequence[str]) -> Figure:
+    """Show what controllers leave of the image's displacement (Figs. 5.31, 5.32, 5.38)."""
+    figure, axes = _figure()
+    _lines(axes, case.time, {_LABELS.get(name, name): case.image[name] for name in controllers})
+    _image_axis(axes, case)
+    return figure
+
+
+@rc_context(STYLE)
+def stage_history(case: Shown, nominal: Nominal, controller: str) -> Figure:
+    """Show command and position of the stage within a short time (Figs. 5.34, 5.35)."""
+    figure, axes = _figure()
+    start = min(3.0, float(case.time[-1]) - 0.5)
+    histories = {
+        "target": nominal.target,
+        f"command {controller}": case.command[controller],
+        "stage": case.stage[controller],
+        "stage, simulated": nominal.stage[controller],
+    }
+    _lines(axes, case.time, histories, (start, start + 0.5))
+    axes.set_ylabel("position (mm)")
+    axes.set_title(f"case {case.case}")
+    return figure
+
+
+@rc_context(STYLE)
+def sensor(case: Shown) -> Figure:
+    """Show lens 4, and by how much the control unit's reading is off."""
+    figure = Figure(figsize=(1.4 * WIDTH, HEIGHT), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    _lines(upper, case.time, {"lens 4": case.lens, "as read": case.sensor}, (0.0, 2.0))
+    upper.set_xlabel("")
+    upper.set_ylabel("position (mm)")
+    kept = case.time <= 2.0
+    lower.plot(case.time[kept], 1e3 * (case.sensor - case.lens)[kept], color=COLORS[0], linewidth=0.6)
+    lower.set_ylabel("error (um)")
+    lower.set_xlabel("time (s)")
+    return figure
+
+
+@rc_context(STYLE)
+def bars(ranges: Array, deviations: Array, springs: str, names: Mapping[str, str]) -> Figure:
+    """Show range and standard deviation of all controllers, a point per plant (Figs. 5.33, 5.39)."""
+    figure, axes = _figure()
+    places = np.arange(len(CONTROLLERS))
+    for number, (values, label) in enumerate(
+        ((ranges, "range"), (deviations, "standard deviation, t > 1 s"))
+    ):
+        at = places + 0.38 * number - 0.19
+        middle = np.median(values, axis=0)
+        axes.bar(at, middle, 0.36, color=COLORS[number], alpha=0.55, label=label)
+        across = np.repeat(at[None], len(values), axis=0)
+        axes.scatter(across, values, s=5, color=COLORS[number], linewidths=0)
+        for x, value in zip(at, middle, strict=True):
+            axes.annotate(
+                f"{value:.0f}" if value >= 10 else f"{value:.1f}", (x, value + 2), ha="center", size=8
+            )
+    axes.set_xticks(places, [names.get(name, name).replace(", ", "\n") for name in CONTROLLERS])
+    axes.set_ylabel("of uncontrolled (%)")
+    axes.set_ylim(0, 115)
+    axes.legend(loc="upper right")
+    axes.set_title(f"{springs} springs, median of {len(ranges)} plants")
+    return figure
+
+
+@rc_context(STYLE)
+def hammer() -> Figure:
+    """Show the hammer's force and the constant one of equal momentum (Fig. 5.15)."""
+    figure, axes = _figure()
+    time = np.linspace(0, 0.012, 241)
+    axes.plot(1e3 * time, hammer_force(HAMMER, time), color=COLORS[0], label="force (Eq. 5.9)")
+    force = equivalent_force(HAMMER)
+    axes.fill_between([0, 4], [force, force], color=COLORS[1], alpha=0.3, lw=0, label="equivalent (Eq. 5.14)")
+    axes.set_xlabel("time (ms)")
+    axes.set_ylabel("force (N)")
+    axes.set_title(f"momentum {float(impulse(HAMMER)):.4f} N s")
+    axes.legend()
+    return figure
+
+
+@dataclass(frozen=True)
+class StepRecord:
+    """A step response of the stage as it would be measured, mm, and what is identified from it."""
+
+    time: Array
+    command: Array
+    measured: Array
+    identified: IdentifiedStage
+
+
+def step_record(stage: Stage, noise: float = 0.01, step: float = 2e-4, seed: int = 1) -> StepRecord:
+    """Command a step of 1 mm, record it with noise, and identify the stage (Section 5.2.1)."""
+    time = np.arange(1500) * np.float64(step)
+    command = (time >= 0.02).astype(np.float64)
+    clean = simulate(zero_order_hold(stage_model(stage), step), command)[:, 0]
+    measured = clean + noise * np.random.default_rng(seed).standard_normal(len(time))
+    found = identify_stage(command, measured, step, poles=len(stage.poles), zeros=len(stage.zeros))
+    return StepRecord(time, command, measured, found)
+
+
+@rc_context(STYLE)
+def step(record: StepRecord) -> Figure:
+    """Show command, measured and identified step response (Figs. 5.9, 5.10)."""
+    figure, axes = _figure()
+    interval = float(record.time[1])
+    found = simulate(zero_order_hold(stage_model(record.identified.stage), interval), record.command)[:, 0]
+    histories = {
+        "command": record.command,
+        "measured": record.measured,
+        "smoothed, 100 Hz": smoothed(record.measured, interval),
+        "identified": found,
+    }
+    _lines(axes, record.time, histories, (0.01, 0.08))
+    axes.set_ylabel("position (mm)")
+    axes.set_title(
+        f"fit {100 * record.identified.fit:.2f} % of the variance, gain {record.identified.stage.gain:.3f}"
+    )
+    axes.legend(loc="lower right")
+    return figure
+
+
+@rc_context(STYLE)
+def pole_zero_map(stage: Stage, record: StepRecord) -> Figure:
+    """Show poles and zeros of the stage and of what is identified (Fig. 5.11)."""
+    figure, axes = _figure()
+    for number, (name, one) in enumerate((("stage", stage), ("identified", record.identified.stage))):
+        for marker, roots, kind in (("x", one.poles, "poles"), ("o", one.zeros, "zeros")):
+            axes.plot(
+                np.real(roots), np.imag(roots), marker, color=COLORS[number], markersize=7 - 2 * number,
+                fillstyle="none", label=f"{kind}, {name}",
+            )  # fmt: skip
+    axes.axvline(0.0, color="#888888", linewidth=0.6)
+    axes.set_xlabel("real part (1/s)")
+    axes.set_ylabel("imaginary part (1/s)")
+    axes.legend(loc="upper left")
+    return figure
+
+
+@rc_context(STYLE)
+def following(case: Shown, record: StepRecord) -> Figure:
+    """Show the stage during a blow beside the simulation with the identified stage (Fig. 5.12)."""
+    figure, axes = _figure()
+    interval = float(case.time[1] - case.time[0])
+    model = zero_order_hold(stage_model(record.identified.stage), interval)
+    histories = {
+        "command": case.command["FF"],
+        "stage": case.stage["FF"],
+        "simulated": simulate(model, case.command["FF"])[:, 0],
+    }
+    _lines(axes, case.time, histories, (0.0, 0.4))
+    axes.set_ylabel("position (mm)")
+    axes.set_title(f"case {case.case}")
+    return figure

@@ -1,0 +1,114 @@
+"""Study files of the lens experiment: bench, stage, errors, sensor, controllers."""
+
+from typing import Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from wavequake.workflows.schema import CampaignSection, Section, StoreSection, Study
+
+Six = tuple[float, float, float, float, float, float]
+Five = tuple[float, float, float, float, float]
+Springs = Literal["initial", "changed"]
+
+
+class BenchSection(Section):
+    """The pendulum chain: the fitted (synthetic) bench, with what is given here in place."""
+
+    springs: tuple[Springs, ...] = Field(
+        default=("initial",), min_length=1, strict=False, description="configurations of Fig. 5.37"
+    )
+    lens_kg: Six | None = Field(default=None, strict=False)
+    ring_kg: Six | None = Field(default=None, strict=False)
+    housing_kg: float | None = Field(default=None, gt=0)
+    lens_springs_n_m: Six | None = Field(default=None, strict=False, description="between lens and ring")
+    ring_springs_n_m: Six | None = Field(default=None, strict=False, description="between ring and housing")
+    couplings_n_m: Five | None = Field(default=None, strict=False, description="between neighboring rings")
+    housing_spring_n_m: float | None = Field(default=None, ge=0)
+    alpha: float = Field(default=0.03, ge=0, description="1/s, Rayleigh damping times the mass")
+    beta: float = Field(default=3e-4, ge=0, description="s, Rayleigh damping times the stiffness")
+
+    @field_validator("springs")
+    @classmethod
+    def _each_once(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(value)) < len(value):
+            raise ValueError("a configuration is listed twice")
+        return value
+
+
+class LensStageSection(Section):
+    """The linear stage as it was identified: zeros and poles as (real, imaginary) in 1/s."""
+
+    zeros: tuple[tuple[float, float], ...] = Field(
+        default=((1000.0, 0.0), (480.0, 850.0), (480.0, -850.0)), strict=False
+    )
+    poles: tuple[tuple[float, float], ...] = Field(
+        default=((-377.0, 0.0), (-360.0, 293.0), (-360.0, -293.0)), strict=False, min_length=1
+    )
+    gain: float = Field(default=0.97, gt=0)
+    delay_ms: float = Field(default=0.0, ge=0, le=100, multiple_of=0.1)
+
+
+class ErrorsSection(Section):
+    """What the plants have and their nominal model lacks; standard deviations of logarithms, if not units."""
+
+    stiffness: float = Field(default=0.02, ge=0, le=0.2, description="of each spring")
+    friction_mn: float = Field(default=0.3, ge=0, le=100, description="of each lens's bearing")
+    stage_gain: float = Field(default=0.01, ge=0, le=0.5)
+    stage_poles: float = Field(default=0.05, ge=0, le=0.5)
+    blow: float = Field(default=0.01, ge=0, le=0.5, description="of the strength of each blow")
+    strip_um: float = Field(default=40.0, ge=0, le=1000, description="largest error of the magnetic strip")
+    adc_noise: float = Field(default=0.7, ge=0, le=100, description="steps of the 12-bit converter")
+    camera_um: float = Field(default=20.0, ge=0, le=1000, description="unsteadiness of the light point")
+
+
+class LensControllerSection(Section):
+    """Sample times and delays; the reference's are those of its Section 5.4.1."""
+
+    ff_step_ms: float = Field(default=2.0, ge=1, le=100, multiple_of=1)
+    fi_step_ms: float = Field(default=8.0, ge=1, le=100, multiple_of=1)
+    both_step_ms: float = Field(default=2.0, ge=1, le=100, multiple_of=1, description="of FF+FI")
+    modal_step_ms: float = Field(default=2.0, ge=1, le=100, multiple_of=1)
+    ff_delay_ms: float = Field(default=1.0, ge=0, le=100, multiple_of=0.1)
+    fi_delay_ms: float = Field(default=3.0, ge=0, le=100, multiple_of=0.1)
+    both_delay_ms: float = Field(default=1.0, ge=0, le=100, multiple_of=0.1)
+    modal_delay_ms: float = Field(default=0.2, ge=0, le=100, multiple_of=0.1)
+    nominal_noise: float = Field(default=0.01, gt=0, le=1, description="share of a mode's amplitude per step")
+    identified_noise: float = Field(default=0.003, gt=0, le=1)
+
+
+class LensTimeSection(Section):
+    """Length of each run; the standard deviation is taken after 1 s."""
+
+    duration_s: float = Field(default=6.0, ge=2, le=120)
+    step_ms: float = Field(default=2.0, ge=1, le=100, multiple_of=1, description="of the stored histories")
+
+
+class LensCampaignSection(CampaignSection):
+    """How much of the study to run, and on which device; not part of its identity."""
+
+    cases: int = Field(default=40, ge=1, le=100_000_000)
+
+
+class LensStoreSection(StoreSection):
+    """Where the results go; not part of the identity."""
+
+    chunk_cases: int = Field(default=16, ge=1, le=100_000, description="K: cases per task and per shard")
+
+
+class LensStudy(Study):
+    """A validated study file of ``lens-experiment``: a case is a plant with one configuration of springs."""
+
+    bench: BenchSection = BenchSection()
+    stage: LensStageSection = LensStageSection()
+    errors: ErrorsSection = ErrorsSection()
+    controller: LensControllerSection = LensControllerSection()
+    time: LensTimeSection = LensTimeSection()
+    campaign: LensCampaignSection = LensCampaignSection()
+    store: LensStoreSection = LensStoreSection()
+
+    @model_validator(mode="after")
+    def _histories_are_whole(self) -> Self:
+        steps = self.time.duration_s * 1e3 / self.time.step_ms
+        if abs(steps - round(steps)) > 1e-6:
+            raise ValueError("duration_s must be a multiple of step_ms")
+        return self
