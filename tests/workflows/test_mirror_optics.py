@@ -9,7 +9,7 @@ from small_mirrors import TRACE, eleven, wavefront_of
 from wavequake.errors import UserError
 from wavequake.optics.system_wavefront import prepare_system
 from wavequake.reduction.two_stage import reference
-from wavequake.workflows import model_store
+from wavequake.workflows import mirror_optics, model_store
 from wavequake.workflows.mirror_bench import any_study_of, bench_of, build_model, variant_of
 from wavequake.workflows.mirror_optics import (
     deformation_sensitivity,
@@ -48,6 +48,15 @@ def test_sensitivities_are_those_of_a_parabola_in_closed_form(bench):
     expected = np.linalg.lstsq(eleven(*prepared.pupil.T), opd.T, rcond=None)[0] * 1e6
     np.testing.assert_allclose(optics.sensitivity[2:], expected, atol=3e-8 * np.abs(expected).max())
     assert expected[3, 3] < -1e6  # a rim that moves along the light lengthens its path
+
+
+def test_without_opencl_numpy_traces_the_sensitivities(bench, monkeypatch):
+    def none(request):
+        raise UserError("no OpenCL device was found")
+
+    monkeypatch.setattr(mirror_optics, "choose_device", none)
+    found = deformation_sensitivity(bench.optics.prepared, 11)
+    np.testing.assert_allclose(found, bench.optics.sensitivity, atol=1e-8 * np.abs(found).max())
 
 
 def test_a_tilt_of_the_figure_turns_the_line_of_sight_by_twice_its_slope(bench):
