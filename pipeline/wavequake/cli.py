@@ -219,20 +219,31 @@ def verify(
 
 @app.command()
 def report(
-    store: StoreArgument, debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False
+    store: StoreArgument,
+    animate: Annotated[
+        int | None, typer.Option(min=0, help="Write an animation of this case of telescope-exposure, too.")
+    ] = None,
+    controller: Annotated[str, typer.Option(help="Controller that is animated.")] = "disturbed",
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Print the table of a store and write its HTML report."""
     _write_report(store, fresh=True)
+    if animate is not None:
+        from wavequake.report.animation import animate_case
+
+        out.print(f"Written: {animate_case(store, animate, controller)}", markup=False, soft_wrap=True)
 
 
 @app.command()
 def export(
     store: StoreArgument,
-    file: Annotated[Path, typer.Argument(help="FILE.nc (every array) or FILE.csv (one row per case).")],
+    file: Annotated[
+        Path, typer.Argument(help="FILE.nc or FILE.fits (every array), or FILE.csv (one row per case).")
+    ],
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Write a store to one NetCDF or CSV file for other programs."""
+    """Write a store to one NetCDF, FITS or CSV file for other programs."""
     from wavequake.report.campaign import export_store
 
     out.print(f"Written: {export_store(store, file, overwrite)}", markup=False, soft_wrap=True)

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from PIL import Image
 from small_mirrors import eleven
+from typer.testing import CliRunner
 
+from wavequake.cli import app
 from wavequake.errors import UserError
 from wavequake.imaging.matrix_fourier import matrix_fourier
 from wavequake.imaging.mtf import ideal_mtf
@@ -98,7 +100,7 @@ def test_the_reference_is_off_by_nothing(dataset):
 
 
 def test_shortcuts_become_right_in_proportion_to_a_small_vibration():
-    """Odd aberrations, as the trefoil of three mounts, act on the image in first order, even ones in second."""
+    """Odd aberrations, as the trefoil of three mounts, act in first order, even ones in second."""
     errors = []
     for scale in (1e-5, 3e-5):
         calm = load_study("mirror-exposure", {**SMALL, "imaging.scale": scale}).identity_text()
@@ -186,6 +188,12 @@ def test_a_case_is_animated(telescope_store):
 def test_what_cannot_be_animated(telescope_store, case, controller, words):
     with pytest.raises(UserError, match=words):
         animate_case(telescope_store, case, controller)
+
+
+def test_the_command_line_animates(telescope_store):
+    result = CliRunner().invoke(app, ["report", str(telescope_store), "--animate", "1"])
+    assert result.exit_code == 0, result.output
+    assert (telescope_store / "case-1-disturbed.gif").stat().st_size > 1000
 
 
 def test_only_telescopes_are_animated(store):
