@@ -76,7 +76,38 @@ def test_files_are_not_overwritten_unasked(dataset, tmp_path):
     assert path.read_text() != "mine"
 
 
-@pytest.mark.parametrize("name", ["a.fits", "a", "none/a.csv"])
+def test_fits_holds_the_same_bits(dataset, tmp_path):
+    fits = pytest.importorskip("astropy.io.fits")
+    with fits.open(export(dataset, tmp_path / "a.fits"), checksum=True) as file:
+        cases = file["CASES"].data
+        assert cases["seed"].tolist() == [2**40, 1, 2]
+        np.testing.assert_array_equal(cases["ee50"], dataset.ee50)
+        assert file["CASES"].columns["ee50"].unit == "lambda/D"
+        assert cases["message"].tolist() == ["", "", 'said "no", ?']
+        assert cases["status"].tolist() == [1, 1, 2]
+        for name in ("wfe_rms", "los", "time_s"):
+            np.testing.assert_array_equal(file[name].data, dataset[name])
+        header = file["los"].header
+        assert [header[f"CTYPE{axis}"] for axis in (1, 2, 3)] == ["axis", "time", "case"]
+        assert header["BUNIT"] == "mas"
+
+
+def test_fits_without_astropy_says_what_to_install(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr("wavequake.report.export.find_spec", lambda name: None)
+    with pytest.raises(UserError, match=r"pip install 'wavequake\[fits\]'"):
+        export(dataset, tmp_path / "a.fits")
+
+
+def test_csv_needs_no_times_per_case(dataset, tmp_path):
+    fixed = dataset.drop_vars("time_s").assign_coords(time_s=("time", [0.0, 0.1]))
+    for number, one in enumerate((fixed, dataset.drop_vars("time_s"))):
+        with export(one, tmp_path / f"{number}.csv").open(encoding="utf-8", newline="") as file:
+            first, second, _ = csv.DictReader(file)
+        assert float(first["wfe_rms_mean (nm)"]) == 3.5
+        assert second["wfe_rms_mean (nm)"] == ""
+
+
+@pytest.mark.parametrize("name", ["a.hdf5", "a", "none/a.csv"])
 def test_other_names_are_refused(dataset, tmp_path, name):
     with pytest.raises(UserError):
         export(dataset, tmp_path / name)

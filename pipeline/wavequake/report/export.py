@@ -1,9 +1,11 @@
-"""A store as one file for other programs: NetCDF with every array, or CSV with one row per case."""
+"""A store as one file for other programs: NetCDF or FITS with every array, or CSV with a row per case."""
 
 import csv
 import os
 import uuid
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -18,23 +20,24 @@ _NETCDF3_BYTES = 2**31 - 2**20
 
 
 def export(dataset: xr.Dataset, path: str | Path, overwrite: bool = False) -> Path:
-    """Write what ``open_store`` gives to a .nc or .csv file, which appears whole or not at all.
+    """Write what ``open_store`` gives to a .nc, .fits or .csv file, which appears whole or not at all.
 
     NetCDF is of version 3 (64-bit offsets), at most 2 GiB of numbers; integers that do not fit its 32 bits,
-    such as seeds, become decimal text. CSV holds the labels of each case, its scalars, and the mean and rms
-    (about zero) over its instants, at each field, wavelength and excitation (``_field1_wavelength2``, from
-    1); a number that is missing is an empty cell.
+    such as seeds, become decimal text. FITS, which needs Astropy, has a table ``CASES`` of the labels and
+    scalars of each case, and an image extension per array, whose last axis is the case. CSV holds the labels
+    of each case, its scalars, and the mean and rms (about zero) over its instants, at each field, wavelength
+    and excitation (``_field1_wavelength2``, from 1); a number that is missing is an empty cell.
 
     Raises
     ------
     UserError
-        If the file exists and shall not be overwritten, its name ends otherwise, its folder is missing, or
-        the store is too large for NetCDF 3.
+        If the file exists and shall not be overwritten, its name ends otherwise, its folder is missing, the
+        store is too large for NetCDF 3, or Astropy is missing.
     """
     target = target_of(path, overwrite)
     partial = target.with_name(f".{target.name}.partial-{uuid.uuid4().hex}")
     try:
-        (_write_csv if target.suffix == ".csv" else _write_netcdf)(dataset, partial)
+        _WRITERS[target.suffix](dataset, partial)
         os.replace(partial, target)
     finally:
         partial.unlink(missing_ok=True)
@@ -44,8 +47,10 @@ def export(dataset: xr.Dataset, path: str | Path, overwrite: bool = False) -> Pa
 def target_of(path: str | Path, overwrite: bool = False) -> Path:
     """Return the file to export to; raises UserError as :func:`export`, without reading any number."""
     target = Path(path)
-    if target.suffix not in (".nc", ".csv"):
-        raise UserError(f"{target} must end in .nc or .csv, which says what to export to.")
+    if target.suffix not in _WRITERS:
+        raise UserError(f"{target} must end in .nc, .fits or .csv, which says what to export to.")
+    if target.suffix == ".fits" and find_spec("astropy") is None:
+        raise UserError("FITS files need Astropy: pip install 'wavequake[fits]'.")
     if target.is_dir() or not target.parent.is_dir():
         raise UserError(f"{target} is a folder, or is in none; name a file in a folder that exists.")
     if target.exists() and not overwrite:
@@ -74,6 +79,38 @@ def _netcdf3(variable: xr.Variable) -> xr.Variable:
     if values.dtype.kind not in "biuf":
         values = values.astype(object)
     return xr.Variable(variable.dims, values, variable.attrs)
+
+
+def _write_fits(dataset: xr.Dataset, path: Path) -> None:
+    from astropy.io import fits
+
+    columns, images = [], []
+    for name, variable in dataset.load().variables.items():
+        values, unit = variable.to_numpy(), str(variable.attrs.get("units", ""))
+        if variable.dims == ("case",):
+            if values.dtype.kind not in "biuf":
+                texts = [str(text).encode("ascii", "replace").decode() for text in values.tolist()]
+                values = np.array(texts, dtype=f"U{max(1, *map(len, texts))}")
+            columns.append(fits.Column(str(name), _fits_format(values), unit, array=values))
+        elif values.dtype.kind in "biuf":
+            image = fits.ImageHDU(
+                values.astype(np.uint8) if values.dtype.kind == "b" else values, name=str(name)
+            )
+            image.header["BUNIT"] = unit
+            for number, dim in enumerate(reversed(variable.dims), 1):  # FITS counts axes from the last
+                image.header[f"CTYPE{number}"] = str(dim)
+            images.append(image)
+    first = fits.PrimaryHDU()
+    for key, name in (("ORIGIN", "title"), ("STUDYID", "study_sha256"), ("CREATED", "created")):
+        first.header[key] = str(dataset.attrs.get(name, "")).encode("ascii", "replace").decode()[:60]
+    cases = fits.BinTableHDU.from_columns(columns, name="CASES")
+    fits.HDUList([first, cases, *images]).writeto(path, checksum=True)
+
+
+def _fits_format(values: NDArray[Any]) -> str:
+    """Return the FITS code of a column: text, logical, 64-bit integer or 64-bit number."""
+    kind = values.dtype.kind
+    return f"{values.dtype.itemsize // 4}A" if kind == "U" else {"b": "L", "f": "D"}.get(kind, "K")
 
 
 def _write_csv(dataset: xr.Dataset, path: Path) -> None:
@@ -106,7 +143,7 @@ def _present(dataset: xr.Dataset, values: NDArray[np.float64]) -> NDArray[np.boo
     """Return which instants each case has, (case, time): all of them where none has a time of its own."""
     if "time_s" not in dataset:
         return np.ones(values.shape, dtype=bool)
-    return np.asarray(np.isfinite(dataset["time_s"].to_numpy()))
+    return np.broadcast_to(np.isfinite(dataset["time_s"].to_numpy()), values.shape)
 
 
 def _over_instants(
@@ -123,3 +160,6 @@ def _over_instants(
 def _cells(values: NDArray[np.float64]) -> list[str]:
     """Return numbers as the shortest text that reads back the same."""
     return ["" if np.isnan(value) else repr(value) for value in values.tolist()]
+
+
+_WRITERS = {".nc": _write_netcdf, ".fits": _write_fits, ".csv": _write_csv}
