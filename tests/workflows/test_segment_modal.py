@@ -1,5 +1,7 @@
 """Studies by the modal model against the same studies by full traces, on the 18-segment telescope."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
@@ -7,8 +9,8 @@ from threadpoolctl import threadpool_limits
 import wavequake as wq
 from wavequake.errors import UserError
 from wavequake.kernels.devices import list_devices
+from wavequake.workflows import campaign, segment_modal
 from wavequake.workflows import segment_disturbance as workflow
-from wavequake.workflows import segment_modal
 from wavequake.workflows.contract import DONE, RAISED
 from wavequake.workflows.retention import STATISTICS
 from wavequake.workflows.segment_modal import CERTIFIED, MODAL, TRACED, sampled
@@ -272,3 +274,25 @@ def test_nothing_moves_but_the_mount(study):
     modal, standard = computed(only, range(2)), computed(only, range(2), optics__method="standard")
     np.testing.assert_allclose(modal.arrays["los"], standard.arrays["los"], atol=1e-4)
     assert np.abs(standard.arrays["los"]).max() > 0.1
+
+
+def test_a_plan_does_not_take_the_first_cases_for_the_others(study, monkeypatch):
+    """The first hundred are traced besides; the pilot is of the last ones, enough to tell their time."""
+    asked = []
+
+    def compute(text, cases, device):
+        asked.append(cases)
+        return workflow.compute(text, cases, device)
+
+    chosen = study_with(study, {"campaign.cases": 100_000, "store.chunk_cases": 1000})
+    monkeypatch.setitem(
+        campaign.WORKFLOWS, "segment-disturbance", replace(workflow.WORKFLOW, compute=compute)
+    )
+    monkeypatch.setattr(campaign, "_PILOT_S", 1e9)
+    campaign.plan(chosen)
+    assert [len(cases) for cases in asked] == [8, 8, 64, 512, 1000]
+    assert all(cases[-1] == 99_999 for cases in asked)
+    del asked[:]
+    monkeypatch.setattr(campaign, "_PILOT_S", 0.0)
+    campaign.plan(study_with(chosen, {"campaign.cases": 5}))
+    assert [cases.tolist() for cases in asked] == [[0, 1, 2, 3, 4]] * 2

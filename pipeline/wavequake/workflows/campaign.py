@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int, int], None]
 
+_PILOT_S = 0.05  # a pilot that is shorter says little: it is repeated with more cases
+
 WORKFLOWS: dict[str, Workflow] = {
     workflow.name: workflow
     for workflow in (
@@ -144,19 +146,24 @@ def plan(study: Study) -> dict[str, str]:
     workflow.check(text)
     template = workflow.template(text)
     per_case = sum(int(np.prod(v.shape)) * np.dtype(v.dtype).itemsize for v in template.per_case.values())
-    pilot = np.arange(min(cases, chunk, 8))
     device = choose_device(study.campaign.device)
+    pilot = np.arange(max(0, cases - min(chunk, 8)), cases)  # the first ones may be special
     workflow.compute(text, pilot, device.name)  # builds kernels and tables, which every worker does once
-    start = time.perf_counter()
-    workflow.compute(text, pilot, device.name)
-    each = (time.perf_counter() - start) / len(pilot)
+    while True:
+        start = time.perf_counter()
+        workflow.compute(text, pilot, device.name)
+        seconds = time.perf_counter() - start
+        if seconds > _PILOT_S or len(pilot) >= min(cases, chunk):
+            break
+        pilot = np.arange(max(0, cases - min(chunk, 8 * len(pilot))), cases)
+    each = seconds / len(pilot)
     return {
         "study": f"{study.study.name} ({study.identity()[:12]})",
         "cases": f"{cases} in {-(-cases // chunk)} chunks of {chunk}",
         "device": f"{device.name} ({device.kind})",
         "store": f"{cases * per_case / 1e6:.1f} MB, {per_case / 1e3:.1f} kB per case",
         "memory": f"{_peak_memory_mb():.0f} MB in the pilot's process, which is what each worker needs",
-        "one case": f"{each * 1e3:.1f} ms in one process (pilot of {len(pilot)} cases, after set-up)",
+        "one case": f"{each * 1e3:.3g} ms in one process (pilot of {len(pilot)} cases, after set-up)",
         "estimate": f"{cases * each:.0f} s of one process",
         **workflow.describe(text),
     }
