@@ -11,7 +11,7 @@ from wavequake.mechanics.excitations import drive_of
 from wavequake.mechanics.modal import modal_model
 from wavequake.mechanics.response import respond
 from wavequake.optics.surface_fit import apply
-from wavequake.workflows import model_store
+from wavequake.workflows import mirror_trace, model_store
 from wavequake.workflows.campaign import WORKFLOWS, plan, run_study
 from wavequake.workflows.mirror_bench import bench_of, time_of, variant_of
 from wavequake.workflows.mirror_trace import MODAL, STAGES, STANDARD, Clock, compute, standard_method
@@ -106,6 +106,14 @@ def test_a_case_alone_has_the_bits_it_has_in_a_chunk():
     for name, values in alone.arrays.items():
         if name != "seconds":
             np.testing.assert_array_equal(values[0], together.arrays[name][1], err_msg=name)
+
+
+def test_many_instants_are_traced_in_parts(monkeypatch):
+    whole = _arrays({})
+    monkeypatch.setattr(mirror_trace, "_INSTANTS", 16)
+    for name, values in _arrays({}).items():
+        if name != "seconds":
+            np.testing.assert_allclose(values, whole[name], rtol=1e-9, atol=1e-9 * np.abs(values).max())
 
 
 @pytest.fixture(scope="module")

@@ -36,6 +36,8 @@ Array = NDArray[np.float64]
 SET_UP = ("sensitivities", "reduction", "modal form")
 STANDARD = ("displacements", "surface fit", "ray trace", "wavefront fit")
 MODAL = ("maps of modes", "products")
+# Instants whose nodes are displaced at a time.
+_INSTANTS = 1024
 STAGES = (*SET_UP, "time response", *STANDARD, *MODAL)
 
 
@@ -110,25 +112,14 @@ def judged(study: AnyMirrorStudy, bench: Bench, variant: str, device: Device) ->
             modal = modal_model(reduced, drive.prescribed)
         with clock("time response"):
             response = respond(modal, [drive], instants)
-        moved, traced = standard_method(optics, reduced.surface, response, device, clock)
         summed = modal_method(optics, reduced.surface, response, clock)
+        parts = [
+            compared(optics, reduced.surface, part, summed[first : first + _INSTANTS], device, clock)
+            for first, part in _parts(response)
+        ]
+        found = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
         clock.seconds |= {"sensitivities": optics.seconds, "reduction": reduced.seconds}
-        linear = trace_figures(optics, apply(optics.surface, moved), device, Clock())
-        above = heights(optics.surface, moved, linear=False)
-        left = relative_residual(optics.surface, above, coefficients(optics.surface, above))
-        found = {
-            "wfe_rms_standard": _wfe(traced.aberrations),
-            "wfe_rms_modal": _wfe(summed),
-            "wfe_rms_raw": traced.rms_raw,
-            "wfe_difference": _wfe(traced.aberrations - summed),
-            "wfe_difference_sag": _wfe(traced.aberrations - linear.aberrations),
-            "wfe_difference_optics": _wfe(linear.aberrations - summed),
-            "fit_residual": left,
-            "los_standard": traced.aberrations[:, :2],
-            "los_modal": summed[:, :2],
-            "los_difference": np.linalg.norm((traced.aberrations - summed)[:, :2], axis=1),
-            "seconds": np.array([clock.seconds[stage] for stage in STAGES]),
-        }
+        found["seconds"] = np.array([clock.seconds[stage] for stage in STAGES])
         for key, value in found.items():
             rows.setdefault(key, []).append(value)
     return {
@@ -136,6 +127,44 @@ def judged(study: AnyMirrorStudy, bench: Bench, variant: str, device: Device) ->
         "pseudo_frequency_max": float(pseudo_frequencies(reduced)[-1]),
         "resolution_mm": optics.resolution,
         **{key: np.array(values) for key, values in rows.items()},
+    }
+
+
+def _parts(response: Response) -> Iterator[tuple[int, Response]]:
+    """Yield a response in parts of so many instants that the displacements of all nodes fit the memory."""
+    for first in range(0, len(response.time), _INSTANTS):
+        part = slice(first, first + _INSTANTS)
+        yield (
+            first,
+            replace(
+                response,
+                time=response.time[part],
+                coordinates=response.coordinates[:, part],
+                rigid=response.rigid[:, part],
+                drive=response.drive[:, part],
+            ),
+        )
+
+
+def compared(
+    optics: Optics, surface: Array, response: Response, summed: Array, device: Device, clock: Clock
+) -> dict[str, Array]:
+    """Trace some instants and compare them with what the modal method gives, `summed` (T, 2 + J)."""
+    moved, traced = standard_method(optics, surface, response, device, clock)
+    linear = trace_figures(optics, apply(optics.surface, moved), device, Clock())
+    above = heights(optics.surface, moved, linear=False)
+    apart = traced.aberrations - summed
+    return {
+        "wfe_rms_standard": _wfe(traced.aberrations),
+        "wfe_rms_modal": _wfe(summed),
+        "wfe_rms_raw": traced.rms_raw,
+        "wfe_difference": _wfe(apart),
+        "wfe_difference_sag": _wfe(traced.aberrations - linear.aberrations),
+        "wfe_difference_optics": _wfe(linear.aberrations - summed),
+        "fit_residual": relative_residual(optics.surface, above, coefficients(optics.surface, above)),
+        "los_standard": traced.aberrations[:, :2],
+        "los_modal": summed[:, :2],
+        "los_difference": np.linalg.norm(apart[:, :2], axis=1),
     }
 
 
