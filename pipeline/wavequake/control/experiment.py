@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from wavequake.control.bench import COMPENSATOR, SENSITIVITIES, Bench
+from wavequake.control.bench import COMPENSATOR, SENSITIVITIES, Bench, bench_modes
 from wavequake.control.camera import Camera, CameraError, calibrate, camera_error, camera_reading
 from wavequake.control.identification import Identified, Record, identify
 from wavequake.control.linear import Array
@@ -142,6 +142,7 @@ def design(bench: Bench, stage: Stage, settings: Settings) -> Designs:
         If lens 4 does not see a mode (says which), or ode3 is unstable at a sample time (says its spectral
         radius).
     """
+    bench_modes(bench)  # says at once if a mode does not swing
     both = feed_forward(bench, stage, settings.both_step, settings.both_delay, ahead=2)
     thesis = (
         feed_forward(bench, stage, settings.ff_step, settings.ff_delay),

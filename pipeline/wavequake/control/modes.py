@@ -9,8 +9,9 @@ from scipy.linalg import matrix_balance
 from wavequake.control.linear import LinearModel
 from wavequake.errors import UserError
 
-# Eigenvalues closer than this share of the norm of A are one mode; defective ones scatter by about 1e-8.
-_SAME = 1e-6
+# Eigenvalues that differ by less than this share of their size are one mode; so are those that differ by less
+# than this share of the norm of A, because defective ones scatter by about 1e-8 of it.
+_SAME, _SCATTER = 1e-6, 1e-7
 # Below, a mode does not show in an output but by rounding.
 _HIDDEN = 1e-9
 
@@ -67,15 +68,19 @@ def modes(model: LinearModel) -> tuple[Mode, ...]:
     b, c = model.b / scale[:, None], model.c * scale
     norm = max(float(np.linalg.norm(a, 2)), np.finfo(float).tiny)
     values = np.linalg.eigvals(a)
-    values = values[values.imag >= -_SAME * norm]
+    values = values[values.imag >= -_SCATTER * norm]
     found: list[complex] = []
     for value in values[np.lexsort((values.imag, values.real, np.round(np.abs(values) / norm, 9)))]:
-        if all(abs(value - other) > _SAME * norm for other in found):
+        if all(abs(value - other) > _near(value, norm) for other in found):
             found.append(complex(value))
     return tuple(
         Mode(number, value, _seen(a, c, value, norm), _seen(a.T, b.T, value, norm))
         for number, value in enumerate(found, start=1)
     )
+
+
+def _near(value: complex, norm: float) -> float:
+    return max(_SAME * abs(value), _SCATTER * norm)
 
 
 def _seen(a: NDArray[np.float64], rows: NDArray[np.float64], value: complex, norm: float) -> float:
@@ -84,7 +89,7 @@ def _seen(a: NDArray[np.float64], rows: NDArray[np.float64], value: complex, nor
     if size == 0.0:
         return 0.0
     _, singular, right = np.linalg.svd(a - value * np.eye(len(a)))
-    space = right[singular <= max(10 * _SAME * norm, singular[-1])].conj().T
+    space = right[singular <= max(3 * _near(value, norm), singular[-1])].conj().T
     if space.shape[1] > len(rows):
         return 0.0
     return float(np.linalg.svd(rows @ space, compute_uv=False)[-1]) / size

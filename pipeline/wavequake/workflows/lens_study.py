@@ -1,6 +1,6 @@
 """Study files of the lens experiment: bench, stage, errors, sensor, controllers."""
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -8,6 +8,7 @@ from wavequake.workflows.schema import CampaignSection, Section, StoreSection, S
 
 Six = tuple[float, float, float, float, float, float]
 Five = tuple[float, float, float, float, float]
+Root = Annotated[tuple[float, float], Field(strict=False)]
 Springs = Literal["initial", "changed"]
 
 
@@ -38,10 +39,8 @@ class BenchSection(Section):
 class LensStageSection(Section):
     """The linear stage as it was identified: zeros and poles as (real, imaginary) in 1/s."""
 
-    zeros: tuple[tuple[float, float], ...] = Field(
-        default=((1000.0, 0.0), (480.0, 850.0), (480.0, -850.0)), strict=False
-    )
-    poles: tuple[tuple[float, float], ...] = Field(
+    zeros: tuple[Root, ...] = Field(default=((1000.0, 0.0), (480.0, 850.0), (480.0, -850.0)), strict=False)
+    poles: tuple[Root, ...] = Field(
         default=((-377.0, 0.0), (-360.0, 293.0), (-360.0, -293.0)), strict=False, min_length=1
     )
     gain: float = Field(default=0.97, gt=0)

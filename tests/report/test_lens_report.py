@@ -1,0 +1,74 @@
+"""The report of the lens experiment: its table, its answer, and figures that can be drawn."""
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from wavequake.report import lens
+from wavequake.report import lens_figures as draw
+from wavequake.workflows.campaign import run
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """Two finished plants of one configuration, a third one failed, none of the other configuration."""
+    path = tmp_path_factory.mktemp("lens") / "s"
+    found = run("lens-experiment", cases=3, store=path, time__duration_s=2.0).load()
+    found["status"][1] = 2
+    found["message"] = found["message"].astype(object)
+    found["message"][1] = "The identification failed."
+    return found
+
+
+def test_table_and_answer_tell_medians(dataset, tmp_path):
+    one, other = lens.configurations(dataset)
+    assert list(one.rows) == [0, 2]
+    assert not len(other.rows)
+    console = Console(width=140, record=True, file=(tmp_path / "t").open("w"))
+    console.print(lens.table_of(tmp_path, dataset))
+    text = console.export_text()
+    value = np.median(dataset["peak_to_peak"].to_numpy()[[0, 2], 1])
+    assert f"{value:.1f}" in text
+    assert "initial springs, 2 plants" in text
+    assert "Changed springs: no plant is done." in text
+    assert "30, 30" in text
+
+
+def test_report_holds_all_figures_and_what_is_left_out(dataset, tmp_path):
+    target = lens.write_report_of(tmp_path, dataset, tmp_path / "report.html", "numpy")
+    page = target.read_text()
+    for key in (
+        "bars-initial",
+        "initial-model",
+        "initial-filter",
+        "initial-remaining",
+        "hammer",
+        "step",
+        "follow",
+    ):
+        assert f'id="{key}"' in page or key in page
+    assert "The identification failed." in page
+    assert page.count("<svg") == 15
+
+
+def test_simulated_stage_is_close_to_the_actual_one(dataset):
+    """Fig. 5.12: the nominal stage without the delay of the control unit explains the actual one's motion."""
+    case = draw.Shown.of(dataset, 0)
+    bench, stage = lens.bench_of(lens.study_of(dataset.attrs["study"]), "initial"), draw.Stage()
+    nominal = draw.nominal_of(bench, stage, case)
+    error = nominal.stage["FF"] - case.stage["FF"]
+    assert error.std() < 0.1 * case.stage["FF"].std()
+    # The filter knows the force: better at once; without it as good later (Fig. 5.28, 5.29).
+    free, early, late = case.image["uncontrolled"], case.time < 0.5, case.time > 1.5
+    off = {
+        name: np.abs(values - free)
+        for name, values in (("with", nominal.with_force), ("not", nominal.without_force))
+    }
+    assert off["with"][early].max() < 0.5 * off["not"][early].max()
+    assert off["not"][late].max() < 0.5 * off["not"][early].max()
+
+
+def test_identified_stage_is_the_true_one():
+    record = draw.step_record(draw.Stage())
+    assert record.identified.fit > 0.998
+    assert record.identified.stage.gain == pytest.approx(0.97, abs=2e-3)
