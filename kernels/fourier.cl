@@ -1,14 +1,18 @@
 // Discrete Fourier transforms of length N along rows or columns: stages of the Stockham algorithm.
 //
 // A stage (length n, stride s, radix R, m = n / R) takes x[q + s (p + m r)] for p < m, q < s, transforms over
-// r, multiplies by exp(-2 pi i p r / n) and stores to y[q + s (R p + r)]; then n becomes m, and s becomes s R.
-// Real and imaginary parts are apart between the stages. A work-item does a row, whose lanes are values of q
-// (of p in the first stage), or W adjacent columns, whose lanes they are; none ever waits for another.
+// r, multiplies by exp(-2 pi i p r / n) and stores to y[q + s (R p + r)]; then n becomes m, and s becomes
+// s R. Real and imaginary parts are apart between the stages. A work-item does a row, whose lanes are values
+// of q (of p in the first stage), or W adjacent columns, whose lanes they are; none ever waits for another.
 //
-// Compile-time constants: W lanes, SINGLE, N, OTHER (rows of a column transform, or columns of a row transform),
-// INVERSE. The generator adds the kernels, which call the stages.
+// Compile-time constants: W lanes, SINGLE, N, OTHER (rows of a column transform, or columns of a row
+// transform), INVERSE, ROWS (1: along rows). The generator adds the kernels, which call the stages.
 
 #include "waves.h"
+
+// Where the imaginary parts of a row start, and what lies between two copies of a row or panel.
+#define IMAGINARY (N + 8)
+#define APART (ROWS ? 24 : 3)
 
 #if W == 1
 INLINE wave load_complex(__global const scalar *a) { return (wave){a[INVERSE], a[1 - INVERSE]}; }

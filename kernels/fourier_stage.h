@@ -34,7 +34,7 @@ INLINE void NAME(first)(__global const scalar *x, __local scalar *y, __global co
             #pragma unroll
             for (int i = 0; i < W; ++i) {
                 STORE_LOCAL(re[i], y + RADIX * (p + i) + block);
-                STORE_LOCAL(im[i], y + N + RADIX * (p + i) + block);
+                STORE_LOCAL(im[i], y + IMAGINARY + RADIX * (p + i) + block);
             }
         }
     }
@@ -51,13 +51,13 @@ INLINE void NAME(middle)(__local const scalar *x, __local scalar *y, __global co
             wave a[RADIX];
             #pragma unroll
             for (int r = 0; r < RADIX; ++r)
-                a[r] = (wave){LOAD_LOCAL(x + q + s * (p + m * r)), LOAD_LOCAL(x + N + q + s * (p + m * r))};
+                a[r] = (wave){LOAD_LOCAL(x + q + s * (p + m * r)), LOAD_LOCAL(x + IMAGINARY + q + s * (p + m * r))};
             TRANSFORM(a);
             #pragma unroll
             for (int r = 0; r < RADIX; ++r) {
                 const wave b = r ? times(a[r], factors[2 * r - 2], factors[2 * r - 1]) : a[r];
                 STORE_LOCAL(b.re, y + q + s * (RADIX * p + r));
-                STORE_LOCAL(b.im, y + N + q + s * (RADIX * p + r));
+                STORE_LOCAL(b.im, y + IMAGINARY + q + s * (RADIX * p + r));
             }
         }
 }
@@ -68,7 +68,7 @@ INLINE void NAME(last)(__local const scalar *x, __global scalar *y, scalar scale
         wave a[RADIX];
         #pragma unroll
         for (int r = 0; r < RADIX; ++r)
-            a[r] = (wave){LOAD_LOCAL(x + q + s * r), LOAD_LOCAL(x + N + q + s * r)};
+            a[r] = (wave){LOAD_LOCAL(x + q + s * r), LOAD_LOCAL(x + IMAGINARY + q + s * r)};
         TRANSFORM(a);
         #pragma unroll
         for (int r = 0; r < RADIX; ++r)

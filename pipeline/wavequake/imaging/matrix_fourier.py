@@ -15,7 +15,7 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 # Pupils that are transformed at once: bounds the memory, changes no bit of any image.
-_BATCH = 32
+_BATCH = 8
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,8 @@ class MatrixFourier:
         Irradiance of the unaberrated pupil at the origin.
     folded : FoldedTransform, optional
         The same transform on an OpenCL device.
+    gather : ndarray of int, shape (n * n,), optional
+        Patch of each cell, where no cell holds several; any for a dark cell, whose phase does not matter.
     """
 
     pupil: PupilGrid
@@ -40,6 +42,7 @@ class MatrixFourier:
     axis: Real
     peak: float
     folded: FoldedTransform | None = None
+    gather: NDArray[np.intp] | None = None
 
 
 def matrix_fourier(
@@ -74,12 +77,14 @@ def matrix_fourier(
         )
     kernel = np.exp(-1j * np.pi * np.outer(axis, pupil.axis))  # x in radii: f x = axis x / 2
     peak = float(pupil.amplitude.sum() ** 2)
-    folded = (
-        None
-        if device.kind == "numpy"
-        else folded_transform(pupil.amplitude, pixels, sampling, 1.0 / peak, device, dtype)
-    )
-    return MatrixFourier(pupil, kernel, axis, peak, folded)
+    if device.kind == "numpy":
+        return MatrixFourier(pupil, kernel, axis, peak)
+    folded = folded_transform(pupil.amplitude, pixels, sampling, 1.0 / peak, device, dtype)
+    gather = None
+    if single_patches(pupil):
+        gather = np.zeros(samples * samples, dtype=np.intp)
+        gather[pupil.cells] = np.arange(pupil.cells.size)
+    return MatrixFourier(pupil, kernel, axis, peak, folded, gather)
 
 
 def psf(transform: MatrixFourier, phase: Real) -> Real:
@@ -107,7 +112,7 @@ def psf(transform: MatrixFourier, phase: Real) -> Real:
     for first in range(0, len(phase), _BATCH):
         part = phase[first : first + _BATCH]
         if folded is not None:
-            images[first : first + _BATCH] = folded_images(folded, _pupils(transform.pupil, part))
+            images[first : first + _BATCH] = folded_images(folded, _pupils(transform, part))
             continue
         field = pupil_function(transform.pupil, part)
         image = kernel @ field @ kernel.T  # a product per pupil: the bits do not depend on the batch
@@ -146,7 +151,7 @@ def psf_sum(transform: MatrixFourier, phase: Real, weights: Real) -> Real:
     for first in range(0, len(phase), _BATCH):
         part = slice(first, first + _BATCH)
         if transform.folded is not None:
-            total = folded_sum(transform.folded, _pupils(transform.pupil, phase[part]), weights[part], total)
+            total = folded_sum(transform.folded, _pupils(transform, phase[part]), weights[part], total)
             continue
         for weight, image in zip(weights[part], psf(transform, phase[part]), strict=True):
             total += weight * image if weight else 0.0
@@ -161,12 +166,14 @@ def check_phase(transform: MatrixFourier, phase: Real) -> None:
         )
 
 
-def _pupils(pupil: PupilGrid, phase: Real) -> NDArray[Any]:
+def _pupils(transform: MatrixFourier, phase: Real) -> NDArray[Any]:
     """Return phases (batch, n, n), or complex amplitudes if cells hold several patches."""
-    if not single_patches(pupil):
+    pupil, gather = transform.pupil, transform.gather
+    if gather is None:
         return pupil_function(pupil, phase)
-    full = np.zeros((len(phase), pupil.amplitude.size))
-    full[:, pupil.cells] = phase
+    full = np.empty((len(phase), gather.size))
+    for row, values in zip(full, phase, strict=True):
+        np.take(values, gather, out=row, mode="clip")  # faster than to scatter, or to take many at once
     return full.reshape(-1, *pupil.amplitude.shape)
 
 

@@ -59,12 +59,12 @@ def kernel_source(length: int, along_rows: bool) -> str:
     Its arguments are: how many (rows, or groups of columns), input, factors, scale, output.
     """
     stages = radices(length)
-    lines = [source("fourier.cl"), f"#define ROWS {int(along_rows)}"]
+    lines = [f"#define ROWS {int(along_rows)}", source("fourier.cl")]
     for radix in sorted(set(stages)):
         # Only rows' first stages need whole vectors of outputs.
         lines += [f"#define RADIX {radix}", f"#define IS_FIRST {int(radix == stages[0])}"]
         lines += [source("fourier_stage.h"), "#undef RADIX", "#undef IS_FIRST"]
-    memory = "__local scalar even[2 * N], odd[2 * N];" if along_rows else "__local wave even[N], odd[N];"
+    element, room = ("scalar", "(2 * IMAGINARY)") if along_rows else ("wave", "N")
     lines += [
         "__kernel void transform(const int count, __global const scalar *x, __global const scalar *factors,",
         "                        const scalar scale, __global scalar *y)",
@@ -72,7 +72,9 @@ def kernel_source(length: int, along_rows: bool) -> str:
         "    const int number = get_global_id(1);",
         "    if (number >= count)",
         "        return;",
-        f"    {memory}",
+        "    // Addresses a multiple of 4096 bytes apart would get into each other's way.",
+        f"    __local {element} even[2 * {room} + APART];",
+        f"    __local {element} *odd = even + {room} + APART;",
     ]
     if along_rows:
         lines += ["    const size_t place = (size_t)number * 2 * N;"]

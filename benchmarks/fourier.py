@@ -1,0 +1,96 @@
+"""How fast two-dimensional Fourier transforms are, and how exact.
+
+Square complex images, float32 and float64, one thread: the OpenCL kernels against SciPy, and against MKL
+(mkl_fft) and FFTW (pyfftw, planned by measuring) if they are installed. All but FFTW, which writes to its
+planned array, return new memory. Measurements are interleaved, each some 50 ms long; medians of same-run
+ratios are what to compare between machines. Run it with POCL_MAX_PTHREAD_COUNT=1. Errors are the largest
+differences from SciPy's float64 transform, relative to its largest number.
+"""
+
+import os
+import time
+from collections.abc import Callable
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from wavequake.kernels.devices import choose_device
+from wavequake.kernels.fourier import choose_fourier, fourier_2d
+
+Transform = Callable[[], NDArray[np.complexfloating]]
+
+SHAPES = [(1, 512, 512), (8, 512, 512), (1, 1024, 1024), (1, 2048, 2048), (1, 960, 960)]
+REPEATS = 7
+STRETCH = 0.05  # seconds
+
+
+def transforms(values: NDArray[np.complexfloating], console: Console) -> dict[str, Transform]:
+    """Return ways to transform the values, by name."""
+    device = choose_device("cpu")
+    found: dict[str, Transform] = {
+        "opencl": lambda: fourier_2d(values, device=device, engine="opencl"),
+        "scipy": lambda: scipy.fft.fft2(values),
+    }
+    try:
+        import mkl_fft
+
+        found["mkl_fft"] = lambda: mkl_fft.fft2(values)
+    except ImportError:
+        console.print("mkl_fft is not installed (pip install mkl_fft): that comparison is skipped")
+    try:
+        import pyfftw
+
+        source, target = (pyfftw.empty_aligned(values.shape, values.dtype) for _ in range(2))
+        plan = pyfftw.FFTW(source, target, axes=(1, 2), flags=("FFTW_MEASURE",), threads=1)
+        source[...] = values
+        found["pyfftw"] = lambda: plan()
+    except ImportError:
+        console.print("pyfftw is not installed (pip install pyfftw): that comparison is skipped")
+    return found
+
+
+def seconds_of(job: Transform, count: int) -> float:
+    start = time.perf_counter()
+    for _ in range(count):
+        job()
+    return (time.perf_counter() - start) / count
+
+
+def compare(console: Console) -> Table:
+    columns = Table("images", "numbers", "by", "ms", "best", "GFLOP/s", "time/OpenCL", "error", box=None)
+    random = np.random.default_rng(1)
+    for shape in SHAPES:
+        for dtype in (np.complex64, np.complex128):
+            values = (random.normal(size=shape) + 1j * random.normal(size=shape)).astype(dtype)
+            jobs = transforms(values, console)
+            exact = scipy.fft.fft2(values.astype(np.complex128))
+            errors = {name: np.abs(job() - exact).max() / np.abs(exact).max() for name, job in jobs.items()}
+            counts = {name: max(1, int(STRETCH / seconds_of(job, 1))) for name, job in jobs.items()}
+            times = {name: [] for name in jobs}
+            for _ in range(REPEATS):
+                for name, job in jobs.items():
+                    times[name].append(seconds_of(job, counts[name]))
+            ours = np.array(times["opencl"])
+            operations = 5.0 * np.prod(shape) * np.log2(shape[1] * shape[2])
+            for name, measured in times.items():
+                median, ratio = np.median(measured), np.median(np.array(measured) / ours)
+                row = ["x".join(map(str, shape)), np.dtype(dtype).name, name, f"{1e3 * median:.2f}"]
+                row += [f"{1e3 * min(measured):.2f}", f"{operations / median / 1e9:.1f}", f"{ratio:.2f}"]
+                columns.add_row(*row, f"{errors[name]:.1e}")
+    chosen = choose_fourier(SHAPES[0], np.complex128, choose_device("cpu"))
+    console.print(f"auto chooses {chosen.engine}: {chosen.reason}")
+    return columns
+
+
+def main() -> None:
+    console = Console(width=120)
+    if os.environ.get("POCL_MAX_PTHREAD_COUNT") != "1":
+        console.print("POCL_MAX_PTHREAD_COUNT is not 1: the kernels may use several threads, the peers one")
+    console.print(compare(console))
+
+
+if __name__ == "__main__":
+    main()
