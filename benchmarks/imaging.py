@@ -10,6 +10,8 @@ Round: 128 x 128 points of a pupil of 512 x 512 cells with 45 Zernike terms, 16 
 on the CPU, alone and summed to an exposure, its NumPy twin, and the peers' transforms; the time of all begins
 at the phase of each cell. Errors are the largest differences from the NumPy twin.
 
+Strehl ratios alone: pistons of the 492 segments, 4000 instants.
+
 All run on one thread (set POCL_MAX_PTHREAD_COUNT=1); measurements are interleaved, and medians of same-run
 ratios are what to compare between machines.
 """
@@ -27,10 +29,12 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.imaging.matrix_fourier import matrix_fourier, psf_sum
 from wavequake.imaging.matrix_fourier import psf as matrix_psf
+from wavequake.imaging.polygon_transform import polygon_areas
 from wavequake.imaging.pupil_function import PupilGrid, annular_pupil
-from wavequake.imaging.segment_psf import psf, segment_basis
+from wavequake.imaging.segment_psf import psf, segment_basis, strehl_exact
 from wavequake.imaging.wavefront_phase import zernike_phase
 from wavequake.kernels.devices import choose_device
+from wavequake.kernels.strehl import strehl_ratios
 from wavequake.kernels.tiles import TILE
 from wavequake.optics.segments import Segments
 from wavequake.optics.telescopes import telescope
@@ -42,6 +46,7 @@ Transform = Callable[[NDArray[np.complex128]], NDArray[np.complex128]]  # fields
 PIXELS, SAMPLING, DIAMETER = 64, 0.25, 30000.0
 PUPIL_POINTS = 512
 ROUND_PIXELS = 128
+STREHL_INSTANTS = 4000
 WAVELENGTH = 550.0  # nm
 REPEATS = 7
 
@@ -200,6 +205,30 @@ def compare_round(console: Console) -> Table:
     return table(candidates, errors, phase)
 
 
+def compare_strehl(segments: Segments) -> Table:
+    """Strehl ratios alone, of pistons of the segments."""
+    areas = polygon_areas(segments.corners)
+    waves = np.random.default_rng(1).normal(0.0, 0.06, (STREHL_INSTANTS, len(segments)))
+    phase, device = 2.0 * np.pi * waves, choose_device("cpu")
+    jobs: dict[str, Callable[[], Real]] = {
+        "OpenCL": lambda: strehl_ratios(phase, areas, device),
+        "NumPy twin": lambda: strehl_ratios(phase, areas),
+    }
+    exact = strehl_exact(areas, waves)
+    errors = {name: np.abs(job() - exact).max() for name, job in jobs.items()}
+    seconds: dict[str, list[float]] = {name: [] for name in jobs}
+    for _ in range(REPEATS):
+        for name, job in jobs.items():
+            start = time.perf_counter()
+            job()
+            seconds[name].append(time.perf_counter() - start)
+    columns = Table("Strehl ratios", "per s", "best", "error", box=None)
+    for name, times in seconds.items():
+        rates = [f"{STREHL_INSTANTS / t:.3g}" for t in (np.median(times), min(times))]
+        columns.add_row(name, *rates, f"{errors[name]:.1e}")
+    return columns
+
+
 def round_images(grid: PupilGrid, transform: Transform, phase: Real) -> Real:
     """Image a round pupil by a peer's transform."""
     full = np.zeros(grid.amplitude.size)
@@ -219,6 +248,7 @@ def main() -> None:
         for corner_slope in (0.0, 5.0):
             console.print(compare(segments, corner_slope, console))
         console.print(compare_round(console))
+        console.print(compare_strehl(segments))
 
 
 if __name__ == "__main__":
