@@ -1,14 +1,19 @@
 """Reports of stores without images or instants, on the 18-segment telescope."""
 
+import csv
 import io
 
 import numpy as np
 import pytest
+import xarray as xr
 from rich.console import Console
 
 import wavequake as wq
 from wavequake.report import reduced
 from wavequake.report.campaign import report_store, summary_table
+from wavequake.report.comparison import compare
+from wavequake.report.export import export
+from wavequake.report.rerun import rerun_stored
 from wavequake.workflows.study import load_study
 
 KEYS = {
@@ -82,3 +87,33 @@ def test_full_traces_without_images_need_no_certificate(tmp_path):
     raw = wq.open_store(store)["wfe_rms_raw"].to_numpy()
     assert f"{np.quantile(np.sqrt(np.mean(raw**2, axis=1)), 0.5):.1f}" in text
     assert report_store(store)[1].read_text().count("<svg") == 2
+
+
+def test_a_case_of_a_summary_is_computed_again_with_its_bits(store, tmp_path):
+    found = rerun_stored(store, 7, tmp_path / "case.nc")
+    assert not found.differing
+    assert not found.trouble
+    with xr.open_dataset(tmp_path / "case.nc", engine="scipy") as case:
+        nm = case["opd"].to_numpy() - case["opd"].to_numpy().mean(axis=1, keepdims=True)
+        last = float(case["wfe_rms_raw"].sel(statistic="last"))
+        assert nm.shape[0] == 10
+        assert np.sqrt(np.mean(nm[-1] ** 2)) == pytest.approx(last, rel=1e-2)  # rays weigh nearly alike
+
+
+def test_summaries_are_compared_by_their_rms(store, tmp_path):
+    """Twice the pistons: twice the motion of the segments and of the line of sight."""
+    other = made(tmp_path / "twice", disturbance__swing__piston_nm=40.0)
+    found = compare(wq.open_store(store), wq.open_store(other), "once", "twice")
+    apart = {one.measure: one for one in found}
+    for name in ("segment_piston_rms", "los"):
+        expected = float(wq.open_store(store)[name].sel(statistic="rms").mean())
+        assert apart[name].differences.mean() == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_csv_file_has_a_column_per_statistic(store, tmp_path):
+    with export(wq.open_store(store), tmp_path / "cases.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    found = wq.open_store(store)["wfe_rms_raw"]
+    for name in ("rms", "max", "last"):
+        column = [float(row[f"wfe_rms_raw_{name} (nm)"]) for row in rows]
+        np.testing.assert_array_equal(column, found.sel(statistic=name).to_numpy())

@@ -166,6 +166,8 @@ def _differences(left: xr.Dataset, right: xr.Dataset, groups: NDArray[np.object_
 
 def _reduced(values: xr.DataArray) -> NDArray[np.float64]:
     """Return one number per case: the mean Strehl ratio, else the rms over all other dims."""
+    if "statistic" in values.dims:  # a summary holds it
+        values = values.sel(statistic="mean" if values.name == "strehl" else "rms")
     others = [dim for dim in values.dims if dim != "case"]
     if not others:
         return np.asarray(values.to_numpy())

@@ -15,7 +15,7 @@ from wavequake.errors import UserError
 
 _LABELS = ("case", "seed", "disturbance", "realization", "status", "message")
 # Dimensions of which each entry has a column of its own.
-_SPREAD = ("excitation", "field", "wavelength", "axis")
+_SPREAD = ("excitation", "field", "wavelength", "axis", "statistic")
 _NETCDF3_BYTES = 2**31 - 2**20
 
 
@@ -25,8 +25,9 @@ def export(dataset: xr.Dataset, path: str | Path, overwrite: bool = False) -> Pa
     NetCDF is of version 3 (64-bit offsets), at most 2 GiB of numbers; integers that do not fit its 32 bits,
     such as seeds, become decimal text. FITS, which needs Astropy, has a table ``CASES`` of the labels and
     scalars of each case, and an image extension per array, whose last axis is the case. CSV holds the labels
-    of each case, its scalars, and the mean and rms (about zero) over its instants, at each field, wavelength
-    and excitation (``_field1_wavelength2``, from 1); a number that is missing is an empty cell.
+    of each case, its scalars, and the mean and rms (about zero) over its instants or the statistics that a
+    summary holds, at each field, wavelength and excitation (``_field1_wavelength2``, from 1); a number that
+    is missing is an empty cell.
 
     Raises
     ------
@@ -123,7 +124,9 @@ def _write_csv(dataset: xr.Dataset, path: Path) -> None:
         unit = f" ({variable.attrs.get('units', '1')})"
         for place in np.ndindex(*(dataset.sizes[dim] for dim in spread)):
             one = variable.isel(dict(zip(spread, place, strict=True))).to_numpy()
-            column = str(name) + "".join(map(_suffix, spread, place))
+            column = str(name) + "".join(
+                _suffix(dataset, dim, index) for dim, index in zip(spread, place, strict=True)
+            )
             if "time" in dims:
                 columns |= _over_instants(column, unit, one, _present(dataset, one))
             else:
@@ -134,8 +137,10 @@ def _write_csv(dataset: xr.Dataset, path: Path) -> None:
         writer.writerows(zip(*columns.values(), strict=True))
 
 
-def _suffix(dim: str, index: int) -> str:
-    """Return what names one of several columns: ``_x``, ``_y``, or a dimension and a number from 1."""
+def _suffix(dataset: xr.Dataset, dim: str, index: int) -> str:
+    """Return what names one of several columns: ``_x``, ``_y``, ``_rms``, or a dimension and a number."""
+    if dim == "statistic":
+        return f"_{dataset[dim].to_numpy()[index]}"
     return f"_{'xy'[index]}" if dim == "axis" else f"_{dim}{index + 1}"
 
 

@@ -51,6 +51,7 @@ def detail(study_text: str, case: int, device_name: str, dataset: xr.Dataset) ->
     opd, x, y = (from_tiles(values)[:instants] for values in (traced.opd, traced.x, traced.y))
     to_mas = MAS_PER_RAD / bench.first_order.focal_length
     segments, rays = bench.system.segments, bench.prepared.rays
+    images = "exposure" in dataset
     return Detail(
         case=case,
         disturbance=drawn.population.name,
@@ -65,9 +66,9 @@ def detail(study_text: str, case: int, device_name: str, dataset: xr.Dataset) ->
         opd=opd * 1e6,
         spot=(np.stack([x, y], axis=-1) - bench.static.chief[0]) * to_mas,
         airy_mas=1.22 * bench.prepared.wavelength / (2.0 * bench.system.pupil_outer) * MAS_PER_RAD,
-        image=dataset["exposure"].sel(case=case).to_numpy(),
-        image_x=dataset["x"].to_numpy(),
-        image_y=dataset["y"].to_numpy(),
+        image=dataset["exposure"].sel(case=case).to_numpy() if images else np.zeros((0, 0)),
+        image_x=dataset["x"].to_numpy() if images else np.zeros(0),
+        image_y=dataset["y"].to_numpy() if images else np.zeros(0),
     )
 
 
