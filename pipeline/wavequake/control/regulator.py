@@ -94,7 +94,7 @@ def modal_model(bench: Bench, hammer: Hammer = HAMMER) -> ModalModel:
     seen = modes.shapes[MEASURED]
     driven = force_column(bench) @ modes.shapes
     # η = Im(z)/ω_d for z' = λ z + φᵀ f; in y = Re(z') the coordinate is -i z φ_4/ω_d.
-    blow = -1j * seen * driven / modes.poles.imag * _laplace(hammer, modes.poles)
+    blow = -1j * seen * driven / modes.poles.imag * blow_spectrum(hammer, modes.poles)
     share = np.abs(blow) / np.abs(blow).max()
     if (share < HIDDEN).any():
         number = int(np.argmin(share))
@@ -106,8 +106,11 @@ def modal_model(bench: Bench, hammer: Hammer = HAMMER) -> ModalModel:
     return ModalModel(modes.poles, (image_row(bench) @ modes.shapes / seen).astype(complex), blow)
 
 
-def _laplace(hammer: Hammer, poles: Complex, until: float = np.inf) -> Complex:
-    """Return the integral of e^{-λt} F(t) over the blow: what a mode's state is afterwards, referred to 0."""
+def blow_spectrum(hammer: Hammer, poles: Complex, until: float = np.inf) -> Complex:
+    """Return the integral of e^{-λt} F(t) over the blow, N s: a mode's state afterwards, referred to t = 0.
+
+    At poles iω, this is the spectrum of the force.
+    """
     last = min(until, 5 * hammer.p1)
     nodes, weights = np.polynomial.legendre.leggauss(48)
     time = (nodes + 1) * last / 2
@@ -191,8 +194,8 @@ def first_steps(model: ModalModel, sample_time: float, hammer: Hammer = HAMMER) 
     """
     count = max(1, int(np.ceil(4 * hammer.p1 / sample_time)))
     instants = sample_time * np.arange(count + 1)
-    whole = _laplace(hammer, model.poles)
-    until = np.stack([_laplace(hammer, model.poles, float(t)) if t else 0 * whole for t in instants])
+    whole = blow_spectrum(hammer, model.poles)
+    until = np.stack([blow_spectrum(hammer, model.poles, float(t)) if t else 0 * whole for t in instants])
     until[-1] = whole
     shares = np.diff(until, axis=0) / whole
     grown = np.exp(np.outer(instants[1:], model.poles))
