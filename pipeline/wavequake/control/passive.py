@@ -72,7 +72,8 @@ def optimize(
     factor : float
         Largest ratio of new and present values, both ways.
     start : ndarray, shape (n,), optional
-        Where to start (amplitudes have many local minima: try several), as shares -1 to 1 of the logarithm of `factor`; at the present values by default.
+        Where to start, as shares -1 to 1 of the logarithm of `factor`; at the present values by default.
+        There are many local minima: try several.
     iterations : int
         At most.
 
