@@ -171,8 +171,9 @@ def _pupils(transform: MatrixFourier, phase: Real) -> NDArray[Any]:
     pupil, gather = transform.pupil, transform.gather
     if gather is None:
         return pupil_function(pupil, phase)
-    full = np.empty((len(phase), gather.size))
-    for row, values in zip(full, phase, strict=True):
+    assert transform.folded is not None
+    full = np.empty((len(phase), gather.size), transform.folded.amplitude.dtype)
+    for row, values in zip(full, phase.astype(full.dtype, copy=False), strict=True):
         np.take(values, gather, out=row, mode="clip")  # faster than to scatter, or to take many at once
     return full.reshape(-1, *pupil.amplitude.shape)
 

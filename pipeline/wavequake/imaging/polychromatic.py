@@ -6,12 +6,19 @@ from numpy.typing import ArrayLike, NDArray
 from wavequake.errors import UserError
 from wavequake.imaging.matrix_fourier import matrix_fourier, psf
 from wavequake.imaging.pupil_function import PupilGrid
+from wavequake.kernels.devices import NUMPY, Device
 
 Real = NDArray[np.float64]
 
 
 def polychromatic_psf(
-    grid: PupilGrid, phase: Real, wavelengths: ArrayLike, flux: ArrayLike, pixels: int, sampling: float
+    grid: PupilGrid,
+    phase: Real,
+    wavelengths: ArrayLike,
+    flux: ArrayLike,
+    pixels: int,
+    sampling: float,
+    device: Device = NUMPY,
 ) -> Real:
     """Return the sum of the point spread functions of several wavelengths, at one optical path difference.
 
@@ -30,6 +37,8 @@ def polychromatic_psf(
         An image has pixels x pixels points.
     sampling : float
         Distance of the points in units of (first wavelength) / diameter.
+    device : Device
+        Where to run.
 
     Returns
     -------
@@ -52,5 +61,6 @@ def polychromatic_psf(
     brightness = flux * scale**2
     total = np.zeros((len(phase), pixels, pixels))
     for factor, share in zip(scale, brightness / brightness.sum(), strict=True):
-        total += share * psf(matrix_fourier(grid, pixels, sampling * float(factor)), phase * factor)
+        transform = matrix_fourier(grid, pixels, sampling * float(factor), device)
+        total += share * psf(transform, phase * factor)
     return total
