@@ -136,6 +136,8 @@ def run(
         )
     else:
         out.print(f"All {summary.done_before} cases were done already; nothing was computed.")
+    for line in summary.goal:
+        out.print(line, markup=False, soft_wrap=True)
     _write_report(path, fresh=summary.computed > 0)
     if profile:
         print_pairs(profile_of(path))

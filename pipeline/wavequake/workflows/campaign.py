@@ -3,6 +3,7 @@
 import resource
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from wavequake.workflows.contract import Workflow
 from wavequake.workflows.engine import CampaignSummary, run_campaign
 from wavequake.workflows.journal import read_journal
 from wavequake.workflows.lens_experiment import WORKFLOW as LENS_EXPERIMENT
+from wavequake.workflows.lens_passive import WORKFLOW as LENS_PASSIVE
 from wavequake.workflows.mirror_exposure import WORKFLOW as MIRROR_EXPOSURE
 from wavequake.workflows.mirror_mor import WORKFLOW as MIRROR_MOR
 from wavequake.workflows.mirror_trace import WORKFLOW as MIRROR_TRACE
@@ -23,6 +25,7 @@ from wavequake.workflows.store import JOURNAL, done_records, open_store, read_ma
 from wavequake.workflows.study import load_study, study_with
 from wavequake.workflows.system_disturbance import WORKFLOW as SYSTEM_DISTURBANCE
 from wavequake.workflows.telescope_exposure import WORKFLOW as TELESCOPE_EXPOSURE
+from wavequake.workflows.until import Goal, described, goal_of, is_met, looks, quantiles_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -42,6 +45,7 @@ WORKFLOWS: dict[str, Workflow] = {
         TELESCOPE_EXPOSURE,
         MIRROR_EXPOSURE,
         LENS_EXPERIMENT,
+        LENS_PASSIVE,
     )
 }
 
@@ -64,7 +68,8 @@ def run_study(
 ) -> CampaignSummary:
     """Compute what of `study` the store at `path` lacks; with `repair`, also what is damaged there.
 
-    Further arguments are those of :func:`wavequake.workflows.engine.run_campaign`.
+    With `campaign.until`, cases are added until the goal is met, at most `campaign.cases`. Further arguments
+    are those of :func:`wavequake.workflows.engine.run_campaign`.
 
     Raises
     ------
@@ -75,22 +80,47 @@ def run_study(
     text = study.identity_text()
     device = choose_device(study.campaign.device)
     workflow.check(text)  # a study that cannot work says so before a store is made or a worker started
-    return run_campaign(
-        workflow,
-        text,
-        path,
-        cases=study.cases,
-        chunk=study.store.chunk_cases,
-        device=device.name,
-        on=on,
-        workers=workers,
-        progress=progress,
-        title=study.study.title,
-        timeout_s=study.campaign.timeout_s,
-        allow_mixed=allow_mixed,
-        repair=repair,
-        dashboard=dashboard,
-    )
+
+    def run_to(cases: int) -> CampaignSummary:
+        return run_campaign(
+            workflow,
+            text,
+            path,
+            cases=cases,
+            chunk=study.store.chunk_cases,
+            device=device.name,
+            on=on,
+            workers=workers,
+            progress=progress,
+            title=study.study.title,
+            timeout_s=study.campaign.timeout_s,
+            allow_mixed=allow_mixed,
+            repair=repair,
+            dashboard=dashboard,
+        )
+
+    if study.campaign.until is None:
+        return run_to(study.cases)
+    return _run_until(goal_of(study.campaign.until, workflow.template(text)), study, path, run_to)
+
+
+def _run_until(
+    goal: Goal, study: Study, path: Path, run_to: Callable[[int], CampaignSummary]
+) -> CampaignSummary:
+    """Add cases until the goal is met; the summary is of all steps together."""
+    total: CampaignSummary | None = None
+    for cases in looks(study.cases, study.store.chunk_cases):
+        step = run_to(cases)
+        total = step if total is None else total.followed_by(step)
+        found = quantiles_of(goal, open_store(path).isel(case=slice(cases)))
+        words = "is met" if is_met(goal, found) else "is not met"
+        total = replace(
+            total, goal=(f"{study.campaign.until} {words} after {cases} cases", *described(goal, found))
+        )
+        if is_met(goal, found):
+            break
+    assert total is not None
+    return total
 
 
 def run(

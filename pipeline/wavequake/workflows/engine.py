@@ -34,7 +34,10 @@ Progress = Callable[[int, int, int], None]
 
 @dataclass(frozen=True)
 class CampaignSummary:
-    """What a run did: cases done before, computed now, quarantined in all, chunks computed, times in s."""
+    """What a run did: cases done before, computed now, quarantined in all, chunks computed, times in s.
+
+    ``goal`` says in words how well what `campaign.until` asks for is known.
+    """
 
     done_before: int
     computed: int
@@ -43,6 +46,19 @@ class CampaignSummary:
     seconds: float
     compute_seconds: float
     write_seconds: float
+    goal: tuple[str, ...] = ()
+
+    def followed_by(self, later: "CampaignSummary") -> "CampaignSummary":
+        """Return what both runs did together."""
+        return CampaignSummary(
+            self.done_before,
+            self.computed + later.computed,
+            later.quarantined,
+            self.chunks + later.chunks,
+            self.seconds + later.seconds,
+            self.compute_seconds + later.compute_seconds,
+            self.write_seconds + later.write_seconds,
+        )
 
 
 def run_campaign(
