@@ -250,16 +250,19 @@ def describe(study_text: str) -> dict[str, str]:
 
 
 def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
-    """Return the number of ray-surfaces traced for `cases` cases (padding of the instants included)."""
+    """Return the number of ray-surfaces traced for `cases` cases (padding of the instants included).
+
+    By the modal model, it is the number of segments at an instant instead.
+    """
     bench = bench_of(study_text)
-    populations = bench.study.disturbance
+    populations, segments = bench.study.disturbance, len(bench.system.segments)
+    shares = sum(entry.share for entry in populations)
     if bench.study.optics.method == "modal":
-        return {"draw": (float(cases), "cases"), "modal": (float(cases), "cases")}
-    instants = sum(entry.share * padded(entry.instants) for entry in populations)
+        instants = cases * sum(entry.share * entry.instants for entry in populations) / shares
+        return dict.fromkeys(("draw", "modal"), (instants * segments, "segment-instants"))
+    instants = cases * sum(entry.share * padded(entry.instants) for entry in populations) / shares
     per_instant = len(bench.prepared.weight) * (1 + len(bench.system.surfaces))
-    return {
-        "trace": (cases * instants / sum(entry.share for entry in populations) * per_instant, "ray-surfaces")
-    }
+    return {"trace": (instants * per_instant, "ray-surfaces")}
 
 
 def check(study_text: str) -> None:
