@@ -80,8 +80,9 @@ def compare(console: Console) -> Table:
                 row = ["x".join(map(str, shape)), np.dtype(dtype).name, name, f"{1e3 * median:.2f}"]
                 row += [f"{1e3 * min(measured):.2f}", f"{operations / median / 1e9:.1f}", f"{ratio:.2f}"]
                 columns.add_row(*row, f"{errors[name]:.1e}")
-    chosen = choose_fourier(SHAPES[0], np.complex128, choose_device("cpu"))
-    console.print(f"auto chooses {chosen.engine}: {chosen.reason}")
+    for shape in SHAPES:
+        chosen = choose_fourier(shape, np.complex128, choose_device("cpu"))
+        console.print(f"{'x'.join(map(str, shape))}: auto chooses {chosen.engine}, {chosen.reason}")
     return columns
 
 

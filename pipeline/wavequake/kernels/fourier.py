@@ -16,8 +16,9 @@ from wavequake.kernels.steps import Step, run_steps, vector_width
 Complex = NDArray[np.complex64] | NDArray[np.complex128]
 
 ENGINES = ("auto", "opencl", "scipy")
-# Below this many numbers a launch takes longer than the transform.
-_SMALL = 128 * 128
+# Below this many numbers (two images of 512 x 512) handing the work to the device's own thread can take
+# longer than the kernels gain, on a busy processor at least.
+_SMALL = 1 << 19
 # What a work-item may keep in local memory.
 _LOCAL_BYTES = {"cpu": 1 << 20, "gpu": 32 << 10}
 
