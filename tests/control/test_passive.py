@@ -7,7 +7,7 @@ import pytest
 
 from wavequake.control.bench import bench_modes, fitted_bench
 from wavequake.control.hammer import HAMMER, hammer_force
-from wavequake.control.passive import modal_amplitudes, objective, objective_and_slope, optimize
+from wavequake.control.passive import directions, modal_amplitudes, objective, objective_and_slope, optimize
 from wavequake.control.plant import swing
 from wavequake.control.regulator import blow_spectrum
 from wavequake.errors import UserError
@@ -37,7 +37,7 @@ def test_amplitudes_are_those_that_the_image_swings_with():
 
 def test_slope_is_that_of_the_objective():
     names = ("lens_springs", "couplings", "lens_kg", "ring_kg")
-    value, slope = objective_and_slope(PASSIVE, names)
+    value, slope = objective_and_slope(PASSIVE, *directions(PASSIVE, names))
     assert value == pytest.approx(objective(PASSIVE), rel=1e-12)
     expected = []
     for name in names:

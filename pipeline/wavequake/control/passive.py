@@ -97,10 +97,13 @@ def optimize(
         values = {name: getattr(bench, name) * part for name, part in zip(names, parts, strict=True)}
         return replace(bench, **values)
 
-    scale = objective(bench)
+    scale, (masses, stiffness) = objective(bench), directions(bench, names)
 
     def cost(shares: Array) -> tuple[float, Array]:
-        value, slope = objective_and_slope(changed(shares), names)
+        ratios = factor**shares
+        value, slope = objective_and_slope(
+            changed(shares), masses * ratios[:, None], stiffness * ratios[:, None, None]
+        )
         return value / scale, slope * np.log(factor) / scale
 
     found = minimize(
@@ -111,15 +114,14 @@ def optimize(
     return Optimized(best, scale, objective(best), int(found.nfev))
 
 
-def objective_and_slope(bench: Bench, names: tuple[str, ...]) -> tuple[float, Array]:
-    """Return the objective and its derivatives by the logarithms of parameters, name after name.
+def objective_and_slope(bench: Bench, masses: Array, stiffness: Array) -> tuple[float, Array]:
+    """Return the objective and its derivatives along changes of the matrices, as `directions` gives.
 
     Modes and frequencies are followed to first order in the changes of the mass and stiffness matrices.
     """
     modes = bench_modes(bench)
     omega, shapes = modes.omega, modes.shapes
     squared = omega**2
-    masses, stiffness = _directions(bench, names)
     # (parameter, i, j): how much of mode i the change mixes into mode j, and how it moves the frequency of j.
     by_mass = np.einsum("ai,pa,aj->pij", shapes, masses, shapes)
     force = np.einsum("ai,pab,bj->pij", shapes, stiffness, shapes) - by_mass * squared
@@ -142,7 +144,7 @@ def _size(omega: Array) -> Array:
     return np.asarray(np.abs(blow_spectrum(HAMMER, 1j * omega.astype(np.complex128))) / omega)
 
 
-def _directions(bench: Bench, names: tuple[str, ...]) -> tuple[Array, Array]:
+def directions(bench: Bench, names: tuple[str, ...]) -> tuple[Array, Array]:
     """Return how mass diagonal (p, n) and stiffness (p, n, n) change by the logarithm of each parameter.
 
     Both are linear in all parameters, so that doubling one shows its whole part.

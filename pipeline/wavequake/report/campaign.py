@@ -12,6 +12,7 @@ from wavequake.kernels.devices import choose_device
 from wavequake.report import (
     exposures,
     lens,
+    lens_passive,
     mirror_exposures,
     mirror_traces,
     mirrors,
@@ -33,6 +34,7 @@ _REPORTS: dict[str, ModuleType] = {
     "telescope-exposure": exposures,
     "mirror-exposure": mirror_exposures,
     "lens-experiment": lens,
+    "lens-passive": lens_passive,
 }
 
 

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from wavequake.errors import UserError
 from wavequake.files import folder
 from wavequake.workflows.exposure_study import MirrorExposureStudy, TelescopeExposureStudy
+from wavequake.workflows.lens_passive import PassiveStudy
 from wavequake.workflows.lens_study import LensStudy
 from wavequake.workflows.mirror_study import MirrorStudy, TraceStudy
 from wavequake.workflows.schema import Study, describe
@@ -29,6 +30,7 @@ STUDIES: dict[str, type[Study]] = {
     "telescope-exposure": TelescopeExposureStudy,
     "mirror-exposure": MirrorExposureStudy,
     "lens-experiment": LensStudy,
+    "lens-passive": PassiveStudy,
 }
 # Keys that name files.
 _FILES = ("file", "mass", "dofs", "mesh", "polygons", "corners")

@@ -1,0 +1,153 @@
+"""The workflow "lens-passive": springs and inertias with which the lens bench moves the image least.
+
+A case is one start of the search, which has many local minima (Störkle 2018, Eq. 5.4).
+"""
+
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+from threadpoolctl import threadpool_limits
+
+from wavequake.control.bench import LENSES, Bench, bench_modes, fitted_bench
+from wavequake.control.passive import modal_amplitudes, optimize
+from wavequake.control.plant import swing
+from wavequake.mechanics.motion import generator
+from wavequake.workflows.contract import DONE, ChunkResult, Template, Variable, Workflow
+from wavequake.workflows.schema import CampaignSection, Section, StoreSection, Study, study_from_identity
+
+Array = NDArray[np.float64]
+
+PARAMETERS = {
+    "lens_springs": LENSES,
+    "ring_springs": LENSES,
+    "couplings": 5,
+    "lens_kg": LENSES,
+    "ring_kg": LENSES,
+}
+MODES = 13
+
+
+class PassiveSection(Section):
+    """What the search may change, and by how much."""
+
+    springs: bool = True
+    inertias: bool = True
+    factor: float = Field(default=1.5, gt=1, le=10, description="largest ratio to the present values")
+    iterations: int = Field(default=200, ge=1, le=10_000)
+
+    @model_validator(mode="after")
+    def _something_changes(self) -> Self:
+        if not (self.springs or self.inertias):
+            raise ValueError("neither springs nor inertias may change")
+        return self
+
+
+class PassiveCampaignSection(CampaignSection):
+    """How much of the study to run, and on which device; not part of its identity."""
+
+    cases: int = Field(default=40, ge=1, le=100_000_000, description="starts of the search")
+
+
+class PassiveStoreSection(StoreSection):
+    """Where the results go; not part of the identity."""
+
+    chunk_cases: int = Field(default=4, ge=1, le=100_000, description="K: cases per task and per shard")
+
+
+class PassiveStudy(Study):
+    """A validated study file of ``lens-passive``: the bench with six lenses, no controller."""
+
+    passive: PassiveSection = PassiveSection()
+    campaign: PassiveCampaignSection = PassiveCampaignSection()
+    store: PassiveStoreSection = PassiveStoreSection()
+
+
+def study_of(text: str) -> PassiveStudy:
+    """Rebuild a study from its identity."""
+    study: PassiveStudy = study_from_identity(PassiveStudy, text)
+    return study
+
+
+def start_of(study: PassiveStudy, case: int) -> Array:
+    """Return where a case starts, as shares of the range; case 0 starts at the present values."""
+    section = study.passive
+    sizes = [
+        size
+        for name, size in PARAMETERS.items()
+        if (section.inertias if name.endswith("kg") else section.springs)
+    ]
+    return generator(study.study.seed, "lens-passive", case).uniform(-1, 1, sum(sizes)) * (case > 0)
+
+
+def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
+    """Search from the starts `cases`, and swing the benches that are found."""
+    study, present = study_of(study_text), fitted_bench(active=False)
+    section = study.passive
+    with threadpool_limits(1):
+        benches = [
+            optimize(
+                present,
+                springs=section.springs,
+                inertias=section.inertias,
+                factor=section.factor,
+                start=start_of(study, int(case)),
+                iterations=section.iterations,
+            ).bench
+            for case in cases
+        ]
+        rows = [_row(bench, present) for bench in benches]
+    arrays = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
+    return ChunkResult(arrays, np.full(len(cases), DONE, dtype=np.int8), ("",) * len(cases))
+
+
+def _row(bench: Bench, present: Bench) -> dict[str, Array]:
+    # Two benches beside each other, always: the sums' bits depend on nothing else.
+    image = swing([bench, present], np.ones(2), duration=3.0).image
+    return {
+        "amplitude_sum": np.asarray(1e3 * modal_amplitudes(bench).sum()),
+        "peak_to_peak_mm": np.asarray(1e3 * np.ptp(image[0])),
+        "peak_to_peak": np.asarray(100 * np.ptp(image[0]) / np.ptp(image[1])),
+        "frequency": bench_modes(bench).omega,
+        "mode_amplitude": 1e3 * modal_amplitudes(bench),
+        **{name: getattr(bench, name) for name in PARAMETERS},
+    }
+
+
+def template(study_text: str) -> Template:
+    """Return what a store of this study holds."""
+
+    def values(
+        units: str, long_name: str, dims: tuple[str, ...] = (), shape: tuple[int, ...] = ()
+    ) -> Variable:
+        return Variable(dims, shape, {"units": units, "long_name": long_name})
+
+    lens, gap = ("lens",), ("gap",)
+    return Template(
+        {
+            "amplitude_sum": values("mm", "sum of the modes' amplitudes in the image: what is minimized"),
+            "peak_to_peak_mm": values("mm", "range of the image displacement after a blow"),
+            "peak_to_peak": values("%", "the same, present bench = 100"),
+            "frequency": values("rad/s", "frequencies of the modes", ("mode",), (MODES,)),
+            "mode_amplitude": values("mm", "amplitudes of the modes in the image", ("mode",), (MODES,)),
+            "lens_springs": values("N/m", "springs between lens and ring", lens, (LENSES,)),
+            "ring_springs": values("N/m", "springs between ring and housing", lens, (LENSES,)),
+            "couplings": values("N/m", "springs between neighboring rings", gap, (LENSES - 1,)),
+            "lens_kg": values("kg", "inertia of each lens over its squared pendulum length", lens, (LENSES,)),
+            "ring_kg": values("kg", "the same of each ring", lens, (LENSES,)),
+        },
+        {"lens": (lens, np.arange(1, LENSES + 1), {"long_name": "lens"})},
+    )
+
+
+def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
+    """Return the numbers of the starts first <= id < last, and the seed."""
+    seed = study_of(study_text).study.seed
+    return {
+        "realization": np.arange(first, last, dtype=np.int64),
+        "seed": np.full(last - first, seed, dtype=np.int64),
+    }
+
+
+WORKFLOW = Workflow("lens-passive", template, case_table, compute)
