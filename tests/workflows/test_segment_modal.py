@@ -184,6 +184,14 @@ def test_each_case_alone_has_the_bits_that_it_has_in_any_chunk(study, uncertifie
             np.testing.assert_array_equal(alone[name][0], values[case], err_msg=f"{name} of case {case}")
 
 
+def test_cases_that_are_in_memory_together_do_not_change_bits(study, uncertified, monkeypatch):
+    whole = computed(study, range(80)).arrays
+    monkeypatch.setattr(segment_modal, "_INSTANTS", 30)
+    monkeypatch.setattr(segment_modal, "_TRACED_AT_ONCE", 2)
+    for name, values in computed(study, range(80)).arrays.items():
+        np.testing.assert_array_equal(values, whole[name], err_msg=name)
+
+
 def test_sampled_cases_are_the_first_hundred_and_a_random_share():
     cases = np.arange(1_000_000)
     chosen = sampled(3, cases, 0.001)

@@ -35,7 +35,7 @@ MODAL, CERTIFIED, TRACED = range(3)
 ALWAYS_CERTIFIED = 100  # that many first cases: cases are independent draws, so they are a random sample, too
 
 _ROWS = 64  # cases of one matrix product
-_AT_ONCE, _TRACED_AT_ONCE = 512, 32  # cases that are in memory together
+_INSTANTS, _TRACED_AT_ONCE = 5120, 32  # instants, or cases, that are in memory together
 _NM_PER_MM = 1e6
 
 
@@ -92,12 +92,12 @@ def modal_cases(study_text: str, cases: Cases, device_name: str, trace: Trace) -
     which, realizations = slots([entry.share for entry in study.disturbance], cases)
     for index, population in enumerate(study.disturbance):
         mine = np.flatnonzero(which == index)
-        for first in range(0, len(mine), _AT_ONCE):
-            rows = mine[first : first + _AT_ONCE]
-            with clock("draw"):
-                drawn = _drawn(bench, model, population, cases[rows], realizations[rows])
+        at_once = max(_INSTANTS // population.instants, 1)
+        for first in range(0, len(mine), at_once):
+            rows = mine[first : first + at_once]
+            found = _found(bench, model, population, cases[rows], realizations[rows], clock)
             with clock("modal"):
-                _record(bench, model, arrays, rows, time_axis(population), drawn())
+                _record(bench, model, arrays, rows, time_axis(population), found)
     status, messages = np.full(len(cases), DONE, dtype=np.int8), [""] * len(cases)
     beyond = ~(arrays["modal_bound"] <= study.optics.modal_tolerance_nm)
     certified = sampled(study.study.seed, cases, study.optics.modal_sample) & ~beyond
@@ -130,26 +130,36 @@ def sampled(seed: int, cases: Cases, share: float) -> NDArray[np.bool_]:
     return np.asarray((cases < ALWAYS_CERTIFIED) | ((mixed >> np.uint64(11)) * 2.0**-53 < share))
 
 
-def _drawn(
-    bench: Bench, model: ModalModel, population: Disturbance, cases: Cases, realizations: Cases
-) -> Callable[[], _Found]:
-    """Draw cases of one population; what is returned computes their wavefronts."""
-    match population:
-        case CommonHistory():
-            motions, rows = _in_tiles(model, bench, cases)
+def _found(
+    bench: Bench,
+    model: ModalModel,
+    population: Disturbance,
+    cases: Cases,
+    realizations: Cases,
+    clock: Stopwatch,
+) -> _Found:
+    """Draw cases of one population and return what they come to."""
+    known = np.ones(len(cases), dtype=np.bool_)
+    if not isinstance(population, CommonHistory | StaticRandom):
+        parts = []
+        for realization in realizations.tolist():
+            with clock("draw"):
+                motion = _draw(bench, population, realization)
+            with clock("modal"):
+                parts.append(_by_instants(bench, model, motion))
+        return _joined(parts)
+    motions, rows = _in_tiles(model, bench, cases)
+    with clock("draw"):
+        if isinstance(population, CommonHistory):
+            swing = history(population, time_axis(population))
             _draw_pistons(bench, model, population, motions, rows, realizations)
-            known = np.ones(len(cases), dtype=np.bool_)
-            return lambda: _separable(model, motions, rows, history(population, time_axis(population)), known)
-        case StaticRandom():
-            motions, rows = _in_tiles(model, bench, cases)
-            known = np.empty(len(cases), dtype=np.bool_)
+        else:
+            swing, first_instant = np.ones(population.instants), population.model_copy(update={"instants": 1})
             for k, realization in enumerate(realizations.tolist()):
-                one = _draw(bench, population.model_copy(update={"instants": 1}), realization)
+                one = _draw(bench, first_instant, realization)
                 motions[rows[k]], known[k] = _motion_rows(bench, model, one, 1)[0], _knows(model, one)
-            return lambda: _separable(model, motions, rows, np.ones(population.instants), known)
-        case _:
-            drawn = [_draw(bench, population, realization) for realization in realizations.tolist()]
-            return lambda: _joined([_by_instants(bench, model, motion) for motion in drawn])
+    with clock("modal"):
+        return _separable(model, motions, rows, swing, known)
 
 
 def _draw(bench: Bench, population: Disturbance, realization: int) -> Motion:
