@@ -87,3 +87,17 @@ def test_records_that_cannot_do_are_refused():
     bad.measured[100] = np.nan
     with pytest.raises(UserError, match="finite samples"):
         identify(bad, NOMINAL)
+
+
+def test_a_nominal_model_too_far_off_is_told():
+    far = replace(NOMINAL, poles=NOMINAL.poles.real + 1.5j * NOMINAL.poles.imag)
+    with pytest.raises(UserError, match=r"identification failed: mode \d+, nominally at"):
+        identify(record_of(NOMINAL, noise=7e-6), far)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_start_that_is_some_percent_off_is_enough(seed):
+    truth = other(seed + 20, spread=0.025)
+    found = identify(record_of(truth, noise=1e-5, seed=seed), NOMINAL)
+    assert found.measured_rms == pytest.approx(1e-5, rel=0.1)
+    assert np.abs(found.model.poles.imag / truth.poles.imag - 1).max() < 5e-3

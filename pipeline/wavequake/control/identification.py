@@ -18,6 +18,9 @@ from wavequake.errors import UserError
 # How far decays (of logarithms) and frequencies (as shares) are expected to be off a nominal model's. The
 # record decides; on a short one, which cannot tell close modes apart, this keeps them in place.
 DECAY_SPREAD, FREQUENCY_SPREAD = 0.5, 0.02
+# A mode that is found farther off than this share of its frequency, or so many times as fast a decay, is not
+# the one that was looked for.
+FARTHEST_FREQUENCY, FARTHEST_DECAY = 0.15, 20.0
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ def identify(
     nominal: ModalModel,
     *,
     after: float = 0.016,
-    horizons: tuple[float, ...] = (1.0, 2.5, np.inf),
+    stages: tuple[tuple[float, float], ...] = ((1.0, 10.0), (2.5, 3.0), (np.inf, 1.0)),
     measured_noise: float = 10e-6,
     image_noise: float = 20e-6,
 ) -> Identified:
@@ -66,21 +69,22 @@ def identify(
         Poles within some percent of the true ones.
     after : float
         From when on the hammer has left, s.
-    horizons : tuple of float
-        Lengths of the record that are fitted one after the other, s: a short one finds the neighborhood, in
-        which the phase of a long one is unambiguous.
+    stages : tuple of (float, float)
+        Lengths of the record that are fitted one after the other, s, and by how much the noise is overstated:
+        a short piece finds the neighborhood, in which the phase of a long one is unambiguous, and must not
+        drive modes apart that it cannot resolve.
     measured_noise, image_noise : float
         Standard deviations, m: weights of the two signals.
 
     Raises
     ------
     UserError
-        If the record is too short or not finite, or the fit ends at a mode that does not swing.
+        If the record is too short or not finite, or a mode ends far from its nominal one (says which).
     """
     count = len(nominal.poles)
     poles, evaluations = nominal.poles, 0
-    for horizon in horizons:
-        signals = _signals(record, after, horizon, (measured_noise, image_noise))
+    for horizon, softer in stages:
+        signals = _signals(record, after, horizon, (measured_noise * softer, image_noise * softer))
         if min(len(time) for time, _ in signals) < 4 * count or not all(
             np.isfinite(values).all() for _, values in signals
         ):
@@ -93,20 +97,30 @@ def identify(
             method="lm", xtol=1e-6, ftol=1e-7, max_nfev=40,
         )  # fmt: skip
         poles, evaluations = _poles(found.x, nominal.poles), evaluations + int(found.nfev)
-    if not (poles.imag > 0).all():
-        number = int(np.argmax(poles.imag <= 0))
-        raise UserError(
-            f"The identification failed: mode {number + 1} (nominally {abs(nominal.poles[number]):.4g} rad/s)"
-            " came out as one that does not swing; give a longer record or a nominal model that is closer."
-        )
+    _check(poles, nominal.poles)
     seen, shown = (_projected(time, values, poles) for time, values in signals)
-    lens, image = seen.amplitudes * measured_noise, shown.amplitudes * image_noise
+    scales = (measured_noise * softer, image_noise * softer)
+    lens, image = seen.amplitudes * scales[0], shown.amplitudes * scales[1]
     return Identified(
         ModalModel(poles, image / lens, lens),
-        float(np.sqrt(np.mean(seen.rest**2))) * measured_noise,
-        float(np.sqrt(np.mean(shown.rest**2))) * image_noise,
+        float(np.sqrt(np.mean(seen.rest**2))) * scales[0],
+        float(np.sqrt(np.mean(shown.rest**2))) * scales[1],
         evaluations,
     )
+
+
+def _check(poles: Complex, nominal: Complex) -> None:
+    """Raise UserError that names a mode which has left its neighborhood: the search went astray."""
+    astray = (np.abs(poles.imag / nominal.imag - 1) > FARTHEST_FREQUENCY) | (
+        poles.real < FARTHEST_DECAY * nominal.real
+    )
+    if astray.any():
+        number = int(np.argmax(astray))
+        raise UserError(
+            f"The identification failed: mode {number + 1}, nominally at {nominal[number].imag:.4g} rad/s "
+            f"with a decay of {-nominal[number].real:.3g} 1/s, ended at {poles[number].imag:.4g} rad/s and "
+            f"{-poles[number].real:.3g} 1/s; give a longer record or a nominal model that is closer."
+        )
 
 
 Signals = tuple[tuple[Array, Array], tuple[Array, Array]]
