@@ -304,3 +304,16 @@ def test_a_plan_does_not_take_the_first_cases_for_the_others(study, monkeypatch)
     monkeypatch.setattr(campaign, "_PILOT_S", 0.0)
     campaign.plan(study_with(chosen, {"campaign.cases": 5}))
     assert [cases.tolist() for cases in asked] == [[0, 1, 2, 3, 4]] * 2
+
+
+def test_a_campaign_of_summaries_stops_when_a_quantile_is_known(study, tmp_path):
+    only = study.model_copy(update={"disturbance": study.disturbance[:1]})
+    keys = {"store__reduce": "summary", "store__chunk_cases": 100, "optics__modal_sample": 0.0}
+    until = "wfe_rms_raw.p50 ci<=5%"
+    found = wq.run(only, cases=100_000, store=tmp_path / "store", campaign__until=until, **keys)
+    done = int((found.status == DONE).sum())
+    assert done < 10_000
+    rms = np.sort(found.wfe_rms_raw.sel(statistic="rms").to_numpy()[:done])
+    half = 0.98 * np.sqrt(done)  # ranks of the interval of a median
+    low, high = rms[int(done / 2 - half)], rms[int(done / 2 + half) + 1]
+    assert (high - low) / 2 < 0.06 * np.median(rms)

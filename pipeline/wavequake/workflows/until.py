@@ -44,7 +44,9 @@ def goal_of(text: str, template: Template) -> Goal:
     valid = [
         name
         for name, variable in template.per_case.items()
-        if variable.dims in ((), ("time",)) and variable.dtype.startswith("float") and not variable.coordinate
+        if variable.dims in ((), ("time",), ("statistic",))
+        and variable.dtype.startswith("float")
+        and not variable.coordinate
     ]
     if match[1] not in valid:
         raise UserError(f"campaign.until: there is no {match[1]!r} to judge; use one of {', '.join(valid)}.")
@@ -64,8 +66,14 @@ def looks(cases: int, chunk: int) -> Iterator[int]:
 
 
 def quantiles_of(goal: Goal, dataset: "xr.Dataset") -> dict[str, Quantile]:
-    """Return the quantile of each population; instants of one case count as one draw."""
-    values = dataset[goal.variable].to_numpy().reshape(dataset.sizes["case"], -1)
+    """Return the quantile of each population; instants of one case count as one draw.
+
+    Of a summary it is that of the cases' rms over their instants.
+    """
+    variable = dataset[goal.variable]
+    if "statistic" in variable.dims:
+        variable = variable.sel(statistic="rms")
+    values = variable.to_numpy().reshape(dataset.sizes["case"], -1)
     names = (
         np.array(dataset["disturbance"].to_numpy().tolist())
         if "disturbance" in dataset.variables
