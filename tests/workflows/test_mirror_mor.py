@@ -17,8 +17,8 @@ from wavequake.reduction.reduce import reduce
 from wavequake.report.comparison import compare
 from wavequake.workflows import model_store
 from wavequake.workflows.campaign import plan, run_study
-from wavequake.workflows.mirror_bench import build_model
-from wavequake.workflows.mirror_mor import compute
+from wavequake.workflows.mirror_bench import bench_of, build_model
+from wavequake.workflows.mirror_mor import compute, exposures
 from wavequake.workflows.store import open_store
 from wavequake.workflows.study import load_study
 
@@ -144,6 +144,26 @@ def test_wavefront_over_time_is_that_of_an_exponential_and_a_closed_form(store, 
     line = 2 * 1700.0 * slope_at_the_vertex(500.0) @ figures - 2e-6 * light[1:3] / sine
     assert np.abs(line).max() > 0.01
     np.testing.assert_allclose(case["los_mm"].T, line, atol=1e-7 * np.abs(line).max())
+
+
+@pytest.mark.parametrize("term", [2, 3, 4, 8, 9])
+def test_an_exposure_is_the_diffraction_integral_of_the_moved_surface(term):
+    """Tilts move the image, coma flares to its side: rays summed at fixed points, without any chief ray."""
+    keys = {"model.focal_length_m": 20.0, "imaging.pixels": 16, "imaging.sampling": 0.5}
+    section = {"imaging.scale": 1.0, "imaging.pupil_samples": 64}
+    slow = load_study("mirror-mor", MOR | keys | section)
+    optics = bench_of(slow.identity_text(), "circular").optics
+    figure = np.zeros(11)
+    figure[term - 1] = 60e-6
+    found = exposures(slow, optics, (optics.sensitivity @ figure)[None, None])[0]
+    x, y = 500.0 * (pupil := sunflower(0.0, 1.0, 6000)).x, 500.0 * pupil.y
+    away = 20e3 + (x * x + y * y) / 80e3
+    longer = 2 * 20e3 / away * (eleven(x / 500.0, y / 500.0) @ figure)
+    axis = (np.arange(16) - 8) * 0.5 * 550e-6 * 20e3 / 1000.0
+    turn_x, turn_y = (np.exp(-2j * np.pi / 550e-6 * axis[:, None] * one / away) for one in (x, y))
+    field = (turn_y * np.exp(2j * np.pi / 550e-6 * longer)) @ turn_x.T / len(x)
+    np.testing.assert_allclose(found, np.abs(field) ** 2, atol=4e-3)
+    assert np.abs(found - found.T[::-1, ::-1]).max() > 0.1 or term == 4
 
 
 def test_errors_over_time_are_differences_from_the_reference(store):

@@ -126,18 +126,23 @@ def _mac(whole: ReducedModel, reduced: ReducedModel) -> Array:
 
 
 def exposures(study: MirrorStudy, optics: Optics, aberrations: Array) -> Array:
-    """Return the mean image over the time response of each excitation, (excitation, pixels, pixels)."""
+    """Return the mean image over the time response of each excitation, (excitation, pixels, pixels).
+
+    Image axes are those of the image plane. The line of sight places an image, and c_4 and on shape it: c_2
+    and c_3 are about the chief ray, which moves with the mirror.
+    """
     section, terms = study.imaging, aberrations.shape[2] - 2
     maker = image_of(section.pupil_samples, section.pixels, section.sampling, optics.obscuration, terms)
     count = min(section.instants, aberrations.shape[1])
     instants = np.unique(np.linspace(0, aberrations.shape[1] - 1, count).round().astype(int))
-    radians = 2 * np.pi * section.scale / study.optics.wavelength_nm
-    return np.array(
-        [
-            psf(maker.transform, radians * history[instants][:, 3:] @ maker.basis[1:]).mean(axis=0)
-            for history in aberrations
-        ]
-    )
+    shown = 2 * np.pi * section.scale * aberrations[:, instants]
+    # Beyond the Nyquist frequency of the pupil's cells an image would come back on the other side.
+    farthest = np.pi * section.pupil_samples
+    turns = np.clip(shown[..., :2] / optics.resolution, -farthest, farthest)
+    # A phase that grows along +x moves the image to +x; the OPD of a positive line of sight falls along +x.
+    tilts = turns * np.sqrt(1.0 + optics.obscuration**2) / 4.0
+    phases = np.concatenate([tilts, shown[..., 5:] / -study.optics.wavelength_nm], axis=2)
+    return np.array([psf(maker.transform, phase @ maker.basis[1:]).mean(axis=0) for phase in phases])
 
 
 _REFERENCES: dict[tuple[str, str], Array] = {}
