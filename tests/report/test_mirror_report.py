@@ -125,6 +125,9 @@ def test_failed_variants_and_a_missing_reference_are_told():
     assert (left.reason, left.message, left.disturbance) == ("raised", "no modes", "disc bt36")
     models, criterion = mirrors.results_of(made(failed=("full",)))
     assert "the reference is not done" in mirrors.answer(models, criterion)
+    others = tuple(name for name, *_ in VARIANTS if name != "full")
+    models, criterion = mirrors.results_of(made(failed=others))
+    assert mirrors.answer(models, criterion) == "disc: none of the variants is done, so nothing can be said."
 
 
 def test_the_answer_names_variant_order_and_bound_per_model():
