@@ -1,5 +1,8 @@
 import subprocess
 
+import numpy as np
+
+import wavequake
 from wavequake.kernels.devices import NUMPY, choose_device, list_devices
 from wavequake.workflows import provenance
 
@@ -33,3 +36,30 @@ def test_commit_is_that_of_the_checkout_that_tracks_the_package(tmp_path):
     assert len(commit) == 40
     (tmp_path / "__init__.py").write_text("1")
     assert provenance.git_commit(tmp_path) == f"{commit}-dirty"
+
+
+def test_the_digest_of_the_sources_sees_what_makes_numbers(tmp_path):
+    for name in ("optics/trace.py", "report/page.py", "cli.py", "kernels/trace.cl", "kernels/notes.txt"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("a")
+
+    def digest():
+        return provenance.source_digest(tmp_path, tmp_path / "kernels")
+
+    before = digest()
+    for name in ("report/page.py", "cli.py", "kernels/notes.txt"):
+        (tmp_path / name).write_text("b")
+    assert digest() == before
+    for name in ("optics/trace.py", "kernels/trace.cl"):
+        (tmp_path / name).write_text("b")
+        assert digest() != before
+        (tmp_path / name).write_text("a")
+    assert digest() == before
+    (tmp_path / "optics/trace.py").rename(tmp_path / "optics/other.py")
+    assert digest() != before
+
+
+def test_the_code_names_versions_and_the_kind_of_core():
+    assert provenance.code().startswith(f"wavequake {wavequake.__version__} (")
+    assert f"numpy {np.__version__}" in provenance.code()
+    assert provenance.code() == provenance.code()

@@ -130,6 +130,7 @@ def run(
     store: str | Path | None = None,
     on: str = "serial",
     workers: int | None = None,
+    allow_mixed: bool = False,
     **overrides: Any,
 ) -> "xr.Dataset":
     """Run a study and return its results as a labelled lazy dataset.
@@ -147,6 +148,8 @@ def run(
         Where to run. ``local`` starts worker processes: a script then needs ``if __name__ == "__main__"``.
     workers : int, optional
         Worker processes of ``local``; one per CPU by default.
+    allow_mixed : bool
+        Go on with a store that another version of the code began.
     **overrides
         Further keys with double underscores for dots, e.g. ``optics__wavelength_nm=1000.0``.
 
@@ -165,7 +168,7 @@ def run(
         keys["campaign.cases"] = cases
     loaded = study_with(study, keys) if isinstance(study, Study) else load_study(study, keys)
     path = loaded.folder(store)
-    run_study(loaded, path, on=on, workers=workers)
+    run_study(loaded, path, on=on, workers=workers, allow_mixed=allow_mixed)
     return open_store(path)
 
 
