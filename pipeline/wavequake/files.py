@@ -1,4 +1,4 @@
-"""Find the folders of files that are not Python: ``kernels``, ``workflows``."""
+"""Find the folders of files that are not Python: ``kernels``, ``workflows``, ``firmware``."""
 
 from pathlib import Path
 

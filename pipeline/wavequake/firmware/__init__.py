@@ -1,0 +1,1 @@
+"""Firmware of the lens experiment: gains as C headers, images, and emulated boards that run them."""

@@ -1,0 +1,96 @@
+"""The firmware in the loop with the simulated bench: what a board reads, and what its commands leave."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.control.bench import Bench
+from wavequake.control.linear import Array
+from wavequake.control.loop import late_deviation, peak_to_peak, remaining_image, stage_motion
+from wavequake.control.plant import swing
+from wavequake.control.regulator import ModalRegulator
+from wavequake.control.sensor import SensorChain, adc_codes, dac_codes, quadrature_counts, strip_reading
+from wavequake.control.stage import Stage
+from wavequake.errors import UserError
+from wavequake.firmware.devices import Codes, Device
+from wavequake.firmware.gains import CODE_BITS
+
+PLANT_STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class Blow:
+    """A blow on a bench, as a board meets it.
+
+    Attributes
+    ----------
+    time, image : ndarray, shape (n,)
+        s; image motion without control, m.
+    adc : ndarray of uint16, shape (k,)
+        Codes at the controller's instants.
+    trigger : ndarray of bool, shape (k,)
+    """
+
+    time: Array
+    image: Array
+    adc: Codes
+    trigger: NDArray[np.bool_]
+
+
+def blow(
+    bench: Bench,
+    chain: SensorChain,
+    sample_time: float,
+    *,
+    duration: float = 6.0,
+    friction: float = 0.3e-3,
+    seed: int = 0,
+) -> Blow:
+    """Hit a bench and read lens 4 through the whole sensor chain.
+
+    The stage carries lens 5 alone, so that commands change nothing of what is measured.
+
+    Raises
+    ------
+    UserError
+        If the sample time is no multiple of the plant's step of 1 ms.
+    """
+    every = round(sample_time / PLANT_STEP)
+    if every < 1 or abs(every * PLANT_STEP - sample_time) > 1e-9:
+        raise UserError(f"The sample time is {1e3 * sample_time:g} ms; it must be a multiple of 1 ms.")
+    free = swing([bench], np.ones(1), friction=friction, duration=duration, step=PLANT_STEP)
+    rng = np.random.default_rng(seed)
+    phases = rng.uniform(0, 2 * np.pi, len(chain.strip_periods))
+    lens = free.measured[0, ::every]
+    counts = quadrature_counts(chain, strip_reading(chain, lens, phases))
+    codes = adc_codes(chain, dac_codes(chain, counts), rng.standard_normal(len(lens)))
+    trigger = np.zeros(len(lens), dtype=bool)
+    trigger[0] = True
+    return Blow(free.time, free.image[0], codes.astype(np.uint16), trigger)
+
+
+@dataclass(frozen=True)
+class Residual:
+    """What is left of the image motion, in % of that without control: its range, its deviation after 1 s."""
+
+    range: float
+    deviation: float
+
+
+def residual(device: Device, hit: Blow, stage: Stage, regulator: ModalRegulator, reach: float) -> Residual:
+    """Run a board on a blow, move the stage by its commands, and return what is left (Fig. 5.33)."""
+    commands = positions_of(device.run(hit.adc, hit.trigger), reach)
+    moved = stage_motion(
+        stage, commands, regulator.sample_time, regulator.compute_delay, PLANT_STEP, len(hit.time)
+    )
+    left = remaining_image(hit.image, moved)
+    return Residual(
+        float(100 * peak_to_peak(left) / peak_to_peak(hit.image)),
+        float(100 * late_deviation(left, hit.time) / late_deviation(hit.image, hit.time)),
+    )
+
+
+def positions_of(codes: Codes, reach: float) -> Array:
+    """Return the commands in m that codes stand for."""
+    return np.asarray(codes * (2 * reach / (2**CODE_BITS - 1)) - reach)
