@@ -90,8 +90,8 @@ def test_records_that_cannot_do_are_refused():
 
 
 def test_a_nominal_model_too_far_off_is_told():
-    far = replace(NOMINAL, poles=NOMINAL.poles.real + 1.5j * NOMINAL.poles.imag)
-    with pytest.raises(UserError, match=r"identification failed: mode \d+, nominally at"):
+    far = replace(NOMINAL, poles=NOMINAL.poles.real + 2.5j * NOMINAL.poles.imag)
+    with pytest.raises(UserError, match=r"identification failed: it leaves .* and mode \d+, nominally at"):
         identify(record_of(NOMINAL, noise=7e-6), far)
 
 
