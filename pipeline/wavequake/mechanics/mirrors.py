@@ -244,6 +244,12 @@ def _check(mirror: Mirror) -> None:
             f"the mounts of the {what} at the radius {mirror.mount_radius} m lie outside the mirror, which "
             f"reaches from {inner} m to {outer} m"
         )
+    focal_length = getattr(mirror, "focal_length", getattr(mirror, "parent_radius", math.inf) / 2)
+    if focal_length < outer / 4:
+        raise UserError(
+            f"the focal length of the {what}, {focal_length} m, makes its rim steeper than 63 deg, which "
+            f"degenerates the mesh; it must be at least {outer / 4} m"
+        )
 
 
 def _mount_range(mirror: Mirror) -> tuple[float, float]:
