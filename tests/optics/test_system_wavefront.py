@@ -162,6 +162,31 @@ def test_an_instant_does_not_depend_on_its_batch():
 def test_bad_input():
     with pytest.raises(UserError, match="no field 1"):
         prepare_system(parabola(), *quadrature(0.0), 10, field=1)
+    flat = OpticalSystem("plate", (Surface("M"), Surface("image")), 0, Pupil("entrance_diameter", 10.0))
+    with pytest.raises(UserError, match="rays of plate arrive parallel to each other, so it has no image"):
+        prepare_system(flat, *quadrature(0.0), 10)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"fields": np.array([[0.0, np.pi]])}, "a field of .* 90 degrees or more off the axis"),
+        ({"pupil": Pupil("entrance_diameter", 1e300)}, "is 1e.300; it must be positive, from 1e-09 to 1e.12"),
+        ({"pupil": Pupil("entrance_diameter", np.nan)}, "is nan; it must be positive"),
+        ({"surfaces": (Surface("M", Conic(1e-300)), Surface("I"))}, "surface M of .* radius of a Conic"),
+        (
+            {"surfaces": (Surface("M", position=np.array([0.0, 0.0, 1e308])), Surface("I"))},
+            "position of the surface M .* at most 1e.12 mm",
+        ),
+        (
+            {"surfaces": (Surface("M", opening=Opening(corners=((0, 0), (0, 1), (1, 1)))), Surface("I"))},
+            "the surface M of .*: the corners of a polygonal opening",
+        ),
+    ],
+)
+def test_what_no_light_passes_or_overflows_is_refused(change, message):
+    with pytest.raises(UserError, match=message):
+        prepare_system(replace(parabola(), **change), *quadrature(0.0), 10)
 
 
 def test_strehl_of_a_deformed_parabola_is_what_its_phase_says():

@@ -112,10 +112,11 @@ def glass(name: str) -> Medium:
     key = ALIASES.get(name.upper(), name.upper())
     if key in catalogue:
         return catalogue[key]
-    near = difflib.get_close_matches(key, [*catalogue, *ALIASES], n=3, cutoff=0.5) or sorted(catalogue)
+    near = difflib.get_close_matches(key, [*catalogue, *ALIASES], n=3, cutoff=0.5)
+    which, names = ("nearest", near) if near else ("first", sorted(catalogue)[:3])
     raise UserError(
-        f"There is no glass {name!r} in the catalogue; the nearest of its {len(catalogue)} names are "
-        f"{', '.join(near[:3])}."
+        f"There is no glass {name!r} in the catalogue; the {which} of its {len(catalogue)} names are "
+        f"{', '.join(names)}."
     )
 
 

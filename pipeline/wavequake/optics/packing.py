@@ -48,7 +48,10 @@ def pack(system: OpticalSystem, wavelength_mm: float) -> Sequence:
     for surface in system.surfaces:
         if surface.action == "refract":
             index = refractive_index(surface.medium, wavelength_mm)
-        elements.append(_element(surface, index))
+        try:
+            elements.append(_element(surface, index))
+        except UserError as error:
+            raise UserError(f"the surface {surface.name} of {system.name}: {error}") from error
     return Sequence(tuple(elements), start)
 
 

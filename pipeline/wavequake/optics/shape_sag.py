@@ -25,6 +25,8 @@ from wavequake.optics.zernike import annular_zernike_gradient
 Array = NDArray[np.float64]
 SagAndSlopes = tuple[Array, Array, Array]
 
+_SMALLEST_RADIUS = 1e-9  # mm; a far smaller one overflows
+
 
 def shape_sag(shape: Shape, x: ArrayLike, y: ArrayLike) -> SagAndSlopes:
     """Return the sag of a shape and its slopes (Störkle 2018, Eq. 3.18-3.23).
@@ -115,8 +117,11 @@ def vertex_curvature(shape: Shape) -> float:
 def require_shape(shape: Shape) -> None:
     """Raise UserError unless the numbers of a shape make a surface."""
     what = type(shape).__name__
-    if np.isnan(shape.radius) or shape.radius == 0.0:
-        raise UserError(f"the radius of a {what} is {shape.radius}; it must not be 0 (a plane: infinite)")
+    if not abs(shape.radius) >= _SMALLEST_RADIUS:
+        raise UserError(
+            f"the radius of a {what} is {shape.radius} mm; its size must be {_SMALLEST_RADIUS:g} mm at least "
+            "(a plane: infinite)"
+        )
     if not np.isfinite(shape.conic):
         raise UserError(f"the conic constant of a {what} is {shape.conic}; it must be a finite number")
     if isinstance(shape, EvenAsphere | ExtendedPolynomial | ZernikeSag):

@@ -17,6 +17,8 @@ from wavequake.optics.shapes import Conic, Deformation, Opening, Shape, SurfaceA
 
 Array = NDArray[np.float64]
 
+_SMALLEST, _LARGEST = 1e-9, 1e12  # apertures and distances, mm: products of some of them do not overflow
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -122,6 +124,8 @@ def require_system(system: OpticalSystem) -> None:
         raise UserError(f"the fields of {name} must be an array (fields, 2) of finite numbers")
     if np.isnan(system.object_distance):
         raise UserError(f"the object distance of {name} is not a number; a star's is infinite")
+    if np.isinf(system.object_distance) and not (np.abs(system.fields) < np.pi / 2.0).all():
+        raise UserError(f"a field of {name} lies 90 degrees or more off the axis; its light does not come in")
     _require_pupil(system)
     for surface in system.surfaces:
         _require_surface(name, surface)
@@ -134,8 +138,11 @@ def require_system(system: OpticalSystem) -> None:
 
 def _require_pupil(system: OpticalSystem) -> None:
     pupil = system.pupil
-    if not (np.isfinite(pupil.value) and pupil.value > 0.0):
-        raise UserError(f"the {pupil.kind} of {system.name} is {pupil.value}; it must be positive")
+    if not _SMALLEST <= pupil.value <= _LARGEST:
+        raise UserError(
+            f"the {pupil.kind} of {system.name} is {pupil.value}; it must be positive, from {_SMALLEST:g} to "
+            f"{_LARGEST:g}"
+        )
     if not 0.0 <= pupil.obscuration < 1.0:
         raise UserError(
             f"the pupil of {system.name} is obscured to {pupil.obscuration} of its radius; light passes "
@@ -150,8 +157,8 @@ def _require_surface(system: str, surface: Surface) -> None:
     except UserError as error:
         raise UserError(f"{where}: {error}") from error
     _require_deformation(where, surface.deformation)
-    if surface.position.shape != (3,) or not np.isfinite(surface.position).all():
-        raise UserError(f"the position of {where} must be 3 finite numbers")
+    if surface.position.shape != (3,) or not (np.abs(surface.position) <= _LARGEST).all():
+        raise UserError(f"the position of {where} must be 3 finite numbers, of at most {_LARGEST:g} mm")
     turn = surface.rotation
     if (
         turn.shape != (3, 3)

@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 _TILE = 16
 # Radius of the reference sphere where the exit pupil is at infinity, mm.
 _TELECENTRIC_RADIUS = 1e5
+_PARALLEL = 1e-9  # smallest numerical aperture of an image; rounding of the rays would be 1e-7 of it
 _RIM = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])
 
 
@@ -134,8 +135,8 @@ def prepare_system(
     Raises
     ------
     UserError
-        If the field does not exist, the rays do not determine the polynomials, or the chief ray or a rim ray
-        does not arrive at the image.
+        If the field does not exist, the rays do not determine the polynomials, the chief ray or a rim ray
+        does not arrive at the image, or the rays arrive there parallel to each other.
     """
     if not 0 <= field < len(system.fields):
         raise UserError(
@@ -146,6 +147,12 @@ def prepare_system(
     point = system.fields[field]
     chief = pupil_rays(system, point, wavelength, np.zeros(1), np.zeros(1))
     rim = _arrive(system, sequence, pupil_rays(system, point, wavelength, *_RIM))
+    cosines = np.stack([(rim[:, 0] - rim[:, 1]) / 2.0, (rim[:, 2] - rim[:, 3]) / 2.0], axis=1)
+    if not np.linalg.svd(cosines, compute_uv=False)[-1] > _PARALLEL:
+        raise UserError(
+            f"the rays of {system.name} arrive parallel to each other, so it has no image; it needs "
+            "surfaces with power and a wider pupil"
+        )
     refracting = [element.index for element in sequence.elements if element.action == "refract"]
     radius = -first_order.exit_pupil if np.isfinite(first_order.exit_pupil) else _TELECENTRIC_RADIUS
     return PreparedSystem(
@@ -158,7 +165,7 @@ def prepare_system(
         wavelength=wavelength,
         sphere_radius=radius,
         image_index=refracting[-1] if refracting else sequence.index,
-        cosines=np.stack([(rim[:, 0] - rim[:, 1]) / 2.0, (rim[:, 2] - rim[:, 3]) / 2.0], axis=1),
+        cosines=cosines,
         field=field,
     )
 

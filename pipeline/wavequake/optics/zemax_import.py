@@ -17,7 +17,7 @@ import numpy as np
 from wavequake.errors import UserError
 from wavequake.optics.media import AIR, Medium, constant, glass
 from wavequake.optics.shapes import SurfaceAction
-from wavequake.optics.system import OpticalSystem, Pupil
+from wavequake.optics.system import OpticalSystem, Pupil, require_system
 from wavequake.optics.system_kinematics import Break, SurfaceRow, sequential
 from wavequake.optics.zemax_surfaces import (
     Line,
@@ -93,7 +93,7 @@ def parse_zmx(text: str, where: str) -> OpticalSystem:
     wavelengths, primary = _wavelengths(file)
     fields, telecentric = _fields(file, scale, infinite=math.isinf(distance))
     name = file.first("NAME")
-    return OpticalSystem(
+    system = OpticalSystem(
         name=(name.rest if name else "") or Path(where).stem,
         surfaces=surfaces,
         stop=stop,
@@ -105,6 +105,11 @@ def parse_zmx(text: str, where: str) -> OpticalSystem:
         telecentric=telecentric,
         medium=_medium(file.rows[0], AIR)[1],
     )
+    try:
+        require_system(system)
+    except UserError as error:
+        raise UserError(f"{where}: {error}.") from None
+    return system
 
 
 def _parsed(text: str, where: str) -> _File:
