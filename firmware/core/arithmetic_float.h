@@ -8,7 +8,8 @@
 
 typedef float wq_number;
 typedef float wq_coefficient;
-typedef float wq_sum;
+typedef float wq_expectation;
+typedef float wq_command;
 typedef struct { float step_re, step_im, gain_re, gain_im, row_re, row_im; } wq_coefficients;
 typedef struct { float re, im; } wq_start;
 
@@ -27,7 +28,7 @@ static inline float wq_error(int16_t reading, float expected) {
 static inline float wq_corrected(float z, float gain, float error) { return wq_limited(z + gain * error); }
 
 static inline float wq_commanded(float sum, float row_re, float re, float row_im, float im) {
-    return sum + (row_re * re - row_im * im);
+    return sum + (row_re * re + row_im * im);
 }
 
 static inline float wq_turned(float z, float a, float re, float b, float im) {

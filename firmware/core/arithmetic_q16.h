@@ -11,9 +11,10 @@
 
 typedef int32_t wq_number;
 typedef int16_t wq_coefficient;
-typedef int32_t wq_sum;
 typedef struct { int16_t step_re, step_im, gain_re, gain_im, row_re, row_im; } wq_coefficients;
 typedef struct { int32_t re, im; } wq_start;
+typedef int32_t wq_expectation;
+typedef int32_t wq_command;
 
 #define WQ_FULL ((int32_t)1 << 30)
 #define WQ_SUM_SHIFT 4 /* states are summed up without their last bits, so that the sum fits */
@@ -33,7 +34,9 @@ _Static_assert((0 WQ_MODE_LIST(WQ_ROW)) + ((int32_t)WQ_CODE_MIDDLE << (WQ_ROW_SH
 _Static_assert(WQ_READING <= (1L << 30) / WQ_ADC_TOP, "a reading must fit the states' range");
 _Static_assert(WQ_MODES >= 1 && WQ_MODES <= 15, "the modes' sum must fit 32 bits");
 
-static inline int32_t wq_limited(int32_t x) { return x > WQ_FULL ? WQ_FULL : x < -WQ_FULL ? -WQ_FULL : x; }
+static inline int32_t wq_limited(int32_t x) {
+    return x > WQ_FULL - 1 ? WQ_FULL - 1 : x < -WQ_FULL ? -WQ_FULL : x;
+}
 
 /* Return floor(x c / 2^16) in two 16-bit products. */
 static inline int32_t wq_product(int32_t x, int16_t c) {
@@ -45,9 +48,9 @@ static inline int32_t wq_added(int32_t z, int32_t start) { return wq_limited(z +
 static inline int32_t wq_summed(int32_t sum, int32_t re) { return sum + (re >> WQ_SUM_SHIFT); }
 
 static inline int32_t wq_error(int16_t reading, int32_t expected) {
-    const int32_t error = (((int32_t)reading * WQ_READING) >> WQ_SUM_SHIFT) - expected;
+    const int32_t error = ((reading * (int32_t)WQ_READING) >> WQ_SUM_SHIFT) - expected;
     const int32_t full = WQ_FULL >> WQ_SUM_SHIFT;
-    return (error > full ? full : error < -full ? -full : error) * (1 << WQ_SUM_SHIFT);
+    return (error > full - 1 ? full - 1 : error < -full ? -full : error) * (1 << WQ_SUM_SHIFT);
 }
 
 static inline int32_t wq_corrected(int32_t z, int16_t gain, int32_t error) {
@@ -59,7 +62,7 @@ static inline int32_t wq_corrected(int32_t z, int16_t gain, int32_t error) {
 }
 
 static inline int32_t wq_commanded(int32_t sum, int16_t row_re, int32_t re, int16_t row_im, int32_t im) {
-    return sum + wq_product(re, row_re) - wq_product(im, row_im);
+    return sum + wq_product(re, row_re) + wq_product(im, row_im);
 }
 
 static inline int32_t wq_turned(int32_t z, int16_t a, int32_t re, int16_t b, int32_t im) {

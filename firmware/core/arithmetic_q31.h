@@ -1,6 +1,8 @@
-/* Arithmetic in 32 bits with 64-bit products: states are Q31 of WQ_STATE_FULL. Nothing wraps; all saturates.
+/* Arithmetic with 32-bit coefficients and 64-bit products, two instructions each on a Cortex-M3.
  *
- * The static assertions below are what that rests on; they read the gains themselves.
+ * States are Q30 of full scale: one bit is spare, so that a state and what it gains in a step fit 32 bits and
+ * one instruction limits them. Nothing wraps; all saturates. The static assertions are what that rests on;
+ * they read the gains themselves.
  */
 #ifndef WQ_ARITHMETIC_H
 #define WQ_ARITHMETIC_H
@@ -11,51 +13,58 @@
 
 typedef int32_t wq_number;
 typedef int32_t wq_coefficient;
-typedef int64_t wq_sum;
 typedef struct { int32_t step_re, step_im, gain_re, gain_im, row_re, row_im; } wq_coefficients;
 typedef struct { int32_t re, im; } wq_start;
+typedef int32_t wq_expectation;
+typedef int64_t wq_command;
 
+#define WQ_FULL ((int32_t)1 << 30)
+#define WQ_SUM_SHIFT 4 /* states are summed up without their last bits, so that the sum fits */
 #define WQ_SIZE(x) ((x) < 0 ? -(int64_t)(x) : (int64_t)(x))
 #define WQ_SMALL(dr, di, gr, gi, rr, ri) \
-    && WQ_SIZE(dr) < (1L << 30) && WQ_SIZE(di) < (1L << 30) && WQ_SIZE(gr) < (1L << 30) && WQ_SIZE(gi) < (1L << 30)
+    && WQ_SIZE(dr) + WQ_SIZE(di) < (int64_t)1 << WQ_STEP_SHIFT && WQ_SIZE(dr) <= INT32_MAX && \
+    WQ_SIZE(di) <= INT32_MAX && WQ_SIZE(gr) <= INT32_MAX && WQ_SIZE(gi) <= INT32_MAX
 #define WQ_ROW(dr, di, gr, gi, rr, ri) +WQ_SIZE(rr) + WQ_SIZE(ri)
 _Static_assert((-1 >> 1) == -1, "right shifts of negative numbers must keep the sign");
-_Static_assert(1 WQ_MODE_LIST(WQ_SMALL), "steps and gains must be below 2^30: two products fit 64 bits");
-_Static_assert(WQ_STEP_SHIFT >= 1 && WQ_STEP_SHIFT <= 61, "a half of the step's scale must fit 64 bits");
-_Static_assert(WQ_GAIN_SHIFT >= 1 && WQ_GAIN_SHIFT <= 61, "a half of the gain's scale must fit 64 bits");
+_Static_assert(1 WQ_MODE_LIST(WQ_SMALL), "what a step adds to a state must be below full scale");
+_Static_assert(WQ_STEP_SHIFT >= 31 && WQ_STEP_SHIFT <= 32, "two of a step's products must fit 64 bits");
+_Static_assert(WQ_GAIN_SHIFT >= 31 && WQ_GAIN_SHIFT <= 32, "a gain must be below 1");
 _Static_assert(WQ_ROW_SHIFT >= 31 && WQ_ROW_SHIFT + WQ_CODE_BITS <= 63, "the middle code must fit 64 bits");
-_Static_assert((0 WQ_MODE_LIST(WQ_ROW)) + ((int64_t)WQ_CODE_MIDDLE << (WQ_ROW_SHIFT - 31)) < ((int64_t)1 << 32),
+_Static_assert((0 WQ_MODE_LIST(WQ_ROW)) + ((int64_t)WQ_CODE_MIDDLE << (WQ_ROW_SHIFT - 30)) < ((int64_t)1 << 33),
                "the command's sum must fit 64 bits at full scale");
-_Static_assert(WQ_READING <= 0x7fffffff / WQ_ADC_TOP, "a reading must fit 32 bits");
-_Static_assert(WQ_MODES >= 1 && WQ_MODES <= 64, "modes are counted in 8 bits");
+_Static_assert(WQ_READING <= (1L << 30) / WQ_ADC_TOP, "a reading must fit the states' range");
+_Static_assert(WQ_MODES >= 1 && WQ_MODES <= 15, "the modes' sum must fit 32 bits");
 
-/* States stay within +-(2^31 - 1). */
-static inline int32_t wq_limited(int64_t x) {
-    const int32_t low = (int32_t)x;
-    if (low == x && low != INT32_MIN) return low;
-    return x < 0 ? -INT32_MAX : INT32_MAX;
+static inline int32_t wq_limited(int32_t x) {
+#ifdef __ARM_FEATURE_SAT /* gcc does not find the instruction by itself */
+    int32_t limited;
+    __asm__("ssat %0, #31, %1" : "=r"(limited) : "r"(x));
+    return limited;
+#else
+    return x > WQ_FULL - 1 ? WQ_FULL - 1 : x < -WQ_FULL ? -WQ_FULL : x;
+#endif
 }
 
-static inline int32_t wq_added(int32_t z, int32_t start) { return wq_limited((int64_t)z + start); }
+static inline int32_t wq_added(int32_t z, int32_t start) { return wq_limited(z + start); }
 
-static inline int64_t wq_summed(int64_t sum, int32_t re) { return sum + re; }
+static inline int32_t wq_summed(int32_t sum, int32_t re) { return sum + (re >> WQ_SUM_SHIFT); }
 
-static inline int32_t wq_error(int16_t reading, int64_t expected) {
-    return wq_limited((int32_t)reading * WQ_READING - expected);
+static inline int32_t wq_error(int16_t reading, int32_t expected) {
+    const int32_t error = ((reading * (int32_t)WQ_READING) >> WQ_SUM_SHIFT) - expected;
+    const int32_t full = WQ_FULL >> WQ_SUM_SHIFT;
+    return (error > full - 1 ? full - 1 : error < -full ? -full : error) * (1 << WQ_SUM_SHIFT);
 }
 
 static inline int32_t wq_corrected(int32_t z, int32_t gain, int32_t error) {
-    const int64_t half = (int64_t)1 << (WQ_GAIN_SHIFT - 1);
-    return wq_limited(z + (((int64_t)gain * error + half) >> WQ_GAIN_SHIFT));
+    return wq_limited(z + (int32_t)(((int64_t)gain * error) >> WQ_GAIN_SHIFT));
 }
 
 static inline int64_t wq_commanded(int64_t sum, int32_t row_re, int32_t re, int32_t row_im, int32_t im) {
-    return sum + (int64_t)row_re * re - (int64_t)row_im * im;
+    return sum + (int64_t)row_re * re + (int64_t)row_im * im;
 }
 
 static inline int32_t wq_turned(int32_t z, int32_t a, int32_t re, int32_t b, int32_t im) {
-    const int64_t half = (int64_t)1 << (WQ_STEP_SHIFT - 1);
-    return wq_limited(z + (((int64_t)a * re + (int64_t)b * im + half) >> WQ_STEP_SHIFT));
+    return wq_limited(z + (int32_t)(((int64_t)a * re + (int64_t)b * im) >> WQ_STEP_SHIFT));
 }
 
 static inline uint16_t wq_code(int64_t command) {

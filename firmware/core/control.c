@@ -31,11 +31,11 @@ static void add_start(wq_control *control, uint8_t inputs) {
 
 uint16_t wq_control_step(wq_control *control, uint16_t adc, uint8_t inputs) {
     add_start(control, inputs);
-    wq_sum expected = 0;
+    wq_expectation expected = 0;
     for (uint8_t j = 0; j < WQ_MODES; j++) expected = wq_summed(expected, control->re[j]);
     if (adc > WQ_ADC_TOP) adc = WQ_ADC_TOP;
     const wq_number error = wq_error((int16_t)(2 * (int16_t)adc - WQ_ADC_TOP), expected);
-    wq_sum command = 0;
+    wq_command command = 0;
     for (uint8_t j = 0; j < WQ_MODES; j++) {
         const wq_coefficients *c = &modes[j];
         const wq_number re = wq_corrected(control->re[j], c->gain_re, error);

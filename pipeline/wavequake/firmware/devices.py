@@ -18,6 +18,9 @@ ENABLED, TRIGGER = 1, 2
 class Device(Protocol):
     """A control unit that runs the firmware: codes of converters in, codes of converters out."""
 
+    def reset(self) -> None:
+        """Start anew, all that was measured forgotten."""
+
     def step(self, adc: int, trigger: bool, enabled: bool = True) -> int:
         """Run one sample; return the code of the command."""
 

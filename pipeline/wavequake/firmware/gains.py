@@ -20,6 +20,9 @@ VARIANTS = ("float", "q31", "q16")
 # Bits of the converter of commands, and full scale of states as a multiple of the converters' reach.
 CODE_BITS = 12
 HEADROOM = 4.0
+# Integer states are below 2**STATE_BITS; sums of them bear so many modes.
+STATE_BITS = 30
+MOST_MODES = 15
 
 
 @dataclass(frozen=True)
@@ -28,44 +31,29 @@ class Arithmetic:
 
     Attributes
     ----------
-    state_bits : int
-        States are below 2**state_bits.
     largest : int
-        Of steps and gains.
-    largest_row : int
-        Of one entry of the row.
+        Of a coefficient.
     row_sum : int
         Of the row's magnitudes, the middle code included.
     shifts : dict
         Smallest and largest binary scale of each group of coefficients.
-    modes : int
-        How many sums can bear.
     """
 
-    state_bits: int
     largest: int
-    largest_row: int
     row_sum: int
     shifts: dict[str, tuple[int, int]]
-    modes: int
 
 
 INTEGERS = {
     "q31": Arithmetic(
-        31,
-        2**30 - 1,
         2**31 - 1,
-        2**32 - 1,
-        {"step": (29, 61), "gain": (16, 61), "row": (31, 63 - CODE_BITS)},
-        64,
+        2**33,
+        {"step": (31, 32), "gain": (31, 32), "row": (31, 63 - CODE_BITS)},
     ),
     "q16": Arithmetic(
-        30,
-        2**15 - 1,
         2**15 - 1,
         2**17 - 3,
         {"step": (16, 47), "gain": (15, 47), "row": (16, 47 - CODE_BITS)},
-        15,
     ),
 }
 
@@ -82,7 +70,7 @@ class Gains:
     sample_time, reach : float
         s, m.
     modes : ndarray, shape (m, 6)
-        Step less one, gain, row: real and imaginary parts.
+        Step less one, gain, conjugate row: real and imaginary parts.
     starts : ndarray, shape (k, m, 2)
         Added after the trigger.
     shifts : tuple of int
@@ -116,7 +104,7 @@ def gains_of(regulator: ModalRegulator, chain: SensorChain, variant: str = "q31"
         raise UserError(f"There is no arithmetic {variant!r}; there are {', '.join(VARIANTS)}.")
     _check(regulator, chain)
     unit = (2**CODE_BITS - 1) / (2 * chain.reach)
-    groups = {"step": regulator.step - 1, "gain": regulator.gain, "row": regulator.row * unit}
+    groups = {"step": regulator.step - 1, "gain": regulator.gain, "row": regulator.row.conj() * unit}
     full = HEADROOM * chain.reach
     top = 2**chain.adc_bits - 1
     starts = _pairs(regulator.start)
@@ -127,10 +115,9 @@ def gains_of(regulator: ModalRegulator, chain: SensorChain, variant: str = "q31"
         return Gains(
             variant, digest, regulator.sample_time, chain.reach, modes, starts, (0, 0, 0), reading, chain
         )
-    kind = INTEGERS[variant]
-    if len(regulator.step) > kind.modes:
-        raise UserError(f"The regulator has {len(regulator.step)} modes; {variant} bears {kind.modes}.")
-    state = full / 2**kind.state_bits
+    if len(regulator.step) > MOST_MODES:
+        raise UserError(f"The regulator has {len(regulator.step)} modes; {variant} bears {MOST_MODES}.")
+    state = full / 2**STATE_BITS
     groups["row"] = groups["row"] * state
     columns, shifts = [], []
     for name, values in groups.items():
@@ -138,7 +125,7 @@ def gains_of(regulator: ModalRegulator, chain: SensorChain, variant: str = "q31"
         columns.append(np.rint(np.ldexp(_pairs(values), shift)))
         shifts.append(shift)
     started = np.rint(starts / state)
-    if np.abs(started).max() >= 2**kind.state_bits:
+    if np.abs(started).max() >= 2**STATE_BITS:
         raise UserError(f"The blow moves a mode by more than {1e3 * full:g} mm, the full scale of {variant}.")
     return Gains(
         variant,
@@ -148,7 +135,7 @@ def gains_of(regulator: ModalRegulator, chain: SensorChain, variant: str = "q31"
         np.hstack(columns),
         started,
         (shifts[0], shifts[1], shifts[2]),
-        float(np.rint(2**kind.state_bits / HEADROOM / top)),
+        float(np.rint(2**STATE_BITS / HEADROOM / top)),
         chain,
     )
 
@@ -196,16 +183,18 @@ def _shift(name: str, values: NDArray[np.complex128], variant: str) -> int:
     for shift in range(highest, lowest - 1, -1):
         sizes = np.abs(np.rint(np.ldexp(_pairs(values), shift)))
         if name == "row":
-            middle = 2.0 ** (CODE_BITS - 1 + shift - (31 if variant == "q31" else 30))
-            fits = sizes.max() <= kind.largest_row and sizes.sum() + middle < kind.row_sum
+            # Products are kept whole in 64 bits, or without their last 16 in 32 bits.
+            middle = 2.0 ** (CODE_BITS - 1 + shift - STATE_BITS)
+            fits = sizes.sum() + middle < kind.row_sum
         else:
-            fits = sizes.max() <= kind.largest
+            fits = name == "gain" or sizes.sum(axis=1).max() < 2.0**shift
+        fits = fits and sizes.max() <= kind.largest
         if fits:
             return shift
     mode = int(np.argmax(np.abs(values)))
     unit = " steps of the converter per full scale" if name == "row" else ""
-    scale = 2.0**kind.state_bits if name == "row" else 1.0
-    limit = (kind.largest_row if name == "row" else kind.largest) / 2.0**lowest * scale
+    scale = 2.0**STATE_BITS if name == "row" else 1.0
+    limit = kind.largest / 2.0**lowest * scale
     raise UserError(
         f"The {name} of mode {mode + 1} is {abs(values[mode]) * scale:.4g}{unit}, beyond the range of "
         f"{variant}, which ends at {limit:.4g}; change the design or use float."
@@ -259,7 +248,7 @@ def header(gains: Gains) -> str:
         ),
         f"#define WQ_READING {_number(gains.reading, whole)} /* state per 2 code - top */",
         *(() if whole else (f"#define WQ_STATE_FULL {_number(state_full, False)} /* m */",)),
-        "/* step - 1, gain, row of each mode: real and imaginary parts */",
+        "/* step - 1, gain, conjugate row of each mode: real and imaginary parts */",
         "#define WQ_MODE_LIST(X) \\",
         " \\\n".join(f"    X({', '.join(_number(v, whole) for v in row)})" for row in modes),
         "/* added to the modes in the steps from the trigger on */",

@@ -79,7 +79,8 @@ class Residual:
 
 
 def residual(device: Device, hit: Blow, stage: Stage, regulator: ModalRegulator, reach: float) -> Residual:
-    """Run a board on a blow, move the stage by its commands, and return what is left (Fig. 5.33)."""
+    """Start a board, run it on a blow, move the stage by its commands; return what is left (Fig. 5.33)."""
+    device.reset()
     commands = positions_of(device.run(hit.adc, hit.trigger), reach)
     moved = stage_motion(
         stage, commands, regulator.sample_time, regulator.compute_delay, PLANT_STEP, len(hit.time)

@@ -1,0 +1,136 @@
+"""The Due's own image in the emulator: bits, instructions, clock, watchdog, deadline pin."""
+
+import shutil
+from dataclasses import replace
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from wavequake.control.bench import fitted_bench
+from wavequake.control.experiment import Settings, design
+from wavequake.control.sensor import SensorChain
+from wavequake.control.stage import Stage
+from wavequake.errors import UserError
+from wavequake.firmware.build import build
+from wavequake.firmware.devices import HostDevice
+from wavequake.firmware.due import DACC_CDR, WDT_CR, DueDevice
+from wavequake.firmware.elf import flash_bytes
+from wavequake.firmware.gains import VARIANTS, gains_of
+from wavequake.firmware.loop import blow, residual
+
+COMPILERS = [
+    name
+    for name, found in (("gcc", shutil.which("arm-none-eabi-gcc")), ("zig", find_spec("ziglang")))
+    if found
+]
+if not COMPILERS:
+    pytest.skip("needs ziglang (extra firmware) or Debian's gcc-arm-none-eabi", allow_module_level=True)
+pytest.importorskip("unicorn", reason="needs unicorn (extra firmware)")
+
+BENCH, STAGE, CHAIN = fitted_bench(), Stage(), SensorChain()
+REGULATOR = design(BENCH, STAGE, Settings()).regulator
+STEPS = 4101
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("due")
+
+
+@pytest.fixture(scope="module")
+def hit():
+    found = blow(BENCH, CHAIN, REGULATOR.sample_time, duration=8.2)
+    assert len(found.adc) == STEPS
+    return found
+
+
+@pytest.fixture(scope="module")
+def device(folder):
+    return DueDevice(build("due", gains_of(REGULATOR, CHAIN), folder, prefer=COMPILERS[0]))
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("variant", ["q31", "q16"])
+def test_commands_are_those_of_the_host_bit_by_bit(folder, hit, compiler, variant):
+    gains = gains_of(REGULATOR, CHAIN, variant)
+    wanted = HostDevice(build("host", gains, folder)).run(hit.adc, hit.trigger)
+    due = DueDevice(build("due", gains, folder / compiler, prefer=compiler))
+    np.testing.assert_array_equal(due.run(hit.adc, hit.trigger), wanted)
+    left = residual(due, hit, STAGE, REGULATOR, CHAIN.reach)
+    assert max(left.range, left.deviation) < 5
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+def test_float_agrees_bit_by_bit(folder, hit, compiler):
+    gains = gains_of(REGULATOR, CHAIN, "float")
+    wanted = HostDevice(build("host", gains, folder)).run(hit.adc[:300], hit.trigger[:300])
+    due = DueDevice(build("due", gains, folder / compiler, prefer=compiler))
+    np.testing.assert_array_equal(due.run(hit.adc[:300], hit.trigger[:300]), wanted)
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+def test_a_step_in_q31_stays_within_its_budget(folder, hit, compiler):
+    """1000 instructions, converters and pins included: at 2 ms there are 168 000 cycles."""
+    image = build("due", gains_of(REGULATOR, CHAIN), folder / compiler, prefer=compiler)
+    due = DueDevice(image)
+    due.count = True
+    due.run(hit.adc[:300], hit.trigger[:300])
+    assert len(due.instructions) == 300
+    assert 100 < max(due.instructions) <= 1000
+    assert flash_bytes(image.path) < 4096
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_full_scale_inputs_agree_with_the_host(folder, variant):
+    rng = np.random.default_rng(1)
+    adc = rng.choice(np.array([0, 4095, 2048], np.uint16), 200)
+    trigger, enabled = rng.random(200) < 0.2, rng.random(200) < 0.8
+    gains = gains_of(REGULATOR, CHAIN, variant)
+    wanted = HostDevice(build("host", gains, folder)).run(adc, trigger, enabled)
+    due = DueDevice(build("due", gains, folder, prefer=COMPILERS[-1]))
+    np.testing.assert_array_equal(due.run(adc, trigger, enabled), wanted)
+
+
+def test_the_clock_is_brought_up_in_order(device):
+    device.reset()
+    log = device.log
+    registers = [offset for offset, _ in log]
+    # Watchdog first, then wait states before the clock is raised (84 MHz needs four).
+    assert registers[0] == 0xE1A54
+    assert log[1:3] == [(0xE0A00, 0x400), (0xE0C00, 0x400)]
+    (pll,) = [value for offset, value in log if offset == 0xE0628]
+    crystal = 12e6
+    assert crystal * ((pll >> 16 & 0x7FF) + 1) / (pll & 0xFF) / 2 == 84e6
+    masters = [value for offset, value in log if offset == 0xE0630]
+    assert masters == [0x11, 0x12]  # by 2 before the PLL is chosen
+    (period,) = [value for offset, value in log if offset == 0x8001C]
+    assert period / 42e6 == pytest.approx(REGULATOR.sample_time, rel=1e-12)
+    assert log[-1] == (DACC_CDR, 2048)
+    assert WDT_CR not in registers
+
+
+def test_a_missed_deadline_raises_the_pin_and_the_next_step_in_time_clears_it(device):
+    device.reset()
+    device.step(2048, False)
+    assert not device.missed
+    device.late = True
+    device.step(2048, False)
+    assert device.was_missed
+    assert not device.missed
+    device.step(2048, False)
+    assert not device.was_missed
+
+
+def test_an_image_of_other_gains_is_refused(folder):
+    image = build("due", gains_of(REGULATOR, CHAIN), folder, prefer=COMPILERS[0])
+    other = gains_of(replace(REGULATOR, gain=REGULATOR.gain * 1.01), CHAIN)
+    with pytest.raises(UserError, match=f"gains {image.gains.digest}, but the design has {other.digest}"):
+        DueDevice(replace(image, gains=other))
+
+
+def test_a_foreign_file_is_refused(tmp_path, folder):
+    image = build("due", gains_of(REGULATOR, CHAIN), folder, prefer=COMPILERS[0])
+    (tmp_path / "foreign.elf").write_bytes(b"\x7fELF" + bytes(100))
+    with pytest.raises(UserError, match="carries no hash"):
+        DueDevice(replace(image, path=tmp_path / "foreign.elf"))
