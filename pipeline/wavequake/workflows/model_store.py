@@ -24,11 +24,12 @@ from wavequake.errors import UserError
 from wavequake.mechanics.importers.model import ImportedModel, load_model
 from wavequake.mechanics.model import FiniteElementModel, RayleighDamping, check_model
 from wavequake.reduction.intermediate import Intermediate
+from wavequake.workflows.provenance import code
 
 Arrays = dict[str, NDArray[Any]]
 Kind = TypeVar("Kind", FiniteElementModel, Intermediate)
 
-# Part of every hash: raise it when the way in which models are built changes their numbers.
+# Part of every hash: raise it when what an imported model is made of changes.
 _VERSION = 2
 _SPARSE = ("data", "indices", "indptr", "shape")
 
@@ -50,7 +51,11 @@ def kept_intermediate(name: str, build: Callable[[], Intermediate]) -> Intermedi
 
 
 def kept_arrays(name: str, build: Callable[[], Arrays]) -> Arrays:
-    """Return named arrays by their hash, as `kept_intermediate` does a model."""
+    """Return named arrays by their hash, as `kept_intermediate` does a model.
+
+    What other code or libraries have built is not taken: a store says which ones made its numbers.
+    """
+    name = digest({"name": name, "code": code()})
     found = _read(name)
     if found is None:
         found = build()
