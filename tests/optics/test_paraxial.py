@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.optics.media import Medium, glass
+from wavequake.optics.media import Medium, constant, glass
 from wavequake.optics.paraxial import entrance_pupil_center, paraxial
 from wavequake.optics.shapes import Conic, EvenAsphere, GridDeformation, ZernikeDeformation
 from wavequake.optics.system import OpticalSystem, Pupil, Surface
@@ -304,3 +304,30 @@ def test_bad_systems_are_refused(change, message):
     options = {"name": "x", "surfaces": surfaces, "stop": 0, "pupil": Pupil("entrance_diameter", 10.0)}
     with pytest.raises(UserError, match=message):
         paraxial(OpticalSystem(**{**options, **change}))
+
+
+def test_a_ball_in_water_has_both_principal_planes_in_its_center():
+    ball = (
+        Surface("front", Conic(10.0), action="refract", medium=constant(1.5)),
+        Surface("back", Conic(-10.0), np.array([0.0, 0.0, 20.0]), action="refract", medium=constant(1.33)),
+        Surface("image", position=np.array([0.0, 0.0, 100.0])),
+    )
+    data = paraxial(OpticalSystem("ball", ball, 0, Pupil("entrance_diameter", 1.0), medium=constant(1.33)))
+    assert [data.front_principal, data.rear_principal] == pytest.approx([10.0, -10.0], rel=1e-12)
+    # n R / (2 (n - 1)) with n = 1.5 / 1.33, from the center; reduced by the index of water.
+    ratio = 1.5 / 1.33
+    assert data.back_focus + 10.0 == pytest.approx(ratio * 10.0 / (2 * (ratio - 1)), rel=1e-12)
+    assert data.front_focus - 10.0 == pytest.approx(-ratio * 10.0 / (2 * (ratio - 1)), rel=1e-12)
+
+
+def test_an_exit_pupil_in_glass_is_the_image_of_the_stop():
+    """n'/s' = n/s + (n' - n)/R with s = -30, R = 50, n' = 1.5: s' = -450/7, seen from the focus at 150."""
+    surfaces = (
+        Surface("stop", position=np.array([0.0, 0.0, -30.0])),
+        Surface("front", Conic(50.0), action="refract", medium=constant(1.5)),
+        Surface("image", position=np.array([0.0, 0.0, 150.0])),
+    )
+    data = paraxial(OpticalSystem("immersed", surfaces, 0, Pupil("entrance_diameter", 6.0)))
+    assert data.exit_pupil == pytest.approx(-450.0 / 7.0 - 150.0, rel=1e-12)
+    assert data.exit_pupil_diameter == pytest.approx(6.0 * (450.0 / 7.0) / 30.0 / 1.5, rel=1e-12)
+    assert data.image_na == pytest.approx(1.5 * 3.0 / 150.0, rel=1e-12)

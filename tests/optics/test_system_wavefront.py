@@ -7,6 +7,7 @@ import pytest
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
+from wavequake.optics.media import constant
 from wavequake.optics.parent import parent_system
 from wavequake.optics.shapes import Conic, Opening, ZernikeDeformation
 from wavequake.optics.system import OpticalSystem, Pupil, Surface
@@ -187,6 +188,31 @@ def test_bad_input():
 def test_what_no_light_passes_or_overflows_is_refused(change, message):
     with pytest.raises(UserError, match=message):
         prepare_system(replace(parabola(), **change), *quadrature(0.0), 10)
+
+
+def test_coma_moves_the_chief_ray_and_not_the_line_of_sight_in_glass():
+    """Noll's coma has no tilt about the pupil; the image lies in glass, in a frame turned about the axis."""
+    index, turn = 1.5, 0.5
+    oval = Surface(  # stigmatic: an ellipsoid of eccentricity 1 / n
+        "oval",
+        Conic(50.0, -1.0 / index**2),
+        action="refract",
+        medium=constant(index),
+        deformation=ZernikeDeformation(8, 3.0),
+    )
+    turned = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]])
+    image = Surface("image", position=np.array([0.0, 0.0, 150.0]), rotation=turned)
+    system = OpticalSystem("immersed", (oval, image), 0, Pupil("entrance_diameter", 6.0))
+    prepared = prepare_system(system, *quadrature(0.0), 15)
+    states = rest_states(system, 3)
+    states.deformations[0][1, 7] = states.deformations[0][2, 6] = 2e-5
+    opd, _, chief = trace_system(prepared, states, NUMPY)
+    found = measure_system(prepared, states, NUMPY)
+    assert np.abs(opd[0]).max() < 1e-6  # piston, too
+    # Slope of 2 sqrt(8) a / radius at the center, times n - 1 of glass over n, over 150 mm.
+    size = 2 * np.sqrt(8) * 2e-5 / 3.0 * (index - 1) / index * 150.0
+    assert np.hypot(*(chief[1:] - chief[0]).T) == pytest.approx(size, rel=1e-3)
+    assert np.hypot(*(found.los[1:] - found.los[0]).T).max() < 2e-3 * size
 
 
 def test_strehl_of_a_deformed_parabola_is_what_its_phase_says():
