@@ -24,7 +24,8 @@ ALLOWED = {
     "workflows": BASE | PHYSICS | {"kernels", "cluster", "firmware"},
     "report": BASE | PHYSICS | {"kernels", "workflows"},
     "terminal": set(),
-    "cli": BASE | PHYSICS | {"kernels", "workflows", "report", "cluster", "firmware", "terminal"},
+    "cli_firmware": BASE | {"control", "firmware", "workflows", "terminal"},
+    "cli": BASE | PHYSICS | {"kernels", "workflows", "report", "cluster", "terminal", "cli_firmware"},
     "__main__": {"cli"},
 }
 # The package's front door imports lazily, for users; provenance may ask it for the version.

@@ -9,7 +9,7 @@ from typing import Annotated, NoReturn
 import typer
 from rich.table import Table
 
-from wavequake import __version__
+from wavequake import __version__, cli_firmware
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.terminal import err, live_progress, out, print_pairs
 
@@ -21,6 +21,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
+app.add_typer(cli_firmware.app, name="firmware")
 StudyArgument = Annotated[str, typer.Argument(help="Name of a bundled study or path of a .toml file.")]
 StoreArgument = Annotated[Path, typer.Argument(help="Folder of the store.")]
 OverridesArgument = Annotated[

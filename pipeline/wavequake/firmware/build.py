@@ -67,7 +67,8 @@ BOARDS = {
     "qemu": Board("qemu", ".elf", 0.0, _GCC_ARM, _ZIG_ARM, _ARM),
     "uno": Board(
         "uno", ".elf", 16e6,
-        ("avr-gcc", "-mmcu=atmega328p", "-DF_CPU=16000000UL", "-ffunction-sections", "-Wl,--gc-sections"),
+        ("avr-gcc", "-mmcu=atmega328p", "-DF_CPU=16000000UL", "-ffunction-sections",
+         "-Wl,--gc-sections", "-Wl,-u,wq_hash"),
         (), "Debian's gcc-avr and avr-libc",
         "avr-objcopy -O ihex {image}.elf {image}.hex\n"
         "avrdude -p m328p -c arduino -P /dev/ttyACM0 -b 115200 -U flash:w:{image}.hex:i",
