@@ -98,6 +98,10 @@ def run(
     workers: Annotated[
         int | None, typer.Option(min=1, help="Worker processes (default: one per CPU).")
     ] = None,
+    shard: Annotated[
+        str | None,
+        typer.Option(metavar="i/n", help="Compute every n-th chunk only, from 0/n; other runs do the rest."),
+    ] = None,
     repair: Annotated[
         bool, typer.Option("--repair", help="Read all results first and compute damaged chunks again.")
     ] = False,
@@ -113,8 +117,10 @@ def run(
     """Run a study, or what of it is not done yet, and write its report. Safe to repeat and to interrupt."""
     from wavequake.workflows.campaign import profile as profile_of
     from wavequake.workflows.campaign import run_study
+    from wavequake.workflows.driver_lock import shard_of
     from wavequake.workflows.study import load_study
 
+    part = None if shard is None else shard_of(shard)
     loaded = load_study(study, overrides or [])
     path = store or Path(loaded.store.path or loaded.default_store())
     out.print(f"{loaded.study.name}  {loaded.cases} cases  ->  {path}", markup=False, soft_wrap=True)
@@ -128,6 +134,7 @@ def run(
             repair=repair,
             allow_mixed=allow_mixed,
             dashboard=_show_link if dashboard else None,
+            shard=part,
         )
     if summary.computed:
         rate = summary.computed / max(summary.seconds, 1e-9)
@@ -139,7 +146,11 @@ def run(
         out.print(f"All {summary.done_before} cases were done already; nothing was computed.")
     for line in summary.goal:
         out.print(line, markup=False, soft_wrap=True)
-    _write_report(path, fresh=summary.computed > 0)
+    if part:
+        words = shlex.join(["wavequake", "report", str(path)])
+        out.print(f"Shard {part} is complete; once all are: {words}", markup=False, soft_wrap=True)
+    else:
+        _write_report(path, fresh=summary.computed > 0)
     if profile:
         print_pairs(profile_of(path))
     if summary.quarantined:

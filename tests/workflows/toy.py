@@ -101,8 +101,11 @@ TOY = Workflow("toy", template, case_table, compute)
 
 def run(path, options=None, *, cases=40, chunk=10, on="serial", workers=None, **keywords):
     """Run a toy campaign with these study options."""
+    from wavequake.workflows.driver_lock import shard_of
     from wavequake.workflows.engine import run_campaign
 
+    if "shard" in keywords:
+        keywords["shard"] = shard_of(keywords["shard"])
     # The sources may be edited while tests run.
     keywords.setdefault("allow_mixed", True)
     return run_campaign(

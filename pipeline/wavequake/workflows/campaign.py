@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wavequake.errors import UserError
 from wavequake.kernels.devices import choose_device
 from wavequake.workflows.contract import Workflow
+from wavequake.workflows.driver_lock import Shard, shard_of
 from wavequake.workflows.engine import CampaignSummary, run_campaign
 from wavequake.workflows.journal import read_journal
 from wavequake.workflows.lens_experiment import WORKFLOW as LENS_EXPERIMENT
@@ -65,6 +67,7 @@ def run_study(
     repair: bool = False,
     allow_mixed: bool = False,
     dashboard: Callable[[str], None] | None = None,
+    shard: Shard | None = None,
 ) -> CampaignSummary:
     """Compute what of `study` the store at `path` lacks; with `repair`, also what is damaged there.
 
@@ -74,8 +77,13 @@ def run_study(
     Raises
     ------
     UserError
-        If the store belongs to another study, is in use or cannot be written, or the device does not exist.
+        If the store belongs to another study, is in use or cannot be written, the device does not exist, or
+        a shard is asked to judge statistics of all cases.
     """
+    if shard and study.campaign.until is not None:
+        raise UserError(
+            "campaign.until judges all cases together, which no shard has: leave out one."
+        )
     workflow = workflow_of(study)
     text = study.identity_text()
     device = choose_device(study.campaign.device)
@@ -97,6 +105,7 @@ def run_study(
             allow_mixed=allow_mixed,
             repair=repair,
             dashboard=dashboard,
+            shard=shard,
         )
 
     if study.campaign.until is None:
@@ -131,6 +140,7 @@ def run(
     on: str = "serial",
     workers: int | None = None,
     allow_mixed: bool = False,
+    shard: str | None = None,
     **overrides: Any,
 ) -> "xr.Dataset":
     """Run a study and return its results as a labelled lazy dataset.
@@ -150,6 +160,8 @@ def run(
         Worker processes of ``local``; one per CPU by default.
     allow_mixed : bool
         Go on with a store that another version of the code began.
+    shard : str, optional
+        ``"i/n"``, from ``"0/n"``: compute every n-th chunk only, while n - 1 others compute the rest.
     **overrides
         Further keys with double underscores for dots, e.g. ``optics__wavelength_nm=1000.0``.
 
@@ -168,7 +180,8 @@ def run(
         keys["campaign.cases"] = cases
     loaded = study_with(study, keys) if isinstance(study, Study) else load_study(study, keys)
     path = loaded.folder(store)
-    run_study(loaded, path, on=on, workers=workers, allow_mixed=allow_mixed)
+    part = None if shard is None else shard_of(shard)
+    run_study(loaded, path, on=on, workers=workers, allow_mixed=allow_mixed, shard=part)
     return open_store(path)
 
 

@@ -4,14 +4,10 @@ Dask's scheduler does all scheduling, and its state is disposable: tasks carry a
 are a few scalars, and after any crash the next run computes the plan minus the journal.
 """
 
-import fcntl
-import os
-import socket
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
-from contextlib import contextmanager
 from dataclasses import dataclass
 from logging import Logger
 from pathlib import Path
@@ -23,6 +19,7 @@ from wavequake.kernels.devices import choose_device
 from wavequake.workflows import provenance, store, verify
 from wavequake.workflows.chunks import Job, Outcome, compute_chunk
 from wavequake.workflows.contract import Workflow
+from wavequake.workflows.driver_lock import Shard, driver_lock, others_at_work, this_process
 from wavequake.workflows.isolation import compute_isolated
 from wavequake.workflows.journal import Chunk, Record, read_journal
 from wavequake.workflows.runlog import run_log
@@ -79,6 +76,7 @@ def run_campaign(
     allow_mixed: bool = False,
     repair: bool = False,
     dashboard: Callable[[str], None] | None = None,
+    shard: Shard | None = None,
 ) -> CampaignSummary:
     """Compute what the store at `path` lacks of `cases` cases; the store is made or extended if need be.
 
@@ -113,6 +111,9 @@ def run_campaign(
         Read the whole store first; put back metadata and labels, and compute chunks again, that are damaged.
     dashboard : callable, optional
         Start Dask's dashboard and call this with its link.
+    shard : Shard, optional
+        Compute the chunks of this shard only, while other processes, perhaps on other machines, compute the
+        others. All give the same number of cases.
 
     Raises
     ------
@@ -132,9 +133,15 @@ def run_campaign(
             f"on={on!r} is unknown; use serial, local or the tcp://HOST:PORT of a Dask scheduler."
         )
     kind = choose_device(device).kind
-    with _locked(path):
+    with driver_lock(path, shard) as setup:
+        others = others_at_work(path, shard)
+        _refuse_growth(path, cases, others)
         manifest = _prepared(workflow, study, path, cases, chunk, device, kind, title, repair)
-        wanted = [p for p in manifest.plan() if p[0] < cases and (p in recompute or not retry)]
+        if not others:
+            _sweep(path)
+        setup.close()
+        ours = [p for p in manifest.plan() if p[0] < cases and (not shard or shard.owns(p, manifest.chunk))]
+        wanted = [p for p in ours if p in recompute or not retry]
         records = store.done_records(manifest, read_journal(path / store.JOURNAL))
         if repair:
             recompute = recompute | verify.verify_store(path).chunks
@@ -146,11 +153,10 @@ def run_campaign(
         if todo:
             if not allow_mixed:
                 store.refuse_mixed(path, manifest, provenance.code())
-            _sweep(path)
             code = provenance.code() if on.startswith("tcp://") and not allow_mixed else ""
             job = Job(workflow, str(path), device, uuid.uuid4().hex, code, retry)
             with run_log(path / store.LOG) as tally.log:
-                tally.log.info("%s on %s; on=%s, device %s", provenance.code(), _this_process(), on, device)
+                tally.log.info("%s on %s; on=%s, device %s", provenance.code(), this_process(), on, device)
                 tally.log.info("%d cases wanted, %d done before", tally.total, tally.done)
                 if on == "serial":
                     for piece in todo:
@@ -167,7 +173,7 @@ def run_campaign(
     return CampaignSummary(
         done_before,
         tally.done - done_before,
-        sum(record.quarantined for piece, record in records.items() if piece[0] < cases),
+        sum(records[piece].quarantined for piece in ours if piece in records),
         len(todo),
         time.perf_counter() - start,
         tally.compute_s,
@@ -204,33 +210,6 @@ class _Tally:
         self._progress(self.done, self.total, self.quarantined)
 
 
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Hold a store, whose folder is made if need be, against other drivers; UserError if one is at work."""
-    store.refuse_foreign(path)
-    with store.write_errors_explained(path):
-        path.mkdir(parents=True, exist_ok=True)
-        file = (path / store.LOCK).open("a+", encoding="utf-8")
-    with file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.seek(0)
-            holder = file.read().strip() or "another process"
-            raise UserError(
-                f"{path} is in use by {holder}: wait for it, or choose another --store."
-            ) from None
-        with store.write_errors_explained(path):
-            file.truncate(0)
-            file.write(f"{_this_process()}\n")
-            file.flush()
-        yield
-
-
-def _this_process() -> str:
-    return f"process {os.getpid()} on {socket.gethostname()}"
-
-
 def _prepared(
     workflow: Workflow,
     study: str,
@@ -253,8 +232,17 @@ def _prepared(
     return store.extend_store(path, workflow, cases)
 
 
+def _refuse_growth(path: Path, cases: int, others: list[str]) -> None:
+    """Raise UserError if a store would be extended under the hands of those who compute other shards."""
+    if others and (path / store.MANIFEST).exists() and (there := store.read_manifest(path).cases) < cases:
+        raise UserError(
+            f"{path} is being computed to {there} cases (shard {others[0]}): give all shards the same "
+            "campaign.cases, or wait."
+        )
+
+
 def _sweep(path: Path) -> None:
-    """Remove the unfinished files of writers that were killed; nobody writes while we hold the lock."""
+    """Remove the unfinished files of writers that were killed; nobody else may be writing."""
     for name in (path / store.DATA).rglob("*.partial"):
         name.unlink(missing_ok=True)
 
