@@ -128,6 +128,23 @@ def test_a_figure_appears_twice_in_the_wavefront(text, found):
     np.testing.assert_allclose(found["strehl"][3, 0, 0], np.exp(-(sigma**2)), rtol=0.01)
 
 
+def test_coma_that_is_not_fitted_counts_in_what_the_rays_say(tmp_path):
+    """About the chief ray coma is 3 sqrt(8) rho^3 cos(theta), of rms 3; about its plane it has rms 1."""
+    coma = STUDY.replace("rms_nm = { 5 = 10.0, 11 = 3.0 }", "rms_nm = { 8 = 4000.0 }")
+    identity = study_of(
+        tmp_path, coma, "wavefront.zernike_terms=4", "optics.rays=3000", "system.fields_arcmin=[[0.0, 0.0]]"
+    ).identity_text()
+    _, drawn = draw(system_bench(identity), 3)
+    size = 2e9 * abs(drawn.figure["mirror"][7]) * (50 / 55) ** 3
+    assert size > 1000.0 / 14
+    case = {name: values[0] for name, values in compute(identity, np.array([3]), "numpy").arrays.items()}
+    for wavelength in (0, 1):
+        assert case["wfe_rms"][0, 0, wavelength] < 0.02 * size
+        assert case["wfe_rms_raw"][0, 0, wavelength] == pytest.approx(3 * size, rel=1e-2)
+        assert case["wfe_pv"][0, 0, wavelength] == pytest.approx(2 * np.sqrt(8) * size, rel=2e-2)
+        assert case["marechal"][0, wavelength] == case["rayleigh"][0, wavelength] == 0.0
+
+
 def test_the_line_of_sight_moves_the_image_by_the_focal_length(text, found):
     _, drawn = draw(system_bench(text), 4)
     moved = found["los_mm"][4, :, 0, 0]
