@@ -77,3 +77,12 @@ def test_the_reference_of_keys_is_what_the_code_says():
     spec.loader.exec_module(module)
     made = (ROOT / "docs" / "study.md").read_text().split(module.MARK)[1].strip()
     assert made == module.reference().strip(), "run python docs/make_study_reference.py"
+
+
+def test_the_tests_that_the_page_on_validation_names_exist():
+    named = set(re.findall(r"`([a-z_]+/test_\w+\.py)(?:::(\w+))?", (ROOT / "docs/validation.md").read_text()))
+    assert len(named) > 30
+    for file, test in named:
+        path = ROOT / "tests" / file
+        assert path.is_file(), file
+        assert f"def {test}" in path.read_text(), f"{file}::{test}"
