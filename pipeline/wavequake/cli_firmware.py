@@ -47,17 +47,24 @@ def _designed(study: str, overrides: list[str] | None) -> "tuple[Bench, Designs,
 def build(
     study: StudyArgument = "lens-experiment",
     overrides: OverridesArgument = None,
-    boards: Annotated[str, typer.Option(help="Comma-separated: due, uno, qemu, host.")] = "due",
+    boards: Annotated[
+        str, typer.Option(help="Comma-separated: due, uno, qemu, host; or none, for the header alone.")
+    ] = "due",
     arithmetic: ArithmeticOption = "q31",
     to: FolderOption = Path("firmware-build"),
     debug: DebugOption = False,
 ) -> None:
     """Design the regulator of a study, write its gains as a C header, and build images."""
     from wavequake.firmware.build import build as build_image
+    from wavequake.firmware.build import write_header
     from wavequake.firmware.gains import gains_of
 
     _, designs, chain, _ = _designed(study, overrides)
     gains = gains_of(designs.regulator, chain, arithmetic)
+    if boards == "none":
+        place = (write_header(gains, to) / "wq_gains.h").resolve()
+        out.print(f"Written: {place} (gains {gains.digest})", markup=False, soft_wrap=True)
+        return
     for board in boards.split(","):
         image = build_image(board.strip(), gains, to)
         out.print(

@@ -133,9 +133,7 @@ def build(board: str, gains: Gains, target: Path, *, prefer: str = "", more: tup
     chosen = board_of(board)
     command = compiler_of(chosen, prefer)
     sources = folder("firmware")
-    generated = target / f"gains-{gains.variant}"
-    generated.mkdir(parents=True, exist_ok=True)
-    (generated / "wq_gains.h").write_text(header(gains))
+    generated = write_header(gains, target)
     place = sources / "boards" / board
     path = target / f"{board}-{gains.variant}{chosen.suffix}"
     scripts = [f"-Wl,-T,{file}" for file in sorted(place.glob("*.ld"))]
@@ -156,6 +154,14 @@ def build(board: str, gains: Gains, target: Path, *, prefer: str = "", more: tup
         first = next((line for line in lines if "error" in line), lines[0] if lines else "it says nothing")
         raise UserError(f"{shlex.join(command[:4])} failed for the board {board!r}: {first.strip()}")
     return Image(chosen, gains, path, "zig" if "ziglang" in command else command[0])
+
+
+def write_header(gains: Gains, target: Path) -> Path:
+    """Write wq_gains.h into a folder of the arithmetic's name below `target`; return that folder."""
+    generated = target / f"gains-{gains.variant}"
+    generated.mkdir(parents=True, exist_ok=True)
+    (generated / "wq_gains.h").write_text(header(gains))
+    return generated
 
 
 def board_of(name: str) -> Board:
