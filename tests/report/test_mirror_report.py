@@ -160,6 +160,12 @@ def test_the_page_has_figures_of_every_kind(tmp_path):
         assert part in page
 
 
+def test_a_reference_alone_makes_a_page_without_warnings(tmp_path):
+    alone = made(failed=tuple(name for name, *_ in VARIANTS if name != "full"))
+    path = mirrors.write_report_of(tmp_path, alone, tmp_path / "report.html", "numpy")
+    assert "none of the variants is done" in path.read_text()
+
+
 def test_as_many_variants_are_drawn_as_can_be_told_apart():
     models, _ = mirrors.results_of(made(bound=0.05))
     chosen = representatives(models[0], most=3)

@@ -68,7 +68,8 @@ def errors_over_order(models: Sequence[ModelResult], criterion: Criterion) -> Fi
     axes.set_ylabel(f"largest {MEASURES[criterion.measure]}, relative")
     names = [f"{'full' if number == 0 else 'open'}: {model.name}" for number, model in enumerate(models)]
     axes.set_title(", ".join(names) if len(models) > 1 else "")
-    axes.legend(fontsize=7.5, ncols=2)
+    if methods:
+        axes.legend(fontsize=7.5, ncols=2)
     return figure
 
 

@@ -166,7 +166,7 @@ def _worded(value: float, criterion: Criterion) -> str:
 
 def _figures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
     reference = model.reference
-    if reference is None:
+    if reference is None or not model.variants:
         return
     shown, name = representatives(model), model.name
     for key, text, ground in (

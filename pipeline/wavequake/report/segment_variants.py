@@ -88,7 +88,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
 
 def _segment_figures(dataset: xr.Dataset, models: list[ModelResult]) -> Iterable[Picture]:
     """Draw what one segment's model is worth, which does not depend on how many segments are shaken."""
-    model = next((model for model in models if model.reference is not None), None)
+    model = next((model for model in models if model.variants), None)
     if model is None:
         return
     shown = representatives(model)
@@ -112,10 +112,11 @@ def _telescope_figures(
     truth = detail(dataset, reference, study_text, device)
     yield picture(f"{name}-segments", "Motion of the segments at the worst instant", segment_map(truth))
     yield picture(f"{name}-wavefront", "Wavefront of the telescope at the worst instant", opd_map(truth))
-    if model.variants:
-        one = model.enough or min(model.variants, key=lambda found: float(found.errors["wfe"].max()))
-        off = detail(dataset, reference, study_text, device, one)
-        yield picture(f"{name}-off", f"Wavefront of {one.variant} less that of the reference", opd_map(off))
+    if not model.variants:
+        return
+    one = model.enough or min(model.variants, key=lambda found: float(found.errors["wfe"].max()))
+    off = detail(dataset, reference, study_text, device, one)
+    yield picture(f"{name}-off", f"Wavefront of {one.variant} less that of the reference", opd_map(off))
     for excitation in map(str, dataset["excitation"].to_numpy()):
         yield picture(
             f"{name}-{excitation}-time",
