@@ -12,7 +12,9 @@ from wavequake.control.bench import fitted_bench
 from wavequake.control.experiment import Settings, design
 from wavequake.control.sensor import SensorChain, dac_codes
 from wavequake.control.stage import Stage
-from wavequake.firmware.build import build
+from wavequake.files import folder
+from wavequake.firmware.build import BOARDS, COMMON, build, write_header
+from wavequake.firmware.devices import HostDevice
 from wavequake.firmware.gains import gains_of
 
 if not shutil.which("avr-gcc"):
@@ -96,3 +98,28 @@ def test_the_interrupt_leaves_most_of_the_time_at_20_000_edges_per_second(simavr
     uno = Uno(simavr, image)
     uno.play(GRAY[np.arange(1, 401) % 4], 20_000)
     assert 20 < uno.longest < 0.25 * CLOCK / 20_000
+
+
+def test_the_16_bit_regulator_fits_the_uno_and_has_the_bits_of_the_host(simavr, tmp_path):
+    regulator = design(fitted_bench(), Stage(), Settings()).regulator
+    gains = gains_of(regulator, CHAIN, "q16")
+    path = tmp_path / "step.elf"
+    core = folder("firmware") / "core"
+    subprocess.run(
+        [*BOARDS["uno"].gcc, *COMMON, f"-I{write_header(gains, tmp_path)}", f"-I{core}", core / "control.c",
+         Path(__file__).with_name("uno_step.c"), "-o", path],
+        check=True,
+    )  # fmt: skip
+    uno = Uno(simavr, path)
+    assert simavr.uno_run(uno.board, 2 * CLOCK) == 0
+    codes, cycles = uno.words[0::2][:1000], uno.words[1::2][:1000]
+    noise, adc = 1, []
+    for _ in range(1000):
+        noise = (noise * 25173 + 13849) % 65536
+        adc.append(1536 + (noise >> 6))
+    trigger = np.arange(1000) % 256 == 0
+    host = HostDevice(build("host", gains, tmp_path))
+    np.testing.assert_array_equal(codes, host.run(np.array(adc, np.uint16), trigger))
+    assert np.ptp(codes.astype(int)) > 1000
+    # The sample time is 2 ms, and the decoder's interrupt wants its share.
+    assert cycles.max() / CLOCK < 0.75 * regulator.sample_time
