@@ -93,8 +93,14 @@ def run(
     overrides: OverridesArgument = None,
     store: StoreOption = None,
     on: Annotated[
-        str, typer.Option(help="serial, local, or the tcp://HOST:PORT of a Dask scheduler.")
+        str,
+        typer.Option(
+            help="serial, local, slurm, ssh, kubernetes, or tcp:// or tls://HOST:PORT (docs/clusters.md)."
+        ),
     ] = "local",
+    cluster: Annotated[
+        Path | None, typer.Option("--cluster", help="File that describes the cluster (.yaml).")
+    ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Worker processes (default: one per CPU).")
     ] = None,
@@ -135,6 +141,7 @@ def run(
             allow_mixed=allow_mixed,
             dashboard=_show_link if dashboard else None,
             shard=part,
+            cluster=cluster,
         )
     if summary.computed:
         rate = summary.computed / max(summary.seconds, 1e-9)
@@ -267,15 +274,17 @@ def export(
 def compare(
     stores: Annotated[list[Path], typer.Argument(help="The reference store, then those to compare with it.")],
     figure: Annotated[
-        Path, typer.Option("--figure", help="Where the figure goes (.png, .svg or .pdf).")
-    ] = Path("comparison.png"),
+        Path | None,
+        typer.Option("--figure", help="Where the figure goes (.png, .svg, .pdf; default: the last store)."),
+    ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Compare stores case by case: cases of equal labels (the same draws) are paired."""
     from wavequake.report.comparison import compare_stores
 
-    out.print(compare_stores(stores, figure))
-    out.print(f"Figure: {figure.resolve()}", markup=False, soft_wrap=True)
+    table, path = compare_stores(stores, figure)
+    out.print(table)
+    out.print(f"Figure: {path.resolve()}", markup=False, soft_wrap=True)
 
 
 @app.command()

@@ -1,3 +1,4 @@
+import json
 from io import StringIO
 
 import numpy as np
@@ -88,9 +89,18 @@ def test_the_command_pairs_draws_of_two_models(tmp_path, monkeypatch, capsys):
         cli.main()
     shown = capsys.readouterr().out
     assert "wfe_rms" in shown
-    assert (tmp_path / "comparison.png").stat().st_size > 5000
+    assert (tmp_path / "b" / "comparison.png").stat().st_size > 5000
     monkeypatch.setattr("sys.argv", ["wavequake", "compare", "a"])
     with pytest.raises(SystemExit) as exit_:
         cli.main()
     assert exit_.value.code == 2
     assert "at least two" in capsys.readouterr().err
+
+
+def test_stores_of_other_fields_or_workflows_are_refused(campaign):
+    fields = campaign.assign_coords(wavelength=("wavelength", [500.0, 600.0]))
+    with pytest.raises(UserError, match=r"differ in their wavelength: 500.0, 600.0 there, 700.0 here"):
+        compare(fields, campaign.assign_coords(wavelength=("wavelength", [700.0])), "A", "B")
+    mirrors = campaign.assign_attrs(study=json.dumps({"study": {"workflow": "mirror-mor"}}))
+    with pytest.raises(UserError, match="A holds results of None, B of mirror-mor"):
+        compare(campaign, mirrors, "A", "B")

@@ -4,6 +4,7 @@ Paired cases saw the same draw, so that the differences between two models, mirr
 the scatter of the draws.
 """
 
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,8 @@ from wavequake.workflows.contract import DONE
 from wavequake.workflows.store import open_store
 
 CONFIDENCE = 0.95
+# Coordinates over which measures are averaged, so that two stores must have the same.
+_AXES = {"field", "field_x", "field_y", "wavelength", "frequency", "excitation", "controller", "shortcut"}
 _NO_LABELS = {"case", "status", "message"}
 _IMAGES = {"exposure", "psf"}
 # Dims whose entries are numbers of different meaning, which a mean over them would mix up.
@@ -78,6 +81,7 @@ def compare(one_set: xr.Dataset, other_set: xr.Dataset, first: str, second: str)
     UserError
         If the two share no finished case; says which label differs.
     """
+    _require_alike(one_set, other_set, first, second)
     one, two = _by_label(one_set), _by_label(other_set)
     labels = [name for name in one.labels if name in two.labels]
     if not labels:
@@ -96,6 +100,26 @@ def compare(one_set: xr.Dataset, other_set: xr.Dataset, first: str, second: str)
     kinds = [name for name in labels if not pd.api.types.is_numeric_dtype(one.frame[name])]
     groups = shared.get_level_values(kinds[0]).to_numpy() if kinds else np.full(len(shared), "all")
     return list(_differences(left, right, groups))
+
+
+def _require_alike(one: xr.Dataset, two: xr.Dataset, first: str, second: str) -> None:
+    """Refuse stores whose numbers mean different things: other workflows, fields, frequencies..."""
+    ours, theirs = (
+        json.loads(data.attrs.get("study", "{}")).get("study", {}).get("workflow") for data in (one, two)
+    )
+    if ours != theirs:
+        raise UserError(f"{first} holds results of {ours}, {second} of {theirs}: they cannot be compared.")
+    for name in sorted(_AXES & set(map(str, one.coords)) & set(map(str, two.coords))):
+        if not np.array_equal(one[name].to_numpy(), two[name].to_numpy()):
+            raise UserError(
+                f"{first} and {second} differ in their {name}: {_shown(one[name])} there, "
+                f"{_shown(two[name])} here; compare stores that were computed at the same."
+            )
+
+
+def _shown(values: xr.DataArray) -> str:
+    items = [str(item) for item in values.to_numpy()[:3]]
+    return ", ".join(items) + (", ..." if values.size > 3 else "")
 
 
 @dataclass(frozen=True)
@@ -240,13 +264,17 @@ def comparison_figure(names: Sequence[str], comparisons: Sequence[Sequence[Diffe
     return figure
 
 
-def compare_stores(stores: Sequence[Path], figure: Path) -> Table:
-    """Compare stores with the first one, write the figure, and return the table; raises as `compare`."""
+def compare_stores(stores: Sequence[Path], figure: Path | None = None) -> tuple[Table, Path]:
+    """Compare stores with the first one, write the figure, and return the table and the figure's path.
+
+    Without `figure` it goes into the last store. Raises as `compare`.
+    """
     if len(stores) < 2:
         raise UserError("compare needs at least two stores.")
     names = [Path(store).name or str(store) for store in stores]
     if len(set(names)) < len(names):
         names = [str(store) for store in stores]
+    figure = figure or Path(stores[-1]) / "comparison.png"
     if figure.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise UserError(f"The figure {figure} must end in .png, .svg or .pdf.")
     first, *others = [open_store(store) for store in stores]
@@ -254,4 +282,4 @@ def compare_stores(stores: Sequence[Path], figure: Path) -> Table:
         compare(first, other, names[0], name) for other, name in zip(others, names[1:], strict=True)
     ]
     comparison_figure(names, comparisons).savefig(figure, dpi=150)
-    return comparison_table(names, comparisons)
+    return comparison_table(names, comparisons), figure
