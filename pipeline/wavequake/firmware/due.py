@@ -110,7 +110,7 @@ class DueDevice:
         from unicorn import UcError
 
         try:
-            self._emulator.emu_start(address, 0, count=0 if self.count else PATIENCE)
+            self._emulator.emu_start(address, 0, count=PATIENCE)
         except UcError as error:
             raise UserError(f"The image of the Due stopped: {error}.") from None
         if not self._stopped:
