@@ -7,8 +7,8 @@ import pytest
 import toy
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from wavequake.cluster import places
 from wavequake.errors import UserError
-from wavequake.workflows import engine
 from wavequake.workflows.chunks import BrokenWorkflowError
 from wavequake.workflows.contract import ChunkResult, Workflow
 from wavequake.workflows.engine import run_campaign
@@ -151,7 +151,7 @@ def test_a_second_driver_is_refused(tmp_path):
 
 
 def test_an_unknown_place_to_run_is_refused_before_anything_is_made(tmp_path):
-    with pytest.raises(UserError, match="on='slurmm' is unknown; use serial, local or"):
+    with pytest.raises(UserError, match="on='slurmm' is unknown; use serial, local, slurm, ssh"):
         toy.run(tmp_path / "s", on="slurmm")
     assert not (tmp_path / "s").exists()
 
@@ -169,7 +169,7 @@ def test_a_scheduler_elsewhere_does_the_same(tmp_path, monkeypatch):
     serial = toy.digests(tmp_path / "serial")
     assert {chunk: toy.digests(tmp_path / "s")[chunk] for chunk in serial} == serial
     assert len(toy.digests(tmp_path / "s")) == 5
-    monkeypatch.setattr(engine, "connected", lambda address: pytest.fail("not needed"))
+    monkeypatch.setattr(places, "connected", lambda *arguments, **keywords: pytest.fail("not needed"))
     toy.run(tmp_path / "s", cases=35, on="tcp://nowhere:1")
 
 

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from wavequake.cluster.local import silence
+from wavequake.cluster.template import Tls, tls_settings
 from wavequake.errors import UserError
 
 if TYPE_CHECKING:
@@ -12,21 +13,25 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def connected(address: str, timeout_s: float = 10.0) -> Iterator["Client"]:
+def connected(address: str, timeout_s: float = 10.0, tls: Tls | None = None) -> Iterator["Client"]:
     """Connect to the scheduler at `address` and yield the client once there is a worker.
 
-    Workers must see the store under the same path, and have the same versions installed.
+    With `tls`, both sides prove by their certificates who they are. Workers must see the store under the
+    same path, and have the same versions installed.
 
     Raises
     ------
     UserError
         If nothing answers at `address`, or no worker comes in time.
     """
+    import dask
     from distributed import Client
+    from distributed.security import Security
 
     silence()
     try:
-        client = Client(address, timeout=timeout_s)
+        with dask.config.set(tls_settings(tls)):
+            client = Client(address, timeout=timeout_s, security=Security(), set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         raise UserError(f"No Dask scheduler answers at {address} ({error}).") from None
     try:

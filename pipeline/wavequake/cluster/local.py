@@ -19,18 +19,19 @@ if TYPE_CHECKING:
     from distributed import Client
 
 # One thread per worker process: more would only get in each other's way, and the last bits of BLAS depend on
-# their number. Workers say nothing: what went wrong, the driver tells.
-WORKER_ENVIRONMENT = {
+# their number.
+THREADS = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
     "NUMBA_NUM_THREADS": "1",
     "POCL_MAX_PTHREAD_COUNT": "1",  # PoCL 3
     "POCL_CPU_MAX_CU_COUNT": "1",  # PoCL 4 and later
-    "DASK_LOGGING__DISTRIBUTED": "critical",
 }
+# Workers say nothing: what went wrong, the driver tells.
+WORKER_ENVIRONMENT = {**THREADS, "DASK_LOGGING__DISTRIBUTED": "critical"}
 # Would pin the one thread of every worker to the same CPU.
-_UNSET = ("POCL_AFFINITY",)
+UNSET = ("POCL_AFFINITY",)
 
 # A task takes seconds: slow clocks save idle CPU time. A worker holds no task but the one it runs, so that
 # its death is blamed on no other.
@@ -136,10 +137,10 @@ def silence() -> None:
 @contextmanager
 def worker_environment() -> Iterator[None]:
     """Set the environment that worker processes inherit, also those that are started again after a crash."""
-    names = (*WORKER_ENVIRONMENT, *_UNSET)
+    names = (*WORKER_ENVIRONMENT, *UNSET)
     before = {name: os.environ.get(name) for name in names}
     os.environ.update(WORKER_ENVIRONMENT)
-    for name in _UNSET:
+    for name in UNSET:
         os.environ.pop(name, None)
     try:
         yield

@@ -68,6 +68,7 @@ def run_study(
     allow_mixed: bool = False,
     dashboard: Callable[[str], None] | None = None,
     shard: Shard | None = None,
+    cluster: Path | None = None,
 ) -> CampaignSummary:
     """Compute what of `study` the store at `path` lacks; with `repair`, also what is damaged there.
 
@@ -81,9 +82,7 @@ def run_study(
         a shard is asked to judge statistics of all cases.
     """
     if shard and study.campaign.until is not None:
-        raise UserError(
-            "campaign.until judges all cases together, which no shard has: leave out one."
-        )
+        raise UserError("campaign.until judges all cases together, which no shard has: leave out one.")
     workflow = workflow_of(study)
     text = study.identity_text()
     device = choose_device(study.campaign.device)
@@ -106,6 +105,7 @@ def run_study(
             repair=repair,
             dashboard=dashboard,
             shard=shard,
+            cluster=cluster,
         )
 
     if study.campaign.until is None:
@@ -141,6 +141,7 @@ def run(
     workers: int | None = None,
     allow_mixed: bool = False,
     shard: str | None = None,
+    cluster: str | Path | None = None,
     **overrides: Any,
 ) -> "xr.Dataset":
     """Run a study and return its results as a labelled lazy dataset.
@@ -154,7 +155,7 @@ def run(
     store : str or Path, optional
         Folder of the store; by default ``runs/<name>-<identity>``. What it already holds is not computed
         again.
-    on : {"serial", "local", "tcp://HOST:PORT"}
+    on : {"serial", "local", "slurm", "ssh", "kubernetes", "tcp://HOST:PORT", "tls://HOST:PORT"}
         Where to run. ``local`` starts worker processes: a script then needs ``if __name__ == "__main__"``.
     workers : int, optional
         Worker processes of ``local``; one per CPU by default.
@@ -162,6 +163,8 @@ def run(
         Go on with a store that another version of the code began.
     shard : str, optional
         ``"i/n"``, from ``"0/n"``: compute every n-th chunk only, while n - 1 others compute the rest.
+    cluster : str or Path, optional
+        A cluster file (``docs/clusters.md``) for ``slurm``, ``ssh`` and ``tls://``.
     **overrides
         Further keys with double underscores for dots, e.g. ``optics__wavelength_nm=1000.0``.
 
@@ -181,7 +184,8 @@ def run(
     loaded = study_with(study, keys) if isinstance(study, Study) else load_study(study, keys)
     path = loaded.folder(store)
     part = None if shard is None else shard_of(shard)
-    run_study(loaded, path, on=on, workers=workers, allow_mixed=allow_mixed, shard=part)
+    file = None if cluster is None else Path(cluster)
+    run_study(loaded, path, on=on, workers=workers, allow_mixed=allow_mixed, shard=part, cluster=file)
     return open_store(path)
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from logging import Logger
 from pathlib import Path
 
-from wavequake.cluster.address import connected
-from wavequake.cluster.local import leave_if_imported_by_a_worker, local_cluster
+from wavequake.cluster.local import leave_if_imported_by_a_worker
+from wavequake.cluster.places import Opener, elsewhere, place_of
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.devices import choose_device
 from wavequake.workflows import provenance, store, verify
@@ -77,6 +77,7 @@ def run_campaign(
     repair: bool = False,
     dashboard: Callable[[str], None] | None = None,
     shard: Shard | None = None,
+    cluster: Path | None = None,
 ) -> CampaignSummary:
     """Compute what the store at `path` lacks of `cases` cases; the store is made or extended if need be.
 
@@ -91,9 +92,10 @@ def run_campaign(
     device : str
         The device that runs the kernels.
     on : str
-        "serial" (in this process), "local" (worker processes) or "tcp://HOST:PORT" (a Dask scheduler).
+        "serial" (in this process), "local" (worker processes), "slurm", "ssh", "kubernetes", or
+        "tcp://HOST:PORT" or "tls://HOST:PORT" (a Dask scheduler).
     workers : int, optional
-        Number of local worker processes; by default one per CPU, and one on a GPU.
+        Number of worker processes of "local" and "slurm"; by default one per CPU, and one on a GPU.
     progress : callable, optional
         Called with the numbers of cases done, wanted and quarantined, at first and after every chunk.
     recompute : set of (int, int)
@@ -114,6 +116,8 @@ def run_campaign(
     shard : Shard, optional
         Compute the chunks of this shard only, while other processes, perhaps on other machines, compute the
         others. All give the same number of cases.
+    cluster : Path, optional
+        A cluster file, which says what to ask Slurm for, the hosts of ssh, or the certificates of TLS.
 
     Raises
     ------
@@ -128,10 +132,7 @@ def run_campaign(
     if on != "serial":
         leave_if_imported_by_a_worker()
     start, path = time.perf_counter(), Path(path).absolute()
-    if on not in ("serial", "local") and not on.startswith("tcp://"):
-        raise UserError(
-            f"on={on!r} is unknown; use serial, local or the tcp://HOST:PORT of a Dask scheduler."
-        )
+    place = place_of(on, cluster)
     kind = choose_device(device).kind
     with driver_lock(path, shard) as setup:
         others = others_at_work(path, shard)
@@ -153,17 +154,17 @@ def run_campaign(
         if todo:
             if not allow_mixed:
                 store.refuse_mixed(path, manifest, provenance.code())
-            code = provenance.code() if on.startswith("tcp://") and not allow_mixed else ""
+            code = provenance.code() if elsewhere(on) and not allow_mixed else ""
             job = Job(workflow, str(path), device, uuid.uuid4().hex, code, retry)
             with run_log(path / store.LOG) as tally.log:
                 tally.log.info("%s on %s; on=%s, device %s", provenance.code(), this_process(), on, device)
                 tally.log.info("%d cases wanted, %d done before", tally.total, tally.done)
-                if on == "serial":
+                if place is None:
                     for piece in todo:
                         tally.add(compute_chunk(job, *piece))
                 else:
-                    processes = workers or (1 if kind == "gpu" else None)
-                    _run_on_dask(job, todo, on, processes, tally, timeout_s, dashboard)
+                    processes = workers or (1 if (on, kind) == ("local", "gpu") else None)
+                    _run_on_dask(job, todo, place, processes, tally, timeout_s, dashboard)
         records = store.done_records(manifest, read_journal(path / store.JOURNAL))
         lacking = [piece for piece in wanted if piece not in records]
     if lacking:
@@ -250,7 +251,7 @@ def _sweep(path: Path) -> None:
 def _run_on_dask(
     job: Job,
     todo: list[Chunk],
-    on: str,
+    place: Opener,
     workers: int | None,
     tally: _Tally,
     timeout_s: float | None,
@@ -260,8 +261,7 @@ def _run_on_dask(
         return limit_of(timeout_s, tally.chunk_seconds)
 
     processes = workers and min(workers, len(todo))
-    cluster = local_cluster(processes, dashboard is not None) if on == "local" else connected(on)
-    with cluster as client:
+    with place(processes, dashboard is not None) as client:
         if dashboard is not None:
             dashboard(client.dashboard_link)
         suspects = stream(client, job, todo, tally.add, limit, tally.log)

@@ -1,0 +1,147 @@
+"""Hosts reached by ssh, and encrypted connections, on loopback."""
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+
+import dask
+import pytest
+import toy
+
+from wavequake.cluster.address import connected
+from wavequake.cluster.places import place_of
+from wavequake.cluster.template import Address, read_template, tls_settings
+from wavequake.errors import UserError
+
+trustme = pytest.importorskip("trustme", reason="certificates need trustme: pip install 'wavequake[test]'")
+
+
+def certificates(folder):
+    folder.mkdir()
+    authority = trustme.CA()
+    issued = authority.issue_cert("127.0.0.1", "localhost")
+    authority.cert_pem.write_to_path(folder / "ca.pem")
+    issued.cert_chain_pems[0].write_to_path(folder / "cert.pem")
+    issued.private_key_pem.write_to_path(folder / "key.pem")
+    file = folder / "cluster.yaml"
+    file.write_text(f"tls: {{ca: {folder}/ca.pem, certificate: {folder}/cert.pem, key: {folder}/key.pem}}\n")
+    return file
+
+
+@pytest.fixture
+def encrypted(tmp_path):
+    from distributed import LocalCluster
+    from distributed.security import Security
+
+    file = certificates(tmp_path / "ours")
+    with dask.config.set(tls_settings(read_template(Address, file).tls)):
+        cluster = LocalCluster(
+            n_workers=1,
+            threads_per_worker=1,
+            processes=False,
+            protocol="tls",
+            host="127.0.0.1",
+            security=Security(),
+            dashboard_address="127.0.0.1:0",
+        )
+    with cluster:
+        yield cluster.scheduler_address, file
+
+
+def test_a_campaign_on_an_encrypted_scheduler_gives_the_bits_of_a_serial_run(tmp_path, encrypted):
+    address, file = encrypted
+    assert address.startswith("tls://127.0.0.1:")
+    assert toy.run(tmp_path / "s", on=address, cluster=file).computed == 40
+    toy.run(tmp_path / "serial")
+    assert toy.digests(tmp_path / "s") == toy.digests(tmp_path / "serial")
+    assert dask.config.get("distributed.comm.require-encryption") is None  # nothing is left behind
+
+
+def test_certificates_of_somebody_else_are_refused_on_both_sides(tmp_path, encrypted):
+    address, _ = encrypted
+    foreign = read_template(Address, certificates(tmp_path / "theirs")).tls
+    with (
+        pytest.raises(UserError, match="No Dask scheduler answers at tls://"),
+        connected(address, 1.0, foreign),
+    ):
+        pass
+    plain = address.replace("tls://", "tcp://")
+    with pytest.raises(UserError, match="No Dask scheduler answers at tcp://"), connected(plain, 1.0):
+        pass
+
+
+def test_a_certificate_that_is_not_there_is_named(tmp_path):
+    file = tmp_path / "cluster.yaml"
+    file.write_text("tls: {ca: nowhere.pem, certificate: a, key: b}")
+    with pytest.raises(UserError, match=r"no file nowhere\.pem, which the cluster file names as tls\.ca"):
+        toy.run(tmp_path / "s", on="tls://127.0.0.1:1", cluster=file)
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.fixture
+def host(tmp_path):
+    """A cluster file for an sshd of our own on loopback."""
+    daemon = shutil.which("sshd", path=os.environ["PATH"] + ":/usr/sbin")
+    if not daemon or os.geteuid():
+        pytest.skip("sshd is not installed (apt-get install openssh-server), or this is not root")
+    for name in ("host_key", "user_key"):
+        subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", tmp_path / name], check=True)
+    (tmp_path / "authorized").write_text((tmp_path / "user_key.pub").read_text())
+    os.makedirs("/run/sshd", exist_ok=True)
+    port = free_port()
+    (tmp_path / "known").write_text(f"[127.0.0.1]:{port} {(tmp_path / 'host_key.pub').read_text()}")
+    options = {
+        "ListenAddress": f"127.0.0.1:{port}",
+        "HostKey": tmp_path / "host_key",
+        "AuthorizedKeysFile": tmp_path / "authorized",
+        "PidFile": "none",
+        "StrictModes": "no",
+        "UsePAM": "no",
+        "PermitRootLogin": "yes",
+        "SetEnv": f"PYTHONPATH={os.pathsep.join(name for name in sys.path if name)}",
+    }
+    (tmp_path / "config").write_text("".join(f"{key} {value}\n" for key, value in options.items()))
+    server = subprocess.Popen(
+        [daemon, "-D", "-e", "-f", tmp_path / "config"], stderr=subprocess.PIPE, text=True
+    )
+    file = tmp_path / "ssh.yaml"
+    file.write_text(
+        f"hosts: [127.0.0.1]\nprocesses: 2\nport: {port}\nkey: {tmp_path}/user_key\nuser: root\n"
+        f"known_hosts: {tmp_path}/known\n"
+    )
+    try:
+        end = time.monotonic() + 10
+        while socket.socket().connect_ex(("127.0.0.1", port)):
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        yield file
+    finally:
+        server.kill()
+        server.wait()
+
+
+def test_hosts_that_ssh_reaches_give_the_bits_of_a_serial_run(tmp_path, host):
+    def environment():
+        return [os.environ.get(name) for name in ("OMP_NUM_THREADS", "POCL_MAX_PTHREAD_COUNT")]
+
+    with place_of("ssh", host)(None, False) as client:
+        client.wait_for_workers(2, timeout=30)
+        assert list(client.run(environment).values()) == [["1", "1"]] * 2
+        assert client.scheduler.address.startswith("tcp://127.0.0.1:")
+    assert toy.run(tmp_path / "s", on="ssh", cluster=host).computed == 40
+    toy.run(tmp_path / "serial")
+    assert toy.digests(tmp_path / "s") == toy.digests(tmp_path / "serial")
+
+
+def test_a_host_that_is_not_known_is_refused(tmp_path, host):
+    (tmp_path / "known").write_text("")
+    with pytest.raises(UserError, match="Host key is not trusted"), place_of("ssh", host)(None, False):
+        pass
