@@ -128,14 +128,18 @@ def host(tmp_path):
         server.wait()
 
 
-def test_hosts_that_ssh_reaches_give_the_bits_of_a_serial_run(tmp_path, host):
+@pytest.mark.parametrize("scheme", ["tcp", "tls"])
+def test_hosts_that_ssh_reaches_give_the_bits_of_a_serial_run(tmp_path, host, scheme):
+    if scheme == "tls":
+        host.write_text(host.read_text() + certificates(tmp_path / "ours").read_text())
+
     def environment():
         return [os.environ.get(name) for name in ("OMP_NUM_THREADS", "POCL_MAX_PTHREAD_COUNT")]
 
     with place_of("ssh", host)(None, False) as client:
         client.wait_for_workers(2, timeout=30)
         assert list(client.run(environment).values()) == [["1", "1"]] * 2
-        assert client.scheduler.address.startswith("tcp://127.0.0.1:")
+        assert client.scheduler.address.startswith(f"{scheme}://127.0.0.1:")
     assert toy.run(tmp_path / "s", on="ssh", cluster=host).computed == 40
     toy.run(tmp_path / "serial")
     assert toy.digests(tmp_path / "s") == toy.digests(tmp_path / "serial")
