@@ -14,6 +14,7 @@ import pytest
 import toy
 
 from wavequake.cluster.places import place_of
+from wavequake.errors import UserError
 from wavequake.files import folder
 from wavequake.workflows.verify import verify_store
 
@@ -133,6 +134,14 @@ def test_workers_have_one_thread_and_a_job_that_is_killed_is_submitted_again(slu
         while jobs(client.run(environment, on_error="return")) in (set(), {job}):
             assert time.monotonic() < end, words("squeue")
             time.sleep(0.5)
+
+
+def test_jobs_that_cannot_start_a_worker_end_the_wait(slurm, monkeypatch):
+    monkeypatch.setattr("wavequake.cluster.slurm.LOOK_S", 0.5)
+    file = cluster_file(slurm)
+    file.write_text(file.read_text() + "python: /bin/false\n")
+    with pytest.raises(UserError, match="end before they have a worker"), place_of("slurm", file)(1, False):
+        pass
 
 
 def jobs(answers):

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from shutil import which
+from subprocess import run
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,7 @@ from wavequake.errors import UserError
 if TYPE_CHECKING:
     from distributed import Client
 
-LOOK_S = 10.0  # between two looks at what jobs have workers
+LOOK_S = 10.0  # between two looks at Slurm's queue
 
 
 @contextmanager
@@ -75,11 +76,12 @@ def slurm_cluster(template: Slurm, workers: int | None, dashboard: bool) -> Iter
                 client = Client(cluster, set_as_default=False)
         except (OSError, RuntimeError, ValueError) as error:
             raise UserError(f"The jobs of Slurm do not start ({' '.join(str(error).split())}).") from None
-        over = Event()
+        fruitful, over, hopeless = Event(), Event(), Event()
         try:
             cluster.scale(jobs=jobs)
-            Thread(target=_replace_lost, args=(cluster, jobs, over), daemon=True).start()
-            client.wait_for_workers(1)
+            Thread(target=_replace_lost, args=(cluster, jobs, fruitful, over, hopeless), daemon=True).start()
+            _wait(client, hopeless)
+            fruitful.set()
             yield client
         finally:
             over.set()
@@ -88,29 +90,40 @@ def slurm_cluster(template: Slurm, workers: int | None, dashboard: bool) -> Iter
                 cluster.close(timeout=10)
 
 
-def _replace_lost(cluster: Any, jobs: int, over: Event) -> None:
-    """Submit jobs again whose workers have all gone: they were killed, or came to the end of their time.
+def _replace_lost(cluster: Any, jobs: int, fruitful: Event, over: Event, hopeless: Event) -> None:
+    """Submit jobs again that have left Slurm's queue: they were killed, or came to the end of their time.
 
-    Jobs that wait in Slurm's queue have had no workers yet, and a worker that crashed is back within seconds.
+    Where jobs end although there never was a worker, others would, too: that is hopeless.
     """
-    seen: set[Any] = set()
-    lost: set[Any] = set()
 
     async def close(names: set[Any]) -> None:
         for name in names:
             await cluster.workers.pop(name).close()
 
     while not over.wait(LOOK_S):
-        workers = [str(info["name"]) for info in cluster.scheduler_info["workers"].values()]
-        alive = {
-            job for job in cluster.workers if any(f"{worker}-".startswith(f"{job}-") for worker in workers)
-        }
-        lost_before, lost = lost, (seen & set(cluster.workers)) - alive
-        seen = (seen | alive) - (gone := lost & lost_before)
+        submitted = dict(cluster.workers)  # before we ask: what comes later is not in the answer
+        found = run(["squeue", "--me", "-h", "-o", "%A"], capture_output=True, text=True, check=False)
+        if found.returncode:
+            continue  # Slurm does not answer now
+        queue = set(found.stdout.split())
+        gone = {name for name, job in submitted.items() if job.job_id and str(job.job_id) not in queue}
+        if gone and not fruitful.is_set():
+            hopeless.set()
+            return
         if gone:
             with suppress(RuntimeError, OSError):  # scancel says that the job has gone already
                 cluster.sync(close, gone)
             cluster.scale(jobs=jobs)
+
+
+def _wait(client: "Client", hopeless: Event) -> None:
+    while not client.nthreads():
+        with suppress(TimeoutError):
+            client.wait_for_workers(1, timeout=2)
+        if hopeless.is_set():
+            raise UserError(
+                "The jobs of Slurm end before they have a worker: their output (log_directory) says why."
+            )
 
 
 def prologue(template: Slurm) -> list[str]:
