@@ -9,11 +9,12 @@ comma := ,
 LINKER := $(shell command -v ld >/dev/null || echo '[linker]')
 export PYTHONUNBUFFERED := 1
 
-.PHONY: help run test soak lint bench wheel clean
+.PHONY: help run test soak slurm lint bench wheel clean
 help:
 	@echo "make run    run the bundled study $(STUDY) and write its report"
 	@echo "make test   run the tests"
 	@echo "make soak   kill campaigns at 200 random moments; nothing may be lost (about ten minutes)"
+	@echo "make slurm  test campaigns on a Slurm of two nodes on loopback (root, Debian's slurm-wlm and munge)"
 	@echo "make lint   ruff and mypy"
 	@echo "make bench  run the benchmarks"
 	@echo "make wheel  build the wheel into dist/"
@@ -26,6 +27,9 @@ test: $(VENV)/.dev
 
 soak: $(VENV)/.dev
 	SOAK_KILLS=$${SOAK_KILLS:-200} $(BIN)/python -m pytest -q -s tests/workflows/test_soak.py
+
+slurm: $(VENV)/.dev
+	WAVEQUAKE_SLURM=1 $(BIN)/python -m pytest -q -rs tests/workflows/test_slurm.py
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
