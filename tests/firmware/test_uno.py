@@ -45,7 +45,7 @@ def image(tmp_path_factory):
 
 class Uno:
     def __init__(self, library, image):
-        self.library, self._words = library, np.zeros(200_000, np.uint16)
+        self.simulator, self._words = library, np.zeros(200_000, np.uint16)
         pointer = ctypes.c_void_p(self._words.ctypes.data)
         self.board = ctypes.c_void_p(library.uno_open(str(image).encode(), pointer, len(self._words)))
         self.play(np.zeros(1, np.uint8), 100)
@@ -54,20 +54,20 @@ class Uno:
         pins = np.ascontiguousarray(pins, np.uint8)
         cycles = round(CLOCK / edges_per_second)
         pointer = ctypes.c_void_p(pins.ctypes.data)
-        assert self.library.uno_play(self.board, pointer, len(pins), cycles) == 0
+        assert self.simulator.uno_play(self.board, pointer, len(pins), cycles) == 0
 
     def settled(self):
         """Return the last word, when the board has had time to send the last count."""
-        assert self.library.uno_run(self.board, CLOCK // 500) == 0
+        assert self.simulator.uno_run(self.board, CLOCK // 500) == 0
         return self.words[-1]
 
     @property
     def words(self):
-        return self._words[: self.library.uno_words(self.board)]
+        return self._words[: self.simulator.uno_words(self.board)]
 
     @property
     def longest(self):
-        return self.library.uno_longest(self.board)
+        return self.simulator.uno_longest(self.board)
 
 
 def word(count):
