@@ -1,5 +1,6 @@
 """From an optical system and its states to what the sequential trace takes."""
 
+from dataclasses import replace
 from math import cos, isfinite, sin
 
 import numpy as np
@@ -7,12 +8,12 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.sequence import Element, Grid, Moving, Polynomial, Region, Sequence
+from wavequake.optics.gradient_index import gradient_of, medium_index
 from wavequake.optics.kinematics import cardan
 from wavequake.optics.media import refractive_index
 from wavequake.optics.paraxial import entrance_pupil_center
 from wavequake.optics.shape_sag import extended_powers, require_grid
 from wavequake.optics.shapes import (
-    Deformation,
     EvenAsphere,
     ExtendedPolynomial,
     GridDeformation,
@@ -46,10 +47,12 @@ def pack(system: OpticalSystem, wavelength_mm: float) -> Sequence:
     start = index = refractive_index(system.medium, wavelength_mm)
     elements = []
     for surface in system.surfaces:
+        gradient = None
         if surface.action == "refract":
-            index = refractive_index(surface.medium, wavelength_mm)
+            index = medium_index(surface.medium, wavelength_mm)
+            gradient = gradient_of(surface.medium, wavelength_mm)
         try:
-            elements.append(_element(surface, index))
+            elements.append(replace(_element(surface, index), gradient=gradient))
         except UserError as error:
             raise UserError(f"the surface {surface.name} of {system.name}: {error}") from error
     return Sequence(tuple(elements), start)
@@ -70,7 +73,7 @@ def _element(surface: Surface, index: float) -> Element:
         grid=_grid(shape),
         deformation_degree=degree,
         deformation_radius=radius,
-        deformation_grid=_deformation_grid(form),
+        deformation_grid=_deformation_grid(form.residual if isinstance(form, ZernikeDeformation) else form),
         regions=opening_regions(surface.opening) if surface.opening is not None else (),
     )
 
@@ -96,8 +99,8 @@ def _grid(shape: Shape) -> Grid | None:
     return _centered_grid(rows, columns, shape.dx, shape.dy, spline_coefficients(shape.heights))
 
 
-def _deformation_grid(form: Deformation | None) -> Grid | None:
-    if not isinstance(form, GridDeformation):
+def _deformation_grid(form: GridDeformation | None) -> Grid | None:
+    if form is None:
         return None
     return _centered_grid(
         form.rows, form.columns, form.dx, form.dy, np.zeros((form.rows + 2, form.columns + 2))
@@ -205,7 +208,7 @@ def _deformation(
         if form is None:
             return None, None
         raise UserError(f"the surface {surface.name} can deform, but the states hold no coefficients for it")
-    size = (form.terms,) if isinstance(form, ZernikeDeformation) else (form.rows, form.columns)
+    size = (form.size,) if isinstance(form, ZernikeDeformation) else (form.rows, form.columns)
     if coefficients.shape != (instants, *size):
         raise UserError(
             f"the deformation of {surface.name} has the shape {coefficients.shape}, it must be "
@@ -216,8 +219,12 @@ def _deformation(
         return None, spline_coefficients(coefficients)
     if not np.isfinite(coefficients).all():
         raise UserError(f"the deformation of {surface.name} holds numbers that are not finite")
+    grid, rest = None, form.residual
+    if rest is not None:
+        left = coefficients[:, form.terms :].reshape(instants, rest.rows, rest.columns)
+        grid, coefficients = spline_coefficients(left), coefficients[:, : form.terms]
     matrix = zernike_basis(form.terms, form.obscuration).matrix
-    return np.ascontiguousarray(coefficients @ matrix.T), None
+    return np.ascontiguousarray(coefficients @ matrix.T), grid
 
 
 def _poses(system: OpticalSystem, motion: Array, line_of_sight: Array) -> Array:

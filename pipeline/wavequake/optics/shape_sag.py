@@ -66,7 +66,7 @@ def deformation_sag(
     ----------
     deformation : Deformation
     coefficients : ndarray, shape (terms,) or (rows, columns)
-        Noll coefficients or grid heights, mm.
+        Noll coefficients (and the heights of their residual grid, by rows) or grid heights, mm.
     x, y : array_like
         mm.
 
@@ -77,11 +77,18 @@ def deformation_sag(
     """
     x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
     if isinstance(deformation, ZernikeDeformation):
-        if coefficients.shape != (deformation.terms,):
+        rest = deformation.residual
+        if coefficients.shape != (deformation.size,):
             raise UserError(
-                f"a deformation by {deformation.terms} Zernike terms has {coefficients.shape} coefficients"
+                f"a deformation by {deformation.terms} Zernike terms takes {deformation.size} coefficients, "
+                f"not {coefficients.shape}"
             )
-        return _zernike(coefficients, deformation.pupil_radius, deformation.obscuration, x, y)
+        figure, left = np.split(coefficients, [deformation.terms])
+        smooth = _zernike(figure, deformation.pupil_radius, deformation.obscuration, x, y)
+        if rest is None:
+            return smooth
+        rough = _grid(left.reshape(rest.rows, rest.columns), rest.dx, rest.dy, x, y)
+        return smooth[0] + rough[0], smooth[1] + rough[1], smooth[2] + rough[2]
     if coefficients.shape != (deformation.rows, deformation.columns):
         raise UserError(
             f"a deformation on a grid of {deformation.rows} rows and {deformation.columns} columns has "

@@ -68,15 +68,6 @@ Shape = Conic | EvenAsphere | ExtendedPolynomial | ZernikeSag | GridSag
 
 
 @dataclass(frozen=True)
-class ZernikeDeformation:
-    """Which Noll Zernike polynomials may deform a surface from instant to instant (heights along z, mm)."""
-
-    terms: int
-    pupil_radius: float
-    obscuration: float = 0.0
-
-
-@dataclass(frozen=True)
 class GridDeformation:
     """The grid on which a surface may deform from instant to instant (heights along z, mm)."""
 
@@ -84,6 +75,25 @@ class GridDeformation:
     columns: int
     dx: float
     dy: float
+
+
+@dataclass(frozen=True)
+class ZernikeDeformation:
+    """Which Noll Zernike polynomials may deform a surface from instant to instant (heights along z, mm).
+
+    Where there is a ``residual`` grid, too, its heights by rows follow the coefficients: what a fit by the
+    polynomials left, so that nothing is lost.
+    """
+
+    terms: int
+    pupil_radius: float
+    obscuration: float = 0.0
+    residual: GridDeformation | None = None
+
+    @property
+    def size(self) -> int:
+        """How many numbers deform the surface at one instant."""
+        return self.terms + (self.residual.rows * self.residual.columns if self.residual else 0)
 
 
 Deformation = ZernikeDeformation | GridDeformation

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.optics.gradient_index import GradientIndex, require_gradient
 from wavequake.optics.media import AIR, Medium
 from wavequake.optics.shape_sag import require_shape
 from wavequake.optics.shapes import Conic, Deformation, Opening, Shape, SurfaceAction, ZernikeDeformation
@@ -24,7 +25,8 @@ _SMALLEST, _LARGEST = 1e-9, 1e12  # apertures and distances, mm: products of som
 class Surface:
     """One surface: its shape, where its vertex stands (3,), how it is turned (3, 3), and what it does.
 
-    ``rotation`` turns the surface's frame into the system's. ``medium`` follows a refracting surface.
+    ``rotation`` turns the surface's frame into the system's. ``medium`` follows a refracting surface; one
+    with a gradient starts at its vertex and moves with it.
     """
 
     name: str
@@ -32,7 +34,7 @@ class Surface:
     position: Array = field(default_factory=lambda: np.zeros(3))
     rotation: Array = field(default_factory=lambda: np.eye(3))
     action: SurfaceAction = "pass"
-    medium: Medium = AIR
+    medium: Medium | GradientIndex = AIR
     opening: Opening | None = None
     deformation: Deformation | None = None
 
@@ -127,8 +129,15 @@ def require_system(system: OpticalSystem) -> None:
     if np.isinf(system.object_distance) and not (np.abs(system.fields) < np.pi / 2.0).all():
         raise UserError(f"a field of {name} lies 90 degrees or more off the axis; its light does not come in")
     _require_pupil(system)
+    medium: Medium | GradientIndex = system.medium
     for surface in system.surfaces:
         _require_surface(name, surface)
+        medium = surface.medium if surface.action == "refract" else medium
+    if isinstance(medium, GradientIndex):
+        raise UserError(
+            f"the image of {name} lies in the medium {medium.name}, whose index varies; add a refracting "
+            "surface that ends it (at no distance from the image, if need be)"
+        )
     if system.surfaces[-1].action != "pass":
         raise UserError(
             f"the last surface of {name}, {surface.name}, is the image: its action must be 'pass', "
@@ -168,6 +177,11 @@ def _require_surface(system: str, surface: Surface) -> None:
         raise UserError(f"the rotation of {where} must be a rotation matrix (3, 3)")
     if surface.action not in ("reflect", "refract", "pass"):
         raise UserError(f"{where} does {surface.action!r}; it can reflect, refract or pass")
+    if isinstance(surface.medium, GradientIndex):
+        try:
+            require_gradient(surface.medium)
+        except UserError as error:
+            raise UserError(f"{where}: {error}") from error
     opening = surface.opening
     if opening is not None and not 0.0 <= opening.inner < opening.outer:
         raise UserError(
@@ -185,7 +199,8 @@ def _require_deformation(where: str, form: Deformation | None) -> None:
             )
         if not 0.0 <= form.obscuration < 1.0:
             raise UserError(f"{where} deforms over an annulus of {form.obscuration}; it must lie in [0, 1)")
-    elif form is not None and not (min(form.rows, form.columns) >= 4 and form.dx > 0.0 and form.dy > 0.0):
+        form = form.residual
+    if form is not None and not (min(form.rows, form.columns) >= 4 and form.dx > 0.0 and form.dy > 0.0):
         raise UserError(
             f"{where} deforms on a grid of {form.rows} rows and {form.columns} columns, {form.dx} and "
             f"{form.dy} mm apart; it needs at least 4 of each and positive spacings"
@@ -202,7 +217,8 @@ class SystemStates:
         Displacement along and rotation about the axes of each surface's own frame at rest (mm, rad), Cardan
         angles x-y-z about its vertex.
     deformations : tuple of (ndarray or None), one per surface
-        (T, terms) Noll coefficients or (T, rows, columns) grid heights in mm, along the surface's z.
+        (T, terms) Noll coefficients, followed by the heights of their residual grid where there is one, or
+        (T, rows, columns) grid heights; mm, along the surface's z.
     line_of_sight : ndarray, shape (T, 2)
         Rotation of the whole incoming bundle, as an angle on the sky along x and y, rad.
     """

@@ -215,5 +215,5 @@ def _no_deformation(deformation: Deformation | None, instants: int) -> Array | N
     if deformation is None:
         return None
     if isinstance(deformation, ZernikeDeformation):
-        return np.zeros((instants, deformation.terms))
+        return np.zeros((instants, deformation.size))
     return np.zeros((instants, deformation.rows, deformation.columns))
