@@ -14,6 +14,7 @@ from scipy.special import ndtri
 from wavequake.mechanics.layout import SegmentLayout
 from wavequake.mechanics.motion import Motion, counted_generator, still
 from wavequake.mechanics.population import Population
+from wavequake.mechanics.streams import Random
 
 _WORDS = 4  # 64-bit numbers by each step of Philox's counter
 
@@ -41,7 +42,7 @@ def history(parameters: CommonHistory, time: NDArray[np.float64]) -> NDArray[np.
 
 
 def amplitudes(
-    parameters: CommonHistory, segments: int, random: np.random.Generator, cases: int = 1
+    parameters: CommonHistory, segments: int, random: Random, cases: int = 1
 ) -> NDArray[np.float64]:
     """Return the amplitudes (cases, segments), m, of as many realizations one after the other.
 
@@ -68,7 +69,7 @@ def _steps(segments: int) -> int:
 
 
 def draw_common(
-    parameters: CommonHistory, layout: SegmentLayout, time: NDArray[np.float64], random: np.random.Generator
+    parameters: CommonHistory, layout: SegmentLayout, time: NDArray[np.float64], random: Random
 ) -> Motion:
     """Draw one realization."""
     motion = still(len(time), len(layout))

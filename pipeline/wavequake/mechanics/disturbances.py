@@ -17,6 +17,7 @@ from wavequake.mechanics.population import Population, time_axis
 from wavequake.mechanics.segment_history import SegmentHistory, draw_history
 from wavequake.mechanics.segment_wind import SegmentWind, draw_wind, segment_wind_rms_nm
 from wavequake.mechanics.static_random import StaticRandom, draw_static
+from wavequake.mechanics.streams import Random, Streams, own_streams
 from wavequake.mechanics.vibration_lines import VibrationLines, draw_lines, lines_rms_mas
 
 __all__ = [
@@ -58,7 +59,7 @@ def draw(
     parameters: SingleDisturbance,
     layout: SegmentLayout,
     time: NDArray[np.float64],
-    random: np.random.Generator,
+    random: Random,
 ) -> Motion:
     """Draw one realization of a single disturbance at the instants `time` (n,) in s."""
     match parameters:
@@ -112,11 +113,13 @@ def draw_case(
     layout: SegmentLayout,
     seed: int,
     realization: int,
+    streams: Streams = own_streams,
 ) -> Motion:
     """Draw one case of a population.
 
     Every part of a combination has the random numbers that it has alone in the same realization, so that a
-    combination is the sum of its parts wherever their time axes agree.
+    combination is the sum of its parts wherever their time axes agree. Where `streams` gives something for
+    the name of a part, it draws from that instead.
 
     Raises
     ------
@@ -126,17 +129,16 @@ def draw_case(
     time = time_axis(population)
     return add(
         [
-            draw(part, layout, time, _generator_of(part, layout, seed, realization))
+            draw(part, layout, time, streams(part.name) or stream_of(part, len(layout), seed, realization))
             for part in parts(populations, population)
         ]
     )
 
 
-def _generator_of(
-    part: SingleDisturbance, layout: SegmentLayout, seed: int, realization: int
-) -> np.random.Generator:
+def stream_of(part: SingleDisturbance, segments: int, seed: int, realization: int) -> np.random.Generator:
+    """Return the random numbers that a disturbance has of its own in a realization."""
     if isinstance(part, CommonHistory):
-        return amplitude_generator(part, len(layout), seed, realization)
+        return amplitude_generator(part, segments, seed, realization)
     return generator(seed, part.name, realization)
 
 

@@ -20,6 +20,7 @@ from wavequake.errors import UserError
 from wavequake.mechanics.layout import SegmentLayout
 from wavequake.mechanics.motion import Motion, still
 from wavequake.mechanics.population import Population
+from wavequake.mechanics.streams import Random
 
 Array = NDArray[np.float64]
 
@@ -201,7 +202,7 @@ def edge_noise_rms_nm(parameters: EdgeSensorNoise, layout: SegmentLayout) -> flo
 
 
 def draw_edge_noise(
-    parameters: EdgeSensorNoise, layout: SegmentLayout, time: Array, random: np.random.Generator
+    parameters: EdgeSensorNoise, layout: SegmentLayout, time: Array, random: Random
 ) -> Motion:
     """Draw independent sensor noise at each instant and turn it into segment motion."""
     shape = shaping(layout, parameters.dihedral_arm_m, parameters.sensor_offset_m)

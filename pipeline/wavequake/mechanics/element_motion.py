@@ -4,7 +4,7 @@ An element is a surface or a body, addressed by its name. Each has random number
 elements never changes another one's draws.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import Annotated, Any, Literal, cast
@@ -17,6 +17,7 @@ from wavequake.mechanics.disturbances import Combine, parts
 from wavequake.mechanics.line_of_sight import LineOfSight, draw_sight
 from wavequake.mechanics.motion import generator
 from wavequake.mechanics.population import NonNegative, Population, time_axis
+from wavequake.mechanics.streams import Random, Streams, own_streams
 from wavequake.mechanics.vibration_lines import VibrationLines, draw_lines
 
 Array = NDArray[np.float64]
@@ -110,9 +111,15 @@ class ElementMotion:
 
 
 def draw_elements(
-    populations: Sequence[ElementDisturbance], population: ElementDisturbance, seed: int, realization: int
+    populations: Sequence[ElementDisturbance],
+    population: ElementDisturbance,
+    seed: int,
+    realization: int,
+    streams: Streams = own_streams,
 ) -> ElementMotion:
     """Draw one case of a population; every part of a combination is drawn as it is alone.
+
+    Where `streams` gives something for a name, a disturbance or ``disturbance/element``, it draws from that.
 
     Raises
     ------
@@ -120,7 +127,11 @@ def draw_elements(
         If a combination names what is none of `populations`, or contains itself.
     """
     time = time_axis(population)
-    drawn = [_draw(part, time, seed, realization) for part in single_parts(populations, population)]
+
+    def random(name: str) -> Random:
+        return streams(name) or generator(seed, name, realization)
+
+    drawn = [_draw(part, time, random) for part in single_parts(populations, population)]
     return ElementMotion(
         _summed([one.rigid for one in drawn]),
         _summed([one.figure for one in drawn]),
@@ -137,16 +148,16 @@ def single_parts(
     )  # it handles names and combinations alone
 
 
-def _draw(part: SingleElementDisturbance, time: Array, seed: int, realization: int) -> ElementMotion:
+def _draw(part: SingleElementDisturbance, time: Array, random_of: Callable[[str], Random]) -> ElementMotion:
     still = np.zeros((len(time), 2))
     match part:
         case LineOfSight():
-            sight = draw_sight(part, 0, time, generator(seed, part.name, realization)).mount
+            sight = draw_sight(part, 0, time, random_of(part.name)).mount
             return ElementMotion({}, {}, sight)
         case VibrationLines():
-            sight = draw_lines(part, 0, time, generator(seed, part.name, realization)).mount
+            sight = draw_lines(part, 0, time, random_of(part.name)).mount
             return ElementMotion({}, {}, sight)
-    own = {name: generator(seed, f"{part.name}/{name}", realization) for name in part.of}
+    own = {name: random_of(f"{part.name}/{name}") for name in part.of}
     match part:
         case SurfaceRandom():
             moved = {name: _misalignment(part, time, random) for name, random in own.items()}
@@ -158,11 +169,11 @@ def _draw(part: SingleElementDisturbance, time: Array, seed: int, realization: i
             return ElementMotion({}, {name: _figure(part, random) for name, random in own.items()}, still)
 
 
-def _misalignment(part: SurfaceRandom, time: Array, random: np.random.Generator) -> Array:
+def _misalignment(part: SurfaceRandom, time: Array, random: Random) -> Array:
     return np.tile(random.standard_normal(6) * _sizes(part.rms), (len(time), 1))
 
 
-def _vibration(part: SurfaceVibration, time: Array, random: np.random.Generator) -> Array:
+def _vibration(part: SurfaceVibration, time: Array, random: Random) -> Array:
     """Return the sum of the lines; every phase is drawn whether its amplitude is zero or not."""
     phase = random.uniform(0.0, 2.0 * np.pi, (len(part.lines), 6))
     frequency = np.array([line.frequency_hz for line in part.lines])
@@ -172,7 +183,7 @@ def _vibration(part: SurfaceVibration, time: Array, random: np.random.Generator)
     return moved
 
 
-def _figure(part: SurfaceDeformation, random: np.random.Generator) -> Array:
+def _figure(part: SurfaceDeformation, random: Random) -> Array:
     terms = max(part.rms_nm)
     rms = np.array([part.rms_nm.get(noll, 0.0) * _NANO for noll in range(1, terms + 1)])
     return np.asarray(random.standard_normal(terms) * rms)

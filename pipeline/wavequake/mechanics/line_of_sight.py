@@ -21,6 +21,7 @@ from wavequake.mechanics.spectra import (
     variance,
     windshake,
 )
+from wavequake.mechanics.streams import Random
 
 # The TMT wind shake's PSD at the 75th percentile of the wind over that at the 50th.
 _PERCENTILE_POWER = {50: 1.0, 75: 28 / 13}
@@ -122,9 +123,7 @@ def _bands(parameters: LineOfSight) -> Bands:
     return split(sight_spectrum(parameters))
 
 
-def draw_sight(
-    parameters: LineOfSight, segments: int, time: NDArray[np.float64], random: np.random.Generator
-) -> Motion:
+def draw_sight(parameters: LineOfSight, segments: int, time: NDArray[np.float64], random: Random) -> Motion:
     """Draw one time series along the direction of motion."""
     along = synthesize(_bands(parameters), time, random)[:, 0]
     return line_of_sight_motion(

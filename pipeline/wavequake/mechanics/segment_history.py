@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from wavequake.mechanics.layout import SegmentLayout
 from wavequake.mechanics.motion import Motion, still
 from wavequake.mechanics.population import Population
+from wavequake.mechanics.streams import Random
 
 _HARMONICS = 12
 _GRID = 256
@@ -40,7 +41,7 @@ class SegmentHistory(Population):
 
 
 def draw_history(
-    parameters: SegmentHistory, layout: SegmentLayout, time: NDArray[np.float64], random: np.random.Generator
+    parameters: SegmentHistory, layout: SegmentLayout, time: NDArray[np.float64], random: Random
 ) -> Motion:
     """Draw one history per segment along z to the sky, turned into the segment's local frame."""
     count = len(layout)

@@ -15,6 +15,7 @@ from wavequake.mechanics.layout import SegmentLayout
 from wavequake.mechanics.motion import Motion, still
 from wavequake.mechanics.population import Population, Positive
 from wavequake.mechanics.spectra import Bands, Spectrum, banded, frequencies, split, variance, von_karman
+from wavequake.mechanics.streams import Random
 
 Array = NDArray[np.float64]
 
@@ -111,9 +112,7 @@ def segment_wind_rms_nm(parameters: SegmentWind, layout: SegmentLayout) -> Array
     return rms
 
 
-def draw_wind(
-    parameters: SegmentWind, layout: SegmentLayout, time: Array, random: np.random.Generator
-) -> Motion:
+def draw_wind(parameters: SegmentWind, layout: SegmentLayout, time: Array, random: Random) -> Motion:
     """Draw one time history of all segments; the numbers drawn do not depend on `time`."""
     gusts = _gusts(parameters, layout)
     count = len(layout)

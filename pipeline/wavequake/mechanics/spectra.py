@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.mechanics.streams import Random
 
 Array = NDArray[np.float64]
 
@@ -124,7 +125,7 @@ def split(spectrum: Spectrum, count: int = 128) -> Bands:
     return banded(spectrum, edges[np.concatenate([[True], np.diff(edges) > 1e-9 * edges[1:]])])
 
 
-def frequencies(bands: Bands, random: np.random.Generator) -> Array:
+def frequencies(bands: Bands, random: Random) -> Array:
     """Draw one frequency in each band, (B,), distributed as the band's power."""
     first = bands.below[np.searchsorted(bands.grid_hz, bands.edges_hz[:-1])]
     level = first + bands.variances * random.random(len(bands.variances))
@@ -132,7 +133,7 @@ def frequencies(bands: Bands, random: np.random.Generator) -> Array:
     return drawn
 
 
-def synthesize(bands: Bands, time: Array, random: np.random.Generator, channels: int = 1) -> Array:
+def synthesize(bands: Bands, time: Array, random: Random, channels: int = 1) -> Array:
     """Draw independent time series of a spectrum.
 
     Each band has one harmonic, at a frequency drawn from the band's power, with Gaussian cosine and sine

@@ -9,6 +9,7 @@ from pydantic import Field
 from wavequake.mechanics.layout import SegmentLayout
 from wavequake.mechanics.motion import Motion, still
 from wavequake.mechanics.population import NonNegative, Population
+from wavequake.mechanics.streams import Random
 
 NollIndex = Annotated[int, Field(ge=4, le=66, strict=False)]
 
@@ -33,7 +34,7 @@ class StaticRandom(Population):
 
 
 def draw_static(
-    parameters: StaticRandom, layout: SegmentLayout, time: NDArray[np.float64], generator: np.random.Generator
+    parameters: StaticRandom, layout: SegmentLayout, time: NDArray[np.float64], generator: Random
 ) -> Motion:
     """Draw one misalignment and figure.
 

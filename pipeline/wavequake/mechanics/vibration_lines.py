@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from wavequake.mechanics.motion import RAD_PER_MAS, Motion, line_of_sight_motion
 from wavequake.mechanics.population import Population
 from wavequake.mechanics.spectra import Bands, resonance, split, synthesize, total
+from wavequake.mechanics.streams import Random
 
 # Line frequencies in Hz along (tip) and across (tilt), from the spectra that the AO simulator TIPTOP ships.
 # The unit of those files is not proven, so they give places of lines and nothing else.
@@ -114,7 +115,7 @@ def _bands(parameters: VibrationLines, across: bool) -> Bands | None:
 
 
 def draw_lines(
-    parameters: VibrationLines, segments: int, time: NDArray[np.float64], random: np.random.Generator
+    parameters: VibrationLines, segments: int, time: NDArray[np.float64], random: Random
 ) -> Motion:
     """Draw the lines along and across the direction of motion."""
     series = []
