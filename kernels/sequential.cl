@@ -19,8 +19,16 @@ INLINE int any_lane(mask a)
 #if W == 1
     return a != 0;
 #else
+#if W == 16
     long8 b = a.lo | a.hi;
+#else
+    mask b = a;
+#endif
+#if W >= 8
     long4 c = b.lo | b.hi;
+#else
+    mask c = b;
+#endif
     long2 d = c.lo | c.hi;
     return (d.x | d.y) != 0;
 #endif

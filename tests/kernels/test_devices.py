@@ -1,16 +1,54 @@
 import pickle
 
 import numpy as np
+import pyopencl as cl
 import pytest
+from typer.testing import CliRunner
 
+from wavequake.cli import app
 from wavequake.errors import UserError
 from wavequake.kernels import devices
-from wavequake.kernels.devices import NUMPY, Device, choose_device, list_devices, self_test
+from wavequake.kernels.devices import NUMPY, Device, choose_device, list_devices, self_test, self_tests
 from wavequake.kernels.example import lens
 from wavequake.kernels.sequential import trace_sequence
 
 CPU = Device("a processor", "cpu", "somebody", 16)
 GPU = Device("Some GPU 3000", "gpu", "somebody else", 1)
+
+
+class Handle:
+    """A device as OpenCL shows it."""
+
+    type = cl.device_type.CPU
+
+    def __init__(self, name, doubles=63, available=True):
+        self.name, self.double_fp_config, self.available = name, doubles, available
+
+
+class Platform:
+    """A platform as OpenCL shows it; one without devices is broken."""
+
+    def __init__(self, name, handles):
+        self.name, self.handles = name, handles
+
+    def get_devices(self):
+        if not self.handles:
+            raise RuntimeError("no driver")
+        return self.handles
+
+
+def with_platforms(monkeypatch, platforms):
+    monkeypatch.setattr(cl, "get_platforms", lambda: platforms)
+    devices._seen.cache_clear()
+    devices._trusted.cache_clear()
+    monkeypatch.setattr(devices, "ensure_linker", lambda: None)
+
+
+@pytest.fixture(autouse=True)
+def real_devices_again(monkeypatch):
+    yield
+    monkeypatch.undo()
+    devices._seen.cache_clear()
 
 
 def test_every_listed_device_agrees_with_numpy():
@@ -38,6 +76,49 @@ def test_auto_prefers_a_gpu_then_a_cpu(monkeypatch, untested):
     assert choose_device("numpy") == NUMPY
     monkeypatch.setattr(devices, "_found", lambda: ((CPU, None),))
     assert choose_device("auto") == CPU
+
+
+def test_pocl_comes_first_whatever_else_is_installed(monkeypatch, untested):
+    pocl = Platform(devices.POCL, [Handle("pthread-EPYC")])
+    other = Platform("Another OpenCL", [Handle("EPYC")])
+    for platforms in ([pocl, other], [other, pocl]):
+        with_platforms(monkeypatch, platforms)
+        assert choose_device().label == choose_device("cpu").label == f"{devices.POCL}: pthread-EPYC"
+
+
+def test_devices_are_told_apart_by_whole_name_and_by_platform(monkeypatch, untested):
+    names = [("A", "EPYC 2"), ("A", "EPYC"), ("B", "EPYC 2"), ("B", "[GPU] 7")]
+    with_platforms(monkeypatch, [Platform(p, [Handle(n) for q, n in names if q == p]) for p in "AB"])
+    wanted = {"EPYC": "A: EPYC", "epyc 2": "A: EPYC 2", "b": "B: EPYC 2", "B: EPYC 2": "B: EPYC 2"}
+    wanted |= {"A": "A: EPYC 2", "7": "B: [GPU] 7", "A: EPYC": "A: EPYC"}
+    assert {request: choose_device(request).label for request in wanted} == wanted
+
+
+def test_broken_platforms_and_devices_are_listed_with_the_reason_and_hide_nothing(monkeypatch, untested):
+    platforms = [
+        Platform("Broken", []),
+        Platform("Fine", [Handle("a"), Handle("wrong"), Handle("crashes")]),
+        Platform("Old", [Handle("float32", doubles=0), Handle("away", available=False)]),
+    ]
+    with_platforms(monkeypatch, platforms)
+
+    def test_result(device):
+        if device.name == "crashes":
+            raise RuntimeError("clBuildProgram failed:\nvery\nlong")
+        return {"wrong": 1e-3}.get(device.name, 1e-12)
+
+    monkeypatch.setattr(devices, "self_test", test_result)
+    rows = {device.label: result for device, result in self_tests()}
+    assert list(rows) == ["Fine: a", "Fine: wrong", "Fine: crashes", "NumPy: numpy", "Broken: -"]
+    assert rows["Fine: a"] == rows["NumPy: numpy"] == "1.0e-12"
+    assert rows["Fine: wrong"].startswith("unusable: it computes wrong numbers, 1.0e-03 mm")
+    assert rows["Fine: crashes"] == "unusable: clBuildProgram failed:"
+    assert rows["Broken: -"] == "unusable: no driver"
+    result = CliRunner().invoke(app, ["devices"])
+    assert result.exit_code == 0
+    assert "no driver" in result.output
+    with pytest.raises(UserError, match=r"'Fine: crashes' is unusable: clBuildProgram failed:"):
+        choose_device("crashes")
 
 
 def test_a_request_that_nothing_fits_names_what_there_is(monkeypatch):

@@ -33,6 +33,13 @@ class Device:
     platform: str
     vector_width: int
 
+    @property
+    def label(self) -> str:
+        """Platform and name, which tells devices of the same name apart."""
+        return f"{self.platform}: {self.name}"
+
+
+POCL = "Portable Computing Language"
 
 # Of path lengths of tens of meters on a device and on NumPy, mm.
 LARGEST_DIFFERENCE = 1e-9
@@ -41,29 +48,58 @@ NUMPY = Device("numpy", "numpy", "NumPy", TILE)
 
 
 @lru_cache(maxsize=1)
-def _found() -> tuple[tuple[Device, Any], ...]:
-    """Return every OpenCL device with float64, with its pyopencl handle; empty without OpenCL."""
+def _seen() -> tuple[tuple[tuple[Device, Any], ...], tuple[tuple[Device, str], ...]]:
+    """Return every OpenCL device with float64 and its pyopencl handle, and what of OpenCL is broken and why.
+
+    PoCL comes before other implementations for CPUs, so that results do not depend on what else is installed.
+    """
     try:
         import pyopencl as cl
 
         platforms = cl.get_platforms()
-    except Exception:  # no loader, no platform, or a broken driver: all mean that there is no OpenCL
-        return ()
-    found = []
+    except Exception:  # no loader or no platform: both mean that there is no OpenCL
+        return (), ()
+    found, broken = [], []
     for platform in platforms:
-        for handle in platform.get_devices():
-            if handle.double_fp_config and handle.available:
-                gpu = bool(handle.type & cl.device_type.GPU)
-                device = Device(
-                    handle.name.strip(), "gpu" if gpu else "cpu", platform.name.strip(), 1 if gpu else TILE
-                )
-                found.append((device, handle))
-    return tuple(found)
+        name = "unnamed"
+        try:
+            name = platform.name.strip()
+            for handle in platform.get_devices():
+                if handle.double_fp_config and handle.available:
+                    gpu = bool(handle.type & cl.device_type.GPU)
+                    kind, width = ("gpu", 1) if gpu else ("cpu", TILE)
+                    found.append((Device(handle.name.strip(), kind, name, width), handle))
+        except Exception as error:  # a broken driver must not hide the others
+            broken.append((Device("-", "-", name, 1), _words(error)))
+    return tuple(sorted(found, key=lambda pair: pair[0].platform != POCL)), tuple(broken)
+
+
+def _found() -> tuple[tuple[Device, Any], ...]:
+    return _seen()[0]
+
+
+def _words(error: Exception) -> str:
+    """Return an error in one line: what a driver says may be a compiler's whole log."""
+    line = (str(error).strip() or type(error).__name__).splitlines()[0]
+    return line if len(line) <= 160 else line[:157] + "..."
 
 
 def list_devices() -> list[Device]:
     """Return the devices that can run the kernels; NumPy, which always can, is the last."""
     return [device for device, _ in _found()] + [NUMPY]
+
+
+def self_tests() -> list[tuple[Device, str]]:
+    """Return every device with the result of its self test in words: a difference, or "unusable: reason"."""
+    results = []
+    for device in list_devices():
+        try:
+            difference = _tested(device)
+        except UserError as error:
+            results.append((device, f"unusable: {error}"))
+        else:
+            results.append((device, f"{difference:.1e}"))
+    return results + [(device, f"unusable: {reason}") for device, reason in _seen()[1]]
 
 
 def choose_device(request: str = "auto") -> Device:
@@ -72,13 +108,15 @@ def choose_device(request: str = "auto") -> Device:
     Parameters
     ----------
     request : str
-        "auto" (a GPU if there is one, else a CPU), "gpu", "cpu", "numpy", or a part of a device's name.
+        "auto" (a GPU if there is one, else a CPU), "gpu", "cpu", "numpy", or a part of "PLATFORM: NAME" as
+        `wavequake devices` lists them. Of several that fit, the one whose whole name is meant, else the first
+        of the list; PoCL comes first.
 
     Raises
     ------
     UserError
         If there is no OpenCL device, or none that fits the request, PoCL has no linker to build kernels with,
-        or the device computes something else than NumPy (`self_test`, once per process).
+        or the device fails or computes something else than NumPy (`self_test`, once per process).
     """
     if request == "numpy":
         return NUMPY
@@ -90,33 +128,49 @@ def choose_device(request: str = "auto") -> Device:
     if request in ("cpu", "gpu"):
         fitting = [device for device in devices if device.kind == request]
     else:
-        fitting = [device for device in devices if request and request.lower() in device.name.lower()]
+        wanted = request.strip().lower()
+        fitting = [device for device in devices if wanted and wanted in device.label.lower()]
+        fitting.sort(key=lambda device: wanted not in _names(device))
     if not fitting:
-        names = ", ".join(repr(device.name) for device in devices)
+        labels = ", ".join(repr(device.label) for device in devices)
         raise UserError(
-            f"no OpenCL device fits device={request!r}; use auto, cpu, gpu, numpy or part of one of: {names}"
+            f"no OpenCL device fits device={request!r}; use auto, cpu, gpu, numpy or part of one of: {labels}"
         )
     return _trusted(fitting[0])
+
+
+def _names(device: Device) -> tuple[str, ...]:
+    return device.name.lower(), device.platform.lower(), device.label.lower()
 
 
 @lru_cache(maxsize=8)
 def _trusted(device: Device) -> Device:
     """Return a device that is usable and has passed its self test in this process."""
-    _usable(device)
-    difference = self_test(device)
+    opencl_handle(device)  # says what a missing linker needs
+    try:
+        _tested(device)
+    except UserError as error:
+        raise UserError(
+            f"the OpenCL device {device.label!r} is unusable: {error}; update its driver, or choose another "
+            "device (`wavequake devices` lists them, campaign.device=numpy always works)"
+        ) from error
+    return device
+
+
+def _tested(device: Device) -> float:
+    """Return the result of a device's self test; raise UserError if it fails."""
+    try:
+        difference = self_test(device)
+    except (UserError, MemoryError):
+        raise
+    except Exception as error:
+        raise UserError(_words(error)) from error
     if not difference <= LARGEST_DIFFERENCE:
         raise UserError(
-            f"the OpenCL device {device.name!r} ({device.platform}) computes wrong numbers: in its self test "
-            f"it is {difference:.1e} mm off NumPy, at most {LARGEST_DIFFERENCE:g} is allowed; update its "
-            "driver, or choose another device (campaign.device=numpy always works)"
+            f"it computes wrong numbers, {difference:.1e} mm off NumPy in its self test "
+            f"(at most {LARGEST_DIFFERENCE:g} is allowed)"
         )
-    return device
-
-
-def _usable(device: Device) -> Device:
-    if device.platform == "Portable Computing Language":
-        ensure_linker()
-    return device
+    return difference
 
 
 def opencl_handle(device: Device) -> Any:
@@ -129,9 +183,10 @@ def opencl_handle(device: Device) -> Any:
     """
     for found, handle in _found():
         if (found.name, found.platform) == (device.name, device.platform):
-            _usable(device)
+            if device.platform == POCL:
+                ensure_linker()
             return handle
-    raise UserError(f"the OpenCL device {device.name!r} ({device.platform}) is not visible in this process")
+    raise UserError(f"the OpenCL device {device.label!r} is not visible in this process")
 
 
 def self_test(device: Device) -> float:

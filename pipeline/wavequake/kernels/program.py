@@ -2,6 +2,7 @@
 
 import re
 import threading
+import warnings
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
@@ -91,21 +92,35 @@ def _output(queue: Any, device: Device, out: np.ndarray[Any, Any]) -> Any:
 
 
 @lru_cache(maxsize=8)
+def _context(device: Device) -> Any:
+    """Return the device's context, which is kept: not every implementation's queues keep theirs alive."""
+    import pyopencl as cl
+
+    return cl.Context([opencl_handle(device)])
+
+
+@lru_cache(maxsize=8)
 def _queue(device: Device) -> Any:
     import pyopencl as cl
 
-    return cl.CommandQueue(cl.Context([opencl_handle(device)]))
+    return cl.CommandQueue(_context(device))
 
 
 @lru_cache(maxsize=64)
 def _kernel(device: Device, name: str, constants: tuple[tuple[str, int], ...], text: str | None) -> Any:
-    """Build a kernel; drivers cache binaries on disk, so only the first process waits for the compiler."""
+    """Build a kernel; binaries are cached on disk, so only the first process waits for the compiler."""
     import pyopencl as cl
 
     # -w: a CPU without 512-bit vectors warns of each function that takes lanes, though all are inlined.
     options = ["-cl-std=CL1.2", "-w", *(f"-D{key}={value}" for key, value in constants)]
-    program = cl.Program(_queue(device).context, source(f"{name}.cl") if text is None else text)
-    return cl.Kernel(program.build(options), name)
+    text = source(f"{name}.cl") if text is None else text
+    with warnings.catch_warnings():  # compilers that have nothing to warn of say that all is well
+        warnings.simplefilter("ignore", cl.CompilerWarning)
+        try:
+            program = cl.Program(_context(device), text).build(options)
+        except Exception:  # the cache holds what this driver does not take: another version's or processor's
+            program = cl.Program(_context(device), text).build(options, cache_dir=False)
+    return cl.Kernel(program, name)
 
 
 def source(name: str) -> str:
