@@ -73,7 +73,7 @@ def digest(array: NDArray[Any]) -> str:
     content = (
         json.dumps(array.tolist()).encode()
         if array.dtype.kind in "OUT"
-        else np.ascontiguousarray(array).tobytes()
+        else np.ascontiguousarray(array).reshape(-1).view(np.uint8).data
     )
     return hashlib.blake2b(content, digest_size=16).hexdigest()
 
@@ -102,12 +102,12 @@ def append(folder: Path, record: Record) -> None:
     finally:
         os.close(handle)
     if fresh:
-        flush_folder(folder)
+        flush(folder)
 
 
-def flush_folder(folder: Path) -> None:
-    """Make the names of a folder's files durable."""
-    handle = os.open(folder, os.O_RDONLY)
+def flush(path: Path) -> None:
+    """Make the content of a file, or the names of a folder's files, durable."""
+    handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:

@@ -18,7 +18,7 @@ from wavequake.optics.prepared import prepare
 from wavequake.optics.sensitivity import DOFS, Sensitivities, SensitivityMatrix, sensitivities
 from wavequake.workflows import arrays
 from wavequake.workflows.bench import MM_PER_M, Bench, bench_of
-from wavequake.workflows.journal import digest, flush_folder
+from wavequake.workflows.journal import digest, flush
 from wavequake.workflows.provenance import collect
 from wavequake.workflows.schema import Study
 from wavequake.workflows.segment_study import SegmentStudy
@@ -317,7 +317,7 @@ def _write(made: "xr.Dataset", target: Path) -> None:
             except OSError:
                 if not target.exists():
                     raise  # otherwise another process wrote the same numbers meanwhile
-            flush_folder(target.parent)
+            flush(target.parent)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
 

@@ -25,7 +25,7 @@ from wavequake.kernels.devices import choose_device
 from wavequake.workflows import arrays
 from wavequake.workflows.contract import Template, Workflow
 from wavequake.workflows.difference import first_difference
-from wavequake.workflows.journal import Chunk, Journal, Record, flush_folder
+from wavequake.workflows.journal import Chunk, Journal, Record, flush
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -226,7 +226,7 @@ def mend_layout(path: Path, manifest: Manifest, workflow: Workflow) -> list[str]
                 if not target.is_file() or target.read_bytes() != file.read_bytes():
                     target.parent.mkdir(parents=True, exist_ok=True)
                     file.replace(target)
-                    flush_folder(target.parent)
+                    flush(target.parent)
                     replaced.append(str(target.relative_to(path)))
         finally:
             shutil.rmtree(fresh, ignore_errors=True)
@@ -292,7 +292,7 @@ def _write_manifest(path: Path, manifest: Manifest) -> None:
         partial.replace(path / MANIFEST)
     finally:
         partial.unlink(missing_ok=True)
-    flush_folder(path)
+    flush(path)
 
 
 def read_manifest(path: Path | str) -> Manifest:
