@@ -68,8 +68,24 @@ class Region:
 
 
 @dataclass(frozen=True)
+class Gradient:
+    """How n^2 changes in a medium, in the frame of the element that begins it.
+
+    ``radial[k]`` multiplies (x^2 + y^2)^(k + 1), ``axial[k]`` multiplies z^(k + 1), both in powers of 1/mm;
+    they add to the square of the element's index. Rays take steps of ``step`` mm at the index where they
+    enter.
+    """
+
+    radial: tuple[float, ...]
+    axial: tuple[float, ...]
+    step: float
+
+
+@dataclass(frozen=True)
 class Element:
     """One surface. ``index`` is the refractive index after it; a reflection and a pass keep the former one.
+
+    Where a refraction begins a medium with a ``gradient``, ``index`` is that at the element's origin.
 
     ``even[k]`` multiplies (x^2 + y^2)^(k + 1). ``deformation_degree``, ``deformation_radius`` and
     ``deformation_basis`` describe the polynomial that is given per instant (-1: none), ``deformation_grid``
@@ -88,6 +104,7 @@ class Element:
     deformation_basis: Basis = "monomial"
     deformation_grid: Grid | None = None
     regions: tuple[Region, ...] = ()
+    gradient: Gradient | None = None
 
 
 @dataclass(frozen=True)
@@ -202,6 +219,13 @@ def check_surfaces(sequence: Sequence) -> None:
         _require_finite(number, "even power coefficients", element.even)
         if not (np.isfinite(element.index) and element.index > 0.0):
             raise UserError(f"surface {number}: the refractive index is {element.index}; it must be positive")
+        if element.gradient is not None:
+            _require_finite(number, "gradient", element.gradient.radial + element.gradient.axial)
+            if not (np.isfinite(element.gradient.step) and element.gradient.step > 0.0):
+                raise UserError(
+                    f"surface {number}: the step through its gradient is {element.gradient.step} mm; it must "
+                    "be positive"
+                )
         if fixed is not None:
             _require(f"polynomial of element {number}", fixed.coefficients, (terms(fixed.degree),))
             _require_finite(number, "polynomial coefficients", fixed.coefficients)
@@ -209,6 +233,11 @@ def check_surfaces(sequence: Sequence) -> None:
             _require_finite(number, "grid heights", grid.coefficients)
             if grid.coefficients.ndim != 2 or min(grid.coefficients.shape) < 4:
                 raise ValueError(f"the grid of element {number} must have at least 4 rows and columns")
+
+
+def bends(sequence: Sequence) -> bool:
+    """Return whether rays bend between surfaces: NumPy traces such a sequence on every device."""
+    return any(element.gradient is not None for element in sequence.elements)
 
 
 def terms(degree: int) -> int:

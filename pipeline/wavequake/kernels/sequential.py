@@ -8,7 +8,15 @@ from numpy.typing import NDArray
 from wavequake.kernels.devices import Device
 from wavequake.kernels.packing import packed_elements
 from wavequake.kernels.program import launch
-from wavequake.kernels.sequence import Moving, Rays, Sequence, TracedRays, check_sequence, count_vignetted
+from wavequake.kernels.sequence import (
+    Moving,
+    Rays,
+    Sequence,
+    TracedRays,
+    bends,
+    check_sequence,
+    count_vignetted,
+)
 from wavequake.kernels.sequential_numpy import moving_part, trace_sequence_numpy
 from wavequake.kernels.sequential_source import OUTPUTS, kernel_source
 
@@ -41,7 +49,7 @@ def trace_sequence(
     moving : Moving
         Poses, deformations and reference spheres of every instant.
     device : Device
-        Where to run (see `wavequake.kernels.devices`).
+        Where to run (see `wavequake.kernels.devices`); a medium with a gradient is traced by NumPy anyway.
     ignore_apertures : bool
         Whether rays pass outside the openings too, as a virtual chief ray does.
     outputs : tuple of str
@@ -67,7 +75,7 @@ def trace_sequence(
     if not set(outputs) <= set(OUTPUTS):
         raise ValueError(f"outputs are {outputs}; they must be among {OUTPUTS}")
     outputs = tuple(name for name in OUTPUTS if name in outputs)
-    if device.kind == "numpy":
+    if device.kind == "numpy" or bends(sequence):
         traced = trace_sequence_numpy(sequence, rays, moving, ignore_apertures)
         chosen = {name: getattr(traced, name) for name in outputs}
         return _traced(chosen, traced.status, traced.surface, traced.vignetted)

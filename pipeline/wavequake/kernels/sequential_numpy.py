@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.kernels.gradient_numpy import Space, follow, local_index, space_of
 from wavequake.kernels.grid_numpy import spline_grid
 from wavequake.kernels.polynomial_numpy import polynomial
 from wavequake.kernels.sequence import (
@@ -158,15 +159,21 @@ def _trace_chunk(
         np.zeros(shape, dtype=np.int8),
         np.full(shape, -1, dtype=np.int8),
     )
-    index = sequence.index
+    index: float | Array = sequence.index
+    space: Space | None = None
     none = (None,) * len(sequence.elements)
     deformations, grids = moving.deformations or none, moving.grids or none
     for number, element in enumerate(sequence.elements):
         _into(moving.poses[:, number], state)
+        if space is not None:
+            space = space.beyond(moving.poses[:, number])
+            index = _bend(space, element, number, deformations[number], grids[number], state)
         slopes = _meet(element, number, deformations[number], grids[number], index, state)
         if element.regions and not ignore_apertures:
             state.lose(~on_glass(element.regions, *state.position[:2]), VIGNETTED, number)
-        index = _act(element, number, slopes, index, state)
+        if element.action == "refract":
+            space = space_of(element.gradient, element.index, shape[0]) if element.gradient else None
+        index = _act(element, number, slopes, index, space, state)
     if moving.spheres is not None:
         state.path = state.path + index * _to_sphere(moving.spheres, state)
         state.lose(~np.isfinite(state.path), MISS, len(sequence.elements))
@@ -185,12 +192,32 @@ def _into(pose: Array, state: _State) -> None:
     state.direction = np.stack([_dot(entries[3 * i : 3 * i + 3], state.direction) for i in range(3)])
 
 
+def _bend(
+    space: Space,
+    element: Element,
+    number: int,
+    deformation: Array | None,
+    grid: Array | None,
+    state: _State,
+) -> Array:
+    """Follow the rays through a medium with a gradient to the element; return the index (t, N) there."""
+
+    def sag(x: Array, y: Array) -> tuple[Array, Array, Array]:
+        return sag_and_slopes(element, x, y, deformation, grid)
+
+    going = state.status == OK
+    state.position, state.direction, path = follow(space, sag, state.position, state.direction, going)
+    state.path = state.path + path
+    state.lose(~np.isfinite(path), MISS, number)
+    return local_index(space, state.position)
+
+
 def _meet(
     element: Element,
     number: int,
     deformation: Array | None,
     grid: Array | None,
-    index: float,
+    index: float | Array,
     state: _State,
 ) -> tuple[Array, Array]:
     """Move the rays to the element and return its slopes there (Störkle 2018, Algorithm 1)."""
@@ -233,7 +260,14 @@ def is_conic(element: Element) -> bool:
     return not element.even and element.deformation_degree < 0 and all(part is None for part in parts)
 
 
-def _act(element: Element, number: int, slopes: tuple[Array, Array], index: float, state: _State) -> float:
+def _act(
+    element: Element,
+    number: int,
+    slopes: tuple[Array, Array],
+    index: float | Array,
+    space: Space | None,
+    state: _State,
+) -> float | Array:
     """Reflect or refract the rays and return the index of the medium in which they go on."""
     if element.action == "pass":
         return index
@@ -244,12 +278,13 @@ def _act(element: Element, number: int, slopes: tuple[Array, Array], index: floa
         state.direction = state.direction - 2.0 * cosine * normal
         return index
     # Störkle 2018, Eq. (3.32), with its signs corrected.
+    after = element.index if space is None else local_index(space, state.position)
     incident = index * cosine
-    radicand = element.index**2 - index**2 + incident * incident
+    radicand = after**2 - index**2 + incident * incident
     turn = np.copysign(np.sqrt(radicand), incident) - incident
     state.lose(radicand < 0.0, TOTAL_REFLECTION, number)
-    state.direction = (index * state.direction + turn * normal) / element.index
-    return element.index
+    state.direction = (index * state.direction + turn * normal) / after
+    return after
 
 
 def _to_sphere(spheres: Array, state: _State) -> Array:

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.optics.gradient_index import GradientIndex, axis_index, medium_index, paraxial_transfer
 from wavequake.optics.media import refractive_index
 from wavequake.optics.shape_sag import vertex_curvature
-from wavequake.optics.system import OpticalSystem, require_system, wavelength_of
+from wavequake.optics.system import OpticalSystem, Surface, require_system, wavelength_of
 
 Array = NDArray[np.float64]
 
@@ -86,12 +87,12 @@ class Paraxial:
 
 @dataclass(frozen=True)
 class _Step:
-    """The way from the previous surface, the index on it, the power of the surface and the index after it."""
+    """The way from the previous surface and its matrix, the index at its end, the power of the surface."""
 
     way: float
+    transfer: Array
     index: float
     power: float
-    after: float
 
 
 def paraxial(system: OpticalSystem, wavelength: float | None = None) -> Paraxial:
@@ -202,11 +203,15 @@ def _unfolded(system: OpticalSystem, wavelength: float) -> Iterator[_Step]:
     """Follow the axis ray: yield the way to each surface (first: 0) and what the surface does."""
     point, direction = np.array([0.0, 0.0, first_vertex_z(system)]), np.array([0.0, 0.0, 1.0])
     index = refractive_index(system.medium, wavelength)
+    begins: Surface | None = None  # the surface with which a medium of varying index begins
     for number, surface in enumerate(system.surfaces):
         normal = surface.rotation[:, 2]
         cosine = float(direction @ normal)
         _require_crossing(system, surface.name, cosine)
         way = float(normal @ (surface.position - point)) / cosine
+        transfer = np.array([[1.0, way / index], [0.0, 1.0]])
+        if begins is not None:
+            index, transfer = _through_gradient(begins, wavelength, point, way, direction)
         point = point + way * direction
         curvature = vertex_curvature(surface.shape)
         last = number == len(system.surfaces) - 1
@@ -222,13 +227,25 @@ def _unfolded(system: OpticalSystem, wavelength: float) -> Iterator[_Step]:
         after = index
         power = 0.0
         if surface.action == "refract" and not last:
-            after = refractive_index(surface.medium, wavelength)
+            after = medium_index(surface.medium, wavelength)
+            begins = surface if isinstance(surface.medium, GradientIndex) else None
             power = (after - index) * curvature * sense
         elif surface.action == "reflect":
             power = -2.0 * index * curvature * sense
             direction = direction - 2.0 * cosine * normal
-        yield _Step(way, index, power, after)
+        yield _Step(way, transfer, index, power)
         index = after
+
+
+def _through_gradient(
+    begins: Surface, wavelength: float, point: Array, way: float, direction: Array
+) -> tuple[float, Array]:
+    """Return the index at the end of a way through a medium of varying index, and the way's matrix."""
+    medium, axis = begins.medium, begins.rotation[:, 2]
+    assert isinstance(medium, GradientIndex)
+    start, sense = float(axis @ (point - begins.position)), float(axis @ direction)
+    end = axis_index(medium, wavelength, np.array([start + sense * way]))
+    return float(end[0]), paraxial_transfer(medium, wavelength, start, way, sense)
 
 
 def _require_crossing(system: OpticalSystem, surface: str, cosine: float) -> None:
@@ -242,7 +259,7 @@ def _matrix(steps: list[_Step], last_power: bool = True) -> Array:
     """Return the matrix from (y, n u) before the first surface to after the last one."""
     matrix = np.eye(2)
     for number, step in enumerate(steps):
-        matrix = np.array([[1.0, step.way / step.index], [0.0, 1.0]]) @ matrix
+        matrix = step.transfer @ matrix
         if last_power or number < len(steps) - 1:
             matrix = np.array([[1.0, 0.0], [-step.power, 1.0]]) @ matrix
     return matrix

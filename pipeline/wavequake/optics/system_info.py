@@ -5,6 +5,7 @@ from math import isfinite
 
 import numpy as np
 
+from wavequake.optics.gradient_index import GradientIndex
 from wavequake.optics.paraxial import Paraxial, paraxial
 from wavequake.optics.shapes import Conic, Opening
 from wavequake.optics.system import OpticalSystem, Surface
@@ -26,6 +27,9 @@ def info(system: OpticalSystem) -> str:
         _columns([("field", *_fields(system)), ("wavelength (nm)", *_wavelengths(system))]),
         _columns(_surfaces(system.surfaces, system.stop), right=(1, 2, 3)),
     ]
+    bent = [one for one in system.surfaces if isinstance(one.medium, GradientIndex)]
+    if bent:
+        parts.append([f"The index varies behind {bent[0].name}: rays are traced by NumPy on every device."])
     return "\n\n".join("\n".join(lines) for lines in parts)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.optics.gradient_index import GradientIndex
 from wavequake.optics.kinematics import cardan
 from wavequake.optics.media import AIR, Medium
 from wavequake.optics.shapes import Conic, Deformation, Opening, Shape, SurfaceAction, ZernikeDeformation
@@ -31,7 +32,7 @@ class SurfaceRow:
     shape: Shape = field(default_factory=Conic)
     thickness: float = 0.0
     action: SurfaceAction = "pass"
-    medium: Medium = AIR
+    medium: Medium | GradientIndex = AIR
     opening: Opening | None = None
     deformation: Deformation | None = None
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from wavequake.errors import UserError
+from wavequake.optics.gradient_index import GradientIndex
 from wavequake.optics.media import AIR, Medium, glasses
 from wavequake.optics.shapes import Conic, EvenAsphere, ExtendedPolynomial, Opening, ZernikeSag
 from wavequake.optics.system import OpticalSystem, Surface
@@ -57,7 +58,7 @@ def zmx_text(system: OpticalSystem) -> str:
     infinite = math.isinf(system.object_distance)
     distance = "INFINITY" if infinite else _number(system.object_distance)
     rows = [["TYPE STANDARD", "CURV 0.0", f"DISZ {distance}", *_glass(system.medium, system.name)]]
-    medium = system.medium
+    medium: Medium | GradientIndex = system.medium
     for index, surface in enumerate(system.surfaces):
         if surface.action == "refract":
             medium = surface.medium
@@ -124,7 +125,11 @@ def _wavelengths(system: OpticalSystem) -> list[str]:
     return [*lines, f"PWAV {system.primary_wavelength + 1}"]
 
 
-def _glass(medium: Medium, name: str) -> list[str]:
+def _glass(medium: Medium | GradientIndex, name: str) -> list[str]:
+    if isinstance(medium, GradientIndex):
+        raise UserError(
+            f"The index of {medium.name} behind {name} varies in space, which a lens file cannot hold."
+        )
     if medium == AIR:
         return []
     if glasses().get(medium.name.upper()) == medium:
@@ -137,7 +142,7 @@ def _glass(medium: Medium, name: str) -> list[str]:
     )
 
 
-def _rows(system: OpticalSystem, index: int, medium: Medium) -> list[list[str]]:
+def _rows(system: OpticalSystem, index: int, medium: Medium | GradientIndex) -> list[list[str]]:
     """Return the rows of a surface, with its coordinate breaks where it needs them."""
     surface, last = system.surfaces[index], index == len(system.surfaces) - 1
     gap = 0.0 if last else float(system.surfaces[index + 1].position[2] - surface.position[2])
@@ -156,7 +161,7 @@ def _break(numbers: Sequence[float], order: int, gap: float) -> list[str]:
     return ["TYPE COORDBRK", *parameters, f"DISZ {_number(gap)}"]
 
 
-def _surface(system: OpticalSystem, index: int, medium: Medium) -> list[str]:
+def _surface(system: OpticalSystem, index: int, medium: Medium | GradientIndex) -> list[str]:
     surface = system.surfaces[index]
     _require_one_line(surface.name, "a surface")
     if surface.deformation is not None:
