@@ -1,12 +1,14 @@
-// Fourier transforms of pupils to images by two matrix products, four quadrants at a time.
+// Fourier transforms of pupils to images by matrix products, four quadrants at a time.
 //
 // Grid and image are symmetric about 0 in both directions. Split into parts even and odd in x and in y, the
 // pupil meets real cosines and sines only, and the four signs of a pair of frequencies share all the work.
+// Along x the table of cosines (or sines) is a product of two thin ones: rows of the pupil become COLUMNS
+// numbers, from which the pixels are put together once the columns are transformed, too.
 //
 // Compile-time constants: W lanes, SINGLE, N pupil cells and HALF = (N + 1) / 2 along an axis, PIXELS of the
 // image and QUARTER = (PIXELS + 1) / 2, ROWS = QUARTER padded to whole groups of TALL rows that share what is
-// read, COLUMNS = QUARTER padded to whole groups of WIDE vectors, PACK and LINE columns that lie together in
-// the table along x and in the transformed rows, FIELD (1: the pupil comes as complex numbers, 0: as phases),
+// read, ACROSS = QUARTER padded to whole vectors, COLUMNS in whole groups of WIDE vectors, PACK and LINE
+// columns that lie together in the table along x and in the transformed rows, FIELD (1: the pupil comes as complex numbers, 0: as phases),
 // SHARED (1: other work-items fold the pupil, into global memory; 0: each folds the row that it needs).
 //
 // The eight parts of a folded pupil are (even x, even y), (even x, odd y), (odd x, even y), (odd x, odd y),
@@ -158,9 +160,9 @@ INLINE void put(real value, __global scalar *row, int u, int plus)
         STORE(REVERSED(value), row + (PIXELS - 1) / 2 - u - (W - 1));
 }
 
-// Transform along y, square, and put the four quadrants of an image together.
-__kernel void transform_columns(const scalar scale, __global const scalar *along_y,
-                                __global const scalar *rows, __global scalar *images)
+// Transform along y: lines (ROWS, 8 parts, COLUMNS).
+__kernel void transform_columns(__global const scalar *along_y, __global const scalar *rows,
+                                __global scalar *lines)
 {
     const size_t image = get_global_id(2);
 #if SHARED
@@ -168,12 +170,11 @@ __kernel void transform_columns(const scalar scale, __global const scalar *along
 #else
     const int u = get_global_id(1) * W, v = get_global_id(0) * TALL;
 #endif
-    if (u >= QUARTER || v >= QUARTER)
+    if (u >= COLUMNS || v >= ROWS)
         return;
     rows += image * HALF * 8 * COLUMNS + (size_t)(u / LINE * LINE) * 8 * HALF + u % LINE;
-    images += image * PIXELS * PIXELS;
+    lines += (image * ROWS + v) * (8 * COLUMNS) + u;
     // Cosines meet the parts even in y (0, 1 and 4, 5), sines the odd ones (2, 3 and 6, 7).
-    real total[2][TALL][4];
     #pragma unroll
     for (int parity = 0; parity < 2; ++parity) {
         __global const scalar *table = along_y + ((size_t)parity * ROWS + v) * HALF;
@@ -199,22 +200,44 @@ __kernel void transform_columns(const scalar scale, __global const scalar *along
         for (int i = 0; i < TALL; ++i)
             #pragma unroll
             for (int part = 0; part < 4; ++part)
-                total[parity][i][part] = sums[i][part];
+                STORE(sums[i][part], lines + (8 * i + 2 * parity + (part & 1) + 4 * (part >> 1)) * COLUMNS);
     }
-    #pragma unroll
-    for (int i = 0; i < TALL; ++i) {
-        if (v + i >= QUARTER)
-            return;
-        __global scalar *above = images + (PIXELS / 2 + v + i) * PIXELS;
-        __global scalar *below = images + ((PIXELS - 1) / 2 - v - i) * PIXELS;
-        const real ee_re = total[0][i][0], ee_im = total[0][i][1];
-        const real eo_re = total[0][i][2], eo_im = total[0][i][3];  // odd in x
-        const real oe_re = total[1][i][0], oe_im = total[1][i][1];  // odd in y
-        const real oo_re = total[1][i][2], oo_im = total[1][i][3];
-        real a = ee_re - oo_re, b = ee_im - oo_im, c = oe_im + eo_im, d = oe_re + eo_re;
+}
+
+// Put W pixels of a line together along x, square, and put the four quadrants of an image together.
+__kernel void assemble(const scalar scale, __global const scalar *pixels, __global const scalar *lines,
+                       __global scalar *images)
+{
+    const size_t image = get_global_id(2);
+    const int v = get_global_id(1);
+#if SHARED
+    const int first = get_global_id(0) * W, end = first + W;
+#else
+    const int first = 0, end = QUARTER;
+#endif
+    if (first >= QUARTER || v >= QUARTER)
+        return;
+    lines += (image * ROWS + v) * (8 * COLUMNS);
+    images += image * PIXELS * PIXELS;
+    __global scalar *above = images + (PIXELS / 2 + v) * PIXELS;
+    __global scalar *below = images + ((PIXELS - 1) / 2 - v) * PIXELS;
+    for (int u = first; u < end; u += W) {
+        __global const scalar *even = pixels + u, *odd = even + COLUMNS * ACROSS;
+        real part[8];
+        #pragma unroll
+        for (int i = 0; i < 8; ++i)
+            part[i] = 0.0f;
+        for (int k = 0; k < COLUMNS; ++k) {
+            const real in_x[2] = {LOAD(even + k * ACROSS), LOAD(odd + k * ACROSS)};
+            #pragma unroll
+            for (int i = 0; i < 8; ++i)
+                part[i] += lines[i * COLUMNS + k] * in_x[i / 4];
+        }
+        // Even in x: even in y, then odd in y; odd in x likewise.
+        real a = part[0] - part[6], b = part[1] - part[7], c = part[3] + part[5], d = part[2] + part[4];
         put(((a + c) * (a + c) + (b - d) * (b - d)) * scale, above, u, 1);
         put(((a - c) * (a - c) + (b + d) * (b + d)) * scale, below, u, 0);
-        a = ee_re + oo_re, b = ee_im + oo_im, c = eo_im - oe_im, d = eo_re - oe_re;
+        a = part[0] + part[6], b = part[1] + part[7], c = part[5] - part[3], d = part[4] - part[2];
         put(((a + c) * (a + c) + (b - d) * (b - d)) * scale, below, u, 1);
         put(((a - c) * (a - c) + (b + d) * (b + d)) * scale, above, u, 0);
     }

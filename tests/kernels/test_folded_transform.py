@@ -12,7 +12,8 @@ OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 OPENCL += [Device(device.name, "gpu", device.platform, 1) for device in OPENCL if device.kind == "cpu"]
 NAMES = {"argvalues": OPENCL, "ids": lambda device: f"{device.kind}-{device.vector_width}"}
 # Even and odd, an image that reaches to the period, and fewer cells than lanes. Each is built.
-SIZES = [(24, 10, 0.5), (33, 21, 0.3), (20, 13, 1.5), (9, 6, 0.5)]
+# In the last, fewer numbers than pixels make the image.
+SIZES = [(24, 10, 0.5), (33, 21, 0.3), (20, 13, 1.5), (9, 6, 0.5), (40, 96, 0.1)]
 TOLERANCE = {"float64": 1e-14, "float32": 2e-6}
 
 

@@ -17,7 +17,10 @@ Real = NDArray[np.float64]
 # Images in a launch: their transformed columns (1 MB each at 512 cells and 128 pixels) stay in the cache.
 _BATCH = 8
 # Rows of an image that share what is read, and vectors of pixels in a row: as many sums as registers hold.
-_TALL, _WIDE = {"cpu": 3, "gpu": 4}, {"cpu": 2, "gpu": 1}
+_TALL = {"cpu": 3, "gpu": 4}
+_WIDE = {("cpu", "float64"): 2, ("cpu", "float32"): 3, ("gpu", "float64"): 1, ("gpu", "float32"): 1}
+# Singular values of the transform that are left out, relative to the largest.
+_NEGLIGIBLE = {"float64": 1e-15, "float32": 1e-7}
 # Work-items in a group on a GPU.
 _GROUP = 64
 
@@ -36,13 +39,15 @@ class FoldedTransform:
         What irradiances are multiplied by.
     amplitude : ndarray, shape (n, n), float32 or float64
     width, rows, columns : int
-        Lanes, and the padded numbers of frequencies along y and x.
+        Lanes, and the padded numbers of frequencies along y and of the numbers that stand for those along x.
     ramp : ndarray, shape (n,)
         Phase that puts an even number of pixels symmetric about 0.
     range : ndarray of int32, shape (rows of the upper half, 2)
         First column with light right of the middle, and one past the last.
-    along_y, along_x : ndarray
+    along_y : ndarray
         Cosines, then sines.
+    along_x, across : ndarray
+        Two thin matrices whose product these are; the second ends at the frequencies.
     """
 
     device: Device
@@ -57,6 +62,7 @@ class FoldedTransform:
     range: NDArray[np.int32]
     along_y: Floating
     along_x: Floating
+    across: Floating
 
 
 def folded_transform(
@@ -84,8 +90,7 @@ def folded_transform(
     samples = len(amplitude)
     half, quarter = (samples + 1) // 2, (pixels + 1) // 2
     width = _width(device, dtype, half)
-    tall, wide = _TALL[device.kind], _WIDE[device.kind]
-    rows, columns = -(-quarter // tall) * tall, -(-quarter // (wide * width)) * wide * width
+    tall, wide = _TALL[device.kind], _WIDE[device.kind, dtype.name]
     place = (2.0 * np.arange(half) + 1.0 - samples % 2) / samples  # of cells right of the middle
     frequency = (np.arange(quarter) + 0.5 * (1 - pixels % 2)) * sampling
     turn = 0.5 * np.outer(frequency, place)
@@ -93,10 +98,12 @@ def folded_transform(
     tables = np.stack([np.cos(phase), np.sin(phase)])
     if samples % 2:
         tables[0, :, 0] *= 0.5  # the middle cell is its own mirror image
+    rows = -(-quarter // tall) * tall
     tall_tables = np.zeros((2, rows, half))
     tall_tables[:, :quarter] = tables
-    wide_tables = np.zeros((2, columns, half))
-    wide_tables[:, :quarter] = tables
+    cells, across = _thin(tables, wide * width, _NEGLIGIBLE[dtype.name])
+    columns = cells.shape[1]
+    across = np.pad(across, ((0, 0), (0, 0), (0, -quarter % width)))
     pack = columns if device.kind == "gpu" else wide * width
     axis = (2.0 * np.arange(samples) + 1.0) / samples - 1.0
     ramp = np.pi * 0.5 * sampling * axis * (1 - pixels % 2)
@@ -113,7 +120,8 @@ def folded_transform(
         _lit_columns(amplitude),
         # (parity, group of frequencies, cell, frequency)
         np.ascontiguousarray(tall_tables.reshape(2, -1, tall, half).transpose(0, 1, 3, 2), dtype),
-        np.ascontiguousarray(wide_tables.reshape(2, -1, pack, half).transpose(0, 1, 3, 2), dtype),
+        np.ascontiguousarray(cells.reshape(2, -1, pack, half).transpose(0, 1, 3, 2), dtype),
+        np.ascontiguousarray(across, dtype),
     )
 
 
@@ -168,10 +176,11 @@ def _image_steps(
         pupils = pupils * np.exp(1j * (t.ramp.astype(np.float64) + t.ramp.astype(np.float64)[:, None]))
         pupils = np.stack([pupils.real, pupils.imag], axis=1)
     gpu = t.device.kind == "gpu"
-    tall, wide = _TALL[t.device.kind], _WIDE[t.device.kind]
+    tall, wide = _TALL[t.device.kind], _WIDE[t.device.kind, dtype.name]
     pack, line = (t.columns, t.columns) if gpu else (wide * t.width, t.width)
     constants = {"W": t.width, "SINGLE": int(dtype == np.float32), "N": samples, "HALF": half}
     constants |= {"PIXELS": t.pixels, "QUARTER": quarter, "ROWS": t.rows, "COLUMNS": t.columns}
+    constants |= {"ACROSS": t.across.shape[2]}
     constants |= {"TALL": tall, "WIDE": wide, "PACK": pack, "LINE": line}
     names = tuple((constants | {"FIELD": int(field), "SHARED": int(gpu)}).items())
     blocks = t.columns // (wide * t.width)
@@ -182,12 +191,16 @@ def _image_steps(
     sizes = [(blocks if gpu else 1, half, batch), (lines, tiles, batch) if gpu else (tiles, lines, batch)]
     steps = [Step(_text(), "fold", names, (half, half, batch), along, (*pupil, "folded"))] if gpu else []
     rows = (*pupil, "range", "along_x", *folded, "rows")
-    columns = (dtype.type(t.scale), "along_y", "rows", "images")
+    pixels = (dtype.type(t.scale), "across", "lines", "images")
+    size = (t.across.shape[2] // t.width if gpu else 1, quarter, batch)
     steps += [Step(_text(), "transform_rows", names, sizes[0], along, rows)]
-    steps += [Step(_text(), "transform_columns", names, sizes[1], along, columns)]
+    steps += [Step(_text(), "transform_columns", names, sizes[1], along, ("along_y", "rows", "lines"))]
+    steps += [Step(_text(), "assemble", names, size, along, pixels)]
     inputs: dict[str, NDArray[Any]] = {"pupil": np.asarray(pupils, dtype), "amplitude": t.amplitude}
     inputs |= {"ramp": t.ramp, "range": t.range, "along_y": t.along_y, "along_x": t.along_x}
+    inputs["across"] = t.across
     scratch = {"rows": batch * half * 8 * t.columns * dtype.itemsize}
+    scratch["lines"] = batch * t.rows * 8 * t.columns * dtype.itemsize
     if gpu:
         scratch["folded"] = batch * half * 8 * half * dtype.itemsize
     return steps, inputs, scratch
@@ -204,6 +217,21 @@ def _width(device: Device, dtype: np.dtype[Any], half: int) -> int:
     while width > half:
         width //= 2
     return width
+
+
+def _thin(tables: Real, group: int, negligible: float) -> tuple[Real, Real]:
+    """Factor cosines and sines (2, frequencies, cells) into (2, K, cells) and (2, K, frequencies).
+
+    An image is smooth: where its pixels are closer than the pupil's extent demands, K is smaller than their
+    number. K is filled up to a whole number of groups.
+    """
+    left, size, right = np.linalg.svd(tables, full_matrices=False)
+    rank = int((size > negligible * size[:, :1]).sum(axis=1).max())
+    padded = -(-rank // group) * group
+    kept = min(padded, size.shape[1])
+    extra = ((0, 0), (0, padded - kept), (0, 0))
+    to_pixels = (left[..., :kept] * size[:, None, :kept]).transpose(0, 2, 1)
+    return np.pad(right[:, :kept], extra), np.pad(to_pixels, extra)
 
 
 def _lit_columns(amplitude: Real) -> NDArray[np.int32]:
