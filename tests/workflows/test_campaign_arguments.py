@@ -1,10 +1,16 @@
 """What `wavequake.run` takes: numbers of NumPy, folders that are none, and titles."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import wavequake as wq
 from wavequake.errors import UserError
+from wavequake.workflows import campaign
+from wavequake.workflows.campaign import chunk_of, plan
+from wavequake.workflows.store import read_manifest
+from wavequake.workflows.study import load_study
 
 SMALL = {
     "telescope__name": "tmt-18",
@@ -38,3 +44,44 @@ def test_a_store_that_is_no_path_is_refused(store):
 def test_a_count_that_is_no_whole_number_is_refused():
     with pytest.raises(UserError, match="cases"):
         wq.run("tmt-segments", cases=np.float64(2.5), **SMALL)
+
+
+@pytest.mark.parametrize(("cases", "chunk"), [(1, 20), (200, 20), (201, 21), (640, 64), (10**6, 100)])
+def test_a_chunk_is_a_tenth_of_the_cases_within_limits(cases, chunk):
+    assert chunk_of(load_study("tmt-segments", {"campaign.cases": cases})) == chunk
+    asked = load_study("tmt-segments", {"campaign.cases": cases, "store.chunk_cases": 7})
+    assert chunk_of(asked) == 7
+
+
+def test_a_store_keeps_its_chunk_when_it_grows(tmp_path):
+    keys = {name: value for name, value in SMALL.items() if name != "store__chunk_cases"}
+    wq.run("tmt-segments", cases=3, store=tmp_path / "s", **keys)
+    study = load_study("tmt-segments", {"campaign.cases": 640})
+    assert (chunk_of(study, tmp_path / "s"), chunk_of(study, tmp_path / "other")) == (20, 64)
+    wq.run("tmt-segments", cases=21, store=tmp_path / "s", store__chunk_cases=5, **keys)
+    assert read_manifest(tmp_path / "s").chunk == 20
+
+
+@pytest.mark.parametrize(
+    ("seconds", "chunk", "cases", "words"),
+    [
+        (0.01, 20, 10_000, "0.2 s; the store takes a smaller share with store.chunk_cases=200"),
+        (0.01, 20, 100, "0.2 s"),  # all of it takes a second
+        (0.1, 40, 10_000, "4 s"),
+        (3.0, 20, 60, "60 s; a crash costs less with store.chunk_cases=3"),
+        (30.0, 20, 60, "600 s; a crash costs less with store.chunk_cases=1"),
+        (30.0, 1, 60, "30 s"),
+    ],
+)
+def test_a_plan_says_which_chunk_would_suit_better(monkeypatch, seconds, chunk, cases, words):
+    def clock(now=[0.0]):  # noqa: B006 (a clock)
+        return now[0]
+
+    def compute(text, ids, device):
+        clock.__defaults__[0][0] += seconds * len(ids)
+
+    study = load_study("tmt18-history", {"campaign.cases": cases, "store.chunk_cases": chunk})
+    workflow = dataclasses.replace(campaign.workflow_of(study), compute=compute)
+    monkeypatch.setattr(campaign, "workflow_of", lambda study: workflow)
+    monkeypatch.setattr(campaign.time, "perf_counter", clock)
+    assert plan(study)["one chunk"] == words

@@ -71,7 +71,12 @@ def test_every_population_must_be_known_and_failed_cases_do_not_count():
 
 
 def test_a_campaign_stops_when_it_knows_enough_and_stays_there(tmp_path):
-    keys = {"campaign.cases": 900, "campaign.until": "segment_piston_rms.p50 ci<=20%", "imaging.pixels": 16}
+    keys = {
+        "campaign.cases": 900,
+        "campaign.until": "segment_piston_rms.p50 ci<=20%",
+        "imaging.pixels": 16,
+        "store.chunk_cases": 20,
+    }
     study = load_study("tmt18-history", keys)
     first = run_study(study, tmp_path / "s", on="serial")
     assert first.goal[0] == "segment_piston_rms.p50 ci<=20% is met after 100 cases"

@@ -2,7 +2,7 @@
 
 import resource
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,7 @@ from wavequake.workflows.mirror_trace import WORKFLOW as MIRROR_TRACE
 from wavequake.workflows.schema import Study
 from wavequake.workflows.segment_disturbance import WORKFLOW as SEGMENT_DISTURBANCE
 from wavequake.workflows.segment_mor import WORKFLOW as SEGMENT_MOR
-from wavequake.workflows.store import JOURNAL, done_records, open_store, read_manifest
+from wavequake.workflows.store import JOURNAL, MANIFEST, done_records, open_store, read_manifest
 from wavequake.workflows.study import load_study, study_with
 from wavequake.workflows.system_disturbance import WORKFLOW as SYSTEM_DISTURBANCE
 from wavequake.workflows.telescope_exposure import WORKFLOW as TELESCOPE_EXPOSURE
@@ -35,6 +35,11 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int, int], None]
 
 _PILOT_S = 0.05  # a pilot that is shorter says little: it is repeated with more cases
+_WHOLE_S = 5.0  # a pilot of a whole chunk may take that long
+# Engine and store take about 30 ms of CPU time per chunk, to be at most 2 % of it; but a chunk is what
+# a crash may cost, and the least that a worker takes on.
+_CHUNK_S = (2.0, 10.0)
+_LEAST_CHUNK, _MOST_CHUNK = 20, 100
 
 WORKFLOWS: dict[str, Workflow] = {
     workflow.name: workflow
@@ -88,13 +93,15 @@ def run_study(
     device = choose_device(study.campaign.device)
     workflow.check(text)  # a study that cannot work says so before a store is made or a worker started
 
+    chunk = chunk_of(study, path)
+
     def run_to(cases: int) -> CampaignSummary:
         return run_campaign(
             workflow,
             text,
             path,
             cases=cases,
-            chunk=study.store.chunk_cases,
+            chunk=chunk,
             device=device.name,
             on=on,
             workers=workers,
@@ -110,15 +117,27 @@ def run_study(
 
     if study.campaign.until is None:
         return run_to(study.cases)
-    return _run_until(goal_of(study.campaign.until, workflow.template(text)), study, path, run_to)
+    goal = goal_of(study.campaign.until, workflow.template(text))
+    return _run_until(goal, study, path, looks(study.cases, chunk), run_to)
+
+
+def chunk_of(study: Study, path: Path | None = None) -> int:
+    """Return the number of cases per chunk: of the store at `path` if there is one, or of a new one."""
+    if path is not None and (path / MANIFEST).exists():
+        return read_manifest(path).chunk
+    return study.store.chunk_cases or min(max(_LEAST_CHUNK, -(-study.cases // 10)), _MOST_CHUNK)
 
 
 def _run_until(
-    goal: Goal, study: Study, path: Path, run_to: Callable[[int], CampaignSummary]
+    goal: Goal,
+    study: Study,
+    path: Path,
+    steps: Iterable[int],
+    run_to: Callable[[int], CampaignSummary],
 ) -> CampaignSummary:
     """Add cases until the goal is met; the summary is of all steps together."""
     total: CampaignSummary | None = None
-    for cases in looks(study.cases, study.store.chunk_cases):
+    for cases in steps:
         step = run_to(cases)
         total = step if total is None else total.followed_by(step)
         found = quantiles_of(goal, open_store(path).isel(case=slice(cases)))
@@ -192,31 +211,43 @@ def run(
 def plan(study: Study) -> dict[str, str]:
     """Describe what running `study` would take: a pilot of a few cases gives the time; nothing is stored."""
     workflow, text = workflow_of(study), study.identity_text()
-    cases, chunk = study.cases, study.store.chunk_cases
+    cases, chunk = study.cases, chunk_of(study)
     workflow.check(text)
     template = workflow.template(text)
     per_case = sum(int(np.prod(v.shape)) * np.dtype(v.dtype).itemsize for v in template.per_case.values())
     device = choose_device(study.campaign.device)
-    pilot = np.arange(max(0, cases - min(chunk, 8)), cases)  # the first ones may be special
-    workflow.compute(text, pilot, device.name)  # builds kernels and tables, which every worker does once
+    whole = min(cases, chunk)
+    pilot = min(whole, 8)
+    workflow.compute(text, np.arange(cases - pilot, cases), device.name)  # builds kernels and tables
     while True:
         start = time.perf_counter()
-        workflow.compute(text, pilot, device.name)
-        seconds = time.perf_counter() - start
-        if seconds > _PILOT_S or len(pilot) >= min(cases, chunk):
+        workflow.compute(text, np.arange(cases - pilot, cases), device.name)  # the first ones may be special
+        each = (time.perf_counter() - start) / pilot
+        if pilot == whole or (each * pilot > _PILOT_S and each * whole > _WHOLE_S):
             break
-        pilot = np.arange(max(0, cases - min(chunk, 8 * len(pilot))), cases)
-    each = seconds / len(pilot)
+        pilot = whole if each * whole < _WHOLE_S else min(whole, 8 * pilot)
     return {
         "study": f"{study.study.name} ({study.identity()[:12]})",
         "cases": f"{cases} in {-(-cases // chunk)} chunks of {chunk}",
         "device": f"{device.name} ({device.kind})",
         "store": f"{cases * per_case / 1e6:.1f} MB, {per_case / 1e3:.1f} kB per case",
         "memory": f"{_peak_memory_mb():.0f} MB in the pilot's process, which is what each worker needs",
-        "one case": f"{each * 1e3:.3g} ms in one process (pilot of {len(pilot)} cases, after set-up)",
+        "one case": f"{each * 1e3:.3g} ms in one process (pilot of {pilot} cases, after set-up)",
+        "one chunk": _chunk_advice(cases, chunk, each),
         "estimate": f"{cases * each:.0f} s of one process",
         **workflow.describe(text),
     }
+
+
+def _chunk_advice(cases: int, chunk: int, each: float) -> str:
+    """Say how long a chunk takes, and if that is unsuitable, which number of cases would do."""
+    least, most = _CHUNK_S
+    words = f"{each * min(chunk, cases):.3g} s"
+    if chunk > 1 and each * chunk > most:
+        return f"{words}; a crash costs less with store.chunk_cases={max(1, int(most / each))}"
+    if chunk < cases and each * chunk < least and each * cases > 10 * least:
+        return f"{words}; the store takes a smaller share with store.chunk_cases={round(least / each)}"
+    return words
 
 
 def _peak_memory_mb() -> float:

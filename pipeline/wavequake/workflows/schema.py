@@ -49,7 +49,12 @@ class StoreSection(Section):
     """Where the results go; not part of the identity."""
 
     path: str | None = None
-    chunk_cases: int = Field(default=20, ge=1, le=100_000, description="K: cases per task and per shard")
+    chunk_cases: int | None = Field(
+        default=None,
+        ge=1,
+        le=100_000,
+        description="K: cases per task and per shard; by default a tenth of the cases, from 20 to 100",
+    )
 
 
 class Study(Section):
