@@ -147,14 +147,14 @@ def test_certification_catches_a_model_that_is_used_too_far(study):
 
 
 def test_motions_that_the_model_does_not_know_are_traced(study, uncertified, monkeypatch):
-    known = segment_modal._draw
+    known = segment_modal.draw_realization
 
     def turned(bench, population, realization):
         motion = known(bench, population, realization)
         motion.segment_motion[..., 5] += 1e-12 * (realization == 1)
         return motion
 
-    monkeypatch.setattr(segment_modal, "_draw", turned)
+    monkeypatch.setattr(segment_modal, "draw_realization", turned)
     only = study.model_copy(update={"disturbance": study.disturbance[2:3]})
     traced = workflow.compute(only.identity_text(), np.arange(2), DEVICE).arrays["traced"]
     assert traced.tolist() == [MODAL, TRACED]

@@ -319,7 +319,7 @@ def _draw_distributions(
         case_rms(population.wfe_raw) if quantity == "wfe" else population.strehl for population in named
     ]
     for index, (population, values) in enumerate(zip(named, samples, strict=True)):
-        curve = distribution(values, draws=len(population.cases))
+        curve = distribution(values, draws=len(population.cases), sets=population.sets)
         color, line = COLORS[index % len(COLORS)], LINES[index % len(LINES)]
         axes.fill_between(curve.values, curve.low, curve.high, step="post", color=color, alpha=0.18, lw=0)
         steps = np.append(curve.values[:1], curve.values), np.append(0.0, curve.probability)

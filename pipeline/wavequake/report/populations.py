@@ -41,6 +41,8 @@ class Population:
         Shares of a case's instants that are diffraction-limited by Störkle 2018, Eq. 3.54 and Eq. 3.55.
     quarantined, todo, incomplete : int
         Cases left out: failed, not computed yet, and marked done though a number is missing.
+    sets : ndarray of int, shape (C,), or None
+        The stratified set that each case belongs to; None if all are independent.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Population:
     quarantined: int
     todo: int
     incomplete: int
+    sets: NDArray[np.int64] | None = None
 
     @cached_property
     def severity(self) -> NDArray[np.float64]:
@@ -169,24 +172,25 @@ def summarize(population: Population, analytic: tuple[float, str] | None = None)
     cases = len(population.cases)
     value, unit = analytic or (0.0, "")
     raw, fitted = case_rms(population.wfe_raw), case_rms(population.wfe)
+    sets = population.sets
     return Summary(
         name=population.name,
         cases=cases,
         quarantined=population.quarantined,
         todo=population.todo,
         incomplete=population.incomplete,
-        wfe_raw_p50=quantile(raw, 0.50),
-        wfe_raw_p95=quantile(raw, 0.95),
-        wfe_p50=quantile(fitted, 0.50),
-        wfe_p95=quantile(fitted, 0.95),
-        los_jitter=jitter(population.los),
-        centroid_jitter=jitter(population.centroid),
+        wfe_raw_p50=quantile(raw, 0.50, sets=sets),
+        wfe_raw_p95=quantile(raw, 0.95, sets=sets),
+        wfe_p50=quantile(fitted, 0.50, sets=sets),
+        wfe_p95=quantile(fitted, 0.95, sets=sets),
+        los_jitter=jitter(population.los, sets),
+        centroid_jitter=jitter(population.centroid, sets),
         los_model=value if unit == "mas" else None,
         segment_piston=float(np.sqrt(np.mean(population.segment_piston**2))) if cases else np.nan,
         segment_piston_model=value if unit == "nm" else None,
-        strehl_p5=quantile(population.strehl, 0.05, draws=cases),
-        strehl_p50=quantile(population.strehl, 0.50, draws=cases),
-        ee80_p50=quantile(population.ee80, 0.50),
+        strehl_p5=quantile(population.strehl, 0.05, cases, sets),
+        strehl_p50=quantile(population.strehl, 0.50, cases, sets),
+        ee80_p50=quantile(population.ee80, 0.50, sets=sets),
         rayleigh=float(population.rayleigh.mean()) if cases else np.nan,
         marechal=float(population.marechal.mean()) if cases else np.nan,
     )
@@ -223,6 +227,8 @@ def _arrays(dataset: xr.Dataset) -> dict[str, NDArray[Any]]:
     arrays["case"] = (
         dataset["case"].to_numpy() if "case" in dataset.coords else np.arange(dataset.sizes["case"])
     )
+    if "replicate" in dataset.coords:
+        arrays["replicate"] = dataset["replicate"].to_numpy()
     arrays["usable"] = _usable(arrays)
     return arrays
 
@@ -265,4 +271,5 @@ def _population(name: str, arrays: dict[str, NDArray[Any]]) -> Population:
         quarantined=int(np.count_nonzero(mine & (status > DONE))),
         todo=int(np.count_nonzero(mine & (status == TODO))),
         incomplete=int(np.count_nonzero(mine & (status == DONE) & ~usable)),
+        sets=arrays["replicate"][usable] if "replicate" in arrays else None,
     )

@@ -56,6 +56,11 @@ class ReducedPopulation:
     segments_model: float | None
     marechal: Array
     unfinished: int
+    sets: NDArray[np.int64] | None = None
+
+    def quantile(self, values: Array, probability: float) -> Quantile:
+        """Return a quantile over the cases."""
+        return quantile(values, probability, sets=self.sets)
 
 
 def is_reduced(dataset: xr.Dataset) -> bool:
@@ -98,6 +103,7 @@ def reduced_populations(store: Path, dataset: xr.Dataset) -> list[ReducedPopulat
                 segments_model=value if unit == "nm" else None,
                 marechal=marechal[mine],
                 unfinished=int(np.count_nonzero((names == name) & ~done)),
+                sets=dataset["replicate"].to_numpy()[mine] if "replicate" in dataset.coords else None,
             )
         )
     return found
@@ -128,9 +134,9 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     for one in reduced_populations(store, dataset):
         model = "" if one.segments_model is None else f"\n({number(one.segments_model)})"
         missing = f"\n{one.unfinished} missing" if one.unfinished else ""
-        wide = [_with_interval(quantile(one.wfe_raw, p)) for p, _ in _PERCENTILES]
+        wide = [_with_interval(one.quantile(one.wfe_raw, p)) for p, _ in _PERCENTILES]
         others = [
-            "\n".join(number(quantile(values, p).value) for p, _ in _PERCENTILES)
+            "\n".join(number(one.quantile(values, p).value) for p, _ in _PERCENTILES)
             for values in (one.wfe, one.los)
         ]
         table.add_row(
@@ -200,8 +206,13 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
             ("los", "LOS, rms of a case about rest (mas)"),
         ):
             values = {one.name: getattr(one, attribute) for one in found}
+            sets = {one.name: one.sets for one in found}
             pictures.append(
-                picture(attribute.replace("_", "-"), f"Distribution: {label}", distributions(values, label))
+                picture(
+                    attribute.replace("_", "-"),
+                    f"Distribution: {label}",
+                    distributions(values, label, sets),
+                )
             )
     errors = _errors(dataset, done) if "traced" in dataset else {}
     in_nm = {_ERRORS[name]: errors[name] for name in errors if name not in ("los", "centroid")}
@@ -249,7 +260,7 @@ def _row(one: ReducedPopulation) -> dict[str, tuple[str, str]]:
         ("LOS {} (mas)", one.los),
     ):
         for p, label in _PERCENTILES:
-            level = quantile(values, p)
+            level = one.quantile(values, p)
             row[header.format(label)] = number(level.value), interval(level)
     model = "" if one.segments_model is None else f"model {number(one.segments_model)}"
     row["segments (nm)"] = number(_rms(one.segments)), model

@@ -1,7 +1,8 @@
 """Quantiles and distributions that carry their uncertainty, and jitter, of a population of independent cases.
 
 Nothing here assumes a distribution. Cases are independent draws; the instants of one case are not, so what
-pools instants counts each case as one draw, which can only make an interval too wide.
+pools instants counts each case as one draw, which can only make an interval too wide. Where cases are points
+of sets that are stratified, `sets` says to which each belongs, and only the sets are independent draws.
 """
 
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
-from wavequake.workflows.quantiles import CONFIDENCE, Quantile, quantile, quantile_ranks
+from wavequake.workflows.quantiles import CONFIDENCE, Quantile, quantile, quantile_ranks, share_error
 
 __all__ = [
     "Distribution",
@@ -53,7 +54,12 @@ class Jitter:
     standard_error: float
 
 
-def distribution(values: NDArray[np.float64], draws: int | None = None, points: int = 200) -> Distribution:
+def distribution(
+    values: NDArray[np.float64],
+    draws: int | None = None,
+    points: int = 200,
+    sets: NDArray[np.int64] | None = None,
+) -> Distribution:
     """Return the empirical distribution function with a pointwise 95 % band (Clopper & Pearson 1934).
 
     Parameters
@@ -66,11 +72,18 @@ def distribution(values: NDArray[np.float64], draws: int | None = None, points: 
         (Hoeffding 1963).
     points : int
         At most so many steps are kept, evenly in rank; the first and the last always are.
+    sets : ndarray of int, optional
+        As in :func:`quantile`; then the band is that of the scatter between sets.
     """
     ordered = np.sort(np.asarray(values, dtype=np.float64), axis=None)
     draws = ordered.size if draws is None else draws
     ranks = np.unique(np.linspace(1, ordered.size, min(points, ordered.size)).round().astype(np.int64))
     probability = ranks / max(ordered.size, 1)
+    if sets is not None:
+        at = ordered[ranks - 1]
+        half = share_error(np.asarray(values), sets, at)
+        low, high = np.clip(probability - half, 0.0, 1.0), np.clip(probability + half, 0.0, 1.0)
+        return Distribution(at, probability, low, high)
     successes = probability * draws
     tail = (1.0 - CONFIDENCE) / 2.0
     # Both ends of the beta function's parameters are excluded: no success has low = 0, no failure has high =
@@ -88,7 +101,7 @@ def case_rms(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.sqrt(np.mean(np.square(values), axis=1)))
 
 
-def jitter(los: NDArray[np.float64]) -> Jitter:
+def jitter(los: NDArray[np.float64], sets: NDArray[np.int64] | None = None) -> Jitter:
     """Return the rms of the line of sight over cases and instants about one mean per axis.
 
     The mean that is removed is that of the whole population, over its cases *and* instants: what all of them
@@ -98,6 +111,8 @@ def jitter(los: NDArray[np.float64]) -> Jitter:
     Parameters
     ----------
     los : ndarray, shape (case, time, 2)
+    sets : ndarray of int, shape (case,), optional
+        The stratified set that each case belongs to.
     """
     if not los.size:
         return Jitter(np.full(2, np.nan), np.nan, np.nan)
@@ -107,6 +122,9 @@ def jitter(los: NDArray[np.float64]) -> Jitter:
     # First order: the error of sqrt(mean) is that of the mean over twice the root. Cases are the independent
     # draws.
     per_case = squares.sum(axis=2).mean(axis=1)
+    if sets is not None:
+        _, which = np.unique(sets, return_inverse=True)
+        per_case = np.bincount(which, per_case) / np.bincount(which)
     if per_case.size < 2:
         return Jitter(axis, radial, np.nan)
     error = per_case.std(ddof=1) / np.sqrt(per_case.size)

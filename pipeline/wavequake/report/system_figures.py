@@ -19,12 +19,15 @@ _MOST_PANELS = 9
 
 
 @rc_context(STYLE)
-def distributions(values: Mapping[str, Array], label: str) -> Figure:
+def distributions(
+    values: Mapping[str, Array], label: str, sets: Mapping[str, NDArray[np.int64] | None] | None = None
+) -> Figure:
     """Draw the empirical distribution functions of values by name, each with its 95 % band."""
     figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
     axes = figure.add_subplot()
     for index, (name, samples) in enumerate(values.items()):
-        found, color = distribution(samples), COLORS[index % len(COLORS)]
+        found = distribution(samples, sets=(sets or {}).get(name))
+        color = COLORS[index % len(COLORS)]
         axes.fill_between(found.values, found.low, found.high, step="post", color=color, alpha=0.12, lw=0)
         axes.step(
             found.values,

@@ -54,7 +54,8 @@ _DEFINITIONS = (
 class FieldResult:
     """What one population does at one field point, at the primary wavelength.
 
-    ``wfe``, ``change`` (nm) and ``spot`` (um) hold the rms over its instants of each case, (C,).
+    ``wfe``, ``change`` (nm) and ``spot`` (um) hold the rms over its instants of each case, (C,); ``sets`` the
+    stratified set of each, if cases are not independent.
     """
 
     field: str
@@ -65,6 +66,7 @@ class FieldResult:
     marechal: float
     los: Jitter
     vignetted: int
+    sets: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,11 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
             picture(
                 "distributions",
                 "Distribution of the wavefront error of all disturbances",
-                draw_figures.distributions(_worst_fields(found), "WFE rms of a case (nm), worst field"),
+                draw_figures.distributions(
+                    _worst_fields(found),
+                    "WFE rms of a case (nm), worst field",
+                    {one.name: one.fields[0].sets for one in found if one.fields},
+                ),
             )
         ]
         if any(len(one.cases) for one in found)
@@ -147,6 +153,7 @@ def _population(light: xr.Dataset, name: str) -> SystemPopulation:
         key: light[key].to_numpy()[:, present]
         for key in ("wfe_rms", "wfe_change", "spot_rms", "strehl", "los_mm")
     }
+    sets = light["replicate"].to_numpy() if "replicate" in light.coords else None
     vignetted, marechal = light["vignetted"].to_numpy(), light["marechal"].to_numpy()
     fields = tuple(
         FieldResult(
@@ -156,8 +163,9 @@ def _population(light: xr.Dataset, name: str) -> SystemPopulation:
             spot=case_rms(values["spot_rms"][..., index]),
             strehl_p50=float(np.median(values["strehl"][..., index])),
             marechal=float(marechal[:, index].mean()),
-            los=jitter(values["los_mm"][:, :, index] * 1e3),
+            los=jitter(values["los_mm"][:, :, index] * 1e3, sets),
             vignetted=int(vignetted[:, index].max()),
+            sets=sets,
         )
         for index, label in enumerate(light["field"].to_numpy())
     )
@@ -189,11 +197,11 @@ def _row(population: SystemPopulation, one: FieldResult, bench: SystemBench) -> 
         (population.name, ""),
         (str(len(population.cases)), ""),
         (one.field, ""),
-        _quantile(quantile(one.wfe, 0.5)),
-        _quantile(quantile(one.wfe, 0.95)),
-        _quantile(quantile(one.change, 0.95)),
+        _quantile(quantile(one.wfe, 0.5, sets=one.sets)),
+        _quantile(quantile(one.wfe, 0.95, sets=one.sets)),
+        _quantile(quantile(one.change, 0.95, sets=one.sets)),
         (number(one.los.radial), f"± {number(error, 2)}" if np.isfinite(error) else ""),
-        _quantile(quantile(one.spot, 0.5)),
+        _quantile(quantile(one.spot, 0.5, sets=one.sets)),
         (number(one.strehl_p50), ""),
         (share(one.marechal), ""),
         (f"{one.vignetted} of {rays}" if one.vignetted else "0", ""),
@@ -236,7 +244,11 @@ def _figures(
     yield picture(
         f"{name}-wfe",
         f"Distribution of the wavefront error by field, {name}",
-        draw_figures.distributions({one.field: one.wfe for one in population.fields}, "WFE rms (nm)"),
+        draw_figures.distributions(
+            {one.field: one.wfe for one in population.fields},
+            "WFE rms (nm)",
+            {one.field: one.sets for one in population.fields},
+        ),
     )
     points = np.stack([dataset["field_x"].to_numpy(), dataset["field_y"].to_numpy()], axis=1)
     medians = np.array([np.median(one.wfe) for one in population.fields])

@@ -1,11 +1,11 @@
-"""Quantiles of independent draws with distribution-free confidence intervals."""
+"""Quantiles with confidence intervals: distribution-free of independent draws, else of replicated sets."""
 
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import bdtr, bdtrc
+from scipy.special import bdtr, bdtrc, stdtrit
 
 CONFIDENCE = 0.95
 
@@ -38,8 +38,18 @@ def quantile_ranks(draws: int, probability: float, confidence: float = CONFIDENC
     return lower, upper
 
 
-def quantile(values: NDArray[np.float64], probability: float, draws: int | None = None) -> Quantile:
-    """Return a sample quantile with its distribution-free 95 % confidence interval.
+def quantile(
+    values: NDArray[np.float64],
+    probability: float,
+    draws: int | None = None,
+    sets: NDArray[np.int64] | None = None,
+) -> Quantile:
+    """Return a sample quantile with its 95 % confidence interval.
+
+    Of independent draws it is distribution-free. Where the draws are points of a few sets that are stratified
+    (Latin hypercubes, Sobol points), only the sets are independent: then the scatter between the sets' shares
+    below the quantile gives the error of the share, and the interval ends at the quantiles of the share plus
+    and minus its error (Woodruff 1952).
 
     Parameters
     ----------
@@ -51,21 +61,69 @@ def quantile(values: NDArray[np.float64], probability: float, draws: int | None 
         Number of independent draws if it is smaller than the number of values: the cases whose instants are
         pooled here. Each draw then stands for ``values.size / draws`` values in a row, as if all instants of
         a case were equal.
+    sets : ndarray of int, shape (draws,), optional
+        The set that each draw belongs to, in the order of the values.
 
     Returns
     -------
     Quantile
         The value interpolates linearly between order statistics; all NaN if there are no values.
+
+    References
+    ----------
+    Woodruff 1952, Confidence intervals for medians and other position measures, JASA 47:635.
     """
     ordered = np.sort(np.asarray(values, dtype=np.float64), axis=None)
     if not ordered.size:
         return Quantile(np.nan, np.nan, np.nan)
     draws = ordered.size if draws is None else draws
+    value = _interpolated(ordered, probability)
+    if sets is not None:
+        half = float(share_error(np.asarray(values), sets, np.array([value]))[0])
+        half = max(half, 1.0 / ordered.size)  # nothing is known better than to one value
+        below, above = ordered.size * (probability - half), ordered.size * (probability + half)
+        low = ordered[int(np.ceil(below)) - 1] if below > 0.0 else -np.inf
+        high = ordered[int(np.floor(above))] if above < ordered.size else np.inf
+        return Quantile(value, float(low), float(high))
     share = ordered.size / draws
     lower, upper = quantile_ranks(draws, probability)
     low = ordered[int(np.floor((lower - 1) * share))] if lower >= 1 else -np.inf
     high = ordered[int(np.ceil(upper * share)) - 1] if upper <= draws else np.inf
-    return Quantile(_interpolated(ordered, probability), float(low), float(high))
+    return Quantile(value, float(low), float(high))
+
+
+def share_error(
+    values: NDArray[np.float64],
+    sets: NDArray[np.int64],
+    levels: NDArray[np.float64],
+    confidence: float = CONFIDENCE,
+) -> NDArray[np.float64]:
+    """Return half the confidence interval (Student) of the shares of values up to some levels.
+
+    From the scatter between sets, which are independent while their draws are not.
+
+    Parameters
+    ----------
+    values : ndarray, any shape
+    sets : ndarray of int, shape (draws,)
+        The set of each draw; it stands for ``values.size / draws`` values in a row.
+    levels : ndarray, shape (n,)
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Infinite where there are fewer than two sets.
+    """
+    each = np.repeat(sets, values.size // len(sets))
+    parts = [np.sort(np.reshape(values, -1)[each == one]) for one in np.unique(each)]
+    if len(parts) < 2:
+        return np.full(len(levels), np.inf)
+    counts = np.array([np.searchsorted(part, levels, side="right") for part in parts])
+    sizes = np.array([part.size for part in parts])[:, None]
+    # Sets may differ in size by failed cases: the error of a ratio of two sums, to first order.
+    apart = counts - counts.sum(axis=0) * (sizes / sizes.sum())
+    error = apart.std(axis=0, ddof=1) * np.sqrt(len(parts)) / sizes.sum()
+    return np.asarray(stdtrit(len(parts) - 1, 0.5 + confidence / 2.0) * error)
 
 
 def _interpolated(ordered: NDArray[np.float64], probability: float) -> float:

@@ -44,6 +44,10 @@ class CampaignSection(Section):
     until: str | None = Field(default=None, description="goal of statistics at which to stop before `cases`")
     timeout_s: float | None = Field(default=None, gt=0.0, description="longest time of a chunk on a worker")
 
+    def identity_record(self) -> dict[str, object]:
+        """Return the keys of this section that determine a case's numbers: none."""
+        return {}
+
 
 class StoreSection(Section):
     """Where the results go; not part of the identity."""
@@ -77,6 +81,8 @@ class Study(Section):
         """Return the canonical JSON text of all that determines one case's numbers (and of what is kept)."""
         record = self.model_dump(mode="json", exclude={"campaign": True, "store": {"path", "chunk_cases"}})
         record["study"].pop("title")
+        if campaign := self.campaign.identity_record():
+            record["campaign"] = campaign
         return json.dumps(record, sort_keys=True, separators=(",", ":"))
 
     def identity(self) -> str:

@@ -27,7 +27,9 @@ from wavequake.workflows.case_pattern import slots
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Workflow
 from wavequake.workflows.images import energy_scale, refuse_what_cannot_be_imaged, summed_images
 from wavequake.workflows.retention import kept_arrays
+from wavequake.workflows.sampling import replicate_labels
 from wavequake.workflows.schema import study_from_identity
+from wavequake.workflows.segment_draws import draw_realization, sampling_plan
 from wavequake.workflows.segment_modal import modal_cases, model_of
 from wavequake.workflows.segment_study import SegmentStudy
 from wavequake.workflows.segment_template import computed, template, traced
@@ -60,9 +62,8 @@ def slot(populations: tuple[Kind, ...], case: int) -> tuple[Kind, int]:
 
 def draw(bench: Bench, case: int) -> CaseDraw:
     """Draw the motion of one case, which depends on seed, disturbance and realization only."""
-    study = bench.study
-    population, realization = slot(study.disturbance, case)
-    motion = draw_case(study.disturbance, population, bench.layout, study.study.seed, realization)
+    population, realization = slot(bench.study.disturbance, case)
+    motion = draw_realization(bench, population, realization)
     return CaseDraw(population, realization, time_axis(population), motion)
 
 
@@ -235,6 +236,7 @@ def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.g
         "disturbance": np.array([entry.name for entry in study.disturbance], dtype=object)[which],
         "realization": realizations,
         "seed": np.full(last - first, study.study.seed, dtype=np.int64),
+        **replicate_labels(study.campaign, realizations),
     }
 
 
@@ -244,7 +246,7 @@ def describe(study_text: str) -> dict[str, str]:
     units = {"mas": "mas rms line of sight", "nm": "nm rms piston per segment"}
     known = {entry.name: analytic_rms(entry, bench.layout) for entry in bench.study.disturbance}
     rays = f"{len(bench.prepared.weight)} on {len(bench.system.segments)} segments"
-    return {"rays": rays} | {
+    return {"rays": rays, **sampling_plan(study_text).words()} | {
         name: f"{value[0]:.3g} {units[value[1]]}" for name, value in known.items() if value
     }
 
@@ -268,6 +270,7 @@ def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
 def check(study_text: str) -> None:
     """Raise UserError if the telescope at rest has no image, or a disturbance does not fit its mirror."""
     bench = bench_of(study_text)
+    sampling_plan(study_text)
     if bench.study.imaging.enabled:
         refuse_what_cannot_be_imaged(bench)
     if bench.study.optics.method == "modal":

@@ -24,6 +24,7 @@ from wavequake.optics.quality import meets_marechal
 from wavequake.workflows.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis
 from wavequake.workflows.case_pattern import slots
 from wavequake.workflows.contract import DONE, ChunkResult
+from wavequake.workflows.segment_draws import draw_realization, sampling_plan
 from wavequake.workflows.segment_template import computed
 from wavequake.workflows.stopwatch import Stopwatch
 
@@ -144,7 +145,7 @@ def _found(
         parts = []
         for realization in realizations.tolist():
             with clock("draw"):
-                motion = _draw(bench, population, realization)
+                motion = draw_realization(bench, population, realization)
             with clock("modal"):
                 parts.append(_by_instants(bench, model, motion))
         return _joined(parts)
@@ -156,15 +157,10 @@ def _found(
         else:
             swing, first_instant = np.ones(population.instants), population.model_copy(update={"instants": 1})
             for k, realization in enumerate(realizations.tolist()):
-                one = _draw(bench, first_instant, realization)
+                one = draw_realization(bench, first_instant, realization)
                 motions[rows[k]], known[k] = _motion_rows(bench, model, one, 1)[0], _knows(model, one)
     with clock("modal"):
         return _separable(model, motions, rows, swing, known)
-
-
-def _draw(bench: Bench, population: Disturbance, realization: int) -> Motion:
-    study = bench.study
-    return draw_case(study.disturbance, population, bench.layout, study.study.seed, realization)
 
 
 def _in_tiles(model: ModalModel, bench: Bench, cases: Cases) -> tuple[Array, Cases]:
@@ -190,6 +186,14 @@ def _draw_pistons(
         return
     segments = len(bench.layout)
     first = model.dofs.index(2) * segments
+    plan = sampling_plan(bench.text)
+    if plan.method != "random":
+        for row, realization in zip(rows, realizations.tolist(), strict=True):
+            point = plan.of(realization)(population.name)
+            assert point is not None  # never left out of a plan
+            drawn = amplitudes(population, segments, point)
+            motions[row, first : first + segments] = drawn[0] * MM_PER_M
+        return
     for run in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(realizations) != 1) + 1):
         start = amplitude_generator(population, segments, bench.study.study.seed, int(realizations[run[0]]))
         drawn = amplitudes(population, segments, start, len(run))

@@ -7,6 +7,7 @@ from pydantic import BaseModel, Field, field_validator, model_validator
 
 from wavequake.mechanics.disturbances import Disturbance
 from wavequake.optics.polygon_table import read_polygons
+from wavequake.workflows.sampling import SampledCampaignSection, whole_sets
 from wavequake.workflows.schema import Section, StoreSection, Study, text_of
 
 
@@ -163,6 +164,7 @@ class SegmentStoreSection(StoreSection):
 class SegmentStudy(Study):
     """A validated study file."""
 
+    campaign: SampledCampaignSection = SampledCampaignSection()
     telescope: TelescopeSection
     disturbance: tuple[Disturbance, ...] = Field(min_length=1, strict=False)
     optics: OpticsSection = OpticsSection()
@@ -194,6 +196,12 @@ class SegmentStudy(Study):
     def _what_is_kept_is_there(self) -> "SegmentStudy":
         store, wavefront = self.store, self.wavefront
         modal = self.optics.method == "modal"
+        if self.study.workflow == "segment-disturbance":
+            whole_sets(self.campaign, [entry.share for entry in self.disturbance])
+        elif self.campaign.sampling != "random":
+            raise ValueError(
+                "campaign.sampling belongs to the workflows segment-disturbance and system-disturbance"
+            )
         if self.study.workflow != "segment-disturbance" and (
             modal or not self.imaging.enabled or store.every > 1 or store.reduce != "none"
         ):

@@ -40,10 +40,11 @@ _WHY = {
 class SystemBench:
     """Everything of a study that does not change from case to case.
 
-    ``prepared`` and ``static`` hold, per field and wavelength in that order, what the trace takes and the
-    wavefront at rest (one instant).
+    ``text`` is the study's identity text; ``prepared`` and ``static`` hold, per field and wavelength in that
+    order, what the trace takes and the wavefront at rest (one instant).
     """
 
+    text: str
     study: SystemStudy
     system: OpticalSystem
     bodies: tuple[Body, ...]
@@ -75,7 +76,7 @@ def system_bench(study_text: str) -> SystemBench:
         for row, found in zip(prepared, static, strict=True):
             for one, wavefront in zip(row, found, strict=True):
                 _require_light(one, wavefront, rest)
-    return SystemBench(study, system, bodies, prepared, static)
+    return SystemBench(study_text, study, system, bodies, prepared, static)
 
 
 def prepared_fields(

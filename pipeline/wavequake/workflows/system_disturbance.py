@@ -4,17 +4,22 @@ One case is one realization of one population of disturbances over its instants;
 all fields and wavelengths.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from wavequake.kernels.devices import Device, choose_device
+from wavequake.mechanics.disturbances import Combine
 from wavequake.mechanics.element_motion import ElementDisturbance, ElementMotion, draw_elements
 from wavequake.mechanics.population import time_axis
+from wavequake.mechanics.streams import Streams
 from wavequake.optics.packing import moving
 from wavequake.optics.quality import meets_marechal, meets_rayleigh
 from wavequake.optics.system_wavefront import PreparedSystem, SystemWavefront, measure_system
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.workflows.sampling import Plan, plan_of, replicate_labels
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segment_disturbance import slot
 from wavequake.workflows.system_bench import (
@@ -34,7 +39,28 @@ def draw(bench: SystemBench, case: int) -> tuple[ElementDisturbance, ElementMoti
     """Return the population of a case and its motion: of seed, disturbance and realization only."""
     study = bench.study
     population, realization = slot(study.disturbance, case)
-    return population, draw_elements(study.disturbance, population, study.study.seed, realization)
+    streams = sampling_plan(bench.text).of(realization)
+    return population, draw_elements(study.disturbance, population, study.study.seed, realization, streams)
+
+
+@lru_cache(maxsize=2)
+def sampling_plan(study_text: str) -> Plan:
+    """Return what spreads the random numbers of the study with this identity text.
+
+    Raises
+    ------
+    UserError
+        If they are too many for the plan that the study asks for.
+    """
+    study = study_from_identity(SystemStudy, study_text)
+    singles = [entry for entry in study.disturbance if not isinstance(entry, Combine)]
+
+    def draw_all(streams: Streams) -> None:
+        for entry in singles:
+            draw_elements(singles, entry, study.study.seed, 0, streams)
+
+    shares = [entry.share for entry in study.disturbance]
+    return plan_of(study.campaign, study.study.seed, shares, draw_all, lambda name: True)
 
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
@@ -107,10 +133,12 @@ def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.g
     """Return the labels of cases first <= id < last: disturbance, realization and seed."""
     study = study_from_identity(SystemStudy, study_text)
     slots = [slot(study.disturbance, case) for case in range(first, last)]
+    realizations = np.array([realization for _, realization in slots], dtype=np.int64)
     return {
         "disturbance": np.array([population.name for population, _ in slots], dtype=object),
-        "realization": np.array([realization for _, realization in slots], dtype=np.int64),
+        "realization": realizations,
         "seed": np.full(last - first, study.study.seed, dtype=np.int64),
+        **replicate_labels(study.campaign, realizations),
     }
 
 
@@ -234,12 +262,18 @@ def describe(study_text: str) -> dict[str, str]:
         + (f", {count} of {rays} rays vignetted" if count else "")
         for field, (error, count) in enumerate(zip(errors, stopped, strict=True))
     }
-    return {"rays": f"{rays} per field and wavelength", **lines, "system": system.info()}
+    return {
+        "rays": f"{rays} per field and wavelength",
+        **sampling_plan(study_text).words(),
+        **lines,
+        "system": system.info(),
+    }
 
 
 def check(study_text: str) -> None:
     """Raise UserError if the system at rest has no image, or a disturbance does not fit the system."""
     bench = system_bench(study_text)
+    sampling_plan(study_text)
     for population in bench.study.disturbance:
         drawn = draw_elements(bench.study.disturbance, population, bench.study.study.seed, 0)
         moving(bench.system, system_states(bench, drawn))

@@ -9,6 +9,7 @@ from wavequake.mechanics.element_motion import ElementDisturbance
 from wavequake.mechanics.line_of_sight import LineOfSight
 from wavequake.mechanics.vibration_lines import VibrationLines
 from wavequake.optics.system_file import SystemSection, embed_file
+from wavequake.workflows.sampling import SampledCampaignSection, whole_sets
 from wavequake.workflows.schema import Section, Study, text_of
 
 
@@ -44,6 +45,7 @@ class SystemWavefrontSection(Section):
 class SystemStudy(Study):
     """A validated study file."""
 
+    campaign: SampledCampaignSection = SampledCampaignSection()
     system: SystemSection
     body: tuple[BodySection, ...] = Field(default=(), strict=False)
     disturbance: tuple[ElementDisturbance, ...] = Field(min_length=1, strict=False)
@@ -82,6 +84,11 @@ class SystemStudy(Study):
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
             raise ValueError(f"two bodies or surfaces are called {twice!r}; each needs a name of its own")
+        return self
+
+    @model_validator(mode="after")
+    def _sampling_is_complete(self) -> "SystemStudy":
+        whole_sets(self.campaign, [entry.share for entry in self.disturbance])
         return self
 
     @classmethod

@@ -83,8 +83,13 @@ def quantiles_of(goal: Goal, dataset: "xr.Dataset") -> dict[str, Quantile]:
     found = {}
     for name in sorted(set(names.tolist())):
         rows = values[(names == name) & done]
-        pooled = rows[~np.isnan(rows)]
-        found[name] = quantile(pooled, goal.probability, min(len(rows), pooled.size))
+        there = ~np.isnan(rows)
+        sets = None
+        if "replicate" in dataset.variables:
+            labels = dataset["replicate"].to_numpy()[(names == name) & done]
+            sets = np.broadcast_to(labels[:, None], rows.shape)[there]
+        draws = min(len(rows), int(there.sum())) if sets is None else None
+        found[name] = quantile(rows[there], goal.probability, draws, sets)
     return found
 
 
