@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg
 
 from wavequake.errors import UserError
+from wavequake.mechanics.linear_system import LinearSystem, linear_system, skew_part, symmetric_and_skew
 from wavequake.mechanics.modal import LARGEST, dense
 from wavequake.mechanics.model import Array, Model, ReducedModel
 
@@ -35,6 +36,21 @@ class Link:
 
 
 @dataclass(frozen=True)
+class Bearing:
+    """A link whose forces need not be symmetric: a journal bearing, the internal damping of a rotor.
+
+    The force on the first place is -stiffness u - damping u', u its displacement relative to the second (or
+    the ground). ``stiffness`` (3, 3) in N/m and ``damping`` (3, 3) in N s/m; their skew parts are
+    circulatory and gyroscopic forces (Störkle 2018, Eq. 2.5).
+    """
+
+    first: Place
+    second: Place | None
+    stiffness: Array
+    damping: Array
+
+
+@dataclass(frozen=True)
 class Joint:
     """A rigid connection: two interface nodes, or a node and the ground, move alike in some directions."""
 
@@ -49,7 +65,7 @@ def assemble(
     """Join bodies in one linear system (Störkle 2018, Eq. 2.4) with the interface of a single body.
 
     Rigid connections are eliminated by the null space of their equations, so what is left has no constraints.
-    Springs and dampers are symmetric: of the parts of Eq. 2.5, D and K, but neither G nor N.
+    All is symmetric: of the parts of Eq. 2.5, D and K; `assemble_system` takes G and N too.
 
     Parameters
     ----------
@@ -69,6 +85,58 @@ def assemble(
         If there is no body, the bodies together are too large, a link or joint names what is not there, a
         spring or damper is negative or not finite, or a joint only repeats others.
     """
+    return _assembled(bodies, links, joints, name)[0]
+
+
+def assemble_system(
+    bodies: Sequence[Model | LinearSystem],
+    links: Sequence[Link | Bearing] = (),
+    joints: Sequence[Joint] = (),
+    name: str = "assembly",
+    gyroscopic: Any = None,
+    circulatory: Any = None,
+) -> LinearSystem:
+    """Join bodies in one linear system with gyroscopic and circulatory forces (Störkle 2018, Eq. 2.4, 2.5).
+
+    Parameters
+    ----------
+    bodies : sequence of models or LinearSystem
+        Those with forces G and N of their own are made by `linear_system` or `steady_rotation`.
+    links, joints
+        As of `assemble`; a `Bearing` may have forces that are not symmetric.
+    gyroscopic, circulatory : ndarray or sparse array, shape (n, n), optional
+        Further G and N of the whole system, in the coordinates of all bodies, one after the other, before
+        joints.
+
+    Raises
+    ------
+    UserError
+        As of `assemble`, or if a matrix is not skew-symmetric or a bearing's damping negative.
+    """
+    systems = [body if isinstance(body, LinearSystem) else linear_system(body) for body in bodies]
+    models = [system.model for system in systems]
+    plain = [link if isinstance(link, Link) else _symmetric(link) for link in links]
+    assembly, basis = _assembled(models, plain, joints, name)
+    whole_g, whole_n = (
+        skew_part(name, label, matrix, len(basis)) + scipy.linalg.block_diag(*parts)
+        for label, matrix, parts in (
+            ("gyroscopic", gyroscopic, [system.gyroscopic for system in systems]),
+            ("circulatory", circulatory, [system.circulatory for system in systems]),
+        )
+    )
+    inputs = scipy.linalg.block_diag(*[dense(model.inputs) for model in models])
+    for link in links:
+        if isinstance(link, Bearing):
+            apart = _apart(models, inputs, link.first, link.second)
+            whole_n += apart @ symmetric_and_skew(np.asarray(link.stiffness, dtype=float))[1] @ apart.T
+            whole_g += apart @ symmetric_and_skew(np.asarray(link.damping, dtype=float))[1] @ apart.T
+    return linear_system(assembly, basis.T @ whole_g @ basis, basis.T @ whole_n @ basis)
+
+
+def _assembled(
+    bodies: Sequence[Model], links: Sequence[Link | Bearing], joints: Sequence[Joint], name: str
+) -> tuple[ReducedModel, Array]:
+    """Return the symmetric parts, and the basis (n, n - c) in which the joints hold."""
     if not bodies:
         raise UserError("an assembly needs at least one body")
     order = sum(body.mass.shape[0] for body in bodies)
@@ -83,13 +151,14 @@ def assemble(
         for part in ("mass", "damping_matrix", "stiffness")
     )
     for link in links:
-        _check_link(link)
+        if isinstance(link, Link):
+            _check_link(link)
         apart = _apart(bodies, inputs, link.first, link.second)
-        stiffness += apart @ (np.array(link.stiffness)[:, None] * apart.T)
-        damping += apart @ (np.array(link.damping)[:, None] * apart.T)
+        stiffness += apart @ _square(link.stiffness) @ apart.T
+        damping += apart @ _square(link.damping) @ apart.T
     basis = _compatible(bodies, inputs, joints, name)
     node_offsets = np.cumsum([0, *(len(body.nodes) for body in bodies)])[:-1]
-    return ReducedModel(
+    assembly = ReducedModel(
         name=name,
         method="assembly",
         mass=basis.T @ mass @ basis,
@@ -103,6 +172,30 @@ def assemble(
         surface_weights=np.concatenate([body.surface_weights for body in bodies]) / len(bodies),
         seconds=0.0,
     )
+    return assembly, basis
+
+
+def _square(values: Any) -> Array:
+    """Matrix (3, 3) of three numbers along the axes, or of a matrix."""
+    given = np.asarray(values, dtype=np.float64)
+    return np.diag(given) if given.ndim == 1 else given
+
+
+def _symmetric(bearing: Bearing) -> Bearing:
+    """Return what of a bearing is symmetric, after checks."""
+    between = f"the bearing between {bearing.first} and {bearing.second or 'the ground'}"
+    for label in ("stiffness", "damping"):
+        matrix = np.asarray(getattr(bearing, label), dtype=np.float64)
+        if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+            raise UserError(f"{between} needs a {label} of shape (3, 3) that is finite")
+    stiffness, damping = (
+        symmetric_and_skew(np.asarray(part, dtype=np.float64))[0]
+        for part in (bearing.stiffness, bearing.damping)
+    )
+    rates = np.linalg.eigvalsh(damping)
+    if rates[0] < -1e-9 * np.abs(rates).max():
+        raise UserError(f"{between} has a damping that is negative in some direction")
+    return Bearing(bearing.first, bearing.second, stiffness, damping)
 
 
 def _joined(offsets: np.ndarray, parts: list[np.ndarray]) -> np.ndarray:

@@ -1,15 +1,12 @@
 """One flexible body in large motion: floating frame of reference with all inertia terms. SI units.
 
-A material point is at r + A (x + Phi q): r and A carry the large motion, q the small linear deformation.
-Finite elements interpolate positions as they interpolate displacements, so sums over nodes are the exact
-integrals over the mass, and all inertia terms (centrifugal, Coriolis, gyroscopic, changing inertia) follow
-from one matrix of them. This is the standard floating frame: centrifugal forces soften the linear elasticity
-and do not stiffen it by the stress that they cause, unless `drive` is given a centrifugal stiffness.
+A material point is at r + A (x + Phi q): r and A carry the large motion, q the small linear deformation. This
+is the standard floating frame: centrifugal forces soften the linear elasticity and do not stiffen it by the
+stress that they cause, unless `drive` is given a centrifugal stiffness.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -18,34 +15,15 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from wavequake.errors import UserError
-from wavequake.mechanics.model import Array, FiniteElementModel
-
-# Cross product of unit vectors: (a x b)_i = _CROSS[i, j, k] a_j b_k.
-_CROSS = np.zeros((3, 3, 3))
-_CROSS[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0
-_CROSS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = -1.0
-
-
-@dataclass(frozen=True)
-class FlexibleBody:
-    """Mass integrals and elasticity of one body in its own frame.
-
-    Attributes
-    ----------
-    integrals : ndarray, shape (4 + 3 r, 4 + 3 r)
-        Integrals over the mass of products of 1, x, y, z and the x, y, z parts of each shape.
-    stiffness, damping : ndarray, shape (r, r)
-        Of the shapes, N/m and N s/m per unit of the coordinates.
-    """
-
-    integrals: Array
-    stiffness: Array
-    damping: Array
-
-    @property
-    def order(self) -> int:
-        """Number r of shapes."""
-        return len(self.stiffness)
+from wavequake.mechanics.flexible_body import (
+    CROSS,
+    FlexibleBody,
+    mass_matrix,
+    position_fields,
+    velocity_fields,
+)
+from wavequake.mechanics.loads import Load, check_loads, generalized
+from wavequake.mechanics.model import Array
 
 
 @dataclass(frozen=True)
@@ -78,73 +56,6 @@ class Flight:
 BaseMotion = Callable[[float], tuple[Array, Array, Array]]
 
 
-def flexible_body(
-    points: Array, mass: Any, shapes: Array, stiffness: Array, damping: Array | None = None
-) -> FlexibleBody:
-    """Return the body that nodes, their mass and shapes of deformation make.
-
-    Parameters
-    ----------
-    points : ndarray, shape (N, 3)
-        m, in the frame of the body.
-    mass : ndarray or sparse array, shape (N, N)
-        Mass between nodes, kg, the same in every direction.
-    shapes : ndarray, shape (N, 3, r)
-        Displacements of the nodes; for `fly`, no combination of them may be a rigid motion. Modes (orthogonal
-        in mass and stiffness) integrate fastest and most exactly.
-    stiffness, damping : ndarray, shape (r, r)
-        No damping if left out.
-
-    Raises
-    ------
-    UserError
-        If the shapes do not fit the points, or a number is not finite.
-    """
-    count, order = len(points), shapes.shape[-1]
-    zero = np.zeros((order, order))
-    body_stiffness = np.asarray(stiffness, dtype=np.float64)
-    if points.shape != (count, 3) or shapes.shape != (count, 3, order) or body_stiffness.shape != zero.shape:
-        raise UserError(
-            f"points {points.shape}, shapes {shapes.shape} and stiffness {body_stiffness.shape} of a "
-            "flexible body do not fit; they are (N, 3), (N, 3, r) and (r, r)"
-        )
-    fields = np.concatenate(
-        [np.ones((count, 1)), points, shapes.transpose(0, 2, 1).reshape(count, -1)], axis=1
-    )
-    integrals = fields.T @ np.asarray(mass @ fields)
-    if not (np.isfinite(integrals).all() and np.isfinite(body_stiffness).all()):
-        raise UserError("a flexible body has values that are not finite")
-    rates = zero if damping is None else damping
-    return FlexibleBody(0.5 * (integrals + integrals.T), body_stiffness, rates)
-
-
-def from_model(model: FiniteElementModel, shapes: Array) -> FlexibleBody:
-    """Return the flexible body of a finite-element model and some displacement shapes.
-
-    Parameters
-    ----------
-    model : FiniteElementModel
-        Free in all directions at every node that has mass.
-    shapes : ndarray, shape (n, r)
-        Elastic modes, for example; columns over the degrees of freedom.
-    """
-    places = [np.flatnonzero(model.dof_direction == direction) for direction in range(3)]
-    nodes = model.dof_node[places[0]]
-    if any(not np.array_equal(model.dof_node[place], nodes) for place in places):
-        raise UserError(f"the model {model.name} is held somewhere; a floating frame needs a free body")
-    masses = [model.mass[place][:, place] for place in places]
-    if any(abs(other - masses[0]).max() > 1e-9 * abs(masses[0]).max() for other in masses[1:]):
-        raise UserError(f"the mass of the model {model.name} differs between x, y and z")
-    moved = np.stack([shapes[place] for place in places], axis=1)
-    return flexible_body(
-        model.nodes[nodes],
-        masses[0],
-        moved,
-        shapes.T @ (model.stiffness @ shapes),
-        shapes.T @ (model.damping_matrix @ shapes),
-    )
-
-
 def fly(
     body: FlexibleBody,
     time: Array,
@@ -152,6 +63,7 @@ def fly(
     spin: Array,
     coordinates: Array | None = None,
     rates: Array | None = None,
+    loads: Sequence[Load] = (),
     tolerance: float = 1e-11,
 ) -> Flight:
     """Integrate a free body from given velocities; its frame begins at the origin, axes parallel.
@@ -164,29 +76,33 @@ def fly(
         m/s and rad/s.
     coordinates, rates : ndarray, shape (r,), optional
         Deformation at the start; none if left out.
+    loads : sequence of NodeForce, NodeTorque or Gravity, optional
     tolerance : float
         Relative, of the integrator (Dormand-Prince of order 8).
 
     Raises
     ------
     UserError
-        If a rigid motion is among the shapes, the instants do not increase, the start is not finite, or the
-        motion diverges.
+        If a rigid motion is among the shapes, the instants do not increase, the start or a load is not finite
+        or does not fit, or the motion diverges.
     """
     zero, order = np.zeros(body.order), body.order
     q, dq = (zero if given is None else given for given in (coordinates, rates))
-    _check_inertia(_inertia(body, _directions(q)))
+    _check_fit(body, q, dq)
+    _check_inertia(mass_matrix(body, velocity_fields(q)))
+    check_loads(body, loads)
     start = np.concatenate([np.zeros(3), [0.0, 0.0, 0.0, 1.0], velocity, spin, q, dq])
 
-    def derivative(_: float, y: Array) -> Array:
+    def derivative(t: float, y: Array) -> Array:
         turn, v, w = y[3:7], y[7:10], y[10:13]
         q, dq = y[13 : 13 + order], y[13 + order :]
-        directions = _directions(q)
-        load = -_inertial_load(body, directions, w, np.cross(w, v), q, dq)
+        attitude = Rotation.from_quat(turn).as_matrix()
+        directions = velocity_fields(q)
+        load = generalized(body, loads, t, attitude, q)
+        load -= _inertial_load(body, directions, w, np.cross(w, v), q, dq)
         load[6:] -= body.stiffness @ q + body.damping @ dq
-        accelerated = scipy.linalg.solve(_inertia(body, directions), load, assume_a="pos")
-        half = 0.5 * np.append(turn[3] * w + np.cross(turn[:3], w), -turn[:3] @ w)
-        return np.concatenate([Rotation.from_quat(turn).apply(v), half, accelerated[:6], dq, accelerated[6:]])
+        accelerated = scipy.linalg.solve(mass_matrix(body, directions), load, assume_a="pos")
+        return np.concatenate([attitude @ v, _turning(turn, w), accelerated[:6], dq, accelerated[6:]])
 
     y = _integrate(derivative, start, time, tolerance, "DOP853")
     rotation = Rotation.from_quat(y[3:7].T)
@@ -206,9 +122,12 @@ def drive(
     time: Array,
     base: BaseMotion,
     centrifugal_stiffness: Array | None = None,
+    loads: Sequence[Load] = (),
     tolerance: float = 1e-10,
 ) -> tuple[Array, Array]:
     """Integrate the deformation of a body whose frame is moved as told; undeformed and at rest at first.
+
+    The axes of the frame are the inertial ones at the first instant.
 
     Parameters
     ----------
@@ -219,6 +138,7 @@ def drive(
     centrifugal_stiffness : ndarray, shape (r, r), optional
         Geometric stiffness by the stress of a unit spin: it counts times the squared spin. Without it spins
         above the body's lowest frequency diverge, as in any standard floating frame.
+    loads : sequence of NodeForce, NodeTorque or Gravity, optional
 
     Returns
     -------
@@ -227,25 +147,28 @@ def drive(
     Raises
     ------
     UserError
-        If the instants do not increase, or the deformation diverges.
+        If the instants do not increase, a load is not finite or does not fit, or the deformation diverges.
     """
     order = body.order
     stress = np.zeros((order, order)) if centrifugal_stiffness is None else centrifugal_stiffness
-    inertia = _inertia(body, _directions(np.zeros(order)))[6:, 6:]
+    inertia = mass_matrix(body, velocity_fields(np.zeros(order)))[6:, 6:]
     _check_inertia(inertia)
     inverse = np.linalg.inv(inertia)
+    check_loads(body, loads)
 
     def derivative(t: float, y: Array) -> Array:
-        q, dq = y[:order], y[order:]
+        q, dq, turn = y[:order], y[order : 2 * order], y[2 * order :]
         spin, spin_rate, acceleration = base(t)
-        directions = _directions(q)
+        directions = velocity_fields(q)
         load = -_inertial_load(body, directions, spin, acceleration, q, dq, spin_rate)[6:]
         load -= (body.stiffness + (spin @ spin) * stress) @ q + body.damping @ dq
-        return np.concatenate([dq, inverse @ load])
+        if loads:
+            load += generalized(body, loads, t, Rotation.from_quat(turn).as_matrix(), q)[6:]
+        return np.concatenate([dq, inverse @ load, _turning(turn, spin)])
 
     # Damped stiff shapes (the length of a beam) ask for an implicit method, which LSODA turns to by itself.
-    y = _integrate(derivative, np.zeros(2 * order), time, tolerance, "LSODA")
-    return y[:order].T, y[order:].T
+    y = _integrate(derivative, np.append(np.zeros(2 * order + 3), 1.0), time, tolerance, "LSODA")
+    return y[:order].T, y[order : 2 * order].T
 
 
 def energy(body: FlexibleBody, flight: Flight) -> Array:
@@ -254,7 +177,9 @@ def energy(body: FlexibleBody, flight: Flight) -> Array:
     local = flight.rotation.inv().apply(flight.velocity)
     for v, w, q, dq in zip(local, flight.spin, flight.coordinates, flight.rates, strict=True):
         speed = np.concatenate([v, w, dq])
-        found.append(0.5 * speed @ _inertia(body, _directions(q)) @ speed + 0.5 * q @ body.stiffness @ q)
+        found.append(
+            0.5 * speed @ mass_matrix(body, velocity_fields(q)) @ speed + 0.5 * q @ body.stiffness @ q
+        )
     return np.array(found)
 
 
@@ -263,7 +188,7 @@ def momentum(body: FlexibleBody, flight: Flight) -> tuple[Array, Array]:
     found = []
     local = flight.rotation.inv().apply(flight.velocity)
     for v, w, q, dq in zip(local, flight.spin, flight.coordinates, flight.rates, strict=True):
-        found.append(_inertia(body, _directions(q))[:6] @ np.concatenate([v, w, dq]))
+        found.append(mass_matrix(body, velocity_fields(q))[:6] @ np.concatenate([v, w, dq]))
     linear, angular = (flight.rotation.apply(part) for part in np.split(np.array(found), 2, axis=1))
     return linear, angular + np.cross(flight.position, linear)
 
@@ -275,27 +200,17 @@ def positions(flight: Flight, points: Array, shapes: Array) -> Array:
     return flight.position[:, None] + turned
 
 
-def _place(q: Array) -> Array:
-    """Fields (4 + 3 r, 3) whose combination is the deformed position in body axes."""
-    return np.vstack([np.zeros(3), np.eye(3), np.kron(q[:, None], np.eye(3))])
+def _turning(turn: Array, spin: Array) -> Array:
+    """Rate of the quaternion (x, y, z, w) of a frame with a spin in its own axes."""
+    return 0.5 * np.append(turn[3] * spin + np.cross(turn[:3], spin), -turn[:3] @ spin)
 
 
-def _directions(q: Array) -> Array:
-    """Velocity fields (3, 4 + 3 r, 6 + r): x, y, z parts of unit translations, spins and shape rates."""
-    order = len(q)
-    directions = np.zeros((3, 4 + 3 * order, 6 + order))
-    here, shape = np.arange(3), np.arange(order)
-    directions[here, 0, here] = 1.0
-    directions[:, :, 3:6] = np.einsum("ijk,fk->ifj", _CROSS, _place(q))
-    for axis in range(3):
-        directions[axis, 4 + 3 * shape + axis, 6 + shape] = 1.0
-    return directions
-
-
-def _inertia(body: FlexibleBody, directions: Array) -> Array:
-    """Mass matrix (6 + r, 6 + r) of Störkle 2018, Eq. 2.11."""
-    result: Array = np.sum(directions.transpose(0, 2, 1) @ (body.integrals @ directions), axis=0)
-    return result
+def _check_fit(body: FlexibleBody, coordinates: Array, rates: Array) -> None:
+    if coordinates.shape != (body.order,) or rates.shape != (body.order,):
+        raise UserError(
+            f"the start of a flexible body of {body.order} shapes needs as many coordinates and rates, not "
+            f"{coordinates.shape} and {rates.shape}"
+        )
 
 
 def _check_inertia(matrix: Array) -> None:
@@ -317,11 +232,11 @@ def _inertial_load(
     spin_rate: Array | None = None,
 ) -> Array:
     """H of Eq. 2.11 (6 + r): the inertia of what accelerates without second derivatives of coordinates."""
-    turn = spin @ _CROSS.transpose(1, 2, 0).reshape(3, 9)
-    place, across = _place(q), turn.reshape(3, 3)
+    turn = spin @ CROSS.transpose(1, 2, 0).reshape(3, 9)
+    place, across = position_fields(q), turn.reshape(3, 3)
     onto = across @ across
     if spin_rate is not None:
-        onto = onto + (spin_rate @ _CROSS.transpose(1, 2, 0).reshape(3, 9)).reshape(3, 3)
+        onto = onto + (spin_rate @ CROSS.transpose(1, 2, 0).reshape(3, 9)).reshape(3, 3)
     fields = place @ onto
     fields[4:] += 2 * np.kron(dq[:, None], across)
     fields[0] += origin
