@@ -21,107 +21,29 @@ the axis on which the later surfaces stand; every other tilt and decenter moves 
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from wavequake.errors import UserError
 from wavequake.optics.kinematics import cardan
-from wavequake.optics.media import AIR, Medium, constant, glass
-from wavequake.optics.shapes import (
-    Conic,
-    Deformation,
-    EvenAsphere,
-    ExtendedPolynomial,
-    Opening,
-    Shape,
-    SurfaceAction,
-    ZernikeDeformation,
-    ZernikeSag,
+from wavequake.optics.surface_file import (
+    MM_PER_NM,
+    FileSection,
+    Pair,
+    SurfaceSection,
+    deformation_of,
+    embed_sag,
+    medium_after,
+    opening_of,
+    shape_of,
 )
 from wavequake.optics.system import OpticalSystem, Pupil, Surface
 from wavequake.optics.zemax_import import parse_zmx, read_text, read_zmx
 
 Array = NDArray[np.float64]
-
-MM_PER_NM = 1e-6
-
-
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-Pair = Annotated[tuple[float, float], Field(strict=False)]
-
-
-class SurfaceSection(_Section):
-    """One surface of a system, in the order in which light meets them; the last one is the image."""
-
-    name: str = Field(min_length=1)
-    distance_mm: float = Field(default=0.0, description="along the light from the previous surface")
-    radius_mm: float | None = Field(
-        default=None, description="None is a plane; positive if the center lies on +z"
-    )
-    conic: float = 0.0
-    even_asphere: tuple[float, ...] = Field(
-        default=(), strict=False, max_length=16, description="of rho^2, rho^4, ... in mm^-1, mm^-3, ..."
-    )
-    polynomial_mm: tuple[float, ...] = Field(
-        default=(), strict=False, description="of x, y, x^2, x y, y^2, ... over the normalization radius"
-    )
-    zernike_nm: tuple[float, ...] = Field(
-        default=(), strict=False, description="sag by Noll index, from 1, over the normalization radius"
-    )
-    normalization_radius_mm: float | None = Field(
-        default=None, gt=0, description="of polynomials and Zernike terms; default: the semi-diameter"
-    )
-    zernike_obscuration: float = Field(default=0.0, ge=0, lt=1)
-    deformation_terms: int = Field(
-        default=0,
-        ge=0,
-        le=231,
-        description="Noll terms by which the surface may deform from instant to instant",
-    )
-    glass: str | float | None = Field(
-        default=None, description='what follows: "mirror", a glass, "air", an index; None changes nothing'
-    )
-    semi_diameter_mm: float | None = Field(default=None, gt=0, description="light passes within")
-    inner_mm: float = Field(default=0.0, ge=0, description="radius of a hole or a central obscuration")
-    corners_mm: tuple[Pair, ...] = Field(
-        default=(), strict=False, description="convex, counterclockwise; instead of the semi-diameter"
-    )
-    arms: tuple[Pair, ...] = Field(
-        default=(), strict=False, description="spider arms: angle from x in degrees, width in mm"
-    )
-    tilt_deg: tuple[float, float, float] = Field(
-        default=(0.0, 0.0, 0.0), strict=False, description="Cardan angles about x, y and z"
-    )
-    decenter_mm: tuple[float, float] = Field(default=(0.0, 0.0), strict=False)
-    fold: bool = Field(default=False, description="the axis goes on as this tilted mirror reflects it")
-    stop: bool = False
-
-    @model_validator(mode="after")
-    def _keys_fit_each_other(self) -> "SurfaceSection":
-        shapes = [key for key in ("even_asphere", "polynomial_mm", "zernike_nm") if getattr(self, key)]
-        if len(shapes) > 1:
-            raise ValueError(f"{self.name} has {' and '.join(shapes)}; choose one")
-        if self.radius_mm == 0.0:
-            raise ValueError(f"{self.name} has the radius 0; leave radius_mm out for a plane")
-        needs_radius = self.polynomial_mm or self.zernike_nm or self.deformation_terms
-        if needs_radius and self.normalization_radius_mm is None and self.semi_diameter_mm is None:
-            raise ValueError(f"{self.name} needs normalization_radius_mm or semi_diameter_mm for its terms")
-        if self.semi_diameter_mm is not None and self.inner_mm >= self.semi_diameter_mm:
-            raise ValueError(f"{self.name} passes no light: inner_mm must be less than semi_diameter_mm")
-        if self.corners_mm and (len(self.corners_mm) < 3 or self.semi_diameter_mm is not None):
-            raise ValueError(f"{self.name} needs at least 3 corners_mm, and no semi_diameter_mm beside them")
-        if self.fold and self.glass != "mirror":
-            raise ValueError(f'{self.name} folds the axis, so its glass must be "mirror"')
-        if isinstance(self.glass, float) and self.glass <= 0:
-            raise ValueError(f"{self.name} has the refractive index {self.glass:g}, it must be positive")
-        return self
-
 
 _PUPILS = {
     "entrance_diameter_mm": "entrance_diameter",
@@ -134,7 +56,7 @@ _FIELDS = {"fields_deg": 1.0, "fields_arcmin": 1.0 / 60.0, "fields_mm": None}
 Pairs = tuple[Pair, ...] | None
 
 
-class SystemSection(_Section):
+class SystemSection(FileSection):
     """The optical system of a study. What is given beside ``name`` or ``file`` replaces what that says."""
 
     name: str | None = Field(default=None, description="of a bundled system; of this one if it has surfaces")
@@ -192,13 +114,16 @@ class SystemSection(_Section):
 
 
 def embed_file(record: dict[str, Any], base: Path) -> None:
-    """Add the text of the lens file that the record of a section names, relative to `base`.
+    """Add what the lens file and the sag files hold that the record of a section names, relative to `base`.
 
     Raises
     ------
     UserError
-        If the file cannot be read or is no lens file that is supported.
+        If a file cannot be read or is not supported.
     """
+    for surface in record.get("surface") or ():
+        if isinstance(surface, dict):
+            embed_sag(surface, base)
     if isinstance(record.get("file"), str):
         path = base / record["file"]
         record["file_text"] = read_text(path)
@@ -295,17 +220,17 @@ def _surfaces(sections: tuple[SurfaceSection, ...]) -> tuple[Surface, ...]:
     for section in sections:
         axis = axis + sense * section.distance_mm * turn[:, 2]
         rotation = turn @ cardan(np.deg2rad(section.tilt_deg))
-        action, medium = _glass(section)
+        action, medium = medium_after(section)
         surfaces.append(
             Surface(
                 section.name,
-                _shape(section),
+                shape_of(section),
                 axis + turn[:, :2] @ np.array(section.decenter_mm),
                 rotation,
                 action,
                 medium,
-                _opening(section),
-                _deformation(section),
+                opening_of(section),
+                deformation_of(section),
             )
         )
         if action == "reflect":
@@ -320,47 +245,3 @@ def _folded(turn: Array, normal: Array) -> Array:
     reflected: Array = turn - 2.0 * np.outer(normal, normal @ turn)
     reflected[:, 2] *= -1.0
     return reflected
-
-
-def _glass(section: SurfaceSection) -> tuple[SurfaceAction, Medium]:
-    if section.glass is None:
-        return "pass", AIR
-    if section.glass == "mirror":
-        return "reflect", AIR
-    if isinstance(section.glass, float):
-        return "refract", constant(section.glass)
-    if section.glass.lower() == "air":
-        return "refract", AIR
-    try:
-        return "refract", glass(section.glass)
-    except UserError as error:
-        raise UserError(f"The surface {section.name}: {error}") from None
-
-
-def _shape(section: SurfaceSection) -> Shape:
-    radius = np.inf if section.radius_mm is None else section.radius_mm
-    if section.even_asphere:
-        return EvenAsphere(radius, section.conic, section.even_asphere)
-    if section.polynomial_mm:
-        return ExtendedPolynomial(radius, section.conic, section.polynomial_mm, _norm(section))
-    if section.zernike_nm:
-        sag = tuple(MM_PER_NM * value for value in section.zernike_nm)
-        return ZernikeSag(radius, section.conic, sag, _norm(section), section.zernike_obscuration)
-    return Conic(radius, section.conic)
-
-
-def _norm(section: SurfaceSection) -> float:
-    return section.normalization_radius_mm or section.semi_diameter_mm or np.nan
-
-
-def _deformation(section: SurfaceSection) -> Deformation | None:
-    if section.deformation_terms == 0:
-        return None
-    return ZernikeDeformation(section.deformation_terms, _norm(section), section.zernike_obscuration)
-
-
-def _opening(section: SurfaceSection) -> Opening | None:
-    outer = np.inf if section.semi_diameter_mm is None else section.semi_diameter_mm
-    arms = tuple((float(np.deg2rad(angle)), width) for angle, width in section.arms)
-    opening = Opening(outer, section.inner_mm, section.corners_mm, arms)
-    return None if opening == Opening() else opening
