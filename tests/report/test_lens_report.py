@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from wavequake.errors import UserError
+from wavequake.firmware.build import BOARDS, compiler_of
 from wavequake.report import lens
 from wavequake.report import lens_figures as draw
 from wavequake.workflows.campaign import run
@@ -72,3 +74,24 @@ def test_identified_stage_is_the_true_one():
     record = draw.step_record(draw.Stage())
     assert record.identified.fit > 0.998
     assert record.identified.stage.gain == pytest.approx(0.97, abs=2e-3)
+
+
+def test_firmware_is_shown_beside_double_precision(tmp_path):
+    try:
+        compiler_of(BOARDS["host"])
+    except UserError as error:
+        pytest.skip(str(error))
+    only = {"time__duration_s": 2.0, "bench__springs": ["initial"], "firmware__arithmetic": ["q31", "q16"]}
+    dataset = run("lens-firmware", cases=2, store=tmp_path / "s", **only).load()
+    (one,) = lens.configurations(dataset)
+    firmware = one.firmware
+    modal, q16 = 4, 7
+    np.testing.assert_array_equal(firmware.apart[0, :, 1], one.ranges[:, q16] - one.ranges[:, modal])
+    np.testing.assert_array_equal(firmware.apart[1, :, 1], one.deviations[:, q16] - one.deviations[:, modal])
+    digest = f"{int(dataset['firmware_hash'][0, 0]):016x}"
+    assert firmware.cells("firmware-q31")[0] == (digest, "")
+    assert firmware.cells("modal")[0] == ("", "")
+    page = lens.write_report_of(tmp_path, dataset, tmp_path / "report.html", "numpy").read_text()
+    assert digest in page
+    assert "In 4 runs of the firmware" in page
+    assert page.count("<svg") == 17

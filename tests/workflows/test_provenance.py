@@ -39,18 +39,19 @@ def test_commit_is_that_of_the_checkout_that_tracks_the_package(tmp_path):
 
 
 def test_the_digest_of_the_sources_sees_what_makes_numbers(tmp_path):
-    for name in ("optics/trace.py", "report/page.py", "cli.py", "kernels/trace.cl", "kernels/notes.txt"):
+    package = ("optics/trace.py", "report/page.py", "cli.py")
+    for name in (*package, "kernels/trace.cl", "kernels/notes.txt", "core/control.c"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("a")
 
     def digest():
-        return provenance.source_digest(tmp_path, tmp_path / "kernels")
+        return provenance.source_digest(tmp_path, tmp_path / "kernels", tmp_path / "core")
 
     before = digest()
     for name in ("report/page.py", "cli.py", "kernels/notes.txt"):
         (tmp_path / name).write_text("b")
     assert digest() == before
-    for name in ("optics/trace.py", "kernels/trace.cl"):
+    for name in ("optics/trace.py", "kernels/trace.cl", "core/control.c"):
         (tmp_path / name).write_text("b")
         assert digest() != before
         (tmp_path / name).write_text("a")

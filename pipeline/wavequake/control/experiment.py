@@ -3,10 +3,11 @@
 Störkle 2018, Section 5.3 and 5.4, as a Monte Carlo over plants.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wavequake.control.bench import COMPENSATOR, SENSITIVITIES, Bench, bench_modes
 from wavequake.control.camera import Camera, CameraError, calibrate, camera_error, camera_reading
@@ -27,11 +28,14 @@ from wavequake.control.regulator import (
     modal_regulator,
     run_regulators,
 )
-from wavequake.control.sensor import SensorChain, quantized_command, read_positions
+from wavequake.control.sensor import SensorChain, positions, quantized_command, read_codes, read_positions
 from wavequake.control.stage import Stage
 from wavequake.control.thesis import SampledController, feed_forward, future_integration
 
 CONTROLLERS = ("uncontrolled", "FF", "FI", "FF+FI", "modal", "identified")
+
+# Runs a regulator in a control unit's firmware: codes of its converter (k,) to commands (k,) in m.
+ControlUnit = Callable[[ModalRegulator, NDArray[np.int64]], Array]
 
 # Width of the arrays in which benches swing beside each other: constant, so that bits depend on nothing else.
 TILE = 16
@@ -122,6 +126,8 @@ class Runs:
     lens, measured : ndarray, shape (c, k)
         Lens 4, and what the control unit takes for it.
     identified : tuple of Identified
+    regulators : tuple of ModalRegulator
+        Those that units ran, one per plant.
     """
 
     time: Array
@@ -130,7 +136,8 @@ class Runs:
     stage: Array
     lens: Array
     measured: Array
-    identified: tuple[Identified, ...] = field(default=())
+    identified: tuple[Identified, ...]
+    regulators: tuple[ModalRegulator, ...]
 
 
 def design(bench: Bench, stage: Stage, settings: Settings) -> Designs:
@@ -162,6 +169,12 @@ def regulator(
     return modal_regulator(
         model, stage, settings.modal_step, settings.modal_delay, name=name, process_noise=process_noise
     )
+
+
+def tuned_regulator(designs: Designs, found: Identified) -> ModalRegulator:
+    """Design the modal regulator of an identified plant."""
+    noise = designs.settings.identified_noise
+    return regulator(found.model, designs.stage, designs.settings, "identified", noise)
 
 
 def draw_plant(
@@ -222,6 +235,8 @@ def run_plants(
     duration: float,
     frame_rate: float = 200.0,
     output_step: float = 0.002,
+    units: Sequence[ControlUnit] = (),
+    unit_design: str = "nominal",
 ) -> Runs:
     """Hit each plant twice: one uncontrolled run identifies it, the other one is what controllers face.
 
@@ -241,6 +256,10 @@ def run_plants(
         Hz.
     output_step : float
         Of the histories that are returned, a multiple of the plant's step, s.
+    units : sequence of ControlUnit
+        Run beside the controllers, on the same readings.
+    unit_design : str
+        The modal regulator that they run: "nominal", or "identified", each plant's own.
 
     Raises
     ------
@@ -258,19 +277,21 @@ def run_plants(
     found = tuple(
         _identified(designs, plant, first, row, chain, camera, frame_rate) for row, plant in enumerate(plants)
     )
-    measured = read_positions(chain, second.measured, phases, noise[:, 1])
-    models = [one.model for one in found]
-    tuned = [
-        regulator(model, designs.stage, designs.settings, "identified", designs.settings.identified_noise)
-        for model in models
-    ]
+    codes = read_codes(chain, second.measured, phases, noise[:, 1])
+    measured = positions(chain, codes)
+    tuned = tuple(tuned_regulator(designs, one) for one in found)
     commands: list[tuple[Array, SampledController | ModalRegulator]] = [
         (run_thesis(one, measured[:, :: _every(one.sample_time)]), one) for one in designs.thesis
     ]
     modal = measured[:, :: _every(designs.settings.modal_step)]
     commands.append((_modal_commands([designs.regulator] * TILE, modal), designs.regulator))
     commands.append((_modal_commands([*tuned, *[tuned[-1]] * (TILE - width)], modal), tuned[0]))
-    return _gathered(plants, second, measured, commands, output_step, found)
+    chosen = tuned if unit_design == "identified" else (designs.regulator,) * width
+    sampled = codes[:, :: _every(designs.settings.modal_step)]
+    for unit in units:
+        given = np.stack([unit(one, row) for one, row in zip(chosen, sampled[:width], strict=True)])
+        commands.append((given, designs.regulator))
+    return _gathered(plants, second, measured, commands, output_step, found, chosen)
 
 
 def _every(time: float) -> int:
@@ -312,11 +333,12 @@ def _gathered(
     commands: Sequence[tuple[Array, SampledController | ModalRegulator]],
     output_step: float,
     found: tuple[Identified, ...],
+    regulators: tuple[ModalRegulator, ...],
 ) -> Runs:
     """Move the stage by the commands, and keep what is stored."""
     width, every = len(plants), _every(output_step)
     count = runs.image.shape[1]
-    held = np.zeros((width, len(CONTROLLERS), count))
+    held = np.zeros((width, 1 + len(commands), count))
     stage = np.zeros_like(held)
     for place, (given, one) in enumerate(commands, start=1):
         held[:, place] = np.repeat(quantized_command(given[:width]), _every(one.sample_time), axis=1)[
@@ -330,7 +352,7 @@ def _gathered(
     kept = slice(None, None, every)
     return Runs(
         runs.time[kept], image[..., kept], held[..., kept], stage[..., kept],
-        runs.measured[:width, kept], measured[:width, kept], found,
+        runs.measured[:width, kept], measured[:width, kept], found, regulators,
     )  # fmt: skip
 
 

@@ -94,8 +94,8 @@ def positions(chain: SensorChain, codes: NDArray[np.int64]) -> Array:
     return np.asarray(codes * (2 * chain.reach / (2**chain.adc_bits - 1)) - chain.reach)
 
 
-def read_positions(chain: SensorChain, position: Array, phases: Array, noise: Array) -> Array:
-    """Return what the control unit takes for the lens's position, (..., time) in m, through the whole chain.
+def read_codes(chain: SensorChain, position: Array, phases: Array, noise: Array) -> NDArray[np.int64]:
+    """Return what the control unit's converter reads of the lens's position, (..., time), through the chain.
 
     Raises
     ------
@@ -105,7 +105,12 @@ def read_positions(chain: SensorChain, position: Array, phases: Array, noise: Ar
     if not np.isfinite(position).all():
         raise UserError("The lens's position is not finite; the plant diverged.")
     counts = quadrature_counts(chain, strip_reading(chain, position, phases))
-    return positions(chain, adc_codes(chain, dac_codes(chain, counts), noise))
+    return adc_codes(chain, dac_codes(chain, counts), noise)
+
+
+def read_positions(chain: SensorChain, position: Array, phases: Array, noise: Array) -> Array:
+    """Return what the control unit takes for the lens's position, (..., time) in m; as `read_codes`."""
+    return positions(chain, read_codes(chain, position, phases, noise))
 
 
 def quantized_command(command: Array, reach: float = 8e-3, bits: int = 12) -> Array:

@@ -1,6 +1,8 @@
 """Boards that run the firmware: one protocol, whatever the emulator."""
 
+import _ctypes
 import ctypes
+import os
 from pathlib import Path
 from typing import Protocol
 
@@ -47,6 +49,12 @@ class HostDevice:
             raise UserError(f"{image.path} cannot be loaded: {error}.") from None
         self._state = ctypes.create_string_buffer(self._library.wq_host_size() + 16)
         self.reset()
+
+    def close(self) -> None:
+        """Unload the library; a process cannot hold thousands of them. The device is of no use afterwards."""
+        if os.name == "posix":
+            _ctypes.dlclose(self._library._handle)  # type: ignore[attr-defined,unused-ignore]
+        del self._library
 
     def reset(self) -> None:
         """Forget all that was measured."""

@@ -11,8 +11,8 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from wavequake.control.experiment import CONTROLLERS
 from wavequake.report import lens_figures as draw
+from wavequake.report.lens_firmware import Firmware, firmware_of, left_beside, off_exact
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import Excluded
 from wavequake.report.table import MISSING, number
@@ -24,7 +24,13 @@ Array = NDArray[np.float64]
 # What the reference measured, peak-to-peak and standard deviation in % (Störkle 2018, Fig. 5.33); FF+FI it
 # could only simulate, "by a factor of almost 4" (Section 5.3.2).
 _REFERENCE = {"FF": ("30", "30"), "FI": ("54", "17"), "FF+FI": ("about 25", "about 25")}
-_NAMES = {"modal": "modal, nominal", "identified": "modal, identified"}
+_NAMES = {
+    "modal": "modal, nominal",
+    "identified": "modal, identified",
+    "firmware-float": "firmware, float",
+    "firmware-q31": "firmware, q31",
+    "firmware-q16": "firmware, q16",
+}
 _SMALL_PRINT = (
     "Image displacement after one blow of the hammer: range, and standard deviation later than 1 s, in % of "
     "the uncontrolled one. Median over plants; in small print from the smallest to the largest. The bench is "
@@ -37,6 +43,11 @@ _DEFINITIONS = (
     ("FF+FI", "Both in a row, 2 ms: the reference's hardware could not run it."),
     ("modal, nominal", "Observer of 11 modes and one row that inverts stage, hold and delay at their poles."),
     ("modal, identified", "The same with poles, image row and blow identified from one uncontrolled run."),
+    (
+        "firmware",
+        "The C code of the boards, built for this machine in float, 32-bit (q31) or 16-bit (q16) arithmetic, "
+        "runs a modal regulator on the same readings. Images carry the hash of their gains.",
+    ),
     (
         "all errors",
         "Springs, friction, strip, converters, stage and strength of the blow, as the study says.",
@@ -51,6 +62,7 @@ class Configuration:
     Attributes
     ----------
     springs : str
+    controllers : tuple of str
     rows : ndarray of int, shape (c,)
         In the dataset.
     ranges, deviations : ndarray, shape (c, controller)
@@ -58,21 +70,26 @@ class Configuration:
     ranges_mm, deviations_mm : ndarray, shape (c, controller)
     shown : int or None
         Row of the plant that is drawn: that of the median range under FF.
+    firmware : Firmware or None
+        What its images did, if there are any.
     """
 
     springs: str
+    controllers: tuple[str, ...]
     rows: NDArray[np.int64]
     ranges: Array
     deviations: Array
     ranges_mm: Array
     deviations_mm: Array
     shown: int | None
+    firmware: Firmware | None
 
 
 def configurations(dataset: xr.Dataset) -> list[Configuration]:
     """Split a store by springs, in the order of the study."""
     springs = np.array([str(one) for one in dataset["springs"].to_numpy()])
     done = dataset["status"].to_numpy() == DONE
+    controllers = tuple(str(one) for one in dataset["controller"].to_numpy())
     found = []
     for name in study_of(dataset.attrs["study"]).bench.springs:
         rows = np.flatnonzero(done & (springs == name))
@@ -80,9 +97,14 @@ def configurations(dataset: xr.Dataset) -> list[Configuration]:
             dataset[key].isel(case=rows).to_numpy()
             for key in ("peak_to_peak", "deviation", "peak_to_peak_mm", "deviation_mm")
         )
-        order = np.argsort(ranges[:, CONTROLLERS.index("FF")], kind="stable")
+        order = np.argsort(ranges[:, controllers.index("FF")], kind="stable")
         shown = int(rows[order[len(rows) // 2]]) if len(rows) else None
-        found.append(Configuration(name, rows, ranges, deviations, ranges_mm, deviations_mm, shown))
+        firmware = firmware_of(dataset, rows) if len(rows) else None
+        found.append(
+            Configuration(
+                name, controllers, rows, ranges, deviations, ranges_mm, deviations_mm, shown, firmware
+            )
+        )
     return found
 
 
@@ -94,8 +116,8 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
         table.add_column(header, justify="left" if header == _HEADERS[0] else "right")
     for one in found:
         table.add_row(Text(f"{one.springs} springs, {len(one.rows)} plants", style="bold"))
-        for place in range(len(CONTROLLERS)):
-            cells = list(_row(one, place).values())
+        for place in range(len(one.controllers)):
+            cells = [_row(one, place)[header] for header in _HEADERS]
             table.add_row("  " + cells[0][0], *(_with_small(*cell) for cell in cells[1:]))
     return table
 
@@ -103,6 +125,7 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
 _HEADERS = (
     "controller", "range (%)", "std (%)", "range (mm)", "std (mm)", "reference (%)",
 )  # fmt: skip
+_FIRMWARE_HEADERS = ("image", "off exact (um rms)")
 
 
 def _with_small(value: str, small: str) -> str:
@@ -111,7 +134,7 @@ def _with_small(value: str, small: str) -> str:
 
 def _row(one: Configuration, place: int) -> dict[str, tuple[str, str]]:
     """Return header -> (median, smallest to largest) of one controller."""
-    name = CONTROLLERS[place]
+    name = one.controllers[place]
     reference = ", ".join(_REFERENCE[name]) if name in _REFERENCE and one.springs == "initial" else ""
     values = (
         _median(one.ranges[:, place], name != "uncontrolled"),
@@ -119,7 +142,10 @@ def _row(one: Configuration, place: int) -> dict[str, tuple[str, str]]:
         _median(one.ranges_mm[:, place], False),
         _median(one.deviations_mm[:, place], False),
     )
-    return dict(zip(_HEADERS, ((_NAMES.get(name, name), ""), *values, (reference, "")), strict=True))
+    cells = dict(zip(_HEADERS, ((_NAMES.get(name, name), ""), *values, (reference, "")), strict=True))
+    if one.firmware:
+        cells |= dict(zip(_FIRMWARE_HEADERS, one.firmware.cells(name), strict=True))
+    return cells
 
 
 def _median(values: Array, varies: bool) -> tuple[str, str]:
@@ -138,7 +164,7 @@ def answer(found: list[Configuration]) -> str:
             continue
         medians = [
             (float(np.median(one.ranges[:, place])), float(np.median(one.deviations[:, place])))
-            for place in (CONTROLLERS.index("identified"), CONTROLLERS.index("FF"))
+            for place in (one.controllers.index("identified"), one.controllers.index("FF"))
         ]
         (best, best_late), (old, old_late) = medians
         words.append(
@@ -146,6 +172,8 @@ def answer(found: list[Configuration]) -> str:
             f"of the image's range and {number(best_late, 2)} % of its standard deviation "
             f"(median of {len(one.rows)} plants), FF {number(old, 2)} % and {number(old_late, 2)} %."
         )
+        if one.firmware:
+            words.append(one.firmware.answer())
     return " ".join(words)
 
 
@@ -157,14 +185,19 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         table=[
             {"springs": (one.springs, f"{len(one.rows)} plants"), **_row(one, place)}
             for one in found
-            for place in range(len(CONTROLLERS))
+            for place in range(len(one.controllers))
         ],
         small_print=_SMALL_PRINT,
         overview=[
             picture(
                 f"bars-{one.springs}",
                 f"Residuals of the controllers, {one.springs} springs",
-                draw.bars(one.ranges, one.deviations, one.springs, _NAMES),
+                draw.bars(
+                    one.ranges,
+                    one.deviations,
+                    one.springs,
+                    [_NAMES.get(name, name) for name in one.controllers],
+                ),
             )
             for one in found
             if len(one.rows)
@@ -203,6 +236,12 @@ def _figures(dataset: xr.Dataset, one: Configuration) -> Iterator[Picture]:
         ("sensor", "Lens 4 and what the control unit reads", draw.sensor(case)),
     ):
         yield picture(f"{springs}-{key}", f"{text}, {springs} springs", figure)
+    if one.firmware:
+        for key, text, figure in (
+            ("firmware-off", "Commands of the firmware against double precision", off_exact(one.firmware)),
+            ("firmware-left", "What the firmware leaves against double precision", left_beside(one.firmware)),
+        ):
+            yield picture(f"{springs}-{key}", f"{text}, {springs} springs", figure)
 
 
 def _hardware(dataset: xr.Dataset, found: list[Configuration]) -> Iterator[Picture]:

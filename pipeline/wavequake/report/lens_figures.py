@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from wavequake.control.bench import COMPENSATOR, SENSITIVITIES, Bench
-from wavequake.control.experiment import CONTROLLERS
 from wavequake.control.hammer import HAMMER, equivalent_force, hammer_force, impulse
 from wavequake.control.linear import bogacki_shampine, linear_model, simulate, zero_order_hold
 from wavequake.control.plant import swing
@@ -47,9 +46,10 @@ class Shown:
     def of(cls, dataset: xr.Dataset, row: int) -> Self:
         """Read the plant in a row of a dataset."""
         one = dataset.isel(case=row)
+        controllers = [str(name) for name in dataset["controller"].to_numpy()]
 
         def histories(name: str) -> dict[str, Array]:
-            return dict(zip(CONTROLLERS, one[name].to_numpy().astype(np.float64), strict=True))
+            return dict(zip(controllers, one[name].to_numpy().astype(np.float64), strict=True))
 
         return cls(
             int(dataset["case"].to_numpy()[row]),
@@ -238,10 +238,10 @@ def sensor(case: Shown) -> Figure:
 
 
 @rc_context(STYLE)
-def bars(ranges: Array, deviations: Array, springs: str, names: Mapping[str, str]) -> Figure:
+def bars(ranges: Array, deviations: Array, springs: str, names: Sequence[str]) -> Figure:
     """Show range and standard deviation of all controllers, a point per plant (Figs. 5.33, 5.39)."""
     figure, axes = _figure()
-    places = np.arange(len(CONTROLLERS))
+    places = np.arange(len(names))
     for number, (values, label) in enumerate(
         ((ranges, "range"), (deviations, "standard deviation, t > 1 s"))
     ):
@@ -254,7 +254,7 @@ def bars(ranges: Array, deviations: Array, springs: str, names: Mapping[str, str
             axes.annotate(
                 f"{value:.0f}" if value >= 10 else f"{value:.1f}", (x, value + 2), ha="center", size=8
             )
-    axes.set_xticks(places, [names.get(name, name).replace(", ", "\n") for name in CONTROLLERS])
+    axes.set_xticks(places, [name.replace(", ", "\n") for name in names])
     axes.set_ylabel("of uncontrolled (%)")
     axes.set_ylim(0, 115)
     axes.legend(loc="upper right")

@@ -33,6 +33,9 @@ from wavequake.control.loop import late_deviation, peak_to_peak
 from wavequake.control.sensor import SensorChain
 from wavequake.control.stage import Stage, low_frequency_delay
 from wavequake.errors import UserError
+from wavequake.firmware.gains import gains_of
+from wavequake.firmware.kept import host_image
+from wavequake.firmware.units import FirmwareUnit
 from wavequake.mechanics.motion import generator
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.lens_study import LensStudy
@@ -41,6 +44,16 @@ from wavequake.workflows.schema import study_from_identity
 Array = NDArray[np.float64]
 
 MODES = 11
+
+
+def controllers_of(study: LensStudy) -> tuple[str, ...]:
+    """Return the controllers of each case, the firmware's last."""
+    return (*CONTROLLERS, *(f"firmware-{one}" for one in study.firmware.arithmetic))
+
+
+def exact_of(study: LensStudy) -> str:
+    """Return the controller that the firmware runs in its own arithmetic."""
+    return {"nominal": "modal", "identified": "identified"}[study.firmware.design]
 
 
 def study_of(text: str) -> LensStudy:
@@ -144,14 +157,23 @@ def run_cases(study_text: str, springs: str, realizations: list[int]) -> Runs:
             friction=errors_of(study).friction,
             duration=study.time.duration_s,
             output_step=study.time.step_ms / 1e3,
+            units=_units_of(study),
+            unit_design=study.firmware.design,
         )
+
+
+def _units_of(study: LensStudy) -> tuple[FirmwareUnit, ...]:
+    keep = study.firmware.design == "nominal"
+    return tuple(FirmwareUnit(chain_of(study), one, keep) for one in study.firmware.arithmetic)
 
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
     """Run the plants `cases` under all controllers, plants of one configuration beside each other."""
     study = study_of(study_text)
     arrays = {
-        name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
+        name: np.full(
+            (len(cases), *variable.shape), np.nan if "float" in variable.dtype else 0, dtype=variable.dtype
+        )
         for name, variable in variables(study).items()
     }
     status = np.full(len(cases), DONE, dtype=np.int8)
@@ -184,7 +206,8 @@ def _fill(
         for row in rows:
             _fill(study_text, springs, cases, [row], arrays, status, messages)
         return
-    for name, values in _stored(study, springs, realizations, runs).items():
+    stored = _stored(study, springs, realizations, runs) | _firmware(study, runs)
+    for name, values in stored.items():
         arrays[name][rows] = values
 
 
@@ -208,10 +231,25 @@ def _stored(study: LensStudy, springs: str, realizations: list[int], runs: Runs)
     }
 
 
+def _firmware(study: LensStudy, runs: Runs) -> dict[str, NDArray[np.generic]]:
+    """Return the hashes that images carry, and how far their commands are off those in double precision."""
+    chain, arithmetic = chain_of(study), study.firmware.arithmetic
+    if not arithmetic:
+        return {}
+    exact = runs.command[:, [CONTROLLERS.index(exact_of(study))]]
+    off = 1e6 * (runs.command[:, len(CONTROLLERS) :] - exact)
+    digests = [[gains_of(one, chain, each).digest for each in arithmetic] for one in runs.regulators]
+    return {
+        "firmware_hash": np.array([[int(one, 16) for one in row] for row in digests], dtype=np.uint64),
+        "firmware_difference": np.abs(off).max(axis=-1),
+        "firmware_rms": np.sqrt(np.mean(off**2, axis=-1)),
+    }
+
+
 def variables(study: LensStudy) -> dict[str, Variable]:
     """Return what is stored per case."""
     count = round(study.time.duration_s * 1e3 / study.time.step_ms) + 1
-    each = len(CONTROLLERS)
+    each = len(controllers_of(study))
 
     def history(long_name: str, **more: str) -> Variable:
         attrs = {"units": "mm", "long_name": long_name, **more}
@@ -220,12 +258,20 @@ def variables(study: LensStudy) -> dict[str, Variable]:
     def number(units: str, long_name: str) -> Variable:
         return Variable(("controller",), (each,), {"units": units, "long_name": long_name})
 
+    boards = (("firmware",), (len(study.firmware.arithmetic),))
+    digest = {
+        "units": "1",
+        "long_name": "hash of the gains in the image, a number of 16 hexadecimal digits",
+    }
+    off = {"units": "um", "long_name": "largest difference from the commands in double precision"}
+    rms = {"units": "um", "long_name": "rms difference from the commands in double precision"}
+
     lens = {"units": "mm", "long_name": "position of lens 4"}
     seen = {"units": "mm", "long_name": "position of lens 4 as the control unit reads it"}
     rate = {"units": "rad/s", "long_name": "frequencies of the plant"}
     found = {"units": "rad/s", "long_name": "frequencies that were identified"}
     left = {"units": "um", "long_name": "rms that the identification leaves"}
-    return {
+    always = {
         "image": history("image displacement (Störkle 2018, Eq. 5.5)"),
         "command": history("command to the stage, held", voltage="1.65 V + 0.1375 V/mm times the command"),
         "stage_position": history("position of the stage with lens 5"),
@@ -239,6 +285,12 @@ def variables(study: LensStudy) -> dict[str, Variable]:
         "identified_frequency": Variable(("mode",), (MODES,), found),
         "identified_rms": Variable(("signal",), (2,), left),
     }
+    firmware = {
+        "firmware_hash": Variable(*boards, digest, "uint64"),
+        "firmware_difference": Variable(*boards, off),
+        "firmware_rms": Variable(*boards, rms),
+    }
+    return always | (firmware if study.firmware.arithmetic else {})
 
 
 def template(study_text: str) -> Template:
@@ -246,8 +298,13 @@ def template(study_text: str) -> Template:
     study = study_of(study_text)
     count = round(study.time.duration_s * 1e3 / study.time.step_ms) + 1
     time = study.time.step_ms / 1e3 * np.arange(count)
+    names = {"controller": controllers_of(study), "firmware": study.firmware.arithmetic}
     fixed = {
-        "controller": (("controller",), np.array(CONTROLLERS, dtype=object), {"long_name": "controller"}),
+        **{
+            name: ((name,), np.array(values, dtype=object), {"long_name": name})
+            for name, values in names.items()
+            if values
+        },
         "time": (("time",), time, {"units": "s", "long_name": "time after the hammer's first touch"}),
         "hammer_force": (("time",), hammer_force(HAMMER, time), {"units": "N", "long_name": "hammer force"}),
         "signal": (("signal",), np.array(["lens 4", "image"], dtype=object), {"long_name": "signal"}),
@@ -277,9 +334,16 @@ def describe(study_text: str) -> dict[str, str]:
 
 
 def check(study_text: str) -> None:
-    """Raise UserError if a nominal design is impossible: a mode is hidden, or ode3 is unstable."""
-    for springs in study_of(study_text).bench.springs:
-        designs_of(study_text, springs)
+    """Raise UserError if a nominal design is impossible, or there is no compiler for firmware.
+
+    Modes may be hidden, ode3 unstable, gains out of an arithmetic's range.
+    """
+    study = study_of(study_text)
+    for springs in study.bench.springs:
+        regulator = designs_of(study_text, springs).regulator
+        for arithmetic in study.firmware.arithmetic:
+            with host_image(gains_of(regulator, chain_of(study), arithmetic)):
+                pass
 
 
 WORKFLOW = Workflow("lens-experiment", template, case_table, compute, describe, check=check)

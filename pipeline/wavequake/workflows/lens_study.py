@@ -10,6 +10,7 @@ Six = tuple[float, float, float, float, float, float]
 Five = tuple[float, float, float, float, float]
 Root = Annotated[tuple[float, float], Field(strict=False)]
 Springs = Literal["initial", "changed"]
+Arithmetic = Literal["float", "q31", "q16"]
 
 
 class BenchSection(Section):
@@ -75,6 +76,24 @@ class LensControllerSection(Section):
     identified_noise: float = Field(default=0.003, gt=0, le=1)
 
 
+class FirmwareSection(Section):
+    """The boards' firmware, compiled for this machine, beside the controllers in double precision."""
+
+    arithmetic: tuple[Arithmetic, ...] = Field(
+        default=(), strict=False, description="run the firmware in these; none: no compiler is needed"
+    )
+    design: Literal["nominal", "identified"] = Field(
+        default="nominal", description="the modal regulator that it runs; identified is built plant by plant"
+    )
+
+    @field_validator("arithmetic")
+    @classmethod
+    def _each_once(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(value)) < len(value):
+            raise ValueError("an arithmetic is listed twice")
+        return value
+
+
 class LensTimeSection(Section):
     """Length of each run; the standard deviation is taken after 1 s."""
 
@@ -101,6 +120,7 @@ class LensStudy(Study):
     stage: LensStageSection = LensStageSection()
     errors: ErrorsSection = ErrorsSection()
     controller: LensControllerSection = LensControllerSection()
+    firmware: FirmwareSection = FirmwareSection()
     time: LensTimeSection = LensTimeSection()
     campaign: LensCampaignSection = LensCampaignSection()
     store: LensStoreSection = LensStoreSection()

@@ -58,15 +58,16 @@ def code() -> str:
 
     Chunks of one store must agree in it, or their bits may differ.
     """
-    parts = [f"wavequake {__version__} ({source_digest(_PACKAGE_FOLDER, folder('kernels'))})"]
+    sources = source_digest(_PACKAGE_FOLDER, folder("kernels"), folder("firmware") / "core")
+    parts = [f"wavequake {__version__} ({sources})"]
     parts += [f"{name} {_version(name)}" for name in _NUMERICS]
     return ", ".join([*parts, *blas_cores()])
 
 
-def source_digest(package: Path, kernels: Path) -> str:
-    """Return a short digest of the sources that make numbers: Python files of the package, and kernels."""
+def source_digest(package: Path, *others: Path) -> str:
+    """Return a short digest of the sources that make numbers: Python of the package, kernels, firmware."""
     found = hashlib.blake2b(digest_size=6)
-    for home, suffixes in ((package, (".py",)), (kernels, (".cl", ".h"))):
+    for home, suffixes in ((package, (".py",)), *((other, (".cl", ".c", ".h")) for other in others)):
         for file in sorted(home.rglob("*")):
             name = file.relative_to(home)
             if file.suffix in suffixes and name.parts[0] not in _NO_NUMBERS:
