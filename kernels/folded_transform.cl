@@ -8,50 +8,98 @@
 // Compile-time constants: W lanes, SINGLE, N pupil cells and HALF = (N + 1) / 2 along an axis, PIXELS of the
 // image and QUARTER = (PIXELS + 1) / 2, ROWS = QUARTER padded to whole groups of TALL rows that share what is
 // read, ACROSS = QUARTER padded to whole vectors, COLUMNS in whole groups of WIDE vectors, PACK and LINE
-// columns that lie together in the table along x and in the transformed rows, FIELD (1: the pupil comes as complex numbers, 0: as phases),
-// SHARED (1: other work-items fold the pupil, into global memory; 0: each folds the row that it needs).
+// columns that lie together in the table along x and in the transformed rows, TERMS and FIELD (what the pupil
+// comes as: TERMS > 0: TERMS x TERMS Chebyshev coefficients of the phase, rows are y, and phases of cells on
+// the rim; else FIELD 1: complex numbers, 0: phases), SHARED (1: other work-items fold the pupil, into global
+// memory; 0: each folds the row that it needs).
 //
 // The eight parts of a folded pupil are (even x, even y), (even x, odd y), (odd x, even y), (odd x, odd y),
 // each real and imaginary.
 
 #include "waves.h"
 
-#if FIELD
-INLINE wave light(__global const scalar *pupil, __global const scalar *amplitude,
-                  __global const scalar *ramp, int row, int column)
+INLINE wave lit(real phase, real weight)
 {
-    pupil += (size_t)row * N + column;
-    return (wave){LOAD(pupil), LOAD(pupil + N * N)};
-}
-#else
-INLINE wave light(__global const scalar *pupil, __global const scalar *amplitude,
-                  __global const scalar *ramp, int row, int column)
-{
-    const size_t place = (size_t)row * N + column;
-    wave result = wave_of(LOAD(pupil + place) + (LOAD(ramp + column) + ramp[row]));
-    const real weight = LOAD(amplitude + place);
+    wave result = wave_of(phase);
     // A phase that is not a number counts only where there is light.
-    const whole lit = LIT(weight != 0);
-    result.re = TO_REAL(TO_WHOLE(result.re * weight) & lit);
-    result.im = TO_REAL(TO_WHOLE(result.im * weight) & lit);
+    const whole bright = LIT(weight != 0);
+    result.re = TO_REAL(TO_WHOLE(result.re * weight) & bright);
+    result.im = TO_REAL(TO_WHOLE(result.im * weight) & bright);
     return result;
 }
-#endif
 
 INLINE wave sum(wave a, wave b) { return (wave){a.re + b.re, a.im + b.im}; }
 INLINE wave difference(wave a, wave b) { return (wave){a.re - b.re, a.im - b.im}; }
+// The light of W cells right of the middle in an upper row, of those beside, below and across.
+typedef struct { wave here, beside, below, across; } quadrants;
+
+#if TERMS
+
+// Chebyshev coefficients of the phase along x, even and odd in y, of a row: chebyshev is (TERMS, HALF).
+INLINE void row_phase(__global const scalar *pupil, __global const scalar *chebyshev, int row,
+                      scalar phase[2][TERMS])
+{
+    for (int k = 0; k < TERMS; ++k)
+        phase[0][k] = phase[1][k] = 0;
+    for (int l = 0; l < TERMS; ++l)
+        for (int k = 0; k < TERMS; ++k)
+            phase[l & 1][k] += pupil[l * TERMS + k] * chebyshev[l * HALF + row];
+}
+
+INLINE quadrants light(__global const scalar *amplitude, __global const scalar *chebyshev,
+                       scalar phase[2][TERMS], int row, int column)
+{
+    real even = 0.0f, odd = 0.0f, even_down = 0.0f, odd_down = 0.0f;  // in x, and odd in y
+    for (int k = 0; k < TERMS; k += 2) {
+        const real t = LOAD(chebyshev + k * HALF + column);
+        even += phase[0][k] * t;
+        even_down += phase[1][k] * t;
+    }
+    for (int k = 1; k < TERMS; k += 2) {
+        const real t = LOAD(chebyshev + k * HALF + column);
+        odd += phase[0][k] * t;
+        odd_down += phase[1][k] * t;
+    }
+    const int right = N / 2 + column, left = N - W - right, up = N / 2 + row, down = N - 1 - up;
+    return (quadrants){lit((even + even_down) + (odd + odd_down), LOAD(amplitude + up * N + right)),
+                       lit((even + even_down) - (odd + odd_down), REVERSED(LOAD(amplitude + up * N + left))),
+                       lit((even - even_down) + (odd - odd_down), LOAD(amplitude + down * N + right)),
+                       lit((even - even_down) - (odd - odd_down), REVERSED(LOAD(amplitude + down * N + left)))};
+}
+
+#else
+
+INLINE wave cell_light(__global const scalar *pupil, __global const scalar *amplitude,
+                       __global const scalar *ramp, int row, int column)
+{
+    const size_t place = (size_t)row * N + column;
+#if FIELD
+    return (wave){LOAD(pupil + place), LOAD(pupil + place + N * N)};
+#else
+    return lit(LOAD(pupil + place) + (LOAD(ramp + column) + ramp[row]), LOAD(amplitude + place));
+#endif
+}
+
 INLINE wave reversed(wave a) { return (wave){REVERSED(a.re), REVERSED(a.im)}; }
 
-// Fold W cells right of the middle with their mirror images: the parts lie HALF apart.
-#define FOLD(pupil, amplitude, ramp, row, column, parts) \
+INLINE quadrants light(__global const scalar *pupil, __global const scalar *amplitude,
+                       __global const scalar *ramp, int row, int column)
+{
+    const int right = N / 2 + column, left = N - W - right, up = N / 2 + row, down = N - 1 - up;
+    return (quadrants){cell_light(pupil, amplitude, ramp, up, right),
+                       reversed(cell_light(pupil, amplitude, ramp, up, left)),
+                       cell_light(pupil, amplitude, ramp, down, right),
+                       reversed(cell_light(pupil, amplitude, ramp, down, left))};
+}
+
+#endif
+
+// Fold W cells with their mirror images: the parts lie HALF apart.
+#define FOLD(light, parts) \
     do { \
-        const int right = N / 2 + (column), left = N - W - right, up = N / 2 + (row), down = N - 1 - up; \
-        const wave here = light(pupil, amplitude, ramp, up, right); \
-        const wave beside = reversed(light(pupil, amplitude, ramp, up, left)); \
-        const wave below = light(pupil, amplitude, ramp, down, right); \
-        const wave across = reversed(light(pupil, amplitude, ramp, down, left)); \
-        const wave even_up = sum(here, beside), odd_up = difference(here, beside); \
-        const wave even_down = sum(below, across), odd_down = difference(below, across); \
+        const quadrants four = light; \
+        const wave even_up = sum(four.here, four.beside), odd_up = difference(four.here, four.beside); \
+        const wave even_down = sum(four.below, four.across), odd_down = difference(four.below, four.across); \
         const wave part[4] = {sum(even_up, even_down), difference(even_up, even_down), \
                               sum(odd_up, odd_down), difference(odd_up, odd_down)}; \
         _Pragma("unroll") for (int i = 0; i < 4; ++i) \
@@ -69,23 +117,71 @@ INLINE wave reversed(wave a) { return (wave){REVERSED(a.re), REVERSED(a.im)}; }
 #define PARTS_MEMORY __local
 #endif
 
+#if TERMS
+#define PUPIL_SIZE (TERMS * TERMS)
+#define TABLES __global const scalar *chebyshev, __global const scalar *rim_phase, __global const int *rim, \
+               __global const scalar *rim_light
+#define PREPARE(row) \
+    scalar phase[2][TERMS]; \
+    row_phase(pupil, chebyshev, row, phase)
+#define LIGHT(row, column) light(amplitude, chebyshev, phase, row, column)
+
+// Add the light of cells on the rim to a folded row. rim: HALF + 1 places where rows begin, then columns;
+// rim_light (cells, 4): what a cell adds to the real parts if its phase is 0.
+INLINE void add_rim(__global const scalar *rim_phase, __global const int *rim, __global const scalar *rim_light,
+                    int row, PARTS_MEMORY scalar *parts)
+{
+    const int end = rim[row + 1];
+    for (int start = rim[row]; start < end; start += W) {
+        const wave here = wave_of(LOAD(rim_phase + start));  // W numbers follow the last
+        for (int i = 0; i < W; ++i)
+            if (start + i < end)
+                for (int part = 0; part < 4; ++part) {
+                    PARTS_MEMORY scalar *place = parts + 2 * part * HALF + rim[HALF + 1 + start + i];
+                    const scalar weight = rim_light[4 * (start + i) + part];
+                    place[0] += weight * LANE(here.re, i);
+                    place[HALF] += weight * LANE(here.im, i);
+                }
+    }
+}
+#else
+#define PUPIL_SIZE ((FIELD + 1) * N * N)
+#define TABLES __global const scalar *ramp
+#define PREPARE(row)
+#define LIGHT(row, column) light(pupil, amplitude, ramp, row, column)
+#endif
+
 #if SHARED
-__kernel void fold(__global const scalar *pupil, __global const scalar *amplitude,
-                   __global const scalar *ramp, __global scalar *folded)
+__kernel void fold(__global const scalar *pupil, __global const scalar *amplitude, TABLES,
+                   __global scalar *folded)
 {
     const int column = get_global_id(0), row = get_global_id(1);
     const size_t image = get_global_id(2);
     if (column >= HALF)
         return;
-    pupil += image * ((FIELD + 1) * (size_t)N * N);
-    FOLD(pupil, amplitude, ramp, row, column, folded + (image * HALF + row) * (8 * HALF) + column);
+    pupil += image * PUPIL_SIZE;
+    PREPARE(row);
+    FOLD(LIGHT(row, column), folded + (image * HALF + row) * (8 * HALF) + column);
 }
+
+#if TERMS
+__kernel void fold_rim(const int cells, __global const scalar *rim_phase, __global const int *rim,
+                       __global const scalar *rim_light, __global scalar *folded)
+{
+    const int row = get_global_id(1);
+    const size_t image = get_global_id(2);
+    if (row < HALF && get_global_id(0) == 0)
+        add_rim(rim_phase + image * cells, rim, rim_light, row, folded + (image * HALF + row) * (8 * HALF));
+}
+#endif
 #endif
 
 // Transform a folded row along x.
-__kernel void transform_rows(__global const scalar *pupil, __global const scalar *amplitude,
-                             __global const scalar *ramp, __global const int *range,
-                             __global const scalar *along_x,
+__kernel void transform_rows(__global const scalar *pupil, __global const scalar *amplitude, TABLES,
+#if TERMS
+                             const int cells,
+#endif
+                             __global const int *range, __global const scalar *along_x,
 #if SHARED
                              __global const scalar *folded,
 #endif
@@ -101,12 +197,16 @@ __kernel void transform_rows(__global const scalar *pupil, __global const scalar
         return;
 #else
     __local scalar folded[8 * HALF];
-    pupil += image * ((FIELD + 1) * (size_t)N * N);
+    pupil += image * PUPIL_SIZE;
+    PREPARE(row);
     for (int column = low; column < high; column += W) {
         // The last group overlaps the one before it, so that all lanes are columns.
         const int start = column + W > HALF ? HALF - W : column;
-        FOLD(pupil, amplitude, ramp, row, start, folded + start);
+        FOLD(LIGHT(row, start), folded + start);
     }
+#if TERMS
+    add_rim(rim_phase + image * cells, rim, rim_light, row, folded);
+#endif
     const int first = 0, last = COLUMNS / (WIDE * W);
 #endif
     for (int block = first; block < last; ++block)

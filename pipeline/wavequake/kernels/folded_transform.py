@@ -26,6 +26,41 @@ _GROUP = 64
 
 
 @dataclass(frozen=True)
+class Rim:
+    """Light that is not centered in its cell, so that it has a phase of its own.
+
+    Attributes
+    ----------
+    cells : ndarray of int, shape (R,)
+        Index in the flat grid; a cell may come several times.
+    light : ndarray, shape (R,)
+        Amplitudes.
+    """
+
+    cells: NDArray[np.intp]
+    light: Real
+
+
+@dataclass(frozen=True)
+class SmoothPhase:
+    """Phases (rad) of pupils as polynomials.
+
+    Attributes
+    ----------
+    coefficients : ndarray, shape (batch, K, K)
+        Of the Chebyshev polynomials T_l(y) T_k(x); x and y run from -1 to 1 between the edges of the grid.
+    rim : ndarray, shape (batch, R)
+        At the light of a `Rim`.
+    """
+
+    coefficients: Real
+    rim: Real
+
+
+Pupils = NDArray[Any] | SmoothPhase
+
+
+@dataclass(frozen=True)
 class FoldedTransform:
     """The transform of one amplitude to one image, with its tables for a device.
 
@@ -48,6 +83,14 @@ class FoldedTransform:
         Cosines, then sines.
     along_x, across : ndarray
         Two thin matrices whose product these are; the second ends at the frequencies.
+    rim : Rim
+        Light beside that of the amplitude, for phases that are smooth.
+    rim_order : ndarray of int, shape (R,)
+        By the rows it lies in.
+    rim_places : ndarray of int32, shape (rows of the upper half + 1 + R,)
+        Where each row's light begins in it, then the column of each.
+    rim_light : ndarray, shape (R, 4)
+        What it adds to the even-even, even-odd, odd-even and odd-odd part of the row.
     """
 
     device: Device
@@ -63,10 +106,20 @@ class FoldedTransform:
     along_y: Floating
     along_x: Floating
     across: Floating
+    rim: Rim
+    rim_order: NDArray[np.intp]
+    rim_places: NDArray[np.int32]
+    rim_light: Floating
 
 
 def folded_transform(
-    amplitude: Real, pixels: int, sampling: float, scale: float, device: Device, dtype: DTypeLike = np.float64
+    amplitude: Real,
+    pixels: int,
+    sampling: float,
+    scale: float,
+    device: Device,
+    dtype: DTypeLike = np.float64,
+    rim: Rim | None = None,
 ) -> FoldedTransform:
     """Prepare the transform of pupils with an amplitude (n, n) to images of `pixels` x `pixels`.
 
@@ -85,7 +138,10 @@ def folded_transform(
         An OpenCL device.
     dtype : float32 or float64
         Precision of phases and images.
+    rim : Rim, optional
+        Light that `SmoothPhase` pupils have beside the amplitude's.
     """
+    rim = rim or Rim(np.zeros(0, dtype=np.intp), np.zeros(0))
     dtype = np.dtype(dtype)
     samples = len(amplitude)
     half, quarter = (samples + 1) // 2, (pixels + 1) // 2
@@ -106,54 +162,61 @@ def folded_transform(
     across = np.pad(across, ((0, 0), (0, 0), (0, -quarter % width)))
     pack = columns if device.kind == "gpu" else wide * width
     axis = (2.0 * np.arange(samples) + 1.0) / samples - 1.0
-    ramp = np.pi * 0.5 * sampling * axis * (1 - pixels % 2)
+    ramp = _ramp_slope(pixels, sampling) * axis
+    order, places, shares = _rim_places(rim, samples)
     return FoldedTransform(
-        device,
-        pixels,
-        sampling,
-        scale,
-        np.ascontiguousarray(amplitude, dtype),
-        width,
-        rows,
-        columns,
-        ramp.astype(dtype),
-        _lit_columns(amplitude),
+        device=device,
+        pixels=pixels,
+        sampling=sampling,
+        scale=scale,
+        amplitude=np.ascontiguousarray(amplitude, dtype),
+        width=width,
+        rows=rows,
+        columns=columns,
+        ramp=ramp.astype(dtype),
+        range=_lit_columns(amplitude, rim),
         # (parity, group of frequencies, cell, frequency)
-        np.ascontiguousarray(tall_tables.reshape(2, -1, tall, half).transpose(0, 1, 3, 2), dtype),
-        np.ascontiguousarray(cells.reshape(2, -1, pack, half).transpose(0, 1, 3, 2), dtype),
-        np.ascontiguousarray(across, dtype),
+        along_y=np.ascontiguousarray(tall_tables.reshape(2, -1, tall, half).transpose(0, 1, 3, 2), dtype),
+        along_x=np.ascontiguousarray(cells.reshape(2, -1, pack, half).transpose(0, 1, 3, 2), dtype),
+        across=np.ascontiguousarray(across, dtype),
+        rim=rim,
+        rim_order=order,
+        rim_places=places,
+        rim_light=shares.astype(dtype),
     )
 
 
-def folded_images(transform: FoldedTransform, pupils: NDArray[Any]) -> Floating:
+def folded_images(transform: FoldedTransform, pupils: Pupils) -> Floating:
     """Return the images (batch, pixels, pixels) of pupils.
 
     Parameters
     ----------
     transform : FoldedTransform
-    pupils : ndarray, shape (batch, n, n)
-        Phases in rad, or complex amplitudes (which replace the transform's own).
+    pupils : ndarray, shape (batch, n, n), or SmoothPhase
+        Phases in rad, or complex amplitudes (which replace the transform's own). Smooth phases are made on
+        the device; only with them does the rim count.
     """
     pixels = transform.pixels
-    images = np.empty((len(pupils), pixels, pixels), transform.amplitude.dtype)
-    for first in range(0, len(pupils), _BATCH):
+    count = len(pupils.coefficients) if isinstance(pupils, SmoothPhase) else len(pupils)
+    images = np.empty((count, pixels, pixels), transform.amplitude.dtype)
+    for first in range(0, count, _BATCH):
         out = images[first : first + _BATCH]
-        steps, inputs, scratch = _image_steps(transform, pupils[first : first + _BATCH])
+        steps, inputs, scratch = _image_steps(transform, _part(pupils, first))
         run_steps(transform.device, steps, inputs, {"images": out}, scratch)
     return images
 
 
-def folded_sum(transform: FoldedTransform, pupils: NDArray[Any], weights: Real, total: Real) -> Real:
+def folded_sum(transform: FoldedTransform, pupils: Pupils, weights: Real, total: Real) -> Real:
     """Add the weighted images of pupils, which stay on the device, to a sum (pixels, pixels).
 
     Images of weight 0 may be anything, NaN too. The bits of the sum are those of adding one by one.
     """
     pixels = transform.pixels
-    for first in range(0, len(pupils), _BATCH):
-        part = pupils[first : first + _BATCH]
-        steps, inputs, scratch = _image_steps(transform, part)
+    for first in range(0, len(weights), _BATCH):
+        steps, inputs, scratch = _image_steps(transform, _part(pupils, first))
+        part = np.asarray(weights[first : first + _BATCH], np.float64)
         scratch["images"] = len(part) * pixels * pixels * transform.amplitude.itemsize
-        inputs |= {"weights": np.asarray(weights[first : first + _BATCH], np.float64), "before": total}
+        inputs |= {"weights": part, "before": total}
         group = {"cpu": 1024, "gpu": 64}[transform.device.kind]
         arguments = (np.int32(len(part)), "weights", "images", "before", "after")
         steps.append(
@@ -164,46 +227,118 @@ def folded_sum(transform: FoldedTransform, pupils: NDArray[Any], weights: Real, 
     return total
 
 
+def _part(pupils: Pupils, first: int) -> Pupils:
+    """Return the pupils of one launch."""
+    part = slice(first, first + _BATCH)
+    if isinstance(pupils, SmoothPhase):
+        return SmoothPhase(pupils.coefficients[part], pupils.rim[part])
+    return pupils[part]
+
+
 def _image_steps(
-    transform: FoldedTransform, pupils: NDArray[Any]
+    transform: FoldedTransform, pupils: Pupils
 ) -> tuple[list[Step], dict[str, NDArray[Any]], dict[str, int]]:
     """Return the launches that make images, what they read, and the memory they need."""
     t, dtype = transform, transform.amplitude.dtype
-    batch, samples = len(pupils), len(t.amplitude)
-    half, quarter = (samples + 1) // 2, (t.pixels + 1) // 2
-    field = np.iscomplexobj(pupils)
-    if field:
-        pupils = pupils * np.exp(1j * (t.ramp.astype(np.float64) + t.ramp.astype(np.float64)[:, None]))
-        pupils = np.stack([pupils.real, pupils.imag], axis=1)
+    half, quarter = (len(t.amplitude) + 1) // 2, (t.pixels + 1) // 2
+    inputs, form = _smooth(t, pupils) if isinstance(pupils, SmoothPhase) else _cellular(t, pupils)
+    batch, terms = len(inputs["pupil"]), form["TERMS"]
     gpu = t.device.kind == "gpu"
     tall, wide = _TALL[t.device.kind], _WIDE[t.device.kind, dtype.name]
     pack, line = (t.columns, t.columns) if gpu else (wide * t.width, t.width)
-    constants = {"W": t.width, "SINGLE": int(dtype == np.float32), "N": samples, "HALF": half}
+    constants = {"W": t.width, "SINGLE": int(dtype == np.float32), "N": len(t.amplitude), "HALF": half}
     constants |= {"PIXELS": t.pixels, "QUARTER": quarter, "ROWS": t.rows, "COLUMNS": t.columns}
-    constants |= {"ACROSS": t.across.shape[2]}
-    constants |= {"TALL": tall, "WIDE": wide, "PACK": pack, "LINE": line}
-    names = tuple((constants | {"FIELD": int(field), "SHARED": int(gpu)}).items())
-    blocks = t.columns // (wide * t.width)
-    tiles, lines = t.rows // tall, t.columns // t.width
-    pupil = ("pupil", "amplitude", "ramp")
-    folded = ("folded",) if gpu else ()
+    constants |= {"TALL": tall, "WIDE": wide, "PACK": pack, "LINE": line, "ACROSS": t.across.shape[2]}
+    names = tuple((constants | form | {"SHARED": int(gpu)}).items())
     along = (_GROUP, 1, 1) if gpu else (1, 1, 1)
-    sizes = [(blocks if gpu else 1, half, batch), (lines, tiles, batch) if gpu else (tiles, lines, batch)]
-    steps = [Step(_text(), "fold", names, (half, half, batch), along, (*pupil, "folded"))] if gpu else []
-    rows = (*pupil, "range", "along_x", *folded, "rows")
-    pixels = (dtype.type(t.scale), "across", "lines", "images")
-    size = (t.across.shape[2] // t.width if gpu else 1, quarter, batch)
-    steps += [Step(_text(), "transform_rows", names, sizes[0], along, rows)]
-    steps += [Step(_text(), "transform_columns", names, sizes[1], along, ("along_y", "rows", "lines"))]
-    steps += [Step(_text(), "assemble", names, size, along, pixels)]
-    inputs: dict[str, NDArray[Any]] = {"pupil": np.asarray(pupils, dtype), "amplitude": t.amplitude}
-    inputs |= {"ramp": t.ramp, "range": t.range, "along_y": t.along_y, "along_x": t.along_x}
-    inputs["across"] = t.across
-    scratch = {"rows": batch * half * 8 * t.columns * dtype.itemsize}
-    scratch["lines"] = batch * t.rows * 8 * t.columns * dtype.itemsize
+
+    def step(kernel: str, size: tuple[int, int, int], *arguments: Any) -> Step:
+        return Step(_text(), kernel, names, size, along, arguments)
+
+    tables = ("chebyshev", "rim_phase", "rim", "rim_light") if terms else ("ramp",)
+    pupil = ("pupil", "amplitude", *tables)
+    cells = (np.int32(inputs["rim_phase"].shape[1]),) if terms else ()
+    steps = [step("fold", (half, half, batch), *pupil, "folded")] if gpu else []
+    if gpu and terms:
+        steps += [step("fold_rim", (1, half, batch), *cells, *tables[1:], "folded")]
+    folded = ("folded",) if gpu else ()
+    blocks, tiles, lines = t.columns // (wide * t.width), t.rows // tall, t.columns // t.width
+    steps += [
+        step(
+            "transform_rows",
+            (blocks if gpu else 1, half, batch),
+            *(*pupil, *cells, "range", "along_x", *folded, "rows"),
+        ),
+        step(
+            "transform_columns",
+            (lines, tiles, batch) if gpu else (tiles, lines, batch),
+            *("along_y", "rows", "lines"),
+        ),
+        step(
+            "assemble",
+            (t.across.shape[2] // t.width if gpu else 1, quarter, batch),
+            *(dtype.type(t.scale), "across", "lines", "images"),
+        ),
+    ]
+    inputs |= {"amplitude": t.amplitude, "range": t.range}
+    inputs |= {"along_y": t.along_y, "along_x": t.along_x, "across": t.across}
+    numbers = {"rows": half * 8 * t.columns, "lines": t.rows * 8 * t.columns}
     if gpu:
-        scratch["folded"] = batch * half * 8 * half * dtype.itemsize
-    return steps, inputs, scratch
+        numbers["folded"] = half * 8 * half
+    return steps, inputs, {name: batch * count * dtype.itemsize for name, count in numbers.items()}
+
+
+def _cellular(t: FoldedTransform, pupils: NDArray[Any]) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:
+    """Return what kernels read of pupils that are given cell by cell, and the constants that say so."""
+    field = np.iscomplexobj(pupils)
+    if field:
+        ramp = t.ramp.astype(np.float64)
+        pupils = pupils * np.exp(1j * (ramp + ramp[:, None]))
+        pupils = np.stack([pupils.real, pupils.imag], axis=1)
+    inputs = {"pupil": np.asarray(pupils, t.amplitude.dtype), "ramp": t.ramp}
+    return inputs, {"TERMS": 0, "FIELD": int(field)}
+
+
+def _smooth(t: FoldedTransform, pupils: SmoothPhase) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:
+    """Return what kernels read of pupils whose phases are polynomials, and the constants that say so."""
+    samples, dtype = len(t.amplitude), t.amplitude.dtype
+    axis = (2.0 * np.arange(samples // 2, samples) + 1.0) / samples - 1.0
+    ramp = _ramp_slope(t.pixels, t.sampling)
+    coefficients = np.array(pupils.coefficients, dtype=np.float64)
+    terms = coefficients.shape[1]
+    rim = pupils.rim[:, t.rim_order]
+    if ramp:
+        coefficients[:, 0, 1] += ramp
+        coefficients[:, 1, 0] += ramp
+        row, column = np.divmod(t.rim.cells[t.rim_order], samples)
+        rim = rim + ramp * ((2.0 * (row + column) + 2.0) / samples - 2.0)
+    chebyshev = np.polynomial.chebyshev.chebvander(axis, terms - 1).T
+    inputs = {"pupil": coefficients.astype(dtype), "chebyshev": chebyshev.astype(dtype)}
+    inputs["rim_phase"] = np.pad(rim, ((0, 0), (0, t.width))).astype(dtype)
+    inputs |= {"rim": t.rim_places, "rim_light": t.rim_light if t.rim_light.size else np.zeros(4, dtype)}
+    return inputs, {"TERMS": terms, "FIELD": 0}
+
+
+def _ramp_slope(pixels: int, sampling: float) -> float:
+    """Return the phase per pupil radius that puts an even number of pixels symmetric about 0."""
+    return 0.5 * np.pi * sampling * (1 - pixels % 2)
+
+
+def _rim_places(rim: Rim, samples: int) -> tuple[NDArray[np.intp], NDArray[np.int32], Real]:
+    """Return the order of a rim's light, its places, and what it adds to the parts of folded rows."""
+    row, column = np.divmod(rim.cells, samples)
+    below, left = row < samples // 2, column < samples // 2
+    rows = np.where(below, samples - 1 - row, row) - samples // 2
+    columns = np.where(left, samples - 1 - column, column) - samples // 2
+    # The middle of an odd number of cells is its own mirror image: it comes twice, or not at all.
+    middle_x, middle_y = (samples % 2 * (place == samples // 2) for place in (column, row))
+    even_x, even_y = 1.0 + middle_x, 1.0 + middle_y
+    odd_x, odd_y = (1.0 - middle_x) * np.where(left, -1, 1), (1.0 - middle_y) * np.where(below, -1, 1)
+    shares = rim.light * np.array([even_x * even_y, even_x * odd_y, odd_x * even_y, odd_x * odd_y])
+    order = np.lexsort((columns, rows))
+    starts = np.searchsorted(rows[order], np.arange((samples + 1) // 2 + 1))
+    places = np.concatenate([starts, columns[order]]).astype(np.int32)
+    return order, places, np.ascontiguousarray(shares.T[order])
 
 
 @lru_cache(maxsize=1)
@@ -234,9 +369,10 @@ def _thin(tables: Real, group: int, negligible: float) -> tuple[Real, Real]:
     return np.pad(right[:, :kept], extra), np.pad(to_pixels, extra)
 
 
-def _lit_columns(amplitude: Real) -> NDArray[np.int32]:
+def _lit_columns(amplitude: Real, rim: Rim) -> NDArray[np.int32]:
     samples = len(amplitude)
     lit = amplitude != 0.0
+    lit.flat[rim.cells] = True
     lit = lit | lit[::-1]
     lit = (lit | lit[:, ::-1])[samples // 2 :, samples // 2 :]
     first, last = lit.argmax(axis=1), lit.shape[1] - lit[:, ::-1].argmax(axis=1)

@@ -14,13 +14,14 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
 from wavequake.imaging.exposure_models import cut
-from wavequake.imaging.matrix_fourier import psf
+from wavequake.imaging.pupil_function import annular_pupil
+from wavequake.imaging.zernike_psf import ZernikeImager, zernike_imager, zernike_images
+from wavequake.kernels.devices import NUMPY, Device, choose_device
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.exposures import CANVAS, exposed, exposure_variables, frame_coordinates
 from wavequake.workflows.mirror_bench import (
     aberrations_over_time,
     bench_of,
-    image_of,
     study_of,
     time_of,
     variant_of,
@@ -46,7 +47,7 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
     with threadpool_limits(1):
         for row, (name, variant) in enumerate(cases_of(study)[int(case)] for case in cases):
             try:
-                found = exposed_variant(study_text, name, variant)
+                found = exposed_variant(study_text, name, variant, choose_device(device_name))
             except UserError as error:
                 status[row], messages[row] = RAISED, str(error)
                 continue
@@ -55,14 +56,14 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
     return ChunkResult(arrays, status, tuple(messages))
 
 
-def exposed_variant(study_text: str, model: str, variant: str) -> dict[str, Any]:
+def exposed_variant(study_text: str, model: str, variant: str, device: Device = NUMPY) -> dict[str, Any]:
     """Return all stored numbers of one variant of a model."""
     study, optics = study_of(study_text), bench_of(study_text, model).optics
     aberrations = aberrations_of(study_text, model, variant)
-    static = next(local_images(study, optics, np.zeros((1, aberrations.shape[2]))))[0]
+    static = next(local_images(study, optics, np.zeros((1, aberrations.shape[2])), device))[0]
     found: dict[str, list[Array]] = {}
     for history in aberrations:
-        for name, values in _exposure(study, optics, history, static).items():
+        for name, values in _exposure(study, optics, history, static, device).items():
             found.setdefault(name, []).append(values)
     reference = aberrations_of(study_text, model, study.reduction.reference)
     return {
@@ -91,26 +92,38 @@ def exposed_instants(study: MirrorStudy) -> NDArray[np.intp]:
     return np.unique(chosen.astype(np.intp))
 
 
-def local_images(study: MirrorStudy, optics: Optics, history: Array) -> Iterator[Array]:
+def local_images(
+    study: MirrorStudy, optics: Optics, history: Array, device: Device = NUMPY
+) -> Iterator[Array]:
     """Yield images (block, n, n) about the line of sight of aberrations (instants, 2 + J), by blocks.
 
     The line of sight has no part in them: it places them.
     """
-    section, terms = study.imaging, history.shape[1] - 2
-    maker = image_of(
-        section.pupil_samples, CANVAS * section.pixels, section.sampling, optics.obscuration, terms
-    )
+    section = study.imaging
+    grid = section.pupil_samples, CANVAS * section.pixels, section.sampling
+    imager = _imager(*grid, history.shape[1] - 2, optics.obscuration, device)
     # The OPD of a positive line of sight falls along +x, a phase that moves the image to +x grows.
-    per_nm = -2.0 * np.pi * section.scale / study.optics.wavelength_nm
+    waves = -section.scale / study.optics.wavelength_nm * history[:, 2:]
+    waves[:, :3] = 0.0
     for first in range(0, len(history), _BLOCK):
-        yield psf(maker.transform, per_nm * history[first : first + _BLOCK, 5:] @ maker.basis[3:])
+        yield zernike_images(imager, waves[first : first + _BLOCK])
 
 
-def _exposure(study: MirrorStudy, optics: Optics, history: Array, static: Array) -> dict[str, Array]:
+@lru_cache(maxsize=4)
+def _imager(
+    samples: int, pixels: int, sampling: float, terms: int, obscuration: float, device: Device
+) -> ZernikeImager:
+    pupil = annular_pupil(samples, obscuration)
+    return zernike_imager(pupil, pixels, sampling, terms, obscuration, device)
+
+
+def _exposure(
+    study: MirrorStudy, optics: Optics, history: Array, static: Array, device: Device
+) -> dict[str, Array]:
     imaging = study.imaging
     shown = history[exposed_instants(study)]
     return exposed(
-        local_images(study, optics, shown),
+        local_images(study, optics, shown, device),
         static,
         shown[:, :2] * (imaging.scale / optics.resolution),
         imaging.pixels,
