@@ -188,7 +188,8 @@ def traced(difference=1e-4, sag=1e-6, optics=1e-4, wfe=100.0):
             "wfe_difference": (over_time, difference * history),
             "wfe_difference_sag": (over_time, sag * history),
             "wfe_difference_optics": (over_time, optics * history),
-            "fit_residual": (over_time, np.full((2, 2, 2), 2e-3)),
+            "missed_share": (("case", "excitation"), np.full((2, 2), 2e-3)),
+            "wfe_rms_residual": (over_time, np.full((2, 2, 2), [[np.nan], [3.0]])),
             "los_difference": (over_time, 1e-8 * np.ones((2, 2, 2))),
             "seconds": (("case", "excitation", "stage"), np.full((2, 2, len(stages)), 0.002)),
             "status": ("case", [1, 2]),
@@ -211,16 +212,17 @@ def test_a_trace_report_says_how_far_the_methods_are_apart_why_and_what_they_cos
     assert [(one.variant, one.excitation) for one in found] == [("craigb18", "a"), ("craigb18", "b")]
     assert found[0].difference == pytest.approx(1e-4)
     assert found[0].los == pytest.approx(1e-5)
-    assert found[0].standard_s == pytest.approx(4 * 0.002)
+    assert found[0].standard_s == pytest.approx(5 * 0.002)
     assert found[0].modal_s == pytest.approx(2 * 0.002)
     words = mirror_traces.answer(found)
     assert "at most 1.0e-04" in words
     assert "the optics beyond first order" in words
-    assert "8.00 ms, the modal one 4.00 ms" in words
+    assert "10.0 ms, the modal one 4.00 ms" in words
     other = mirror_traces.answer(mirror_traces.trace_results(traced(sag=1e-3, optics=1e-5)))
     assert "the sag at displaced x" in other
     text = _printed(mirror_traces.table_of(tmp_path, traced()))
-    assert "craigb18 a 100.0 1.0e-04 1.0e-05 2.0e-03 8.00 4.00" in text
+    assert "craigb18 a 100.0 1.0e-04 1.0e-05 2.0e-03 – 10.0 4.00" in text
+    assert "craigb18 b 100.0 1.0e-04 1.0e-05 2.0e-03 3.00 10.0 4.00" in text
     page = mirror_traces.write_report_of(tmp_path, traced(), tmp_path / "r.html", "numpy").read_text()
     for part in ("Table 4.1", "disc-a", "cannot move"):
         assert part in page

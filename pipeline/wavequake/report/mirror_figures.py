@@ -243,12 +243,12 @@ def costs(seconds: Mapping[str, Mapping[str, float]]) -> Figure:
     start = np.zeros(len(seconds))
     for number, stage in enumerate(next(iter(seconds.values()))):
         width = 1e3 * np.array([stages[stage] for stages in seconds.values()])
-        if stage == "sensitivities":  # once per model, and longer than all others together
+        if stage in ("sensitivities", "residual of modes"):  # once, and longer than all others together
             continue
         axes.barh(np.arange(len(seconds)), width, left=start, label=stage, color=COLORS[number % len(COLORS)])
         start += width
     axes.set_yticks(np.arange(len(seconds)), list(seconds))
     axes.invert_yaxis()
-    axes.set_xlabel("time (ms), without the sensitivities of the model")
+    axes.set_xlabel("time (ms), without the sensitivities of mirror and model")
     axes.legend(fontsize=7, ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return figure

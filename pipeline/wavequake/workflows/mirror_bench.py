@@ -79,11 +79,17 @@ def study_of(text: str) -> MirrorStudy:
 
 
 @lru_cache(maxsize=2)
+def trace_study_of(text: str) -> TraceStudy:
+    """Rebuild a study of mirror-trace from its identity."""
+    study: TraceStudy = study_from_identity(TraceStudy, text)
+    return study
+
+
+@lru_cache(maxsize=2)
 def any_study_of(text: str) -> AnyMirrorStudy:
     """Rebuild a study of any mirror workflow from its identity."""
     if json.loads(text)["study"]["workflow"] == "mirror-trace":
-        study: TraceStudy = study_from_identity(TraceStudy, text)
-        return study
+        return trace_study_of(text)
     return study_of(text)
 
 

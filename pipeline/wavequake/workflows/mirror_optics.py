@@ -5,7 +5,7 @@ turns: this module is the one place where displacements cross over.
 """
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY, Device, choose_device
 from wavequake.mechanics.model import ReducedModel
+from wavequake.optics.packing import pack
 from wavequake.optics.pupils import sunflower
-from wavequake.optics.shapes import Conic, ZernikeDeformation
+from wavequake.optics.shapes import Conic, GridDeformation, ZernikeDeformation
 from wavequake.optics.surface_fit import (
     SurfaceFit,
     apply,
@@ -174,6 +175,15 @@ def mirror_system(focal_length: float, radius: float, obscuration: float, terms:
     image = Surface("image", position=np.array([0.0, 0.0, -focal_length]))
     pupil = Pupil("entrance_diameter", 2 * radius, obscuration)
     return OpticalSystem("mirror", (mirror, image), 0, pupil)
+
+
+def with_deformation(optics: Optics, residual: GridDeformation) -> PreparedSystem:
+    """Return the optical system of a mirror that can also deform by a grid of what the polynomials leave."""
+    prepared = optics.prepared
+    mirror, image = prepared.system.surfaces
+    form = ZernikeDeformation(optics.terms, optics.radius, optics.obscuration, residual)
+    system = replace(prepared.system, surfaces=(replace(mirror, deformation=form), image))
+    return replace(prepared, system=system, sequence=pack(system, prepared.wavelength))
 
 
 def deformation_sensitivity(prepared: PreparedSystem, terms: int) -> Array:

@@ -142,6 +142,18 @@ class MirrorOpticsSection(Section):
     )
 
 
+class TraceOpticsSection(MirrorOpticsSection):
+    """Light on the mirror, and when more than the Zernike polynomials of its figure is traced."""
+
+    residual_limit: float = Field(
+        default=1e-3,
+        ge=0,
+        le=1,
+        description="share of the deformation that the polynomials may miss; where they miss more, what they "
+        "leave is traced with them as a grid (0: always, 1: never)",
+    )
+
+
 class MirrorImagingSection(Section):
     """The exposure over the time response."""
 
@@ -252,4 +264,5 @@ class MirrorStudy(AnyMirrorStudy):
 class TraceStudy(AnyMirrorStudy):
     """A validated study file of ``mirror-trace``."""
 
+    optics: TraceOpticsSection = TraceOpticsSection()
     time: TimeSection = TimeSection(duration_s=0.0199)

@@ -3,7 +3,8 @@
 A case is one reduced model of one mirror. For each excitation the standard method fits the displaced nodes of
 every instant and traces all rays; the modal method adds up what each mode does to the light (Störkle 2018,
 Sections 4.1 and 4.5.2). A third way, the linear fit traced, tells where the two part: in the sag that is
-taken at the displaced x and y, or in the optics.
+taken at the displaced x and y, or in the optics. Where the polynomials of the fit miss much of the
+deformation, both methods add what they leave, as a grid (Eq. 4.11).
 """
 
 import time
@@ -26,15 +27,23 @@ from wavequake.optics.system_wavefront import line_of_sight, trace_system, zerni
 from wavequake.reduction.metrics import pseudo_frequencies
 from wavequake.reduction.names import parse
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
-from wavequake.workflows.mirror_bench import Bench, any_study_of, bench_of, time_of, variant_of
-from wavequake.workflows.mirror_optics import NM_PER_MM, Optics, displacements_mm
-from wavequake.workflows.mirror_study import AnyMirrorStudy
+from wavequake.workflows.mirror_bench import Bench, bench_of, time_of, trace_study_of, variant_of
+from wavequake.workflows.mirror_optics import NM_PER_MM, Optics, displacements_mm, with_deformation
+from wavequake.workflows.mirror_residual import (
+    Residual,
+    coordinates_of,
+    grid_of,
+    left_by,
+    residual_of,
+    rms_of,
+)
+from wavequake.workflows.mirror_study import TraceStudy
 
 Array = NDArray[np.float64]
 
 # Like the rows of Table 4.1: what is done once per model or variant, and per excitation by either method.
-SET_UP = ("sensitivities", "reduction", "modal form")
-STANDARD = ("displacements", "surface fit", "ray trace", "wavefront fit")
+SET_UP = ("sensitivities", "reduction", "residual of modes", "modal form")
+STANDARD = ("displacements", "surface fit", "residual grids", "ray trace", "wavefront fit")
 MODAL = ("maps of modes", "products")
 # Instants whose nodes are displaced at a time.
 _INSTANTS = 1024
@@ -56,22 +65,23 @@ class Clock:
 
 
 @dataclass(frozen=True)
-class Traced:
-    """Instants traced ray by ray.
+class Wavefronts:
+    """What either method gives at T instants.
 
     Attributes
     ----------
     aberrations : ndarray, shape (T, 2 + J)
         Line of sight in mm, Noll coefficients in nm.
     rms_raw : ndarray, shape (T,)
-        Rms of the wavefront over the rays less its plane, which the coefficients need not catch, nm.
+        Rms of the wavefront over the rays less its plane, which the coefficients need not catch, nm. Of
+        it the modal method knows what coefficients and residual grids make.
     """
 
     aberrations: Array
     rms_raw: Array
 
 
-def cases_of(study: AnyMirrorStudy) -> list[tuple[str, str]]:
+def cases_of(study: TraceStudy) -> list[tuple[str, str]]:
     """Return model and variant of every case."""
     return [(model, variant) for model in study.models for variant in study.compared]
 
@@ -81,7 +91,7 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
 
     One BLAS thread, so that a case's bits do not depend on where it is computed.
     """
-    study, device = any_study_of(study_text), choose_device(device_name)
+    study, device = trace_study_of(study_text), choose_device(device_name)
     arrays = {
         name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
         for name, variable in variables(study).items()
@@ -101,9 +111,10 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
     return ChunkResult(arrays, status, tuple(messages))
 
 
-def judged(study: AnyMirrorStudy, bench: Bench, variant: str, device: Device) -> dict[str, Array | float]:
+def judged(study: TraceStudy, bench: Bench, variant: str, device: Device) -> dict[str, Array | float]:
     """Return all stored numbers of one variant."""
     reduced, optics, instants = variant_of(bench, variant), bench.optics, time_of(study)
+    left, residual, residual_seconds = left_by(optics, reduced), None, Clock()
     rows: dict[str, list[Array]] = {}
     for excitation in study.excitation:
         clock = Clock()
@@ -112,14 +123,26 @@ def judged(study: AnyMirrorStudy, bench: Bench, variant: str, device: Device) ->
             modal = modal_model(reduced, drive.prescribed)
         with clock("time response"):
             response = respond(modal, [drive], instants)
-        summed = modal_method(optics, reduced.surface, response, clock)
+        coordinates = coordinates_of(response)
+        share = left.share(coordinates)
+        needed = share > study.optics.residual_limit
+        if needed and residual is None:
+            with residual_seconds("residual of modes"):
+                residual = residual_of(optics, left, device)
+        added = residual if needed else None
+        summed = modal_method(optics, reduced.surface, response, clock, added)
         parts = [
-            compared(optics, reduced.surface, part, summed[first : first + _INSTANTS], device, clock)
-            for first, part in _parts(response)
+            compared(optics, reduced.surface, part, summed.aberrations[rows], device, clock, added)
+            for rows, part in _parts(response)
         ]
         found = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+        found["wfe_rms_raw_modal"] = summed.rms_raw
+        untraced = np.full(len(instants), np.nan)
+        found["wfe_rms_residual"] = untraced if added is None else rms_of(added.whole, coordinates)
+        found["missed_share"] = np.array(share)
         clock.seconds |= {"sensitivities": optics.seconds, "reduction": reduced.seconds}
-        found["seconds"] = np.array([clock.seconds[stage] for stage in STAGES])
+        clock.seconds |= residual_seconds.seconds if needed else {}
+        found["seconds"] = np.array([clock.seconds.get(stage, 0.0) for stage in STAGES])
         for key, value in found.items():
             rows.setdefault(key, []).append(value)
     return {
@@ -130,12 +153,12 @@ def judged(study: AnyMirrorStudy, bench: Bench, variant: str, device: Device) ->
     }
 
 
-def _parts(response: Response) -> Iterator[tuple[int, Response]]:
+def _parts(response: Response) -> Iterator[tuple[slice, Response]]:
     """Yield a response in parts of so many instants that the displacements of all nodes fit the memory."""
     for first in range(0, len(response.time), _INSTANTS):
         part = slice(first, first + _INSTANTS)
         yield (
-            first,
+            part,
             replace(
                 response,
                 time=response.time[part],
@@ -147,11 +170,18 @@ def _parts(response: Response) -> Iterator[tuple[int, Response]]:
 
 
 def compared(
-    optics: Optics, surface: Array, response: Response, summed: Array, device: Device, clock: Clock
+    optics: Optics,
+    surface: Array,
+    response: Response,
+    summed: Array,
+    device: Device,
+    clock: Clock,
+    residual: Residual | None = None,
 ) -> dict[str, Array]:
     """Trace some instants and compare them with what the modal method gives, `summed` (T, 2 + J)."""
-    moved, traced = standard_method(optics, surface, response, device, clock)
-    linear = trace_figures(optics, apply(optics.surface, moved), device, Clock())
+    moved, traced = standard_method(optics, surface, response, device, clock, residual)
+    grids = None if residual is None else coordinates_of(response) @ residual.grids
+    linear = trace_figures(optics, apply(optics.surface, moved), grids, device, Clock())
     above = heights(optics.surface, moved, linear=False)
     apart = traced.aberrations - summed
     return {
@@ -175,8 +205,13 @@ def _wfe(aberrations: Array) -> Array:
 
 
 def standard_method(
-    optics: Optics, surface: Array, response: Response, device: Device, clock: Clock
-) -> tuple[Array, Traced]:
+    optics: Optics,
+    surface: Array,
+    response: Response,
+    device: Device,
+    clock: Clock,
+    residual: Residual | None = None,
+) -> tuple[Array, Wavefronts]:
     """Return the displacements (T, p, 3) in mm, and what tracing all rays at every instant gives.
 
     The figure of each instant is fitted to the displaced nodes with the undeformed surface taken where they
@@ -191,18 +226,25 @@ def standard_method(
         Of one drive.
     device : Device
     clock : Clock
+    residual : Residual, optional
+        What the polynomials leave, to be traced with them.
     """
     with clock("displacements"):
         moved = displacements_mm(displacements(response, surface)[0])
     with clock("surface fit"):
         figures = apply(optics.surface, moved, linear=False)
-    return moved, trace_figures(optics, figures, device, clock)
+    with clock("residual grids"):
+        grids = None if residual is None else coordinates_of(response) @ residual.grids
+    return moved, trace_figures(optics, figures, grids, device, clock)
 
 
-def trace_figures(optics: Optics, figures: Array, device: Device, clock: Clock) -> Traced:
-    """Trace all rays at T instants with the figures (T, J) in mm."""
-    prepared = optics.prepared
+def trace_figures(
+    optics: Optics, figures: Array, grids: Array | None, device: Device, clock: Clock
+) -> Wavefronts:
+    """Trace all rays at T instants with the figures (T, J) and what they leave (T, rows * columns), mm."""
+    prepared = optics.prepared if grids is None else with_deformation(optics, grid_of(optics))
     with clock("ray trace"):
+        figures = figures if grids is None else np.hstack([figures, grids])
         rest = rest_states(prepared.system, len(figures))
         states = replace(rest, deformations=(figures, *rest.deformations[1:]))
         opd, _, chief = trace_system(prepared, states, device)
@@ -213,27 +255,35 @@ def trace_figures(optics: Optics, figures: Array, device: Device, clock: Clock) 
     flat = opd - zernike[:, :3] @ prepared.fit.basis[:, :3].T
     weight = prepared.fit.weight
     raw = to_nm * np.sqrt(np.square(flat) @ (weight / weight.sum()))
-    return Traced(aberrations, raw)
+    return Wavefronts(aberrations, raw)
 
 
-def modal_method(optics: Optics, surface: Array, response: Response, clock: Clock) -> Array:
-    """Return the aberrations (T, 2 + J) as in `Traced`: sensitivities of modes times their coordinates.
+def modal_method(
+    optics: Optics, surface: Array, response: Response, clock: Clock, residual: Residual | None = None
+) -> Wavefronts:
+    """Return sensitivities of modes times their coordinates.
 
-    What the modes do to the light follows from their linear fits (Störkle 2018, Eq. 4.22); time enters one
-    product only.
+    What the modes do to the light follows from their linear fits (Störkle 2018, Eq. 4.22) and from the traces
+    of what these leave; time enters products of small matrices only.
     """
     with clock("maps of modes"):
         shapes = np.hstack([response.modes, response.rigid_modes, response.lift])
         maps = optics.sensitivity @ apply(optics.surface, displacements_mm((surface @ shapes).T)).T
+        rough = np.zeros((shapes.shape[1], shapes.shape[1]))
+        if residual is not None:
+            maps += residual.aberrations @ shapes
+            rough = shapes.T @ residual.rough @ shapes
     with clock("products"):
         amplitudes = np.hstack([response.coordinates[0], response.rigid[0], response.drive[0]])
         aberrations: Array = amplitudes @ maps.T
-    return aberrations
+        fitted = rms_of(optics.prepared.fit.normal[3:, 3:], aberrations[:, 5:])
+        raw = np.hypot(fitted, rms_of(rough, amplitudes))
+    return Wavefronts(aberrations, raw)
 
 
 def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
     """Return the labels of cases first <= id < last: model, variant, its method and the seed."""
-    study = any_study_of(study_text)
+    study = trace_study_of(study_text)
     rows = cases_of(study)[first:last]
     return {
         "model": np.array([model for model, _ in rows], dtype=object),
@@ -243,7 +293,7 @@ def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.g
     }
 
 
-def variables(study: AnyMirrorStudy) -> dict[str, Variable]:
+def variables(study: TraceStudy) -> dict[str, Variable]:
     """Return what is stored per case."""
     excitations, instants = len(study.excitation), study.time.instants
 
@@ -267,6 +317,19 @@ def variables(study: AnyMirrorStudy) -> dict[str, Variable]:
         ),
         "wfe_rms_modal": history("nm", "the same by sensitivities of modes"),
         "wfe_rms_raw": history("nm", "wavefront error rms over the traced rays, best-fit plane removed"),
+        "wfe_rms_raw_modal": history("nm", "the same by sensitivities of modes and of what their fit leaves"),
+        "wfe_rms_residual": history(
+            "nm", "rms of what the residual grid adds to the wavefront; NaN where none is traced"
+        ),
+        "missed_share": Variable(
+            ("excitation",),
+            (excitations,),
+            {
+                "units": "1",
+                "long_name": "largest deformation that the Zernikes miss over the largest one (Störkle 2018, "
+                "Eq. 4.11)",
+            },
+        ),
         "wfe_difference": history("nm", "rms of the difference of the two wavefronts, j >= 4"),
         "wfe_difference_sag": history("nm", "its part from the sag at displaced x and y"),
         "wfe_difference_optics": history("nm", "its part from the optics beyond first order"),
@@ -287,7 +350,7 @@ def variables(study: AnyMirrorStudy) -> dict[str, Variable]:
 
 def template(study_text: str) -> Template:
     """Return what a store of this study holds."""
-    study = any_study_of(study_text)
+    study = trace_study_of(study_text)
     names = [excitation.name for excitation in study.excitation]
     return Template(
         variables(study),
@@ -302,7 +365,7 @@ def template(study_text: str) -> Template:
 
 def describe(study_text: str) -> dict[str, str]:
     """Return the size of each model and of its trace, for the plan."""
-    study = any_study_of(study_text)
+    study = trace_study_of(study_text)
     lines = {}
     for name in study.models:
         bench = bench_of(study_text, name)
@@ -315,7 +378,7 @@ def describe(study_text: str) -> dict[str, str]:
 
 def check(study_text: str) -> None:
     """Raise UserError for a study that no variant of can succeed: model, excitations or optics do not fit."""
-    study = any_study_of(study_text)
+    study = trace_study_of(study_text)
     for name in study.models:
         interfaces = len(bench_of(study_text, name).stage.interfaces)
         for excitation in study.excitation:
