@@ -1,24 +1,25 @@
 """Wavefronts of any optical system: OPD, Zernike coefficients, line of sight, spots.
 
 The counterpart of `wavequake.optics.wavefront` for an `OpticalSystem`. The chief ray goes through the center
-of the stop, virtually where that is obscured; its image point is the center of the reference sphere, whose
-radius is the distance of the paraxial exit pupil. Lengths in mm, wavefronts in waves.
+of the stop, wherever that has moved, and virtually where it is obscured; its image point is the center of the
+reference sphere, whose radius is the distance of the paraxial exit pupil. Lengths in mm, wavefronts in waves.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY, Device
-from wavequake.kernels.sequence import OK, VIGNETTED, Rays, Sequence, TracedRays
+from wavequake.kernels.sequence import OK, VIGNETTED, Moving, Rays, Sequence, TracedRays
 from wavequake.kernels.sequential import trace_sequence
 from wavequake.optics.fits import Fit, refit, weighted_fit
 from wavequake.optics.packing import moving, pack
 from wavequake.optics.paraxial import paraxial
 from wavequake.optics.quality import peak_to_valley, spot
 from wavequake.optics.ray_aiming import pupil_rays
+from wavequake.optics.stop_following import follow_stop, steering
 from wavequake.optics.system import OpticalSystem, SystemStates, wavelength_of
 from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.zernike import annular_zernike
@@ -56,6 +57,8 @@ class PreparedSystem:
         (first column) and y: the numerical aperture with its signs.
     field : int
         Index of the field point.
+    steering : ndarray, shape (2, 2)
+        How the light moves where the stop does, see `wavequake.optics.stop_following`.
     """
 
     system: OpticalSystem
@@ -69,6 +72,7 @@ class PreparedSystem:
     image_index: float
     cosines: Array
     field: int
+    steering: Array
 
 
 @dataclass(frozen=True)
@@ -167,6 +171,7 @@ def prepare_system(
         image_index=refracting[-1] if refracting else sequence.index,
         cosines=cosines,
         field=field,
+        steering=steering(system, sequence, chief),
     )
 
 
@@ -180,11 +185,15 @@ def _arrive(system: OpticalSystem, sequence: Sequence, rays: Rays) -> Array:
     return np.stack([traced.u[0], traced.v[0]])
 
 
-def chief_points(prepared: PreparedSystem, states: SystemStates) -> tuple[Array, Array]:
+def incoming_light(prepared: PreparedSystem, states: SystemStates) -> Moving:
+    """Return what moves, with light that fills the stop where it stands at each instant."""
+    light = moving(prepared.system, states)
+    return follow_stop(prepared.system, prepared.sequence, prepared.chief, prepared.steering, light)
+
+
+def chief_points(prepared: PreparedSystem, light: Moving) -> tuple[Array, Array]:
     """Return the image points (T, 2) of the chief ray and its paths (T,) to the reference sphere, mm."""
-    traced = trace_sequence(
-        prepared.sequence, prepared.chief, moving(prepared.system, states), NUMPY, ignore_apertures=True
-    )
+    traced = trace_sequence(prepared.sequence, prepared.chief, light, NUMPY, ignore_apertures=True)
     path = traced.path[:, 0] - prepared.image_index * prepared.sphere_radius
     return np.stack([traced.x[:, 0], traced.y[:, 0]], axis=1), path
 
@@ -202,14 +211,13 @@ def trace_system(
     chief : ndarray, shape (T, 2)
         Image point of the chief ray, mm.
     """
-    chief, path = chief_points(prepared, states)
+    light = incoming_light(prepared, states)
+    chief, path = chief_points(prepared, light)
     radius = np.full((len(chief), 1), prepared.sphere_radius)
     # Without a chief ray there is no sphere: the instant's rays are lost, and say so.
     center = np.where(np.isfinite(chief), chief, 0.0)
     spheres = np.concatenate([center, np.zeros_like(radius), radius], axis=1)
-    traced = trace_sequence(
-        prepared.sequence, prepared.rays, moving(prepared.system, states, spheres), device
-    )
+    traced = trace_sequence(prepared.sequence, prepared.rays, replace(light, spheres=spheres), device)
     opd = (path[:, None] - traced.path) / prepared.wavelength
     return opd, traced, chief
 

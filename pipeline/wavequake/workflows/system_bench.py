@@ -15,13 +15,18 @@ from wavequake.kernels.sequence import DIVERGED, MISS, OK, TOTAL_REFLECTION, VIG
 from wavequake.kernels.sequential import trace_sequence
 from wavequake.mechanics.element_motion import ElementMotion, SurfaceDeformation, single_parts
 from wavequake.optics.bodies import Body, beam_radii, rigid_body, surface_index, with_bodies
-from wavequake.optics.packing import moving
 from wavequake.optics.pupils import sunflower
 from wavequake.optics.shapes import ZernikeDeformation
 from wavequake.optics.system import OpticalSystem, SystemStates
 from wavequake.optics.system_file import build
 from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import PreparedSystem, SystemWavefront, measure_system, prepare_system
+from wavequake.optics.system_wavefront import (
+    PreparedSystem,
+    SystemWavefront,
+    incoming_light,
+    measure_system,
+    prepare_system,
+)
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.system_study import SystemStudy
 
@@ -203,7 +208,7 @@ def failure(
 def lost_light(prepared: PreparedSystem, states: SystemStates, instant: int) -> str:
     """Say how many rays are lost at an instant, where most of them, and why."""
     one = at_instant(states, instant)
-    traced = trace_sequence(prepared.sequence, prepared.rays, moving(prepared.system, one), NUMPY)
+    traced = trace_sequence(prepared.sequence, prepared.rays, incoming_light(prepared, one), NUMPY)
     status, surface = traced.status[0], traced.surface[0]
     reasons = [reason for reason in (*_WHY, VIGNETTED) if (status == reason).any()]
     if not reasons:

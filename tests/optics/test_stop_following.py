@@ -1,0 +1,140 @@
+"""Light follows a stop that moves, against systems that are built with the stop where it has moved to."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wavequake.kernels.devices import NUMPY
+from wavequake.kernels.sequence import Moving
+from wavequake.kernels.sequential_numpy import trace_sequence_numpy
+from wavequake.optics.catalog import optical_system
+from wavequake.optics.kinematics import cardan
+from wavequake.optics.packing import moving
+from wavequake.optics.paraxial import paraxial
+from wavequake.optics.pupils import sunflower
+from wavequake.optics.shapes import Opening
+from wavequake.optics.system_kinematics import rest_states
+from wavequake.optics.system_wavefront import incoming_light, measure_system, prepare_system
+
+POINTS = sunflower(0.0, 1.0, 120)
+LENSES = ["double-gauss", "six-lens", "euv", "gregorian"]
+POINTS_XY = np.stack([POINTS.x, POINTS.y])
+# How far rays of the outermost field miss their points of a moved stop, as a share of its shift.
+MISS = {"double-gauss": 0.06, "six-lens": 1e-3, "gregorian": 1e-6}
+
+
+def prepared_of(system, field=-1):
+    field = range(len(system.fields))[field]
+    return prepare_system(system, POINTS.x, POINTS.y, POINTS.weight, 15, field)
+
+
+def at_stop(prepared, light, rays):
+    """Return where rays meet the stop, (2, T, N), in its frame at each instant."""
+    stop = prepared.system.stop
+    part = replace(prepared.sequence, elements=prepared.sequence.elements[: stop + 1])
+    short = Moving(light.poses[:, : stop + 1], light.deformations[: stop + 1], light.grids[: stop + 1])
+    traced = trace_sequence_numpy(part, rays, short, True)
+    return np.stack([traced.x, traced.y])
+
+
+def displaced(system, surface, motion):
+    """The system built with a surface where its motion takes it."""
+    one = system.surfaces[surface]
+    rotation = one.rotation @ cardan(motion[None, 3:])[0]
+    moved = replace(one, position=one.position + one.rotation @ motion[:3], rotation=rotation)
+    return replace(system, surfaces=(*system.surfaces[:surface], moved, *system.surfaces[surface + 1 :]))
+
+
+@pytest.mark.parametrize("name", ["double-gauss", "six-lens", "gregorian"])
+def test_a_shifted_stop_is_the_system_built_with_it(name):
+    system = optical_system(name)
+    prepared = prepared_of(system)
+    size = 1e-4 * paraxial(system).stop_radius
+    states = rest_states(system, 2)
+    states.surface_motion[1, system.stop, :2] = 0.6 * size, -0.8 * size
+    found = measure_system(prepared, states, NUMPY)
+    built = prepared_of(displaced(system, system.stop, states.surface_motion[1, system.stop]))
+    truth = measure_system(built, rest_states(built.system), NUMPY)
+    changed = np.abs(truth.zernike[0, 1:] - found.zernike[0, 1:]).max()
+    share = 3 * MISS[name]
+    np.testing.assert_allclose(
+        found.zernike[1, 1:], truth.zernike[0, 1:], rtol=0, atol=share * changed + 1e-8
+    )
+    np.testing.assert_allclose(found.chief[1], truth.chief[0], rtol=0, atol=1e-10)
+    target = paraxial(system, prepared.wavelength).stop_radius * POINTS_XY
+    miss = np.abs(at_stop(prepared, incoming_light(prepared, states), prepared.rays)[:, 1] - target).max()
+    assert miss < MISS[name] * size
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_any_motion_before_the_stop_keeps_the_chief_ray_in_its_center(name):
+    system = optical_system(name)
+    prepared = prepared_of(system)
+    states = rest_states(system, 3)
+    moves = np.random.default_rng(3).normal(size=(2, system.stop + 1, 6))
+    states.surface_motion[1:, : system.stop + 1] = moves * np.repeat([1e-3, 1e-5], 3)
+    beside = at_stop(prepared, moving(system, states), prepared.chief)
+    after = at_stop(prepared, incoming_light(prepared, states), prepared.chief)
+    assert np.abs(beside[:, 1:]).max() > 1e-5
+    assert np.abs(after).max() <= 1e-9
+
+
+def test_a_stop_that_moves_within_its_beam_stops_no_light():
+    """Its opening is 1 % wider than the beam; 5 % off, a beam that stays behind would lose a crescent."""
+    system = optical_system("double-gauss")
+    radius = paraxial(system).stop_radius
+    surfaces = list(system.surfaces)
+    surfaces[system.stop] = replace(surfaces[system.stop], opening=Opening(1.01 * radius))
+    system = replace(system, surfaces=tuple(surfaces))
+    prepared = prepared_of(system, 0)
+    states = rest_states(system, 2)
+    states.surface_motion[1, system.stop, 0] = 0.05 * radius
+    assert measure_system(prepared, states, NUMPY).vignetted.tolist() == [0, 0]
+    stays = trace_sequence_numpy(prepared.sequence, prepared.rays, moving(system, states))
+    assert stays.vignetted.sum() > 0
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_at_rest_the_light_is_left_alone(name):
+    system = optical_system(name)
+    states = rest_states(system, 2)
+    np.testing.assert_array_equal(
+        incoming_light(prepared_of(system), states).poses, moving(system, states).poses
+    )
+
+
+def test_an_instant_does_not_depend_on_its_batch():
+    system = optical_system("six-lens")
+    prepared = prepared_of(system)
+    states = rest_states(system, 4)
+    states.surface_motion[1:] = (
+        np.random.default_rng(5).normal(size=(3, *states.surface_motion.shape[1:])) * 1e-4
+    )
+    whole = incoming_light(prepared, states).poses
+    for one in range(4):
+        alone = replace(
+            states,
+            surface_motion=states.surface_motion[one : one + 1],
+            line_of_sight=states.line_of_sight[one : one + 1],
+        )
+        np.testing.assert_array_equal(incoming_light(prepared, alone).poses[0], whole[one])
+
+
+def test_a_chief_ray_that_cannot_reach_the_stop_leaves_the_light_as_it_is():
+    system = optical_system("double-gauss")
+    prepared = prepared_of(system)
+    states = rest_states(system, 2)
+    states.surface_motion[1, 1, 0] = 1e4  # the first lens is gone
+    np.testing.assert_array_equal(incoming_light(prepared, states).poses, moving(system, states).poses)
+    assert np.isnan(measure_system(prepared, states, NUMPY).los[1]).all()
+
+
+def test_the_line_of_sight_still_turns_the_light_about_the_pupil():
+    """A star 10 urad beside the axis has its image at f times that: light keeps its direction."""
+    system = optical_system("double-gauss")
+    prepared = prepared_of(system, 0)
+    states = rest_states(system, 1)
+    states.line_of_sight[:] = [[1e-5, -2e-5]]
+    found = measure_system(prepared, states, NUMPY).los[0]
+    np.testing.assert_allclose(found, paraxial(system).focal_length * np.array([1e-5, -2e-5]), rtol=5e-2)
