@@ -6,12 +6,13 @@ from scipy.sparse import csc_array, diags_array
 
 from wavequake.errors import UserError
 from wavequake.mechanics.mirrors import CircularMirror, circular_mirror, on_springs
+from wavequake.mechanics.model import RayleighDamping
 from wavequake.reduction.intermediate import dense_structure, intermediate
 from wavequake.reduction.metrics import eps_mor, full_receptance, pseudo_frequencies, receptance
 from wavequake.reduction.names import Variant, parse
 from wavequake.reduction.reduce import reduce
 from wavequake.reduction.structure import structure
-from wavequake.reduction.two_stage import covers, reduce_variants, reference, spot_check
+from wavequake.reduction.two_stage import check_variants, covers, reduce_variants, reference, spot_check
 
 # None of them is a frequency on which the basis was built (multiples of 300 Hz).
 CHECKS = np.array([17.0, 103.0, 431.0, 777.0, 1111.0])
@@ -74,6 +75,23 @@ def test_what_is_not_covered_is_reduced_directly(coarse_mirror, mirror_stage):
     assert (inside.name, outside.name) == ("rubin36", "krylov36(1500)")
     error = eps_mor(full_receptance(coarse_mirror, [1501.0]), receptance(outside, [1501.0]))
     assert error < 1e-3
+
+
+def test_what_cannot_be_reduced_is_known_before(mirror_stage):
+    """Orders are those of the full model of 1845, not of the intermediate one."""
+    check_variants(mirror_stage, ["craigb118", "craigb926", "modal900", "krylov(100*20)", "pod36", "guyan"])
+    for name, words in [
+        ("craigb927", "918 modes, too many for the 1845"),
+        ("rubin1846", "above the 1845 degrees of freedom"),
+        ("hintz8", "below the 9 rigid motions and attachment modes"),
+        ("irka6", "must be above 6, the number of rigid motions"),
+    ]:
+        with pytest.raises(UserError, match=words):
+            check_variants(mirror_stage, ["craigb36", name])
+    undamped = replace(mirror_stage, damping=RayleighDamping(0.0, 0.0))
+    for name in ("bt36", "flbt36(0-400)", "fwbt36(0-400)", "irka36", "pod36"):
+        with pytest.raises(UserError, match="need positive damping"):
+            check_variants(undamped, [name])
 
 
 def test_rigid_motions_survive_both_stages(mirror_stage):

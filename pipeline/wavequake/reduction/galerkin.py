@@ -13,6 +13,7 @@ from wavequake.reduction.balanced import balanced
 from wavequake.reduction.intermediate import Intermediate
 from wavequake.reduction.irka import irka
 from wavequake.reduction.krylov import krylov
+from wavequake.reduction.limits import check_size
 from wavequake.reduction.names import Variant
 from wavequake.reduction.pod import generated, pod
 from wavequake.reduction.structure import Structure, held
@@ -51,15 +52,7 @@ def basis(body: Structure, variant: Variant, snapshots: Array | None = None) -> 
     if method == "guyan" and order is None:
         held(body)
         order = len(body.interface)
-    if order is not None and order > body.order:
-        raise UserError(
-            f"The order of {variant} is above the {body.order} degrees of freedom of the model {body.name}."
-        )
-    if order is not None and order <= rigid.shape[1]:
-        raise UserError(
-            f"The order of {variant} must be above {rigid.shape[1]}, the number of rigid motions of the "
-            f"model {body.name}, which are always kept."
-        )
+    check_size(body.size, variant, snapshots is not None)
     count = None if order is None else order - rigid.shape[1]
     if method == "krylov":
         return rigid, krylov(body, count, variant.points, variant.moments)

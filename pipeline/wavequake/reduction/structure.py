@@ -19,11 +19,10 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 from wavequake.errors import UserError
 from wavequake.mechanics.eigen import factorize, mass_normalized_rigid_modes
 from wavequake.mechanics.model import Array, FiniteElementModel, Integers, RayleighDamping
+from wavequake.reduction.limits import DENSE, Size
 
 Solver = Callable[[NDArray[Any]], NDArray[Any]]
 
-# Below this order dense algebra is faster than sparse.
-DENSE = 600
 # Factorizations at expansion points that are kept.
 _KEPT = 8
 # An expansion point nearer than this to an eigenfrequency is moved to this distance, Hz.
@@ -69,6 +68,12 @@ class Structure:
         columns = np.zeros((self.order, len(self.interface)))
         columns[self.interface, np.arange(len(self.interface))] = 1.0
         return columns
+
+    @property
+    def size(self) -> Size:
+        """What limits the variants of the structure."""
+        rigid = self.rigid.shape[1]
+        return Size(self.name, self.order, len(self.interface), rigid, self.damping, self.is_dense)
 
     def remove_rigid(self, vectors: NDArray[Any]) -> NDArray[Any]:
         """Return the part of displacements that is mass-orthogonal to the rigid motions."""

@@ -13,6 +13,7 @@ from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, ReducedModel
 from wavequake.reduction.galerkin import reduced
 from wavequake.reduction.intermediate import Intermediate, dense_structure
+from wavequake.reduction.limits import DENSE, Size, check_size
 from wavequake.reduction.metrics import full_receptance, relative_errors
 from wavequake.reduction.names import Variant, parse
 from wavequake.reduction.reduce import reduce
@@ -43,6 +44,26 @@ def covers(model: Intermediate, variant: Variant) -> bool:
         order = rigid + interface * sum(variant.moments)
     highest = max([abs(point) for point in variant.points] + [high for _, high, _ in variant.bands] + [0.0])
     return bool(highest <= model.highest and 3 * order <= 2 * model.order)
+
+
+def check_variants(model: Intermediate, variants: Sequence[str | Variant]) -> None:
+    """Refuse what cannot be reduced, before anything is; orders are those of the full model.
+
+    Raises
+    ------
+    UserError
+        If an order does not suit the method and the model, or the method needs damping that is not there.
+    """
+    size = Size(
+        model.name,
+        model.full_order,
+        3 * len(model.interfaces),
+        model.rigid.shape[1],
+        model.damping,
+        model.full_order <= DENSE,
+    )
+    for name in variants:
+        check_size(size, parse(name) if isinstance(name, str) else name)
 
 
 def reduce_variants(

@@ -13,6 +13,7 @@ from wavequake.imaging.matrix_fourier import psf
 from wavequake.mechanics.model import ReducedModel
 from wavequake.reduction.metrics import eps_mor, frobenius, mac, pseudo_frequencies, receptance, surface_modes
 from wavequake.reduction.names import parse
+from wavequake.reduction.two_stage import check_variants
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.mirror_bench import (
     Answers,
@@ -285,9 +286,10 @@ def describe(study_text: str) -> dict[str, str]:
 
 
 def check(study_text: str) -> None:
-    """Raise UserError for a study that no variant of can succeed: model, excitations or optics do not fit."""
+    """Raise UserError where model, variants, excitations or optics do not fit."""
     study = study_of(study_text)
     for name in study.models:
+        check_variants(bench_of(study_text, name).stage, study.reduction.variants)
         answers_of(study_text, name)
 
 
