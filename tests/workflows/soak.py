@@ -33,7 +33,7 @@ def touch():
     if not left[0]:
         os.kill(os.getpid(), signal.SIGKILL)
 
-put, write, sync, rename = arrays.LocalStore.set, os.write, os.fsync, pathlib.Path.replace
+put, write, sync, rename = arrays.DurableStore.set, os.write, os.fsync, pathlib.Path.replace
 
 async def set_and_die(self, key, value):
     touch()
@@ -55,7 +55,7 @@ def rename_and_die(self, target):
     touch()
     return rename(self, target)
 
-arrays.LocalStore.set, os.fsync, pathlib.Path.replace = set_and_die, sync_and_die, rename_and_die
+arrays.DurableStore.set, os.fsync, pathlib.Path.replace = set_and_die, sync_and_die, rename_and_die
 journal.os = type(sys)("os")
 journal.os.__dict__.update(os.__dict__, write=write_and_die, fsync=sync_and_die)
 toy.run(path, SLOW, cases=cases, chunk=CHUNK)

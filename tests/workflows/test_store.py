@@ -89,8 +89,12 @@ def test_numbers_are_on_disk_when_the_write_returns(tmp_path, monkeypatch):
     synced = []
     monkeypatch.setattr(os, "fsync", lambda handle: synced.append(os.readlink(f"/proc/self/fd/{handle}")))
     arrays.create_group(tmp_path / "g", {}).create_array("a", shape=(2,), dtype="f8")[:] = 1.0
-    for name in ("a", "a/c", "a/c/0"):
+    for name in ("a", "a/c"):
         assert str(tmp_path / "g" / name) in synced
+    named = str(tmp_path / "g" / "a" / "c" / "0.")  # the file has its data before it has its name
+    written = next(index for index, name in enumerate(synced) if name.startswith(named))
+    assert synced[written].endswith(".partial")
+    assert str(tmp_path / "g" / "a" / "c") in synced[written:]
 
 
 def test_manifest_says_what_the_store_is(tmp_path):
@@ -246,7 +250,7 @@ def test_a_disk_that_takes_nothing_is_one_sentence(tmp_path, monkeypatch, code, 
     async def refuse(self, key, value):
         raise OSError(code, os.strerror(code))
 
-    monkeypatch.setattr(arrays.LocalStore, "set", refuse)
+    monkeypatch.setattr(arrays.DurableStore, "set", refuse)
     with pytest.raises(UserError, match=words):
         new(tmp_path / "s")
     monkeypatch.undo()
@@ -256,7 +260,7 @@ def test_a_disk_that_takes_nothing_is_one_sentence(tmp_path, monkeypatch, code, 
 @pytest.mark.parametrize("where", ["data", "journal"])
 def test_a_disk_that_fills_up_loses_nothing(tmp_path, monkeypatch, where):
     written = []
-    put, record = arrays.LocalStore.set, journal.append
+    put, record = arrays.DurableStore.set, journal.append
 
     async def fill(self, key, value):
         written.append(key)
@@ -271,7 +275,7 @@ def test_a_disk_that_fills_up_loses_nothing(tmp_path, monkeypatch, where):
 
     new(tmp_path / "s")
     if where == "data":
-        monkeypatch.setattr(arrays.LocalStore, "set", fill)
+        monkeypatch.setattr(arrays.DurableStore, "set", fill)
     else:
         monkeypatch.setattr(journal, "append", fill_journal)
     with pytest.raises(UserError, match="is full"):

@@ -83,7 +83,7 @@ def test_instants_that_a_case_does_not_have_do_not_diverge(tmp_path):
 def test_a_disk_that_is_busy_for_a_while_is_waited_for(tmp_path, monkeypatch, times):
     monkeypatch.setattr(chunks, "_PAUSES_S", (0.0, 0.0, 0.0))
     failures = {"data": times, "journal": times}
-    put, record = arrays.LocalStore.set, journal.append
+    put, record = arrays.DurableStore.set, journal.append
 
     def fail(what):
         if failures[what]:
@@ -100,7 +100,7 @@ def test_a_disk_that_is_busy_for_a_while_is_waited_for(tmp_path, monkeypatch, ti
         record(folder, entry)
 
     create_store(tmp_path / "s", toy.TOY, toy.study(), 40, 10, "numpy", {})
-    monkeypatch.setattr(arrays.LocalStore, "set", busy)
+    monkeypatch.setattr(arrays.DurableStore, "set", busy)
     monkeypatch.setattr(journal, "append", busy_journal)
     if times > 3:
         with pytest.raises(OSError, match=r"[Ss]tale"):

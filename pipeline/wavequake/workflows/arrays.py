@@ -6,6 +6,8 @@ written.
 """
 
 import asyncio
+import os
+import uuid
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -47,13 +49,25 @@ class DurableStore(LocalStore):
 
     async def set(self, key: str, value: Buffer) -> None:
         """Write a file atomically and durably."""
-        await super().set(key, value)
+        self._check_writable()
         # In threads: a disk flushes many files in little more than the time of one.
-        await asyncio.to_thread(_flush, self.root / key)
+        await asyncio.to_thread(_put, self.root / key, value)
 
 
-def _flush(path: Path) -> None:
-    flush(path)
+def _put(path: Path, value: Buffer) -> None:
+    """Write a file that gets its name when it is whole and on the disk."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f"{path.name}.{uuid.uuid4().hex}.partial")
+    try:
+        with partial.open("wb", buffering=0) as file:
+            content = memoryview(value.as_buffer_like()).cast("B")
+            while content:
+                content = content[file.write(content) :]
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise
     flush(path.parent)
 
 
