@@ -117,9 +117,10 @@ def test_the_chooser_is_obeyed():
     assert fourier_2d(np.zeros((0, 8, 8), complex), device=OPENCL[0], engine="opencl").shape == (0, 8, 8)
 
 
-def test_stages_multiply_to_the_length():
+@pytest.mark.parametrize("width", [4, 8])
+def test_stages_multiply_to_the_length(width):
     for length in range(1, 400):
-        stages = radices(length)
+        stages = radices(length, width)
         rest = length
         for prime in (2, 3, 5):
             while rest % prime == 0:
@@ -128,8 +129,9 @@ def test_stages_multiply_to_the_length():
         if stages:
             assert np.prod(stages) == length
             assert len(stages) >= 2
-            assert stages[0] % row_lanes(length, 8) == 0
-            assert factors(length, False).size == factors(length, True).size
+            assert stages[0] % row_lanes(length, width) == 0
+            assert factors(length, False, width).size == factors(length, True, width).size
+            assert max(stages) <= max(width, 5)
 
 
 @pytest.mark.parametrize(

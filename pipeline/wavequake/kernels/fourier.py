@@ -45,6 +45,8 @@ def choose_fourier(shape: tuple[int, ...], dtype: DTypeLike, device: Device = NU
     lanes = row_lanes(columns, vector_width(device, _real(dtype)))
     if lanes < 4:
         return Choice("scipy", f"rows of {columns} leave {lanes} of the vectors' lanes busy")
+    if np.dtype(dtype) == np.complex64 and (rows & (rows - 1) or columns & (columns - 1)):
+        return Choice("scipy", f"in complex64 the kernels gain by powers of 2 only, not by {rows}x{columns}")
     if np.prod(shape) < _SMALL:
         return Choice("scipy", f"{'x'.join(map(str, shape))} numbers are too few for a launch")
     return Choice("opencl", f"{rows}x{columns} has factors 2, 3 and 5 and fills {lanes} lanes")
@@ -94,7 +96,7 @@ def _unable(shape: tuple[int, ...], dtype: np.dtype[Any], device: Device) -> str
     if device.kind == "numpy":
         return "the device is NumPy"
     for length in shape:
-        if not radices(length):
+        if not radices(length, 8):
             return f"{length} has a prime factor above 5"
     width = vector_width(device, _real(dtype))
     need = max(2 * dtype.itemsize * shape[1], 2 * dtype.itemsize * shape[0] * width)
@@ -109,7 +111,7 @@ def _opencl(values: NDArray[Any], inverse: bool, device: Device) -> Complex:
     images = values.reshape(-1, rows, columns)
     out = np.empty_like(images, order="C")
     width = vector_width(device, real)
-    lanes = row_lanes(columns, width)
+    lanes, native = row_lanes(columns, width), width
     while width > columns:
         width //= 2
     # Groups of columns that overlap may not write where others still read.
@@ -119,7 +121,7 @@ def _opencl(values: NDArray[Any], inverse: bool, device: Device) -> Complex:
     count, groups = len(images) * rows, -(-columns // width)
     steps = [
         Step(
-            kernel_source(columns, True),
+            kernel_source(columns, True, native),
             "transform",
             tuple((common | {"W": lanes, "N": columns, "OTHER": rows}).items()),
             (1, count, 1),
@@ -127,7 +129,7 @@ def _opencl(values: NDArray[Any], inverse: bool, device: Device) -> Complex:
             (np.int32(count), "in", "row_factors", real.type(1.0), inner),
         ),
         Step(
-            kernel_source(rows, False),
+            kernel_source(rows, False, native),
             "transform",
             tuple((common | {"W": width, "N": rows, "OTHER": columns}).items()),
             (1, groups, len(images)),
@@ -135,8 +137,8 @@ def _opencl(values: NDArray[Any], inverse: bool, device: Device) -> Complex:
             (np.int32(groups), inner, "column_factors", real.type(scale), "out"),
         ),
     ]
-    inputs = {"in": images.view(real), "row_factors": _factors(columns, True, real.name)}
-    inputs["column_factors"] = _factors(rows, False, real.name)
+    inputs = {"in": images.view(real), "row_factors": _factors(columns, True, native, real.name)}
+    inputs["column_factors"] = _factors(rows, False, native, real.name)
     scratch = {} if inner == "out" else {"rows": images.nbytes}
     if len(images):
         run_steps(device, steps, inputs, {"out": out.view(real)}, scratch)
@@ -144,8 +146,8 @@ def _opencl(values: NDArray[Any], inverse: bool, device: Device) -> Complex:
 
 
 @lru_cache(maxsize=32)
-def _factors(length: int, along_rows: bool, dtype: str) -> NDArray[Any]:
-    return np.append(factors(length, along_rows), 0.0).astype(dtype)
+def _factors(length: int, along_rows: bool, width: int, dtype: str) -> NDArray[Any]:
+    return np.append(factors(length, along_rows, width), 0.0).astype(dtype)
 
 
 def _real(dtype: DTypeLike) -> np.dtype[Any]:

@@ -8,8 +8,11 @@ from numpy.typing import NDArray
 from wavequake.kernels.program import source
 
 
-def radices(length: int) -> tuple[int, ...]:
-    """Return the radices of the stages, at least two of them; empty if there is a prime factor above 5."""
+def radices(length: int, width: int) -> tuple[int, ...]:
+    """Return the radices of the stages, at least two of them; empty if there is a prime factor above 5.
+
+    A stage of radix 8 needs more registers than processors have whose vectors hold 4 lanes.
+    """
     powers = {}
     rest = length
     for prime in (2, 3, 5):
@@ -19,31 +22,34 @@ def radices(length: int) -> tuple[int, ...]:
             powers[prime] += 1
     if rest != 1 or length < 1:
         return ()
-    eights, twos = divmod(powers[2], 3)
-    if twos == 1 and eights:  # 8 x 2 takes more than 4 x 4
-        eights, binary = eights - 1, [4, 4]
+    if width <= 4:
+        eights, binary = 0, [4] * (powers[2] // 2) + [2] * (powers[2] % 2)
     else:
-        binary = {0: [], 1: [2], 2: [4]}[twos]
+        eights, twos = divmod(powers[2], 3)
+        if twos == 1 and eights:  # 8 x 2 takes more than 4 x 4
+            eights, binary = eights - 1, [4, 4]
+        else:
+            binary = {0: [], 1: [2], 2: [4]}[twos]
     stages = [8] * eights + binary + [5] * powers[5] + [3] * powers[3]
     return tuple(stages + [1] * (2 - len(stages)))
 
 
 def row_lanes(length: int, width: int) -> int:
     """Return how many lanes the transform of a row can use: they must divide the first radix."""
-    first = radices(length)[0]
+    first = radices(length, width)[0]
     while first % width or length // first < width:
         width //= 2
     return width
 
 
-def factors(length: int, along_rows: bool) -> NDArray[np.float64]:
+def factors(length: int, along_rows: bool, width: int) -> NDArray[np.float64]:
     """Return what the stages multiply by, one after the other: exp(-2 pi i p r / n), r = 1.. below the radix.
 
     Stages have the shape (m, r, re and im), but the first along rows, whose lanes are values of p, has
     (r, re and im, m).
     """
     found, size = [], length
-    for number, radix in enumerate(radices(length)[:-1]):
+    for number, radix in enumerate(radices(length, width)[:-1]):
         steps = size // radix
         turns = np.outer(np.arange(steps), np.arange(1, radix)) % size / size
         waves = np.stack([np.cos(2.0 * np.pi * turns), -np.sin(2.0 * np.pi * turns)], axis=2)
@@ -53,12 +59,13 @@ def factors(length: int, along_rows: bool) -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=64)
-def kernel_source(length: int, along_rows: bool) -> str:
+def kernel_source(length: int, along_rows: bool, width: int) -> str:
     """Return the OpenCL C of a kernel ``transform`` of many rows or columns.
 
-    Its arguments are: how many (rows, or groups of columns), input, factors, scale, output.
+    ``width`` counts the lanes of the device's vectors. Its arguments are: how many (rows, or groups of
+    columns), input, factors, scale, output.
     """
-    stages = radices(length)
+    stages = radices(length, width)
     lines = [f"#define ROWS {int(along_rows)}", source("fourier.cl")]
     for radix in sorted(set(stages)):
         # Only rows' first stages need whole vectors of outputs.
