@@ -9,6 +9,7 @@ from wavequake.errors import UserError
 from wavequake.mechanics.model import RayleighDamping
 from wavequake.reduction.balanced import oscillators, position_gramian
 from wavequake.reduction.metrics import receptance
+from wavequake.reduction.names import Variant
 from wavequake.reduction.reduce import reduce
 from wavequake.reduction.structure import structure
 
@@ -105,6 +106,24 @@ def test_a_band_is_served_better_than_all_frequencies(lattice, exact):
         for name in ("bt18", "flbt18(0-100)")
     ]
     assert errors[1] < 0.1 * errors[0]
+
+
+def test_weights_move_accuracy_between_bands(lattice, exact):
+    """Two bands and one order: each band is served better where it weighs a million times the other."""
+    bands, favors = ((20.0, 110.0), (150.0, 240.0)), ((1e6, 1.0), (1.0, 1e6))
+    variants = [
+        Variant("fwbt", 20, bands=tuple((*band, weight) for band, weight in zip(bands, weights, strict=True)))
+        for weights in favors
+    ]
+    errors = np.zeros((2, 2))
+    for row, band in enumerate(bands):
+        frequencies = np.linspace(*band, 60)
+        wanted = exact(lattice, frequencies)
+        for column, variant in enumerate(variants):
+            found = receptance(reduce(lattice, variant), frequencies)
+            errors[row, column] = np.linalg.norm(found - wanted) / np.linalg.norm(wanted)
+    assert errors[0, 0] < 0.01 * errors[0, 1]
+    assert errors[1, 1] < 0.2 * errors[1, 0]
 
 
 @pytest.mark.parametrize("name", ["bt20", "flbt20(0-100)", "irka20", "pod20"])
