@@ -236,3 +236,11 @@ def test_strehl_of_a_deformed_parabola_is_what_its_phase_says():
     # Coma about the chief ray is 3 sqrt(8) rho^3 cos(theta), of which a plane takes 2/3.
     assert found.rms_flat[3] == pytest.approx(found.rms[3], rel=1e-4)
     assert found.rms_raw[3] == pytest.approx(3 * found.rms[3], rel=1e-2)
+
+
+def test_too_few_rays_for_the_terms_name_the_keys_of_a_lens():
+    x, y, weight = quadrature(0.0, 2, 4)
+    with pytest.raises(
+        UserError, match=r"8 rays do not determine 21 wavefront terms; raise optics\.rays, or"
+    ):
+        prepare_system(parabola(), x, y, weight, 21)

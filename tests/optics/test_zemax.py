@@ -9,24 +9,18 @@ from hypothesis import strategies as st
 from wavequake.errors import UserError
 from wavequake.kernels.sequence import Rays
 from wavequake.kernels.sequential_numpy import on_glass, trace_sequence_numpy
-from wavequake.optics.catalog import optical_system, system_names
 from wavequake.optics.kinematics import cardan
-from wavequake.optics.media import AIR, constant, glass, glasses, refractive_index
+from wavequake.optics.media import AIR, glass, refractive_index
 from wavequake.optics.packing import moving, opening_regions, pack
 from wavequake.optics.shapes import (
-    Conic,
-    EvenAsphere,
-    ExtendedPolynomial,
-    GridSag,
     Opening,
-    ZernikeDeformation,
     ZernikeSag,
 )
-from wavequake.optics.system import OpticalSystem, Pupil, Surface, require_system
+from wavequake.optics.system import Pupil, require_system
 from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.zemax_export import write_zmx, zmx_text
+from wavequake.optics.zemax_export import zmx_text
 from wavequake.optics.zemax_import import parse_zmx, read_zmx
-from wavequake.optics.zemax_surfaces import cardan_angles, spider
+from wavequake.optics.zemax_surfaces import cardan_angles
 from wavequake.optics.zernike import annular_zernike
 
 COOKE = Path(__file__).parents[1] / "data" / "cooke_triplet.zmx"
@@ -253,148 +247,6 @@ def test_spider_arms_reach_outwards_at_equal_angles():
         for x, y in [(5, 0.9), (5, 1.1), (-5, 0.0), (-2.5, 4.33), (-2.5, -4.33), (0.0, 5.0)]
     ]
     assert blocked == [True, False, False, True, True, False]
-
-
-numbers = st.floats(-10, 10).map(lambda value: round(value, 6))
-lengths = st.floats(0.5, 1e5)
-radii = st.one_of(st.just(np.inf), lengths, lengths.map(lambda value: -value))
-coefficients = st.lists(st.floats(-1e-3, 1e-3), max_size=8).map(tuple)
-shapes = st.one_of(
-    st.builds(Conic, radii, numbers),
-    st.builds(EvenAsphere, radii, numbers, coefficients),
-    st.builds(ExtendedPolynomial, radii, numbers, coefficients, lengths),
-    st.builds(ZernikeSag, radii, numbers, coefficients, lengths),
-)
-openings = st.one_of(
-    st.none(),
-    st.builds(Opening, outer=st.floats(2, 50)),
-    st.builds(Opening, outer=st.floats(2, 50), inner=st.floats(0.1, 1)),
-    st.builds(Opening, inner=st.floats(0.1, 1)),
-    st.tuples(st.floats(0.1, 2), st.integers(1, 6)).map(lambda a: Opening(arms=spider(*a))),
-    lengths.map(lambda a: Opening(corners=((-a, -2 * a), (a, -2 * a), (a, 2 * a), (-a, 2 * a)))),
-)
-media = st.one_of(st.sampled_from(sorted(glasses())).map(glass), st.floats(1.1, 4.0).map(constant))
-
-
-@st.composite
-def systems(draw):
-    count = draw(st.integers(1, 5))
-    before, z, surfaces = AIR, 0.0, []
-    for index in range(count + 1):
-        image = index == count
-        action = "pass" if image else draw(st.sampled_from(["reflect", "refract", "pass"]))
-        # A file cannot tell a surface between equal media from one that does nothing.
-        after = draw(media.filter(lambda one, old=before: one != old)) if action == "refract" else AIR
-        before = after if action == "refract" else before
-        tilt = draw(st.one_of(st.just((0.0, 0.0, 0.0)), st.tuples(*[st.floats(-1.5, 1.5)] * 3)))
-        shift = draw(st.one_of(st.just((0.0, 0.0)), st.tuples(numbers, numbers)))
-        surfaces.append(
-            Surface(
-                f"part {index}",
-                draw(shapes),
-                np.array([*shift, z]),
-                cardan(np.array(tilt)),
-                action,
-                after,
-                draw(openings),
-            )
-        )
-        z += draw(st.floats(-100, 100))
-    infinite = draw(st.booleans())
-    kinds = ["entrance_diameter", "stop", "f_number"] if infinite else ["stop", "object_na", "f_number"]
-    pairs = st.lists(st.tuples(numbers, numbers), min_size=1, max_size=4)
-    waves = draw(st.lists(st.floats(400e-6, 1000e-6), min_size=1, max_size=4))
-    return OpticalSystem(
-        name="a random system",
-        surfaces=tuple(surfaces),
-        stop=draw(st.integers(0, count - 1)),
-        pupil=Pupil(draw(st.sampled_from(kinds)), draw(st.floats(0.01, 0.9))),
-        object_distance=np.inf if infinite else draw(lengths),
-        fields=np.array(draw(pairs)) * (0.01 if infinite else 1.0),
-        wavelengths=np.array(waves),
-        primary_wavelength=draw(st.integers(0, len(waves) - 1)),
-        telecentric=not infinite and draw(st.booleans()),
-        medium=draw(st.one_of(st.just(AIR), media)) if surfaces[0].action == "reflect" else AIR,
-    )
-
-
-def same_shape(one, other):
-    """Radii pass through curvatures, which costs the last bit; all other numbers come back as they are."""
-    close = one.radius == other.radius or abs(one.radius / other.radius - 1) < 1e-15
-    return close and replace(one, radius=1.0) == replace(other, radius=1.0)
-
-
-@settings(max_examples=60, deadline=None)
-@given(systems())
-def test_what_is_written_is_read_back(system):
-    again = parse_zmx(zmx_text(system), "lens.zmx")
-    for ours, theirs in zip(system.surfaces, again.surfaces, strict=True):
-        assert same_shape(ours.shape, theirs.shape)
-        np.testing.assert_allclose(theirs.position, ours.position, rtol=1e-12, atol=1e-11)
-        np.testing.assert_allclose(theirs.rotation, ours.rotation, atol=1e-14)
-        # The opening of the stop loses nothing to the beam's radius.
-        for name in ("name", "action", "medium", "opening", "deformation"):
-            assert getattr(theirs, name) == getattr(ours, name)
-    np.testing.assert_allclose(again.fields, system.fields, rtol=1e-15)
-    np.testing.assert_array_equal(again.wavelengths, system.wavelengths)
-    for name in ("name", "stop", "pupil", "object_distance", "primary_wavelength", "telecentric", "medium"):
-        assert getattr(again, name) == getattr(system, name)
-
-
-def test_a_written_file_is_read_back(tmp_path):
-    path = write_zmx(read_zmx(COOKE), tmp_path / "copy.zmx")
-    assert path.read_bytes()[:2] in (b"\xff\xfe", b"\xfe\xff")
-    assert zmx_text(read_zmx(path)) == zmx_text(read_zmx(COOKE))
-    assert [entry.name for entry in tmp_path.iterdir()] == ["copy.zmx"]
-    with pytest.raises(UserError, match="cannot be written"):
-        write_zmx(read_zmx(COOKE), tmp_path / "missing" / "copy.zmx")
-
-
-def simple(**changes):
-    first = replace(Surface("first", Conic(100.0)), **changes)
-    return OpticalSystem("simple", (first, Surface("image")), 0, Pupil("entrance_diameter", 10.0))
-
-
-@pytest.mark.parametrize(
-    ("system", "match"),
-    [
-        (
-            simple(shape=GridSag(np.inf, 0.0, np.zeros((4, 4)), 1.0, 1.0)),
-            "first of simple has heights on a grid",
-        ),
-        (simple(shape=EvenAsphere(np.inf, 0.0, (0.0,) * 9)), "more than 8 terms"),
-        (simple(shape=ZernikeSag(np.inf, 0.0, (0.0,), 1.0, 0.3)), "annular Zernike"),
-        (simple(deformation=ZernikeDeformation(5, 10.0)), "a deformation"),
-        (simple(opening=Opening(outer=5.0, arms=((0.0, 0.1),))), "spider alone"),
-        (simple(opening=Opening(corners=((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))), "no circle"),
-        (simple(name="two\nlines"), "one line"),
-        (simple(shape=Conic(np.nan)), "finite numbers only"),
-        (simple(action="refract", medium=replace(glass("F2"), name="mine")), "no glass of the catalogue"),
-        (replace(simple(), pupil=Pupil("entrance_diameter", 10.0, 0.2)), "pupil obscured to 0.2"),
-        (replace(simple(), pupil=Pupil("image_na", 0.2)), "given by image_na"),
-        (replace(simple(), fields=np.zeros((13, 2))), "13 fields"),
-    ],
-)
-def test_what_the_format_cannot_hold_is_refused_by_name(system, match):
-    with pytest.raises(UserError, match=match):
-        zmx_text(system)
-
-
-@pytest.mark.parametrize("name", system_names())
-def test_bundled_systems_are_written_or_refused_by_name(name):
-    """Their deformations and obscured pupils are no part of a lens file; the rest comes back."""
-    system = optical_system(name)
-    still = tuple(replace(surface, deformation=None) for surface in system.surfaces)
-    system = replace(system, surfaces=still, pupil=replace(system.pupil, obscuration=0.0))
-    if system.pupil.kind == "image_na":
-        system = replace(system, pupil=Pupil("f_number", 1.0))
-    again = parse_zmx(zmx_text(system), "lens.zmx")
-    shift = np.array([0.0, 0.0, system.surfaces[0].position[2]])
-    for ours, theirs in zip(system.surfaces, again.surfaces, strict=True):
-        np.testing.assert_allclose(theirs.position, ours.position - shift, rtol=1e-12, atol=1e-9)
-        np.testing.assert_allclose(theirs.rotation, ours.rotation, atol=1e-14)
-        assert same_shape(ours.shape, theirs.shape)
-        assert (theirs.action, theirs.medium, theirs.opening) == (ours.action, ours.medium, ours.opening)
 
 
 TOKENS = ["", "0", "-1", "1e300", "1e400", "nan", "x", "INFINITY", "MIRROR", "___BLANK 1 0 1.5", "3.5", "é"]

@@ -36,8 +36,12 @@ class Fit:
     normal: Array
 
 
-def weighted_fit(basis: Array, weight: Array) -> Fit:
-    """Return the fit of `basis` (N, J) with positive weights (N,).
+MORE_RAYS = "raise optics.rays"
+MORE_SEGMENT_RAYS = "raise optics.rays_per_segment (or, for a sunflower, optics.rays)"
+
+
+def weighted_fit(basis: Array, weight: Array, remedy: str = MORE_RAYS) -> Fit:
+    """Return the fit of `basis` (N, J) with positive weights (N,); `remedy` says how there are more rays.
 
     Raises
     ------
@@ -53,8 +57,7 @@ def weighted_fit(basis: Array, weight: Array) -> Fit:
             normal = basis.T @ (weight[:, None] * basis)
             return Fit(basis, weight, np.linalg.solve(r, (root * q).T), normal)
     raise UserError(
-        f"{rays} rays on glass do not determine {terms} wavefront terms; raise optics.rays_per_segment (or, "
-        "for a sunflower, optics.rays), or lower wavefront.zernike_terms."
+        f"{rays} rays do not determine {terms} wavefront terms; {remedy}, or lower wavefront.zernike_terms."
     )
 
 

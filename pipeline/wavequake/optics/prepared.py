@@ -14,7 +14,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import Device
 from wavequake.kernels.segmented import SegmentedTrain, Traced, trace_chief, trace_segmented
 from wavequake.kernels.tiles import TILE
-from wavequake.optics.fits import Fit, segment_planes, weighted_fit, well_determined
+from wavequake.optics.fits import MORE_SEGMENT_RAYS, Fit, segment_planes, weighted_fit, well_determined
 from wavequake.optics.kinematics import field_directions, segment_poses, surface_poses
 from wavequake.optics.pupils import PupilRays
 from wavequake.optics.segmented_telescope import SegmentedTelescope, first_order, footprints
@@ -149,8 +149,10 @@ def prepare(
         candidates=candidates(system.segments, rays.x, rays.y, margin),
         margin=margin,
         weight=weight,
-        zernike=well_determined(weighted_fit(annular_zernike(x, y, terms, obscuration), weight)),
-        plane=weighted_fit(np.stack([np.ones_like(x), x, y], axis=1), weight),
+        zernike=well_determined(
+            weighted_fit(annular_zernike(x, y, terms, obscuration), weight, MORE_SEGMENT_RAYS)
+        ),
+        plane=weighted_fit(np.stack([np.ones_like(x), x, y], axis=1), weight, MORE_SEGMENT_RAYS),
         segment_fit=csr_matrix((rows.ravel(), places), shape=(3 * len(system.segments), len(x))),
         figure_matrix=circular_zernike_xy(degree, figure_terms) / -system.segments.axes[:, 2, 2, None, None],
         mirror_matrix=circular_zernike_xy(mirror_degree, mirror_terms),

@@ -28,7 +28,7 @@ from wavequake.kernels.devices import NUMPY
 from wavequake.kernels.segmented import Traced, trace_segmented
 from wavequake.kernels.tiles import TILE
 from wavequake.kernels.train import OK
-from wavequake.optics.fits import Fit, refit, weighted_fit
+from wavequake.optics.fits import MORE_SEGMENT_RAYS, Fit, refit, weighted_fit
 from wavequake.optics.kinematics import cardan, field_directions, surface_poses
 from wavequake.optics.prepared import PreparedTrace, chief_rays
 from wavequake.optics.segmented_telescope import surface_transforms
@@ -86,7 +86,9 @@ def slope_fit(
     )
     slopes = np.stack(gradient, axis=1)[:, :, 1:] / outer  # (N, 2, J - 1), per mm of pupil
     offsets = np.linalg.solve(derivatives, slopes) * (-prepared.wavelength * distance[:, None, None])
-    return weighted_fit(np.concatenate([offsets[:, 0], offsets[:, 1]]), np.tile(prepared.weight, 2))
+    return weighted_fit(
+        np.concatenate([offsets[:, 0], offsets[:, 1]]), np.tile(prepared.weight, 2), MORE_SEGMENT_RAYS
+    )
 
 
 def sphere_points(prepared: PreparedTrace, states: SurfaceStates) -> tuple[Array, Array, Array]:

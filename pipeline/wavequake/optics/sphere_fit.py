@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.kernels.tiles import TILE
-from wavequake.optics.fits import Fit, weighted_fit
+from wavequake.optics.fits import MORE_SEGMENT_RAYS, Fit, weighted_fit
 from wavequake.optics.prepared import PreparedTrace
 from wavequake.optics.slopes import sphere_points
 from wavequake.optics.states import rest
@@ -140,4 +140,4 @@ def reference_fit(prepared: PreparedTrace, field: tuple[float, float] = (0.0, 0.
     focus = np.sum(normal**2, axis=1)
     along = focus / (1.0 + np.sqrt(1.0 - prepared.numerical_aperture**2 * focus))
     columns = [np.ones(len(points)), normal[:, 0], normal[:, 1], along]
-    return weighted_fit(np.stack(columns, axis=1), prepared.weight)
+    return weighted_fit(np.stack(columns, axis=1), prepared.weight, MORE_SEGMENT_RAYS)

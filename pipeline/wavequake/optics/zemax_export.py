@@ -1,13 +1,15 @@
 """Write optical systems to Zemax's sequential lens files (.zmx).
 
 The system's z axis becomes the file's axis; a surface that is shifted or tilted stands between two coordinate
-breaks, the second of which undoes the first. What the format cannot hold is refused by name.
+breaks, the second of which undoes the first. An obscured pupil becomes a dark center of the stop, a numerical
+aperture in the image its f-number. What the format cannot hold is refused by name.
 """
 
 import math
 import os
 import uuid
 from collections.abc import Sequence
+from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
 
@@ -16,6 +18,7 @@ import numpy as np
 from wavequake.errors import UserError
 from wavequake.optics.gradient_index import GradientIndex
 from wavequake.optics.media import AIR, Medium, glasses
+from wavequake.optics.paraxial import paraxial
 from wavequake.optics.shapes import Conic, EvenAsphere, ExtendedPolynomial, Opening, ZernikeSag
 from wavequake.optics.system import OpticalSystem, Surface
 from wavequake.optics.zemax_import import MODEL_GLASS
@@ -81,23 +84,14 @@ def _require_one_line(name: str, what: str) -> None:
 
 def _pupil(system: OpticalSystem) -> list[str]:
     pupil = system.pupil
-    if pupil.obscuration:
-        raise UserError(
-            f"{system.name} has a pupil obscured to {pupil.obscuration:g} of its radius, which a lens file "
-            "cannot hold; give a surface an annular opening instead."
-        )
     if pupil.kind == "entrance_diameter":
         return [f"ENPD {_number(pupil.value)}"]
     if pupil.kind == "object_na":
         return [f"OBNA {_number(pupil.value)} 0"]
-    if pupil.kind == "f_number":
-        return [f"FNUM {_number(pupil.value)} 1"]
     if pupil.kind == "stop":
         return ["FLOA"]
-    raise UserError(
-        f"{system.name} has a pupil given by {pupil.kind}, which a lens file cannot hold; give "
-        "the f-number instead."
-    )
+    f_number = 0.5 / pupil.value if pupil.kind == "image_na" else pupil.value
+    return [f"FNUM {_number(f_number)} 1"]
 
 
 def _fields(system: OpticalSystem) -> list[str]:
@@ -175,9 +169,12 @@ def _surface(system: OpticalSystem, index: int, medium: Medium | GradientIndex) 
         else _glass(medium, surface.name)
     )
     semi_diameter = math.inf
-    if surface.opening is not None:
-        lines += _opening(surface.opening, surface.name)
-        semi_diameter = surface.opening.outer
+    opening = surface.opening
+    if index == system.stop and system.pupil.obscuration:
+        opening = _obscured(system, opening or Opening())
+    if opening is not None:
+        lines += _opening(opening, surface.name)
+        semi_diameter = opening.outer
     if index == system.stop:
         lines.append("STOP")
         if system.pupil.kind == "stop":
@@ -185,6 +182,12 @@ def _surface(system: OpticalSystem, index: int, medium: Medium | GradientIndex) 
     if math.isfinite(semi_diameter):
         lines.append(f"DIAM {_number(semi_diameter)} 1 0 0 1")
     return lines
+
+
+def _obscured(system: OpticalSystem, opening: Opening) -> Opening:
+    """Return the stop's opening with a center as dark as that of the pupil, which the format has not."""
+    dark = system.pupil.obscuration * paraxial(system).stop_radius
+    return replace(opening, inner=max(dark, opening.inner))
 
 
 def _shape(surface: Surface, system: str) -> list[str]:
