@@ -122,8 +122,8 @@ def run(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Run a study, or what of it is not done yet, and write its report. Safe to repeat and to interrupt."""
+    from wavequake.workflows.campaign import notices, run_study
     from wavequake.workflows.campaign import profile as profile_of
-    from wavequake.workflows.campaign import run_study
     from wavequake.workflows.driver_lock import shard_of
     from wavequake.workflows.study import load_study
 
@@ -131,6 +131,8 @@ def run(
     loaded = load_study(study, overrides or [])
     path = store or Path(loaded.store.path or loaded.default_store())
     out.print(f"{loaded.study.name}  {loaded.cases} cases  ->  {path}", markup=False, soft_wrap=True)
+    for line in notices(loaded):
+        out.print(line, markup=False, soft_wrap=True)
     with live_progress() as progress:
         summary = run_study(
             loaded,

@@ -2,7 +2,7 @@
 
 import resource
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -226,7 +226,9 @@ def plan(study: Study) -> dict[str, str]:
         if pilot == whole or (each * pilot > _PILOT_S and each * whole > _WHOLE_S):
             break
         pilot = whole if each * whole < _WHOLE_S else min(whole, 8 * pilot)
+    note = "\n".join(notices(study))
     return {
+        **({"note": note} if note else {}),
         "study": f"{study.study.name} ({study.identity()[:12]})",
         "cases": f"{cases} in {-(-cases // chunk)} chunks of {chunk}",
         "device": f"{device.name} ({device.kind})",
@@ -237,6 +239,11 @@ def plan(study: Study) -> dict[str, str]:
         "estimate": f"{cases * each:.0f} s of one process",
         **workflow.describe(text),
     }
+
+
+def notices(study: Study) -> Iterator[str]:
+    """Yield what the user should read before a run, such as size, mass and doubtful units of a model."""
+    return workflow_of(study).notices(study.identity_text())
 
 
 def _chunk_advice(cases: int, chunk: int, each: float) -> str:

@@ -1,6 +1,6 @@
 """What the engine asks of a workflow: a few functions and three small records."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -58,6 +58,11 @@ def no_work(study: str, cases: int) -> dict[str, tuple[float, str]]:
     return {}
 
 
+def no_notices(study: str) -> Iterator[str]:
+    """Have nothing to say."""
+    return iter(())
+
+
 def no_check(study: str) -> None:
     """Find nothing wrong."""
 
@@ -73,7 +78,8 @@ class Workflow:
     for a known reason in ``status``; an exception means that the engine tries the chunk's cases one by one; a
     UserError ends the run. ``describe`` adds lines to the plan; ``work(study, cases)`` says how much of what
     a kind of work in the timings has processed, e.g. {"trace": (1e9, "ray-surfaces")}; ``check`` raises
-    UserError for a study that no case of can succeed, before a store is made.
+    UserError for a study that no case of can succeed, before a store is made; ``notices`` yields what the
+    user should read before, such as doubtful units.
     """
 
     name: str
@@ -83,3 +89,4 @@ class Workflow:
     describe: Callable[[str], dict[str, str]] = no_description
     work: Callable[[str, int], dict[str, tuple[float, str]]] = no_work
     check: Callable[[str], None] = no_check
+    notices: Callable[[str], Iterator[str]] = no_notices

@@ -1,7 +1,7 @@
 """What a mirror study prepares once per process: models, optical maps, reference responses, pupil."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -22,9 +22,16 @@ from wavequake.reduction.intermediate import Intermediate, intermediate
 from wavequake.reduction.metrics import eps_mor, full_receptance, receptance
 from wavequake.reduction.names import parse
 from wavequake.reduction.two_stage import covers, reduce_variants, reference
+from wavequake.workflows.imported_facts import facts, frequencies
 from wavequake.workflows.mirror_optics import Optics, optical_rows, optics_of
 from wavequake.workflows.mirror_study import FULL, AnyMirrorStudy, MirrorStudy, TraceStudy
-from wavequake.workflows.model_store import digest, kept_arrays, kept_intermediate, kept_model
+from wavequake.workflows.model_store import (
+    digest,
+    kept_arrays,
+    kept_intermediate,
+    kept_model,
+    kept_notes,
+)
 from wavequake.workflows.schema import study_from_identity
 
 Array = NDArray[np.float64]
@@ -98,9 +105,33 @@ def bench_of(text: str, name: str) -> Bench:
     """Prepare one model of a study; one BLAS thread, so that its bits are the same in every process."""
     with threadpool_limits(1):
         study = any_study_of(text)
-        full = lru_cache(maxsize=1)(lambda: build_model(study, name))
-        stage = _stage(study, name, full)
+        stage, full = stage_of(text, name)
         return Bench(name, stage, full, optics_of(study, name, stage))
+
+
+@lru_cache(maxsize=4)
+def stage_of(text: str, name: str) -> tuple[Intermediate, Callable[[], FiniteElementModel]]:
+    """Return the intermediate model, and what builds the full one; one BLAS thread, as `bench_of`."""
+    with threadpool_limits(1):
+        study = any_study_of(text)
+        full = lru_cache(maxsize=1)(lambda: build_model(study, name))
+        return _stage(study, name, full), full
+
+
+def import_notices(text: str) -> Iterator[str]:
+    """Yield what the user should check of an imported model, the cheap facts first."""
+    section = any_study_of(text).model
+    if section.content is not None:
+        model, notes = kept_model(section.content), kept_notes(section.content)
+        yield from facts(model, section.units or "", notes)
+        yield f"imported model: {frequencies(stage_of(text, 'file')[0])}"
+
+
+def import_record(text: str) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]]:
+    """Return the same as a coordinate of a store; nothing for a built-in model."""
+    found = np.array(list(import_notices(text)), dtype=object)
+    words = {"long_name": "what to check of the imported model"}
+    return {"import_notice": (("import_notice",), found, words)} if len(found) else {}
 
 
 @lru_cache(maxsize=4)

@@ -23,6 +23,8 @@ from wavequake.workflows.mirror_bench import (
     bench_of,
     frequencies_of,
     image_of,
+    import_notices,
+    import_record,
     spot_check,
     study_of,
     time_of,
@@ -178,7 +180,7 @@ def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.g
 def template(study_text: str) -> Template:
     """Return what a store of this study holds."""
     study = study_of(study_text)
-    return Template(variables(study), _fixed(study))
+    return Template(variables(study), _fixed(study) | import_record(study_text))
 
 
 def variables(study: MirrorStudy) -> dict[str, Variable]:
@@ -293,4 +295,6 @@ def check(study_text: str) -> None:
         answers_of(study_text, name)
 
 
-WORKFLOW = Workflow("mirror-mor", template, case_table, compute, describe, check=check)
+WORKFLOW = Workflow(
+    "mirror-mor", template, case_table, compute, describe, check=check, notices=import_notices
+)

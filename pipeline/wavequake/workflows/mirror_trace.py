@@ -26,8 +26,17 @@ from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.system_wavefront import line_of_sight, trace_system, zernike_fit
 from wavequake.reduction.metrics import pseudo_frequencies
 from wavequake.reduction.names import parse
+from wavequake.reduction.two_stage import check_variants
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
-from wavequake.workflows.mirror_bench import Bench, bench_of, time_of, trace_study_of, variant_of
+from wavequake.workflows.mirror_bench import (
+    Bench,
+    bench_of,
+    import_notices,
+    import_record,
+    time_of,
+    trace_study_of,
+    variant_of,
+)
 from wavequake.workflows.mirror_optics import NM_PER_MM, Optics, displacements_mm, with_deformation
 from wavequake.workflows.mirror_residual import (
     Residual,
@@ -359,6 +368,7 @@ def template(study_text: str) -> Template:
             "excitation": (("excitation",), np.array(names, dtype=object), {"long_name": "excitation"}),
             "axis": (("axis",), np.array(["x", "y"], dtype=object), {"long_name": "axis of the image plane"}),
             "stage": (("stage",), np.array(STAGES, dtype=object), {"long_name": "stage of the computation"}),
+            **import_record(study_text),
         },
     )
 
@@ -380,9 +390,13 @@ def check(study_text: str) -> None:
     """Raise UserError for a study that no variant of can succeed: model, excitations or optics do not fit."""
     study = trace_study_of(study_text)
     for name in study.models:
-        interfaces = len(bench_of(study_text, name).stage.interfaces)
+        stage = bench_of(study_text, name).stage
+        check_variants(stage, study.reduction.variants)
+        interfaces = len(stage.interfaces)
         for excitation in study.excitation:
             drive_of(excitation, interfaces, time_of(study), study.study.seed)
 
 
-WORKFLOW = Workflow("mirror-trace", template, case_table, compute, describe, check=check)
+WORKFLOW = Workflow(
+    "mirror-trace", template, case_table, compute, describe, check=check, notices=import_notices
+)

@@ -31,6 +31,7 @@ Kind = TypeVar("Kind", FiniteElementModel, Intermediate)
 
 # Part of every hash: raise it when what an imported model is made of changes.
 _VERSION = 2
+_NOTES = "import_notes"
 _SPARSE = ("data", "indices", "indptr", "shape")
 
 
@@ -78,15 +79,16 @@ def keep_imported(keys: Mapping[str, Any], base: Path) -> str:
         where = ".".join(("model", *map(str, first["loc"])))
         reason = "is missing" if first["type"] == "missing" else first["msg"]
         raise UserError(f"{where}: {reason[0].lower()}{reason[1:]}.") from None
-    model = load_model(section, base).model
-    check_model(model)
-    packed = _packed(model)
+    imported = load_model(section, base)
+    check_model(imported.model)
+    packed = _packed(imported.model)
     contents = hashlib.sha256()
     for key in sorted(packed.keys() - {"name"}):  # a renamed file is the same model
         contents.update(key.encode() + np.ascontiguousarray(packed[key]).tobytes())
     name = digest({"contents": contents.hexdigest()})
-    if _read(name) is None:
-        _write(name, packed)
+    kept = _read(name)
+    if kept is None or _NOTES not in kept:
+        _write(name, packed | {_NOTES: np.array(imported.notes, dtype=np.str_)})
     return name
 
 
@@ -105,6 +107,11 @@ def kept_model(name: str) -> FiniteElementModel:
             "on this machine, or copy that folder."
         )
     return _unpacked(FiniteElementModel, found)
+
+
+def kept_notes(name: str) -> tuple[str, ...]:
+    """Return what the import did to a model that its author may want to know."""
+    return tuple(map(str, (_read(name) or {}).get(_NOTES, ())))
 
 
 def _packed(model: FiniteElementModel | Intermediate) -> Arrays:
