@@ -1,6 +1,7 @@
 """`wavequake firmware`: build, test and flash the boards of the lens experiment."""
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,8 +12,10 @@ from wavequake.terminal import out
 
 if TYPE_CHECKING:
     from wavequake.control.bench import Bench
-    from wavequake.control.experiment import Designs
+    from wavequake.control.linear import Array
+    from wavequake.control.regulator import ModalRegulator
     from wavequake.control.sensor import SensorChain
+    from wavequake.control.stage import Stage
 
 app = typer.Typer(help="Build, test and flash the boards of the lens experiment.", no_args_is_help=True)
 
@@ -22,11 +25,28 @@ OverridesArgument = Annotated[
 ]
 FolderOption = Annotated[Path, typer.Option("--to", help="Folder of headers and images.")]
 ArithmeticOption = Annotated[str, typer.Option(help="float, q31 or q16.")]
+ControllerOption = Annotated[
+    str,
+    typer.Option(help="nominal, or identified: from an uncontrolled run of a plant that the study draws."),
+]
+PlantOption = Annotated[int, typer.Option(min=0, help="Which plant is identified: its realization.")]
 DebugOption = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 
 
-def _designed(study: str, overrides: list[str] | None) -> "tuple[Bench, Designs, SensorChain, float]":
-    from wavequake.control.experiment import design
+@dataclass(frozen=True)
+class Designed:
+    """A regulator, and what it is tried on: a drawn plant, or the nominal bench and stage."""
+
+    regulator: "ModalRegulator"
+    bench: "Bench"
+    stage: "Stage"
+    chain: "SensorChain"
+    friction: float
+    strength: float = 1.0
+    phases: "Array | None" = None
+
+
+def _designed(study: str, overrides: list[str] | None, controller: str, plant: int) -> Designed:
     from wavequake.errors import UserError
     from wavequake.workflows import lens_experiment as lens
     from wavequake.workflows.lens_study import LensStudy
@@ -38,9 +58,16 @@ def _designed(study: str, overrides: list[str] | None) -> "tuple[Bench, Designs,
             f"The study {study!r} is of the workflow {loaded.study.workflow}; firmware is made from one of "
             "lens-experiment."
         )
-    bench = lens.bench_of(loaded, loaded.bench.springs[0])
-    designs = design(bench, lens.stage_of(loaded), lens.settings_of(loaded))
-    return bench, designs, lens.chain_of(loaded), lens.errors_of(loaded).friction
+    if controller not in ("nominal", "identified"):
+        raise UserError(f"There is no controller {controller!r}; there are nominal and identified.")
+    springs = loaded.bench.springs[0]
+    chain, friction = lens.chain_of(loaded), lens.errors_of(loaded).friction
+    if controller == "identified":
+        drawn, regulator = lens.tuned_plant(loaded, springs, plant)
+        strength = drawn.blows[1]
+        return Designed(regulator, drawn.bench, drawn.stage, chain, friction, strength, drawn.phases)
+    designs = lens.designs_of(loaded.identity_text(), springs)
+    return Designed(designs.regulator, lens.bench_of(loaded, springs), designs.stage, chain, friction)
 
 
 @app.command()
@@ -48,9 +75,12 @@ def build(
     study: StudyArgument = "lens-experiment",
     overrides: OverridesArgument = None,
     boards: Annotated[
-        str, typer.Option(help="Comma-separated: due, uno, qemu, host; or none, for the header alone.")
+        str,
+        typer.Option(help="Comma-separated: due, uno, qemu, simavr, host; or none: the header alone."),
     ] = "due",
     arithmetic: ArithmeticOption = "q31",
+    controller: ControllerOption = "nominal",
+    plant: PlantOption = 0,
     to: FolderOption = Path("firmware-build"),
     debug: DebugOption = False,
 ) -> None:
@@ -59,8 +89,8 @@ def build(
     from wavequake.firmware.build import write_header
     from wavequake.firmware.gains import gains_of
 
-    _, designs, chain, _ = _designed(study, overrides)
-    gains = gains_of(designs.regulator, chain, arithmetic)
+    designed = _designed(study, overrides, controller, plant)
+    gains = gains_of(designed.regulator, designed.chain, arithmetic)
     if boards == "none":
         place = (write_header(gains, to) / "wq_gains.h").resolve()
         out.print(f"Written: {place} (gains {gains.digest})", markup=False, soft_wrap=True)
@@ -78,20 +108,33 @@ def build(
 def try_images(
     study: StudyArgument = "lens-experiment",
     overrides: OverridesArgument = None,
+    controller: ControllerOption = "nominal",
+    plant: PlantOption = 0,
     to: FolderOption = Path("firmware-build"),
     debug: DebugOption = False,
 ) -> None:
     """Run the images in emulators on a simulated blow (exit code 4 if one differs from the host)."""
-    from wavequake.firmware.trial import CYCLES_PER_INSTRUCTION, trials
+    from wavequake.firmware import trial
+    from wavequake.firmware.loop import blow
 
-    bench, designs, chain, friction = _designed(study, overrides)
-    found = list(trials(bench, designs.stage, designs.regulator, chain, to, friction))
+    designed = _designed(study, overrides, controller, plant)
+    regulator = designed.regulator
+    hit = blow(
+        designed.bench,
+        designed.chain,
+        regulator.sample_time,
+        duration=trial.DURATION,
+        friction=designed.friction,
+        strength=designed.strength,
+        phases=designed.phases,
+    )
+    found = list(trial.trials(hit, designed.stage, regulator, designed.chain, to))
     table = Table(box=None)
     table.add_column("image", style="bold")
     for column in (
         "flash (B)",
         "instructions",
-        "time at 84 MHz (ms)",
+        "time (ms)",
         "range left (%)",
         "deviation left (%)",
     ):
@@ -110,10 +153,10 @@ def try_images(
         )
     out.print(table)
     out.print(
-        "Instructions are the most in a step. Times assume "
-        f"{CYCLES_PER_INSTRUCTION:g} cycles per instruction; a step may take "
-        f"{1e3 * designs.regulator.sample_time:g} ms. Ranges, and deviations after 1 s, in % of those "
-        "without control.",
+        "Instructions are the most in a step. Times are those of the longest step: on the Due at 84 MHz if "
+        f"instructions take {trial.CYCLES_PER_INSTRUCTION:g} cycles, on the Uno's processor (in simavr) at "
+        "16 MHz by cycles that were counted, of the decoder per edge. A step may take "
+        f"{1e3 * regulator.sample_time:g} ms. Ranges, and deviations after 1 s, in % of those uncontrolled.",
         markup=False,
     )
     for reason in dict.fromkeys(one.skipped for one in found if one.skipped):
@@ -128,6 +171,8 @@ def flash(
     study: StudyArgument = "lens-experiment",
     overrides: OverridesArgument = None,
     arithmetic: ArithmeticOption = "q31",
+    controller: ControllerOption = "nominal",
+    plant: PlantOption = 0,
     to: FolderOption = Path("firmware-build"),
     debug: DebugOption = False,
 ) -> None:
@@ -139,8 +184,8 @@ def flash(
     chosen = board_of(board)
     if not chosen.flash:
         raise UserError(f"The board {board!r} is no hardware; boards that can be flashed: due, uno.")
-    _, designs, chain, _ = _designed(study, overrides)
-    gains = gains_of(designs.regulator, chain, arithmetic)
+    designed = _designed(study, overrides, controller, plant)
+    gains = gains_of(designed.regulator, designed.chain, arithmetic)
     image = to / f"{board}-{arithmetic}{chosen.suffix}"
     check_hash(image, gains)
     out.print(f"{image} carries the gains {gains.digest} of this design. To flash it:", markup=False)

@@ -1,13 +1,19 @@
 """`wavequake firmware` as a user meets it."""
 
+import re
 import sys
 
+import numpy as np
 import pytest
 
 from wavequake import cli
+from wavequake.control.experiment import tuned_regulator
 from wavequake.errors import UserError
 from wavequake.firmware import trial
-from wavequake.firmware.build import BOARDS, compiler_of
+from wavequake.firmware.build import BOARDS, compiler_of, image_hash
+from wavequake.firmware.gains import gains_of
+from wavequake.workflows.lens_experiment import chain_of, designs_of, run_cases, study_of
+from wavequake.workflows.study import load_study
 
 LENS = ["lens-experiment"]
 
@@ -48,7 +54,7 @@ def test_all_images_give_the_commands_of_the_host(monkeypatch, capsys, tmp_path)
     assert code == 0
     assert "DIFFER" not in said
     assert said.count("reference") == 3
-    assert said.count("not run") + said.count("as the host's") == 6
+    assert said.count("not run") + said.count("as the host's") == 8
 
 
 @pytest.mark.parametrize(
@@ -58,6 +64,10 @@ def test_all_images_give_the_commands_of_the_host(monkeypatch, capsys, tmp_path)
         (["flash", "qemu"], "is no hardware"),
         (["build", "--boards", "mega"], "There is no board 'mega'"),
         (["build", "--arithmetic", "q7"], "There is no arithmetic 'q7'"),
+        (
+            ["build", "--controller", "best"],
+            "no controller 'best'; there are nominal and",
+        ),
         (["build", "tmt-segments"], "firmware is made from one of lens-experiment"),
     ],
 )
@@ -73,3 +83,37 @@ def test_a_machine_without_compilers_is_told_what_to_install(monkeypatch, capsys
     code, said = run(monkeypatch, capsys, "build", "--to", tmp_path)
     assert code == 2
     assert "it needs ziglang from PyPI (extra firmware) or Debian's gcc-arm-none-eabi" in said
+
+
+def test_an_identified_plant_has_an_image_of_its_own(monkeypatch, capsys, tmp_path):
+    needs("due")
+    words = [*LENS, "time.duration_s=2", "--controller", "identified", "--to", tmp_path]
+    code, said = run(monkeypatch, capsys, "build", *words)
+    assert code == 0
+    carried = image_hash(tmp_path / "due-q31.elf")
+    # It is the image that the study's campaign runs for the same plant.
+    text = load_study(LENS[0], ["time.duration_s=2", "firmware.arithmetic=['q31']"]).identity_text()
+    study = study_of(text)
+    runs = run_cases(text, "initial", [0, 1])
+    models = [one.model for one in runs.identified]
+    designs = designs_of(text, "initial")
+    tuned = [tuned_regulator(designs, one) for one in runs.identified]
+    assert carried == gains_of(tuned[0], chain_of(study), "q31").digest
+    assert not np.array_equal(models[0].poles, models[1].poles)
+    code, said = run(monkeypatch, capsys, "flash", "due", *words)
+    assert code == 0
+    code, said = run(monkeypatch, capsys, "flash", "due", *words, "--plant", "1")
+    assert code == 2
+    assert f"was built from gains {carried}, but the design has" in said
+
+
+def test_an_identified_plants_image_steadies_it(monkeypatch, capsys, tmp_path):
+    """From one uncontrolled run to the bits of the board, on a plant with all errors on."""
+    needs("host")
+    monkeypatch.setattr(trial, "VARIANTS", ("q31",))
+    words = [*LENS, "--controller", "identified", "--plant", "2", "--to", tmp_path]
+    code, said = run(monkeypatch, capsys, "test", *words)
+    assert code == 0
+    assert "DIFFER" not in said
+    found = re.search(r"host q31 - - - ([\d.]+) ([\d.]+) reference", said)
+    assert max(map(float, found.groups())) < 5

@@ -268,11 +268,7 @@ def run_plants(
     """
     width = len(plants)
     padded = [*plants, *[plants[-1]] * (TILE - width)]
-    benches = [plant.bench for plant in padded]
-    first, second = (
-        swing(benches, np.array([plant.blows[run] for plant in padded]), friction=friction, duration=duration)
-        for run in (0, 1)
-    )
+    first, second = (_hit(padded, run, friction, duration) for run in (0, 1))
     phases, noise = np.stack([plant.phases for plant in padded]), np.stack([plant.noise for plant in padded])
     found = tuple(
         _identified(designs, plant, first, row, chain, camera, frame_rate) for row, plant in enumerate(plants)
@@ -292,6 +288,26 @@ def run_plants(
         given = np.stack([unit(one, row) for one, row in zip(chosen, sampled[:width], strict=True)])
         commands.append((given, designs.regulator))
     return _gathered(plants, second, measured, commands, output_step, found, chosen)
+
+
+def _hit(plants: Sequence[Plant], run: int, friction: float, duration: float) -> FreeRuns:
+    blows = np.array([plant.blows[run] for plant in plants])
+    return swing([plant.bench for plant in plants], blows, friction=friction, duration=duration)
+
+
+def identify_plant(
+    designs: Designs,
+    plant: Plant,
+    chain: SensorChain,
+    camera: CameraError,
+    *,
+    friction: float,
+    duration: float,
+    frame_rate: float = 200.0,
+) -> Identified:
+    """Identify a plant from its first, uncontrolled run: what `run_plants` finds, bit by bit."""
+    first = _hit([plant] * TILE, 0, friction, duration)
+    return _identified(designs, plant, first, 0, chain, camera, frame_rate)
 
 
 def _every(time: float) -> int:

@@ -54,6 +54,11 @@ class Board:
 _ZIG_ARM = ("-target", "thumb-freestanding-eabi", "-mcpu=cortex_m3", *CORTEX, "-fno-sanitize=undefined")
 _GCC_ARM = ("arm-none-eabi-gcc", "-mcpu=cortex-m3", "-mthumb", "-nostdlib", *CORTEX)
 _ARM = "ziglang from PyPI (extra firmware) or Debian's gcc-arm-none-eabi"
+_GCC_AVR = (
+    "avr-gcc", "-mmcu=atmega328p", "-DF_CPU=16000000UL", "-ffunction-sections",
+    "-Wl,--gc-sections", "-Wl,-u,wq_hash",
+)  # fmt: skip
+_AVR = "Debian's gcc-avr and avr-libc"
 BOARDS = {
     "host": Board(
         "host", ".so", 0.0, ("cc", "-shared", "-fPIC"), ("-shared", "-fPIC"),
@@ -65,11 +70,9 @@ BOARDS = {
         "bossac -a -p ttyACM0 -e -w -v -b {image}.bin -R",
     ),
     "qemu": Board("qemu", ".elf", 0.0, _GCC_ARM, _ZIG_ARM, _ARM),
+    "simavr": Board("simavr", ".elf", 16e6, _GCC_AVR, (), _AVR),
     "uno": Board(
-        "uno", ".elf", 16e6,
-        ("avr-gcc", "-mmcu=atmega328p", "-DF_CPU=16000000UL", "-ffunction-sections",
-         "-Wl,--gc-sections", "-Wl,-u,wq_hash"),
-        (), "Debian's gcc-avr and avr-libc",
+        "uno", ".elf", 16e6, _GCC_AVR, (), _AVR,
         "avr-objcopy -O ihex {image}.elf {image}.hex\n"
         "avrdude -p m328p -c arduino -P /dev/ttyACM0 -b 115200 -U flash:w:{image}.hex:i",
     ),

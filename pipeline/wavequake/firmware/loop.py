@@ -45,11 +45,28 @@ def blow(
     *,
     duration: float = 6.0,
     friction: float = 0.3e-3,
+    strength: float = 1.0,
+    phases: Array | None = None,
     seed: int = 0,
 ) -> Blow:
     """Hit a bench and read lens 4 through the whole sensor chain.
 
     The stage carries lens 5 alone, so that commands change nothing of what is measured.
+
+    Parameters
+    ----------
+    bench : Bench
+    chain : SensorChain
+    sample_time, duration : float
+        Of the controller, of the run, s.
+    friction : float
+        N.
+    strength : float
+        As a multiple of the hammer's.
+    phases : ndarray, shape (waves,), optional
+        Of the strip's error, rad; drawn if not given.
+    seed : int
+        Of what is drawn.
 
     Raises
     ------
@@ -59,9 +76,10 @@ def blow(
     every = round(sample_time / PLANT_STEP)
     if every < 1 or abs(every * PLANT_STEP - sample_time) > 1e-9:
         raise UserError(f"The sample time is {1e3 * sample_time:g} ms; it must be a multiple of 1 ms.")
-    free = swing([bench], np.ones(1), friction=friction, duration=duration, step=PLANT_STEP)
+    free = swing([bench], np.array([strength]), friction=friction, duration=duration, step=PLANT_STEP)
     rng = np.random.default_rng(seed)
-    phases = rng.uniform(0, 2 * np.pi, len(chain.strip_periods))
+    drawn = rng.uniform(0, 2 * np.pi, len(chain.strip_periods))
+    phases = drawn if phases is None else phases
     lens = free.measured[0, ::every]
     counts = quadrature_counts(chain, strip_reading(chain, lens, phases))
     codes = adc_codes(chain, dac_codes(chain, counts), rng.standard_normal(len(lens)))

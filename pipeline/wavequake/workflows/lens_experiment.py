@@ -24,12 +24,15 @@ from wavequake.control.experiment import (
     camera_of,
     design,
     draw_plant,
+    identify_plant,
     instants_of,
     residuals,
     run_plants,
+    tuned_regulator,
 )
 from wavequake.control.hammer import HAMMER, hammer_force
 from wavequake.control.loop import late_deviation, peak_to_peak
+from wavequake.control.regulator import ModalRegulator
 from wavequake.control.sensor import SensorChain
 from wavequake.control.stage import Stage, low_frequency_delay
 from wavequake.errors import UserError
@@ -165,6 +168,22 @@ def run_cases(study_text: str, springs: str, realizations: list[int]) -> Runs:
 def _units_of(study: LensStudy) -> tuple[FirmwareUnit, ...]:
     keep = study.firmware.design == "nominal"
     return tuple(FirmwareUnit(chain_of(study), one, keep) for one in study.firmware.arithmetic)
+
+
+def tuned_plant(study: LensStudy, springs: str, realization: int) -> tuple[Plant, ModalRegulator]:
+    """Draw a plant, identify it from an uncontrolled run, and design its regulator, as its case does."""
+    text = study.identity_text()
+    plant, designs = plant_of(study, springs, realization), designs_of(text, springs)
+    with threadpool_limits(1):
+        found = identify_plant(
+            designs,
+            plant,
+            chain_of(study),
+            _camera_of(text),
+            friction=errors_of(study).friction,
+            duration=study.time.duration_s,
+        )
+        return plant, tuned_regulator(designs, found)
 
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
