@@ -25,7 +25,10 @@ ALLOWED = {
     "report": BASE | PHYSICS | {"kernels", "workflows"},
     "terminal": set(),
     "cli_firmware": BASE | {"control", "firmware", "workflows", "terminal"},
-    "cli": BASE | PHYSICS | {"kernels", "workflows", "report", "cluster", "terminal", "cli_firmware"},
+    "cli_statistics": BASE | {"workflows", "report", "terminal"},
+    "cli": BASE
+    | PHYSICS
+    | {"kernels", "workflows", "report", "cluster", "terminal", "cli_firmware", "cli_statistics"},
     "__main__": {"cli"},
 }
 # The package's front door imports lazily, for users; provenance may ask it for the version.

@@ -10,7 +10,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from wavequake import __version__, cli_firmware
+from wavequake import __version__, cli_firmware, cli_statistics
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.terminal import err, live_progress, out, print_pairs
 
@@ -23,6 +23,7 @@ app = typer.Typer(
     add_completion=False,
 )
 app.add_typer(cli_firmware.app, name="firmware")
+app.command()(cli_statistics.budget)
 StudyArgument = Annotated[str, typer.Argument(help="Name of a bundled study or path of a .toml file.")]
 StoreArgument = Annotated[Path, typer.Argument(help="Folder of the store.")]
 OverridesArgument = Annotated[

@@ -76,6 +76,7 @@ def write_report(
     details: Sequence[Detail],
     path: str | Path,
     analytic: Mapping[str, tuple[float, str]] | None = None,
+    more: Sequence[Picture] = (),
 ) -> Path:
     """Write the report of a store to one HTML file, which appears whole or not at all.
 
@@ -90,6 +91,8 @@ def write_report(
     analytic : mapping of str to (float, str), optional
         Rms that a disturbance implies by its definition, and its unit: line of sight (both axes together) in
         mas, or segments along their normals in nm.
+    more : sequence of Picture
+        Further figures of all disturbances together.
 
     Returns
     -------
@@ -102,11 +105,14 @@ def write_report(
         If the dataset is not that of a campaign, a detail belongs to no disturbance of it, or the file cannot
         be written.
     """
-    return write_page(render_report(dataset, details, analytic), path)
+    return write_page(render_report(dataset, details, analytic, more), path)
 
 
 def render_report(
-    dataset: xr.Dataset, details: Sequence[Detail], analytic: Mapping[str, tuple[float, str]] | None = None
+    dataset: xr.Dataset,
+    details: Sequence[Detail],
+    analytic: Mapping[str, tuple[float, str]] | None = None,
+    more: Sequence[Picture] = (),
 ) -> str:
     """Return the report as HTML; parameters as for :func:`write_report`."""
     found = populations(dataset)
@@ -122,7 +128,7 @@ def render_report(
             answer=answer(summaries),
             table=rows(summaries),
             small_print=_SMALL_PRINT,
-            overview=list(_overview(found)),
+            overview=[*_overview(found), *more],
             sections=[
                 _section(place, population, details, dataset) for place, population in enumerate(found)
             ],

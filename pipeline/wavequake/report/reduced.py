@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wavequake.mechanics.disturbances import analytic_rms
+from wavequake.report import budget
 from wavequake.report.page import Page, Picture, picture, render_page, write_page
 from wavequake.report.populations import Excluded
 from wavequake.report.statistics import Quantile, case_rms, quantile
@@ -223,7 +224,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         answer=" ".join([_answer(found), *certificate(store, dataset)]),
         table=[_row(one) for one in found],
         small_print=_SMALL_PRINT,
-        overview=pictures,
+        overview=[*pictures, *budget.pictures(store)],
         sections=[],
         definitions=[
             (term, str(dataset[name].attrs["long_name"]) + ".")

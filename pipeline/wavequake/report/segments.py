@@ -10,7 +10,7 @@ from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import from_tiles
 from wavequake.mechanics.disturbances import analytic_rms
 from wavequake.optics.prepared import trace_states
-from wavequake.report import reduced
+from wavequake.report import budget, reduced
 from wavequake.report.detail import Detail
 from wavequake.report.html import write_report
 from wavequake.report.populations import Summary, populations, representatives, summarize
@@ -38,7 +38,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     study = read_manifest(store).study
     worst = [case for _, case in representatives(dataset).values()]
     details = [detail(study, case, device, dataset) for case in worst]
-    return write_report(dataset, details, target, _analytic(store))
+    return write_report(dataset, details, target, _analytic(store), budget.pictures(store))
 
 
 def detail(study_text: str, case: int, device_name: str, dataset: xr.Dataset) -> Detail:

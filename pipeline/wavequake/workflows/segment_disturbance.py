@@ -130,17 +130,26 @@ def trace_cases(study_text: str, cases: NDArray[np.int64], device_name: str) -> 
     A case in which a segment loses all its rays, or is tilted beyond what can be imaged, is quarantined with
     the reason.
     """
-    bench, device, clock = bench_of(study_text), choose_device(device_name), Stopwatch()
-    with clock("draw"):
+    bench = bench_of(study_text)
+    start = Stopwatch()
+    with start("draw"):
         draws = [draw(bench, int(case)) for case in cases]
+    return trace_draws(study_text, draws, device_name, start)
+
+
+def trace_draws(
+    study_text: str, draws: list[CaseDraw], device_name: str, clock: Stopwatch | None = None
+) -> ChunkResult:
+    """Trace motions that were drawn; as :func:`trace_cases`."""
+    bench, device, clock = bench_of(study_text), choose_device(device_name), clock or Stopwatch()
     arrays = {
-        name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
+        name: np.full((len(draws), *variable.shape), np.nan, dtype=variable.dtype)
         for name, variable in traced(study_text).items()
     }
     for name in ("exposure", "rayleigh", "marechal", "vignetted"):  # gathered over a case's launches
         if name in arrays:
             arrays[name][:] = 0.0
-    messages = [""] * len(cases)
+    messages = [""] * len(draws)
     for launch in _pieces(draws):
         with clock("draw"):
             states = [surface_states(bench, draws[row], first, last) for row, first, last in launch]
@@ -165,7 +174,7 @@ def trace_cases(study_text: str, cases: NDArray[np.int64], device_name: str) -> 
                     arrays["exposure"][row] += summed_images(bench, rays, wavefront, tiles, last - first)
             except UserError as error:  # tilts that no image can be made of concern this case alone
                 messages[row] = str(error)
-    status = np.full(len(cases), DONE, dtype=np.int8)
+    status = np.full(len(draws), DONE, dtype=np.int8)
     for row, message in enumerate(messages):
         if message:
             status[row] = RAISED

@@ -159,7 +159,7 @@ def kept_or_made(
             return kept, True
     made = make()
     made.attrs |= dict(terms)
-    _write(made, target)
+    write_dataset(made, target)
     return open_sensitivity(path), False
 
 
@@ -298,7 +298,7 @@ def _text(names: tuple[str, ...]) -> Any:
     return np.array(names, dtype=object)
 
 
-def _write(made: "xr.Dataset", target: Path) -> None:
+def write_dataset(made: "xr.Dataset", target: Path) -> None:
     """Write a dataset to `target`, or nothing."""
     partial = target.with_name(f"{target.name}.partial-{uuid.uuid4().hex}")
     with write_errors_explained(target.parent):
@@ -332,22 +332,27 @@ def open_sensitivity(path: Path | str) -> "xr.Dataset":
     StoreDamageError
         If they cannot be read.
     """
-    import xarray as xr
-
     target = Path(path) / SENSITIVITY
     if not target.exists():
         raise UserError(f"There are no sensitivities at {target}; wavequake sensitivity STUDY computes them.")
+    return read_dataset(target, SCHEMA)
+
+
+def read_dataset(target: Path, expected: int) -> "xr.Dataset":
+    """Read what :func:`write_dataset` wrote with the attribute ``schema``; raises as `open_sensitivity`."""
+    import xarray as xr
+
     try:
         with arrays.damage_explained(target):
             found: xr.Dataset = xr.open_zarr(target, chunks=None, consolidated=False).load()
             schema, written = found.attrs["schema"], found.attrs.pop("digests")
         # A file that is missing or empty reads as fill values without any error.
-        if schema == SCHEMA and written != _digests(found):
+        if schema == expected and written != _digests(found):
             raise StoreDamageError(f"{target} is damaged: its numbers are not those that were written.")
     except StoreDamageError as error:
         raise StoreDamageError(f"{error} Delete it and repeat the command.") from None
-    if schema != SCHEMA:
-        raise UserError(f"{target} has schema {schema}; this version of Wavequake reads schema {SCHEMA}.")
+    if schema != expected:
+        raise UserError(f"{target} has schema {schema}; this version of Wavequake reads schema {expected}.")
     ordered: xr.Dataset = found[sorted(map(str, found.data_vars))]
     return ordered
 

@@ -1,0 +1,40 @@
+"""`wavequake budget` and `wavequake tail`: what contributes, and how often limits are exceeded."""
+
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from wavequake.terminal import live_progress, out
+
+
+def budget(
+    study: Annotated[str, typer.Argument(help="Study of the workflow segment-disturbance.")],
+    overrides: Annotated[
+        list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. telescope.name=tmt-18")
+    ] = None,
+    cases: Annotated[int, typer.Option(help="Cases; each factor is on, off and redrawn.")] = 100,
+    of: Annotated[str | None, typer.Option("--of", help="Combination to take apart.")] = None,
+    store: Annotated[Path | None, typer.Option("--store", help="Folder of the store (store.path).")] = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Rank disturbances and rings of segments by what they contribute; kept beside the study's store."""
+    from wavequake.report.budget import explanations, tables
+    from wavequake.workflows.budget import stored_budget
+    from wavequake.workflows.store import BUDGET, MANIFEST
+    from wavequake.workflows.study import load_study
+
+    loaded = load_study(study, overrides or [])
+    path = loaded.folder(store)
+    with live_progress() as progress:
+        found, kept = stored_budget(loaded, path, cases, of, progress)
+    for table in tables(found):
+        out.print(table)
+    for line in explanations(found):
+        out.print(line, markup=False)
+    words = "Was there already, nothing was computed" if kept else "Written"
+    out.print(f"{words}: {(path / BUDGET).resolve()}", markup=False, soft_wrap=True)
+    if (path / MANIFEST).exists() and not kept:
+        command = shlex.join(["wavequake", "report", str(path)])
+        out.print(f"To see it in the report: {command}", markup=False, soft_wrap=True)

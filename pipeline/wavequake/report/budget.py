@@ -1,0 +1,117 @@
+"""Budgets of disturbances: the table for the terminal and the figures of the report."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from wavequake.report.figures import COLORS, STYLE, WIDTH
+from wavequake.report.page import Picture, picture
+from wavequake.report.table import MISSING, number
+from wavequake.workflows.budget import QUANTITIES, open_budget
+from wavequake.workflows.store import BUDGET
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_TITLES = {"wfe_rms_raw": "WFE on glass", "wfe_rms": "WFE j ≥ 4", "los": "LOS"}
+_SHARES = {
+    "share": "of the mean square, switched off",
+    "first": "of the variance, alone",
+    "total": "of the variance, with interactions",
+}
+
+
+def tables(found: "xr.Dataset") -> Iterator[Table]:
+    """Yield one table per quantity: sources and rings, the largest contributions first."""
+    for quantity in QUANTITIES:
+        yield _table(found.sel(quantity=quantity), quantity)
+
+
+def _table(one: "xr.Dataset", quantity: str) -> Table:
+    unit = QUANTITIES[quantity]
+    table = Table(
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        title=f"{_TITLES[quantity]}: {number(float(one['rms']))} {unit} rms, at rest "
+        f"{number(float(one['rms_rest']))} {unit}",
+        title_justify="left",
+    )
+    table.add_column("factor")
+    for header in ("contributes\n" + unit, "without it\n" + unit, *_HEADERS):
+        table.add_column(header, justify="right", no_wrap=True)
+    for kind in ("source", "ring"):
+        rows = np.flatnonzero(one["kind"].to_numpy() == kind)
+        if kind == "source":
+            rows = rows[np.argsort(-one["share"].to_numpy()[rows], kind="stable")]
+        for row in rows.tolist():
+            factor = one.isel(factor=row)
+            name = str(factor["factor"].item())
+            words = name if kind == "source" else f"{name} ({int(factor['segments'])} segments)"
+            share = float(factor["share"])
+            part = number(np.sqrt(share) * float(one["rms"])) if share > 0 else "0"
+            cells = [part, number(float(factor["rms_without"])), *(_share(factor, key) for key in _SHARES)]
+            table.add_row(words, *cells, end_section=row == rows[-1])
+    return table
+
+
+_HEADERS = ("mean square %\nswitched off", "variance %\nalone", "variance %\nwith interactions")
+
+
+def _share(factor: "xr.Dataset", key: str) -> str:
+    value, low, high = (100.0 * float(factor[f"{key}{end}"]) for end in ("", "_low", "_high"))
+    if np.isnan(value):
+        return MISSING
+    return f"{value:.1f} ({low:.1f}–{high:.1f})"
+
+
+def explanations(found: "xr.Dataset") -> list[str]:
+    """Return what the numbers mean, in lines."""
+    lost = found.attrs["cases"] - found.attrs["cases_used"]
+    lines = [
+        f"Budget of {found.attrs['population']}, {found.attrs['cases_used']} cases: rms over cases and "
+        "instants; LOS relative to rest; in brackets 95 % confidence intervals (bootstrap over cases).",
+        "Switched off: by what the mean square falls without the factor, on the same draws. Variance of the "
+        "cases' rms: by the factor alone (first-order Sobol index), and with all that it interacts in "
+        "(total index); rings have none where segments are disturbed together, as by wind.",
+    ]
+    if lost:
+        lines.append(f"{lost} cases are left out: a segment lost its light with some factor on or off.")
+    return lines
+
+
+def pictures(store: Path) -> list[Picture]:
+    """Return the figure of the budget that a store keeps; none if it keeps none."""
+    if not (Path(store) / BUDGET).exists():
+        return []
+    found = open_budget(store)
+    words = f"Budget of {found.attrs['population']}: shares by source and ring, with 95 % confidence"
+    return [picture("budget", words, budget_figure(found))]
+
+
+@rc_context(STYLE)
+def budget_figure(found: "xr.Dataset") -> Figure:
+    """Draw the shares of every factor in the wavefront error and the line of sight."""
+    names = [str(name) for name in found["factor"].to_numpy()]
+    figure = Figure(figsize=(WIDTH, 1.3 + 0.3 * len(names)), layout="constrained")
+    panels = figure.subplots(1, 2, sharey=True)
+    for axes, quantity in zip(panels, ("wfe_rms_raw", "los"), strict=True):
+        one = found.sel(quantity=quantity)
+        for place, (key, label) in enumerate(_SHARES.items()):
+            value, low, high = (100.0 * one[f"{key}{end}"].to_numpy() for end in ("", "_low", "_high"))
+            height = np.arange(len(names)) + 0.25 * (place - 1)
+            error = np.clip([value - low, high - value], 0.0, None)
+            style = {"fmt": "osD"[place], "markersize": 4, "color": COLORS[place % len(COLORS)]}
+            axes.errorbar(value, height, xerr=error, label=label, **style)
+        axes.axvline(0.0, color="#444444", linewidth=0.7)
+        axes.set_yticks(range(len(names)), names)
+        axes.set_xlabel("share (%)")
+        axes.set_title(_TITLES[quantity])
+    panels[0].invert_yaxis()
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=1)
+    return figure
