@@ -2,11 +2,14 @@
 
 import errno
 import os
+import subprocess
+import sys
 import time
 
 import numpy as np
 import pytest
 import toy
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from wavequake.cluster import local
 from wavequake.errors import UserError
@@ -36,6 +39,47 @@ def test_a_case_that_hangs_is_ended_and_quarantined_alone(tmp_path):
     assert verify_store(tmp_path / "s").ok
     (log,) = (tmp_path / "s" / "log").glob("*.log")
     assert "cases 10 to 20 ran for too long on tcp://127.0.0.1:" in log.read_text()
+
+
+def test_a_case_that_hangs_in_a_serial_run_is_quarantined_alone(tmp_path):
+    with threadpool_limits(2):
+        summary = toy.run(tmp_path / "s", {"wait": [13, 19]}, timeout_s=1.0)
+        assert {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"} == {2}
+    assert (summary.computed, summary.quarantined) == (40, 2)
+    stored = open_store(tmp_path / "s").load()
+    assert stored.status.sel(case=[13, 19]).values.tolist() == [4, 4]
+    assert stored.message.sel(case=13).item() == "it took longer than 1 s (campaign.timeout_s)"
+    others_are_kept(stored, [13, 19])
+    assert verify_store(tmp_path / "s").ok
+    (log,) = (tmp_path / "s" / "log").glob("*.log")
+    assert "cases 10 to 20 ran for too long and are given up for now" in log.read_text()
+
+
+SERIAL = """
+import toy, wavequake.workflows.series as series
+series._GRACE_S = 0.5
+toy.run({path!r}, {options!r}, timeout_s=1.0)
+"""
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"hang": [13]}, "Timeout (0:00:01.500000)!"),  # a traceback follows, of where it hangs
+        ({"wait": [13]}, "The process that tries cases 10 to 19 alone does not start: a script that starts"),
+    ],
+)
+def test_what_ends_a_serial_run_says_why_and_keeps_what_is_done(tmp_path, options, words):
+    script = tmp_path / "script.py"
+    script.write_text(SERIAL.format(path=str(tmp_path / "s"), options=options))
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(
+        [sys.executable, script], env=environment, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 1
+    assert words in done.stderr
+    assert "toy.py" in done.stderr or "wait" in options
+    assert (0, 10) in toy.digests(tmp_path / "s")
 
 
 def test_a_case_that_takes_all_memory_is_quarantined_alone(tmp_path, monkeypatch):

@@ -17,8 +17,8 @@ INSTANTS, TERMS = 4, 3
 def study(**options):
     """Canonical study text.
 
-    Options: seed, sleep_s (per case), folder, and ids of cases in poison, reasons, crash, once, hang, hoard
-    and blow.
+    Options: seed, sleep_s (per case), folder, and ids of cases in poison, reasons, crash, once, wait,
+    hang, hoard and blow.
     """
     return json.dumps({"study": {"name": "toy", "seed": 7}, **options}, sort_keys=True, separators=(",", ":"))
 
@@ -82,6 +82,8 @@ def _misbehave(options, cases):
         time.sleep(options.get("sleep_s", 0.0))
         if case in options.get("crash", ()):
             os.kill(os.getpid(), signal.SIGSEGV)
+        if case in options.get("wait", ()):
+            time.sleep(10**6)
         if case in options.get("hang", ()):
             sum(range(10**15))  # holds the interpreter's lock: no thread of this process runs any more
         if case in options.get("hoard", ()):

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from wavequake.cluster.local import silence
+from wavequake.cluster.local import close, silence
 from wavequake.cluster.template import Tls, tls_settings
 from wavequake.errors import UserError
 
@@ -43,4 +43,4 @@ def connected(address: str, timeout_s: float = 10.0, tls: Tls | None = None) -> 
             ) from None
         yield client
     finally:
-        client.close(timeout=2)
+        close(client, 2.0)

@@ -46,6 +46,7 @@ SETTINGS: dict[str, Any] = {
     "distributed.nanny.pre-spawn-environ": {},
 }
 
+GUARDED = 'a script that starts processes must do so under `if __name__ == "__main__":`.'
 _GUARD = 'a script that runs campaigns must do so under `if __name__ == "__main__":` or with on="serial".'
 
 
@@ -106,13 +107,19 @@ def local_cluster(workers: int | None = None, dashboard: bool = False) -> Iterat
 def _stop(client: Any, cluster: Any) -> None:
     """End the workers at once: what they have finished is on disk, and nobody waits for the rest."""
     with interrupts_blocked():
-        client.close(timeout=2)
+        close(client, 2.0)
         for nanny in list(cluster.workers.values()):
             nanny.auto_restart = False
             if nanny.pid:
                 with suppress(ProcessLookupError):
                     os.kill(nanny.pid, signal.SIGKILL)
-        cluster.close(timeout=5)
+        close(cluster, 5.0)
+
+
+def close(what: Any, timeout_s: float) -> None:
+    """Close a client or cluster of Dask; on a busy machine it may do the rest by itself."""
+    with suppress(TimeoutError):
+        what.close(timeout=timeout_s)
 
 
 def _free_port(wanted: int) -> int:

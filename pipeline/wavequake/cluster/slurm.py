@@ -9,7 +9,7 @@ from subprocess import run
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
-from wavequake.cluster.local import SETTINGS, THREADS, UNSET, interrupts_blocked, silence
+from wavequake.cluster.local import SETTINGS, THREADS, UNSET, close, interrupts_blocked, silence
 from wavequake.cluster.template import Slurm, tls_settings
 from wavequake.errors import UserError
 
@@ -86,8 +86,8 @@ def slurm_cluster(template: Slurm, workers: int | None, dashboard: bool) -> Iter
         finally:
             over.set()
             with interrupts_blocked():
-                client.close(timeout=2)
-                cluster.close(timeout=10)
+                close(client, 2.0)
+                close(cluster, 10.0)
 
 
 def _replace_lost(cluster: Any, jobs: int, fruitful: Event, over: Event, hopeless: Event) -> None:

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wavequake.cluster.local import SETTINGS, THREADS, UNSET, silence
+from wavequake.cluster.local import SETTINGS, THREADS, UNSET, close, silence
 from wavequake.cluster.template import Ssh, tls_settings
 from wavequake.errors import UserError
 
@@ -62,9 +62,9 @@ def ssh_cluster(template: Ssh, dashboard: bool) -> Iterator["Client"]:
                 _wait(client, template)
                 yield client
             finally:
-                client.close(timeout=2)
+                close(client, 2.0)
         finally:
-            cluster.close(timeout=10)
+            close(cluster, 10.0)
 
 
 def _wait(client: "Client", template: Ssh) -> None:

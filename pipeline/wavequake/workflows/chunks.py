@@ -1,6 +1,6 @@
 """The task of the engine: compute the cases of one chunk, write them, record them.
 
-The same function runs in the driver (serial) and in a Dask worker; chunks that kill their workers or hang are
+It runs in a Dask worker, and its two halves in a serial driver; chunks that kill their workers or hang are
 computed in :mod:`wavequake.workflows.isolation`. Only a few scalars travel back; the numbers go to the store.
 """
 
@@ -101,9 +101,6 @@ def patiently(action: Callable[[], Answer]) -> Answer:
 def compute_chunk(job: Job, first: int, last: int) -> Outcome:
     """Compute cases first <= id < last, write them to the store and then to its journal.
 
-    Cases are independent: where computing them together raises, each is tried alone, so that only the guilty
-    ones are quarantined, with their message. Numbers do not depend on the number of threads: there is one.
-
     Raises
     ------
     UserError
@@ -117,6 +114,15 @@ def compute_chunk(job: Job, first: int, last: int) -> Outcome:
             f"A worker computes with {provenance.code()}, the driver with {job.code}: install the same "
             "versions everywhere, or give --allow-mixed."
         )
+    return store_chunk(job, (first, last), *computed_chunk(job, first, last))
+
+
+def computed_chunk(job: Job, first: int, last: int) -> tuple[ChunkResult, float]:
+    """Return the result of cases first <= id < last, and the seconds that it took.
+
+    Cases are independent: where computing them together raises, each is tried alone, so that only the guilty
+    ones are quarantined, with their message. Numbers do not depend on the number of threads: there is one.
+    """
     opened = opened_store(job.workflow, job.path, job.run)
     start = time.perf_counter()
     with threadpool_limits(1):
@@ -126,7 +132,7 @@ def compute_chunk(job: Job, first: int, last: int) -> Outcome:
             raise
         except Exception:
             result = joined([computed_alone(job, opened, case) for case in range(first, last)])
-    return store_chunk(job, (first, last), result, time.perf_counter() - start)
+    return result, time.perf_counter() - start
 
 
 def _computed(job: Job, opened: Opened, first: int, last: int) -> ChunkResult:

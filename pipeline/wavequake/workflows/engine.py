@@ -17,12 +17,13 @@ from wavequake.cluster.places import Opener, elsewhere, place_of
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.devices import choose_device
 from wavequake.workflows import provenance, store, verify
-from wavequake.workflows.chunks import Job, Outcome, compute_chunk
+from wavequake.workflows.chunks import Job, Outcome
 from wavequake.workflows.contract import Workflow
 from wavequake.workflows.driver_lock import Shard, driver_lock, others_at_work, this_process
 from wavequake.workflows.isolation import compute_isolated
 from wavequake.workflows.journal import Chunk, Record, read_journal
 from wavequake.workflows.runlog import run_log
+from wavequake.workflows.series import in_series
 from wavequake.workflows.store import Manifest
 from wavequake.workflows.stream import limit_of, stream
 
@@ -105,8 +106,8 @@ def run_campaign(
     title : str
         Of the study, which is no part of its identity; a new store keeps it.
     timeout_s : float, optional
-        Longest time that a chunk, or a case tried alone, may take on workers; by default 20 times the median
-        chunk's, at least half an hour. A case that exceeds it is quarantined.
+        Longest time that a chunk, or a case tried alone, may take; by default 20 times the median chunk's, at
+        least half an hour. A case that exceeds it is quarantined.
     allow_mixed : bool
         Go on with a store that other versions of the code began; the journal keeps what computed each chunk.
     repair : bool
@@ -129,8 +130,7 @@ def run_campaign(
     KeyboardInterrupt
         On Ctrl-C, with all workers gone; finished chunks stay, and the next run continues.
     """
-    if on != "serial":
-        leave_if_imported_by_a_worker()
+    leave_if_imported_by_a_worker()
     start, path = time.perf_counter(), Path(path).absolute()
     place = place_of(on, cluster)
     kind = choose_device(device).kind
@@ -159,12 +159,8 @@ def run_campaign(
             with run_log(path / store.LOG) as tally.log:
                 tally.log.info("%s on %s; on=%s, device %s", provenance.code(), this_process(), on, device)
                 tally.log.info("%d cases wanted, %d done before", tally.total, tally.done)
-                if place is None:
-                    for piece in todo:
-                        tally.add(compute_chunk(job, *piece))
-                else:
-                    processes = workers or (1 if (on, kind) == ("local", "gpu") else None)
-                    _run_on_dask(job, todo, place, processes, tally, timeout_s, dashboard)
+                processes = workers or (1 if (on, kind) == ("local", "gpu") else None)
+                _compute(job, todo, place, processes, tally, timeout_s, dashboard)
         records = store.done_records(manifest, read_journal(path / store.JOURNAL))
         lacking = [piece for piece in wanted if piece not in records]
     if lacking:
@@ -248,10 +244,10 @@ def _sweep(path: Path) -> None:
         name.unlink(missing_ok=True)
 
 
-def _run_on_dask(
+def _compute(
     job: Job,
     todo: list[Chunk],
-    place: Opener,
+    place: Opener | None,
     workers: int | None,
     tally: _Tally,
     timeout_s: float | None,
@@ -260,10 +256,12 @@ def _run_on_dask(
     def limit() -> float:
         return limit_of(timeout_s, tally.chunk_seconds)
 
-    processes = workers and min(workers, len(todo))
-    with place(processes, dashboard is not None) as client:
-        if dashboard is not None:
-            dashboard(client.dashboard_link)
-        suspects = stream(client, job, todo, tally.add, limit, tally.log)
+    if place is None:
+        suspects = in_series(job, todo, tally.add, limit, tally.log)
+    else:
+        with place(workers and min(workers, len(todo)), dashboard is not None) as client:
+            if dashboard is not None:
+                dashboard(client.dashboard_link)
+            suspects = stream(client, job, todo, tally.add, limit, tally.log)
     for piece in suspects:
         tally.add(compute_isolated(job, *piece, limit()))

@@ -13,7 +13,8 @@ from multiprocessing.connection import Connection
 
 from threadpoolctl import threadpool_limits
 
-from wavequake.cluster.local import interrupts_blocked, memory_limit, worker_environment
+from wavequake.cluster.local import GUARDED, interrupts_blocked, memory_limit, worker_environment
+from wavequake.errors import UserError
 from wavequake.workflows.chunks import (
     FATAL,
     Job,
@@ -70,6 +71,7 @@ def _in_process(job: Job, cases: range, limit_s: float) -> tuple[list[ChunkResul
         process.start()
     theirs.close()
     results: list[ChunkResult] = []
+    started = False
     try:
         patience = _START_S
         while len(results) < len(cases):
@@ -78,11 +80,16 @@ def _in_process(job: Job, cases: range, limit_s: float) -> tuple[list[ChunkResul
             answer = ours.recv()
             if isinstance(answer, FATAL):
                 raise answer
+            started = True
             if answer is not None:
                 results.append(answer)
             patience = limit_s
     except EOFError:
         process.join()
+        if not started:
+            raise UserError(
+                f"The process that tries cases {cases[0]} to {cases[-1]} alone does not start: {GUARDED}"
+            ) from None
     finally:
         process.kill()  # it is alive only if it hangs or we were interrupted
         process.join()
