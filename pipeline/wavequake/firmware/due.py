@@ -23,6 +23,10 @@ PMC_SR, PIOC_PDSR, PIOC_SODR, PIOC_CODR = 0xE0668, 0xE123C, 0xE1230, 0xE1234
 TC0_SR, ADC_ISR, ADC_CDR7, DACC_CDR, WDT_CR = 0x80020, 0xC0030, 0xC006C, 0xC8020, 0xE1A50
 ALL_READY = 0xFFFFFFFF
 PIN_TRIGGER, PIN_SWITCH, PIN_MISSED = 1 << 1, 1 << 2, 1 << 3
+WDT_MR, WATCHDOG_RESETS, WATCHDOG_RESTART = 0xE1A54, 1 << 13, 0xA5000001
+WATCHDOG_HZ = 32768 / 128
+# An image that has asked for a conversion so often waits until it ends.
+MOST_POLLS = 1000
 # An image that does not come back to its timer within this many instructions hangs.
 PATIENCE = 5_000_000
 
@@ -47,6 +51,11 @@ class DueDevice:
         Count instructions.
     late : bool
         Let the next step find that its deadline has passed.
+    stuck : bool
+        Let no conversion of the position's converter end: the image waits for it, its command stays, and the
+        watchdog starts the board anew when its time is over.
+    resets : int
+        By the watchdog.
     """
 
     def __init__(self, image: Image) -> None:
@@ -65,16 +74,24 @@ class DueDevice:
             self._emulator.mem_write(segment.address, segment.data)
         self._sizes: dict[tuple[int, int], int] = {}
         self.count, self.instructions = False, list[int]()
+        self._sample_time = image.gains.sample_time
         self._count_blocks()
         self.reset()
 
     def reset(self) -> None:
-        """Start the board and run to its first look at the timer."""
+        """Switch the board on and run to its first look at the timer."""
+        self.late = self.stuck = False
+        self.resets = 0
+        self._start()
+
+    def _start(self) -> None:
         from unicorn.arm_const import UC_ARM_REG_SP
 
         self.log: list[tuple[int, int]] = []
-        self.missed = self.was_missed = self.late = False
+        self.missed = self.was_missed = False
         self._adc = self._pins = self._code = self._counted = 0
+        self._watchdog: float | None = None
+        self._unfed = 0.0
         self._begin(ticks=0, starting=True)
         stack, entry = np.frombuffer(bytes(self._emulator.mem_read(FLASH, 8)), dtype="<u4")
         self._emulator.reg_write(UC_ARM_REG_SP, int(stack))
@@ -96,7 +113,11 @@ class DueDevice:
         self._pins = (PIN_TRIGGER if inputs & TRIGGER else 0) | (PIN_SWITCH if inputs & ENABLED else 0)
         self._begin(ticks=1, starting=False)
         self._go(self._emulator.reg_read(UC_ARM_REG_PC) | 1)
-        if not self._wrote:
+        self._unfed += self._sample_time
+        if self._watchdog is not None and self._unfed > self._watchdog:
+            self.resets += 1
+            self._start()
+        elif not (self._wrote or self.stuck):
             raise UserError("The image gave no command in a step; it is not the firmware of the Due.")
         if self.count:
             self.instructions.append(self._counted)
@@ -105,6 +126,7 @@ class DueDevice:
     def _begin(self, ticks: int, starting: bool) -> None:
         self._ticks, self._starting, self._counted = ticks, starting, 0
         self._wrote = self._looked = self._stopped = self.was_missed = False
+        self._polls = 0
 
     def _go(self, address: int) -> None:
         from unicorn import UcError
@@ -125,6 +147,12 @@ class DueDevice:
             return self._adc
         if offset == PIOC_PDSR:
             return self._pins
+        if offset == ADC_ISR and self.stuck:
+            self._polls += 1
+            if self._polls > MOST_POLLS:
+                self._stopped = True
+                self._emulator.emu_stop()
+            return 0
         return ALL_READY if offset in (PMC_SR, ADC_ISR) else 0
 
     def _timer(self) -> int:
@@ -142,10 +170,16 @@ class DueDevice:
         return 0
 
     def _write(self, _: Any, offset: int, __: int, value: int, ___: Any) -> None:
+        if offset == WDT_MR and self._watchdog is None:  # the register can be written once
+            self._watchdog = (value & 0xFFF) / WATCHDOG_HZ if value & WATCHDOG_RESETS else np.inf
+        elif offset == WDT_CR and value == WATCHDOG_RESTART:
+            self._unfed = 0.0
+        if offset == DACC_CDR:
+            self._code = value
         if self._starting:
             self.log.append((offset, value))
         elif offset == DACC_CDR:
-            self._code, self._wrote, self._looked = value, True, False
+            self._wrote, self._looked = True, False
         elif offset in (PIOC_SODR, PIOC_CODR) and value & PIN_MISSED:
             self.missed = offset == PIOC_SODR
             self.was_missed |= self.missed
