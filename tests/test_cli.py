@@ -180,8 +180,11 @@ def test_output_that_is_closed_or_has_no_greek_does_no_harm(wavequake, tiny, tmp
         assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_debug_shows_the_traceback(wavequake):
-    code, _, err = wavequake("--debug", "run", "no-such-study")
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_debug_shows_the_traceback_wherever_it_stands(wavequake, place):
+    words = ["run", "no-such-study"]
+    words.insert(place, "--debug")
+    code, _, err = wavequake(*words)
     assert code == cli.EXIT_BAD_INPUT
     assert "Traceback" in err
 

@@ -29,17 +29,30 @@ StoreArgument = Annotated[Path, typer.Argument(help="Folder of the store.")]
 OverridesArgument = Annotated[
     list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. campaign.cases=40")
 ]
+OnOption = Annotated[
+    str,
+    typer.Option(
+        help="serial, local, slurm, ssh, kubernetes, or tcp:// or tls://HOST:PORT (docs/clusters.md)."
+    ),
+]
+ClusterOption = Annotated[
+    Path | None, typer.Option("--cluster", help="File that describes the cluster (.yaml).")
+]
+WorkersOption = Annotated[int | None, typer.Option(min=1, help="Worker processes (default: one per CPU).")]
+DashboardOption = Annotated[
+    bool, typer.Option("--dashboard", help="Serve Dask's dashboard on this machine and show its link.")
+]
 StoreOption = Annotated[Path | None, typer.Option("--store", help="Folder of the store (store.path).")]
 
 
 def main() -> None:
     """Run the command line; the exit code says how it ended (0, 1, 2, 3, 4 or 130)."""
-    debug = "--debug" in sys.argv
+    debug = "--debug" in sys.argv  # before or after the command
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that has no Greek shall not end a run
     try:
-        app()
+        app([word for word in sys.argv[1:] if word != "--debug"])
     except UserError as error:
         _fail(f"Error: {error}", EXIT_BAD_INPUT, debug)
     except StoreDamageError as error:
@@ -81,7 +94,9 @@ def _version(asked: bool) -> None:
 
 @app.callback()
 def _global(
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Show tracebacks (before or after the command).")
+    ] = False,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
     ] = False,
@@ -94,18 +109,9 @@ def run(
     study: StudyArgument,
     overrides: OverridesArgument = None,
     store: StoreOption = None,
-    on: Annotated[
-        str,
-        typer.Option(
-            help="serial, local, slurm, ssh, kubernetes, or tcp:// or tls://HOST:PORT (docs/clusters.md)."
-        ),
-    ] = "local",
-    cluster: Annotated[
-        Path | None, typer.Option("--cluster", help="File that describes the cluster (.yaml).")
-    ] = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Worker processes (default: one per CPU).")
-    ] = None,
+    on: OnOption = "local",
+    cluster: ClusterOption = None,
+    workers: WorkersOption = None,
     shard: Annotated[
         str | None,
         typer.Option(metavar="i/n", help="Compute every n-th chunk only, from 0/n; other runs do the rest."),
@@ -116,11 +122,8 @@ def run(
     allow_mixed: Annotated[
         bool, typer.Option("--allow-mixed", help="Go on with a store that other versions of the code began.")
     ] = False,
-    dashboard: Annotated[
-        bool, typer.Option("--dashboard", help="Serve Dask's dashboard on this machine and show its link.")
-    ] = False,
+    dashboard: DashboardOption = False,
     profile: Annotated[bool, typer.Option("--profile", help="Say where the time went.")] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Run a study, or what of it is not done yet, and write its report. Safe to repeat and to interrupt."""
     from wavequake.workflows.campaign import notices, run_study
@@ -181,7 +184,6 @@ def plan(
     study: StudyArgument,
     overrides: OverridesArgument = None,
     store: StoreOption = None,  # so that `run` can be replaced by `plan`; nothing is stored
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Show cases, chunks, memory and an estimate of the time; stores nothing."""
     from wavequake.workflows.campaign import plan as plan_study
@@ -196,7 +198,6 @@ def info(
         str, typer.Argument(help="Name of a bundled optical system, FILE.zmx, or a study by name or path.")
     ],
     overrides: OverridesArgument = None,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Print first-order data, fields, wavelengths and surfaces of an optical system."""
     from wavequake.workflows.system_source import load_system
@@ -218,9 +219,7 @@ def studies() -> None:
 
 
 @app.command()
-def status(
-    store: StoreArgument, debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False
-) -> None:
+def status(store: StoreArgument) -> None:
     """Say what of a store is done, quarantined (and why) and still to do."""
     from wavequake.workflows.status import store_status
 
@@ -229,9 +228,7 @@ def status(
 
 
 @app.command()
-def verify(
-    store: StoreArgument, debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False
-) -> None:
+def verify(store: StoreArgument) -> None:
     """Read every stored number again and compare it with the journal's digests (exit code 4 if damaged)."""
     from wavequake.workflows.verify import verify_store
 
@@ -249,7 +246,6 @@ def report(
         int | None, typer.Option(min=0, help="Write an animation of this case of telescope-exposure, too.")
     ] = None,
     controller: Annotated[str, typer.Option(help="Controller that is animated.")] = "disturbed",
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Print the table of a store and write its HTML report."""
     _write_report(store, fresh=True)
@@ -266,7 +262,6 @@ def export(
         Path, typer.Argument(help="FILE.nc or FILE.fits (every array), or FILE.csv (one row per case).")
     ],
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE.")] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Write a store to one NetCDF, FITS or CSV file for other programs."""
     from wavequake.report.campaign import export_store
@@ -281,7 +276,6 @@ def compare(
         Path | None,
         typer.Option("--figure", help="Where the figure goes (.png, .svg, .pdf; default: the last store)."),
     ] = None,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Compare stores case by case: cases of equal labels (the same draws) are paired."""
     from wavequake.report.comparison import compare_stores
@@ -297,9 +291,10 @@ def retry(
     statuses: Annotated[
         str, typer.Option("--status", help="Which failed cases, by name or number of their status.")
     ] = "raised,crashed,timed_out,diverged",
-    on: Annotated[str, typer.Option(help="As of run.")] = "local",
-    workers: Annotated[int | None, typer.Option(min=1, help="Worker processes.")] = None,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    on: OnOption = "local",
+    cluster: ClusterOption = None,
+    workers: WorkersOption = None,
+    dashboard: DashboardOption = False,
 ) -> None:
     """Compute quarantined cases of a store again, with the others of their chunks."""
     from wavequake.workflows import rerun
@@ -308,7 +303,16 @@ def retry(
 
     wanted, workflow = rerun.statuses(statuses), WORKFLOWS[read_manifest(store).workflow]
     with live_progress() as progress:
-        summary = rerun.retry_store(workflow, store, wanted, on=on, workers=workers, progress=progress)
+        summary = rerun.retry_store(
+            workflow,
+            store,
+            wanted,
+            on=on,
+            workers=workers,
+            progress=progress,
+            cluster=cluster,
+            dashboard=_show_link if dashboard else None,
+        )
     out.print(f"{summary.chunks} chunks computed again; {summary.quarantined} cases are quarantined now.")
     if summary.quarantined:
         sys.exit(EXIT_QUARANTINED)
@@ -321,7 +325,6 @@ def rerun_case(
     file: Annotated[
         Path | None, typer.Option("--file", help="Where its numbers go (.nc; default: STORE/case-ID.nc).")
     ] = None,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Compute one case again in full detail and compare its bits with the store (exit code 4 if others)."""
     from wavequake.report.rerun import rerun_stored
@@ -351,7 +354,6 @@ def sensitivity(
             help="Zernike terms of the figure of M2 and each further mirror, or of each surface.",
         ),
     ] = 0,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Show and keep how line of sight and wavefront follow motions of every surface and segment."""
     from wavequake.report import sensitivity as of_segments

@@ -86,6 +86,9 @@ def test_the_command_line_retries(tmp_path, monkeypatch):
     words = ["retry", str(path), "--status", "raised", "--on", "serial"]
     assert CliRunner().invoke(app, words).exit_code == 3
     (tmp_path / "flag").touch()
+    (tmp_path / "cluster.yaml").write_text("hosts: []")
+    elsewhere = [*words[:-1], "ssh", "--cluster", str(tmp_path / "cluster.yaml")]
+    assert "hosts: " in str(CliRunner().invoke(app, elsewhere).exception)
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0
     assert "1 chunks computed again; 0 cases are quarantined now." in result.output

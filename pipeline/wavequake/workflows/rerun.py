@@ -37,10 +37,13 @@ def retry_store(
     workers: int | None = None,
     progress: Callable[[int, int, int], None] | None = None,
     timeout_s: float | None = None,
+    cluster: Path | None = None,
+    dashboard: Callable[[str], None] | None = None,
 ) -> CampaignSummary:
     """Compute the chunks of a store that hold cases of the statuses `wanted` again, and nothing else.
 
-    Other versions of the code may do so: cases that were done must come out with the same bits.
+    Other versions of the code may do so: cases that were done must come out with the same bits. Further
+    arguments are those of :func:`wavequake.workflows.engine.run_campaign`.
 
     Raises
     ------
@@ -70,5 +73,7 @@ def retry_store(
         recompute=chunks,
         retry=True,
         timeout_s=timeout_s,
+        cluster=cluster,
+        dashboard=dashboard,
         allow_mixed=True,  # the cause may have been in the code, and what is done keeps its bits
     )
