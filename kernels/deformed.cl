@@ -5,16 +5,16 @@
 // the slopes at hand. What that leaves is bounded by the square of the lateral step: `limit` is the square
 // of the longest lateral step that is short enough, within the square `reach` of the distance from the axis.
 // Rays for which it is not take Newton's iteration from the start (Stoerkle 2018, Algorithm 1); the others
-// are left alone, so that no ray's bits depend on its neighbors. Returns where the surface is met; `missed`
-// is where the bare conic is not, and the iteration started at the vertex plane.
+// are left alone, so that no ray's bits depend on its neighbors. Returns the loss of rays that do not meet the
+// surface; where the bare conic is missed, the iteration starts at the vertex plane.
 
-INLINE mask JOIN(meet_, NUMBER)(numbers t, ray *r, double c, double k1, double index, double limit,
-                                double reach, triple *normal, mask *missed)
+INLINE real JOIN(meet_, NUMBER)(numbers t, ray *r, double c, double k1, double index, double limit,
+                                double reach, triple *normal)
 {
     const triple d = r->direction;
     const real bare = conic_step(r->position, d, c, k1);
     triple hit = along(r->position, bare, d);
-    *missed = NOT(finite(bare) & ((c * k1) * hit.z < 1.0));
+    const real beyond = (c * k1) * hit.z - 1.0;
 
     real slope_x, slope_y;
     real height = JOIN(height_, NUMBER)(t, hit.x, hit.y, &slope_x, &slope_y);
@@ -29,15 +29,18 @@ INLINE mask JOIN(meet_, NUMBER)(numbers t, ray *r, double c, double k1, double i
     real square = hit.x * hit.x + hit.y * hit.y;
     f = c * (square + k1 * (q * q)) - 2.0 * q;
     *normal = conic_plus(hit, q, slope_x, slope_y, c, k1);
-    mask met = (d.x * d.x + d.y * d.y) * (step * step) <= limit;
-    met &= NOT(*missed) & (square <= reach);
+    const real lateral = (d.x * d.x + d.y * d.y) * (step * step) - limit;
     step += f * inverse;
     hit = along(hit, f * inverse, d);
     real way = bare + step;
+    mask met = larger(larger(lateral, square - reach), beyond) + poison(way) <= 0.0;
+    real loss = LOSS(DIVERGED, NUMBER);
 
     if (any_lane(NOT(met))) {
         // Strong deformations need the sag itself: F has a second sheet that attracts the iteration.
-        real to_start = EITHER(*missed, -r->position.z / d.z, bare);
+        mask missed = NOT(beyond + poison(bare) < 0.0);
+        loss = EITHER(missed, (real)LOSS(MISS, NUMBER), loss);
+        real to_start = EITHER(missed, -r->position.z / d.z, bare);
         way = EITHER(met, way, to_start);
         hit = choose(met, hit, along(r->position, to_start, d));
         mask open = NOT(met) & finite(way);
@@ -55,10 +58,11 @@ INLINE mask JOIN(meet_, NUMBER)(numbers t, ray *r, double c, double k1, double i
             met |= open & (far * far <= CONVERGED * CONVERGED + ROUNDING * ROUNDING * square);
             open &= NOT(met) & finite(step);
         }
+        normal->z = EITHER(met, normal->z, (real)1.0);
     }
     r->position = hit;
     r->path += way * (index * r->length);
     // On the half with the vertex, and crossed in the sense in which the ray crosses the vertex plane.
-    return met & (normal->z < 0.0) & (dot3(*normal, d) * d.z < 0.0);
+    return EITHER(larger(normal->z, dot3(*normal, d) * d.z) < 0.0, (real)0.0, loss);
 }
 #undef NUMBER

@@ -15,14 +15,19 @@
 
 #if W == 1
 typedef double real;
-typedef int mask;
+typedef int mask, integers;
+#define to_integers(a) ((int)(a))
+#define to_real(a) ((double)(a))
 #define LOAD(address) (*(address))
 #define STORE(value, address) (*(address) = (value))
 #define STORE_STATUS(value, address) (*(address) = (char)(value))
 #else
 typedef JOIN(double, W) real;
 typedef JOIN(long, W) mask;
+typedef JOIN(int, W) integers;
 #if defined(__clang__)
+#define to_integers(a) __builtin_convertvector(a, integers)
+#define to_real(a) __builtin_convertvector(a, real)
 typedef real loose_real __attribute__((aligned(8)));
 typedef JOIN(char, W) loose_status __attribute__((aligned(1)));
 #define LOAD(address) (*(__global const loose_real *)(address))
@@ -30,10 +35,16 @@ typedef JOIN(char, W) loose_status __attribute__((aligned(1)));
 #define STORE_STATUS(value, address) \
     (*(__global loose_status *)(address) = __builtin_convertvector(value, JOIN(char, W)))
 #else
+#define to_integers(a) JOIN(convert_int, W)(a)
+#define to_real(a) JOIN(convert_double, W)(a)
 #define LOAD(address) JOIN(vload, W)(0, address)
 #define STORE(value, address) JOIN(vstore, W)(value, 0, address)
 #define STORE_STATUS(value, address) JOIN(vstore, W)(JOIN(convert_char, W)(value), 0, address)
 #endif
+#endif
+
+#ifndef __has_builtin
+#define __has_builtin(name) 0
 #endif
 
 #define EITHER(condition, yes, no) ((condition) ? (yes) : (no))
@@ -44,7 +55,9 @@ INLINE mask finite(real a) { return a - a == 0.0; }
 // Clang's intrinsic becomes the vector instruction; the built-in function may stay a call.
 INLINE real root(real a)
 {
-#if W > 1 && defined(__clang__)
+#if W > 1 && __has_builtin(__builtin_elementwise_sqrt)
+    return __builtin_elementwise_sqrt(a);
+#elif W > 1 && defined(__clang__)
     real result;
     #pragma unroll
     for (int lane = 0; lane < W; ++lane)

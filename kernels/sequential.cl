@@ -7,7 +7,12 @@
 #include "lanes.h"
 #include "rays.h"
 
-enum { VIGNETTED = 1, MISS = 2, TOTAL_REFLECTION = 3, DIVERGED = 4 };
+// Why a ray is lost at a surface, the first reason the largest; STATUS_OF names them as the host does.
+enum { TOTAL_REFLECTION = 1, VIGNETTED = 2, DIVERGED = 3, MISS = 4 };
+#define STATUS_OF(reason) ((integers)(0x24130) >> 4 * (reason) & 15)
+// Losses are numbers that fall from surface to surface, so that a ray keeps its largest: masks that are
+// combined with one another cost processors without 512-bit vectors as much as the trace itself.
+#define LOSS(reason, surface) (8.0 * (255 - (surface)) + (reason))
 
 #define NEWTON_STEPS 30
 // Newton's iteration ends with a step this short, or this short for a surface of radius 1.
@@ -34,14 +39,18 @@ INLINE int any_lane(mask a)
 #endif
 }
 
-// A ray keeps the first reason for which it is lost, with the surface where that happens.
-INLINE mask lose(mask code, mask lost, int why, int surface)
+INLINE real larger(real a, real b) { return EITHER(a > b, a, b); }
+
+INLINE real lose_unless(mask good, real loss, double other)
 {
-    return EITHER(lost & (code == 0), (mask)(8 * (surface + 1) + why), code);
+    return larger(EITHER(good, (real)0.0, (real)other), loss);
 }
 
-INLINE mask status_of(mask code) { return code & 7; }
-INLINE mask surface_of(mask code) { return (code >> 3) - 1; }
+INLINE integers status_of(real loss) { return STATUS_OF(to_integers(loss) & 7); }
+INLINE integers surface_of(real loss) { return -1 - (to_integers(loss) >> 3); }
+
+// What is added to a number to make it NaN where `a` is not finite.
+INLINE real poison(real a) { return a - a; }
 
 INLINE triple choose(mask condition, triple yes, triple no)
 {
@@ -72,27 +81,29 @@ INLINE void rotate_and_shift(ray *r, __global const double *pose)
     shift(r, pose);
 }
 
-// Move a ray by `step`; true where that is a number.
-INLINE mask travel(ray *r, real step, double index)
+INLINE void travel(ray *r, real step, double index)
 {
     r->position = along(r->position, step, r->direction);
     r->path += step * (index * r->length);
-    return finite(step);
 }
 
+// These return where the surface is met.
 INLINE mask meet_plane(ray *r, double index, triple *normal)
 {
     normal->x = 0.0;
     normal->y = 0.0;
     normal->z = -1.0;
-    return travel(r, -r->position.z / r->direction.z, index);
+    real step = -r->position.z / r->direction.z;
+    travel(r, step, index);
+    return finite(step);
 }
 
 INLINE mask meet_conic(ray *r, double c, double k1, double index, triple *normal)
 {
-    mask met = travel(r, conic_step(r->position, r->direction, c, k1), index);
+    real step = conic_step(r->position, r->direction, c, k1);
+    travel(r, step, index);
     *normal = conic_normal(r->position, c, k1);
-    return met & (normal->z < 0.0);
+    return normal->z + poison(step) < 0.0;
 }
 
 INLINE void reflect_at_plane(ray *r) { r->direction.z = -r->direction.z; }
@@ -159,23 +170,36 @@ INLINE real even_powers(__global const double *a, const int count, real x, real 
 
 #define TERM(i, j) a[((i) + (j)) * ((i) + (j) + 1) / 2 + (j)]
 
-// Horner's rule in v, then in u.
+// Horner's rule in v, then in u; rows of equal powers of u go in pairs, so that there is enough to do at once.
 INLINE real monomials(__global const double *a, const int degree, double inverse_radius, real x, real y,
                       real *slope_x, real *slope_y)
 {
     real u = inverse_radius * x, v = inverse_radius * y;
     real value = TERM(degree, 0), slope_u = 0.0, slope_v = 0.0;
-    #pragma unroll
-    for (int i = degree - 1; i >= 0; --i) {
-        real inner = TERM(i, degree - i), inner_v = 0.0;
-        #pragma unroll
-        for (int j = degree - i - 1; j >= 0; --j) {
-            inner_v = inner_v * v + inner;
-            inner = inner * v + TERM(i, j);
+    if (degree % 2) {
+        slope_u = value;
+        slope_v = TERM(degree - 1, 1);
+        value = value * u + (slope_v * v + TERM(degree - 1, 0));
+    }
+    #pragma unroll 16
+    for (int i = degree / 2 * 2 - 1; i > 0; i -= 2) {
+        real first = TERM(i, degree - i), first_v = 0.0;
+        real second_v = TERM(i - 1, degree - i + 1), second = second_v * v + TERM(i - 1, degree - i);
+        __global const double *term = &TERM(i, degree - i - 1);
+        #pragma unroll 1
+        for (int n = degree - 1; n >= i; --n) {
+            first_v = first_v * v + first;
+            second_v = second_v * v + second;
+            first = first * v + term[0];
+            second = second * v + term[-n];
+            term -= n + 1;
         }
         slope_u = slope_u * u + value;
-        slope_v = slope_v * u + inner_v;
-        value = value * u + inner;
+        slope_v = slope_v * u + first_v;
+        value = value * u + first;
+        slope_u = slope_u * u + value;
+        slope_v = slope_v * u + second_v;
+        value = value * u + second;
     }
     *slope_x += inverse_radius * slope_u;
     *slope_y += inverse_radius * slope_v;
@@ -217,40 +241,18 @@ INLINE real chebyshev(__global const double *a, const int degree, double inverse
 }
 
 #if W > 1
-typedef union { mask all; long lane[W]; } whole_lanes;
+typedef union { integers all; int lane[W]; } integer_lanes;
 typedef union { real all; double lane[W]; } real_lanes;
 #endif
 
-INLINE mask whole(real a)
-{
-#if W == 1
-    return (int)a;
-#elif defined(__clang__)
-    return __builtin_convertvector(a, mask);
-#else
-    return JOIN(convert_long, W)(a);
-#endif
-}
-
-INLINE real fraction(real a, mask integer)
-{
-#if W == 1
-    return a - integer;
-#elif defined(__clang__)
-    return a - __builtin_convertvector(integer, real);
-#else
-    return a - JOIN(convert_double, W)(integer);
-#endif
-}
-
 // The first of four nodes about `place`, in node spacings, and the weights of their cubic B-splines. The
 // spline ends where it lacks a fourth node; NaN goes to its first piece, so that nothing else is ever read.
-INLINE mask spline_weights(real place, int nodes, real *weight, real *slope)
+INLINE integers spline_weights(real place, int nodes, real *weight, real *slope)
 {
     real within = EITHER(place >= 1.0, place, (real)1.0);
     within = EITHER(within <= nodes - 2.0, within, (real)(nodes - 2.0));
-    mask first = whole(EITHER(within < nodes - 3.0, within, (real)(nodes - 3.0)));
-    real t = fraction(within, first);
+    integers first = to_integers(EITHER(within < nodes - 3.0, within, (real)(nodes - 3.0)));
+    real t = within - to_real(first);
     real s = 1.0 - t, inside = EITHER(within == place, (real)1.0, (real)0.0);
     weight[0] = s * s * s * (1.0 / 6.0);
     weight[1] = (4.0 - t * t * (6.0 - 3.0 * t)) * (1.0 / 6.0);
@@ -268,13 +270,13 @@ INLINE real spline_grid(__global const double *a, const int rows, const int colu
                         __global const double *place, real x, real y, real *slope_x, real *slope_y)
 {
     real weight_x[4], weight_y[4], steep_x[4], steep_y[4];
-    mask column = spline_weights((x - place[0]) * place[2], columns, weight_x, steep_x);
-    mask row = spline_weights((y - place[1]) * place[3], rows, weight_y, steep_y);
+    integers column = spline_weights((x - place[0]) * place[2], columns, weight_x, steep_x);
+    integers row = spline_weights((y - place[1]) * place[3], rows, weight_y, steep_y);
     real value = 0.0, along_x = 0.0, along_y = 0.0;
 #if W == 1
     __global const double *corner = a + row * columns + column;
 #else
-    whole_lanes corner;
+    integer_lanes corner;
     corner.all = row * columns + column;
 #endif
     // Rows stay a loop: the nodes of 16 lanes are loaded one by one, and compilers take long over them.

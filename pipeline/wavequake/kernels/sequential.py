@@ -19,13 +19,16 @@ from wavequake.kernels.sequence import (
 )
 from wavequake.kernels.sequential_numpy import moving_part, trace_sequence_numpy
 from wavequake.kernels.sequential_source import OUTPUTS, kernel_source
+from wavequake.kernels.steps import vector_width
 
 Array = NDArray[np.float64]
 
 # What one launch may write: it bounds the memory that is taken on a GPU.
 _LAUNCH_BYTES = 256 << 20
-# Work-items in a group: groups of rays on a CPU, rays on a GPU.
-_GROUP = {"cpu": 125, "gpu": 64}
+# Rays of a group of work-items. One size for all launches: PoCL compiles a kernel again for each new one.
+_GROUP_RAYS = {"cpu": 2000, "gpu": 64}
+# Vectors of rays that a work-item traces in turns, surface by surface, so that one hides the other's waiting.
+_TURNS = {"cpu": 2, "gpu": 1}
 
 
 def trace_sequence(
@@ -91,7 +94,7 @@ def _trace_opencl(
     outputs: tuple[str, ...],
     out: TracedRays | None,
 ) -> TracedRays:
-    count, width = rays.path.size, device.vector_width
+    count, width = rays.path.size, _lanes(device) * _TURNS[device.kind]
     if 0 < count < width:
         whole = _trace_opencl(
             sequence, _repeated(rays, width), moving, device, ignore_apertures, outputs, None
@@ -136,12 +139,13 @@ def _launch(
     direction, one_direction = _once(rays.direction)
     path, one_path = _once(rays.path)
     outputs = tuple(name for name in results if name in OUTPUTS)
-    text = kernel_source(shapes, one_direction, one_path, moving.spheres is not None, outputs)
-    count, width = rays.path.size, device.vector_width
+    lanes, turns = _lanes(device), _TURNS[device.kind]
+    text = kernel_source(shapes, one_direction, one_path, moving.spheres is not None, outputs, turns)
+    count, width = rays.path.size, lanes * turns
     launch(
         device,
         "sequential",
-        (("W", width),),
+        (("W", lanes),),
         (1, -(-count // width), len(moving.poses)),
         [
             np.int32(count),
@@ -156,8 +160,13 @@ def _launch(
         ],
         list(results.values()),
         text,
-        _GROUP[device.kind],
+        -(-_GROUP_RAYS[device.kind] // width),
     )
+
+
+def _lanes(device: Device) -> int:
+    """Return the rays of one vector: on a CPU two registers of them, as its latencies ask for."""
+    return 1 if device.kind == "gpu" else max(4, min(16, 2 * vector_width(device, np.dtype(np.float64))))
 
 
 def _once(values: Array) -> tuple[Array, bool]:

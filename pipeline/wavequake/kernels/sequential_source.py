@@ -8,13 +8,13 @@ from wavequake.kernels.program import source
 OUTPUTS = ("path", "x", "y", "u", "v", "w_sign")
 
 _LEAVES = {
-    "path": "STORE(EITHER(lost, (real)NAN, r.path), out_path + out);",
-    "x": "STORE(EITHER(lost, (real)NAN, r.position.x), out_x + out);",
-    "y": "STORE(EITHER(lost, (real)NAN, r.position.y), out_y + out);",
-    "u": "STORE(EITHER(lost, (real)NAN, r.direction.x / r.length), out_u + out);",
-    "v": "STORE(EITHER(lost, (real)NAN, r.direction.y / r.length), out_v + out);",
-    "w_sign": "STORE_STATUS(EITHER(lost, (mask)0, EITHER(r.direction.z < 0.0, (mask)(-1), (mask)1)), "
-    "out_w_sign + out);",
+    "path": "STORE(EITHER(lost, (real)NAN, r.path), out_path + n);",
+    "x": "STORE(EITHER(lost, (real)NAN, r.position.x), out_x + n);",
+    "y": "STORE(EITHER(lost, (real)NAN, r.position.y), out_y + n);",
+    "u": "STORE(EITHER(lost, (real)NAN, r.direction.x / r.length), out_u + n);",
+    "v": "STORE(EITHER(lost, (real)NAN, r.direction.y / r.length), out_v + n);",
+    "w_sign": "STORE_STATUS(to_integers(EITHER(lost, (real)0.0, EITHER(r.direction.z < 0.0, (real)-1.0, "
+    "(real)1.0))), out_w_sign + n);",
 }
 
 
@@ -61,8 +61,11 @@ def kernel_source(
     one_path: bool,
     sphere: bool,
     outputs: tuple[str, ...],
+    turns: int,
 ) -> str:
     """Return the OpenCL C of a kernel ``sequential`` for elements of the given shapes.
+
+    A work-item traces `turns` vectors of rays, each through one surface before any meets the next one.
 
     Its arguments are: number of rays, fixed numbers, position (3, N), direction (3, N) or (3,), path (N,) or
     (1,), poses, limits, spheres, one array for each part of each element; then `outputs`, status and surface.
@@ -71,54 +74,71 @@ def kernel_source(
     names = [f"part_{i}_{k}" for i, k, _ in parts]
     pointers = [_pointer(name, part) for name, (_, _, part) in zip(names, parts, strict=True)]
     deformed = [i for i, shape in enumerate(shapes) if not shape.bare]
+    fields = ["fixed", "poses", "limits", "spheres", *names]
     lines = [source("sequential.cl")]
-    lines.append(
-        "typedef struct { __global const double *fixed" + "".join(f", *{n}" for n in names) + "; } numbers;"
-    )
+    lines.append(f"typedef struct {{ __global const double *{', *'.join(fields)}; }} numbers;")
     meet = source("deformed.cl") if deformed else ""
     for i in deformed:
         lines += [_height(i, shapes[i]), f"#define NUMBER {i}", meet]
+    for i, shape in enumerate(shapes):
+        lines += _element(i, shape, deformed)
+    lines += _start(one_direction, one_path) + _finish(outputs)
     inputs = ["fixed", "position", "direction", "path", "poses", "limits", "spheres", *names]
-    arguments = [f"__global const double *{name}" for name in inputs]
-    arguments += [f"__global {'char' if name == 'w_sign' else 'double'} *out_{name}" for name in outputs]
-    arguments += ["__global char *out_status", "__global char *out_surface"]
+    arguments = [f"__global const double *{name}" for name in inputs] + _written(outputs)
+    moving = [f"poses + instant * {12 * len(shapes)}", f"limits + instant * {len(deformed)}"]
+    moving += ["spheres + 4 * instant" if sphere else "spheres", *pointers]
     lines += [
         f"__kernel void sequential(const int rays, {', '.join(arguments)})",
         "{",
         "    const size_t instant = get_global_id(2);",
         "    // The last group overlaps the one before it, so that all lanes are rays.",
-        "    const size_t group = get_global_id(1) * W;",
+        f"    const size_t group = get_global_id(1) * ({turns} * W);",
         "    if (group >= rays)",
         "        return;",
-        "    const size_t n = group + W > rays ? rays - W : group;",
-        f"    numbers t = {{{', '.join(['fixed', *pointers])}}};",
-        f"    poses += instant * {12 * len(shapes)};",
-        f"    limits += instant * {len(deformed)};",
-        "    ray r;",
-        *(
-            f"    r.position.{axis} = LOAD(position + {k} * (size_t)rays + n);"
-            for k, axis in enumerate("xyz")
-        ),
-        *(
-            f"    r.direction.{axis} = {_given('direction', k, one_direction)};"
-            for k, axis in enumerate("xyz")
-        ),
-        f"    r.path = {_given('path', 0, one_path)};",
-        "    r.length = 1.0;",
-        "    mask code = 0, met, missed;",
-        "    triple normal;",
+        f"    const size_t n = group + {turns} * W > rays ? rays - {turns} * W : group;",
+        "    const size_t out = instant * rays + n;",
+        f"    const numbers t = {{fixed, {', '.join(moving)}}};",
     ]
-    for i, shape in enumerate(shapes):
-        lines += ["    " + line for line in _element(i, shape, deformed)]
-    lines += (
-        [f"    met = to_sphere(&r, spheres + 4 * instant, fixed[{shapes[-1].fixed + 4}]);"] if sphere else []
-    )
-    lines += [f"    code = lose(code, NOT(met), MISS, {len(shapes)});"] if sphere else []
-    lines += ["    const size_t out = instant * rays + n;", "    const mask lost = code != 0;"]
-    lines += ["    " + _LEAVES[name] for name in outputs]
-    lines += ["    STORE_STATUS(status_of(code), out_status + out);"]
-    lines += ["    STORE_STATUS(surface_of(code), out_surface + out);", "}", ""]
-    return "\n".join(lines)
+    for k in range(turns):
+        lines += [f"    ray r_{k} = start(rays, n + {k} * W, position, direction, path);"]
+        lines += [f"    real loss_{k} = 0.0;"]
+    for i in range(len(shapes)):
+        lines += [f"    loss_{k} = element_{i}(t, &r_{k}, loss_{k});" for k in range(turns)]
+    for k in range(turns if sphere else 0):
+        met = f"to_sphere(&r_{k}, t.spheres, fixed[{shapes[-1].fixed + 4}])"
+        lines += [f"    loss_{k} = lose_unless({met}, loss_{k}, LOSS(MISS, {len(shapes)}));"]
+    results = ", ".join(f"out_{name}" for name in (*outputs, "status", "surface"))
+    lines += [f"    finish(r_{k}, loss_{k}, out + {k} * W, {results});" for k in range(turns)]
+    return "\n".join([*lines, "}", ""])
+
+
+def _written(outputs: tuple[str, ...]) -> list[str]:
+    written = [f"__global {'char' if name == 'w_sign' else 'double'} *out_{name}" for name in outputs]
+    return [*written, "__global char *out_status", "__global char *out_surface"]
+
+
+def _start(one_direction: bool, one_path: bool) -> list[str]:
+    """Return the function that reads rays from number n on."""
+    pointers = [f"__global const double *{name}" for name in ("position", "direction", "path")]
+    lines = [f"INLINE ray start(const size_t rays, const size_t n, {', '.join(pointers)})", "{", "    ray r;"]
+    for k, axis in enumerate("xyz"):
+        lines += [f"    r.position.{axis} = {_given('position', k, False)};"]
+        lines += [f"    r.direction.{axis} = {_given('direction', k, one_direction)};"]
+    lines += [f"    r.path = {_given('path', 0, one_path)};", "    r.length = 1.0;"]
+    return [*lines, "    return r;", "}"]
+
+
+def _finish(outputs: tuple[str, ...]) -> list[str]:
+    """Return the function that writes rays from place n on."""
+    return [
+        f"INLINE void finish(ray r, real loss, const size_t n, {', '.join(_written(outputs))})",
+        "{",
+        "    const mask lost = loss > 0.0;",
+        *("    " + _LEAVES[name] for name in outputs),
+        "    STORE_STATUS(status_of(loss), out_status + n);",
+        "    STORE_STATUS(surface_of(loss), out_surface + n);",
+        "}",
+    ]
 
 
 def _pointer(name: str, part: Part) -> str:
@@ -126,7 +146,7 @@ def _pointer(name: str, part: Part) -> str:
 
 
 def _given(name: str, row: int, single: bool) -> str:
-    return f"{name}[{row}]" if single else f"LOAD({name} + {row} * (size_t)rays + n)"
+    return f"{name}[{row}]" if single else f"LOAD({name} + {row} * rays + n)"
 
 
 def _height(i: int, shape: Shape) -> str:
@@ -145,28 +165,34 @@ def _height(i: int, shape: Shape) -> str:
 
 
 def _element(i: int, shape: Shape, deformed: list[int]) -> list[str]:
-    """Return the calls for one element; its fixed numbers are c, k1, index before, ratio, index, reach."""
-    c, k1, index, ratio, _, reach = (f"fixed[{shape.fixed + k}]" for k in range(6))
-    lines = [f"{'rotate_and_shift' if shape.rotates else 'shift'}(&r, poses + {12 * i});"]
+    """Return the function of one element; its fixed numbers are c, k1, index before, ratio, index, reach."""
+    c, k1, index, ratio, _, reach = (f"t.fixed[{shape.fixed + k}]" for k in range(6))
+    lines = [f"{'rotate_and_shift' if shape.rotates else 'shift'}(r, t.poses + {12 * i});"]
     if shape.bare:
-        call = f"meet_plane(&r, {index}" if shape.plane else f"meet_conic(&r, {c}, {k1}, {index}"
-        lines += [f"met = {call}, &normal);", f"code = lose(code, NOT(met), MISS, {i});"]
+        call = f"meet_plane(r, {index}" if shape.plane else f"meet_conic(r, {c}, {k1}, {index}"
+        lines += [f"loss = lose_unless({call}, &normal), loss, LOSS(MISS, {i}));"]
     else:
-        limit = f"limits[{deformed.index(i)}]"
-        lines += [f"met = meet_{i}(t, &r, {c}, {k1}, {index}, {limit}, {reach}, &normal, &missed);"]
-        lines += [f"code = lose(code, NOT(met) & missed, MISS, {i});"]
-        lines += [f"code = lose(code, NOT(met), DIVERGED, {i});"]
+        limit = f"t.limits[{deformed.index(i)}]"
+        lines += [f"loss = larger(meet_{i}(t, r, {c}, {k1}, {index}, {limit}, {reach}, &normal), loss);"]
     for k, (kind, edges, blocks, place) in enumerate(shape.regions):
         count = "" if kind == "circle" else f", {edges}"
-        inside = f"in_{kind}(r.position, fixed + {place}{count})"
+        inside = f"in_{kind}(r->position, t.fixed + {place}{count})"
         lines += [f"met {'' if k == 0 else '&'}= {f'NOT({inside})' if blocks else inside};"]
     if shape.regions:
-        lines += [f"code = lose(code, NOT(met), VIGNETTED, {i});"]
+        lines += [f"loss = lose_unless(met, loss, LOSS(VIGNETTED, {i}));"]
     if shape.action == "reflect":
-        lines += ["reflect_at_plane(&r);" if shape.bare and shape.plane else "reflect(&r, normal);"]
+        lines += ["reflect_at_plane(r);" if shape.bare and shape.plane else "reflect(r, normal);"]
     elif shape.action == "refract":
         lines += [
-            f"met = refract(&r, normal, {ratio});",
-            f"code = lose(code, NOT(met), TOTAL_REFLECTION, {i});",
+            f"met = refract(r, normal, {ratio});",
+            f"loss = lose_unless(met, loss, LOSS(TOTAL_REFLECTION, {i}));",
         ]
-    return lines
+    head = [f"INLINE real element_{i}(const numbers t, ray *r, real loss)", "{"]
+    return [
+        *head,
+        "    triple normal;",
+        "    mask met;",
+        *("    " + line for line in lines),
+        "    return loss;",
+        "}",
+    ]
