@@ -109,3 +109,12 @@ def test_figures_of_lens_faces_act_by_their_index(study):
 def test_other_workflows_say_that_they_have_none(tmp_path):
     with pytest.raises(wq.UserError, match="mirror-mor of mirror-mor has no sensitivities"):
         wq.sensitivity("mirror-mor", store=tmp_path / "here")
+
+
+def test_an_exposure_study_has_those_of_its_telescope(tmp_path):
+    keys = {"telescope__name": "tmt-thesis", "optics__rays": 300, "wavefront__zernike_terms": 11}
+    exposure, plain = (
+        wq.sensitivity(name, store=tmp_path / name, optics__sampling="sunflower", **keys)
+        for name in ("tmt-exposure", "tmt-segments")
+    )
+    np.testing.assert_array_equal(exposure.sensitivity_los_surface, plain.sensitivity_los_surface)

@@ -18,9 +18,12 @@ from wavequake.optics.prepared import prepare
 from wavequake.optics.sensitivity import DOFS, Sensitivities, SensitivityMatrix, sensitivities
 from wavequake.workflows import arrays
 from wavequake.workflows.bench import MM_PER_M, Bench, bench_of
+from wavequake.workflows.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.journal import digest, flush
 from wavequake.workflows.provenance import collect
 from wavequake.workflows.schema import Study
+from wavequake.workflows.segment_mor_bench import telescope_study
+from wavequake.workflows.segment_mor_study import SegmentMorStudy
 from wavequake.workflows.segment_study import SegmentStudy
 from wavequake.workflows.store import (
     MANIFEST,
@@ -32,6 +35,7 @@ from wavequake.workflows.store import (
 )
 from wavequake.workflows.study import load_study, study_with
 from wavequake.workflows.system_study import SystemStudy
+from wavequake.workflows.telescope_control import segment_text
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -102,11 +106,10 @@ def stored_sensitivity(
         from wavequake.workflows.system_sensitivity import stored_system_sensitivity  # it builds on this
 
         return stored_system_sensitivity(study, path, figure_terms, mirror_terms)
-    if not isinstance(study, SegmentStudy):
-        raise UserError(f"The workflow {study.study.workflow} of {study.study.name} has no sensitivities.")
+    text = _telescope_text(study)
     require_own_store(study, path)
     device = choose_device(study.campaign.device)
-    bench = bench_of(study.identity_text())
+    bench = bench_of(text)
     terms = bench.figure_terms if figure_terms is None else figure_terms
     require_terms(terms, mirror_terms)
     if mirror_terms and len(bench.system.surfaces) < 2:
@@ -116,6 +119,20 @@ def stored_sensitivity(
         path,
         {"figure_terms": terms, "mirror_terms": mirror_terms},
         lambda: dataset(bench, _of_bench(bench, device, terms, mirror_terms), device),
+    )
+
+
+def _telescope_text(study: Study) -> str:
+    """Return the identity text of the segment-disturbance study whose telescope a study looks through."""
+    if isinstance(study, SegmentMorStudy):
+        return telescope_study(study).identity_text()
+    if isinstance(study, TelescopeExposureStudy):
+        return segment_text(study.identity_text())
+    if isinstance(study, SegmentStudy):
+        return study.identity_text()
+    raise UserError(
+        f"The workflow {study.study.workflow} of {study.study.name} has no sensitivities; "
+        "segment-disturbance, segment-mor, telescope-exposure and system-disturbance have."
     )
 
 
