@@ -255,9 +255,9 @@ def _run(tmp_path, keys):
 
 
 def test_variants_that_do_not_suit_are_quarantined_with_the_reason(tmp_path, monkeypatch):
-    """Fixed-interface modes cannot follow moving interfaces."""
+    """Eight modes cannot follow nine prescribed motions."""
     monkeypatch.setattr(cli, "_write_report", lambda *_, **__: None)
-    variants = ["modalfix36", "craigb18"]
+    variants = ["modal8", "craigb18"]
     result = _run(tmp_path, MOR | {"reduction.variants": variants})
     assert result.exit_code == 3
     found = open_store(tmp_path / "s")

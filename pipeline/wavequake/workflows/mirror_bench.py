@@ -21,8 +21,9 @@ from wavequake.optics.zernike import annular_zernike
 from wavequake.reduction.intermediate import Intermediate, intermediate
 from wavequake.reduction.metrics import eps_mor, full_receptance, receptance
 from wavequake.reduction.names import parse
-from wavequake.reduction.two_stage import covers, reduce_variants, reference
+from wavequake.reduction.two_stage import check_variants, covers, reduce_variants, reference
 from wavequake.workflows.imported_facts import facts, frequencies
+from wavequake.workflows.mirror_base import CLAMPED, driven, on_moving_base
 from wavequake.workflows.mirror_optics import Optics, optical_rows, optics_of
 from wavequake.workflows.mirror_study import FULL, AnyMirrorStudy, MirrorStudy, TraceStudy
 from wavequake.workflows.model_store import (
@@ -160,7 +161,10 @@ def variant_of(bench: Bench, variant: str) -> ReducedModel:
     """
     if variant == FULL:
         return reference(bench.stage)
-    full = None if covers(bench.stage, parse(variant)) else bench.full()
+    chosen = parse(variant)
+    full = None if covers(bench.stage, chosen) else bench.full()
+    if chosen.method == CLAMPED:
+        return on_moving_base(full or bench.stage, chosen)
     return reduce_variants(bench.stage, [variant], full)[0]
 
 
@@ -173,6 +177,16 @@ def frequencies_of(study: MirrorStudy) -> Array:
 def time_of(study: AnyMirrorStudy) -> Array:
     """Return the instants of a study, s."""
     return np.arange(study.time.instants, dtype=np.float64) * study.time.step_s
+
+
+def check_variants_of(study: AnyMirrorStudy, bench: Bench, variants: tuple[str, ...]) -> None:
+    """Raise UserError for a variant that does not suit a model or an excitation of a study."""
+    check_variants(bench.stage, variants)
+    clamped = [name for name in variants if parse(name).method == CLAMPED]
+    for excitation in study.excitation:
+        drive = drive_of(excitation, len(bench.stage.interfaces), time_of(study), study.study.seed)
+        for name in clamped:
+            driven(variant_of(bench, name), drive, excitation.name)
 
 
 def build_model(study: AnyMirrorStudy, name: str) -> FiniteElementModel:
@@ -249,7 +263,8 @@ def aberrations_over_time(study: MirrorStudy, model: ReducedModel, rows: Array) 
     found = []
     for excitation in study.excitation:
         drive = drive_of(excitation, interfaces, time, study.study.seed)
-        found.append(displacements(respond(modal_model(model, drive.prescribed), [drive], time), rows)[0])
+        held, drive = driven(model, drive, excitation.name)
+        found.append(displacements(respond(modal_model(held, drive.prescribed), [drive], time), rows)[0])
     return np.array(found)
 
 

@@ -17,12 +17,12 @@ from wavequake.imaging.exposure_models import cut
 from wavequake.imaging.pupil_function import annular_pupil
 from wavequake.imaging.zernike_psf import ZernikeImager, zernike_imager, zernike_images
 from wavequake.kernels.devices import NUMPY, Device, choose_device
-from wavequake.reduction.two_stage import check_variants
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.exposures import CANVAS, exposed, exposure_variables, frame_coordinates
 from wavequake.workflows.mirror_bench import (
     aberrations_over_time,
     bench_of,
+    check_variants_of,
     import_notices,
     import_record,
     study_of,
@@ -184,7 +184,7 @@ def check(study_text: str) -> None:
     """Raise UserError for a study that no variant of can succeed: model, reference or optics do not fit."""
     study = study_of(study_text)
     for name in study.models:
-        check_variants(bench_of(study_text, name).stage, study.reduction.variants)
+        check_variants_of(study, bench_of(study_text, name), study.reduction.variants)
         aberrations_of(study_text, name, study.reduction.reference)
 
 

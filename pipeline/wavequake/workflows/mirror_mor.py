@@ -13,7 +13,6 @@ from wavequake.imaging.matrix_fourier import psf
 from wavequake.mechanics.model import ReducedModel
 from wavequake.reduction.metrics import eps_mor, frobenius, mac, pseudo_frequencies, receptance, surface_modes
 from wavequake.reduction.names import parse
-from wavequake.reduction.two_stage import check_variants
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.mirror_bench import (
     Answers,
@@ -21,6 +20,7 @@ from wavequake.workflows.mirror_bench import (
     aberrations_over_time,
     answers_of,
     bench_of,
+    check_variants_of,
     frequencies_of,
     image_of,
     import_notices,
@@ -291,7 +291,7 @@ def check(study_text: str) -> None:
     """Raise UserError where model, variants, excitations or optics do not fit."""
     study = study_of(study_text)
     for name in study.models:
-        check_variants(bench_of(study_text, name).stage, study.reduction.variants)
+        check_variants_of(study, bench_of(study_text, name), study.reduction.variants)
         answers_of(study_text, name)
 
 

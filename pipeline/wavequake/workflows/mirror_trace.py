@@ -26,11 +26,12 @@ from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.system_wavefront import line_of_sight, trace_system, zernike_fit
 from wavequake.reduction.metrics import pseudo_frequencies
 from wavequake.reduction.names import parse
-from wavequake.reduction.two_stage import check_variants
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.workflows.mirror_base import driven
 from wavequake.workflows.mirror_bench import (
     Bench,
     bench_of,
+    check_variants_of,
     import_notices,
     import_record,
     time_of,
@@ -128,8 +129,9 @@ def judged(study: TraceStudy, bench: Bench, variant: str, device: Device) -> dic
     for excitation in study.excitation:
         clock = Clock()
         drive = drive_of(excitation, reduced.inputs.shape[1] // 3, instants, study.study.seed)
+        held, drive = driven(reduced, drive, excitation.name)
         with clock("modal form"):
-            modal = modal_model(reduced, drive.prescribed)
+            modal = modal_model(held, drive.prescribed)
         with clock("time response"):
             response = respond(modal, [drive], instants)
         coordinates = coordinates_of(response)
@@ -390,11 +392,7 @@ def check(study_text: str) -> None:
     """Raise UserError for a study that no variant of can succeed: model, excitations or optics do not fit."""
     study = trace_study_of(study_text)
     for name in study.models:
-        stage = bench_of(study_text, name).stage
-        check_variants(stage, study.reduction.variants)
-        interfaces = len(stage.interfaces)
-        for excitation in study.excitation:
-            drive_of(excitation, interfaces, time_of(study), study.study.seed)
+        check_variants_of(study, bench_of(study_text, name), study.reduction.variants)
 
 
 WORKFLOW = Workflow(
