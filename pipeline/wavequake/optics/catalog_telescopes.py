@@ -31,10 +31,13 @@ def _with_fields(system: OpticalSystem, arcmin: float) -> OpticalSystem:
 def jwst() -> OpticalSystem:
     """Return the three mirrors of the James Webb Space Telescope, without the flat fine-steering mirror.
 
-    Radii, conics and spacings are the published ones, rounded (Lightsey et al. 2012, Opt. Eng. 51, 011003).
-    They are consistent: at best focus the rms spot radius is 4 to 5 um over 9 arcmin of field, a tenth of the
-    Airy radius at 2 um. The focal length is 132.8 m; the published 131.4 m would need M2 just 0.11 mm further
-    from M1. The image plane stands at the best focus of the field, which lies off the axis.
+    Radii and conics of M1 (15.88 m, -0.9967) and M2 (1778.913 mm, -1.6598) are quoted by public sources as
+    those of Lightsey et al. 2012 (Opt. Eng. 51, 011003) and of the mirrors' makers. M3 and the spacings are
+    commonly given, but we have not seen them in print: take them as approximate. They are consistent with the
+    rest: at best focus the rms spot radius is 4 to 5 um over 9 arcmin of field, a tenth of the Airy radius at
+    2 um, which other numbers would not give. The focal length is 132.8 m; the published 131.4 m would need M2
+    just 0.11 mm further from M1. The image plane stands at the best focus of the field, which lies off the
+    axis.
 
     The pupil is the circle about the segments' outermost corners.
     """
