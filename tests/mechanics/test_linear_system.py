@@ -14,7 +14,6 @@ from wavequake.mechanics.multibody import Bearing, Joint, Link, Place, assemble,
 from wavequake.mechanics.state_space import state_space, to_control
 
 TURN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-ACROSS = np.diag([1.0, 1.0, 0.0])
 
 
 def mass_point(mass=2.0, damping=0.0, stiffness=0.0):
@@ -194,6 +193,7 @@ def test_equation_2_5_splits_and_adds_up():
             "circulatory matrix of disk is not skew-symm.*to the stiffness",
         ),
         ({"gyroscopic": TURN[:2, :2]}, r"gyroscopic matrix of disk must be finite and of shape \(3, 3\)"),
+        ({"gyroscopic": 1j * TURN}, "gyroscopic matrix of disk is complex"),
         ({"circulatory": np.nan * TURN}, "circulatory matrix of disk must be finite"),
     ],
 )
@@ -217,6 +217,14 @@ def test_bad_models_are_refused(body, match):
     for function in (poles, lambda system: first_order(system, np.eye(3))):
         with pytest.raises(UserError, match=match):
             function(linear_system(body))
+
+
+def test_forces_that_are_not_symmetric_are_not_dropped():
+    """A symmetric assembly has no place for them."""
+    bearing = Bearing(Place(0, 0), None, np.eye(3) + TURN, np.eye(3))
+    for bodies, links in [([mass_point()], [bearing]), ([linear_system(mass_point())], [])]:
+        with pytest.raises(UserError, match="join them by assemble_system"):
+            assemble(bodies, links)
 
 
 def test_bad_bearings_rows_and_sizes_are_refused():

@@ -255,6 +255,10 @@ def test_bad_bodies_are_refused():
         fly(line, time, still, still)
     with pytest.raises(UserError, match="do not fit"):
         flexible_body(TOWER, mass, ok, np.eye(2))
+    with pytest.raises(UserError, match="do not fit"):
+        flexible_body(TOWER, np.eye(5), ok, stiffness)
+    with pytest.raises(UserError, match="do not fit"):
+        flexible_body(TOWER, mass, ok, stiffness, np.eye(2))
     with pytest.raises(UserError, match="not finite"):
         flexible_body(TOWER * np.nan, mass, ok, stiffness)
     body = flexible_body(TOWER, mass, ok, stiffness)

@@ -66,18 +66,19 @@ def flexible_body(
     count, order = len(points), shapes.shape[-1]
     zero = np.zeros((order, order))
     body_stiffness = np.asarray(stiffness, dtype=np.float64)
-    if points.shape != (count, 3) or shapes.shape != (count, 3, order) or body_stiffness.shape != zero.shape:
+    rates = zero if damping is None else np.asarray(damping, dtype=np.float64)
+    given = (points.shape, np.shape(mass), shapes.shape, body_stiffness.shape, rates.shape)
+    if given != ((count, 3), (count, count), (count, 3, order), zero.shape, zero.shape):
         raise UserError(
-            f"points {points.shape}, shapes {shapes.shape} and stiffness {body_stiffness.shape} of a "
-            "flexible body do not fit; they are (N, 3), (N, 3, r) and (r, r)"
+            f"points, mass, shapes, stiffness and damping of a flexible body have shapes {given} that do not "
+            "fit; they are (N, 3), (N, N), (N, 3, r), (r, r) and (r, r)"
         )
     fields = np.concatenate(
         [np.ones((count, 1)), points, shapes.transpose(0, 2, 1).reshape(count, -1)], axis=1
     )
     integrals = fields.T @ np.asarray(mass @ fields)
-    if not (np.isfinite(integrals).all() and np.isfinite(body_stiffness).all()):
+    if not all(np.isfinite(part).all() for part in (integrals, body_stiffness, rates)):
         raise UserError("a flexible body has values that are not finite")
-    rates = zero if damping is None else damping
     return FlexibleBody(0.5 * (integrals + integrals.T), body_stiffness, rates)
 
 

@@ -82,6 +82,8 @@ def skew_part(name: str, label: str, matrix: Any, order: int) -> Array:
     """
     if matrix is None:
         return np.zeros((order, order))
+    if np.iscomplexobj(matrix):
+        raise UserError(f"the {label} matrix of {name} is complex; it has to be real")
     given = dense(matrix)
     if given.shape != (order, order) or not np.isfinite(given).all():
         raise UserError(

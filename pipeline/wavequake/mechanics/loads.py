@@ -70,7 +70,9 @@ def check_loads(body: FlexibleBody, loads: Sequence[Load]) -> None:
             _check(place, "acceleration", load.acceleration, (3,))
         elif isinstance(load, NodeTorque):
             _check(place, "rotations", load.rotations, (3, body.order))
+            _check_history(place, load.torque)
         else:
+            _check_history(place, load.force)
             _check(place, "point", load.point, (3,))
             _check(place, "shapes", load.shapes, (3, body.order))
 
@@ -81,6 +83,11 @@ def _check(place: int, label: str, values: Array, shape: tuple[int, ...]) -> Non
             f"the {label} of load {place} on the flexible body must be finite and of shape {shape}, not "
             f"{np.shape(values)}"
         )
+
+
+def _check_history(place: int, history: object) -> None:
+    if not callable(history):
+        raise UserError(f"the history of load {place} on the flexible body is no function of the time in s")
 
 
 def generalized(body: FlexibleBody, loads: Sequence[Load], t: float, attitude: Array, q: Array) -> Array:

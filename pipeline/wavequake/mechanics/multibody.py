@@ -83,8 +83,12 @@ def assemble(
     ------
     UserError
         If there is no body, the bodies together are too large, a link or joint names what is not there, a
-        spring or damper is negative or not finite, or a joint only repeats others.
+        spring or damper is negative or not finite, a joint only repeats others, or forces are not symmetric.
     """
+    if any(isinstance(body, LinearSystem) for body in bodies) or any(not isinstance(x, Link) for x in links):
+        raise UserError(
+            f"a body or link of {name} has gyroscopic or circulatory forces; join them by assemble_system"
+        )
     return _assembled(bodies, links, joints, name)[0]
 
 

@@ -88,7 +88,7 @@ def fly(
     """
     zero, order = np.zeros(body.order), body.order
     q, dq = (zero if given is None else given for given in (coordinates, rates))
-    _check_fit(body, q, dq)
+    _check_fit(body, velocity, spin, q, dq)
     _check_inertia(mass_matrix(body, velocity_fields(q)))
     check_loads(body, loads)
     start = np.concatenate([np.zeros(3), [0.0, 0.0, 0.0, 1.0], velocity, spin, q, dq])
@@ -107,7 +107,7 @@ def fly(
     y = _integrate(derivative, start, time, tolerance, "DOP853")
     rotation = Rotation.from_quat(y[3:7].T)
     return Flight(
-        time,
+        np.asarray(time, dtype=np.float64),
         y[:3].T,
         rotation.apply(y[7:10].T),
         rotation,
@@ -205,11 +205,12 @@ def _turning(turn: Array, spin: Array) -> Array:
     return 0.5 * np.append(turn[3] * spin + np.cross(turn[:3], spin), -turn[:3] @ spin)
 
 
-def _check_fit(body: FlexibleBody, coordinates: Array, rates: Array) -> None:
-    if coordinates.shape != (body.order,) or rates.shape != (body.order,):
+def _check_fit(body: FlexibleBody, *start: Array) -> None:
+    shapes = [np.shape(part) for part in start]
+    if shapes != [(3,), (3,), (body.order,), (body.order,)]:
         raise UserError(
-            f"the start of a flexible body of {body.order} shapes needs as many coordinates and rates, not "
-            f"{coordinates.shape} and {rates.shape}"
+            f"the start of a flexible body of {body.order} shapes needs a velocity and a spin of 3 numbers "
+            f"and as many coordinates and rates as shapes, not {', '.join(map(str, shapes))}"
         )
 
 
@@ -247,6 +248,7 @@ def _inertial_load(
 def _integrate(
     derivative: Callable[[float, Array], Array], start: Array, time: Array, tolerance: float, method: str
 ) -> NDArray[np.float64]:
+    time = np.asarray(time, dtype=np.float64)
     if time.ndim != 1 or len(time) < 2 or not (np.diff(time) > 0).all() or not np.isfinite(time).all():
         raise UserError("the motion of a flexible body needs at least two increasing instants")
     if not np.isfinite(start).all():
