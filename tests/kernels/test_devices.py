@@ -37,10 +37,14 @@ class Platform:
         return self.handles
 
 
+def forget_devices():
+    for cached in (devices._seen, devices._trusted, devices.opencl_handle):
+        cached.cache_clear()
+
+
 def with_platforms(monkeypatch, platforms):
     monkeypatch.setattr(cl, "get_platforms", lambda: platforms)
-    devices._seen.cache_clear()
-    devices._trusted.cache_clear()
+    forget_devices()
     monkeypatch.setattr(devices, "ensure_linker", lambda: None)
 
 
@@ -48,7 +52,7 @@ def with_platforms(monkeypatch, platforms):
 def real_devices_again(monkeypatch):
     yield
     monkeypatch.undo()
-    devices._seen.cache_clear()
+    forget_devices()
 
 
 def test_every_listed_device_agrees_with_numpy():
@@ -62,9 +66,7 @@ def test_every_listed_device_agrees_with_numpy():
 def untested(monkeypatch):
     """Devices that exist by name only."""
     monkeypatch.setattr(devices, "self_test", lambda device: 0.0)
-    devices._trusted.cache_clear()
-    yield
-    devices._trusted.cache_clear()
+    forget_devices()
 
 
 def test_auto_prefers_a_gpu_then_a_cpu(monkeypatch, untested):

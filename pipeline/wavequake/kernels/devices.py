@@ -173,6 +173,7 @@ def _tested(device: Device) -> float:
     return difference
 
 
+@lru_cache(maxsize=8)
 def opencl_handle(device: Device) -> Any:
     """Return the pyopencl device that `device` describes.
 
