@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STUDY ?= tmt-segments
-EXTRAS ?= test,lint
+EXTRAS ?= test,lint,firmware
 # PoCL links its kernels: a machine without any linker gets one from PyPI.
 comma := ,
 LINKER := $(shell command -v ld >/dev/null || echo '[linker]')

@@ -22,6 +22,7 @@ CORTEX = (
     "-fno-unwind-tables",
     "-fno-asynchronous-unwind-tables",
     "-Wl,--gc-sections",
+    "-Wl,-e,wq_reset_handler",
 )
 
 
