@@ -22,6 +22,7 @@ from wavequake.optics.states import SurfaceStates
 from wavequake.optics.wavefront import Wavefront, analyse
 from wavequake.reduction.metrics import eps_mor, frobenius, pseudo_frequencies, receptance
 from wavequake.reduction.names import parse
+from wavequake.reduction.two_stage import check_variants
 from wavequake.workflows.bench import Bench, bench_of
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Workflow
 from wavequake.workflows.images import summed_images
@@ -275,8 +276,9 @@ def describe(study_text: str) -> dict[str, str]:
 
 
 def check(study_text: str) -> None:
-    """Raise UserError for a study of which no case can succeed: telescope, segment, excitations."""
+    """Raise UserError where telescope, segment, variants or excitations do not fit."""
     study, model = study_of(study_text), model_of(study_text)
+    check_variants(model.stage, study.reduction.variants)
     for disturbed in study.segments.disturbed:
         first = chosen_segments(study, model.bench, disturbed)[:1].tolist()
         motions(study, model, model.reference, first)
