@@ -1,7 +1,9 @@
 """The C core on the host: against NumPy, at full scale, and the decoder under reversals."""
 
 import ctypes
-import shutil
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -22,6 +24,8 @@ BENCH, STAGE, CHAIN = fitted_bench(), Stage(), SensorChain()
 REGULATOR = design(BENCH, STAGE, Settings()).regulator
 # Of the command's converter, m.
 STEP = 2 * CHAIN.reach / 4095
+# A sanitizer that stops the process at the first overflow, the same flags for gcc and zig.
+TRAP = ("-fsanitize=undefined,float-cast-overflow", "-fsanitize-undefined-trap-on-error", "-g")
 
 try:
     compiler_of(BOARDS["host"])
@@ -32,10 +36,19 @@ except Exception as error:  # says which package is missing
 @pytest.fixture(scope="module")
 def images(tmp_path_factory):
     folder = tmp_path_factory.mktemp("firmware")
-    # A sanitizer that stops the process at the first overflow, where gcc or clang has one.
-    trap = ("-fsanitize=undefined,float-cast-overflow", "-fsanitize-undefined-trap-on-error", "-g")
-    more = trap if shutil.which("cc") else ()
-    return {v: build("host", gains_of(REGULATOR, CHAIN, v), folder, more=more) for v in VARIANTS}
+    return {v: build("host", gains_of(REGULATOR, CHAIN, v), folder, more=TRAP) for v in VARIANTS}
+
+
+def test_the_sanitizer_stops_at_an_overflow(tmp_path):
+    """What the tests below rest on: a sum that overflows ends its process."""
+    (tmp_path / "sum.c").write_text("int sum(int a, int b) { return a + b; }")
+    library = tmp_path / "sum.so"
+    words = [*compiler_of(BOARDS["host"]), "-O2", *TRAP, str(tmp_path / "sum.c"), "-o", str(library)]
+    subprocess.run(words, check=True, env=os.environ | {"ZIG_LOCAL_CACHE_DIR": str(tmp_path / "zig")})
+    for values, survives in (("1, 2", True), ("2**31 - 1, 1", False)):
+        code = f"import ctypes; ctypes.CDLL({str(library)!r}).sum({values})"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True)
+        assert (done.returncode == 0) is survives
 
 
 @pytest.fixture(scope="module")

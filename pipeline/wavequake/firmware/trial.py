@@ -143,7 +143,8 @@ def _decoder(host: HostDevice, image: Image) -> Outcome:
             steps = position + np.sign(path) * np.arange(1, abs(path) + 1)
             position = int(steps[-1])
             word = host.decoder_codes(np.array([position], np.int16))[1][0]
-            same &= uno.play(GRAY[steps % 4], EDGES_PER_SECOND) == word
+            uno.play(GRAY[steps % 4], EDGES_PER_SECOND)
+            same &= uno.settled() == word
         return Outcome("uno decoder", flash_bytes(image.path), None, uno.longest / CLOCK_HZ, None, bool(same))
     finally:
         uno.close()

@@ -88,12 +88,15 @@ class Uno:
         if self._simavr.uno_run(self._board, ctypes.c_uint32(cycles)):
             raise UserError("The image of the Uno crashed.")
 
-    def play(self, pins: NDArray[np.uint8], edges_per_second: float) -> int:
-        """Set the sensor's pins, one state (k,) after the other; return the word sent when all is settled."""
+    def play(self, pins: NDArray[np.uint8], edges_per_second: float) -> None:
+        """Set the sensor's pins, one state (k,) after the other, evenly; UserError if the image crashes."""
         pins = np.ascontiguousarray(pins, np.uint8)
         cycles = ctypes.c_uint32(round(CLOCK_HZ / edges_per_second))
         if self._simavr.uno_play(self._board, _pointer(pins), ctypes.c_uint32(len(pins)), cycles):
             raise UserError("The image of the Uno crashed.")
+
+    def settled(self) -> int:
+        """Return the last word, when the board has had time to send it."""
         self.run(CLOCK_HZ // 500)
         return int(self.words[-1])
 
