@@ -31,7 +31,8 @@ from wavequake.imaging.matrix_fourier import matrix_fourier, psf_sum
 from wavequake.imaging.matrix_fourier import psf as matrix_psf
 from wavequake.imaging.polygon_transform import polygon_areas
 from wavequake.imaging.pupil_function import PupilGrid, annular_pupil
-from wavequake.imaging.segment_psf import psf, segment_basis, strehl_exact
+from wavequake.imaging.segment_basis import segment_basis
+from wavequake.imaging.segment_psf import psf, strehl_exact
 from wavequake.imaging.wavefront_phase import zernike_phase
 from wavequake.kernels.devices import choose_device
 from wavequake.kernels.strehl import strehl_ratios

@@ -13,7 +13,8 @@ from wavequake.imaging.exposure import (
     radial_profile,
 )
 from wavequake.imaging.polygon_transform import polygon_areas, polygon_transform
-from wavequake.imaging.segment_psf import psf, segment_basis
+from wavequake.imaging.segment_basis import segment_basis
+from wavequake.imaging.segment_psf import psf
 
 DISC = np.pi / 4  # area / diameter² of a circular pupil
 EE50, EE80 = 0.534832148, 0.896942103  # of the Airy pattern: roots of airy_energy

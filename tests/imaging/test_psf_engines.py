@@ -146,5 +146,5 @@ def test_bad_wavefronts_are_refused(petals):
     for name in ("fft", "matrix"):
         with pytest.raises(UserError, match="the phase has the shape"):
             point_spread(prepare_psf(grid, 8, 0.5, name), np.zeros((1, 3)))
-    with pytest.raises(UserError, match="7 segments need motions of shape"):
+    with pytest.raises(UserError, match="7 segments of 3 terms need motions of shape"):
         point_spread(prepare_psf(petals, 8, 0.5, "matrix", NUMPY, samples=64), np.zeros((1, 7)))

@@ -3,17 +3,9 @@ import pytest
 
 from wavequake.errors import UserError
 from wavequake.imaging.polygon_transform import polygon_areas, polygon_transform
+from wavequake.imaging.segment_basis import MOMENTS, ray_basis, segment_basis
 from wavequake.imaging.segment_moments import gauss_rule, largest_means, moments_on_grid
-from wavequake.imaging.segment_psf import (
-    MOMENTS,
-    moments_needed,
-    psf,
-    ray_basis,
-    segment_basis,
-    shift_phase,
-    strehl_exact,
-    truncation_error,
-)
+from wavequake.imaging.segment_psf import moments_needed, psf, shift_phase, strehl_exact, truncation_error
 
 RNG = np.random.default_rng(11)
 

@@ -14,9 +14,17 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.imaging import matrix_fourier as matrix
-from wavequake.imaging.outlines import segments
+from wavequake.imaging.outlines import Outline, blocked, segments
 from wavequake.imaging.pupil_function import PupilGrid, pupil_function, sampled_pupil, single_patches
-from wavequake.imaging.segment_psf import SegmentBasis, moments_needed, segment_basis, truncation_error
+from wavequake.imaging.segment_basis import MOMENTS, SegmentBasis, segment_basis
+from wavequake.imaging.segment_figure import (
+    SegmentFigure,
+    figure_error,
+    figure_psf,
+    segment_figure,
+    terms_of_motion,
+)
+from wavequake.imaging.segment_psf import moments_needed, truncation_error
 from wavequake.imaging.segment_psf import psf as segments_psf
 from wavequake.imaging.wavefront_phase import segment_phase
 from wavequake.kernels.devices import NUMPY, Device
@@ -30,6 +38,8 @@ ENGINES = ("fft", "matrix", "segments")
 _WAVE = {"numpy": 25e-9, "opencl": 2e-9}
 _PRODUCTS = {"numpy": 3e10, "opencl": 4e10}
 _TRANSFORMS = {"scipy": 5e9, "opencl": 1e10}
+# Seconds to fit polynomials to a bent segment.
+_FIGURE = 1e-5
 # Seconds to build one moment of one segment at one node.
 _MOMENT = 2e-8
 # Numbers in the padded pupils that are transformed at once: bounds the memory.
@@ -48,11 +58,31 @@ class SegmentedPupil:
         Points in mm to which the pistons belong and about which the slopes turn.
     diameter : float
         Length in mm that defines wavelength / diameter and encloses the pupil.
+    obstructions : tuple of ndarray, shape (V, 2)
+        Convex polygons in mm, counter-clockwise, that stand before the segments: vanes of a spider for
+        example (`wavequake.imaging.outlines.vane`).
+    figure_terms : int
+        Noll terms j = 1..K on each segment; 3 for segments that move but do not bend. They are those of the
+        circle about a segment's center that reaches the farthest corner of all segments.
     """
 
     corners: Real
     centers: Real
     diameter: float
+    obstructions: tuple[Real, ...] = ()
+    figure_terms: int = 3
+
+    @property
+    def reach(self) -> float:
+        """Radius in mm of the circle of the segments' Noll terms."""
+        return float(np.hypot(*np.moveaxis(self.corners - self.centers[:, None], -1, 0)).max())
+
+    def outline(self) -> Outline:
+        """Return where light passes: the segments, then what is taken from them."""
+        found = segments(self.corners)
+        for obstruction in self.obstructions:
+            found = blocked(found, obstruction)
+        return found
 
 
 @dataclass(frozen=True)
@@ -71,7 +101,7 @@ class PsfEngine:
     grid : PupilGrid
         The sampled pupil.
     transform : MatrixFourier
-    basis : SegmentBasis, optional
+    basis : SegmentBasis or SegmentFigure, optional
     tolerance : float
         Largest error that ending the series in segments' slopes may make, relative to the perfect peak.
     device : Device
@@ -83,7 +113,7 @@ class PsfEngine:
     pupil: PupilGrid | SegmentedPupil
     grid: PupilGrid
     transform: matrix.MatrixFourier
-    basis: SegmentBasis | None
+    basis: SegmentBasis | SegmentFigure | None
     tolerance: float
     device: Device
 
@@ -128,7 +158,7 @@ def prepare_psf(
     """
     grid = pupil
     if isinstance(pupil, SegmentedPupil):
-        grid = sampled_pupil(segments(pupil.corners), samples, pupil.diameter)
+        grid = sampled_pupil(pupil.outline(), samples, pupil.diameter)
     assert isinstance(grid, PupilGrid)
     transform = matrix.matrix_fourier(grid, pixels, sampling, device)
     moments, unable = _moments(pupil, corner_phase, tolerance)
@@ -147,11 +177,10 @@ def prepare_psf(
         )
         raise UserError(f"the engine {engine!r} cannot make this image: {why}")
     name = min(seconds, key=lambda key: seconds[key]) if engine == "auto" else engine
-    basis = None
+    basis: SegmentBasis | SegmentFigure | None = None
     if name == "segments":
         assert isinstance(pupil, SegmentedPupil)
-        corners, centers = pupil.corners, pupil.centers
-        basis = segment_basis(corners, centers, pixels, sampling, pupil.diameter, moments, np.complex128)
+        basis = _segment_basis(pupil, pixels, sampling, moments)
     estimates = ", ".join(f"{key} {1e3 * value:.3g} ms" for key, value in sorted(seconds.items()))
     reason = "asked for" if engine != "auto" else f"the least of {estimates} per image"
     if engine == "auto" and unable:
@@ -166,8 +195,9 @@ def point_spread(engine: PsfEngine, wavefront: Real, check: bool = True) -> Real
     ----------
     engine : PsfEngine
     wavefront : ndarray
-        For a `PupilGrid` phases (batch, m) in rad at its patches; for a `SegmentedPupil` pistons in waves
-        and slopes in waves per mm, (batch, S, 3). An instant that is not a number gives an image of NaN.
+        For a `PupilGrid` phases (batch, m) in rad at its patches; for a `SegmentedPupil` (batch, S, K):
+        pistons in waves, slopes along x and y in waves per mm, and Noll terms j = 4..K in waves. An instant
+        that is not a number gives an image of NaN.
     check : bool
         Whether to warn if a sampled pupil is too coarse for the phase, which takes a fraction of the image.
 
@@ -184,20 +214,27 @@ def point_spread(engine: PsfEngine, wavefront: Real, check: bool = True) -> Real
     if not isinstance(pupil, SegmentedPupil):
         return _sampled(engine, wavefront, check)
     motion = np.asarray(wavefront, dtype=np.float64)
-    count = len(pupil.centers)
-    if motion.ndim != 3 or motion.shape[1:] != (count, 3):
-        raise UserError(f"{count} segments need motions of shape (batch, {count}, 3), not {motion.shape}")
+    shape = (len(pupil.centers), pupil.figure_terms)
+    if motion.ndim != 3 or motion.shape[1:] != shape:
+        raise UserError(
+            f"{shape[0]} segments of {shape[1]} terms need motions of shape (batch, {shape[0]}, {shape[1]}), "
+            f"not {motion.shape}"
+        )
     pixels = len(engine.transform.axis)
     images = np.empty((len(motion), pixels, pixels))
     steep = np.ones(len(motion), dtype=bool)
-    if engine.basis is not None:
+    if isinstance(engine.basis, SegmentFigure):
+        terms = terms_of_motion(motion, engine.basis.basis.slope_scale)
+        steep = figure_error(engine.basis, terms) > engine.tolerance
+        images[~steep] = figure_psf(engine.basis, terms[~steep], engine.tolerance).reshape(-1, pixels, pixels)
+    elif engine.basis is not None:
         steep = np.asarray(truncation_error(engine.basis, motion)[-1] > engine.tolerance)
         exact = segments_psf(engine.basis, motion[~steep], engine.tolerance)
         images[~steep] = exact.reshape(-1, pixels, pixels)
     chosen = np.flatnonzero(steep)
     for first in range(0, chosen.size, 16):  # phases of a sampled pupil are large
         part = chosen[first : first + 16]
-        phase = segment_phase(engine.grid, pupil.centers, motion[part], 0.5 * pupil.diameter)
+        phase = segment_phase(engine.grid, pupil.centers, motion[part], 0.5 * pupil.diameter, pupil.reach)
         images[part] = _sampled(engine, phase, check)
     return images
 
@@ -278,6 +315,8 @@ def _moments(pupil: PupilGrid | SegmentedPupil, corner_phase: float, tolerance: 
     """Return the moments that the segment basis needs, or 0 and why it cannot be used."""
     if not isinstance(pupil, SegmentedPupil):
         return 0, "the pupil is no sum of segments"
+    if pupil.figure_terms > 3:
+        return MOMENTS[-1], ""  # whether they suffice is seen at each instant
     try:
         return moments_needed(corner_phase, tolerance), ""
     except UserError as error:
@@ -305,4 +344,16 @@ def _segments_seconds(
     nodes = 1.1 * pixels * sampling + 18.0
     columns = moments * len(pupil.centers)
     operations = 4.0 * nodes**2 * columns + 4.0 * pixels * nodes * (nodes + pixels)
-    return operations / _PRODUCTS["numpy"] + _MOMENT * columns * nodes**2 / instants
+    fits = _FIGURE * len(pupil.centers) if pupil.figure_terms > 3 else 0.0
+    return fits + operations / _PRODUCTS["numpy"] + _MOMENT * columns * nodes**2 / instants
+
+
+def _segment_basis(
+    pupil: SegmentedPupil, pixels: int, sampling: float, moments: int
+) -> SegmentBasis | SegmentFigure:
+    count, outline = len(pupil.corners), pupil.outline()
+    shadows = Outline(outline.corners[count:], outline.sign[count:], outline.piece[count:])
+    place = pupil.corners, pupil.centers, pixels, sampling, pupil.diameter
+    if pupil.figure_terms > 3:
+        return segment_figure(*place, pupil.figure_terms, moments, np.complex128, shadows)
+    return segment_basis(*place, moments, np.complex128, shadows)

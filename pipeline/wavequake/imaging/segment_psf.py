@@ -13,183 +13,21 @@ coarse tensor grid of nodes give all pixels by thin real products, to the precis
 polygons are real, so that H(-f) is the conjugate of H(f), and half of the nodes serves for both.
 """
 
-from dataclasses import dataclass
 from math import factorial
 
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from wavequake.errors import UserError
-from wavequake.imaging.band_limit import image_nodes, middle_of, waves
-from wavequake.imaging.polygon_transform import polygon_areas
-from wavequake.imaging.segment_moments import exponents, largest_means, moments_on_grid
+from wavequake.imaging.segment_basis import MOMENTS, SegmentBasis
+from wavequake.imaging.segment_moments import exponents
 from wavequake.kernels.tiles import TILE
 
 Real = NDArray[np.float64]
 Floating = NDArray[np.float32] | NDArray[np.float64]
 
-# Complete polynomials of degree 0, 2, 4, 6, 8 in tip and tilt; an odd last degree would buy next to nothing.
-MOMENTS = (1, 6, 15, 28, 45)
-# Largest means of |u|^(n+1) over a hexagon for these degrees n, with u linear and 1 at a corner at most.
+# Largest means of |u|^(n+1) over a hexagon for n = 0, 2, ..., with u linear and 1 at a corner at most.
 _HEXAGON_MEANS = (0.389, 0.130, 0.0630, 0.0370, 0.0243)
-_BLOCK = 32
-
-
-@dataclass(frozen=True)
-class SegmentBasis:
-    """What all images of one pupil on one grid have in common.
-
-    Attributes
-    ----------
-    pixels : int
-        An image has pixels x pixels points, axis 0 is y; [pixels // 2, pixels // 2] is the origin.
-    sampling : float
-        Distance of the points in units of wavelength / diameter.
-    segments, moments : int
-        Number of segments S, and of moments J of each.
-    matrix : ndarray, shape (2 * N, J * S), real
-        Real parts, then imaginary parts of the moments at the N nodes with f_y > 0; the segment varies
-        fastest.
-    interpolation : ndarray, shape (pixels, M), real
-        Takes values at the nodes to the image points, along either axis.
-    slope_scale : float
-        Length in mm that makes slopes and moments dimensionless.
-    peak : float
-        Field at the origin without phases: the area in mm² (or the sum of the rays' weights).
-    remainders : ndarray, shape (degrees, S)
-        Bound of the relative error of the field per |slope|^(n+1) if the series ends with degree n = 0,
-        2, ...
-    """
-
-    pixels: int
-    sampling: float
-    segments: int
-    moments: int
-    matrix: Floating
-    interpolation: Floating
-    slope_scale: float
-    peak: float
-    remainders: Real
-
-
-def segment_basis(
-    corners: Real,
-    centers: Real,
-    pixels: int,
-    sampling: float,
-    diameter: float,
-    moments: int = 6,
-    dtype: DTypeLike = np.complex64,
-) -> SegmentBasis:
-    """Build the basis of a pupil of polygons.
-
-    Parameters
-    ----------
-    corners : ndarray, shape (S, V, 2)
-        Projected corners in mm, counter-clockwise; a polygon with fewer than V corners repeats its last one.
-    centers : ndarray, shape (S, 2)
-        Points in mm to which the pistons belong and about which the slopes turn.
-    pixels : int
-        An image has pixels x pixels points.
-    sampling : float
-        Distance of the points in units of wavelength / `diameter`.
-    diameter : float
-        Length in mm that defines the unit wavelength / diameter, usually the outer diameter of the pupil.
-    moments : {1, 6, 15, 28, 45}
-        1 is exact for pistons; 6, 15, ... are the second, fourth, ... order in the slopes (`moments_needed`).
-    dtype : complex64 or complex128
-        Precision: errors are below 2e-6 or 1e-12 of the perfect peak.
-
-    Raises
-    ------
-    UserError
-        If a polygon is clockwise, empty or not finite, or the grid, diameter or number of moments impossible.
-    """
-    if moments not in MOMENTS:
-        raise UserError(f"an image takes {', '.join(map(str, MOMENTS))} moments per segment, not {moments}")
-    corners, centers = np.asarray(corners, dtype=np.float64), np.asarray(centers, dtype=np.float64)
-    areas = polygon_areas(corners)
-    if centers.shape != (len(corners), 2) or not np.isfinite(centers).all():
-        raise UserError(f"{len(corners)} segments need as many finite centers, not {centers.shape}")
-    middle = middle_of(corners.reshape(-1, 2))  # a shift of the pupil turns the field's phase only
-    corners, centers = corners - middle, centers - middle
-    nodes, interpolation = image_nodes(corners.reshape(-1, 2), pixels, sampling, diameter, dtype)
-    half = nodes[nodes.size // 2 :]
-    matrix = np.empty((2, half.size * nodes.size, moments, len(corners)), dtype=interpolation.dtype)
-    degree = 2 * MOMENTS.index(moments)
-    remainders = np.empty((degree // 2 + 1, len(corners)))
-    scale = float(np.hypot(*np.moveaxis(corners - centers[:, None], -1, 0)).max())
-    for first in range(0, len(corners), _BLOCK):
-        block = slice(first, first + _BLOCK)
-        field = moments_on_grid(corners[block], centers[block], half, nodes, degree, scale)
-        matrix[0, :, :, block], matrix[1, :, :, block] = field.real, field.imag
-        remainders[:, block] = largest_means(corners[block], centers[block], degree) / areas.sum()
-    return SegmentBasis(
-        pixels=pixels,
-        sampling=sampling,
-        segments=len(corners),
-        moments=moments,
-        matrix=matrix.reshape(2 * half.size * nodes.size, -1),
-        interpolation=interpolation,
-        slope_scale=scale,
-        peak=float(areas.sum()),
-        remainders=remainders,
-    )
-
-
-def ray_basis(
-    x: Real,
-    y: Real,
-    weight: Real,
-    pixels: int,
-    sampling: float,
-    diameter: float,
-    dtype: DTypeLike = np.complex64,
-) -> SegmentBasis:
-    """Build the basis of a pupil sampled by rays; `psf` then takes their OPDs (batch, R) in waves.
-
-    A ray stands for the pupil around it, so the image is right only well within wavelength / (distance of the
-    rays) of the center; rays on a lattice repeat the image there.
-
-    Parameters
-    ----------
-    x, y : ndarray, shape (R,)
-        Pupil coordinates of the rays in mm.
-    weight : ndarray, shape (R,)
-        Share of the pupil of each ray, for example an area in mm²; zero for a ray that is lost.
-    pixels, sampling, diameter, dtype
-        As for `segment_basis`.
-
-    Raises
-    ------
-    UserError
-        If no ray has a positive weight, a number is not finite, or the grid or diameter is impossible.
-    """
-    x, y, weight = (np.asarray(a, dtype=np.float64) for a in (x, y, weight))
-    points = np.stack([x, y], axis=1)
-    if not (np.isfinite(points).all() and np.isfinite(weight).all()):
-        raise UserError("the rays of a pupil need finite coordinates and weights: leave lost rays out")
-    if not weight.size or weight.min() < 0.0 or weight.sum() == 0.0:
-        raise UserError("the rays of a pupil need weights of at least 0, and one must be above 0")
-    points = points - middle_of(points)
-    nodes, interpolation = image_nodes(points, pixels, sampling, diameter, dtype)
-    half = nodes[nodes.size // 2 :]
-    matrix = np.empty((2, half.size, nodes.size, x.size), dtype=interpolation.dtype)
-    along_x = waves(nodes, points[:, 0])
-    for row, along_y in enumerate(waves(half, points[:, 1]) * weight):
-        field = along_x * along_y
-        matrix[0, row], matrix[1, row] = field.real, field.imag
-    return SegmentBasis(
-        pixels=pixels,
-        sampling=sampling,
-        segments=x.size,
-        moments=1,
-        matrix=matrix.reshape(-1, x.size),
-        interpolation=interpolation,
-        slope_scale=1.0,
-        peak=float(weight.sum()),
-        remainders=np.full((1, x.size), 1e100),  # rays have no slopes
-    )
 
 
 def psf(basis: SegmentBasis, segment_phase: ArrayLike, tolerance: float = 1e-3) -> Floating:
@@ -230,7 +68,9 @@ def psf(basis: SegmentBasis, segment_phase: ArrayLike, tolerance: float = 1e-3) 
         tile = np.zeros((TILE, basis.segments, 3))
         tile[: batch - first] = phase[first : first + TILE]
         moments = _moments_for(basis, tile, tolerance)
-        images[first : first + TILE] = _tile_images(basis, tile, moments).T[: batch - first]
+        images[first : first + TILE] = tile_images(basis, _coefficients(basis, tile, moments)).T[
+            : batch - first
+        ]
     return images
 
 
@@ -351,11 +191,18 @@ def shift_phase(segment_phase: Real, shift: ArrayLike, centers: Real, diameter: 
     return moved
 
 
-def _tile_images(basis: SegmentBasis, tile: Real, moments: int) -> Floating:
-    """Images (pixels², 16) of one tile: products of constant shape, instants in the columns."""
-    columns = moments * basis.segments
+def tile_images(basis: SegmentBasis, factors: Floating) -> Floating:
+    """Return the images (pixels², 16) of one tile: products of constant shape, instants in the columns.
+
+    Parameters
+    ----------
+    basis : SegmentBasis
+    factors : ndarray, shape (J, S, 2, 16)
+        What the first J moments of the segments count in the field, real and imaginary parts.
+    """
+    columns = len(factors) * basis.segments
     nodes = basis.interpolation.shape[1]
-    product = basis.matrix[:, :columns] @ _coefficients(basis, tile, moments).reshape(columns, 2 * TILE)
+    product = basis.matrix[:, :columns] @ factors.reshape(columns, 2 * TILE)
     # Real and imaginary part of the moments (first letter) times those of the coefficients (second letter).
     (rr, ri), (ir, ii) = np.moveaxis(product.reshape(2, nodes // 2, nodes, 2, TILE), 3, 1)
     field = np.empty((nodes, nodes, 2, TILE), dtype=product.dtype)

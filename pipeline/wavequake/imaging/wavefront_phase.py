@@ -65,7 +65,7 @@ def ray_phase(grid: PupilGrid, x: Real, y: Real, opd: Real, terms: int, obscurat
     """Fit annular Zernike polynomials to scattered rays and return the phases of the fit.
 
     A smooth wavefront is reproduced to its own content beyond the terms, which the residual tells.
-    Wavefronts with steps (segments) are better imaged by `wavequake.imaging.segment_psf.ray_basis`.
+    Wavefronts with steps (segments) are better imaged by `wavequake.imaging.segment_basis.ray_basis`.
 
     Parameters
     ----------
@@ -113,18 +113,20 @@ def ray_phase(grid: PupilGrid, x: Real, y: Real, opd: Real, terms: int, obscurat
     return RayPhase(zernike_phase(grid, coefficients, obscuration), residual)
 
 
-def segment_phase(grid: PupilGrid, centers: Real, motion: Real, radius: float) -> Real:
-    """Return the phases of a pupil whose pieces are segments with piston and tip and tilt.
+def segment_phase(grid: PupilGrid, centers: Real, motion: Real, radius: float, reach: float = 0.0) -> Real:
+    """Return the phases of a pupil whose pieces are segments with piston, tip and tilt, and a figure.
 
     Parameters
     ----------
     grid : PupilGrid
     centers : ndarray, shape (S, 2)
         Points to which pistons belong and about which slopes turn, mm.
-    motion : ndarray, shape (batch, S, 3)
-        Piston in waves, slopes along x and y in waves per mm.
+    motion : ndarray, shape (batch, S, 3) or (batch, S, K)
+        Piston in waves, slopes along x and y in waves per mm, then Noll terms j = 4..K in waves.
     radius : float
         The grid's unit of length in mm.
+    reach : float
+        Radius in mm of the circle, about a segment's center, of its Noll terms.
 
     Returns
     -------
@@ -136,11 +138,19 @@ def segment_phase(grid: PupilGrid, centers: Real, motion: Real, radius: float) -
         If the numbers of segments differ.
     """
     motion = np.asarray(motion, dtype=np.float64)
-    if motion.ndim != 3 or motion.shape[1:] != (len(centers), 3) or grid.piece.max() >= len(centers):
+    fits = motion.ndim == 3 and motion.shape[1] == len(centers) and motion.shape[2] >= 3
+    if not fits or grid.piece.max() >= len(centers):
         raise UserError(
             f"a pupil of {grid.piece.max() + 1} segments and {len(centers)} centers needs motions of shape "
             f"(batch, {len(centers)}, 3), not {motion.shape}"
         )
+    if motion.shape[2] > 3 and not reach > 0.0:
+        raise UserError(f"the Noll terms of segments need the radius of their circle above 0, not {reach:g}")
     arm_x, arm_y = (radius * at - centers[grid.piece, k] for k, at in enumerate((grid.x, grid.y)))
-    piston, slope_x, slope_y = np.moveaxis(motion[:, grid.piece], 2, 0)
-    return np.asarray(2.0 * np.pi * (piston + slope_x * arm_x + slope_y * arm_y))
+    piston, slope_x, slope_y = np.moveaxis(motion[:, grid.piece, :3], 2, 0)
+    waves = piston + slope_x * arm_x + slope_y * arm_y
+    if motion.shape[2] > 3:
+        modes = annular_zernike(arm_x / reach, arm_y / reach, motion.shape[2]).T
+        for j in range(3, motion.shape[2]):
+            waves += motion[:, grid.piece, j] * modes[j]
+    return np.asarray(2.0 * np.pi * waves)

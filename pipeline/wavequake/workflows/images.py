@@ -8,14 +8,8 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.imaging.placement import place
-from wavequake.imaging.segment_psf import (
-    SegmentBasis,
-    psf,
-    ray_basis,
-    segment_basis,
-    shift_phase,
-    truncation_error,
-)
+from wavequake.imaging.segment_basis import SegmentBasis, ray_basis, segment_basis
+from wavequake.imaging.segment_psf import psf, shift_phase, truncation_error
 from wavequake.kernels.tiles import TILE, from_tiles
 from wavequake.kernels.train import Traced
 from wavequake.optics.wavefront import Wavefront

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
-from wavequake.imaging.segment_psf import SegmentBasis, psf, ray_basis
+from wavequake.imaging.segment_basis import SegmentBasis, ray_basis
+from wavequake.imaging.segment_psf import psf
 from wavequake.kernels.devices import Device, choose_device
 from wavequake.kernels.tiles import TILE, from_tiles, padded
 from wavequake.kernels.train import Traced
