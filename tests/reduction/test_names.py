@@ -64,6 +64,8 @@ def test_a_bare_method_takes_its_order_apart():
         ("krylov36(150*0)", "at least 1"),
         ("flbt42", "needs its bands"),
         ("flbt42(1200)", "is no band"),
+        ("krylov36(2e9)", "at most 1e.09 Hz"),
+        ("flbt42(0-1e300)", "to 1e.09 Hz at most"),
         ("flbt42(1200-0)", "must rise"),
         ("pod36(0)", "one positive frequency"),
         ("36", "is no name"),

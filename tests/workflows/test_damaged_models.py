@@ -5,10 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.linalg
+from typer.testing import CliRunner
 
 from wavequake import cli
 from wavequake.mechanics.importers import import_model
 from wavequake.workflows import model_store
+from wavequake.workflows.store import open_store
 
 DATA = Path(__file__).parents[1] / "data"
 KEYS = [
@@ -76,6 +79,25 @@ def negative(model):
 
 def not_a_number(model):
     model["mass"][7, 7] = np.nan
+
+
+def test_an_expansion_point_on_a_resonance_is_no_error(plate, tmp_path, monkeypatch):
+    """It is moved by a millihertz; the variant comes out as exact near its point as elsewhere."""
+    monkeypatch.setattr(cli, "_write_report", lambda *_, **__: None)
+    np.savez("plate.npz", **plate)
+    squared = scipy.linalg.eigh(plate["stiffness"], plate["mass"], eigvals_only=True)
+    resonance = float(np.sqrt(squared[6])) / (2 * np.pi)
+    keys = [f'reduction.variants=["krylov36({resonance!r})"]', "reduction.frequencies=25", "imaging.pixels=8"]
+    keys += ["imaging.pupil_samples=16", "imaging.instants=2", "time.duration_s=0.002", "optics.rays=60"]
+    keys += [f"reduction.last_hz={2 * resonance!r}"]
+    words = ["run", "mirror-mor", *KEYS, *keys, "--on", "serial", "--store", str(tmp_path / "s")]
+    result = CliRunner().invoke(cli.app, words)
+    assert result.exit_code == 0, result.output
+    found = open_store(tmp_path / "s")
+    assert (found["status"].values == 1).all()
+    near = np.abs(found["frequency"].values - resonance) < 0.2 * resonance
+    errors = found["eps_mech"].values.reshape(-1, 25)[:, near]
+    assert errors.max() < 1e-4
 
 
 @pytest.mark.parametrize(

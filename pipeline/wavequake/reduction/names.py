@@ -42,6 +42,8 @@ _EXAMPLES = {
     "frequency": "pod36(100)",
     "": "craigb36",
 }
+# Far above any structure; squares of it stay finite.
+_HIGHEST_HZ = 1e9
 _NAME = re.compile(r"([a-z]+)(\d*)(?:\(([^()]*)\))?")
 _NUMBER = r"\d+(?:\.\d*)?(?:e[+-]?\d+)?"
 _BAND = re.compile(rf"({_NUMBER})-({_NUMBER})(?:\*({_NUMBER}))?")
@@ -136,8 +138,11 @@ def _points(name: str, items: list[str]) -> tuple[tuple[complex, ...], tuple[int
             raise UserError(
                 f"{name!r}: {item!r} is no frequency; an example is {_EXAMPLES['points']}."
             ) from None
-        if not (math.isfinite(abs(point)) and point.real >= 0 and point.imag >= 0):
-            raise UserError(f"{name!r}: the expansion point {item!r} must be finite and not negative.")
+        if not (abs(point) <= _HIGHEST_HZ and point.real >= 0 and point.imag >= 0):
+            raise UserError(
+                f"{name!r}: the expansion point {item!r} must be finite and not negative, and at most "
+                f"{_HIGHEST_HZ:g} Hz."
+            )
         points.append(point)
     if len(set(points)) < len(points):
         raise UserError(f"{name!r} has an expansion point twice; ask for more moments instead.")
@@ -151,8 +156,10 @@ def _band(name: str, item: str) -> tuple[float, float, float]:
     if match is None:
         raise UserError(f"{name!r}: {item!r} is no band; an example is {_EXAMPLES['bands']}.")
     low, high, weight = float(match[1]), float(match[2]), float(match[3] or 1.0)
-    if not (low < high < math.inf and 0.0 < weight < math.inf):
-        raise UserError(f"{name!r}: the band {item!r} must rise and its weight be positive.")
+    if not (low < high <= _HIGHEST_HZ and 0.0 < weight < math.inf):
+        raise UserError(
+            f"{name!r}: the band {item!r} must rise, to {_HIGHEST_HZ:g} Hz at most, and have a positive weight."
+        )
     return low, high, weight
 
 
