@@ -1,7 +1,9 @@
 import re
 
+import numpy as np
+
 from wavequake.files import folder
-from wavequake.kernels.program import source
+from wavequake.kernels.program import aligned_empty, source
 
 
 def test_headers_are_pasted_into_the_source_that_binaries_are_cached_by():
@@ -17,3 +19,11 @@ def test_headers_are_pasted_into_the_source_that_binaries_are_cached_by():
 def test_lanes_call_no_built_in_functions():
     code = re.sub(r"//.*", "", source("segmented.cl"))
     assert not re.search(r"\b(fabs|fma|mad|select|isnan|isfinite|copysign|rsqrt|fmin|fmax)\(", code)
+
+
+def test_new_arrays_begin_with_a_page():
+    for shape, dtype in (((3, 5), np.float64), ((7,), np.int8), ((0, 4), np.float64)):
+        array = aligned_empty(shape, dtype)
+        assert (array.shape, array.dtype) == (shape, dtype)
+        assert array.ctypes.data % 4096 == 0 or array.size == 0
+        assert array.flags.c_contiguous

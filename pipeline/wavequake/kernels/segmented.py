@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.kernels.devices import Device
-from wavequake.kernels.program import launch
+from wavequake.kernels.program import aligned_empty, launch
 from wavequake.kernels.segmented_numpy import trace_chief, trace_segmented_numpy
 from wavequake.kernels.tiles import TILE
 from wavequake.kernels.train import SegmentedTrain, Traced, check_rays
@@ -93,7 +93,8 @@ def trace_segmented(
             train, *rays, segment_poses, figure, surface_poses, mirror_figure, directions, chief
         )
     shape = (segment_poses.shape[0], ray_x.size, TILE)
-    traced = Traced(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.int8))
+    opd, x, y = (aligned_empty(shape) for _ in range(3))
+    traced = Traced(opd, x, y, aligned_empty(shape, np.int8))
     tiles = max(1, _LAUNCH_BYTES // (25 * TILE * max(1, ray_x.size)))
     for first in range(0, shape[0], tiles):
         part = slice(first, first + tiles)

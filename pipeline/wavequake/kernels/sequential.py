@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from wavequake.kernels.devices import Device
 from wavequake.kernels.packing import packed_elements
-from wavequake.kernels.program import launch
+from wavequake.kernels.program import aligned_empty, launch
 from wavequake.kernels.sequence import (
     Moving,
     Rays,
@@ -106,7 +106,7 @@ def _trace_opencl(
     if out is not None and any(getattr(out, name).shape != shape for name in (*outputs, "status", "surface")):
         raise ValueError(f"out must hold {', '.join(outputs)}, status and surface of the shape {shape}")
     results: dict[str, NDArray[Any]] = {
-        name: np.empty(shape, np.float64 if name in OUTPUTS[:5] else np.int8)
+        name: aligned_empty(shape, np.float64 if name in OUTPUTS[:5] else np.int8)
         if out is None
         else getattr(out, name)
         for name in (*outputs, "status", "surface")
