@@ -158,7 +158,8 @@ def _band(name: str, item: str) -> tuple[float, float, float]:
     low, high, weight = float(match[1]), float(match[2]), float(match[3] or 1.0)
     if not (low < high <= _HIGHEST_HZ and 0.0 < weight < math.inf):
         raise UserError(
-            f"{name!r}: the band {item!r} must rise, to {_HIGHEST_HZ:g} Hz at most, and have a positive weight."
+            f"{name!r}: the band {item!r} must rise, to {_HIGHEST_HZ:g} Hz at most, and have a "
+            "positive weight."
         )
     return low, high, weight
 
