@@ -1,0 +1,62 @@
+"""What tests of telescopes' wavefronts share: rays, motions, devices."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from wavequake.kernels.devices import NUMPY, list_devices
+from wavequake.kernels.tiles import TILE
+from wavequake.optics.pupils import PupilRays
+from wavequake.optics.states import rest
+
+DATA = Path(__file__).parents[1] / "data"
+WAVELENGTH = 550e-6
+TERMS = 45
+FLIP = np.diag([1.0, 1.0, -1.0])
+DEVICES = [NUMPY, *(device for device in list_devices() if device.kind == "cpu")][:2]
+each_device = pytest.mark.parametrize("device", DEVICES, ids=lambda device: device.kind)
+
+
+def reference(name):
+    return json.loads((DATA / name).read_text())
+
+
+def quadrature_rays(inner, outer, radii=24, azimuths=96):
+    nodes, weights = np.polynomial.legendre.leggauss(radii)
+    r = np.sqrt(inner**2 + (outer**2 - inner**2) * (nodes + 1) / 2)
+    theta = 2 * np.pi * np.arange(azimuths) / azimuths
+    x, y = np.outer(r, np.cos(theta)).ravel(), np.outer(r, np.sin(theta)).ravel()
+    return PupilRays(x, y, np.repeat(weights / 2 / azimuths, azimuths), np.zeros(len(x), dtype=np.int64))
+
+
+def sunflower_rays(system, count=2000):
+    """Equal areas over the annulus, each ray with the segment whose center is nearest (regular hexagons)."""
+    i, inner, outer = np.arange(count), system.pupil_inner, system.pupil_outer
+    r = np.sqrt(inner**2 + (i + 0.5) / count * (outer**2 - inner**2))
+    x, y = r * np.cos(i * np.pi * (3 - np.sqrt(5))), r * np.sin(i * np.pi * (3 - np.sqrt(5)))
+    centers = system.segments.centers
+    distance = np.hypot(x[:, None] - centers[:, 0], y[:, None] - centers[:, 1])
+    return PupilRays(x, y, np.ones(count), np.argmin(distance, axis=1))
+
+
+def local_motion(segments, in_optics_frame):
+    """Turn motions (batch, S, 6) along and about the optics axes into the local frames of the segments."""
+    axes = FLIP @ segments.axes
+    back = np.swapaxes(axes, 1, 2)
+    turn = Rotation.from_euler("XYZ", in_optics_frame[..., 3:].reshape(-1, 3)).as_matrix()
+    turn = back @ turn.reshape(-1, len(segments), 3, 3) @ axes
+    angles = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_euler("XYZ").reshape(-1, len(segments), 3)
+    return np.concatenate([(back @ in_optics_frame[..., :3, None])[..., 0], angles], axis=-1)
+
+
+def states_of(prepared, batch=TILE):
+    segments, _, terms = prepared.figure_matrix.shape
+    return rest(batch, segments, len(prepared.system.surfaces), terms)
+
+
+def slope(values, step):
+    """Central differences of consecutive pairs (+step, -step)."""
+    return (values[0::2] - values[1::2]) / (2 * step)
