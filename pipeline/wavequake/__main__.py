@@ -2,18 +2,39 @@
 
 import signal
 import sys
+import time
+from types import FrameType
+
+_IMPATIENCE_S = 2.0  # who presses Ctrl-C again while we clean up does not disturb that
 
 
 def main() -> None:
-    """Run the command line, which takes a moment to load; SIGTERM ends it as Ctrl-C does."""
-    # What ends a job on a cluster is to it what Ctrl-C is at a terminal.
-    signal.signal(signal.SIGTERM, lambda number, frame: signal.raise_signal(signal.SIGINT))
+    """Run the command line, which takes a moment to load; SIGTERM and SIGHUP end it as Ctrl-C does."""
+    came: list[float] = []
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        now = time.monotonic()
+        if not came or now - came[-1] > _IMPATIENCE_S:
+            came.append(now)
+            raise KeyboardInterrupt
+
+    def end(number: int, frame: FrameType | None) -> None:
+        if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell without job control started us by `&`
+            signal.signal(signal.SIGINT, interrupt)
+        signal.raise_signal(signal.SIGINT)
+
+    # What ends a job on a cluster, and a closed terminal, is to it what Ctrl-C is; `nohup` is obeyed.
+    for number, handler in ((signal.SIGINT, interrupt), (signal.SIGTERM, end), (signal.SIGHUP, end)):
+        if number == signal.SIGTERM or signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, handler)
     try:
         from wavequake.cli import main as command_line
-    except KeyboardInterrupt:
+    except BaseException:
+        if not came:  # libraries that are interrupted as they load may say something else
+            raise
         print("Interrupted before anything was begun; to start: the same command again.", file=sys.stderr)
         sys.exit(130)
-    command_line()
+    command_line(came)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 import io
 import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -12,9 +13,9 @@ from rich.table import Table
 
 from wavequake import __version__, cli_firmware, cli_statistics
 from wavequake.errors import StoreDamageError, UserError
-from wavequake.terminal import err, live_progress, out, print_pairs
+from wavequake.terminal import EXIT_INTERRUPTED, err, fail, interrupted, live_progress, out, print_pairs
 
-EXIT_BAD_INPUT, EXIT_QUARANTINED, EXIT_DAMAGED, EXIT_INTERRUPTED = 2, 3, 4, 130
+EXIT_BAD_INPUT, EXIT_QUARANTINED, EXIT_DAMAGED = 2, 3, 4
 
 app = typer.Typer(
     help="What does vibration do to the image, and which model, mirror or controller is good enough?",
@@ -24,6 +25,7 @@ app = typer.Typer(
 )
 app.add_typer(cli_firmware.app, name="firmware")
 app.command()(cli_statistics.budget)
+app.command()(cli_statistics.tail)
 StudyArgument = Annotated[str, typer.Argument(help="Name of a bundled study or path of a .toml file.")]
 StoreArgument = Annotated[Path, typer.Argument(help="Folder of the store.")]
 OverridesArgument = Annotated[
@@ -45,45 +47,38 @@ DashboardOption = Annotated[
 StoreOption = Annotated[Path | None, typer.Option("--store", help="Folder of the store (store.path).")]
 
 
-def main() -> None:
-    """Run the command line; the exit code says how it ended (0, 1, 2, 3, 4 or 130)."""
+def main(came: Sequence[float] = ()) -> None:
+    """Run the command line; the exit code says how it ended (0, 1, 2, 3, 4 or 130).
+
+    `came` has the times at which signals came to end it: what is raised later is their consequence.
+    """
     debug = "--debug" in sys.argv  # before or after the command
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that has no Greek shall not end a run
     try:
         app([word for word in sys.argv[1:] if word != "--debug"])
-    except UserError as error:
-        _fail(f"Error: {error}", EXIT_BAD_INPUT, debug)
-    except StoreDamageError as error:
-        _fail(f"Damaged store: {error}", EXIT_DAMAGED, debug)
+    except Exception as error:
+        if came:
+            interrupted()
+        _explain(error, debug)
     except KeyboardInterrupt:
-        _interrupted()
+        interrupted()
     except SystemExit as end:
         if end.code == EXIT_INTERRUPTED:  # typer's way to pass Ctrl-C on
-            _interrupted()
+            interrupted()
         raise
-    except OSError as error:
-        _fail(f"Error: {error.strerror or error}: {error.filename or 'a file'}.", EXIT_BAD_INPUT, debug)
-    except Exception as error:
-        _fail(
-            f"Internal error: {type(error).__name__}: {error} (run again with --debug for the traceback).",
-            1,
-            debug,
-        )
 
 
-def _interrupted() -> NoReturn:
-    words = shlex.join(["wavequake", *sys.argv[1:]])
-    err.print(f"\nInterrupted. What is done is kept; to continue: {words}", markup=False, soft_wrap=True)
-    sys.exit(EXIT_INTERRUPTED)
-
-
-def _fail(message: str, code: int, debug: bool) -> None:
-    if debug:
-        err.print_exception()
-    err.print(message, markup=False, soft_wrap=True)
-    sys.exit(code)
+def _explain(error: Exception, debug: bool) -> NoReturn:
+    if isinstance(error, UserError):
+        fail(f"Error: {error}", EXIT_BAD_INPUT, debug)
+    if isinstance(error, StoreDamageError):
+        fail(f"Damaged store: {error}", EXIT_DAMAGED, debug)
+    if isinstance(error, OSError):
+        fail(f"Error: {error.strerror or error}: {error.filename or 'a file'}.", EXIT_BAD_INPUT, debug)
+    words = f"Internal error: {type(error).__name__}: {error} (run again with --debug for the traceback)."
+    fail(words, 1, debug)
 
 
 def _version(asked: bool) -> None:

@@ -1,13 +1,19 @@
 """What the command line prints on: its consoles, pairs of words, and the progress of a run."""
 
+import os
+import shlex
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from typing import NoReturn
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+
+EXIT_INTERRUPTED = 130
 
 # Where the output is no terminal (a log, a pipe), lines have room for the table.
 out = Console(highlight=False, width=None if sys.stdout and sys.stdout.isatty() else 110)
@@ -20,6 +26,24 @@ def print_pairs(pairs: dict[str, str]) -> None:
     for key, value in pairs.items():
         table.add_row(key, value)
     out.print(table)
+
+
+def interrupted() -> NoReturn:
+    """Say how to go on, and end at once: nobody waits for threads or libraries."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    words = shlex.join(["wavequake", *sys.argv[1:]])
+    with suppress(OSError):  # the terminal may be gone
+        err.print(f"\nInterrupted. What is done is kept; to continue: {words}", markup=False, soft_wrap=True)
+        sys.stdout.flush()
+    os._exit(EXIT_INTERRUPTED)
+
+
+def fail(message: str, code: int, debug: bool) -> NoReturn:
+    """End with a message and an exit code."""
+    if debug:
+        err.print_exception()
+    err.print(message, markup=False, soft_wrap=True)
+    sys.exit(code)
 
 
 @contextmanager
