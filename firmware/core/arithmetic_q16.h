@@ -1,29 +1,18 @@
-/* Arithmetic for 8-bit processors: 16-bit coefficients, 32-bit states and sums, no 64-bit number anywhere.
- *
- * States are Q30 of WQ_STATE_FULL. Nothing wraps; all saturates. The static assertions are what that rests on.
- */
+/* Arithmetic for 8-bit processors: 16-bit coefficients, 32-bit states and sums, no 64-bit number anywhere. */
 #ifndef WQ_ARITHMETIC_H
 #define WQ_ARITHMETIC_H
 
-#include <stdint.h>
+#include "arithmetic_fixed.h"
 
-#include "wq_gains.h"
-
-typedef int32_t wq_number;
 typedef int16_t wq_coefficient;
 typedef struct { int16_t step_re, step_im, gain_re, gain_im, row_re, row_im; } wq_coefficients;
-typedef struct { int32_t re, im; } wq_start;
-typedef int32_t wq_expectation;
 typedef int32_t wq_command;
 
-#define WQ_FULL ((int32_t)1 << 30)
-#define WQ_SUM_SHIFT 4 /* states are summed up without their last bits, so that the sum fits */
 #define WQ_SIZE(x) ((x) < 0 ? -(int32_t)(x) : (int32_t)(x))
 #define WQ_SMALL(dr, di, gr, gi, rr, ri) \
     && WQ_SIZE(dr) < 32768 && WQ_SIZE(di) < 32768 && WQ_SIZE(gr) < 32768 && WQ_SIZE(gi) < 32768 && \
     WQ_SIZE(rr) < 32768 && WQ_SIZE(ri) < 32768
 #define WQ_ROW(dr, di, gr, gi, rr, ri) +WQ_SIZE(rr) + WQ_SIZE(ri)
-_Static_assert((-1 >> 1) == -1, "right shifts of negative numbers must keep the sign");
 _Static_assert(1 WQ_MODE_LIST(WQ_SMALL), "coefficients must fit 16 bits, either sign");
 _Static_assert(WQ_STEP_SHIFT >= 16 && WQ_STEP_SHIFT <= 47, "a step must be below 1/2");
 _Static_assert(WQ_GAIN_SHIFT >= 15 && WQ_GAIN_SHIFT <= 47, "a gain must be below 1");
@@ -31,12 +20,6 @@ _Static_assert(WQ_ROW_SHIFT >= 16 && WQ_ROW_SHIFT - 16 + WQ_CODE_BITS <= 31, "th
 _Static_assert((0 WQ_MODE_LIST(WQ_ROW)) + ((int32_t)WQ_CODE_MIDDLE << (WQ_ROW_SHIFT - 16) >> 14) + 2 <
                    ((int32_t)1 << 17),
                "the command's sum must fit 32 bits at full scale");
-_Static_assert(WQ_READING <= (1L << 30) / WQ_ADC_TOP, "a reading must fit the states' range");
-_Static_assert(WQ_MODES >= 1 && WQ_MODES <= 15, "the modes' sum must fit 32 bits");
-
-static inline int32_t wq_limited(int32_t x) {
-    return x > WQ_FULL - 1 ? WQ_FULL - 1 : x < -WQ_FULL ? -WQ_FULL : x;
-}
 
 /* Return floor(x c / 2^16) in two 16-bit products. */
 static inline int32_t wq_product(int32_t x, int16_t c) {
@@ -90,16 +73,6 @@ static inline int32_t wq_product(int32_t x, int16_t c) {
 #else
     return (int32_t)(int16_t)(x >> 16) * c + (((int32_t)(uint16_t)x * c) >> 16);
 #endif
-}
-
-static inline int32_t wq_added(int32_t z, int32_t start) { return wq_limited(z + start); }
-
-static inline int32_t wq_summed(int32_t sum, int32_t re) { return sum + (re >> WQ_SUM_SHIFT); }
-
-static inline int32_t wq_error(int16_t reading, int32_t expected) {
-    const int32_t error = ((reading * (int32_t)WQ_READING) >> WQ_SUM_SHIFT) - expected;
-    const int32_t full = WQ_FULL >> WQ_SUM_SHIFT;
-    return (error > full - 1 ? full - 1 : error < -full ? -full : error) * (1 << WQ_SUM_SHIFT);
 }
 
 static inline int32_t wq_corrected(int32_t z, int16_t gain, int32_t error) {
