@@ -189,7 +189,7 @@ def traced(difference=1e-4, sag=1e-6, optics=1e-4, wfe=100.0):
             "wfe_difference_sag": (over_time, sag * history),
             "wfe_difference_optics": (over_time, optics * history),
             "missed_share": (("case", "excitation"), np.full((2, 2), 2e-3)),
-            "wfe_rms_residual": (over_time, np.full((2, 2, 2), [[np.nan], [3.0]])),
+            "wfe_rms_residual": (over_time, np.full((2, 2, 2), [[0.0], [3.0]])),
             "los_difference": (over_time, 1e-8 * np.ones((2, 2, 2))),
             "seconds": (("case", "excitation", "stage"), np.full((2, 2, len(stages)), 0.002)),
             "status": ("case", [1, 2]),

@@ -12,10 +12,12 @@ from wavequake.optics.surface_fit import apply
 from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.system_wavefront import trace_system
 from wavequake.workflows import model_store
+from wavequake.workflows.campaign import run_study
 from wavequake.workflows.mirror_bench import bench_of, time_of, variant_of
 from wavequake.workflows.mirror_optics import displacements_mm, with_deformation
 from wavequake.workflows.mirror_residual import coordinates_of, grid_of, left_by, residual_of, rms_of
 from wavequake.workflows.mirror_trace import STAGES, Clock, compute, modal_method, standard_method
+from wavequake.workflows.store import open_store
 from wavequake.workflows.study import load_study
 
 FINE = TRACE | {"model.rings": 4, "optics.rays": 300}
@@ -106,16 +108,24 @@ def test_the_share_decides_what_is_traced():
     assert 0.0 < share[0] < share[1] < 0.5
     assert (always["wfe_rms_residual"][:, 1:] > 0.0).all()
     between = _arrays({"optics.residual_limit": float(share.mean())})
-    assert np.isnan(between["wfe_rms_residual"][0]).all()
+    assert not between["wfe_rms_residual"][0].any()
     np.testing.assert_array_equal(between["missed_share"], share)
     for name in ("wfe_rms_standard", "wfe_rms_residual", "wfe_rms_raw_modal"):
         np.testing.assert_array_equal(between[name][1], always[name][1])
     never = _arrays({"optics.residual_limit": 1.0})
-    assert np.isnan(never["wfe_rms_residual"]).all()
+    assert not never["wfe_rms_residual"].any()
     np.testing.assert_array_equal(between["wfe_rms_raw"][0], never["wfe_rms_raw"][0])
     stage = STAGES.index("residual of modes")
     assert (always["seconds"][:, stage] > 0.0).all()
     assert not never["seconds"][:, stage].any()
+
+
+def test_a_run_that_traces_some_residuals_is_done(tmp_path):
+    limit = float(_arrays({"optics.residual_limit": 0.0})["missed_share"].mean())
+    run_study(
+        load_study("mirror-trace", TRACE | {"optics.residual_limit": limit}), tmp_path / "s", on="serial"
+    )
+    assert list(open_store(tmp_path / "s")["status"].values) == [1]
 
 
 def test_eleven_terms_and_the_grid_find_the_wavefront_error_of_45_terms():

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from wavequake.report import mirror_figures as draw
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
-from wavequake.report.table import number
+from wavequake.report.table import MISSING, number
 from wavequake.report.variants import left_out
 from wavequake.workflows.contract import DONE
 from wavequake.workflows.mirror_trace import MODAL, STANDARD
@@ -139,7 +139,7 @@ def _row(one: TraceResult) -> dict[str, str]:
         f"{one.from_optics:.1e}",
         f"{one.los:.1e}",
         f"{one.missed:.1e}",
-        "–" if np.isnan(one.rest) else number(one.rest),
+        number(one.rest) if one.rest else MISSING,
         number(one.standard_s * 1e3),
         number(one.modal_s * 1e3),
     )

@@ -148,7 +148,7 @@ def judged(study: TraceStudy, bench: Bench, variant: str, device: Device) -> dic
         ]
         found = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
         found["wfe_rms_raw_modal"] = summed.rms_raw
-        untraced = np.full(len(instants), np.nan)
+        untraced = np.zeros(len(instants))
         found["wfe_rms_residual"] = untraced if added is None else rms_of(added.whole, coordinates)
         found["missed_share"] = np.array(share)
         clock.seconds |= {"sensitivities": optics.seconds, "reduction": reduced.seconds}
@@ -330,7 +330,7 @@ def variables(study: TraceStudy) -> dict[str, Variable]:
         "wfe_rms_raw": history("nm", "wavefront error rms over the traced rays, best-fit plane removed"),
         "wfe_rms_raw_modal": history("nm", "the same by sensitivities of modes and of what their fit leaves"),
         "wfe_rms_residual": history(
-            "nm", "rms of what the residual grid adds to the wavefront; NaN where none is traced"
+            "nm", "rms of what the residual grid adds to the wavefront; 0 where none is traced"
         ),
         "missed_share": Variable(
             ("excitation",),
