@@ -1,169 +1,297 @@
-"""How fast the segmented trace is, and whether it agrees with others.
+"""How fast rays are traced: against batoid, numba and the processor's limits, and against what is demanded.
 
-The 492 moving segments of the TMT, 8856 rays, 20 tiles of 16 instants, 4 surfaces per ray: the kernel on
-every device, its NumPy twin, and batoid if it is installed. batoid has no segmented mirrors: it traces one
-undivided, resting M1, in a loop over instants; its figure is one Zernike surface over all of M1. Measurements
-are interleaved; medians of same-run ratios are what to compare between machines.
+The four surfaces of the TMT with 28 or 105 annular Zernike terms on M1. Measurements are interleaved; medians
+of same-run ratios are what to compare between machines. `python -m benchmarks.raytrace` starts one process
+for each number of threads, of which all have the same number; it takes two minutes.
 """
 
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from wavequake.kernels.devices import NUMPY, list_devices
+from benchmarks._limits import limit_jobs, limits
+from benchmarks._numba_trace import numba_tracer
+from benchmarks.segmented import workload
+from wavequake.kernels.devices import Device, list_devices
+from wavequake.kernels.packing import packed_elements
 from wavequake.kernels.segmented import trace_segmented
+from wavequake.kernels.sequence import Element, Moving, Rays, Sequence
+from wavequake.kernels.sequential import trace_sequence
 from wavequake.kernels.tiles import TILE
-from wavequake.optics.kinematics import field_directions, segment_poses, surface_poses
-from wavequake.optics.prepared import chief_rays, prepare
-from wavequake.optics.pupils import segment_rays
-from wavequake.optics.segmented_telescope import SegmentedTelescope
-from wavequake.optics.states import SurfaceStates
-from wavequake.optics.telescopes import telescope
+from wavequake.optics.fits import weighted_fit
+from wavequake.optics.surface_basis import zernike_basis
+from wavequake.optics.telescopes import telescope as bundled
+from wavequake.optics.wavefront import los_eq339
+from wavequake.optics.zernike import annular_zernike
 
-TILES = 20
+Array = NDArray[np.float64]
 REPEATS = 7
-SURFACES = 4
-WAVELENGTH = 550e-6
+RAYS, BATOID_RAYS = 1_000_000, 100_000
+BATCH, BATCH_RAYS, BATOID_INSTANTS = 1000, 2000, 3
+TILES = 4  # of the segmented trace, which flags failures and searches segments
+OUTER, INNER = 15e3, 3e3
+M1, K1, M2, K2 = -60e3, -1.00095348, -6227.68, -1.31822813
+WANTED = ("path", "x", "y")
+# Multiplications, additions and multiply-adds of the algorithm per ray of four surfaces, without status and
+# choices; divisions and roots; bytes: three read, three written after they are read, two codes likewise.
+ARITHMETIC, DIVISIONS, ROOTS, BYTES = {28: 223, 105: 384}, 5, 2, 76
+
+WAVELENGTH, APERTURE = 550e-6, 1.0 / 30.0
+
+# What is demanded with 28 and 105 terms, and aimed at: the least of a ratio, the most of a share or a time.
+DEMANDS = {
+    "10^6 rays, times batoid": ("least", (50.0, 90.0), (80.0, 150.0)),
+    "1000 instants of 2000 rays, times a batoid loop": ("least", (70.0, 130.0), (120.0, 200.0)),
+    "10^6 rays, times the same algorithm in numba": ("least", (1.8, 1.8), (2.5, 2.5)),
+    "share of the tightest bound": ("least", (0.55, 0.55), (0.8, 0.8)),
+    "492 segments, with search and flags, of the plain rate": ("least", (0.5, 0.5), (0.7, 0.7)),
+    "host work (poses, packing, fit, line of sight) of the kernel": ("most", (0.25, 0.25), (0.1, 0.1)),
+    "one instant of 2000 rays, ms": ("most", (0.3, 0.3), (0.3, 0.3)),
+}
+
+HALF = np.sqrt(0.5)
+FOLD = np.array([[HALF, 0, -HALF], [0, 1, 0], [HALF, 0, HALF]])
+IMAGE = np.array([[0, 0, 1], [0, 1, 0], [-1.0, 0, 0]])
+ORIGINS = np.array([[0, 0, 0], [0, 0, -27093.75], [0, 0, -3500.0], [-20000.0, 0, -3500.0]])
 
 
-def workload(
-    system: SegmentedTelescope, tiles: int, figure_terms: int = 0, scale: float = 1.0
-) -> dict[str, Any]:
-    """Arguments of `trace_segmented` for random motions of some 10 nm and 10 nrad, times `scale`."""
-    prepared = prepare(system, segment_rays(system.segments, 3), WAVELENGTH, 15, figure_terms)
-    random = np.random.default_rng(1)
-    batch, count, moving = tiles * TILE, len(system.segments), len(system.surfaces)
-    states = SurfaceStates(
-        scale * random.normal(0.0, 3e-5, (batch, count, 6)) * [1, 1, 1, 1e-3, 1e-3, 1e-3],
-        scale * random.normal(0.0, 1e-5, (batch, count, figure_terms)),
-        scale * random.normal(0.0, 1e-4, (batch, moving, 6)) * [1, 1, 1, 1e-3, 1e-3, 1e-3],
-        scale * random.normal(0.0, 1e-7, (batch, 2)),
+def telescope(degree: int) -> Sequence:
+    primary = Element(1 / M1, K1, "reflect", deformation_degree=degree, deformation_radius=OUTER)
+    return Sequence((primary, Element(1 / M2, K2, "reflect"), Element(action="reflect"), Element()))
+
+
+def poses(shifts: Array, tilts: Array) -> Array:
+    """Relative poses (T, 4, 12) for shifts (T, 2, 3) of M1 and M2 in mm and tilts (T, 2) of both in rad."""
+    instants = len(shifts)
+    axes = np.zeros((instants, 4, 3, 3))
+    axes[:, :2] = np.eye(3)
+    axes[:, 2], axes[:, 3] = FOLD, IMAGE
+    cosine, sine = np.cos(tilts), np.sin(tilts)
+    axes[:, :2, 1, 1], axes[:, :2, 1, 2], axes[:, :2, 2, 1], axes[:, :2, 2, 2] = cosine, sine, -sine, cosine
+    origins = np.tile(ORIGINS, (instants, 1, 1))
+    origins[:, :2] += shifts
+    before = np.concatenate([np.tile(np.eye(3), (instants, 1, 1, 1)), axes[:, :-1]], axis=1)
+    start = np.concatenate([np.zeros((instants, 1, 3)), origins[:, :-1]], axis=1)
+    turn = axes @ np.swapaxes(before, 2, 3)
+    offset = (axes @ (start - origins)[..., None])[..., 0]
+    return np.concatenate([turn.reshape(instants, 4, 9), offset], axis=2)
+
+
+def sunflower(count: int) -> Rays:
+    i = np.arange(count) + 0.5
+    r, phi = np.sqrt(INNER**2 + (OUTER**2 - INNER**2) * i / count), i * np.pi * (3 - np.sqrt(5))
+    direction = np.array([1e-4, -5e-5, np.sqrt(1 - 1e-8 - 2.5e-9)])
+    return Rays(
+        np.stack([r * np.cos(phi), r * np.sin(phi), np.full(count, -1e4)]),
+        np.broadcast_to(direction[:, None], (3, count)),
+        np.broadcast_to(0.0, count),
     )
-    figure = None
-    if figure_terms:
-        terms = states.segment_figure.reshape(tiles, TILE, count, figure_terms).transpose(0, 2, 3, 1)
-        figure = prepared.figure_matrix @ terms
-    return {
-        "train": prepared.train,
-        "ray_x": prepared.rays.x,
-        "ray_y": prepared.rays.y,
-        "start_z": system.stop_z,
-        "candidates": prepared.candidates,
-        "segment_poses": segment_poses(system.segments, states.segment_motion),
-        "figure": figure,
-        "surface_poses": surface_poses(system, states.surface_motion),
-        "directions": field_directions(states.field),
-        "chief": chief_rays(prepared, states),
-    }
 
 
-def first_tile(arguments: dict[str, Any]) -> dict[str, Any]:
-    moving = ("segment_poses", "figure", "surface_poses", "directions", "chief")
-    return arguments | {name: arguments[name][:1] for name in moving if arguments[name] is not None}
+def figures(terms: int, instants: int) -> tuple[Array, int, Array]:
+    """Return annular Noll coefficients (T, terms) of 20 nm rms each from j = 4, degree, and monomials."""
+    heights = np.random.default_rng(1).normal(0.0, 2e-5, (instants, terms))
+    heights[:, :3] = 0.0
+    basis = zernike_basis(terms, INNER / OUTER)
+    return heights, basis.degree, heights @ basis.matrix.T
 
 
-def batoid_tracer(
-    system: SegmentedTelescope, arguments: dict[str, Any], figure_terms: int = 0
-) -> Callable[[], Any] | None:
-    """Return a function that traces the rays once through the resting telescope, or None without batoid."""
-    try:
-        import batoid
-    except ImportError:
-        return None
-    primary = batoid.Quadric(system.primary_radius, system.primary_conic)
-    if figure_terms:
-        heights = np.concatenate([[0.0], np.random.default_rng(1).normal(0.0, 1e-5, figure_terms)])
-        figure = batoid.Zernike(heights, R_outer=system.pupil_outer, R_inner=system.pupil_inner)
-        primary = batoid.Sum([primary, figure])
-    items = [batoid.Mirror(primary, name="M1")]
-    for surface in system.surfaces:
-        flat = np.isinf(surface.radius)
-        shape = batoid.Plane() if flat else batoid.Quadric(surface.radius, surface.conic)
-        place = batoid.CoordSys(np.array(surface.position), np.array(surface.rotation))
-        kind = batoid.Mirror if surface.reflects else batoid.Detector
-        items.append(kind(shape, name=surface.name, coordSys=place))
-    optic = batoid.CompoundOptic(items, name=system.name)
-    x, y = arguments["ray_x"], arguments["ray_y"]
-    z, zero = np.full_like(x, system.stop_z), np.zeros_like(x)
-    rays = batoid.RayVector(x, y, z, zero, zero, zero + 1.0, z)
-    return lambda: optic.trace(rays.copy())
+def batoid_optic(heights: Array, shifts: Array, tilts: Array) -> Any:
+    """Return the telescope in meters, for which batoid's tolerances are made."""
+    import batoid
+
+    figure = batoid.Zernike(
+        np.concatenate([[0.0], 1e-3 * heights]), R_outer=1e-3 * OUTER, R_inner=1e-3 * INNER
+    )
+    primary = batoid.Sum([batoid.Quadric(1e-3 * M1, K1), figure])
+    shapes = [primary, batoid.Quadric(1e-3 * M2, K2), batoid.Plane(), batoid.Plane()]
+    turns = [FOLD.T.copy(), IMAGE.T.copy()]
+    for c, s in zip(np.cos(tilts)[::-1], np.sin(tilts)[::-1], strict=True):
+        turns.insert(0, np.array([[1, 0, 0], [0, c, -s], [0, s, c]]))
+    origins = 1e-3 * (ORIGINS + np.concatenate([shifts, np.zeros((2, 3))]))
+    kinds = [batoid.Mirror, batoid.Mirror, batoid.Mirror, batoid.Detector]
+    parts = zip("1234", kinds, shapes, origins, turns, strict=True)
+    items = [
+        kind(shape, name=name, coordSys=batoid.CoordSys(o, turn)) for name, kind, shape, o, turn in parts
+    ]
+    return batoid.CompoundOptic(items, name="telescope")
 
 
-def difference_to_batoid(system: SegmentedTelescope, trace: Callable[[], Any]) -> tuple[float, float]:
-    """Largest differences of image position and OPD (mm) in the resting telescope, kernel against batoid."""
-    rest = workload(system, 1, scale=0.0)
-    found = trace_segmented(**rest, device=list_devices()[0])
-    rays = trace()
-    center_x, center_y, opl = rest["chief"][0, :, 0]
-    offset = np.stack([rays.x - center_x, rays.y - center_y, rays.z])
-    direction = np.stack([rays.vx, rays.vy, rays.vz])
-    along = np.sum(offset * direction, axis=0)
-    radius = rest["train"].sphere_radius
-    back = along + np.sqrt(along**2 - np.sum(offset**2, axis=0) + radius**2)
-    position = max(np.abs(found.x[0, :, 0] - rays.x).max(), np.abs(found.y[0, :, 0] - rays.y).max())
-    return float(position), float(np.abs(found.opd[0, :, 0] - (opl - (rays.t - back))).max())
+def batoid_rays(rays: Rays) -> Any:
+    import batoid
+
+    direction = [np.ascontiguousarray(row) for row in rays.direction]
+    return batoid.RayVector(*(1e-3 * row for row in rays.position), *direction, np.zeros(rays.path.size))
 
 
-def interleaved(jobs: dict[str, Callable[[], Any]]) -> dict[str, list[float]]:
-    seconds: dict[str, list[float]] = {name: [] for name in jobs}
+def interleaved(jobs: dict[str, Callable[[], Any]]) -> dict[str, Array]:
     for job in jobs.values():
         job()
+    seconds: dict[str, list[float]] = {name: [] for name in jobs}
     for _ in range(REPEATS):
         for name, job in jobs.items():
             start = time.perf_counter()
             job()
             seconds[name].append(time.perf_counter() - start)
-    return seconds
+    return {name: np.array(times) for name, times in seconds.items()}
 
 
-def table(seconds: dict[str, list[float]], instants: dict[str, int], rays: int) -> Table:
-    """Medians per instant, and each kernel's gain over its peers (medians of ratios within one round)."""
-    columns = Table(*("trace", "ms/instant", "10^6 ray-surfaces/s", "time/kernel"), box=None)
-    each = {name: np.array(times) / instants[name] for name, times in seconds.items()}
-    for name, times in each.items():
-        median = float(np.median(times))
-        kernel = each[next(key for key in each if key.endswith(name.rpartition(", ")[2]))]
-        rate, ratio = rays * SURFACES / median / 1e6, float(np.median(times / kernel))
-        columns.add_row(name, f"{1e3 * median:.4f}", f"{rate:.1f}", f"{ratio:.2f}")
-    return columns
+def measure(device: Device, terms: int, batoid: bool, console: Console) -> dict[str, float]:
+    """Print the rates with one number of terms; return what `DEMANDS` are made on."""
+    heights, degree, monomials = figures(terms, BATCH)
+    random = np.random.default_rng(2)
+    shifts = random.normal(0.0, 1e-3, (BATCH, 2, 3))
+    tilts = random.normal(0.0, 1e-7, (BATCH, 2))
+    many, few, some = sunflower(RAYS), sunflower(BATCH_RAYS), sunflower(BATOID_RAYS)
+    sequence, none = telescope(degree), (None, None, None)
+    rest = Moving(poses(0 * shifts[:1], 0 * tilts[:1]), (monomials[:1], *none))
+    batch = Moving(poses(shifts, tilts), (monomials, *none))
+    large = trace_sequence(sequence, many, rest, device, outputs=WANTED)
+    batched = trace_sequence(sequence, few, batch, device, outputs=WANTED)
+    bound_jobs, amounts = limit_jobs(device)
+    jobs: dict[str, Callable[[], Any]] = {
+        "kernel": lambda: trace_sequence(sequence, many, rest, device, outputs=WANTED, out=large),
+        "batch": lambda: trace_sequence(sequence, few, batch, device, outputs=WANTED, out=batched),
+        "small": lambda: trace_sequence(sequence, few, rest, device, outputs=WANTED),
+        "492 segments": partial(trace_segmented, **workload(bundled("tmt"), TILES, 28), device=device),
+    }
+    host_jobs: dict[str, Callable[[], Any]] = {
+        "packing": lambda: packed_elements(sequence, batch, False),
+        "host": host_work(heights, shifts, tilts, few, batched),
+    }
+    rays = {"kernel": RAYS, "batch": BATCH * BATCH_RAYS, "small": BATCH_RAYS}
+    rays["492 segments"] = TILES * TILE * 18 * 492
+    numba = numba_tracer(degree)
+    if numba:
+        conics = np.array([[1 / M1, 1 + K1], [1 / M2, 1 + K2]])
+        out = np.empty((3, RAYS))
+        direction = many.direction[:, 0].copy()
+        arguments = (conics, rest.poses[0], monomials[0], OUTER, many.position, direction, *out)
+        jobs["numba"], rays["numba"] = lambda: numba(*arguments), RAYS
+    else:
+        console.print("numba is not installed (pip install numba): that comparison is skipped")
+    if batoid:
+        optic = batoid_optic(heights[0], 0 * shifts[0], 0 * tilts[0])
+        light, light_few = batoid_rays(some), batoid_rays(few)
+
+        def batoid_loop() -> None:
+            for i in range(BATOID_INSTANTS):
+                batoid_optic(heights[i], shifts[i], tilts[i]).trace(light_few.copy())
+
+        jobs |= {"batoid": lambda: optic.trace(light.copy()), "batoid loop": batoid_loop}
+        rays |= {"batoid": BATOID_RAYS, "batoid loop": BATOID_INSTANTS * BATCH_RAYS}
+        agreement(trace_sequence(sequence, few, rest, device), optic.trace(light_few.copy()), console)
+    if numba:
+        numba(*arguments)
+        worst = max(np.abs(getattr(large, name) - row).max() for name, row in zip(WANTED, out, strict=True))
+        console.print(f"largest difference to numba: {worst:.1e} mm")
+    return report(interleaved(jobs | host_jobs | bound_jobs), rays, amounts, terms, console)
+
+
+def host_work(heights: Array, shifts: Array, tilts: Array, rays: Rays, traced: Any) -> Callable[[], Any]:
+    """Return what a batch needs besides the trace: poses, monomials, Zernike fit and line of sight."""
+    basis = zernike_basis(heights.shape[1], INNER / OUTER)
+    x, y = rays.position[:2] / OUTER
+    fit = weighted_fit(annular_zernike(x, y, 28, INNER / OUTER), np.full(x.size, 1.0 / x.size))
+
+    def work() -> Array:
+        poses(shifts, tilts)
+        heights @ basis.matrix.T
+        waves = (traced.path - traced.path[:, :1]) * (1.0 / WAVELENGTH)
+        center = np.stack([traced.x[:, 0], traced.y[:, 0]], axis=1)
+        return los_eq339(center, waves @ fit.matrix.T, WAVELENGTH, APERTURE)
+
+    return work
+
+
+def agreement(traced: Any, light: Any, console: Console) -> None:
+    place = max(np.abs(traced.x[0] - 1e3 * light.x).max(), np.abs(traced.y[0] - 1e3 * light.y).max())
+    path = np.abs(traced.path[0] - 1e3 * light.t).max()
+    console.print(f"difference to batoid: position {place:.1e} mm, path {path:.1e} mm")
+
+
+def report(
+    seconds: dict[str, Array], rays: dict[str, int], amounts: dict[str, float], terms: int, console: Console
+) -> dict[str, float]:
+    """Print the rates; return what `DEMANDS` are made on, as far as it was measured."""
+    rates = {name: 4e-6 * count / seconds[name] for name, count in rays.items()}
+    speed = limits({name: amount / float(np.median(seconds[name])) for name, amount in amounts.items()})
+    bounds = {
+        "multiply-add": 4e-6 * speed["multiply_add"] / ARITHMETIC[terms],
+        "division and root": 4e-6 / (DIVISIONS / speed["divide"] + ROOTS / speed["root"]),
+        "memory": 4e-6 * speed["move"] / BYTES,
+    }
+    table = Table("trace", "10^6 ray-surfaces/s", box=None)
+    for name, rate in (rates | bounds).items():
+        table.add_row(f"limit by {name}" if name in bounds else name, f"{np.median(rate):.1f}")
+    console.print(table)
+    ratios = {("kernel", "batoid"): 0, ("batch", "batoid loop"): 1, ("kernel", "numba"): 2}
+    names, found = list(DEMANDS), {}
+    for (own, peer), place in ratios.items():
+        if peer in rates:
+            found[names[place]] = float(np.median(rates[own] / rates[peer]))
+    launched = seconds["batch"] - seconds["packing"]
+    found[names[3]] = float(np.median(rates["kernel"])) / min(bounds.values())
+    found[names[4]] = float(np.median(rates["492 segments"] / rates["kernel"]))
+    found[names[5]] = float(np.median((seconds["host"] + seconds["packing"]) / launched))
+    found[names[6]] = 1e3 * float(np.median(seconds["small"]))
+    return found
+
+
+def verdict(found: dict[int, dict[str, float]], console: Console) -> None:
+    """Print what was measured beside what is demanded."""
+    headers = [word for terms in found for word in (f"{terms} terms", "demanded", "aim", "")]
+    table = Table("", *headers, box=None)
+    for name, (kind, demanded, aims) in DEMANDS.items():
+        row = []
+        for measured, demand, aim in zip(found.values(), demanded, aims, strict=True):
+            value = measured.get(name)
+            if value is None:
+                row += ["-", f"{demand:g}", f"{aim:g}", "skipped"]
+            else:
+                met = value >= demand if kind == "least" else value <= demand
+                row += [f"{value:.3g}", f"{demand:g}", f"{aim:g}", "met" if met else "short"]
+        table.add_row(name, *row)
+    console.print(table)
 
 
 def main() -> None:
-    console = Console()
-    system = telescope("tmt")
-    jobs: dict[str, Callable[[], Any]] = {}
-    instants: dict[str, int] = {}
-    for label, terms in (("conics", 0), ("28-term figure", 28)):
-        arguments = workload(system, TILES, terms)
-        one_tile = first_tile(arguments)
-        for device in list_devices()[:-1]:
-            name = f"{device.kind} {device.vector_width} lanes, {label}"
-            jobs[name] = partial(trace_segmented, **arguments, device=device)
-            instants[name] = TILES * TILE
-        jobs[f"NumPy twin, {label}"] = partial(trace_segmented, **one_tile, device=NUMPY)
-        instants[f"NumPy twin, {label}"] = TILE
-        peer = batoid_tracer(system, arguments, terms)
-        if peer is None:
-            console.print("batoid is not installed (pip install batoid): that comparison is skipped")
-            continue
-        jobs[f"batoid, {label}"] = peer
-        instants[f"batoid, {label}"] = 1
-        if not terms:
-            position, opd = difference_to_batoid(system, peer)
-            console.print(f"difference to batoid at rest: image {position:.1e} mm, OPD {opd:.1e} mm")
-    rays = arguments["ray_x"].size
-    several = float(np.mean((arguments["candidates"] >= 0).sum(axis=1) > 1))
-    console.print("devices:", ", ".join(device.name for device in list_devices()))
-    console.print(f"{rays} rays, {several:.1%} of them with several candidate segments")
-    console.print("PoCL threads:", os.environ.get("POCL_MAX_PTHREAD_COUNT", f"all {os.cpu_count()}"))
-    console.print(table(interleaved(jobs), instants, rays))
+    """Measure with one and with two threads, each in a process of its own."""
+    for threads in ("1", "2"):
+        names = ("POCL_MAX_PTHREAD_COUNT", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+        environment = os.environ | dict.fromkeys(names, threads)
+        subprocess.run([sys.executable, "-m", "benchmarks.raytrace", threads], env=environment, check=True)
+
+
+def measure_all(threads: str) -> None:
+    console = Console(width=150)
+    devices = [device for device in list_devices() if device.kind == "cpu"]
+    if not devices:
+        console.print("no OpenCL processor was found: there is nothing to measure")
+        return
+    try:
+        import batoid
+    except ImportError:
+        batoid = None
+        console.print("batoid is not installed (pip install batoid): that comparison is skipped")
+    found = {}
+    for terms in (28, 105):
+        console.print(f"{devices[0].name}, {threads} thread(s), {terms} terms, {RAYS} rays")
+        found[terms] = measure(devices[0], terms, batoid is not None, console)
+    verdict(found, console)
 
 
 if __name__ == "__main__":
-    main()
+    if len(sys.argv) > 1:
+        measure_all(sys.argv[1])
+    else:
+        main()
