@@ -50,3 +50,51 @@ def test_a_budget_that_cannot_be_is_refused_in_one_sentence(tmp_path, monkeypatc
     assert code == 2
     assert message in err
     assert not (tmp_path / "s").exists()
+
+
+@pytest.fixture(scope="module")
+def swings(tmp_path_factory):
+    """Two thousand cases of pistons by the modal model."""
+    store = tmp_path_factory.mktemp("tail") / "s"
+    keys = {"telescope.name": "tmt-18", "campaign.cases": 2000, "store.chunk_cases": 1000}
+    run_study(load_study("tmt-million", keys), store, on="serial")
+    return store
+
+
+def test_a_tail_says_what_is_hardly_ever_exceeded_and_how_often_a_limit_is(swings, monkeypatch, capsys):
+    code, out, _ = wavequake(monkeypatch, capsys, "tail", swings, "--limit", 40, "--statistic", "max")
+    assert code == 0
+    assert "swing" in out
+    assert "generalized Pareto" in out
+    assert "share above" in out
+
+
+def test_a_tail_is_that_of_the_values_of_the_store(swings):
+    from wavequake.report.tail import RareQuestion, rare_events
+    from wavequake.workflows.store import open_store
+    from wavequake.workflows.tail import fit_tail, rare_value
+
+    values = open_store(swings)["wfe_rms_raw"].sel(statistic="rms").to_numpy()
+    (found,), unit = rare_events(swings, RareQuestion("wfe_rms_raw", "rms", 1e-4))
+    assert found.value == rare_value(fit_tail(values), 1e-4)
+    assert unit == "nm"
+    (small,), _ = rare_events(swings, RareQuestion("wfe_rms_raw", "rms", 1e-4, below=True))
+    assert small.value == rare_value(fit_tail(-values), 1e-4)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--variable", "strel"), "There is no 'strel' to judge in this store; use one of wfe_rms"),
+        (("--variable", "zernike_rms"), "There is no 'zernike_rms' to judge"),
+        (("--statistic", "median"), "There is no statistic 'median'; use one of mean, rms"),
+        (("--probability", "0"), "The probability 0 is not rare"),
+        (("--probability", "nan"), "The probability nan is not rare"),
+        (("--threshold", "1e9"), "swing: Only 0 of 2000 cases exceed 1e+09, and a tail needs at least 50"),
+        (("--limit", "nan"), "The limit nan is no number"),
+    ],
+)
+def test_a_tail_that_cannot_be_is_refused_in_one_sentence(swings, monkeypatch, capsys, words, message):
+    code, _, err = wavequake(monkeypatch, capsys, "tail", swings, *words)
+    assert code == 2
+    assert message in err

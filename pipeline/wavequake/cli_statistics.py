@@ -38,3 +38,27 @@ def budget(
     if (path / MANIFEST).exists() and not kept:
         command = shlex.join(["wavequake", "report", str(path)])
         out.print(f"To see it in the report: {command}", markup=False, soft_wrap=True)
+
+
+def tail(
+    store: Annotated[Path, typer.Argument(help="Folder of the store.")],
+    variable: Annotated[str, typer.Option(help="What is judged: a variable of the store.")] = "wfe_rms_raw",
+    limit: Annotated[float | None, typer.Option(help="How often is it exceeded? In the unit stored.")] = None,
+    probability: Annotated[float, typer.Option(help="What is exceeded so rarely?")] = 1e-4,
+    statistic: Annotated[
+        str, typer.Option(help="Over the instants of a case: rms, mean, min, max or last.")
+    ] = "rms",
+    below: Annotated[bool, typer.Option("--below", help="Judge small values, as of Strehl ratios.")] = False,
+    threshold: Annotated[
+        float | None, typer.Option(help="Where the tail begins (default: the farthest 5 % of the cases).")
+    ] = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Estimate rare events: values that are hardly ever exceeded, and how often a limit is."""
+    from wavequake.report.tail import RareQuestion, rare_events, rare_notes, rare_table
+
+    question = RareQuestion(variable, statistic, probability, limit, threshold, below)
+    found, unit = rare_events(store, question)
+    out.print(rare_table(found, unit, question))
+    for line in rare_notes(found, question):
+        out.print(line, markup=False)

@@ -1,0 +1,189 @@
+"""Rare events in a store: what is hardly ever exceeded, and how often a limit is."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from wavequake.errors import UserError
+from wavequake.report.table import MISSING, number
+from wavequake.workflows.contract import DONE
+from wavequake.workflows.quantiles import Quantile
+from wavequake.workflows.store import open_store
+from wavequake.workflows.tail import Tail, exceedance, fit_tail, rare_value, steadiness
+
+Array = NDArray[np.float64]
+
+_OVER_TIME = {"mean": "mean", "rms": "rms", "min": "min", "max": "max", "last": "last"}
+_WORST_OF = {"field", "wavelength"}
+
+
+@dataclass(frozen=True)
+class RareEvents:
+    """What is known of the tail of one population.
+
+    ``value`` is exceeded with `probability`; ``odds`` is how often `limit` is (None: no limit was given);
+    ``steady`` is ``value`` by the upper half of the exceedances.
+    """
+
+    name: str
+    tail: Tail
+    value: Quantile
+    steady: Quantile | None
+    odds: Quantile | None
+
+
+@dataclass(frozen=True)
+class RareQuestion:
+    """What is asked of a store: of the upper tail, or of the lower one if `below`."""
+
+    variable: str
+    statistic: str
+    probability: float
+    limit: float | None = None
+    threshold: float | None = None
+    below: bool = False
+
+
+def rare_events(store: Path | str, question: RareQuestion) -> tuple[list[RareEvents], str]:
+    """Return the tails of all populations of a store, and the unit.
+
+    Raises
+    ------
+    UserError
+        If there is no such variable or statistic, it is not one number per case, or a tail has too few cases.
+    """
+    if not 0.0 < question.probability < 0.5:
+        raise UserError(
+            f"The probability {question.probability:g} is not rare; it must be between 0 and 0.5, as 1e-4."
+        )
+    for name in ("limit", "threshold"):
+        value = getattr(question, name)
+        if value is not None and not np.isfinite(value):
+            raise UserError(f"The {name} {value} is no number that a tail can be compared with.")
+    dataset = open_store(store)
+    values = per_case(dataset, question.variable, question.statistic)
+    done = dataset["status"].to_numpy() == DONE
+    names = (
+        np.array([str(name) for name in dataset["disturbance"].to_numpy()])
+        if "disturbance" in dataset.variables
+        else np.full(len(values), "all cases")
+    )
+    stratified = "replicate" in dataset.variables
+    sign = -1.0 if question.below else 1.0
+    found = []
+    for name in dict.fromkeys(names.tolist()):
+        mine = values[(names == name) & done]
+        found.append(_one(name, sign * mine, question, sign, stratified))
+    return found, str(dataset[question.variable].attrs.get("units", "1"))
+
+
+def _one(name: str, values: Array, question: RareQuestion, sign: float, stratified: bool) -> RareEvents:
+    threshold = None if question.threshold is None else sign * question.threshold
+    try:
+        tail = fit_tail(values, threshold)
+    except UserError as error:
+        mirrored = " (Small values are judged as those times -1.)" if question.below else ""
+        raise UserError(f"{name}: {error}{mirrored}") from None
+    odds = None if question.limit is None else exceedance(tail, sign * question.limit)
+    value, steady = rare_value(tail, question.probability), steadiness(tail, question.probability)
+    if stratified:  # the likelihood of cases that are not independent is not known
+        value, odds = Quantile(value.value, np.nan, np.nan), odds and Quantile(odds.value, np.nan, np.nan)
+    return RareEvents(name, tail, value, steady, odds)
+
+
+def per_case(dataset: xr.Dataset, variable: str, statistic: str) -> Array:
+    """Return one number per case: a statistic over its instants, the worst of fields and wavelengths.
+
+    Of a line of sight it is the distance from rest. Raises as :func:`rare_events`.
+    """
+    valid = [str(name) for name in dataset.data_vars if _is_judged(dataset[name])]
+    if variable not in valid:
+        raise UserError(f"There is no {variable!r} to judge in this store; use one of {', '.join(valid)}.")
+    if statistic not in _OVER_TIME:
+        raise UserError(f"There is no statistic {statistic!r}; use one of {', '.join(_OVER_TIME)}.")
+    values = dataset[variable]
+    if "axis" in values.dims:
+        values = (values**2).sum("axis", skipna=False) ** 0.5
+    if "statistic" in values.dims:
+        values = values.sel(statistic=statistic)
+    elif "time" in values.dims:
+        values = _over_time(values, statistic)
+    others = [dim for dim in values.dims if dim != "case"]
+    return np.asarray(values.max(others).to_numpy() if others else values.to_numpy(), dtype=np.float64)
+
+
+def _is_judged(values: xr.DataArray) -> bool:
+    dims = {str(dim) for dim in values.dims}
+    known = {"case", "time", "statistic", "axis"} | _WORST_OF
+    return values.dtype.kind == "f" and "case" in dims and dims <= known
+
+
+def _over_time(values: xr.DataArray, statistic: str) -> xr.DataArray:
+    """Reduce instants; those that a case does not have are NaN at the end."""
+    if statistic == "rms":
+        return (values**2).mean("time") ** 0.5
+    if statistic == "last":
+        return values.ffill("time").isel(time=-1)
+    reduced: xr.DataArray = getattr(values, statistic)("time")
+    return reduced
+
+
+def rare_table(found: list[RareEvents], unit: str, question: RareQuestion) -> Table:
+    """Return the tails as a table for the terminal."""
+    side = "below" if question.below else "above"
+    sign = -1.0 if question.below else 1.0
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("disturbance")
+    table.add_column("cases", justify="right")
+    table.add_column(f"threshold\n({unit})", justify="right")
+    table.add_column(f"cases\n{side} it", justify="right")
+    table.add_column("shape", justify="right")
+    table.add_column(
+        f"{question.variable} ({unit}),\n{side} it: {question.probability:g}", justify="right", no_wrap=True
+    )
+    if question.limit is not None:
+        table.add_column(f"share {side}\n{question.limit:g} {unit}", justify="right", no_wrap=True)
+    for one in found:
+        cells = [
+            one.name,
+            str(len(one.tail.values)),
+            number(sign * one.tail.threshold),
+            str(len(one.tail.excesses)),
+            f"{one.tail.shape:.2f}",
+            _interval(one.value, sign),
+        ]
+        table.add_row(*cells, *([_interval(one.odds)] if one.odds else []))
+    return table
+
+
+def _interval(found: Quantile, sign: float = 1.0) -> str:
+    low, high = (found.low, found.high) if sign > 0 else (found.high, found.low)
+    if np.isnan(low):
+        return number(sign * found.value)
+    ends = [number(sign * end) if np.isfinite(end) else MISSING for end in (low, high)]
+    return f"{number(sign * found.value)} ({ends[0]}–{ends[1]})"
+
+
+def rare_notes(found: list[RareEvents], question: RareQuestion) -> Iterator[str]:
+    """Yield what the numbers mean and where they are not to be trusted, in lines."""
+    over = f"the {question.statistic} over the instants of a case"
+    yield (
+        f"Of cases ({over}): a generalized Pareto distribution fitted to what is beyond the threshold; in "
+        "brackets 95 % confidence intervals of the profile likelihood. It holds as far as the tail goes on "
+        "as it is."
+    )
+    for one in found:
+        if np.isnan(one.value.low):
+            yield f"{one.name}: no interval, as stratified cases are not independent (docs/statistics.md)."
+        elif one.steady and not one.value.low <= one.steady.value <= one.value.high:
+            sign = -1.0 if question.below else 1.0
+            yield (
+                f"WARNING {one.name}: the farther half of these cases alone gives "
+                f"{_interval(one.steady, sign)}: the tail changes its kind; give a farther --threshold."
+            )
