@@ -102,10 +102,12 @@ def _replace_lost(cluster: Any, jobs: int, fruitful: Event, over: Event, hopeles
 
     while not over.wait(LOOK_S):
         submitted = dict(cluster.workers)  # before we ask: what comes later is not in the answer
-        found = run(["squeue", "--me", "-h", "-o", "%A"], capture_output=True, text=True, check=False)
+        found = run(["squeue", "--me", "-h", "-o", "%A %T"], capture_output=True, text=True, check=False)
         if found.returncode:
             continue  # Slurm does not answer now
-        queue = set(found.stdout.split())
+        # Slurm may tidy up for minutes after a job that has ended.
+        lines = [line.split() for line in found.stdout.splitlines()]
+        queue = {number for number, state in lines if state != "COMPLETING"}
         gone = {name for name, job in submitted.items() if job.job_id and str(job.job_id) not in queue}
         if gone and not fruitful.is_set():
             hopeless.set()
