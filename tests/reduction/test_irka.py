@@ -6,9 +6,10 @@ from wavequake.errors import UserError
 from wavequake.reduction import irka as module
 from wavequake.reduction.metrics import receptance
 from wavequake.reduction.reduce import reduce
+from wavequake.reduction.two_stage import reduce_variants
 
 
-@pytest.mark.parametrize("order", [24, 30])
+@pytest.mark.parametrize("order", [24, 25, 30])
 def test_the_fixed_point_interpolates_at_its_own_mirrored_poles(lattice, order):
     """Elastic parts of H(s) b agree at s = -p, where b is the direction of the residue of the pole p."""
     reduced = reduce(lattice, f"irka{order}")
@@ -46,6 +47,13 @@ def test_irka_beats_modal_truncation_between_the_resonances(lattice, exact):
         np.abs(receptance(reduce(lattice, n), frequencies) - wanted).max() for n in ("irka24", "modal24")
     ]
     assert errors[0] < errors[1]
+
+
+@pytest.mark.parametrize("order", [7, 9, 23, 24, 37])
+def test_even_and_odd_orders_settle_on_a_mirror(mirror_stage, order):
+    (reduced,) = reduce_variants(mirror_stage, [f"irka{order}"])
+    assert reduced.order == order
+    assert np.isfinite(reduced.inputs).all()
 
 
 def test_shifts_that_do_not_settle_are_reported(make_lattice, monkeypatch):

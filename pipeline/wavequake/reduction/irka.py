@@ -2,7 +2,8 @@
 
 The fixed point of Gugercin, Antoulas and Beattie 2008 in its second-order, symmetric form (SOR-IRKA, Wyatt
 2012): of the reduced modes those of the largest residue over damping give pole pairs, and each pair gives two
-real columns. It runs on elastic modal coordinates, where a solve is a division; rigid motions are split off.
+real columns; the last one of an odd number interpolates at the pair's absolute value. It runs on elastic modal
+coordinates, where a solve is a division; rigid motions are split off.
 """
 
 import numpy as np
@@ -36,17 +37,20 @@ def irka(body: Structure, count: int) -> Array:
     shifts, directions = _dominant(squared, dampings, inputs, pairs)
     change = np.inf
     for iteration in range(_ITERATIONS):
-        basis = _interpolating(squared, dampings, inputs, shifts, directions)[:, :count]
+        basis = _interpolating(squared, dampings, inputs, shifts, directions, count)
         reduced, turn = np.linalg.eigh((basis.T * squared) @ basis)
         rates = body.damping.mass + body.damping.stiffness * reduced
-        before = shifts
         driven = turn.T @ (basis.T @ inputs)
-        # Dominant modes that take turns would go round for ever: follow those of the first iterations.
+        # Dominant modes that take turns would go round for ever: follow those of the first iterations, and
+        # where they still swing, go part of the way only. The fixed point is the same.
         follow = shifts if iteration >= _SETTLED else None
-        shifts, directions = _dominant(reduced, rates, driven, pairs, follow)
-        change = float(np.abs(shifts - before).max() / np.abs(before).max())
+        wanted, ways = _dominant(reduced, rates, driven, pairs, follow)
+        change = float(np.abs(wanted - shifts).max() / np.abs(shifts).max())
         if change < _CHANGE:
             return shapes @ basis
+        part = 1.0 if iteration < 2 * _SETTLED else 0.3
+        ways = np.where(np.sum(ways * directions, axis=1) < 0, -1.0, 1.0)[:, None] * ways
+        shifts, directions = shifts + part * (wanted - shifts), directions + part * (ways - directions)
     raise UserError(
         f"IRKA of {count} elastic coordinates of the model {body.name} did not converge: after {_ITERATIONS} "
         f"iterations the shifts still change by {change:.1e}; choose another order, bt or flbt."
@@ -71,9 +75,12 @@ def _dominant(
 
 
 def _interpolating(
-    squared: Array, dampings: Array, inputs: Array, shifts: Complex, directions: Array
+    squared: Array, dampings: Array, inputs: Array, shifts: Complex, directions: Array, count: int
 ) -> Array:
     """Orthonormal columns of the real and imaginary parts of the tangential solutions."""
+    if count % 2:
+        # The last one gives one column only: a real shift has no imaginary part to leave out.
+        shifts = np.append(shifts[:-1], abs(shifts[-1]))
     solutions = (inputs @ directions.T) / (squared[:, None] + dampings[:, None] * shifts + shifts**2)
-    columns = np.stack([solutions.real, solutions.imag], axis=2).reshape(len(squared), -1)
+    columns = np.stack([solutions.real, solutions.imag], axis=2).reshape(len(squared), -1)[:, :count]
     return np.linalg.qr(columns / np.linalg.norm(columns, axis=0))[0]
