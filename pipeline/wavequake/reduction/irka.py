@@ -2,8 +2,8 @@
 
 The fixed point of Gugercin, Antoulas and Beattie 2008 in its second-order, symmetric form (SOR-IRKA, Wyatt
 2012): of the reduced modes those of the largest residue over damping give pole pairs, and each pair gives two
-real columns; the last one of an odd number interpolates at the pair's absolute value. It runs on elastic modal
-coordinates, where a solve is a division; rigid motions are split off.
+real columns; the last one of an odd number interpolates at the pair's absolute value. It runs on elastic
+modal coordinates, where a solve is a division; rigid motions are split off.
 """
 
 import numpy as np
