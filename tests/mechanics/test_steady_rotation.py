@@ -1,11 +1,16 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg
 from test_nonlinear import BENDING, LENGTH, LINE_MASS, beam, tower
 
 from wavequake.errors import UserError
-from wavequake.mechanics.flexible_body import flexible_body
+from wavequake.mechanics.eigen import eigenmodes
+from wavequake.mechanics.flexible_body import flexible_body, from_model
+from wavequake.mechanics.floating_frame import floating_frame
 from wavequake.mechanics.linear_system import poles
+from wavequake.mechanics.mirrors import CircularMirror, circular_mirror
 from wavequake.mechanics.multibody import Bearing, Link, Place, assemble_system
 from wavequake.mechanics.nonlinear import fly, positions
 from wavequake.mechanics.steady_rotation import steady_deformation, steady_rotation
@@ -161,6 +166,26 @@ def balanced_axis(body, rate):
         axis = vectors[:, np.argmax(np.abs(vectors.T @ axis))]
         axis = axis * np.sign(axis[2])
     return rate * axis
+
+
+def test_a_mirror_of_finite_elements_spins_as_its_moments_of_inertia_say():
+    """Nutation at W (I3 / I1 - 1) for a slow spin; elastic frequencies are those at rest up to the spin."""
+    mirror = circular_mirror(CircularMirror(core=2, rings=2))
+    frame = floating_frame(mirror)
+    frequencies, modes = eigenmodes(mirror, 12)
+    moved = replace(mirror, nodes=mirror.nodes - frame.center)
+    shapes = (mirror.inputs.T @ modes[:, 6:]).reshape(3, 3, 6)
+    points = moved.nodes[mirror.interfaces]
+    spin, moments = 2.0, np.diag(frame.inertia)
+    system = steady_rotation(from_model(moved, modes[:, 6:]), np.array([0, 0, spin]), points, shapes)
+    found = np.abs(poles(system).imag)
+    assert nearest(found, [spin * (moments[2] / moments[0] - 1)]) == pytest.approx([0.0], abs=1e-4 * spin)
+    elastic = 2 * np.pi * frequencies[6:]
+    assert nearest(found, elastic).max() < spin
+    # A plate bends along the axis of its spin, where no Coriolis force acts: the lowest pair hardly splits.
+    split = np.sort(found[np.abs(found - elastic[0]) < spin])[::2]
+    assert split.mean() == pytest.approx(elastic[0], rel=1e-5)
+    assert 1e-3 * spin < split[1] - split[0] < 0.05 * spin
 
 
 def test_the_steady_deformation_of_a_dumbbell_is_that_of_its_springs():
