@@ -3,6 +3,7 @@ from io import StringIO
 
 import numpy as np
 import pytest
+import xarray as xr
 from rich.console import Console
 
 from wavequake import cli
@@ -104,3 +105,48 @@ def test_stores_of_other_fields_or_workflows_are_refused(campaign):
     mirrors = campaign.assign_attrs(study=json.dumps({"study": {"workflow": "mirror-mor"}}))
     with pytest.raises(UserError, match="A holds results of None, B of mirror-mor"):
         compare(campaign, mirrors, "A", "B")
+
+
+def variants(seed=1, factor=1.0, worst=1.0):
+    """A store of two reduced models, one case each."""
+    wfe = np.array([[1.0, 3.0], [2.0, 4.0]]) * factor
+    wfe[1] *= worst
+    return xr.Dataset(
+        {
+            "wfe_rms": (("case", "time"), wfe, {"units": "nm"}),
+            "eps": ("case", [0.0, 0.5 * factor], {"units": "1"}),
+            "still": ("case", [0.0, 0.0], {"units": "1"}),
+            "reduce_seconds": ("case", [1.0, 2.0 * factor], {"units": "s"}),
+            "status": ("case", [1, 1]),
+        },
+        coords={
+            "case": [0, 1],
+            "model": ("case", np.array(["disc", "disc"], dtype=object)),
+            "variant": ("case", np.array(["full", "craigb18"], dtype=object)),
+            "seed": ("case", [seed, seed]),
+        },
+    )
+
+
+def test_reduced_models_of_two_seeds_or_meshes_are_paired_by_name():
+    found = compare(variants(), variants(seed=2, factor=1.1, worst=2.0), "A", "B")
+    wfe = of(found, "disc", "wfe_rms")
+    assert wfe.variants == ("full", "craigb18")
+    np.testing.assert_allclose(wfe.relative, [0.1, 1.2])
+    np.testing.assert_allclose(wfe.each, np.sqrt([5.0, 10.0]))
+    np.testing.assert_allclose(of(found, "disc", "eps").relative, [np.nan, 0.1])
+    assert not any(one.measure == "reduce_seconds" for one in found)
+
+
+def test_the_table_of_reduced_models_names_the_one_that_differs_most():
+    found = compare(variants(), variants(factor=1.1, worst=2.0), "A", "B")
+    console = Console(width=200, record=True, file=StringIO())
+    console.print(comparison_table(["A", "B"], [found]))
+    words = " ".join(console.export_text().split())
+    assert "disc wfe_rms (nm) 2 +65.00% +120.00% craigb18 3.16 6.96" in words
+    assert "disc eps (1) 2 +10.00% +10.00% craigb18 0.500 0.550" in words
+    assert "nan" not in words
+    figure = comparison_figure(["A", "B"], [found])
+    assert "median and each variant" in figure.axes[0].get_xlabel()
+    marks = [line.get_xdata() for line in figure.axes[0].lines if len(line.get_xdata()) == 2]
+    assert any(np.allclose(one, [10.0, 120.0]) for one in marks)

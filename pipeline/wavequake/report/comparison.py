@@ -31,6 +31,8 @@ CONFIDENCE = 0.95
 _AXES = {"field", "field_x", "field_y", "wavelength", "frequency", "excitation", "controller", "shortcut"}
 _NO_LABELS = {"case", "status", "message"}
 _IMAGES = {"exposure", "psf"}
+_SEEN = 5e-5  # relative differences that the table does not round to zero
+_CLOCKS = {"seconds", "reduce_seconds"}  # readings of a clock, which say nothing of the models
 # Dims whose entries are numbers of different meaning, which a mean over them would mix up.
 _MIXED = {"noll", "segment", "dof", "surface", "term"}
 
@@ -49,6 +51,10 @@ class Difference:
         Means over the cases; NaN for images, of which only the difference is a number.
     differences : ndarray, shape (cases,)
         Second minus first; for images the L2 norm of the difference of unit-energy images.
+    each : ndarray, shape (cases,)
+        The measure in the first store.
+    variants : tuple of str
+        Names of reduced models, where these are the cases; else none.
     """
 
     group: str
@@ -58,6 +64,17 @@ class Difference:
     first: float
     second: float
     differences: NDArray[np.float64]
+    each: NDArray[np.float64]
+    variants: tuple[str, ...] = ()
+
+    @property
+    def relative(self) -> NDArray[np.float64]:
+        """Differences of the cases as shares of the first store's values; NaN where those are zero."""
+        none = np.full(self.cases, np.nan)
+        shares: NDArray[np.float64] = np.divide(
+            self.differences, np.abs(self.each), out=none, where=self.each != 0.0
+        )
+        return shares
 
     @property
     def mean(self) -> float:
@@ -84,6 +101,9 @@ def compare(one_set: xr.Dataset, other_set: xr.Dataset, first: str, second: str)
     _require_alike(one_set, other_set, first, second)
     one, two = _by_label(one_set), _by_label(other_set)
     labels = [name for name in one.labels if name in two.labels]
+    by_variant = "variant" in labels and "realization" not in labels
+    if by_variant:  # one case each: another seed is another draw of its random excitations, no other case
+        labels = [name for name in labels if name != "seed"]
     if not labels:
         raise UserError(f"{first} and {second} have no labels in common, so their cases cannot be paired.")
     ours, theirs = (pd.MultiIndex.from_frame(part.frame[labels]) for part in (one, two))
@@ -99,7 +119,8 @@ def compare(one_set: xr.Dataset, other_set: xr.Dataset, first: str, second: str)
     right = two.dataset.isel(case=theirs.get_indexer(shared))
     kinds = [name for name in labels if not pd.api.types.is_numeric_dtype(one.frame[name])]
     groups = shared.get_level_values(kinds[0]).to_numpy() if kinds else np.full(len(shared), "all")
-    return list(_differences(left, right, groups))
+    variants = shared.get_level_values("variant").to_numpy() if by_variant else None
+    return list(_differences(left, right, groups, variants))
 
 
 def _require_alike(one: xr.Dataset, two: xr.Dataset, first: str, second: str) -> None:
@@ -156,13 +177,15 @@ def _why_nothing_is_shared(
     return f"{first} and {second} share no case: no {', '.join(labels)} agree."
 
 
-def _differences(left: xr.Dataset, right: xr.Dataset, groups: NDArray[np.object_]) -> Iterator[Difference]:
+def _differences(
+    left: xr.Dataset, right: xr.Dataset, groups: NDArray[np.object_], variants: NDArray[np.object_] | None
+) -> Iterator[Difference]:
     places = {str(group): np.flatnonzero(groups == group) for group in dict.fromkeys(groups)}
     for measure in left.data_vars:
         name = str(measure)
         if name not in right or left[name].dims != right[name].dims or left[name].dtype.kind != "f":
             continue
-        if "case" not in left[name].dims or _MIXED & set(map(str, left[name].dims)):
+        if name in _CLOCKS or "case" not in left[name].dims or _MIXED & set(map(str, left[name].dims)):
             continue
         if name in _IMAGES:
             if left[name].shape != right[name].shape:
@@ -185,6 +208,8 @@ def _differences(left: xr.Dataset, right: xr.Dataset, groups: NDArray[np.object_
                     float(one[kept].mean()),
                     float(two[kept].mean()),
                     apart[kept],
+                    one[kept],
+                    () if variants is None else tuple(map(str, variants[kept])),
                 )
 
 
@@ -212,6 +237,8 @@ def _image_difference(one: xr.DataArray, two: xr.DataArray) -> NDArray[np.float6
 
 def comparison_table(names: Sequence[str], comparisons: Sequence[Sequence[Difference]]) -> Table:
     """Return the differences of all stores from the first as a table for the terminal."""
+    if any(one.variants for differences in comparisons for one in differences):
+        return _table_of_variants(names, comparisons)
     table = Table(
         box=SIMPLE_HEAD,
         caption=f"Means over paired cases; difference from {names[0]} with its 95 % confidence interval "
@@ -237,11 +264,41 @@ def comparison_table(names: Sequence[str], comparisons: Sequence[Sequence[Differ
     return table
 
 
+def _table_of_variants(names: Sequence[str], comparisons: Sequence[Sequence[Difference]]) -> Table:
+    """Return how far the reduced models are apart, which no mean over them would say."""
+    table = Table(
+        box=SIMPLE_HEAD,
+        caption=f"Differences of reduced models of one name, from {names[0]}. Measures over time or "
+        "frequency are rms values; images: L2 norm of the difference of unit-energy images.",
+        caption_justify="left",
+    )
+    for header in ("", "measure", "variants", "median", "largest", "of", "there", "here"):
+        table.add_column(header, justify="left" if header in ("", "measure", "of") else "right")
+    for name, differences in zip(names[1:], comparisons, strict=True):
+        table.add_row(Text(name, style="bold"))
+        for one in differences:
+            shares = one.relative
+            known = bool(np.isfinite(shares).any())
+            worst = int(np.nanargmax(np.abs(shares if known else one.differences)))
+            seen = not known or abs(shares[worst]) >= _SEEN
+            table.add_row(
+                Text(one.group),
+                f"{one.measure} ({one.units})",
+                str(one.cases),
+                f"{np.nanmedian(shares):+.2%}" if known else number(float(np.median(one.differences))),
+                f"{shares[worst]:+.2%}" if known else number(float(one.differences[worst])),
+                Text(one.variants[worst] if seen else ""),
+                number(float(one.each[worst])),
+                number(float(one.each[worst] + one.differences[worst])),
+            )
+    return table
+
+
 @rc_context(STYLE)
 def comparison_figure(names: Sequence[str], comparisons: Sequence[Sequence[Difference]]) -> Figure:
     """Draw the mean differences, relative to the first store, with their confidence intervals."""
     shown = [
-        (f"{one.measure}  {one.group}", 100 * one.mean / one.first, 100 * one.margin / abs(one.first), store)
+        (_line(one), *_drawn(one), store)
         for store, differences in enumerate(comparisons)
         for one in differences
         if one.first and np.isfinite(one.first)
@@ -253,15 +310,32 @@ def comparison_figure(names: Sequence[str], comparisons: Sequence[Sequence[Diffe
     for store, name in enumerate(names[1:]):
         mine = [entry for entry in shown if entry[3] == store]
         height = [lines.index(label) + 0.18 * (store - (len(comparisons) - 1) / 2) for label, *_ in mine]
+        for one in comparisons[store]:
+            row = lines.index(_line(one)) if one.variants and _line(one) in lines else None
+            if row is not None:
+                axes.plot(100 * one.relative, np.full(one.cases, row), "|", color="#888888", markersize=6)
         margin = [0.0 if np.isnan(error) else error for _, _, error, _ in mine]
         axes.errorbar(
             [value for _, value, *_ in mine], height, xerr=margin, fmt="o", markersize=4, label=name
         )
     axes.set_yticks(range(len(lines)), lines)
     axes.invert_yaxis()
-    axes.set_xlabel(f"difference from {names[0]} (%), 95 % confidence")
+    words = "median and each variant" if any(c.variants for part in comparisons for c in part) else None
+    axes.set_xlabel(f"difference from {names[0]} (%), {words or '95 % confidence'}")
     axes.legend(loc="best")
     return figure
+
+
+def _line(one: Difference) -> str:
+    return f"{one.measure}  {one.group}"
+
+
+def _drawn(one: Difference) -> tuple[float, float]:
+    """Return what is drawn of a measure and its margin, in percent: the median of variants, else the mean."""
+    if one.variants:
+        known = one.relative[np.isfinite(one.relative)]
+        return 100 * float(np.median(known)) if len(known) else 0.0, float("nan")
+    return 100 * one.mean / one.first, 100 * one.margin / abs(one.first)
 
 
 def compare_stores(stores: Sequence[Path], figure: Path | None = None) -> tuple[Table, Path]:
