@@ -7,6 +7,7 @@ from wavequake.errors import UserError
 from wavequake.reduction import pod as module
 from wavequake.reduction.metrics import pseudo_frequencies
 from wavequake.reduction.reduce import reduce
+from wavequake.reduction.structure import structure
 
 SQUARED = np.array([30.0, 400.0, 25.0, 9.0])
 DAMPINGS = np.array([0.3, 1.0, 30.0, 6.0])
@@ -39,6 +40,20 @@ def test_snapshots_of_few_modes_give_these_modes_back(lattice):
     snapshots = shapes[:, :10] @ random.normal(size=(10, 30))
     frequencies = pseudo_frequencies(reduce(lattice, "pod10", snapshots=snapshots))
     assert frequencies[6:] == pytest.approx(np.sqrt(squared[6:10]) / (2 * np.pi), rel=1e-6)
+
+
+def test_no_basis_of_its_size_catches_more_of_the_snapshots(lattice):
+    """Eckart and Young in the norm of the mass: the loss is that of the smaller singular values."""
+    random = np.random.default_rng(4)
+    snapshots = random.normal(size=(54, 20)) * np.geomspace(1.0, 1e-2, 20)
+    body = structure(lattice)
+    weight = np.sqrt(lattice.mass.diagonal())[:, None]
+    elastic = body.remove_rigid(snapshots)
+    basis = module.pod(body, 8, snapshots)
+    q = np.linalg.qr(weight * basis)[0]
+    lost = weight * elastic - q @ (q.T @ (weight * elastic))
+    wanted = np.sum(np.linalg.svd(weight * elastic, compute_uv=False)[8:] ** 2)
+    assert np.sum(lost**2) == pytest.approx(wanted, rel=1e-9)
 
 
 @pytest.mark.parametrize(
