@@ -238,9 +238,12 @@ def verify(store: StoreArgument) -> None:
 def report(
     store: StoreArgument,
     animate: Annotated[
-        int | None, typer.Option(min=0, help="Write an animation of this case of telescope-exposure, too.")
+        int | None, typer.Option(min=0, help="Write an animation of this case of an exposure, too.")
     ] = None,
-    controller: Annotated[str, typer.Option(help="Controller that is animated.")] = "disturbed",
+    controller: Annotated[
+        str | None,
+        typer.Option(help="Controller that is animated (disturbed), or excitation of a mirror (the first)."),
+    ] = None,
 ) -> None:
     """Print the table of a store and write its HTML report."""
     _write_report(store, fresh=True)

@@ -1,5 +1,7 @@
 """Exposures of a shaken mirror against sums over its pupil, and the reports of both exposure workflows."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -8,18 +10,18 @@ from typer.testing import CliRunner
 
 from wavequake.cli import app
 from wavequake.errors import UserError
-from wavequake.imaging.matrix_fourier import matrix_fourier
+from wavequake.imaging.matrix_fourier import matrix_fourier, psf
 from wavequake.imaging.mtf import ideal_mtf
 from wavequake.imaging.pupil_function import annular_pupil
 from wavequake.imaging.through_focus import through_focus
-from wavequake.report import mirror_exposures, psf_figures
+from wavequake.report import animation, mirror_exposures, psf_figures
 from wavequake.report.animation import animate_case
 from wavequake.report.campaign import report_store, summary_table
 from wavequake.workflows import model_store
 from wavequake.workflows.campaign import run_study
 from wavequake.workflows.contract import DONE
 from wavequake.workflows.mirror_exposure import aberrations_of, compute, exposed_instants, template
-from wavequake.workflows.store import open_store
+from wavequake.workflows.store import open_store, read_manifest
 from wavequake.workflows.study import load_study
 
 SMALL = {
@@ -83,6 +85,21 @@ def test_the_exposure_is_the_mean_of_sums_over_the_pupil(study, dataset, excitat
     assert wanted.max() < 0.9
 
 
+@pytest.mark.parametrize("excitation", [SINE, ONE])
+def test_exposures_through_focus_are_sums_over_the_defocused_pupil(study, dataset, excitation):
+    """In focus the tilted pupil's sum is the exposure that Fourier phases place."""
+    scan = dataset["exposure_focus"][1, excitation]
+    np.testing.assert_allclose(scan.sel(focus=0.0), dataset["exposure"][1, excitation], atol=2e-4)
+    text, scale, pupil = study.identity_text(), study.imaging.scale, annular_pupil(32)
+    history = aberrations_of(text, "circular", "craigb18")[excitation][exposed_instants(study)]
+    opd = scale * history[:, 5:] @ eleven(pupil.x, pupil.y)[:, 3:].T / study.optics.wavelength_nm
+    opd += 0.25 * np.sqrt(3) * (2 * (pupil.x**2 + pupil.y**2) - 1)
+    los = scale * history[:, :2] / float(dataset["resolution_mm"][1])
+    phase = np.pi * los @ np.stack([pupil.x, pupil.y]) - 2 * np.pi * opd
+    wanted = psf(matrix_fourier(pupil, 32, study.imaging.sampling), phase).mean(axis=0)
+    np.testing.assert_allclose(scan.sel(focus=0.25), wanted, atol=1e-12)
+
+
 def test_the_mirror_at_rest_shows_its_own_peak(dataset):
     assert dataset["exposure_static"].max() == pytest.approx(1.0, abs=1e-12)
     assert (dataset["peak"] < 0.95).all()
@@ -133,7 +150,7 @@ def test_the_report_of_a_mirror(store, dataset, tmp_path):
     text = mirror_exposures.write_report_of(
         store, dataset.isel(excitation=[ONE]), target, "numpy"
     ).read_text()
-    assert text.count("<svg") == 4
+    assert text.count("<svg") == 7
     for words in ("Störkle 2018, Eq. 3.79", "krylov108(200,450,700)", "circular, one300"):
         assert words in text
 
@@ -158,7 +175,7 @@ def test_the_report_of_a_telescope(telescope_store):
     text = path.read_text()
     assert table.row_count == 4
     assert "of the peak at rest the exposure keeps" in table.caption
-    assert text.count("<svg") == 6
+    assert text.count("<svg") == 8
     for controller in ("static", "disturbed", "rigid", "elastic"):
         assert controller in text
 
@@ -183,7 +200,8 @@ def test_a_case_is_animated(telescope_store):
 
 
 @pytest.mark.parametrize(
-    ("case", "controller", "words"), [(0, "robust", "choose one of static"), (-1, "static", "count from 0")]
+    ("case", "controller", "words"),
+    [(0, "robust", "choose one of static"), (-1, "static", "has cases 0 to 1; there is no case -1")],
 )
 def test_what_cannot_be_animated(telescope_store, case, controller, words):
     with pytest.raises(UserError, match=words):
@@ -196,8 +214,19 @@ def test_the_command_line_animates(telescope_store):
     assert (telescope_store / "case-1-disturbed.gif").stat().st_size > 1000
 
 
-def test_only_telescopes_are_animated(store):
-    with pytest.raises(UserError, match="is one of mirror-exposure"):
+def test_a_mirror_is_animated(store):
+    path = animate_case(store, 1, "one300", "numpy")
+    assert path.name == "case-1-one300.gif"
+    with Image.open(path) as film:
+        assert 2 <= film.n_frames <= 60
+    with pytest.raises(UserError, match="there is no excitation 'disturbed'; choose one of sine300, one300"):
+        animate_case(store, 0, "disturbed")
+
+
+def test_only_exposures_are_animated(store, monkeypatch):
+    other = replace(read_manifest(store), workflow="mirror-mor")
+    monkeypatch.setattr(animation, "read_manifest", lambda _: other)
+    with pytest.raises(UserError, match="is one of mirror-mor"):
         animate_case(store, 0)
 
 

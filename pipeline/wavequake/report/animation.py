@@ -1,5 +1,7 @@
-"""A moving picture of one case of telescope-exposure: wavefront, image and line of sight over time."""
+"""A moving picture of one case of an exposure: wavefront, image and line of sight over time."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +11,18 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
 from wavequake.imaging.exposure_models import cut, full_exposure
 from wavequake.kernels.devices import choose_device
+from wavequake.optics.zernike import annular_zernike
 from wavequake.report.figures import STYLE
+from wavequake.workflows import mirror_exposure, telescope_exposure
+from wavequake.workflows.mirror_bench import bench_of, study_of, time_of
+from wavequake.workflows.mirror_exposure import aberrations_of
+from wavequake.workflows.mirror_exposure import local_images as local_mirror_images
+from wavequake.workflows.mirror_mor import cases_of
 from wavequake.workflows.store import read_manifest
 from wavequake.workflows.telescope_control import (
     CONTROLLERS,
@@ -23,7 +32,7 @@ from wavequake.workflows.telescope_control import (
     measured_opd,
     position,
 )
-from wavequake.workflows.telescope_exposure import WORKFLOW, case_blocks, scaled_draw
+from wavequake.workflows.telescope_exposure import case_blocks, scaled_draw
 
 Array = NDArray[np.float64]
 
@@ -31,36 +40,83 @@ _MOST_FRAMES = 60
 _FRAMES_PER_SECOND = 12
 
 
-def animate_case(store: Path, case: int, controller: str = "disturbed", device: str = "auto") -> Path:
+@dataclass(frozen=True)
+class Film:
+    """What a moving picture shows.
+
+    Attributes
+    ----------
+    time_ms : ndarray, shape (instants,)
+    x, y : ndarray, shape (N,)
+        Places in the pupil; ``unit`` labels them.
+    unit : str
+    waves : ndarray, shape (instants, N)
+        OPDs in nm about the line of sight.
+    images : ndarray, shape (instants, n, n)
+        In place, ``sampling`` wavelengths / diameter apart.
+    los : ndarray, shape (instants, 2)
+        Track of the line of sight, wavelengths / diameter.
+    sampling : float
+    """
+
+    time_ms: Array
+    x: Array
+    y: Array
+    unit: str
+    waves: Array
+    images: Array
+    los: Array
+    sampling: float
+
+
+def animate_case(store: Path, case: int, of: str | None = None, device: str = "auto") -> Path:
     """Write an animated GIF of one case into its store's folder and return where it is.
 
     The case is computed anew from its seed, at most 60 instants of it.
 
+    Parameters
+    ----------
+    store : Path
+        Of telescope-exposure or mirror-exposure.
+    case : int
+    of : str, optional
+        The controller ("disturbed" by default), or the excitation of a mirror (the first by default).
+    device : str
+        Where to compute.
+
     Raises
     ------
     UserError
-        If the store is not one of telescope-exposure, or case or controller do not exist.
+        If the store is not one of an exposure, or case, controller or excitation do not exist.
     """
     manifest = read_manifest(store)
-    if manifest.workflow != WORKFLOW.name:
+    if case not in range(manifest.cases):
+        raise UserError(f"{store} has cases 0 to {manifest.cases - 1}; there is no case {case}")
+    if manifest.workflow == telescope_exposure.WORKFLOW.name:
+        name = _named(of or "disturbed", CONTROLLERS, "controller")
+        film = _telescope(control_bench_of(manifest.study), case, name, device)
+    elif manifest.workflow == mirror_exposure.WORKFLOW.name:
+        names = [excitation.name for excitation in study_of(manifest.study).excitation]
+        name = _named(of or names[0], names, "excitation")
+        film = _mirror(manifest.study, case, names.index(name), device)
+    else:
         raise UserError(
-            f"only stores of {WORKFLOW.name} can be animated; {store} is one of {manifest.workflow}"
+            f"only stores of telescope-exposure and mirror-exposure can be animated; {store} is one of "
+            f"{manifest.workflow}"
         )
-    if controller not in CONTROLLERS:
-        raise UserError(f"there is no controller {controller!r}; choose one of {', '.join(CONTROLLERS)}")
-    if case < 0:
-        raise UserError(f"cases count from 0; there is none with the number {case}")
-    control = control_bench_of(manifest.study)
-    time, waves, images, los = _instants(control, case, controller, device)
-    path = Path(store) / f"case-{case}-{controller}.gif"
-    _write(path, control, time, waves, images, los)
+    path = Path(store) / f"case-{case}-{name}.gif"
+    _write(path, film)
     return path
 
 
-def _instants(
-    control: ControlBench, case: int, controller: str, device: str
-) -> tuple[Array, Array, Array, Array]:
-    """Return time in ms, OPDs (instants, N) in nm about the line of sight, images in place, their track."""
+def _named(name: str, names: Sequence[str], kind: str) -> str:
+    if name not in names:
+        raise UserError(f"there is no {kind} {name!r}; choose one of {', '.join(names)}")
+    return name
+
+
+def _telescope(control: ControlBench, case: int, controller: str, device: str) -> Film:
+    """Compute the instants of a case of telescope-exposure under a controller."""
     drawn = scaled_draw(control, case)
     imaging, to_nm = control.study.imaging, control.study.optics.wavelength_nm
     step = -(-len(drawn.time) // _MOST_FRAMES)
@@ -82,36 +138,75 @@ def _instants(
             for one, place in zip(local, places, strict=True)
         ]
         los.append(places)
-    return drawn.time[::step] * 1e3, np.concatenate(waves), np.array(images), np.concatenate(los)
+    return Film(
+        time_ms=drawn.time[::step] * 1e3,
+        x=rays.x / 1e3,
+        y=rays.y / 1e3,
+        unit="pupil x (m)",
+        waves=np.concatenate(waves),
+        images=np.array(images),
+        los=np.concatenate(los),
+        sampling=imaging.sampling,
+    )
+
+
+def _mirror(study_text: str, case: int, excitation: int, device: str) -> Film:
+    """Compute the instants of a variant of mirror-exposure under an excitation, scaled as its images are."""
+    study = study_of(study_text)
+    model, variant = cases_of(study)[case]
+    optics, imaging = bench_of(study_text, model).optics, study.imaging
+    history = aberrations_of(study_text, model, variant)[excitation]
+    chosen = np.arange(0, len(history), -(-len(history) // _MOST_FRAMES))
+    shown = history[chosen]
+    radius, angle = np.meshgrid(np.linspace(optics.obscuration, 1.0, 16), np.arange(64) * np.pi / 32)
+    x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+    modes = annular_zernike(x, y, shown.shape[1] - 2, optics.obscuration)[:, 3:]
+    los = shown[:, :2] * (imaging.scale / optics.resolution)
+    with threadpool_limits(1):
+        local = np.concatenate(list(local_mirror_images(study, optics, shown, choose_device(device))))
+    images = [
+        cut(full_exposure([one[None]], place[None], imaging.sampling), imaging.pixels)
+        for one, place in zip(local, los, strict=True)
+    ]
+    return Film(
+        time_ms=time_of(study)[chosen] * 1e3,
+        x=x,
+        y=y,
+        unit="pupil x (radii)",
+        waves=imaging.scale * shown[:, 5:] @ modes.T,
+        images=np.array(images),
+        los=los,
+        sampling=imaging.sampling,
+    )
 
 
 @rc_context(STYLE)
-def _write(path: Path, control: ControlBench, time: Array, waves: Array, images: Array, los: Array) -> None:
+def _write(path: Path, film: Film) -> None:
     figure = Figure(figsize=(7.2, 3.4), layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
-    rays, imaging = control.prepared.rays, control.study.imaging
+    waves, images, sampling = film.waves, film.images, film.sampling
     reach = max(float(np.abs(waves).max()), 1e-9)
-    dots = left.scatter(rays.x / 1e3, rays.y / 1e3, c=waves[0], s=6.0, cmap="RdBu_r", vmin=-reach, vmax=reach)
+    dots = left.scatter(film.x, film.y, c=waves[0], s=6.0, cmap="RdBu_r", vmin=-reach, vmax=reach)
     left.set_aspect("equal")
-    left.set_xlabel("pupil x (m)")
+    left.set_xlabel(film.unit)
     figure.colorbar(dots, ax=left, label="wavefront (nm)", shrink=0.8)
-    half = 0.5 * imaging.pixels * imaging.sampling
+    half = 0.5 * images.shape[-1] * sampling
     top = float(images.max())
     picture = right.imshow(
         np.maximum(images[0], 1e-4 * top),
         norm=LogNorm(1e-4 * top, top),
         origin="lower",
-        extent=(-half - 0.5 * imaging.sampling, half - 0.5 * imaging.sampling) * 2,
+        extent=(-half - 0.5 * sampling, half - 0.5 * sampling) * 2,
     )
     (track,) = right.plot([], [], color="#ff4d4d", linewidth=0.8)
     right.set_xlabel("image x (λ/D)")
     right.set_autoscale_on(False)
     writer = PillowWriter(fps=_FRAMES_PER_SECOND)
     with writer.saving(figure, str(path), dpi=80):
-        for number, instant in enumerate(time):
+        for number, instant in enumerate(film.time_ms):
             dots.set_array(waves[number])
             picture.set_data(np.maximum(images[number], 1e-4 * top))
-            track.set_data(los[: number + 1, 0], los[: number + 1, 1])
+            track.set_data(film.los[: number + 1, 0], film.los[: number + 1, 1])
             left.set_title(f"t = {instant:.1f} ms")
             writer.grab_frame()

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.report import exposure_figures as draw
+from wavequake.report import exposure_tables as common
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import Excluded
-from wavequake.report.psf_figures import mtf_curves
+from wavequake.report.psf_figures import focus_panels
 from wavequake.report.table import number
 from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
 
@@ -20,10 +20,9 @@ Array = NDArray[np.float64]
 
 _HEADERS = (
     *("disturbance", "controller", "WFE (nm)", "LOS rms (mas)", "peak", "EE50 (λ/D)", "EE80 (λ/D)"),
-    *("LOS only", "Gaussian"),
+    *common.SHORTCUT_HEADERS,
 )
 _IMAGES = ("exposure", "exposure_fitted", "exposure_los_only", "exposure_gaussian")
-_ERRORS = ("image_error", "peak_error")
 _SMALL_PRINT = (
     "Medians over cases; WFE: mean over time of the rms of the fitted Zernike terms j ≥ 4; EE: > field where "
     "the circle leaves the frame. LOS only and Gaussian are shortcuts for the exposure: L2 norm of the "
@@ -34,9 +33,7 @@ _DEFINITIONS = (
     ("disturbed", "Nothing is done about the disturbance."),
     ("rigid", "M2 tilts so that the line of sight stays, Störkle 2018, Eq. 4.25, without delay or error."),
     ("elastic", "M2 deforms so that line of sight and fitted wavefront stay, Eq. 4.27, likewise."),
-    ("exposure", "Mean of every instant's own image, placed at its own line of sight, Eq. 3.79."),
-    ("LOS only", "The image at rest convolved with the trajectory of the line of sight, Eq. 3.80."),
-    ("Gaussian", "The image at rest blurred by a Gaussian of the trajectory's mean and covariance."),
+    *common.DEFINITIONS,
     (
         "fitted terms",
         "Images of the wavefronts that the Zernike terms describe; those of all rays also hold what segments "
@@ -47,12 +44,7 @@ _DEFINITIONS = (
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
-    table = Table(box=SIMPLE_HEAD, caption=answer(dataset), caption_justify="left")
-    for place, header in enumerate(_HEADERS):
-        table.add_column(header, justify="left" if place < 2 else "right")
-    for row in _rows(dataset):
-        table.add_row(*(value for value, _ in row.values()))
-    return table
+    return common.terminal_table(_rows(dataset), _HEADERS, 2, answer(dataset))
 
 
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
@@ -62,7 +54,10 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         table=_rows(dataset),
         small_print=_SMALL_PRINT,
         overview=[],
-        sections=[Section(name, list(_figures(cases, name))) for name, cases in _populations(dataset)],
+        sections=[
+            Section(name, list(_figures(cases, name)))
+            for name, cases in common.finished(dataset, "disturbance")
+        ],
         definitions=list(_DEFINITIONS),
         kind="disturbance",
         left_out=_left_out(dataset),
@@ -73,7 +68,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
 def answer(dataset: xr.Dataset) -> str:
     """Say what is left of the peak under each controller."""
     words = []
-    for name, cases in _populations(dataset):
+    for name, cases in common.finished(dataset, "disturbance"):
         peaks = {
             str(c): float(np.median(np.asarray(cases["peak"].sel(controller=c))))
             for c in cases["controller"].values
@@ -89,18 +84,10 @@ def _part(peaks: dict[str, float], controller: str) -> str:
     return f"{number(100.0 * peaks[controller] / peaks['static'])} %"
 
 
-def _populations(dataset: xr.Dataset) -> Iterator[tuple[str, xr.Dataset]]:
-    """Yield each disturbance's finished cases."""
-    done = dataset.isel(case=np.flatnonzero(dataset["status"].to_numpy() == DONE))
-    names = done["disturbance"].to_numpy()
-    for name in dict.fromkeys(names):
-        yield str(name), done.isel(case=np.flatnonzero(names == name))
-
-
 def _rows(dataset: xr.Dataset) -> list[dict[str, tuple[str, str]]]:
     rows = []
-    for name, cases in _populations(dataset):
-        names = ["wfe_rms", "los", "peak", "ee50", "ee80", *_ERRORS]
+    for name, cases in common.finished(dataset, "disturbance"):
+        names = ["wfe_rms", "los", "peak", "ee50", "ee80", "image_error", "peak_error"]
         numbers: xr.Dataset = cases[names].load()
         for controller in map(str, cases["controller"].to_numpy()):
             one = numbers.sel(controller=controller)
@@ -111,17 +98,11 @@ def _rows(dataset: xr.Dataset) -> list[dict[str, tuple[str, str]]]:
                 (number(float(one["wfe_rms"].mean("time").median())), ""),
                 (number(float(((los**2).sum("axis").mean("time") ** 0.5).median())), ""),
                 (number(float(one["peak"].median())), ""),
-                *((_radius(float(one[key].median())), "") for key in ("ee50", "ee80")),
+                *((common.radius(float(one[key].median())), "") for key in ("ee50", "ee80")),
             ]
-            for shortcut in ("los_only", "gaussian"):
-                image, peak = (float(one[key].sel(shortcut=shortcut).median()) for key in _ERRORS)
-                cells.append((f"{image:.1e}", f"{number(100.0 * peak)} %"))
+            cells += common.shortcut_cells(one)
             rows.append(dict(zip(_HEADERS, cells, strict=True)))
     return rows
-
-
-def _radius(value: float) -> str:
-    return number(value) if np.isfinite(value) else "> field"
 
 
 def _figures(cases: xr.Dataset, name: str) -> Iterator[Picture]:
@@ -158,10 +139,10 @@ def _figures(cases: xr.Dataset, name: str) -> Iterator[Picture]:
     text = f"The disturbed exposure of case {case} and its shortcuts"
     yield picture(f"{name}-shortcuts", text, draw.exposure_panels(panels, axis))
     exposures = dict(zip(controllers, pictures["exposure"], strict=True))
-    curves = mtf_curves(exposures, axis[1] - axis[0])
-    yield picture(f"{name}-mtf", f"Modulation transfer of the exposures of case {case}", curves)
-    yield picture(f"{name}-los", "Line of sight over time", draw.line_of_sight(time, los, "mas"))
-    yield picture(f"{name}-wfe", "Wavefront error over time", draw.wavefront_error(time, wfe))
+    yield from common.image_pictures(name, f"the exposures of case {case}", exposures, axis)
+    focus, waves = shown["static_focus"].to_numpy(), shown["focus"].to_numpy().tolist()
+    yield picture(f"{name}-focus", "The image at rest through focus", focus_panels(focus, waves, axis))
+    yield from common.history_pictures(name, time, los, "mas", wfe)
 
 
 def _left_out(dataset: xr.Dataset) -> list[Excluded]:

@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.report import exposure_figures as draw
+from wavequake.report import exposure_tables as common
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.psf_figures import focus_panels
 from wavequake.report.table import number
 from wavequake.report.variants import left_out
-from wavequake.workflows.contract import DONE
 
 _HEADERS = (
     *("model", "excitation", "variant", "WFE (nm)", "off", "LOS rms (λ/D)", "peak", "EE80 (λ/D)"),
-    *("image off", "LOS only", "Gaussian"),
+    *("image off", *common.SHORTCUT_HEADERS),
 )
 _SMALL_PRINT = (
     "WFE: largest rms over time of the Zernike terms j ≥ 4, not scaled; off: largest error of a variant as a "
@@ -26,24 +26,11 @@ _SMALL_PRINT = (
     "reference. LOS only and Gaussian are shortcuts for the exposure: the same norm, in small print the "
     "error of the peak."
 )
-_DEFINITIONS = (
-    (
-        "exposure",
-        "Mean of every instant's own image, placed at its own line of sight (Störkle 2018, Eq. 3.79).",
-    ),
-    ("LOS only", "The image at rest convolved with the trajectory of the line of sight, Eq. 3.80."),
-    ("Gaussian", "The image at rest blurred by a Gaussian of the trajectory's mean and covariance."),
-)
 
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
-    table = Table(box=SIMPLE_HEAD, caption=answer(dataset), caption_justify="left")
-    for place, header in enumerate(_HEADERS):
-        table.add_column(header, justify="left" if place < 3 else "right")
-    for row in _rows(dataset):
-        table.add_row(*(value for value, _ in row.values()))
-    return table
+    return common.terminal_table(_rows(dataset), _HEADERS, 3, answer(dataset))
 
 
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
@@ -55,10 +42,10 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         overview=[],
         sections=[
             Section(f"{model}, {excitation}", list(_figures(cases, f"{model}-{excitation}", excitation)))
-            for model, cases in _models(dataset)
+            for model, cases in common.finished(dataset, "model")
             for excitation in map(str, dataset["excitation"].to_numpy())
         ],
-        definitions=list(_DEFINITIONS),
+        definitions=list(common.DEFINITIONS),
         kind="variant",
         left_out=left_out(dataset),
     )
@@ -83,19 +70,11 @@ def _study(dataset: xr.Dataset) -> dict[str, Any]:
     return study
 
 
-def _models(dataset: xr.Dataset) -> Iterator[tuple[str, xr.Dataset]]:
-    """Yield each model's finished cases."""
-    done = dataset.isel(case=np.flatnonzero(dataset["status"].to_numpy() == DONE))
-    names = done["model"].to_numpy()
-    for name in dict.fromkeys(names):
-        yield str(name), done.isel(case=np.flatnonzero(names == name))
-
-
 def _rows(dataset: xr.Dataset) -> list[dict[str, tuple[str, str]]]:
     study = _study(dataset)
     reference, scale = study["reduction"]["reference"], study["imaging"]["scale"]
     rows = []
-    for model, cases in _models(dataset):
+    for model, cases in common.finished(dataset, "model"):
         for excitation in map(str, cases["excitation"].to_numpy()):
             for case in range(cases.sizes["case"]):
                 one = cases.sel(excitation=excitation).isel(case=case)
@@ -112,9 +91,9 @@ def _cells(one: xr.Dataset, reference: str, scale: float, cases: xr.Dataset) -> 
     yield variant, ""
     yield number(wfe), ""
     yield f"{number(100.0 * float(one['wfe_error'].max()) / wfe)} %" if wfe > 0.0 else "–", ""
-    yield f"{np.sqrt(np.mean(np.sum((los - los.mean(axis=0)) ** 2, axis=1))):.1g}", ""
+    yield number(float(np.sqrt(np.mean(np.sum((los - los.mean(axis=0)) ** 2, axis=1))))), ""
     yield number(float(one["peak"])), ""
-    yield number(ee80) if np.isfinite(ee80) else "> field", ""
+    yield common.radius(ee80), ""
     others = np.flatnonzero(cases["variant"].to_numpy() == reference)
     if variant == reference or not len(others):
         yield "reference" if variant == reference else "–", ""
@@ -122,9 +101,7 @@ def _cells(one: xr.Dataset, reference: str, scale: float, cases: xr.Dataset) -> 
         images = [part["exposure"].to_numpy() for part in (one, cases.isel(case=int(others[0])))]
         first, second = (image / image.sum() for image in images)
         yield f"{np.linalg.norm(first - second):.1e}", ""
-    for shortcut in ("los_only", "gaussian"):
-        errors = one.sel(shortcut=shortcut)
-        yield f"{float(errors['image_error']):.1e}", f"{number(100.0 * float(errors['peak_error']))} %"
+    yield from common.shortcut_cells(one)
 
 
 def _figures(cases: xr.Dataset, key: str, excitation: str) -> Iterator[Picture]:
@@ -154,5 +131,9 @@ def _figures(cases: xr.Dataset, key: str, excitation: str) -> Iterator[Picture]:
     ):
         figure = draw.exposure_panels([static, *panels], axis)
         yield picture(f"{key}-{name}", f"{text}, scale {scale:g}", figure)
-    yield picture(f"{key}-los", "Line of sight over time, scaled", draw.line_of_sight(time, tracks, "λ/D"))
-    yield picture(f"{key}-wfe", "Wavefront error over time", draw.wavefront_error(time, wfe))
+    exposures = {static.title: static.image, **dict(zip(variants, images["exposure"], strict=True))}
+    yield from common.image_pictures(key, f"rest and exposures, scale {scale:g}", exposures, axis)
+    focus, waves = part["exposure_focus"].isel(case=0).to_numpy(), part["focus"].to_numpy().tolist()
+    text = f"The exposure through focus, {variants[0]}, scale {scale:g}"
+    yield picture(f"{key}-focus", text, focus_panels(focus, waves, axis))
+    yield from common.history_pictures(key, time, tracks, "λ/D", wfe)

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 # The shortcuts, in the order of the dimension `shortcut`.
 SHORTCUTS = ("los_only", "gaussian")
+# Defocus of scans through focus: Noll coefficients c_4 in waves.
+FOCUS = (-0.5, -0.25, 0.0, 0.25, 0.5)
 # Local images are computed on a canvas of this many frames, so that light moves in from outside the frame.
 CANVAS = 2
 
@@ -92,12 +94,17 @@ def exposure_variables(dim: str, count: int, pixels: int) -> dict[str, Variable]
 def frame_coordinates(
     pixels: int, sampling: float
 ) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]]:
-    """Return the coordinates y, x, axis and shortcut."""
+    """Return the coordinates y, x, axis, shortcut and focus."""
     along = (np.arange(pixels) - pixels // 2) * sampling
     return {
         "y": (("y",), along, {"units": "lambda/D", "long_name": "image y"}),
         "x": (("x",), along, {"units": "lambda/D", "long_name": "image x"}),
         "axis": (("axis",), np.array(["x", "y"], dtype=object), {"long_name": "axis of the image plane"}),
+        "focus": (
+            ("focus",),
+            np.array(FOCUS),
+            {"units": "1", "long_name": "Noll coefficient c_4 added to the wavefront, in waves"},
+        ),
         "shortcut": (
             ("shortcut",),
             np.array(SHORTCUTS, dtype=object),

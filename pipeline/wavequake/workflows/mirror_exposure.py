@@ -15,10 +15,10 @@ from threadpoolctl import threadpool_limits
 from wavequake.errors import UserError
 from wavequake.imaging.exposure_models import cut
 from wavequake.imaging.pupil_function import annular_pupil
-from wavequake.imaging.zernike_psf import ZernikeImager, zernike_imager, zernike_images
+from wavequake.imaging.zernike_psf import ZernikeImager, zernike_imager, zernike_images, zernike_sum
 from wavequake.kernels.devices import NUMPY, Device, choose_device
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
-from wavequake.workflows.exposures import CANVAS, exposed, exposure_variables, frame_coordinates
+from wavequake.workflows.exposures import CANVAS, FOCUS, exposed, exposure_variables, frame_coordinates
 from wavequake.workflows.mirror_bench import (
     aberrations_over_time,
     bench_of,
@@ -68,6 +68,7 @@ def exposed_variant(study_text: str, model: str, variant: str, device: Device = 
     for history in aberrations:
         for name, values in _exposure(study, optics, history, static, device).items():
             found.setdefault(name, []).append(values)
+        found.setdefault("exposure_focus", []).append(through_focus(study, optics, history, device))
     reference = aberrations_of(study_text, model, study.reduction.reference)
     return {
         **{name: np.stack(values) for name, values in found.items()},
@@ -110,6 +111,19 @@ def local_images(
     waves[:, :3] = 0.0
     for first in range(0, len(history), _BLOCK):
         yield zernike_images(imager, waves[first : first + _BLOCK])
+
+
+def through_focus(study: MirrorStudy, optics: Optics, history: Array, device: Device) -> Array:
+    """Return exposures (focus, y, x) with defocus added; tilts of the phase place the images."""
+    section, shown = study.imaging, history[exposed_instants(study)]
+    grid = section.pupil_samples, section.pixels, section.sampling
+    imager = _imager(*grid, shown.shape[1] - 2, optics.obscuration, device)
+    waves = -section.scale / study.optics.wavelength_nm * shown[:, 2:]
+    # A tilt moves the image by 4 c / sqrt(1 + eps²) in lambda/D.
+    los = shown[:, :2] * (section.scale / optics.resolution)
+    waves[:, 0], waves[:, 1:3] = 0.0, 0.25 * np.sqrt(1.0 + optics.obscuration**2) * los
+    weights, term = np.full(len(waves), 1.0 / len(waves)), np.arange(waves.shape[1]) == 3
+    return np.array([zernike_sum(imager, waves - defocus * term, weights) for defocus in FOCUS])
 
 
 @lru_cache(maxsize=4)
@@ -158,6 +172,11 @@ def template(study_text: str) -> Template:
             {"units": "mm", "long_name": "line of sight in the image (Störkle 2018, Eq. 3.39), not scaled"},
         ),
         **exposure_variables("excitation", excitations, pixels),
+        "exposure_focus": Variable(
+            ("excitation", "focus", "y", "x"),
+            (excitations, len(FOCUS), pixels, pixels),
+            {"units": "1", "long_name": "exposure with defocus added; 1 = peak of the perfect image"},
+        ),
         "exposure_static": Variable(
             ("y", "x"), (pixels, pixels), {"units": "1", "long_name": "image at rest; 1 = its peak"}
         ),

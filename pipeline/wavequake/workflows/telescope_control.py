@@ -24,7 +24,7 @@ from wavequake.optics.states import SurfaceStates, rest
 from wavequake.optics.wavefront import Wavefront, analyse
 from wavequake.workflows.bench import Bench, bench_of, monolithic
 from wavequake.workflows.exposure_study import TelescopeExposureStudy
-from wavequake.workflows.exposures import CANVAS
+from wavequake.workflows.exposures import CANVAS, FOCUS
 from wavequake.workflows.images import energy_scale
 from wavequake.workflows.schema import study_from_identity
 
@@ -56,6 +56,8 @@ class ControlBench:
         Images as sums over rays.
     static_image : ndarray, shape (n, n)
         At rest, about the line of sight.
+    static_focus : ndarray, shape (focus, n, n)
+        The same with defocus added.
     area : float
         Of the pupil that the rays stand for, mm².
     """
@@ -66,6 +68,7 @@ class ControlBench:
     correction: Array
     basis: SegmentBasis
     static_image: Array
+    static_focus: Array
     area: float
 
     @property
@@ -131,16 +134,17 @@ def control_bench_of(study_text: str) -> ControlBench:
         traced, static = trace(
             prepared, replace(still, field=still.field + bench.field), choose_device("numpy")
         )
-        control = ControlBench(
-            study, bench, static, np.zeros((0, 0)), basis, np.zeros((0, 0)), _area(study, bench)
-        )
+        none = np.zeros((0, 0))
+        control = ControlBench(study, bench, static, none, basis, none, none, _area(study, bench))
         if static.lost[0]:
             raise UserError(
                 f"{static.lost[0]} rays of {system.name} at rest are lost, so that its image would have "
                 "holes; check telescope and optics.field_arcmin"
             )
-        image = local_images(control, measured_opd(control, traced), static)[0]
-        return replace(control, correction=_correction(control), static_image=image)
+        opd, focus = measured_opd(control, traced), control.prepared.zernike.basis[:, 3]
+        image = local_images(control, opd, static)[0]
+        defocused = local_images(control, opd + np.resize(FOCUS, TILE)[:, None] * focus, static)[: len(FOCUS)]
+        return replace(control, correction=_correction(control), static_image=image, static_focus=defocused)
 
 
 def trace(prepared: PreparedTrace, states: SurfaceStates, device: Device) -> tuple[Traced, Wavefront]:

@@ -24,7 +24,7 @@ from wavequake.workflows import segment_disturbance
 from wavequake.workflows.bench import MAS_PER_RAD
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.exposure_study import TelescopeExposureStudy
-from wavequake.workflows.exposures import exposed, exposure_variables, frame_coordinates
+from wavequake.workflows.exposures import FOCUS, exposed, exposure_variables, frame_coordinates
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segment_disturbance import CaseDraw, draw, surface_states
 from wavequake.workflows.telescope_control import (
@@ -104,7 +104,9 @@ def exposed_case(control: ControlBench, drawn: CaseDraw, device: Device) -> dict
     stacked = {name: np.stack(values) for name, values in found.items()}
     motion = _motion_of_m2(control, drawn, device)
     resolution = np.asarray(control.prepared.wavelength / control.diameter * MAS_PER_RAD)
-    return {"time_s": drawn.time, **stacked, **motion, "resolution_mas": resolution}
+    focus = np.array([cut(image, imaging.pixels) for image in control.static_focus])
+    fixed = {"resolution_mas": resolution, "static_focus": focus}
+    return {"time_s": drawn.time, **stacked, **motion, **fixed}
 
 
 def case_blocks(
@@ -204,6 +206,12 @@ def template(study_text: str) -> Template:
             "target deformation of the elastic M2, Noll coefficients over the beam's footprint (Eq. 4.27)",
         ),
         "resolution_mas": variable((), (), "mas", "lambda/D on the sky"),
+        "static_focus": variable(
+            ("focus", "y", "x"),
+            (len(FOCUS), pixels, pixels),
+            "1",
+            "image at rest with defocus added; 1 = peak of the perfect one",
+        ),
         **stored,
         "exposure_fitted": replace(
             stored["exposure"],

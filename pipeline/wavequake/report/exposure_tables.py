@@ -1,0 +1,76 @@
+"""What the reports of all exposures have in common: words, tables, groups of cases, and figures."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from wavequake.report import exposure_figures as draw
+from wavequake.report.page import Picture, picture
+from wavequake.report.psf_figures import log_psf, mtf_curves
+from wavequake.report.table import number
+from wavequake.workflows.contract import DONE
+
+Array = NDArray[np.float64]
+Row = Mapping[str, tuple[str, str]]
+
+SHORTCUT_HEADERS = ("LOS only", "Gaussian")
+DEFINITIONS = (
+    (
+        "exposure",
+        "Mean of every instant's own image, placed at its own line of sight (Störkle 2018, Eq. 3.79).",
+    ),
+    ("LOS only", "The image at rest convolved with the trajectory of the line of sight, Eq. 3.80."),
+    ("Gaussian", "The image at rest blurred by a Gaussian of the trajectory's mean and covariance."),
+)
+
+
+def terminal_table(rows: Sequence[Row], headers: Sequence[str], labels: int, caption: str) -> Table:
+    """Return a table for the terminal, whose first `labels` columns are words."""
+    table = Table(box=SIMPLE_HEAD, caption=caption, caption_justify="left", padding=(0, 1, 0, 0))
+    for place, header in enumerate(headers):
+        table.add_column(header, justify="left" if place < labels else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*(value for value, _ in row.values()))
+    return table
+
+
+def finished(dataset: xr.Dataset, label: str) -> Iterator[tuple[str, xr.Dataset]]:
+    """Yield the finished cases of each value of a label, in order of appearance."""
+    done = dataset.isel(case=np.flatnonzero(dataset["status"].to_numpy() == DONE))
+    names = done[label].to_numpy()
+    for name in dict.fromkeys(names):
+        yield str(name), done.isel(case=np.flatnonzero(names == name))
+
+
+def radius(value: float) -> str:
+    """Return a radius of encircled energy in words; infinite beyond the frame."""
+    return number(value) if np.isfinite(value) else "> field"
+
+
+def shortcut_cells(one: xr.Dataset) -> Iterator[tuple[str, str]]:
+    """Yield the error of each shortcut's image and, in small print, of its peak; medians over cases."""
+    for shortcut in ("los_only", "gaussian"):
+        values = (one[key].sel(shortcut=shortcut).to_numpy() for key in ("image_error", "peak_error"))
+        image, peak = (float(np.nanmedian(value)) for value in values)
+        yield f"{image:.1e}", f"{number(100.0 * peak)} %"
+
+
+def image_pictures(key: str, text: str, images: Mapping[str, Array], axis: Array) -> Iterator[Picture]:
+    """Yield the MTF of images, and the first of them on a logarithmic scale."""
+    first, image = next(iter(images.items()))
+    yield picture(
+        f"{key}-mtf", f"Modulation transfer of {text}", mtf_curves(images, float(axis[1] - axis[0]))
+    )
+    yield picture(f"{key}-log", f"Image of {text}, {first}, five decades", log_psf(image, axis))
+
+
+def history_pictures(
+    key: str, time_ms: Array, tracks: Mapping[str, Array], unit: str, wfe: Mapping[str, Array]
+) -> Iterator[Picture]:
+    """Yield line of sight and wavefront error over time."""
+    yield picture(f"{key}-los", "Line of sight over time", draw.line_of_sight(time_ms, tracks, unit))
+    yield picture(f"{key}-wfe", "Wavefront error over time", draw.wavefront_error(time_ms, wfe))
