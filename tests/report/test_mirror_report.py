@@ -53,6 +53,7 @@ def made(measure="wfe", bound=0.01, excitations=(), models=("disc",), failed=("b
             "eps_opt": (over_frequency, 2 * eps, {"units": "1"}),
             "frf_zernike": (("case", "frequency", "noll"), np.ones((count, 6, 4))),
             "fit_residual": (("case", "own_mode"), np.full((count, 120), 1e-3)),
+            "mode_frequency": (("case", "mode"), np.tile([0.0, 35.0, 90.0], (count, 1))),
             "mac": (("case", "mode", "reference_mode"), np.ones((count, 3, 3))),
             "wfe_rms": (over_time, rms),
             "wfe_error": (over_time, wfe_error),
@@ -156,8 +157,32 @@ def test_the_table_has_every_variant_and_the_check_of_the_sweep(tmp_path):
 def test_the_page_has_figures_of_every_kind(tmp_path):
     path = mirrors.write_report_of(tmp_path, made(bound=0.05), tmp_path / "report.html", "numpy")
     page = path.read_text()
-    for part in ("disc-fits", "disc-zernike", "disc-a-time", "disc-b-image", "no modes", "3e-11 (disc)"):
+    for part in (
+        "models",
+        "disc-both",
+        "disc-fits",
+        "disc-zernike",
+        "disc-a-time",
+        "disc-b-image",
+        "no modes",
+        "3e-11 (disc)",
+    ):
         assert part in page
+
+
+def test_both_responses_are_scaled_alike_at_the_first_optical_peak():
+    """Both curves reach the same height there, and neither leaves the frame (Störkle 2018, Fig. 4.27)."""
+    store = made()
+    model = mirrors.results_of(store)[0][0]
+    peaks = np.array([9.0, 5.0, 1.0, 2.0, 1.0, 1.0])
+    store["frf_mech"] = store["frf_mech"] * peaks * 1e-6
+    store["frf_opt"] = store["frf_opt"] * np.array([1.0, 400.0, 10.0, 700.0, 20.0, 10.0])
+    axes, other = mirror_figures.mechanical_and_optical(store, model.reference).axes
+    shares = [panel.lines[0].get_ydata() / panel.get_ylim()[1] for panel in (axes, other)]
+    assert shares[0][1] == pytest.approx(shares[1][1])
+    assert max(shares[0][1:].max(), shares[1][1:].max()) == pytest.approx(1 / 1.1)
+    figure = mirror_figures.models_side_by_side(store, [model])
+    assert list(figure.axes[1].lines[0].get_ydata()) == [0.0, 35.0, 90.0]
 
 
 def test_a_reference_alone_makes_a_page_without_warnings(tmp_path):

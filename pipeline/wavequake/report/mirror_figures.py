@@ -1,4 +1,4 @@
-"""Figures of mirror-mor and mirror-trace, after Figs. 4.17 to 4.23 and 4.27 to 4.36 of Störkle 2018."""
+"""Figures of mirror-mor and mirror-trace, after Figs. 4.14 to 4.21 and 4.27 to 4.36 of Störkle 2018."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -119,6 +119,53 @@ def coefficient_spectra(dataset: xr.Dataset, reference: VariantResult) -> Figure
     axes.set_xlabel("frequency (Hz)")
     axes.set_ylabel("response of the coefficient (nm/N)")
     axes.legend(fontsize=7.5, ncols=2)
+    return figure
+
+
+@rc_context(STYLE)
+def models_side_by_side(dataset: xr.Dataset, models: Sequence[ModelResult]) -> Figure:
+    """Draw the receptance and the eigenfrequencies of the models' references (Figs. 4.14 and 4.15)."""
+    figure = Figure(figsize=(2 * WIDTH, HEIGHT), layout="constrained")
+    response, modes = figure.subplots(1, 2)
+    for number, model in enumerate(models):
+        if model.reference is None:
+            continue
+        one = dataset.sel(case=model.reference.case)
+        style = _style(number) | {"label": f"{model.name} ({model.reference.variant})"}
+        response.semilogy(dataset["frequency"].to_numpy(), one["frf_mech"].to_numpy(), **style)
+        found = one["mode_frequency"].to_numpy()
+        modes.plot(np.arange(1, len(found) + 1), found, ".-", color=style["color"], linewidth=0.6)
+    _powers(response.yaxis)
+    response.set_xlabel("frequency (Hz)")
+    response.set_ylabel("interface receptance (m/N)")
+    modes.set_xlabel("mode, rigid motions first")
+    modes.set_ylabel("eigenfrequency (Hz)")
+    if response.lines:
+        response.legend(fontsize=7.5)
+    return figure
+
+
+@rc_context(STYLE)
+def mechanical_and_optical(dataset: xr.Dataset, reference: VariantResult) -> Figure:
+    """Draw both responses of the reference, scaled alike at the mechanical one's highest peak (Fig. 4.27)."""
+    figure, axes = _figure()
+    frequency, other = dataset["frequency"].to_numpy(), axes.twinx()
+    one = dataset.sel(case=reference.case)
+    # Of the elastic part only: below the first resonance the free mirror just flies.
+    mechanical, optical = (one[name].to_numpy() for name in ("frf_mech", "frf_opt"))
+    elastic = frequency >= frequency[0] + 0.05 * (frequency[-1] - frequency[0])
+    peak = int(np.argmax(np.where(elastic, optical, 0.0)[: len(frequency) // 3 + 1]))
+    axes.plot(frequency, mechanical, color=COLORS[0], linewidth=1.2)
+    other.plot(frequency, optical, color=COLORS[1], linewidth=1.2, linestyle=LINES[1])
+    share = 1.1 * max(
+        mechanical[elastic].max() / max(mechanical[peak], 1e-300),
+        optical[elastic].max() / max(optical[peak], 1e-300),
+    )
+    axes.set_ylim(0.0, share * mechanical[peak] if mechanical[peak] > 0 else None)
+    other.set_ylim(0.0, share * optical[peak] if optical[peak] > 0 else None)
+    axes.set_xlabel("frequency (Hz)")
+    axes.set_ylabel("receptance (m/N)", color=COLORS[0])
+    other.set_ylabel("optical response (nm/N), dashed", color=COLORS[1])
     return figure
 
 

@@ -78,7 +78,8 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         overview=[
             picture(
                 "order", "Error of all variants over their order", draw.errors_over_order(models, criterion)
-            )
+            ),
+            picture("models", "The models themselves", draw.models_side_by_side(dataset, models)),
         ],
         sections=[Section(model.name, list(_figures(dataset, model))) for model in models],
         definitions=list(_DEFINITIONS),
@@ -176,6 +177,16 @@ def _figures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
         ("eps_opt", "Error of the mechanical-optical response over frequency", None),
     ):
         yield picture(f"{name}-{key}", text, draw.spectra(dataset, key, shown, ground))
+    krylov = [one for one in model.variants if one.method == "krylov"]
+    if len(krylov) > 1:
+        yield picture(
+            f"{name}-krylov",
+            "Choice of the expansion points",
+            draw.spectra(dataset, "eps_mech", krylov, None),
+        )
+    yield picture(
+        f"{name}-both", "Mechanics and light, scaled alike", draw.mechanical_and_optical(dataset, reference)
+    )
     yield picture(
         f"{name}-zernike", "Response of each aberration", draw.coefficient_spectra(dataset, reference)
     )
