@@ -8,24 +8,31 @@
 // are left alone, so that no ray's bits depend on its neighbors. Returns the loss of rays that do not meet the
 // surface; where the bare conic is missed, the iteration starts at the vertex plane.
 
-INLINE real JOIN(meet_, NUMBER)(numbers t, ray *r, double c, double k1, double index, double limit,
-                                double reach, triple *normal)
+INLINE height JOIN(height_there_, NUMBER)(numbers t, const ray *r, real bare)
+{
+    height h;
+    h.value = JOIN(height_, NUMBER)(t, r->position.x + bare * r->direction.x,
+                                    r->position.y + bare * r->direction.y, &h.slope_x, &h.slope_y);
+    return h;
+}
+
+// Takes the step to the bare conic and the height there.
+INLINE real JOIN(meet_, NUMBER)(numbers t, ray *r, real bare, height there, double c, double k1, double index,
+                                double limit, double reach, triple *normal)
 {
     const triple d = r->direction;
-    const real bare = conic_step(r->position, d, c, k1);
     triple hit = along(r->position, bare, d);
     const real beyond = (c * k1) * hit.z - 1.0;
 
-    real slope_x, slope_y;
-    real height = JOIN(height_, NUMBER)(t, hit.x, hit.y, &slope_x, &slope_y);
-    real q = hit.z - height;
+    real value = there.value, slope_x = there.slope_x, slope_y = there.slope_y;
+    real q = hit.z - value;
     real f = c * (hit.x * hit.x + hit.y * hit.y + k1 * (q * q)) - 2.0 * q;
     *normal = conic_plus(hit, q, slope_x, slope_y, c, k1);
     real inverse = -0.5 / dot3(*normal, d);
     real step = f * inverse;
     hit = along(hit, step, d);
 
-    q = hit.z - (height + (slope_x * d.x + slope_y * d.y) * step);
+    q = hit.z - (value + (slope_x * d.x + slope_y * d.y) * step);
     real square = hit.x * hit.x + hit.y * hit.y;
     f = c * (square + k1 * (q * q)) - 2.0 * q;
     *normal = conic_plus(hit, q, slope_x, slope_y, c, k1);
@@ -45,12 +52,12 @@ INLINE real JOIN(meet_, NUMBER)(numbers t, ray *r, double c, double k1, double i
         hit = choose(met, hit, along(r->position, to_start, d));
         mask open = NOT(met) & finite(way);
         for (int i = 0; i < NEWTON_STEPS && any_lane(open); ++i) {
-            height = JOIN(height_, NUMBER)(t, hit.x, hit.y, &slope_x, &slope_y);
+            value = JOIN(height_, NUMBER)(t, hit.x, hit.y, &slope_x, &slope_y);
             square = hit.x * hit.x + hit.y * hit.y;
             real edge = root(1.0 - (c * c * k1) * square);
             real sag = c * square / (1.0 + edge), steep = c / edge;
             triple lean = {steep * hit.x + slope_x, steep * hit.y + slope_y, -1.0};
-            step = (hit.z - sag - height) / dot3(lean, d);
+            step = (hit.z - sag - value) / dot3(lean, d);
             *normal = choose(open, lean, *normal);
             hit = choose(open, along(hit, step, d), hit);
             way = EITHER(open, way + step, way);

@@ -87,20 +87,20 @@ INLINE void travel(ray *r, real step, double index)
     r->path += step * (index * r->length);
 }
 
-// These return where the surface is met.
-INLINE mask meet_plane(ray *r, double index, triple *normal)
+INLINE real plane_step(const ray *r) { return -r->position.z / r->direction.z; }
+
+// These take the step to the surface, and return where it is met.
+INLINE mask meet_plane(ray *r, real step, double index, triple *normal)
 {
     normal->x = 0.0;
     normal->y = 0.0;
     normal->z = -1.0;
-    real step = -r->position.z / r->direction.z;
     travel(r, step, index);
     return finite(step);
 }
 
-INLINE mask meet_conic(ray *r, double c, double k1, double index, triple *normal)
+INLINE mask meet_conic(ray *r, real step, double c, double k1, double index, triple *normal)
 {
-    real step = conic_step(r->position, r->direction, c, k1);
     travel(r, step, index);
     *normal = conic_normal(r->position, c, k1);
     return normal->z + poison(step) < 0.0;
@@ -151,6 +151,9 @@ INLINE mask to_sphere(ray *r, __global const double *sphere, double index)
     r->path -= path;
     return finite(path);
 }
+
+// A surface's height over its conic, with slopes.
+typedef struct { real value, slope_x, slope_y; } height;
 
 // Heights over the vertex plane: each function returns one and adds its slopes to *slope_x and *slope_y.
 

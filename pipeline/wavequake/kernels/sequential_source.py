@@ -65,7 +65,7 @@ def kernel_source(
 ) -> str:
     """Return the OpenCL C of a kernel ``sequential`` for elements of the given shapes.
 
-    A work-item traces `turns` vectors of rays, each through one surface before any meets the next one.
+    A work-item traces `turns` vectors of rays, which take turns at every step of every surface.
 
     Its arguments are: number of rays, fixed numbers, position (3, N), direction (3, N) or (3,), path (N,) or
     (1,), poses, limits, spheres, one array for each part of each element; then `outputs`, status and surface.
@@ -102,8 +102,13 @@ def kernel_source(
     for k in range(turns):
         lines += [f"    ray r_{k} = start(rays, n + {k} * W, position, direction, path);"]
         lines += [f"    real loss_{k} = 0.0;"]
-    for i in range(len(shapes)):
-        lines += [f"    loss_{k} = element_{i}(t, &r_{k}, loss_{k});" for k in range(turns)]
+    for i, shape in enumerate(shapes):
+        lines += [f"    const real step_{i}_{k} = reach_{i}(t, &r_{k});" for k in range(turns)]
+        for k in range(0 if shape.bare else turns):
+            lines += [f"    const height there_{i}_{k} = height_there_{i}(t, &r_{k}, step_{i}_{k});"]
+        for k in range(turns):
+            there = "" if shape.bare else f", there_{i}_{k}"
+            lines += [f"    loss_{k} = leave_{i}(t, &r_{k}, loss_{k}, step_{i}_{k}{there});"]
     for k in range(turns if sphere else 0):
         met = f"to_sphere(&r_{k}, t.spheres, fixed[{shapes[-1].fixed + 4}])"
         lines += [f"    loss_{k} = lose_unless({met}, loss_{k}, LOSS(MISS, {len(shapes)}));"]
@@ -165,15 +170,28 @@ def _height(i: int, shape: Shape) -> str:
 
 
 def _element(i: int, shape: Shape, deformed: list[int]) -> list[str]:
-    """Return the function of one element; its fixed numbers are c, k1, index before, ratio, index, reach."""
+    """Return the functions of one element: the step to its conic, and all that follows.
+
+    Its fixed numbers are c, k1, index before, ratio, index, reach.
+    """
     c, k1, index, ratio, _, reach = (f"t.fixed[{shape.fixed + k}]" for k in range(6))
-    lines = [f"{'rotate_and_shift' if shape.rotates else 'shift'}(r, t.poses + {12 * i});"]
+    flat = shape.bare and shape.plane
+    step = "plane_step(r)" if flat else f"conic_step(r->position, r->direction, {c}, {k1})"
+    pose = f"{'rotate_and_shift' if shape.rotates else 'shift'}(r, t.poses + {12 * i});"
+    reaches = [
+        f"INLINE real reach_{i}(const numbers t, ray *r)",
+        "{",
+        f"    {pose}",
+        f"    return {step};",
+        "}",
+    ]
+    lines = []
     if shape.bare:
-        call = f"meet_plane(r, {index}" if shape.plane else f"meet_conic(r, {c}, {k1}, {index}"
+        call = f"meet_plane(r, step, {index}" if flat else f"meet_conic(r, step, {c}, {k1}, {index}"
         lines += [f"loss = lose_unless({call}, &normal), loss, LOSS(MISS, {i}));"]
     else:
-        limit = f"t.limits[{deformed.index(i)}]"
-        lines += [f"loss = larger(meet_{i}(t, r, {c}, {k1}, {index}, {limit}, {reach}, &normal), loss);"]
+        surface = f"{c}, {k1}, {index}, t.limits[{deformed.index(i)}], {reach}"
+        lines += [f"loss = larger(meet_{i}(t, r, step, there, {surface}, &normal), loss);"]
     for k, (kind, edges, blocks, place) in enumerate(shape.regions):
         count = "" if kind == "circle" else f", {edges}"
         inside = f"in_{kind}(r->position, t.fixed + {place}{count})"
@@ -181,18 +199,13 @@ def _element(i: int, shape: Shape, deformed: list[int]) -> list[str]:
     if shape.regions:
         lines += [f"loss = lose_unless(met, loss, LOSS(VIGNETTED, {i}));"]
     if shape.action == "reflect":
-        lines += ["reflect_at_plane(r);" if shape.bare and shape.plane else "reflect(r, normal);"]
+        lines += ["reflect_at_plane(r);" if flat else "reflect(r, normal);"]
     elif shape.action == "refract":
         lines += [
             f"met = refract(r, normal, {ratio});",
             f"loss = lose_unless(met, loss, LOSS(TOTAL_REFLECTION, {i}));",
         ]
-    head = [f"INLINE real element_{i}(const numbers t, ray *r, real loss)", "{"]
-    return [
-        *head,
-        "    triple normal;",
-        "    mask met;",
-        *("    " + line for line in lines),
-        "    return loss;",
-        "}",
-    ]
+    there = "" if shape.bare else ", const height there"
+    head = [f"INLINE real leave_{i}(const numbers t, ray *r, real loss, const real step{there})", "{"]
+    head += ["    triple normal;", "    mask met;"]
+    return [*reaches, *head, *("    " + line for line in lines), "    return loss;", "}"]
