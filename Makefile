@@ -13,7 +13,7 @@ export PYTHONUNBUFFERED := 1
 help:
 	@echo "make run    run the bundled study $(STUDY) and write its report"
 	@echo "make test   run the tests"
-	@echo "make soak   kill campaigns at 200 random moments; nothing may be lost (about ten minutes)"
+	@echo "make soak   kill campaigns at 200 random moments; nothing may be lost (a few minutes)"
 	@echo "make slurm  test campaigns on a Slurm of two nodes on loopback (root, Debian's slurm-wlm and munge)"
 	@echo "make lint   ruff and mypy"
 	@echo "make bench  run the benchmarks"

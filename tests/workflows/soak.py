@@ -4,6 +4,7 @@ Three kinds of death, all by SIGKILL: of the whole driver with its scheduler at 
 workers, and of a driver in the very middle of a write (before, within or after a file, a rename or a record).
 """
 
+import json
 import os
 import random
 import shutil
@@ -11,6 +12,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 
 import psutil
 import toy
@@ -21,12 +24,13 @@ from wavequake.workflows.verify import verify_store
 CHUNK, MORE = 5, 60
 SLOW = {"sleep_s": 0.004}
 
-# A serial driver that kills itself at its n-th touch of the disk.
+# Serial drivers that kill themselves at their n-th touch of the disk: children of one process, which has
+# loaded everything.
 WRITER = """
-import os, pathlib, signal, sys
-import toy
+import json, os, pathlib, signal, sys
+import toy, wavequake.workflows.engine
 from wavequake.workflows import arrays, journal
-path, cases, left = sys.argv[1], int(sys.argv[2]), [int(sys.argv[3])]
+left = [0]
 
 def touch():
     left[0] -= 1
@@ -58,31 +62,50 @@ def rename_and_die(self, target):
 arrays.DurableStore.set, os.fsync, pathlib.Path.replace = set_and_die, sync_and_die, rename_and_die
 journal.os = type(sys)("os")
 journal.os.__dict__.update(os.__dict__, write=write_and_die, fsync=sync_and_die)
-toy.run(path, SLOW, cases=cases, chunk=CHUNK)
+for line in sys.stdin:
+    path, cases, left[0] = json.loads(line)
+    child = os.fork()
+    if not child:
+        try:
+            toy.run(path, SLOW, cases=cases, chunk=CHUNK)
+            os._exit(0)
+        finally:
+            sys.excepthook(*sys.exc_info())
+            os._exit(1)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """.replace("CHUNK", str(CHUNK)).replace("SLOW", repr(SLOW))
 
 
 def soak(folder, kills, seed=1):
-    """Kill campaigns that grow as they go, `kills` times in all; return counts of the deaths by kind."""
-    dice = random.Random(seed)
-    counts = {"driver": 0, "worker": 0, "write": 0}
-    while sum(counts.values()) < kills:
-        _round(folder / f"round-{sum(counts.values())}", min(20, kills - sum(counts.values())), dice, counts)
-    return counts
+    """Kill campaigns that grow as they go, `kills` times in all or a few more; count the deaths by kind."""
+    rounds = [min(20, kills - first) for first in range(0, kills, 20)]
+    with ThreadPoolExecutor(2) as both:
+        counts = both.map(
+            lambda index: _round(folder / f"round-{index}", rounds[index], random.Random(seed + index)),
+            range(len(rounds)),
+        )
+        return sum(counts, Counter())
 
 
-def _round(folder, kills, dice, counts):
+def _round(folder, kills, dice):
     """Kill one campaign `kills` times, complete it, and compare it with one that was left in peace."""
-    path, cases, before = folder / "s", MORE, sum(counts.values())
+    path, cases, counts = folder / "s", MORE, Counter()
     folder.mkdir()
-    while sum(counts.values()) < before + kills:
-        kind = dice.choices(["write", "worker", "driver"], [5, 3, 2])[0]
-        killed = _in_a_write(path, cases, dice) if kind == "write" else _at_random(path, cases, kind, dice)
-        counts[kind] += killed
-        if (path / "manifest.json").exists():
-            report = verify_store(path)
-            assert not report.damaged, report.lines()
-            cases += MORE if report.ok else 0  # it came to its end: go on with more
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", WRITER], env=environment, text=True, **pipes) as writer:
+        while counts.total() < kills:
+            kind = dice.choices(["write", "worker", "driver"], [8, 1, 2])[0]
+            if kind == "write":
+                counts[kind] += _in_a_write(writer, path, cases, dice)
+            else:
+                counts[kind] += _at_random(path, cases, kind, dice)
+            if (path / "manifest.json").exists():
+                report = verify_store(path)
+                assert not report.damaged, report.lines()
+                cases += MORE if report.ok else 0  # it came to its end: go on with more
+        _, complained = writer.communicate()
+        assert complained == ""
     toy.run(path, SLOW, cases=cases, chunk=CHUNK)
     toy.run(folder / "serial", SLOW, cases=cases, chunk=CHUNK)
     report = verify_store(path)
@@ -92,14 +115,14 @@ def _round(folder, kills, dice, counts):
     stored, serial = (open_store(one).load().drop_attrs() for one in (path, folder / "serial"))
     assert stored.identical(serial)
     shutil.rmtree(folder)
+    return counts
 
 
-def _in_a_write(path, cases, dice):
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    words = [sys.executable, "-c", WRITER, str(path), str(cases), str(dice.randint(1, 250))]
-    done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode in (0, -signal.SIGKILL), done.stderr
-    return done.returncode != 0
+def _in_a_write(writer, path, cases, dice):
+    print(json.dumps([str(path), cases, dice.randint(1, 250)]), file=writer.stdin, flush=True)
+    code = int(writer.stdout.readline())
+    assert code in (0, -signal.SIGKILL), code
+    return code != 0
 
 
 def _at_random(path, cases, kind, dice):
@@ -112,18 +135,20 @@ def _at_random(path, cases, kind, dice):
             while toy.records(path) == before and driver.poll() is None:
                 time.sleep(0.01)
             time.sleep(dice.uniform(0.0, 0.3))
-        if driver.poll() is not None:
-            return False
         if kind == "driver":
+            alive = driver.poll() is None
             driver.kill()
-            return True
-        workers = [child for child in psutil.Process(driver.pid).children() if _is_worker(child)]
-        if not workers:
-            return False
-        dice.choice(workers).kill()
+            return alive
+        killed = 0
+        for _ in range(4):  # the nanny starts them again
+            workers = [child for child in psutil.Process(driver.pid).children() if _is_worker(child)]
+            if workers and driver.poll() is None:
+                dice.choice(workers).kill()
+                killed += 1
+            time.sleep(dice.uniform(0.0, 0.5))
         said, complained = driver.communicate(timeout=120)
         assert driver.returncode == 0, said + complained
-        return True
+        return killed
     finally:
         driver.kill()
         driver.communicate()

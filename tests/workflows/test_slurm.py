@@ -108,6 +108,14 @@ def slurm(tmp_path_factory):
         patch.undo()
 
 
+def emptied(timeout_s):
+    """Wait for the end of all jobs; `sbatch --wait` would look ever more rarely."""
+    end = time.monotonic() + timeout_s
+    while words("squeue", "-h").strip():
+        assert time.monotonic() < end, words("squeue")
+        time.sleep(0.2)
+
+
 def cluster_file(root):
     file = root / "cluster.yaml"
     file.write_text(
@@ -177,10 +185,7 @@ def test_jobs_give_the_bits_of_a_serial_run_although_one_is_killed(slurm, tmp_pa
     toy.run(tmp_path / "serial", cases=200, chunk=5)
     serial = toy.digests(tmp_path / "serial")
     assert toy.digests(tmp_path / "s") == serial
-    end = time.monotonic() + 20
-    while words("squeue", "-h").strip():
-        assert time.monotonic() < end, words("squeue")
-        time.sleep(0.2)
+    emptied(20)
 
 
 def test_a_job_array_of_shards_fills_one_store(slurm, tmp_path):
@@ -195,13 +200,13 @@ def test_a_job_array_of_shards_fills_one_store(slurm, tmp_path):
     }
     words(
         "sbatch",
-        "--wait",
         "--array=0-1",
         "--mem=2000",
         f"--output={slurm}/%A_%a.out",
         str(script),
         env=environment,
     )
+    emptied(120)
     report = verify_store(path)
     assert report.ok, report.lines()
     assert report.checked == 4
