@@ -12,6 +12,7 @@ from wavequake.mechanics.linear_system import first_order, linear_system, poles,
 from wavequake.mechanics.modal import modal_model
 from wavequake.mechanics.multibody import Bearing, Joint, Link, Place, assemble, assemble_system
 from wavequake.mechanics.state_space import state_space, to_control
+from wavequake.reduction.reduce import reduce
 
 TURN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 
@@ -225,6 +226,14 @@ def test_forces_that_are_not_symmetric_are_not_dropped():
     for bodies, links in [([mass_point()], [bearing]), ([linear_system(mass_point())], [])]:
         with pytest.raises(UserError, match="join them by assemble_system"):
             assemble(bodies, links)
+
+
+def test_a_system_is_no_symmetric_model():
+    system = linear_system(truss())
+    with pytest.raises(UserError, match="state space of `first_order`"):
+        modal_model(system)
+    with pytest.raises(UserError, match="not a LinearSystem"):
+        reduce(system, "modal12")
 
 
 def test_bad_bearings_rows_and_sizes_are_refused():

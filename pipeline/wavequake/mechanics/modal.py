@@ -85,6 +85,11 @@ def modal_model(model: Model, prescribed: Flags | None = None) -> ModalModel:
         definite, its stiffness or damping is negative, or the prescribed directions are dependent or leave a
         mechanism.
     """
+    if not isinstance(model, Model):
+        raise UserError(
+            f"oscillators are made of a symmetric model, not of a {type(model).__name__}; gyroscopic and "
+            "circulatory forces go through the state space of `first_order`"
+        )
     count = model.inputs.shape[1]
     chosen = np.zeros(count, dtype=bool) if prescribed is None else np.asarray(prescribed)
     if chosen.shape != (count,) or chosen.dtype != bool:

@@ -44,6 +44,8 @@ def reduce(
     >>> reduce(model, "craigb36").order  # doctest: +SKIP
     36
     """
+    if not isinstance(model, FiniteElementModel):
+        raise UserError(f"Only a finite-element model can be reduced, not a {type(model).__name__}.")
     variant = parse(method, order) if isinstance(method, str) else method
     if snapshots is not None and variant.method != "pod":
         raise UserError(f"Snapshots are for pod, not for {variant}.")
