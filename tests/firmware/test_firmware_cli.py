@@ -117,3 +117,15 @@ def test_an_identified_plants_image_steadies_it(monkeypatch, capsys, tmp_path):
     assert "DIFFER" not in said
     found = re.search(r"host q31 - - - ([\d.]+) ([\d.]+) reference", said)
     assert max(map(float, found.groups())) < 5
+
+
+def test_an_arithmetic_that_cannot_hold_a_design_is_skipped_by_name(monkeypatch, capsys, tmp_path):
+    needs("host")
+    monkeypatch.setattr(trial, "DURATION", 1.1)
+    monkeypatch.setattr(trial, "VARIANTS", ("float", "q16"))
+    words = ["controller.modal_step_ms=8", "errors.friction_mn=0", "--to", tmp_path]
+    code, said = run(monkeypatch, capsys, "test", *LENS, *words)
+    assert code == 0
+    assert "all q16 - - - - - not run" in said
+    assert "Not run: The step of mode 11 is 0.6255, beyond the range of q16, which ends at 0.5" in said
+    assert "host float" in said
