@@ -206,9 +206,13 @@ def host_work(heights: Array, shifts: Array, tilts: Array, rays: Rays, traced: A
     def work() -> Array:
         poses(shifts, tilts)
         heights @ basis.matrix.T
-        waves = (traced.path - traced.path[:, :1]) * (1.0 / WAVELENGTH)
         center = np.stack([traced.x[:, 0], traced.y[:, 0]], axis=1)
-        return los_eq339(center, waves @ fit.matrix.T, WAVELENGTH, APERTURE)
+        zernike = np.empty((BATCH, len(fit.matrix)))
+        for first in range(0, BATCH, 50):  # as many as the cache holds
+            path = traced.path[first : first + 50]
+            waves = (path - path[:, :1]) * (1.0 / WAVELENGTH)
+            zernike[first : first + 50] = waves @ fit.matrix.T
+        return los_eq339(center, zernike, WAVELENGTH, APERTURE)
 
     return work
 
