@@ -340,6 +340,11 @@ def test_a_medium_without_a_trace_is_refused(medium, message):
         paraxial(system(medium, 5.0))
 
 
+def test_a_step_far_shorter_than_needed_is_refused():
+    with pytest.raises(UserError, match="take a longer one"):
+        pack(system(selfoc(N0, G, step=1e-7), 5.0), WAVE)
+
+
 def test_an_image_inside_a_gradient_is_refused():
     rod = system(selfoc(N0, G), 5.0)
     inside = replace(rod, surfaces=(rod.surfaces[0], rod.surfaces[2]))

@@ -23,7 +23,7 @@ Sag = Callable[[Array, Array], tuple[Array, Array, Array]]
 _ON_SURFACE = 1e-13  # of a ray's last step, relative to the step and the distance from the origin
 _MAX_CUTS = 60  # a bisection alone reaches the last bit
 _DETOUR = 20.0  # a ray that takes so many times the way along the axis does not arrive
-_LEAST_STEPS = 100
+_LEAST_STEPS, _MOST_STEPS = 100, 100_000
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,8 @@ def follow(
     squared = _squared(space, ray.place)
     ray = replace(ray, vector=np.sqrt(squared) * _turned(space.rotation, direction))
     step = space.gradient.step / np.sqrt(squared)
-    allowed = _LEAST_STEPS + np.ceil(_DETOUR * np.abs(position[2]) / space.gradient.step)
+    allowed = np.ceil(_DETOUR * np.abs(position[2]) / space.gradient.step)
+    allowed = np.clip(allowed, _LEAST_STEPS, _MOST_STEPS)
     going = going & np.isfinite(step) & np.isfinite(allowed)
     arrived, before = np.zeros_like(going), _height(space, sag, ray.place)
     count = 0

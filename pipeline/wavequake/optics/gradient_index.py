@@ -15,6 +15,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.sequence import Gradient
 from wavequake.optics.media import Medium, constant, refractive_index
 
+_SHORTEST = 1e-2  # step, relative to the default
 _STEPS_PER_SCALE = 100.0  # default steps on the length over which the index changes
 
 
@@ -70,10 +71,23 @@ def medium_index(medium: Medium | GradientIndex, wavelength_mm: float) -> float:
 
 
 def gradient_of(medium: Medium | GradientIndex, wavelength_mm: float) -> Gradient | None:
-    """Return how n² changes in a medium as the trace takes it; None for a homogeneous one."""
+    """Return how n² changes in a medium as the trace takes it; None for a homogeneous one.
+
+    Raises
+    ------
+    UserError
+        If the step is so short that rounding, not the step, would limit the accuracy.
+    """
     if not isinstance(medium, GradientIndex):
         return None
-    return Gradient(medium.radial, medium.axial, medium.step or default_step(medium, wavelength_mm))
+    default = default_step(medium, wavelength_mm)
+    step = default if medium.step is None else medium.step
+    if step < _SHORTEST * default:
+        raise UserError(
+            f"the step of {step:g} mm through {medium.name} takes more than {1 / _SHORTEST:g} times as many "
+            f"steps as the default, {default:.3g} mm, which is exact to 1e-11 of the way; take a longer one"
+        )
+    return Gradient(medium.radial, medium.axial, step)
 
 
 def default_step(medium: GradientIndex, wavelength_mm: float) -> float:

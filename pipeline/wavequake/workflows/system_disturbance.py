@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from wavequake.kernels.devices import Device, choose_device
+from wavequake.kernels.sequence import bends
 from wavequake.mechanics.disturbances import Combine
 from wavequake.mechanics.element_motion import ElementDisturbance, ElementMotion, draw_elements
 from wavequake.mechanics.population import time_axis
@@ -263,7 +264,8 @@ def describe(study_text: str) -> dict[str, str]:
         for field, (error, count) in enumerate(zip(errors, stopped, strict=True))
     }
     return {
-        "rays": f"{rays} per field and wavelength",
+        "rays": f"{rays} per field and wavelength"
+        + (", traced by NumPy: the index varies" if bends(bench.prepared[0][0].sequence) else ""),
         **sampling_plan(study_text).words(),
         **lines,
         "system": system.info(),
