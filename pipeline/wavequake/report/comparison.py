@@ -229,10 +229,11 @@ def _reduced(values: xr.DataArray) -> NDArray[np.float64]:
 
 def _image_difference(one: xr.DataArray, two: xr.DataArray) -> NDArray[np.float64]:
     """Return the L2 norm of the difference of two images of unit energy, per case."""
-    over = tuple(range(1, one.ndim))
-    parts = [np.asarray(images.to_numpy(), dtype=np.float64) for images in (one, two)]
-    first, second = (images / images.sum(axis=over, keepdims=True) for images in parts)
-    return np.asarray(np.sqrt(np.sum((second - first) ** 2, axis=over)))
+    over = one.dims[1:]
+    # As variables, which have no labels to align, and lazily: a few cases are in memory at a time.
+    parts = [images.variable.astype(np.float64) for images in (one, two)]
+    first, second = (images / images.sum(over, skipna=False) for images in parts)
+    return np.asarray(np.sqrt(((second - first) ** 2).sum(over, skipna=False).to_numpy()))
 
 
 def comparison_table(names: Sequence[str], comparisons: Sequence[Sequence[Difference]]) -> Table:

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 
-_LABELS = ("case", "seed", "disturbance", "realization", "status", "message")
+_LABELS = ("case", "seed", "disturbance", "realization", "replicate", "status", "message")
 # Dimensions of which each entry has a column of its own.
 _SPREAD = ("excitation", "field", "wavelength", "axis", "statistic")
+_ROWS = 5000
 _NETCDF3_BYTES = 2**31 - 2**20
 
 
@@ -115,6 +116,18 @@ def _fits_format(values: NDArray[Any]) -> str:
 
 
 def _write_csv(dataset: xr.Dataset, path: Path) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        # By blocks of cases, of which there may be more than fit into memory as text; none still have a head.
+        for first in range(0, max(dataset.sizes["case"], 1), _ROWS):
+            columns = _columns(dataset.isel(case=slice(first, first + _ROWS)))
+            if first == 0:
+                writer.writerow(columns)
+            writer.writerows(zip(*columns.values(), strict=True))
+
+
+def _columns(dataset: xr.Dataset) -> dict[str, list[Any]]:
+    """Return header -> cells of the cases of a dataset."""
     columns = {name: dataset[name].to_numpy().tolist() for name in _LABELS if name in dataset.variables}
     for name, variable in dataset.data_vars.items():
         dims = tuple(map(str, variable.dims))
@@ -131,10 +144,7 @@ def _write_csv(dataset: xr.Dataset, path: Path) -> None:
                 columns |= _over_instants(column, unit, one, _present(dataset, one))
             else:
                 columns[f"{column}{unit}"] = _cells(one)
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
+    return columns
 
 
 def _suffix(dataset: xr.Dataset, dim: str, index: int) -> str:

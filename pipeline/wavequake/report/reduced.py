@@ -70,25 +70,19 @@ def is_reduced(dataset: xr.Dataset) -> bool:
 
 
 def _loaded(dataset: xr.Dataset) -> xr.Dataset:
-    """Read what the report needs, once."""
-    names = [
-        *_SERIES,
-        "marechal",
-        "status",
-        "message",
-        "traced",
-        *(f"modal_error_{name}" for name in _ERRORS),
-    ]
-    return dataset[[name for name in names if name in dataset]].load()
+    """Read what the report needs, once: of each series one number per case."""
+    names = ["marechal", "status", "message", "traced", *(f"modal_error_{name}" for name in _ERRORS)]
+    found = dataset[[name for name in names if name in dataset]]
+    return found.assign({name: _per_case(dataset, name) for name in _SERIES}).load()
 
 
 def reduced_populations(store: Path, dataset: xr.Dataset) -> list[ReducedPopulation]:
-    """Split a store by disturbance, in the order in which the disturbances first appear."""
+    """Split what was loaded by disturbance, in the order in which the disturbances first appear."""
     bench = bench_of(read_manifest(store).study)
     model = {entry.name: analytic_rms(entry, bench.layout) for entry in bench.study.disturbance}
     names = dataset["disturbance"].to_numpy()
     done = dataset["status"].to_numpy() == DONE
-    per_case = {name: _per_case(dataset, name) for name in _SERIES}
+    per_case = {name: _per_case(dataset, name).to_numpy().astype(np.float64) for name in _SERIES}
     marechal = dataset["marechal"].to_numpy()
     found = []
     for name in dict.fromkeys(names.tolist()):
@@ -110,16 +104,17 @@ def reduced_populations(store: Path, dataset: xr.Dataset) -> list[ReducedPopulat
     return found
 
 
-def _per_case(dataset: xr.Dataset, name: str) -> Array:
-    """Return the rms over the instants of each case (case,); instants that a case does not have are NaN."""
-    variable = dataset[name]
-    if "statistic" in variable.dims:
-        return variable.sel(statistic="rms").to_numpy().astype(np.float64)
-    values = variable.transpose("case", "time", ...).to_numpy().reshape(*variable.shape[:2], -1)
-    squares = np.sum(values**2, axis=2)
-    there = np.isfinite(squares)
-    total = np.where(there, squares, 0.0).sum(axis=1)
-    return np.asarray(np.sqrt(total / np.maximum(there.sum(axis=1), 1)), dtype=np.float64)
+def _per_case(dataset: xr.Dataset, name: str) -> xr.DataArray:
+    """Return the rms over the instants of each case (case,), lazily; instants that it has not are NaN."""
+    values = dataset[name]
+    if "statistic" in values.dims:
+        return values.sel(statistic="rms", drop=True)
+    if values.dims == ("case",):  # so it was loaded
+        return values
+    squares = values**2
+    if "axis" in values.dims:
+        squares = squares.sum("axis", skipna=False)
+    return (squares.mean("time") ** 0.5).assign_attrs(values.attrs)
 
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:

@@ -1,0 +1,85 @@
+"""Reports, comparisons and exports of stores that are larger than what they may take of the memory."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from wavequake.kernels.devices import choose_device
+from wavequake.report.export import export
+from wavequake.workflows import provenance, segment_disturbance
+from wavequake.workflows.arrays import array_of, open_group, write_chunk
+from wavequake.workflows.campaign import run_study
+from wavequake.workflows.contract import ChunkResult
+from wavequake.workflows.journal import Record, append
+from wavequake.workflows.store import create_store, open_store
+from wavequake.workflows.study import load_study
+
+CASES, CHUNK = 8_000, 500
+MEASURED = """
+import resource, sys
+from wavequake import cli
+from wavequake.report import campaign, comparison, tail  # what is loaded anyway
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+try:
+    cli.main()
+except SystemExit:
+    pass
+"""
+
+
+def random_store(path, seed):
+    """Write a store of random numbers, 8 kB per case of them images, as a campaign would."""
+    keys = {"telescope.name": "tmt-18", "optics.rays_per_segment": 6, "campaign.cases": CASES}
+    keys |= {"imaging.pixels": 64, "optics.wavelength_nm": 550.0 + seed}
+    text = load_study("tmt-segments", keys).identity_text()
+    workflow, words = segment_disturbance.WORKFLOW, provenance.collect(choose_device("numpy"))
+    manifest = create_store(path, workflow, text, CASES, CHUNK, "numpy", words)
+    variables, group = workflow.template(text).per_case, open_group(path / "data.zarr")
+    arrays = {name: array_of(group, name) for name in manifest.variables}
+    random = np.random.default_rng(seed)
+    numbers = {
+        name: (random.random((CHUNK, *one.shape)) + 0.5).astype(one.dtype) for name, one in variables.items()
+    }
+    numbers["time_s"][:] = np.arange(1, 17) * 0.01
+    for first in range(0, CASES, CHUNK):
+        result = ChunkResult(numbers, np.ones(CHUNK, dtype=np.int8), ("",) * CHUNK)
+        digests = write_chunk(arrays, (first, first + CHUNK), result)
+        append(path / "done", Record(first, first + CHUNK, digests, (0, CHUNK, 0, 0, 0, 0), {}, {}))
+
+
+@pytest.fixture(scope="module")
+def stores(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("large")
+    for seed in (1, 2):
+        random_store(folder / f"s{seed}", seed)
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "words",
+    [["compare", "s1", "s2"], ["report", "s1"]],
+    ids=lambda words: words[0],
+)
+def test_commands_take_a_part_of_the_store_into_memory_at_a_time(stores, words):
+    """The images of one store are 260 MB, those that are compared 520 MB."""
+    script = (
+        f"import os, sys; os.chdir({str(stores)!r}); sys.argv = {['wavequake', *words]!r}\n{MEASURED}"
+        "after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "print('GREW', (after - before) / 1024)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert "GREW" in done.stdout, done.stderr[-2000:]
+    assert float(done.stdout.split("GREW")[1]) < 220.0
+
+
+def test_a_csv_is_the_same_whatever_the_size_of_its_blocks(tmp_path, monkeypatch):
+    keys = {"telescope.name": "tmt-18", "optics.rays_per_segment": 6, "campaign.cases": 23}
+    run_study(load_study("tmt-segments", {**keys, "imaging.enabled": False}), tmp_path / "s", on="serial")
+    export(open_store(tmp_path / "s"), tmp_path / "one.csv")
+    monkeypatch.setattr("wavequake.report.export._ROWS", 7)
+    export(open_store(tmp_path / "s"), tmp_path / "many.csv")
+    assert (tmp_path / "one.csv").read_bytes() == (tmp_path / "many.csv").read_bytes()
+    assert len((tmp_path / "one.csv").read_text().splitlines()) == 24
