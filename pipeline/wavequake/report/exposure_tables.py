@@ -32,7 +32,8 @@ def terminal_table(rows: Sequence[Row], headers: Sequence[str], labels: int, cap
     """Return a table for the terminal, whose first `labels` columns are words."""
     table = Table(box=SIMPLE_HEAD, caption=caption, caption_justify="left", padding=(0, 1, 0, 0))
     for place, header in enumerate(headers):
-        table.add_column(header, justify="left" if place < labels else "right", overflow="fold")
+        words = place < labels
+        table.add_column(header, justify="left" if words else "right", overflow="fold", no_wrap=not words)
     for row in rows:
         table.add_row(*(value for value, _ in row.values()))
     return table
