@@ -13,7 +13,7 @@ import pytest
 import toy
 
 from wavequake.errors import UserError
-from wavequake.workflows.store import open_store
+from wavequake.workflows.store import create_store, open_store
 from wavequake.workflows.verify import verify_store
 
 SLOW = {"sleep_s": 0.03}
@@ -102,6 +102,36 @@ def test_a_torn_record_is_computed_again(tmp_path, reference):
     assert (summary.done_before, summary.computed) == (30, 10)
     found = toy.digests(tmp_path / "s")
     assert found == {chunk: reference[chunk] for chunk in found}
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of 3 MB."""
+    (tmp_path / "disk").mkdir()
+    words = ["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(tmp_path / "disk")]
+    if subprocess.run(words, capture_output=True, check=False).returncode:
+        pytest.skip("mounting a small disk needs root")
+    yield tmp_path / "disk"
+    subprocess.run(["umount", "--lazy", str(tmp_path / "disk")], check=True)
+
+
+def test_a_disk_that_is_really_full_loses_nothing(tmp_path, small_disk):
+    path, size = small_disk / "s", {"cases": 200, "chunk": 5}
+    create_store(path, toy.TOY, toy.study(), 200, 5, "numpy", {})
+    there = os.statvfs(small_disk)
+    ballast = small_disk / "ballast"
+    ballast.write_bytes(bytes(there.f_bavail * there.f_frsize - 300_000))
+    for where in ({"on": "local", "workers": 1}, {"on": "serial"}):
+        with pytest.raises(UserError, match="is full: what is done is kept"):
+            toy.run(path, **size, **where)
+    report = verify_store(path)
+    assert 5 < report.checked < 20
+    assert report.damaged == ()
+    ballast.unlink()
+    assert toy.run(path, **size).done_before == 5 * report.checked
+    toy.run(tmp_path / "whole", **size)
+    assert toy.digests(path) == toy.digests(tmp_path / "whole")
+    assert verify_store(path).ok
 
 
 def test_a_driver_with_workers_says_nothing_but_its_result(tmp_path):

@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 
 import dask
 import pytest
@@ -86,46 +87,93 @@ def free_port():
         return probe.getsockname()[1]
 
 
-@pytest.fixture
-def host(tmp_path):
-    """A cluster file for an sshd of our own on loopback."""
+def commands(*lines):
+    for line in lines:
+        subprocess.run(line.split(), check=True, capture_output=True)
+
+
+@contextmanager
+def namespace():
+    """Make a network of its own, which only a virtual cable joins to ours, and give its address and name."""
+    name = f"wq{os.getpid()}"
+    try:
+        commands(f"ip netns add {name}")
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("network namespaces need iproute2 and the capability CAP_NET_ADMIN")
+    try:
+        commands(
+            f"ip link add {name}a type veth peer name {name}b netns {name}",
+            f"ip addr add 10.231.77.1/30 dev {name}a",
+            f"ip link set {name}a up",
+            f"ip -n {name} addr add 10.231.77.2/30 dev {name}b",
+            f"ip -n {name} link set {name}b up",
+            f"ip -n {name} link set lo up",
+        )
+        yield "10.231.77.2", name
+    finally:
+        commands(f"ip netns del {name}")  # the cable goes with it
+
+
+@contextmanager
+def server(folder, address, *within):
+    """Run an sshd of our own and give a cluster file for it."""
     daemon = shutil.which("sshd", path=os.environ["PATH"] + ":/usr/sbin")
     if not daemon or os.geteuid():
         pytest.skip("sshd is not installed (apt-get install openssh-server), or this is not root")
     for name in ("host_key", "user_key"):
-        subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", tmp_path / name], check=True)
-    (tmp_path / "authorized").write_text((tmp_path / "user_key.pub").read_text())
+        subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", folder / name], check=True)
+    (folder / "authorized").write_text((folder / "user_key.pub").read_text())
     os.makedirs("/run/sshd", exist_ok=True)
     port = free_port()
-    (tmp_path / "known").write_text(f"[127.0.0.1]:{port} {(tmp_path / 'host_key.pub').read_text()}")
+    (folder / "known").write_text(f"[{address}]:{port} {(folder / 'host_key.pub').read_text()}")
     options = {
-        "ListenAddress": f"127.0.0.1:{port}",
-        "HostKey": tmp_path / "host_key",
-        "AuthorizedKeysFile": tmp_path / "authorized",
+        "ListenAddress": f"{address}:{port}",
+        "HostKey": folder / "host_key",
+        "AuthorizedKeysFile": folder / "authorized",
         "PidFile": "none",
         "StrictModes": "no",
         "UsePAM": "no",
         "PermitRootLogin": "yes",
         "SetEnv": f"PYTHONPATH={os.pathsep.join(name for name in sys.path if name)}",
     }
-    (tmp_path / "config").write_text("".join(f"{key} {value}\n" for key, value in options.items()))
-    server = subprocess.Popen(
-        [daemon, "-D", "-e", "-f", tmp_path / "config"], stderr=subprocess.PIPE, text=True
+    (folder / "config").write_text("".join(f"{key} {value}\n" for key, value in options.items()))
+    process = subprocess.Popen(
+        [*within, daemon, "-D", "-e", "-f", folder / "config"], stderr=subprocess.PIPE, text=True
     )
-    file = tmp_path / "ssh.yaml"
+    file = folder / "ssh.yaml"
     file.write_text(
-        f"hosts: [127.0.0.1]\nprocesses: 2\nport: {port}\nkey: {tmp_path}/user_key\nuser: root\n"
-        f"known_hosts: {tmp_path}/known\n"
+        f"hosts: [{address}]\nlisten: {address}\nprocesses: 2\nport: {port}\nkey: {folder}/user_key\n"
+        f"user: root\nknown_hosts: {folder}/known\n"
     )
     try:
         end = time.monotonic() + 10
-        while socket.socket().connect_ex(("127.0.0.1", port)):
+        while socket.socket().connect_ex((address, port)):
             assert time.monotonic() < end
             time.sleep(0.05)
         yield file
     finally:
-        server.kill()
-        server.wait()
+        process.kill()
+        process.wait()
+
+
+@pytest.fixture
+def host(tmp_path):
+    with server(tmp_path, "127.0.0.1") as file:
+        yield file
+
+
+def test_a_host_on_another_network_gives_the_bits_of_a_serial_run(tmp_path):
+    with (
+        namespace() as (address, name),
+        server(tmp_path, address, "ip", "netns", "exec", name) as file,
+    ):
+        file.write_text(file.read_text() + f"interface: {name}b\n")
+        with place_of("ssh", file)(None, False) as client:
+            client.wait_for_workers(2, timeout=30)
+            assert {worker.split(":")[1] for worker in client.nthreads()} == {f"//{address}"}
+        assert toy.run(tmp_path / "s", on="ssh", cluster=file).computed == 40
+    toy.run(tmp_path / "serial")
+    assert toy.digests(tmp_path / "s") == toy.digests(tmp_path / "serial")
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "tls"])

@@ -101,8 +101,7 @@ def _hold(file: IO[str], kind: int, what: str) -> None:
 def _sign(file: IO[str], path: Path, words: str) -> None:
     with store.write_errors_explained(path):
         file.truncate(0)
-        file.write(f"{words}\n")
-        file.flush()
+        os.write(file.fileno(), f"{words}\n".encode())  # nothing is left to write when the file is closed
 
 
 def others_at_work(path: Path, shard: Shard | None) -> list[str]:

@@ -3,7 +3,7 @@
 import logging
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,6 +13,11 @@ class _QuietHandler(logging.FileHandler):
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 (the name is logging's)
         """Say nothing."""
+
+    def close(self) -> None:
+        """Close the file, whatever of it did not fit on the disk."""
+        with suppress(OSError):
+            super().close()
 
 
 @contextmanager
