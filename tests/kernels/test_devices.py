@@ -94,6 +94,8 @@ def test_devices_are_told_apart_by_whole_name_and_by_platform(monkeypatch, untes
     wanted = {"EPYC": "A: EPYC", "epyc 2": "A: EPYC 2", "b": "B: EPYC 2", "B: EPYC 2": "B: EPYC 2"}
     wanted |= {"A": "A: EPYC 2", "7": "B: [GPU] 7", "A: EPYC": "A: EPYC"}
     assert {request: choose_device(request).label for request in wanted} == wanted
+    for device in list_devices():  # stores keep the name alone
+        assert choose_device(device.name) == device
 
 
 def test_broken_platforms_and_devices_are_listed_with_the_reason_and_hide_nothing(monkeypatch, untested):

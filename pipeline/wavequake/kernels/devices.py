@@ -4,7 +4,7 @@ A `Device` is a plain description that travels to worker processes; contexts and
 the process that uses them (see `wavequake.kernels.program`): an OpenCL context does not survive a fork.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -36,7 +36,7 @@ class Device:
     @property
     def label(self) -> str:
         """Platform and name, which tells devices of the same name apart."""
-        return f"{self.platform}: {self.name}"
+        return self.name if self.name.startswith(f"{self.platform}: ") else f"{self.platform}: {self.name}"
 
 
 POCL = "Portable Computing Language"
@@ -71,7 +71,13 @@ def _seen() -> tuple[tuple[tuple[Device, Any], ...], tuple[tuple[Device, str], .
                     found.append((Device(handle.name.strip(), kind, name, width), handle))
         except Exception as error:  # a broken driver must not hide the others
             broken.append((Device("-", "-", name, 1), _words(error)))
-    return tuple(sorted(found, key=lambda pair: pair[0].platform != POCL)), tuple(broken)
+    found.sort(key=lambda pair: pair[0].platform != POCL)
+    places = {(device.name, device.platform) for device, _ in found}
+    shared = [name for name, _ in places]
+    return tuple(
+        (replace(device, name=device.label) if shared.count(device.name) > 1 else device, handle)
+        for device, handle in found  # stores keep the name alone, which must be enough to find it again
+    ), tuple(broken)
 
 
 def _found() -> tuple[tuple[Device, Any], ...]:
