@@ -13,8 +13,9 @@ from wavequake.optics.kinematics import cardan
 from wavequake.optics.packing import moving
 from wavequake.optics.paraxial import paraxial
 from wavequake.optics.pupils import sunflower
-from wavequake.optics.shapes import Opening
-from wavequake.optics.system_kinematics import rest_states
+from wavequake.optics.shapes import Conic, Opening
+from wavequake.optics.system import OpticalSystem, Pupil
+from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequential
 from wavequake.optics.system_wavefront import incoming_light, measure_system, prepare_system
 
 POINTS = sunflower(0.0, 1.0, 120)
@@ -138,3 +139,30 @@ def test_the_line_of_sight_still_turns_the_light_about_the_pupil():
     states.line_of_sight[:] = [[1e-5, -2e-5]]
     found = measure_system(prepared, states, NUMPY).los[0]
     np.testing.assert_allclose(found, paraxial(system).focal_length * np.array([1e-5, -2e-5]), rtol=5e-2)
+
+
+def test_a_telecentric_stop_turns_the_light_by_its_shift_over_the_focal_length():
+    """A paraboloid of f = 100 mm, its stop in the focus: rays at an angle a meet its plane f tan a off."""
+    rows = [
+        SurfaceRow("M", Conic(-200.0, -1.0), -100.0, "reflect"),
+        SurfaceRow("stop", thickness=-200.0),
+        SurfaceRow("image"),
+    ]
+    system = OpticalSystem(
+        "telecentric",
+        sequential(rows),
+        1,
+        Pupil("object_na", 0.01),
+        object_distance=150.0,
+        telecentric=True,
+    )
+    prepared = prepared_of(system)
+    states = rest_states(system, 3)
+    states.surface_motion[1:, 1, 0] = 0.01, -0.01
+    light = incoming_light(prepared, states)
+    assert np.abs(at_stop(prepared, light, prepared.chief)).max() <= 1e-9
+    still = moving(system, rest_states(system)).poses[0, 0, :9].reshape(3, 3)
+    turn = light.poses[:, 0, :9].reshape(3, 3, 3) @ still.T
+    angle = np.arctan2(turn[:, 0, 2], turn[:, 2, 2])
+    np.testing.assert_allclose(np.abs(angle), [0.0, 1e-4, 1e-4], rtol=1e-5)
+    assert angle[1] == pytest.approx(-angle[2], rel=1e-5)
