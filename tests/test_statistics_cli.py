@@ -98,3 +98,27 @@ def test_a_tail_that_cannot_be_is_refused_in_one_sentence(swings, monkeypatch, c
     code, _, err = wavequake(monkeypatch, capsys, "tail", swings, *words)
     assert code == 2
     assert message in err
+
+
+def test_a_budget_is_not_put_into_the_store_of_another_study_nor_into_other_folders(
+    swings, tmp_path, monkeypatch, capsys
+):
+    (tmp_path / "notes.txt").write_text("mine")
+    for folder, message in ((swings, "belongs to another study"), (tmp_path, "is not a store")):
+        words = ("budget", "tmt-segments", *SMALL, "--cases", 16, "--store", folder)
+        code, _, err = wavequake(monkeypatch, capsys, *words)
+        assert code == 2
+        assert message in err
+        assert not (folder / "budget.zarr").exists()
+
+
+def test_stores_of_unlike_sampling_are_not_compared(tmp_path, monkeypatch, capsys):
+    keys = [*SMALL, "campaign.cases=8", "campaign.replicates=2"]
+    for name in ("random", "sobol"):
+        study = load_study("tmt-segments", [*keys, f"campaign.sampling={name}"])
+        run_study(study, tmp_path / name, on="serial")
+    code, _, err = wavequake(monkeypatch, capsys, "compare", tmp_path / "random", tmp_path / "sobol")
+    assert code == 2
+    assert "have other draws (sampling random there, sampling sobol, replicates 2 here)" in err.replace(
+        "replicates 2, sampling sobol", "sampling sobol, replicates 2"
+    )

@@ -125,11 +125,17 @@ def compare(one_set: xr.Dataset, other_set: xr.Dataset, first: str, second: str)
 
 def _require_alike(one: xr.Dataset, two: xr.Dataset, first: str, second: str) -> None:
     """Refuse stores whose numbers mean different things: other workflows, fields, frequencies..."""
-    ours, theirs = (
-        json.loads(data.attrs.get("study", "{}")).get("study", {}).get("workflow") for data in (one, two)
-    )
+    studies = [json.loads(data.attrs.get("study", "{}")) for data in (one, two)]
+    ours, theirs = (study.get("study", {}).get("workflow") for study in studies)
     if ours != theirs:
         raise UserError(f"{first} holds results of {ours}, {second} of {theirs}: they cannot be compared.")
+    plans = [study.get("campaign", {"sampling": "random"}) for study in studies]
+    if plans[0] != plans[1]:
+        words = [", ".join(f"{key} {value}" for key, value in plan.items()) for plan in plans]
+        raise UserError(
+            f"{first} and {second} have other draws ({words[0]} there, {words[1]} here), so their cases "
+            "cannot be paired; take the same sampling, replicates and cases."
+        )
     for name in sorted(_AXES & set(map(str, one.coords)) & set(map(str, two.coords))):
         if not np.array_equal(one[name].to_numpy(), two[name].to_numpy()):
             raise UserError(

@@ -38,7 +38,7 @@ from wavequake.workflows.schema import Study
 from wavequake.workflows.segment_disturbance import CaseDraw, trace_draws
 from wavequake.workflows.segment_study import SegmentStudy
 from wavequake.workflows.sensitivity import read_dataset, write_dataset
-from wavequake.workflows.store import BUDGET
+from wavequake.workflows.store import BUDGET, MANIFEST, read_manifest, refuse_foreign, refuse_other
 from wavequake.workflows.study import study_with
 
 if TYPE_CHECKING:
@@ -341,9 +341,14 @@ def stored_budget(
 ) -> tuple["xr.Dataset", bool]:
     """Return the budget that the folder of a store keeps, or compute and keep it; and whether it was there.
 
-    Raises as :func:`budget` and :func:`open_budget`.
+    Raises as :func:`budget` and :func:`open_budget`, and UserError where the folder is something else.
     """
-    target = Path(path) / BUDGET
+    path = Path(path)
+    target = path / BUDGET
+    refuse_foreign(path)
+    if (path / MANIFEST).exists():
+        manifest = read_manifest(path)
+        refuse_other(path, manifest, study.study.workflow, study.identity_text(), manifest.device_kind)
     if target.exists():
         found = open_budget(path)
         wanted = of or found.attrs["population"]
