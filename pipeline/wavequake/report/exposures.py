@@ -12,7 +12,7 @@ from wavequake.report import exposure_figures as draw
 from wavequake.report import exposure_tables as common
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import Excluded
-from wavequake.report.psf_figures import focus_panels
+from wavequake.report.psf_figures import focus_panels, image_row
 from wavequake.report.table import number
 from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
 
@@ -142,6 +142,9 @@ def _figures(cases: xr.Dataset, name: str) -> Iterator[Picture]:
     yield from common.image_pictures(name, f"the exposures of case {case}", exposures, axis)
     focus, waves = shown["static_focus"].to_numpy(), shown["focus"].to_numpy().tolist()
     yield picture(f"{name}-focus", "The image at rest through focus", focus_panels(focus, waves, axis))
+    if "object_image" in shown:
+        seen = image_row(shown["object_image"].to_numpy(), controllers, axis)
+        yield picture(f"{name}-object", f"The object as case {case} exposes it, incoherent light", seen)
     yield from common.history_pictures(name, time, los, "mas", wfe)
 
 

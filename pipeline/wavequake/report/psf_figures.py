@@ -55,17 +55,22 @@ def mtf_curves(images: Mapping[str, Array], sampling: float) -> Figure:
     return figure
 
 
-@rc_context(STYLE)
 def focus_panels(images: Array, defocus: Sequence[float], axis: Array, unit: str = "waves") -> Figure:
     """Show images (k, n, n) through focus side by side, each with the same scale of square roots."""
+    return image_row(images, [f"{value:+.3g} {unit}" for value in defocus], axis)
+
+
+@rc_context(STYLE)
+def image_row(images: Array, titles: Sequence[str], axis: Array) -> Figure:
+    """Show images (k, n, n) side by side, each with the same scale of square roots."""
     figure = Figure(figsize=(WIDTH, WIDTH / max(len(images), 2) + 0.9), layout="constrained")
     places = figure.subplots(1, len(images), sharey=True, squeeze=False).ravel()
     top = float(np.sqrt(images.max()))
-    for place, image, value in zip(places, images, defocus, strict=True):
+    for place, image, title in zip(places, images, titles, strict=True):
         place.imshow(
             np.sqrt(np.maximum(image, 0.0)), vmin=0.0, vmax=top, origin="lower", extent=_extent(axis)
         )
-        place.set_title(f"{value:+.3g} {unit}", fontsize=8)
+        place.set_title(title, fontsize=8)
         place.tick_params(labelsize=7)
     figure.supxlabel("x (λ/D)", fontsize=8)
     return figure

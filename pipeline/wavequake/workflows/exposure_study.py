@@ -2,6 +2,7 @@
 
 from pydantic import Field, model_validator
 
+from wavequake.workflows.exposed_object import ObjectSection
 from wavequake.workflows.mirror_study import MirrorStudy
 from wavequake.workflows.schema import Section
 from wavequake.workflows.segment_study import SegmentStudy
@@ -29,6 +30,7 @@ class TelescopeExposureStudy(SegmentStudy):
     """A validated study file of ``telescope-exposure``."""
 
     exposure: ExposureSection = ExposureSection()
+    object: ObjectSection | None = None
 
     @model_validator(mode="after")
     def _the_correction_is_measured(self) -> "TelescopeExposureStudy":
@@ -39,6 +41,8 @@ class TelescopeExposureStudy(SegmentStudy):
                 f"exposure.figure_terms {self.figure_terms} is more than wavefront.zernike_terms "
                 f"{self.wavefront.zernike_terms}, which cannot tell such deformations apart"
             )
+        if self.object is not None:
+            self.object.chosen()
         if self.store.keep:
             raise ValueError("store.keep belongs to segment-disturbance; leave it out")
         return self

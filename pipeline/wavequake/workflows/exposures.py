@@ -14,6 +14,7 @@ from wavequake.imaging.exposure_models import (
     los_exposure,
 )
 from wavequake.workflows.contract import Variable
+from wavequake.workflows.exposed_object import ObjectSection, object_image, object_variable
 
 Array = NDArray[np.float64]
 
@@ -33,11 +34,12 @@ def exposed(
     sampling: float,
     area: float,
     diameter: float,
+    shown: ObjectSection | None = None,
 ) -> dict[str, Array]:
     """Expose local images (instants, n, n) in full and by the shortcuts; returns `exposure_variables`.
 
     ``static`` (n, n) is the local image at rest and ``los`` (instants, 2) the line of sight in lambda/D; area
-    and diameter of the pupil set the scale of encircled energies.
+    and diameter of the pupil set the scale of encircled energies. ``shown`` is an object to image, too.
     """
     full = cut(full_exposure(images, los, sampling), pixels)
     shortcuts = [cut(model(static, los, sampling), pixels) for model in (los_exposure, gaussian_exposure)]
@@ -45,6 +47,7 @@ def exposed(
     ee50, ee80 = (encircled_energy_radius(full, share, sampling, area, diameter) for share in (0.5, 0.8))
     return {
         "exposure": full,
+        **({"object_image": object_image(shown, full, sampling, area, diameter)} if shown else {}),
         **{f"exposure_{name}": image for name, image in zip(SHORTCUTS, shortcuts, strict=True)},
         "peak": np.asarray(full.max()),
         "ee50": ee50,
@@ -56,7 +59,9 @@ def exposed(
     }
 
 
-def exposure_variables(dim: str, count: int, pixels: int) -> dict[str, Variable]:
+def exposure_variables(
+    dim: str, count: int, pixels: int, shown: ObjectSection | None = None
+) -> dict[str, Variable]:
     """Describe what `exposed` returns for each of `count` entries of the dimension `dim`."""
 
     def variable(dims: tuple[str, ...], shape: tuple[int, ...], units: str, long_name: str) -> Variable:
@@ -66,6 +71,7 @@ def exposure_variables(dim: str, count: int, pixels: int) -> dict[str, Variable]
     radius = "radius of {} % encircled energy of the exposure; inf beyond the frame"
     off = "shortcut's minus the full exposure's radius of {} % encircled energy; NaN beyond the frame"
     return {
+        **(object_variable(dim, count, pixels) if shown else {}),
         "exposure": variable(
             *frame, "1", "mean of every instant's own image at its line of sight; 1 = peak of the perfect one"
         ),

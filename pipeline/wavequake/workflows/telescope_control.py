@@ -94,6 +94,7 @@ def segment_text(study_text: str) -> str:
     """Return the identity text of the segment-disturbance study that an exposure study contains."""
     record = json.loads(study_text)
     record.pop("exposure")
+    record.pop("object")
     return json.dumps(record, sort_keys=True, separators=(",", ":"))
 
 

@@ -23,6 +23,7 @@ from wavequake.optics.wavefront import Wavefront
 from wavequake.workflows import segment_disturbance
 from wavequake.workflows.bench import MAS_PER_RAD
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.workflows.exposed_object import object_image
 from wavequake.workflows.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.exposures import FOCUS, exposed, exposure_variables, frame_coordinates
 from wavequake.workflows.schema import study_from_identity
@@ -97,7 +98,7 @@ def exposed_case(control: ControlBench, drawn: CaseDraw, device: Device) -> dict
         los = history.pop("position")
         history = {name: np.repeat(values, instants // len(los), axis=0) for name, values in history.items()}
         images, fitted = (_images(control, case, device, controller, of) for of in ("rays", "terms"))
-        history |= exposed(images, control.static_image, los, *grid)
+        history |= exposed(images, control.static_image, los, *grid, control.study.object)
         history["exposure_fitted"] = cut(full_exposure(fitted, los, imaging.sampling), imaging.pixels)
         for name, values in history.items():
             found.setdefault(name, []).append(values)
@@ -179,7 +180,7 @@ def template(study_text: str) -> Template:
     def history(units: str, long_name: str) -> Variable:
         return variable(("controller", "time"), (count, instants), units, long_name)
 
-    stored = exposure_variables("controller", count, pixels)
+    stored = exposure_variables("controller", count, pixels, study.object)
     time = {"units": "s", "long_name": "time of the instant; NaN beyond the population's instants"}
     per_case = {
         "time_s": Variable(("time",), (instants,), time, coordinate=True),
@@ -242,7 +243,11 @@ def describe(study_text: str) -> dict[str, str]:
 
 
 def check(study_text: str) -> None:
-    """Raise UserError if the telescope cannot be controlled, or a disturbance does not fit it."""
+    """Raise UserError if the telescope cannot be controlled, or disturbance or object do not fit."""
+    study = study_from_identity(TelescopeExposureStudy, study_text)
+    if study.object:
+        dark = np.zeros((study.imaging.pixels, study.imaging.pixels))
+        object_image(study.object, dark, study.imaging.sampling, 1.0, 1.0)
     control_bench_of(study_text)
 
 
