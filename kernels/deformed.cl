@@ -43,7 +43,7 @@ INLINE real JOIN(meet_, NUMBER)(numbers t, ray *r, real bare, height there, doub
     mask met = larger(larger(lateral, square - reach), beyond) + poison(way) <= 0.0;
     real loss = LOSS(DIVERGED, NUMBER);
 
-    if (any_lane(NOT(met))) {
+    if (UNLIKELY(any_lane(NOT(met)))) {
         // Strong deformations need the sag itself: F has a second sheet that attracts the iteration.
         mask missed = NOT(beyond + poison(bare) < 0.0);
         loss = EITHER(missed, (real)LOSS(MISS, NUMBER), loss);

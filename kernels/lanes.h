@@ -47,6 +47,11 @@ typedef JOIN(char, W) loose_status __attribute__((aligned(1)));
 #define __has_builtin(name) 0
 #endif
 
+#if __has_builtin(__builtin_expect)
+#define UNLIKELY(condition) __builtin_expect(condition, 0)
+#else
+#define UNLIKELY(condition) (condition)
+#endif
 #define EITHER(condition, yes, no) ((condition) ? (yes) : (no))
 #define NOT(condition) ((condition) == 0)
 
