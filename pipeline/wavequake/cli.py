@@ -148,7 +148,7 @@ def run(
     if summary.computed:
         rate = summary.computed / max(summary.seconds, 1e-9)
         out.print(
-            f"{summary.computed} cases computed in {summary.seconds:.1f} s ({rate:.0f} cases/s); "
+            f"{summary.computed} cases computed in {summary.seconds:.1f} s ({rate:.1f} cases/s); "
             f"{summary.done_before} were done before."
         )
     else:

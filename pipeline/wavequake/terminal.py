@@ -83,6 +83,11 @@ class _Rate:
         return (done - self._start[1]) / elapsed if elapsed > 0 else 0.0
 
 
+def rate_words(rate: float) -> str:
+    """Return a rate in words: whole numbers from 10 on, two digits below."""
+    return f"{rate:.0f}" if rate >= 10 else f"{rate:.2g}"
+
+
 def _plain_progress(every_s: float = 5.0) -> Callable[[int, int, int], None]:
     rate, last = _Rate(), [0.0]
 
@@ -92,6 +97,6 @@ def _plain_progress(every_s: float = 5.0) -> Callable[[int, int, int], None]:
             return
         last[0] = now
         left = f"{(total - done) / speed:.0f} s left" if speed > 0 else "starting"
-        out.print(f"{done}/{total} cases  {speed:.0f}/s  {left}  {quarantined} quarantined")
+        out.print(f"{done}/{total} cases  {rate_words(speed)}/s  {left}  {quarantined} quarantined")
 
     return update
