@@ -194,3 +194,18 @@ def test_too_many_numbers_are_refused():
 def test_other_workflows_have_no_sampling():
     with pytest.raises(UserError, match="belongs to the workflows segment-disturbance and system-disturb"):
         load_study("tmt-exposure", {"campaign.sampling": "sobol"})
+
+
+def test_a_campaign_of_sobol_points_stops_by_the_scatter_between_its_sets(tmp_path):
+    keys = {**SMALL, "campaign.sampling": "sobol", "campaign.cases": 2000, "disturbance.wind.share": 0}
+    keys |= {"disturbance.edge-sensors.share": 0, "disturbance.wind-shake.share": 0}
+    keys |= {"campaign.until": "segment_piston_rms.p50 ci<=5%", "disturbance.alignment.instants": 1}
+    found = run_study(load_study("tmt-segments", keys), tmp_path / "s", on="serial")
+    assert "is met after" in found.goal[0]
+    assert open_store(tmp_path / "s").sizes["case"] < 1000
+
+
+@pytest.mark.parametrize("cases", [1, 4])
+def test_few_cases_are_no_trouble(tmp_path, cases):
+    keys = {**SMALL, "campaign.sampling": "sobol", "campaign.cases": cases}
+    assert run_study(load_study("tmt-segments", keys), tmp_path / "s", on="serial").quarantined == 0
