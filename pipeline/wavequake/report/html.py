@@ -60,7 +60,8 @@ _DEFINITIONS = (
         "confidence interval",
         "",
         "From order statistics and the binomial distribution, so at least 95 % for any distribution. Cases "
-        "are the independent draws: where instants are pooled, all instants of a case count as one.",
+        "are the independent draws: where instants are pooled, all instants of a case count as one. "
+        "Where cases are stratified (coordinate replicate), from the scatter between their sets instead.",
     ),
     (
         "median and worst case",

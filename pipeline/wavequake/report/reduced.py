@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 _SMALL_PRINT = (
     "WFE, LOS: rms of a case over its instants, of the LOS the distance from rest; P50, P95 and P99.9 over "
-    "cases, with their distribution-free 95 % confidence interval (≤, ≥: too few cases for both bounds). "
+    "cases, with their 95 % confidence interval (≤, ≥: too few cases for both bounds). "
     "Segments: rms along their normals, in brackets what the model of the disturbance implies. Maréchal: "
     "share of instants with an rms of at most λ/14, piston and tilt removed."
 )

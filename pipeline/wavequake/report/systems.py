@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 _SMALL_PRINT = (
     "At the primary wavelength. WFE, its change from rest and spot: rms of a case over its instants; P50 "
-    "and P95 over cases, in small print its distribution-free 95 % interval. LOS: rms of both axes "
+    "and P95 over cases, in small print its 95 % interval. LOS: rms of both axes "
     "about the mean of all cases and instants, ± standard error. Strehl: over all instants. Maréchal: share "
     "of instants with an rms of at most λ/14 about the best-fit plane. Vignetted: the largest number of rays "
     "at any instant that openings stop, of all that are traced."

@@ -15,7 +15,7 @@ MISSING = "–"
 BEYOND = "> field"
 
 _CAPTION = (
-    "WFE: rms of a case over its instants; P50 and P95 over cases, in brackets the distribution-free 95 % "
+    "WFE: rms of a case over its instants; P50 and P95 over cases, in brackets the 95 % "
     "confidence interval (≤, ≥: too few cases for both bounds). LOS: rms of both axes about the mean of all "
     "cases and instants, ± standard error; segments: rms along their normals; in brackets what the model "
     "implies. Strehl: over all instants. "
