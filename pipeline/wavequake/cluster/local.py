@@ -37,6 +37,7 @@ UNSET = ("POCL_AFFINITY",)
 # its death is blamed on no other.
 SETTINGS: dict[str, Any] = {
     "distributed.scheduler.worker-saturation": 1.0,
+    "distributed.scheduler.work-stealing": False,  # nothing waits at a worker
     "distributed.scheduler.allowed-failures": 1,
     "distributed.admin.tick.interval": "500ms",
     "distributed.admin.tick.limit": "30s",
