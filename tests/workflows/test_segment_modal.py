@@ -297,6 +297,7 @@ def test_a_plan_does_not_take_the_first_cases_for_the_others(study, monkeypatch)
         campaign.WORKFLOWS, "segment-disturbance", replace(workflow.WORKFLOW, compute=compute)
     )
     monkeypatch.setattr(campaign, "_PILOT_S", 1e9)
+    monkeypatch.setattr(campaign, "_WHOLE_S", 0.0)
     campaign.plan(chosen)
     assert [len(cases) for cases in asked] == [8, 8, 64, 512, 1000]
     assert all(cases[-1] == 99_999 for cases in asked)
