@@ -135,3 +135,16 @@ def test_the_command_writes_once(tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit) as end:
         cli.main()
     assert end.value.code == 2
+
+
+def test_controllers_have_columns_by_name(tmp_path):
+    values = np.arange(6.0).reshape(2, 3)
+    dataset = xr.Dataset(
+        {"peak_to_peak": (("case", "controller"), values, {"units": "%"})},
+        {"case": [0, 1], "controller": ["FF", "FI", "FF+FI"], "springs": ("case", ["initial", "changed"])},
+    )
+    with export(dataset, tmp_path / "lens.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["springs"] for row in rows] == ["initial", "changed"]
+    for index, name in enumerate(("FF", "FI", "FF+FI")):
+        assert [float(row[f"peak_to_peak_{name} (%)"]) for row in rows] == values[:, index].tolist()

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 
-_LABELS = ("case", "seed", "disturbance", "realization", "replicate", "status", "message")
-# Dimensions of which each entry has a column of its own.
-_SPREAD = ("excitation", "field", "wavelength", "axis", "statistic")
+_LABELS = ("case", "seed", "disturbance", "springs", "realization", "replicate", "status", "message")
+# Dimensions of which each entry has a column of its own: by its name, or by its number from 1.
+_NAMED = ("controller", "firmware", "signal", "statistic")
+_SPREAD = ("excitation", "field", "wavelength", "axis", "mode", *_NAMED)
 _ROWS = 5000
 _NETCDF3_BYTES = 2**31 - 2**20
 
@@ -27,8 +28,8 @@ def export(dataset: xr.Dataset, path: str | Path, overwrite: bool = False) -> Pa
     such as seeds, become decimal text. FITS, which needs Astropy, has a table ``CASES`` of the labels and
     scalars of each case, and an image extension per array, whose last axis is the case. CSV holds the labels
     of each case, its scalars, and the mean and rms (about zero) over its instants or the statistics that a
-    summary holds, at each field, wavelength and excitation (``_field1_wavelength2``, from 1); a number that
-    is missing is an empty cell.
+    summary holds, at each field, wavelength and excitation (``_field1_wavelength2``, from 1) and of each
+    controller (``_FF``); a number that is missing is an empty cell.
 
     Raises
     ------
@@ -149,7 +150,7 @@ def _columns(dataset: xr.Dataset) -> dict[str, list[Any]]:
 
 def _suffix(dataset: xr.Dataset, dim: str, index: int) -> str:
     """Return what names one of several columns: ``_x``, ``_y``, ``_rms``, or a dimension and a number."""
-    if dim == "statistic":
+    if dim in _NAMED:
         return f"_{dataset[dim].to_numpy()[index]}"
     return f"_{'xy'[index]}" if dim == "axis" else f"_{dim}{index + 1}"
 
@@ -174,7 +175,7 @@ def _over_instants(
 
 def _cells(values: NDArray[np.float64]) -> list[str]:
     """Return numbers as the shortest text that reads back the same."""
-    return ["" if np.isnan(value) else repr(value) for value in values.tolist()]
+    return ["" if value != value else repr(value) for value in values.tolist()]
 
 
 _WRITERS = {".nc": _write_netcdf, ".fits": _write_fits, ".csv": _write_csv}
