@@ -7,12 +7,13 @@ import pytest
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
+from wavequake.optics.fits import fit_instants
 from wavequake.optics.media import constant
 from wavequake.optics.parent import parent_system
 from wavequake.optics.shapes import Conic, Opening, ZernikeDeformation
 from wavequake.optics.system import OpticalSystem, Pupil, Surface
 from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import measure_system, prepare_system, trace_system, zernike_fit
+from wavequake.optics.system_wavefront import measure_system, prepare_system, trace_system
 from wavequake.optics.telescopes import telescope
 
 DATA = json.loads((Path(__file__).parents[1] / "data" / "tmt_optics.json").read_text())
@@ -155,8 +156,8 @@ def test_an_instant_does_not_depend_on_its_batch():
     states = rest_states(system, 37)
     states.deformations[0][:] = 1e-5 * np.random.default_rng(3).normal(size=(37, 10))
     opd, *_ = trace_system(prepared, states, NUMPY)
-    together = zernike_fit(prepared.fit, opd)
-    alone = np.concatenate([zernike_fit(prepared.fit, row[None]) for row in opd])
+    together = fit_instants(prepared.fit, opd)
+    alone = np.concatenate([fit_instants(prepared.fit, row[None]) for row in opd])
     assert np.array_equal(together, alone)
 
 

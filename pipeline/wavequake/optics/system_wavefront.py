@@ -14,7 +14,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY, Device
 from wavequake.kernels.sequence import OK, VIGNETTED, Moving, Rays, Sequence, TracedRays
 from wavequake.kernels.sequential import trace_sequence
-from wavequake.optics.fits import Fit, refit, weighted_fit
+from wavequake.optics.fits import Fit, fit_instants, weighted_fit
 from wavequake.optics.packing import moving, pack
 from wavequake.optics.paraxial import paraxial
 from wavequake.optics.quality import peak_to_valley, spot
@@ -26,8 +26,6 @@ from wavequake.optics.zernike import annular_zernike
 
 Array = NDArray[np.float64]
 
-# Instants per matrix product: a constant shape, so that the bits of an instant do not depend on its batch.
-_TILE = 16
 # Radius of the reference sphere where the exit pupil is at infinity, mm.
 _TELECENTRIC_RADIUS = 1e5
 _PARALLEL = 1e-9  # smallest numerical aperture of an image; rounding of the rays would be 1e-7 of it
@@ -236,7 +234,7 @@ def measure_system(prepared: PreparedSystem, states: SystemStates, device: Devic
 def analyse_system(prepared: PreparedSystem, opd: Array, traced: TracedRays, chief: Array) -> SystemWavefront:
     """Reduce what `trace_system` returns to the numbers of its wavefronts."""
     ok = np.isfinite(opd)
-    zernike = zernike_fit(prepared.fit, opd)
+    zernike = fit_instants(prepared.fit, opd)
     weight = prepared.fit.weight
     kept = np.sum(np.where(ok, weight, 0.0), axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -266,20 +264,6 @@ def _rms_without_piston(values: Array, ok: NDArray[np.bool_], weight: Array, kep
     mean = np.sum(np.where(ok, values * weight, 0.0), axis=1) / kept
     square = np.sum(np.where(ok, (values - mean[:, None]) ** 2 * weight, 0.0), axis=1) / kept
     return np.asarray(np.sqrt(square))
-
-
-def zernike_fit(fit: Fit, opd: Array) -> Array:
-    """Return Zernike coefficients (T, J) of OPDs (T, N); lost rays (NaN) are left out of an instant's fit."""
-    instants, rays = opd.shape
-    ok = np.isfinite(opd)
-    padded = np.zeros((-(-instants // _TILE) * _TILE, rays))
-    padded[:instants] = np.where(ok, opd, 0.0)
-    tiles = padded.reshape(-1, _TILE, rays).transpose(0, 2, 1)
-    fitted = np.matmul(fit.matrix, tiles).transpose(0, 2, 1)
-    coefficients: Array = fitted.reshape(len(padded), -1)[:instants]
-    for instant in np.flatnonzero(~ok.all(axis=1)):
-        coefficients[instant] = refit(fit, ok[instant], padded[instant])
-    return coefficients
 
 
 def line_of_sight(prepared: PreparedSystem, chief: Array, zernike: Array) -> Array:

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from wavequake.kernels.devices import Device
 from wavequake.mechanics.model import ReducedModel
 from wavequake.mechanics.response import Response, displacements
+from wavequake.optics.fits import fit_instants
 from wavequake.optics.shapes import GridDeformation
 from wavequake.optics.surface_fit import coefficients, heights, residual, residual_grid
 from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import line_of_sight, trace_system, zernike_fit
+from wavequake.optics.system_wavefront import line_of_sight, trace_system
 from wavequake.workflows.mirror_optics import NM_PER_MM, Optics, displacements_mm, with_deformation
 
 Array = NDArray[np.float64]
@@ -111,7 +112,7 @@ def residual_of(optics: Optics, left: Left, device: Device) -> Residual:
     opd, _, chief = trace_system(prepared, states, device)
     per_unit = (largest / (2.0 * _STEP))[:, None]
     opd, chief = ((values[: len(grids)] - values[len(grids) :]) * per_unit for values in (opd, chief))
-    zernike = zernike_fit(prepared.fit, opd)
+    zernike = fit_instants(prepared.fit, opd)
     to_nm = prepared.wavelength * NM_PER_MM
     root = np.sqrt(prepared.fit.weight / prepared.fit.weight.sum())
     rough, whole = (

@@ -21,9 +21,10 @@ from wavequake.kernels.devices import Device, choose_device
 from wavequake.mechanics.excitations import drive_of
 from wavequake.mechanics.modal import modal_model
 from wavequake.mechanics.response import Response, displacements, respond
+from wavequake.optics.fits import fit_instants
 from wavequake.optics.surface_fit import apply, coefficients, heights, relative_residual
 from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import line_of_sight, trace_system, zernike_fit
+from wavequake.optics.system_wavefront import line_of_sight, trace_system
 from wavequake.reduction.metrics import pseudo_frequencies
 from wavequake.reduction.names import parse
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
@@ -260,7 +261,7 @@ def trace_figures(
         states = replace(rest, deformations=(figures, *rest.deformations[1:]))
         opd, _, chief = trace_system(prepared, states, device)
     with clock("wavefront fit"):
-        zernike = zernike_fit(prepared.fit, opd)
+        zernike = fit_instants(prepared.fit, opd)
         to_nm = prepared.wavelength * NM_PER_MM
         aberrations = np.hstack([line_of_sight(prepared, chief, zernike), to_nm * zernike])
     flat = opd - zernike[:, :3] @ prepared.fit.basis[:, :3].T
