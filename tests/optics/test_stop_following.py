@@ -13,7 +13,8 @@ from wavequake.optics.kinematics import cardan
 from wavequake.optics.packing import moving
 from wavequake.optics.paraxial import paraxial
 from wavequake.optics.pupils import sunflower
-from wavequake.optics.shapes import Conic, Opening
+from wavequake.optics.shapes import Conic, Opening, ZernikeDeformation
+from wavequake.optics.stop_following import follow_stop, stays
 from wavequake.optics.system import OpticalSystem, Pupil
 from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequential
 from wavequake.optics.system_wavefront import incoming_light, measure_system, prepare_system
@@ -103,6 +104,52 @@ def test_at_rest_the_light_is_left_alone(name):
     np.testing.assert_array_equal(
         incoming_light(prepared_of(system), states).poses, moving(system, states).poses
     )
+
+
+@pytest.mark.parametrize("name", LENSES)
+@pytest.mark.parametrize("disturbed", ["nothing", "after", "before", "stop", "light"])
+def test_the_trace_to_the_stop_is_left_out_only_where_nothing_up_to_it_moves(name, disturbed):
+    system = optical_system(name)
+    prepared = prepared_of(system)
+    states = rest_states(system, 2)
+    place = {"after": -1, "before": max(system.stop - 1, 0), "stop": system.stop}.get(disturbed)
+    if place is not None:
+        states.surface_motion[1, place, 0] = 1e-3
+    if disturbed == "light":
+        states.line_of_sight[1, 0] = 1e-5
+    stay = disturbed in ("nothing", "after")
+    assert stays(system, prepared.chief, states) == stay
+    light = moving(system, states)
+    followed = follow_stop(system, prepared.sequence, prepared.chief, prepared.steering, light)
+    if stay:
+        np.testing.assert_array_equal(followed.poses, light.poses)
+    np.testing.assert_array_equal(incoming_light(prepared, states).poses, followed.poses)
+
+
+@pytest.mark.parametrize("at", ["before the stop", "oblique to the stop", "upright on the stop"])
+def test_a_surface_that_deforms_before_the_stop_moves_the_light_to_it(at):
+    """A mirror that tilts by deformation sends the beam beside a stop after it; at the stop itself it cannot.
+
+    Only a chief ray that comes obliquely meets a raised center of the stop elsewhere.
+    """
+    form = ZernikeDeformation(4, 100.0, 0.0)
+    rows = [
+        SurfaceRow("mirror", Conic(-2000.0, -1.0), -300.0, "reflect", deformation=form),
+        SurfaceRow("stop", thickness=-700.0),
+        SurfaceRow("image"),
+    ]
+    stop, field = (1 if at.startswith("before") else 0), (0.01 if at.startswith("oblique") else 0.0)
+    pupil = Pupil("entrance_diameter", 150.0)
+    system = OpticalSystem("bent", sequential(rows), stop, pupil, fields=np.array([[field, 0.0]]))
+    prepared = prepared_of(system)
+    states = rest_states(system, 2)
+    states.deformations[0][1, :2] = 1e-2, 1e-3
+    upright = at.startswith("upright")
+    assert stays(system, prepared.chief, states) == upright
+    light = moving(system, states)
+    followed = follow_stop(system, prepared.sequence, prepared.chief, prepared.steering, light)
+    assert (followed.poses == light.poses).all() == upright
+    np.testing.assert_array_equal(incoming_light(prepared, states).poses, followed.poses)
 
 
 def test_an_instant_does_not_depend_on_its_batch():

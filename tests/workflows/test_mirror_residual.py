@@ -1,5 +1,7 @@
 """What the polynomials miss of a vibrating mirror is traced as a grid, by both methods."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_mirrors import TRACE
@@ -7,15 +9,22 @@ from small_mirrors import TRACE
 from wavequake.kernels.devices import NUMPY, choose_device
 from wavequake.mechanics.excitations import drive_of
 from wavequake.mechanics.modal import modal_model
-from wavequake.mechanics.response import respond
-from wavequake.optics.surface_fit import apply
+from wavequake.mechanics.response import displacements, respond
+from wavequake.optics.surface_fit import apply, residual_grid
 from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import trace_system
+from wavequake.optics.system_wavefront import trace_light, trace_system
 from wavequake.workflows import model_store
 from wavequake.workflows.campaign import run_study
 from wavequake.workflows.mirror_bench import bench_of, time_of, variant_of
 from wavequake.workflows.mirror_optics import displacements_mm, with_deformation
-from wavequake.workflows.mirror_residual import coordinates_of, grid_of, left_by, residual_of, rms_of
+from wavequake.workflows.mirror_residual import (
+    coordinates_of,
+    deformed_light,
+    grid_of,
+    left_by,
+    residual_of,
+    rms_of,
+)
 from wavequake.workflows.mirror_trace import STAGES, Clock, compute, modal_method, standard_method
 from wavequake.workflows.store import open_store
 from wavequake.workflows.study import load_study
@@ -44,12 +53,42 @@ def _response(study, bench, excitation=1):
 
 def _wavefront(optics, figure, grid=None):
     """Return the OPD (N,) of one figure in mm, with the grid of heights if there is one, less its plane."""
-    prepared = optics.prepared if grid is None else with_deformation(optics, grid_of(optics))
-    states = rest_states(prepared.system, 1)
-    states.deformations[0][:] = figure if grid is None else np.concatenate([figure, grid])
-    opd = trace_system(prepared, states, choose_device("auto"))[0][0] * prepared.wavelength
+    opd, prepared = _traced(optics, figure[None], grid if grid is None else grid[None])
+    opd = opd[0] * prepared.wavelength
     plane = np.column_stack([np.ones(len(opd)), prepared.pupil])
     return opd - plane @ np.linalg.lstsq(plane, opd)[0]
+
+
+def _traced(optics, figures, grids):
+    """Return OPDs (T, N) of figures, with grids of heights if there are any, given as states of a system."""
+    prepared = optics.prepared if grids is None else with_deformation(optics, grid_of(optics))
+    rest = rest_states(prepared.system, len(figures))
+    given = figures if grids is None else np.hstack([figures, grids.reshape(len(grids), -1)])
+    return trace_system(prepared, replace(rest, deformations=(given, None)), choose_device("auto"))[
+        0
+    ], prepared
+
+
+def _heights(optics, left):
+    """Return the grids of heights per unit coordinate."""
+    return residual_grid(optics.surface, left.heights, grid_of(optics))
+
+
+def test_sums_of_splines_trace_as_the_splines_of_summed_heights():
+    """Interpolating the heights of every instant anew shares no spline with them."""
+    study, bench = _bench(11)
+    optics, device = bench.optics, choose_device("auto")
+    variant, response = _response(study, bench)
+    left, coordinates = left_by(optics, variant), coordinates_of(response)
+    residual = residual_of(optics, left, device)
+    heights = np.tensordot(coordinates, _heights(optics, left), 1)
+    figures = apply(optics.surface, displacements_mm(displacements(response, variant.surface)[0]), False)
+    truth, prepared = _traced(optics, figures, heights)
+    light = deformed_light(optics, figures, residual.at(coordinates))
+    opd, _, _ = trace_light(prepared, light, device)
+    without, _ = _traced(optics, figures, None)
+    assert np.abs(opd - without).max() > 1.0  # wave, so the grids matter
+    np.testing.assert_allclose(opd, truth, rtol=0, atol=1e-8)
 
 
 def _arrays(keys):
@@ -69,7 +108,7 @@ def test_few_terms_with_the_grid_come_near_many_terms():
         shape = displacements_mm((variant.surface @ unit)[None])
         amplitude = 1e-4 / np.abs(shape).max()
         figure = apply(optics.surface, shape * amplitude)[0]
-        grid = amplitude * unit @ residual_of(optics, left_by(optics, variant), NUMPY).grids
+        grid = amplitude * unit @ _heights(optics, left_by(optics, variant)).reshape(variant.order, -1)
         lost[terms], found[terms] = _wavefront(optics, figure), _wavefront(optics, figure, grid)
     truth = found[66]
     assert np.std(truth) > 1e-5

@@ -16,7 +16,7 @@ from wavequake.kernels.sequence import Moving, Rays, Sequence
 from wavequake.kernels.sequential_numpy import trace_sequence_numpy
 from wavequake.optics.kinematics import cardan
 from wavequake.optics.packing import moving
-from wavequake.optics.system import OpticalSystem
+from wavequake.optics.system import OpticalSystem, SystemStates
 from wavequake.optics.system_kinematics import rest_states
 
 Array = NDArray[np.float64]
@@ -41,6 +41,19 @@ def steering(system: OpticalSystem, sequence: Sequence, chief: Rays) -> Array:
     if not (np.isfinite(slopes).all() and np.linalg.det(slopes) != 0.0):
         return np.full((2, 2), np.nan)
     return np.asarray(np.linalg.inv(slopes), dtype=np.float64)
+
+
+def stays(system: OpticalSystem, chief: Rays, states: SystemStates) -> bool:
+    """Tell whether the chief ray surely meets the stop's center at all instants, without a trace.
+
+    It does where nothing up to the stop moves as a rigid body and nothing before the stop deforms. A stop
+    that deforms itself, such as a mirror, moves the point only of a ray that is not upright to it.
+    """
+    if states.surface_motion[:, : system.stop + 1].any() or states.line_of_sight.any():
+        return False
+    upright = not (system.surfaces[system.stop].rotation.T @ chief.direction[:, 0])[:2].any()
+    given = states.deformations[: system.stop + (not (upright and system.stop == 0))]
+    return not any(numbers is not None and numbers.any() for numbers in given)
 
 
 def follow_stop(

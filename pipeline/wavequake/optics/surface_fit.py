@@ -138,18 +138,18 @@ def heights(fit: SurfaceFit, displacements: Array, linear: bool = True) -> Array
         If the displacements do not fit the nodes or are not finite, or a node moves beyond the shape.
     """
     _require_displacements(fit, displacements)
-    if linear:
-        result = np.empty(displacements.shape[:2])
-        for start in range(0, len(displacements), BLOCK):  # a block stays in the cache
-            u_x, u_y, u_z = np.moveaxis(displacements[start : start + BLOCK], 2, 0)
-            result[start : start + BLOCK] = u_z - fit.slopes[:, 0] * u_x - fit.slopes[:, 1] * u_y
-        return result
-    across, along = displacements[..., :2], displacements[..., 2]
-    moved = fit.nodes[:, :2] + across
-    above = along - (shape_sag(fit.shape, moved[..., 0], moved[..., 1])[0] - fit.nodes[:, 2])
-    if not np.isfinite(above).all():
+    result = np.empty(displacements.shape[:2])
+    for start in range(0, len(displacements), BLOCK):  # a block stays in the cache
+        u_x, u_y, u_z = np.moveaxis(displacements[start : start + BLOCK], 2, 0)
+        if linear:
+            above = u_z - fit.slopes[:, 0] * u_x - fit.slopes[:, 1] * u_y
+        else:
+            x, y, z = fit.nodes.T
+            above = u_z - (shape_sag(fit.shape, x + u_x, y + u_y)[0] - z)
+        result[start : start + BLOCK] = above
+    if not np.isfinite(result).all():
         raise UserError("a displaced optical node lies where the undeformed surface does not reach")
-    return np.asarray(above)
+    return result
 
 
 def coefficients(fit: SurfaceFit, above: Array) -> Array:

@@ -19,7 +19,7 @@ from wavequake.optics.packing import moving, pack
 from wavequake.optics.paraxial import paraxial
 from wavequake.optics.quality import peak_to_valley, spot
 from wavequake.optics.ray_aiming import pupil_rays
-from wavequake.optics.stop_following import follow_stop, steering
+from wavequake.optics.stop_following import follow_stop, stays, steering
 from wavequake.optics.system import OpticalSystem, SystemStates, wavelength_of
 from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.zernike import annular_zernike
@@ -186,6 +186,8 @@ def _arrive(system: OpticalSystem, sequence: Sequence, rays: Rays) -> Array:
 def incoming_light(prepared: PreparedSystem, states: SystemStates) -> Moving:
     """Return what moves, with light that fills the stop where it stands at each instant."""
     light = moving(prepared.system, states)
+    if stays(prepared.system, prepared.chief, states):
+        return light
     return follow_stop(prepared.system, prepared.sequence, prepared.chief, prepared.steering, light)
 
 
@@ -199,7 +201,12 @@ def chief_points(prepared: PreparedSystem, light: Moving) -> tuple[Array, Array]
 def trace_system(
     prepared: PreparedSystem, states: SystemStates, device: Device
 ) -> tuple[Array, TracedRays, Array]:
-    """Trace all rays at all instants.
+    """Trace all rays at all instants; returns as `trace_light`."""
+    return trace_light(prepared, incoming_light(prepared, states), device)
+
+
+def trace_light(prepared: PreparedSystem, light: Moving, device: Device) -> tuple[Array, TracedRays, Array]:
+    """Trace all rays at all instants of what moves.
 
     Returns
     -------
@@ -209,7 +216,6 @@ def trace_system(
     chief : ndarray, shape (T, 2)
         Image point of the chief ray, mm.
     """
-    light = incoming_light(prepared, states)
     chief, path = chief_points(prepared, light)
     radius = np.full((len(chief), 1), prepared.sphere_radius)
     # Without a chief ray there is no sphere: the instant's rays are lost, and say so.

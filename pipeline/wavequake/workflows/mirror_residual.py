@@ -4,19 +4,21 @@ It is linear in the coordinates of a reduced model: the grids of unit coordinate
 light, are made once per model and multiplied with the coordinates over time.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.kernels.devices import Device
+from wavequake.kernels.sequence import Moving
 from wavequake.mechanics.model import ReducedModel
 from wavequake.mechanics.response import Response, displacements
 from wavequake.optics.fits import fit_instants
 from wavequake.optics.shapes import GridDeformation
+from wavequake.optics.surface_basis import spline_coefficients
 from wavequake.optics.surface_fit import coefficients, heights, residual, residual_grid
 from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import line_of_sight, trace_system
+from wavequake.optics.system_wavefront import incoming_light, line_of_sight, trace_light
 from wavequake.workflows.mirror_optics import NM_PER_MM, Optics, displacements_mm, with_deformation
 
 Array = NDArray[np.float64]
@@ -53,8 +55,9 @@ class Residual:
 
     Attributes
     ----------
-    grids : ndarray, shape (r, rows * columns)
-        Heights by rows, mm.
+    splines : ndarray, shape (r, rows + 2, columns + 2)
+        Coefficients of the splines through the heights of each grid, mm: linear, so that those of an instant
+        are sums of these.
     aberrations : ndarray, shape (2 + J, r)
         Line of sight in mm, Noll coefficients in nm.
     rough, whole : ndarray, shape (r, r)
@@ -62,10 +65,15 @@ class Residual:
         over the rays, nm^2.
     """
 
-    grids: Array
+    splines: Array
     aberrations: Array
     rough: Array
     whole: Array
+
+    def at(self, coordinates: Array) -> Array:
+        """Return the splines under coordinates (T, r), (T, rows + 2, columns + 2)."""
+        found = coordinates @ self.splines.reshape(len(self.splines), -1)
+        return found.reshape(len(coordinates), *self.splines.shape[1:])
 
 
 def rms_of(products: Array, coordinates: Array) -> Array:
@@ -97,21 +105,27 @@ def grid_of(optics: Optics) -> GridDeformation:
     return GridDeformation(count, count, spacing, spacing)
 
 
+def deformed_light(optics: Optics, figures: Array, splines: Array | None) -> Moving:
+    """Return what moves under figures (T, J) and splines (T, rows + 2, columns + 2) of the rest, mm."""
+    rest = rest_states(optics.prepared.system, len(figures))
+    states = replace(rest, deformations=(figures, *rest.deformations[1:]))
+    light = incoming_light(optics.prepared, states)
+    return light if splines is None else replace(light, grids=(splines, *light.grids[1:]))
+
+
 def residual_of(optics: Optics, left: Left, device: Device) -> Residual:
     """Interpolate what is left on grids, and trace each of them up and down (Störkle 2018, Eq. 4.22)."""
     grid = grid_of(optics)
-    grids = residual_grid(optics.surface, left.heights, grid).reshape(len(left.heights), -1)
-    largest = np.abs(grids).max(axis=1)
+    heights = residual_grid(optics.surface, left.heights, grid)
+    largest = np.abs(heights).max(axis=(1, 2))
     scale = np.divide(_STEP, largest, out=np.zeros_like(largest), where=largest > 0.0)
-    prepared = with_deformation(optics, grid)
-    states = rest_states(prepared.system, 2 * len(grids))
-    figures = states.deformations[0]
-    assert figures is not None
-    figures[: len(grids), optics.terms :] = scale[:, None] * grids
-    figures[len(grids) :, optics.terms :] = -scale[:, None] * grids
-    opd, _, chief = trace_system(prepared, states, device)
+    splines, prepared = spline_coefficients(heights), with_deformation(optics, grid)
+    steps = scale[:, None, None] * splines
+    figures = np.zeros((2 * len(steps), optics.terms))
+    light = deformed_light(optics, figures, np.concatenate([steps, -steps]))
+    opd, _, chief = trace_light(prepared, light, device)
     per_unit = (largest / (2.0 * _STEP))[:, None]
-    opd, chief = ((values[: len(grids)] - values[len(grids) :]) * per_unit for values in (opd, chief))
+    opd, chief = ((values[: len(steps)] - values[len(steps) :]) * per_unit for values in (opd, chief))
     zernike = fit_instants(prepared.fit, opd)
     to_nm = prepared.wavelength * NM_PER_MM
     root = np.sqrt(prepared.fit.weight / prepared.fit.weight.sum())
@@ -120,4 +134,4 @@ def residual_of(optics: Optics, left: Left, device: Device) -> Residual:
         for terms in (optics.terms, 3)
     )
     aberrations = np.hstack([line_of_sight(prepared, chief, zernike), to_nm * zernike]).T
-    return Residual(grids, aberrations, rough @ rough.T, whole @ whole.T)
+    return Residual(splines, aberrations, rough @ rough.T, whole @ whole.T)

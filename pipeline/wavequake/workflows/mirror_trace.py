@@ -23,8 +23,7 @@ from wavequake.mechanics.modal import modal_model
 from wavequake.mechanics.response import Response, displacements, respond
 from wavequake.optics.fits import fit_instants
 from wavequake.optics.surface_fit import apply, coefficients, heights, relative_residual
-from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import line_of_sight, trace_system
+from wavequake.optics.system_wavefront import line_of_sight, trace_light
 from wavequake.reduction.metrics import pseudo_frequencies
 from wavequake.reduction.names import parse
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
@@ -43,6 +42,7 @@ from wavequake.workflows.mirror_optics import NM_PER_MM, Optics, displacements_m
 from wavequake.workflows.mirror_residual import (
     Residual,
     coordinates_of,
+    deformed_light,
     grid_of,
     left_by,
     residual_of,
@@ -192,8 +192,8 @@ def compared(
 ) -> dict[str, Array]:
     """Trace some instants and compare them with what the modal method gives, `summed` (T, 2 + J)."""
     moved, traced = standard_method(optics, surface, response, device, clock, residual)
-    grids = None if residual is None else coordinates_of(response) @ residual.grids
-    linear = trace_figures(optics, apply(optics.surface, moved), grids, device, Clock())
+    splines = None if residual is None else residual.at(coordinates_of(response))
+    linear = trace_figures(optics, apply(optics.surface, moved), splines, device, Clock())
     above = heights(optics.surface, moved, linear=False)
     apart = traced.aberrations - summed
     return {
@@ -246,20 +246,17 @@ def standard_method(
     with clock("surface fit"):
         figures = apply(optics.surface, moved, linear=False)
     with clock("residual grids"):
-        grids = None if residual is None else coordinates_of(response) @ residual.grids
-    return moved, trace_figures(optics, figures, grids, device, clock)
+        splines = None if residual is None else residual.at(coordinates_of(response))
+    return moved, trace_figures(optics, figures, splines, device, clock)
 
 
 def trace_figures(
-    optics: Optics, figures: Array, grids: Array | None, device: Device, clock: Clock
+    optics: Optics, figures: Array, splines: Array | None, device: Device, clock: Clock
 ) -> Wavefronts:
-    """Trace all rays at T instants with the figures (T, J) and what they leave (T, rows * columns), mm."""
-    prepared = optics.prepared if grids is None else with_deformation(optics, grid_of(optics))
+    """Trace all rays at T instants with the figures (T, J) and splines of what they leave, mm."""
+    prepared = optics.prepared if splines is None else with_deformation(optics, grid_of(optics))
     with clock("ray trace"):
-        figures = figures if grids is None else np.hstack([figures, grids])
-        rest = rest_states(prepared.system, len(figures))
-        states = replace(rest, deformations=(figures, *rest.deformations[1:]))
-        opd, _, chief = trace_system(prepared, states, device)
+        opd, _, chief = trace_light(prepared, deformed_light(optics, figures, splines), device)
     with clock("wavefront fit"):
         zernike = fit_instants(prepared.fit, opd)
         to_nm = prepared.wavelength * NM_PER_MM
