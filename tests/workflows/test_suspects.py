@@ -2,6 +2,7 @@
 
 import errno
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -60,6 +61,21 @@ import toy, wavequake.workflows.series as series
 series._GRACE_S = 0.5
 toy.run({path!r}, {options!r}, timeout_s=1.0)
 """
+GUARDED = """
+import toy, wavequake.workflows.series as series
+series._GRACE_S = 0.5
+if __name__ == "__main__":
+    print(toy.run({path!r}, {options!r}, timeout_s=1.0).quarantined)
+"""
+
+
+def ran(tmp_path, text, **options):
+    script = tmp_path / "script.py"
+    script.write_text(text.format(path=str(tmp_path / "s"), options=options))
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    return subprocess.run(
+        [sys.executable, script], env=environment, capture_output=True, text=True, timeout=60, check=False
+    )
 
 
 @pytest.mark.parametrize(
@@ -70,16 +86,37 @@ toy.run({path!r}, {options!r}, timeout_s=1.0)
     ],
 )
 def test_what_ends_a_serial_run_says_why_and_keeps_what_is_done(tmp_path, options, words):
-    script = tmp_path / "script.py"
-    script.write_text(SERIAL.format(path=str(tmp_path / "s"), options=options))
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run(
-        [sys.executable, script], env=environment, capture_output=True, text=True, timeout=60, check=False
-    )
+    done = ran(tmp_path, SERIAL, **options)
     assert done.returncode == 1
     assert words in done.stderr
     assert "toy.py" in done.stderr or "wait" in options
     assert (0, 10) in toy.digests(tmp_path / "s")
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "status"), [({"hang": [13]}, 1, 4), ({"crash": [13]}, -signal.SIGSEGV, 3)]
+)
+def test_a_case_that_ends_a_serial_run_is_quarantined_by_the_next(tmp_path, options, code, status):
+    assert ran(tmp_path, GUARDED, **options).returncode == code
+    assert os.listdir(tmp_path / "s" / "open") == ["10-20"]
+    again = ran(tmp_path, GUARDED, **options)
+    assert (again.returncode, again.stdout, again.stderr) == (0, "1\n", "")
+    stored = open_store(tmp_path / "s").load()
+    assert stored.status.sel(case=13) == status
+    others_are_kept(stored, [13])
+    assert verify_store(tmp_path / "s").ok
+    assert not (tmp_path / "s" / "open").exists()
+    logs = sorted((tmp_path / "s" / "log").glob("*.log"), key=os.path.getmtime)
+    assert "the run before died in cases 10 to 19: each is tried alone" in logs[-1].read_text()
+
+
+def test_a_serial_script_that_was_killed_goes_on_although_it_cannot_start_processes(tmp_path):
+    options = {"once": [13], "folder": str(tmp_path)}  # a kill, of which no case is guilty
+    assert ran(tmp_path, SERIAL, **options).returncode == -signal.SIGKILL
+    again = ran(tmp_path, SERIAL, **options)
+    assert (again.returncode, again.stderr) == (0, "")
+    others_are_kept(open_store(tmp_path / "s").load(), [])
+    assert not (tmp_path / "s" / "open").exists()
 
 
 def test_a_case_that_takes_all_memory_is_quarantined_alone(tmp_path, monkeypatch):

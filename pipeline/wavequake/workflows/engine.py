@@ -20,10 +20,10 @@ from wavequake.workflows import provenance, store, verify
 from wavequake.workflows.chunks import Job, Outcome
 from wavequake.workflows.contract import Workflow
 from wavequake.workflows.driver_lock import Shard, driver_lock, others_at_work, this_process
-from wavequake.workflows.isolation import compute_isolated
+from wavequake.workflows.isolation import NoProcessError, compute_isolated
 from wavequake.workflows.journal import Chunk, Record, read_journal
 from wavequake.workflows.runlog import run_log
-from wavequake.workflows.series import in_series
+from wavequake.workflows.series import in_series, left_open, unmark
 from wavequake.workflows.store import Manifest
 from wavequake.workflows.stream import limit_of, stream
 
@@ -257,7 +257,20 @@ def _compute(
         return limit_of(timeout_s, tally.chunk_seconds)
 
     if place is None:
-        suspects = in_series(job, todo, tally.add, limit, tally.log)
+        path = Path(job.path)
+        died = left_open(path, todo)
+        for piece in died:
+            tally.log.warning(
+                "the run before died in cases %d to %d: each is tried alone", piece[0], piece[1] - 1
+            )
+        rest = [piece for piece in todo if piece not in died]
+        suspects = in_series(job, rest, tally.add, limit, tally.log)
+        for piece in died:
+            try:
+                tally.add(compute_isolated(job, *piece, limit()))
+            except NoProcessError:  # most likely it was killed, and no case is guilty
+                suspects += in_series(job, [piece], tally.add, limit, tally.log)
+            unmark(path, piece)
     else:
         with place(workers and min(workers, len(todo)), dashboard is not None) as client:
             if dashboard is not None:

@@ -30,6 +30,10 @@ from wavequake.workflows.contract import CRASHED, TIMED_OUT, ChunkResult
 _START_S = 120.0  # for a process to start and to open the store
 
 
+class NoProcessError(UserError):
+    """A script cannot start processes, as it would run again in each."""
+
+
 @dataclass(frozen=True)
 class _End:
     """How a process ended that did not compute all of its cases, as a status and in words."""
@@ -87,7 +91,7 @@ def _in_process(job: Job, cases: range, limit_s: float) -> tuple[list[ChunkResul
     except EOFError:
         process.join()
         if not started:
-            raise UserError(
+            raise NoProcessError(
                 f"The process that tries cases {cases[0]} to {cases[-1]} alone does not start: {GUARDED}"
             ) from None
     finally:

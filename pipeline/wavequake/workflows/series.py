@@ -1,11 +1,16 @@
-"""Compute chunks one after the other in this process, and give up those that never end."""
+"""Compute chunks one after the other in this process, and give up those that never end.
+
+A case may take this process with it: a crash, or a loop that holds the interpreter's lock. So the chunk under
+way has a mark in the store, and a run that finds one lets the chunk be tried in other processes.
+"""
 
 import faulthandler
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from logging import Logger
+from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from threadpoolctl import threadpool_limits
@@ -13,6 +18,7 @@ from threadpoolctl import threadpool_limits
 from wavequake.workflows.chunks import Job, Outcome, computed_chunk, store_chunk
 from wavequake.workflows.contract import ChunkResult
 from wavequake.workflows.journal import Chunk
+from wavequake.workflows.store import OPEN, write_errors_explained
 
 # No thread of this process runs if a case does not let go of the interpreter. The process is ended then, that
 # much later than a chunk would be given up.
@@ -38,8 +44,9 @@ def in_series(
     try:
         with threadpool_limits(1):  # also if a thread that was given up restores what it found
             for piece in todo:
-                tasks.put(piece)
-                answer = _awaited(answers, limit())
+                with _marked(Path(job.path), piece):
+                    tasks.put(piece)
+                    answer = _awaited(answers, limit())
                 if answer is None:
                     log.warning("cases %d to %d ran for too long and are given up for now", *piece)
                     suspects.append(piece)
@@ -52,6 +59,35 @@ def in_series(
     finally:
         tasks.put(None)
     return suspects
+
+
+def _mark(path: Path, piece: Chunk) -> Path:
+    return path / OPEN / "{}-{}".format(*piece)
+
+
+@contextmanager
+def _marked(path: Path, piece: Chunk) -> Iterator[None]:
+    """Have a mark of a chunk in the store, which stays only if the process dies in here."""
+    mark = _mark(path, piece)
+    with write_errors_explained(path):
+        mark.parent.mkdir(exist_ok=True)
+        mark.touch()
+    try:
+        yield
+    finally:
+        unmark(path, piece)
+
+
+def unmark(path: Path, piece: Chunk) -> None:
+    """Remove the mark of a chunk, if there is one, and the folder with the last of them."""
+    with suppress(OSError):
+        _mark(path, piece).unlink(missing_ok=True)
+        (path / OPEN).rmdir()
+
+
+def left_open(path: Path, pieces: Sequence[Chunk]) -> list[Chunk]:
+    """Return those chunks that a serial run was computing when its process died."""
+    return [piece for piece in pieces if _mark(path, piece).exists()] if (path / OPEN).exists() else []
 
 
 def _awaited(answers: "SimpleQueue[Answer]", limit: float) -> Answer | None:
