@@ -4,9 +4,10 @@ A ray leaves the reference sphere at P and meets the image beside the sphere's c
 is the normal of its wavefront. As P moves on the sphere by dP = (dx, dy, dz), the path length changes by the
 product of the direction and dP; dP is tangential to the sphere, so that only the offset counts:
 
-    d OPD = -(u dx + v dy) / a,    a: the distance from P to the image along the ray.
+    d OPD = -n (u dx + v dy) / a,    a: the distance from P to the image along the ray, n: the index there.
 
-This is the difference of slopes in Eq. 4.15 and 4.16, d_x/d_z of the real less that of the ideal ray, times
+This is Rayces' relation between the transverse and the wave aberration, exact at any aperture, and the
+difference of slopes in Eq. 4.15 and 4.16, d_x/d_z of the real less that of the ideal ray, times
 -d_z: the sign is that of Eq. 4.12, and the equal heights assumed by Eq. 4.14 are not needed. Where P lies for
 a ray of the pupil, and how it moves with the ray, is found once for a reference state. Then the offsets are
 linear in the coefficients, and one matrix leads from the rays' image points to the coefficients.
@@ -38,8 +39,8 @@ from wavequake.optics.zernike import annular_zernike_gradient
 Array = NDArray[np.float64]
 
 # Shifts of the rays in the pupil (x, y) whose differences are the derivatives: the center, then +-x, +-y.
-_SHIFTS = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], dtype=np.float64)
-_STEP = 1e-4  # of the pupil's radius: its square and rounding over it are both below 1e-8
+SHIFTS = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], dtype=np.float64)
+STEP = 1e-4  # of the pupil's radius: its square and rounding over it are both below 1e-8
 _UPSTREAM = 0.25  # of the reference sphere's radius: where the second point of a ray's line is taken
 
 
@@ -84,11 +85,33 @@ def slope_fit(
     _, *gradient = annular_zernike_gradient(
         prepared.rays.x / outer, prepared.rays.y / outer, terms, prepared.obscuration
     )
-    slopes = np.stack(gradient, axis=1)[:, :, 1:] / outer  # (N, 2, J - 1), per mm of pupil
-    offsets = np.linalg.solve(derivatives, slopes) * (-prepared.wavelength * distance[:, None, None])
-    return weighted_fit(
-        np.concatenate([offsets[:, 0], offsets[:, 1]]), np.tile(prepared.weight, 2), MORE_SEGMENT_RAYS
-    )
+    slopes = np.stack(gradient, axis=1) / outer  # (N, 2, J), per mm of pupil
+    scale = -prepared.wavelength * distance
+    return offset_fit(slopes, derivatives, scale, prepared.weight, MORE_SEGMENT_RAYS)
+
+
+def offset_fit(slopes: Array, derivatives: Array, scale: Array, weight: Array, remedy: str) -> Fit:
+    """Return the fit from the offsets of N rays, first in x, then in y, to coefficients j = 2..J.
+
+    Parameters
+    ----------
+    slopes : ndarray, shape (N, 2, J)
+        Of the polynomials at the rays, by x and y in the pupil.
+    derivatives : ndarray, shape (N, 2, 2)
+        Of x and y on the reference sphere (last axis) by x and y in the pupil.
+    scale : ndarray, shape (N,)
+        Offset per slope of the OPD on the sphere: -wavelength a / n, mm^2.
+    weight : ndarray, shape (N,)
+    remedy : str
+        How there are more rays.
+
+    Raises
+    ------
+    UserError
+        If the rays do not determine the coefficients.
+    """
+    offsets = np.linalg.solve(derivatives, slopes[:, :, 1:]) * scale[:, None, None]
+    return weighted_fit(np.concatenate([offsets[:, 0], offsets[:, 1]]), np.tile(weight, 2), remedy)
 
 
 def sphere_points(prepared: PreparedTrace, states: SurfaceStates) -> tuple[Array, Array, Array]:
@@ -103,12 +126,11 @@ def sphere_points(prepared: PreparedTrace, states: SurfaceStates) -> tuple[Array
     points : ndarray, shape (N, 2)
         x and y on the sphere about the chief ray's image point, mm.
     """
-    radius, step = prepared.train.sphere_radius, _STEP * prepared.system.pupil_outer
-    image, upstream = _two_points(prepared, states, step * _SHIFTS, _UPSTREAM * radius)
+    radius, step = prepared.train.sphere_radius, STEP * prepared.system.pupil_outer
+    image, upstream = _two_points(prepared, states, step * SHIFTS, _UPSTREAM * radius)
     along = upstream - image
     squared = np.sum(along**2, axis=0) + (_UPSTREAM * radius) ** 2
-    inward = np.sum(along * image, axis=0)
-    path = (np.sqrt(inward**2 - squared * (np.sum(image**2, axis=0) - radius**2)) - inward) / squared
+    path = to_sphere(image, along, squared, radius)
     sphere = image + path * along
     derivatives = np.stack([sphere[..., 1] - sphere[..., 2], sphere[..., 3] - sphere[..., 4]]) / (2.0 * step)
     if not np.isfinite(sphere).all():
@@ -118,6 +140,17 @@ def sphere_points(prepared: PreparedTrace, states: SurfaceStates) -> tuple[Array
             f"field {tuple(states.field[0].tolist())} rad, so it has no slopes; choose a smaller field"
         )
     return path[:, 0] * np.sqrt(squared[:, 0]), derivatives.transpose(2, 0, 1), sphere[..., 0].T
+
+
+def to_sphere(image: Array, along: Array, squared: Array | float, radius: float) -> Array:
+    """Return how many times `along` leads from points of the image (x and y, first axis) to the sphere.
+
+    `along` is x and y of a vector against the light, `squared` the square of its length. The sphere about the
+    origin lies before the image, or for a radius < 0 behind it, where the number is negative.
+    """
+    inward = np.sum(along * image, axis=0)
+    root = np.sqrt(inward**2 - squared * (np.sum(image**2, axis=0) - radius**2))
+    return np.asarray((np.copysign(root, radius) - inward) / squared)
 
 
 def _two_points(

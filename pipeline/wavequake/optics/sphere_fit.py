@@ -136,8 +136,35 @@ def reference_fit(prepared: PreparedTrace, field: tuple[float, float] = (0.0, 0.
     states = rest(TILE, len(prepared.system.segments), len(prepared.system.surfaces))
     states.field[:] = field
     points = sphere_points(prepared, states)[2]
-    normal = -points / (prepared.train.sphere_radius * prepared.numerical_aperture)
-    focus = np.sum(normal**2, axis=1)
-    along = focus / (1.0 + np.sqrt(1.0 - prepared.numerical_aperture**2 * focus))
-    columns = [np.ones(len(points)), normal[:, 0], normal[:, 1], along]
-    return weighted_fit(np.stack(columns, axis=1), prepared.weight, MORE_SEGMENT_RAYS)
+    toward = -points / prepared.train.sphere_radius
+    chief, aperture = np.zeros(2), prepared.numerical_aperture
+    return sphere_basis_fit(toward, chief, aperture, prepared.weight, MORE_SEGMENT_RAYS)
+
+
+def sphere_basis_fit(toward: Array, chief: Array, aperture: float, weight: Array, remedy: str) -> Fit:
+    """Return the fit of OPDs by motions of a sphere's center along and across the chief ray.
+
+    Parameters
+    ----------
+    toward : ndarray, shape (N, 2)
+        x and y of the unit vectors n from the rays' points on the sphere to its center (along the light).
+    chief : ndarray, shape (2,)
+        Those of the chief ray, c. The center moves along the chief ray by the fourth coefficient, whose
+        function is |n - c|^2 / 2: this keeps the line from the pupil's center, hence the image point.
+    aperture : float
+        By which the functions are scaled: across once, along twice.
+    weight : ndarray, shape (N,)
+    remedy : str
+        How there are more rays.
+
+    Raises
+    ------
+    UserError
+        If the rays determine no sphere.
+    """
+    across = (toward - chief) / aperture
+    here, there = (np.sqrt(1.0 - np.sum(cosines**2, axis=-1)) for cosines in (toward, chief))
+    depth = np.sum((toward + chief) * across, axis=1) / (here + there)
+    along = 0.5 * (np.sum(across**2, axis=1) + depth**2)
+    columns = [np.ones(len(across)), across[:, 0], across[:, 1], along]
+    return weighted_fit(np.stack(columns, axis=1), weight, remedy)

@@ -3,6 +3,9 @@
 The counterpart of `wavequake.optics.wavefront` for an `OpticalSystem`. The chief ray goes through the center
 of the stop, wherever that has moved, and virtually where it is obscured; its image point is the center of the
 reference sphere, whose radius is the distance of the paraxial exit pupil. Lengths in mm, wavefronts in waves.
+
+Coefficients come from path lengths, or with `with_slopes` from where the rays meet the image. With
+`with_fitted_sphere` the reference sphere is centered on the image point of the one that fits best.
 """
 
 from dataclasses import dataclass, replace
@@ -14,14 +17,22 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY, Device
 from wavequake.kernels.sequence import OK, VIGNETTED, Moving, Rays, Sequence, TracedRays
 from wavequake.kernels.sequential import trace_sequence
-from wavequake.optics.fits import Fit, fit_instants, weighted_fit
+from wavequake.optics.fits import MORE_RAYS, Fit, fit_instants, weighted_fit
 from wavequake.optics.packing import moving, pack
 from wavequake.optics.paraxial import paraxial
 from wavequake.optics.quality import peak_to_valley, spot
 from wavequake.optics.ray_aiming import pupil_rays
+from wavequake.optics.sphere_fit import sphere_basis_fit
 from wavequake.optics.stop_following import follow_stop, stays, steering
 from wavequake.optics.system import OpticalSystem, SystemStates, wavelength_of
 from wavequake.optics.system_kinematics import rest_states
+from wavequake.optics.system_slopes import (
+    SystemSlopes,
+    on_sphere,
+    shifted_pupil,
+    slope_coefficients,
+    system_slopes,
+)
 from wavequake.optics.zernike import annular_zernike
 
 Array = NDArray[np.float64]
@@ -57,6 +68,11 @@ class PreparedSystem:
         Index of the field point.
     steering : ndarray, shape (2, 2)
         How the light moves where the stop does, see `wavequake.optics.stop_following`.
+    slopes : SystemSlopes, optional
+        Takes the coefficients from image points and directions instead of path lengths.
+    sphere : Fit, optional
+        Finds the image point of the best-fit sphere: across the chief ray, times the numerical aperture, by
+        its second and third coefficients.
     """
 
     system: OpticalSystem
@@ -71,6 +87,8 @@ class PreparedSystem:
     cosines: Array
     field: int
     steering: Array
+    slopes: SystemSlopes | None = None
+    sphere: Fit | None = None
 
 
 @dataclass(frozen=True)
@@ -80,7 +98,7 @@ class SystemWavefront:
     Attributes
     ----------
     zernike : ndarray, shape (T, J)
-        Noll coefficients, waves.
+        Noll coefficients, waves. The first one is NaN if they come from slopes.
     rms, rms_raw : ndarray, shape (T,)
         Rms of the terms j >= 4, and rms over the rays without piston; waves.
     rms_flat, pv : ndarray, shape (T,)
@@ -148,7 +166,8 @@ def prepare_system(
     sequence, first_order = pack(system, wavelength), paraxial(system, wavelength)
     point = system.fields[field]
     chief = pupil_rays(system, point, wavelength, np.zeros(1), np.zeros(1))
-    rim = _arrive(system, sequence, pupil_rays(system, point, wavelength, *_RIM))
+    traced = _arrive(system, sequence, pupil_rays(system, point, wavelength, *_RIM))
+    rim = np.stack([traced.u[0], traced.v[0]])
     cosines = np.stack([(rim[:, 0] - rim[:, 1]) / 2.0, (rim[:, 2] - rim[:, 3]) / 2.0], axis=1)
     if not np.linalg.svd(cosines, compute_uv=False)[-1] > _PARALLEL:
         raise UserError(
@@ -173,14 +192,72 @@ def prepare_system(
     )
 
 
-def _arrive(system: OpticalSystem, sequence: Sequence, rays: Rays) -> Array:
-    """Return the direction cosines (2, N) at the image of rays that ignore openings, at rest."""
+def with_slopes(prepared: PreparedSystem) -> PreparedSystem:
+    """Return the same with coefficients from ray slopes (Störkle 2018, Eq. 4.13-4.20), not path lengths.
+
+    Their piston is NaN. Line of sight and `SystemWavefront.rms` follow the coefficients; all else remains
+    that of path lengths. As far as the polynomials describe the wavefront, both methods agree to 2e-7 waves;
+    what they leave out enters differently, as a fit of slopes weighs a degree n about n times as much.
+
+    Raises
+    ------
+    UserError
+        If a ray does not arrive at the image, or the rays do not determine the coefficients.
+    """
+    distance, points = _sphere_points(prepared, *shifted_pupil(prepared.pupil))
+    slopes = system_slopes(
+        prepared.pupil,
+        points.reshape(2, len(prepared.pupil), -1),
+        distance.reshape(len(prepared.pupil), -1)[:, 0],
+        prepared.fit,
+        prepared.sphere_radius,
+        prepared.wavelength / prepared.image_index,
+        prepared.system.pupil.obscuration,
+    )
+    return replace(prepared, slopes=slopes)
+
+
+def with_fitted_sphere(prepared: PreparedSystem) -> PreparedSystem:
+    """Return the same with OPDs about the sphere that fits the wavefront best (Störkle 2018, section 3.3.3).
+
+    The line from the pupil's center to the sphere's replaces the chief ray: what was tilt is in its image
+    point. `SystemWavefront.chief` remains where the chief ray arrives.
+
+    Raises
+    ------
+    UserError
+        If a ray does not arrive at the image, or the rays determine no sphere.
+    """
+    _, points = _sphere_points(prepared, *prepared.pupil.T)
+    traced = _arrive(prepared.system, prepared.sequence, prepared.chief)
+    chief = np.concatenate([traced.u[0], traced.v[0]])
+    toward, weight = -points.T / prepared.sphere_radius, prepared.fit.weight
+    return replace(prepared, sphere=sphere_basis_fit(toward, chief, _aperture(prepared), weight, MORE_RAYS))
+
+
+def _aperture(prepared: PreparedSystem) -> float:
+    """Return the sine of the largest angle between a ray of the rim and the chief ray, about."""
+    return float(np.linalg.norm(prepared.cosines, 2))
+
+
+def _sphere_points(prepared: PreparedSystem, x: Array, y: Array) -> tuple[Array, Array]:
+    """Return where rays of the pupil meet the reference sphere at rest: distances (N,), x and y (2, N)."""
+    system = prepared.system
+    rays = pupil_rays(system, system.fields[prepared.field], prepared.wavelength, x, y)
+    traced = _arrive(system, prepared.sequence, rays)
+    chief, _ = chief_points(prepared, moving(system, rest_states(system)))
+    points, distance = on_sphere(traced, chief, prepared.sphere_radius)
+    return distance[0], points[:, 0]
+
+
+def _arrive(system: OpticalSystem, sequence: Sequence, rays: Rays) -> TracedRays:
+    """Return rays at the image, ignoring openings, at rest."""
     traced = trace_sequence(sequence, rays, moving(system, rest_states(system)), NUMPY, ignore_apertures=True)
     if (traced.status != OK).any():
         lost = int(np.argmax(traced.status[0] != OK))
         name = system.surfaces[int(traced.surface[0, lost])].name
         raise UserError(f"a ray from the rim of the pupil of {system.name} is lost at the surface {name}")
-    return np.stack([traced.u[0], traced.v[0]])
+    return traced
 
 
 def incoming_light(prepared: PreparedSystem, states: SystemStates) -> Moving:
@@ -239,7 +316,11 @@ def measure_system(prepared: PreparedSystem, states: SystemStates, device: Devic
 
 def analyse_system(prepared: PreparedSystem, opd: Array, traced: TracedRays, chief: Array) -> SystemWavefront:
     """Reduce what `trace_system` returns to the numbers of its wavefronts."""
-    ok = np.isfinite(opd)
+    ok, point = np.isfinite(opd), chief
+    if prepared.sphere is not None:
+        tilt = fit_instants(prepared.sphere, opd)[:, 1:3]
+        opd = opd - np.sum(tilt[:, None] * prepared.sphere.basis[:, 1:3], axis=2)
+        point = chief + tilt * (prepared.wavelength / prepared.image_index / _aperture(prepared))
     zernike = fit_instants(prepared.fit, opd)
     weight = prepared.fit.weight
     kept = np.sum(np.where(ok, weight, 0.0), axis=1)
@@ -248,6 +329,8 @@ def analyse_system(prepared: PreparedSystem, opd: Array, traced: TracedRays, chi
         rms_raw, rms_flat = (_rms_without_piston(values, ok, weight, kept) for values in (opd, flat))
         phasor = np.where(ok, np.exp(2j * np.pi * np.where(ok, flat, 0.0)) * weight, 0.0)
         strehl = np.abs(np.sum(phasor, axis=1) / kept) ** 2
+    if prepared.slopes is not None:
+        zernike = slope_coefficients(prepared.slopes, traced, chief)
     spots = spot(np.where(ok, traced.x, np.nan), np.where(ok, traced.y, np.nan), weight)
     return SystemWavefront(
         zernike=zernike,
@@ -256,7 +339,7 @@ def analyse_system(prepared: PreparedSystem, opd: Array, traced: TracedRays, chi
         rms_flat=rms_flat,
         pv=peak_to_valley(flat),
         chief=chief,
-        los=line_of_sight(prepared, chief, zernike),
+        los=line_of_sight(prepared, point, zernike),
         centroid=spots.centroid,
         spot_rms=spots.rms,
         strehl=strehl,
