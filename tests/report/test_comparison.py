@@ -37,6 +37,28 @@ def test_cases_are_paired_by_their_labels(campaign):
     assert wind.margin == pytest.approx(4.302653 / np.sqrt(3.0), rel=1e-6)
 
 
+def test_stratified_cases_are_as_sure_as_their_sets_agree():
+    generator = np.random.default_rng(5)
+    sets, strata = np.repeat(np.arange(8), 50), np.tile(np.arange(50), 8)
+    draws = (strata + generator.uniform(size=400)) / 50  # each set is even in (0, 1)
+
+    def store(scale, **labels):
+        coords = {"case": np.arange(400), **{name: ("case", values) for name, values in labels.items()}}
+        data = {"strehl": ("case", scale * draws), "status": ("case", np.ones(400, dtype=np.int8))}
+        return xr.Dataset(data, coords)
+
+    def margin(**labels):
+        (found,) = compare(store(1.0, **labels), store(2.0, **labels), "A", "B")
+        assert found.mean == pytest.approx(draws.mean())
+        return found.margin
+
+    means = draws.reshape(8, 50).mean(axis=1)
+    known = margin(realization=np.arange(400), replicate=sets)
+    assert known == pytest.approx(2.364624 * means.std(ddof=1) / np.sqrt(8))  # Student, 7 degrees of freedom
+    assert known < 0.05 * margin(realization=np.arange(400))
+    assert np.isnan(margin(realization=np.arange(400), replicate=0 * sets))
+
+
 def test_instants_that_do_not_exist_do_not_count(campaign):
     shake = of(compare(campaign, other(campaign), "A", "B"), "shake", "los")
     assert shake.first == pytest.approx(np.sqrt([103**2 + 4**2, 97**2 + 4**2]).mean())

@@ -65,6 +65,12 @@ def test_every_chunk_is_one_file_of_every_array(tmp_path):
     assert [p.name for p in (tmp_path / "s" / "data.zarr" / "message").glob("c.*")] == ["c.2"]
 
 
+def test_a_small_store_is_small(tmp_path):
+    toy.run(tmp_path / "s")
+    labels = [tmp_path / "s" / "data.zarr" / name for name in ("case", "disturbance", "realization")]
+    assert all(1 < (folder / "c.0").stat().st_size < 4096 for folder in labels)  # for up to 65536 cases
+
+
 def test_large_chunks_are_shards_that_are_read_in_parts(tmp_path):
     group = arrays.create_group(tmp_path / "g", {})
     arrays.create_per_case(group, "psf", Variable(("y", "x"), (256, 256), {}), cases=60, chunk=20)

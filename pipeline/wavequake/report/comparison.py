@@ -55,6 +55,8 @@ class Difference:
         The measure in the first store.
     variants : tuple of str
         Names of reduced models, where these are the cases; else none.
+    sets : ndarray of int, shape (cases,), or None
+        The stratified set that each case belongs to; None if all are independent.
     """
 
     group: str
@@ -66,6 +68,7 @@ class Difference:
     differences: NDArray[np.float64]
     each: NDArray[np.float64]
     variants: tuple[str, ...] = ()
+    sets: NDArray[np.int64] | None = None
 
     @property
     def relative(self) -> NDArray[np.float64]:
@@ -83,11 +86,17 @@ class Difference:
 
     @property
     def margin(self) -> float:
-        """Half the 95 % confidence interval of the mean difference (Student); NaN for a single case."""
-        if self.cases < 2:
+        """Half the 95 % confidence interval of the mean difference (Student); NaN if there is none.
+
+        Independent are the cases, or if they are stratified the sets: of these there must be two.
+        """
+        excess = self.differences - self.mean
+        if self.sets is not None:  # sums over sets: they may differ in size by failed cases
+            excess = np.bincount(np.unique(self.sets, return_inverse=True)[1], excess)
+        if excess.size < 2:
             return float("nan")
-        error = self.differences.std(ddof=1) / np.sqrt(self.cases)
-        return float(student.ppf(0.5 + CONFIDENCE / 2, self.cases - 1) * error)
+        error = excess.std(ddof=1) * np.sqrt(excess.size) / self.cases
+        return float(student.ppf(0.5 + CONFIDENCE / 2, excess.size - 1) * error)
 
 
 def compare(one_set: xr.Dataset, other_set: xr.Dataset, first: str, second: str) -> list[Difference]:
@@ -120,7 +129,8 @@ def compare(one_set: xr.Dataset, other_set: xr.Dataset, first: str, second: str)
     kinds = [name for name in labels if not pd.api.types.is_numeric_dtype(one.frame[name])]
     groups = shared.get_level_values(kinds[0]).to_numpy() if kinds else np.full(len(shared), "all")
     variants = shared.get_level_values("variant").to_numpy() if by_variant else None
-    return list(_differences(left, right, groups, variants))
+    sets = shared.get_level_values("replicate").to_numpy() if "replicate" in labels else None
+    return list(_differences(left, right, groups, variants, sets))
 
 
 def _require_alike(one: xr.Dataset, two: xr.Dataset, first: str, second: str) -> None:
@@ -184,7 +194,11 @@ def _why_nothing_is_shared(
 
 
 def _differences(
-    left: xr.Dataset, right: xr.Dataset, groups: NDArray[np.object_], variants: NDArray[np.object_] | None
+    left: xr.Dataset,
+    right: xr.Dataset,
+    groups: NDArray[np.object_],
+    variants: NDArray[np.object_] | None,
+    sets: NDArray[np.int64] | None,
 ) -> Iterator[Difference]:
     places = {str(group): np.flatnonzero(groups == group) for group in dict.fromkeys(groups)}
     for measure in left.data_vars:
@@ -216,6 +230,7 @@ def _differences(
                     apart[kept],
                     one[kept],
                     () if variants is None else tuple(map(str, variants[kept])),
+                    None if sets is None else sets[kept],
                 )
 
 
@@ -249,8 +264,8 @@ def comparison_table(names: Sequence[str], comparisons: Sequence[Sequence[Differ
     table = Table(
         box=SIMPLE_HEAD,
         caption=f"Means over paired cases; difference from {names[0]} with its 95 % confidence interval "
-        "(Student). Measures over time are rms values per case, the Strehl ratio a mean; images: L2 "
-        "norm of the difference of unit-energy images.",
+        "(Student; of stratified cases by the scatter between their sets). Measures over time are rms values "
+        "per case, the Strehl ratio a mean; images: L2 norm of the difference of unit-energy images.",
         caption_justify="left",
     )
     for header in ("", "measure", "cases", "first", "this", "difference", "relative"):

@@ -18,7 +18,8 @@ from typing import Any, cast
 import numpy as np
 import zarr
 from numpy.typing import NDArray
-from zarr.codecs import Crc32cCodec
+from zarr.abc.codec import BytesBytesCodec
+from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.core.buffer import Buffer
 from zarr.core.sync import sync
 from zarr.errors import ZarrUserWarning
@@ -31,6 +32,7 @@ from wavequake.workflows.journal import Chunk, digest, flush
 Array = zarr.Array[Any]
 
 _LABELS_PER_FILE = 65536  # cases per file of the coordinates, which the driver alone writes
+_EVEN = (ZstdCodec(level=1),)  # labels count on or repeat, and fill a file of a small store with nothing
 _PLAIN_BYTES, _INNER_BYTES = 2**23, 2**20  # a larger piece is a shard of inner chunks of about this size
 
 _STATUS = {
@@ -140,18 +142,18 @@ def create_fixed(
         dimension_names=dims,
         config={"write_empty_chunks": True},
         attributes=dict(attrs),
-        **_encoding("str" if text else str(values.dtype)),
+        **_encoding("str" if text else str(values.dtype), _EVEN),
     )
     array[...] = values.astype(object) if text else values
 
 
-def _encoding(dtype: str) -> dict[str, Any]:
-    """Return type, fill and codecs: a checksum, but no compression, which noise does not repay."""
+def _encoding(dtype: str, compression: tuple[BytesBytesCodec, ...] = ()) -> dict[str, Any]:
+    """Return type, fill and codecs: a checksum, but no compression of numbers, as noise does not repay it."""
     fill: Any = "" if dtype == "str" else np.nan if np.dtype(dtype).kind in "fc" else 0
     return {
         "dtype": str if dtype == "str" else dtype,
         "fill_value": fill,
-        "compressors": Crc32cCodec(),
+        "compressors": (*compression, Crc32cCodec()),
         "chunk_key_encoding": {"name": "default", "separator": "."},  # all files of an array in one folder
     }
 
