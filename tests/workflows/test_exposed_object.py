@@ -61,7 +61,7 @@ def test_slits_double_slits():
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({}, "exactly one of slit, double_slit, grating, chart, stars; it has none"),
+        ({}, "exactly one of slit, double_slit, grating, chart, stars, picture; it has none"),
         ({"slit": 1.0, "grating": 2.0}, "it has slit, grating"),
         ({"stars": [[0.0, 1.0]]}, "three numbers"),
         ({"stars": [[0.0, 70.0, 1.0]]}, "beyond the frame of 12"),
@@ -91,7 +91,7 @@ def test_a_study_shows_its_object(tmp_path):
     contrast = np.ptp(found["object_image"][0, :, 8].to_numpy(), axis=1)
     assert contrast[0] > 2 * contrast[1] > 0  # at rest, disturbed
     _, report = report_store(tmp_path / "store")
-    assert "The object as case 0 exposes it" in report.read_text()
+    assert "The object as case 0 exposes it, in incoherent light" in report.read_text()
     del keys["object.double_slit"]
     stars = load_study("tmt-exposure", keys | {"object.stars": [[9.0, 0.0, 1.0]]})
     with pytest.raises(UserError, match="beyond the frame of 4"):

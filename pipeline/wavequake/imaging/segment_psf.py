@@ -74,6 +74,33 @@ def psf(basis: SegmentBasis, segment_phase: ArrayLike, tolerance: float = 1e-3) 
     return images
 
 
+def amplitude_images(basis: SegmentBasis, amplitude: ArrayLike) -> Floating:
+    """Return images of rays or segments with complex amplitudes, as `psf` does of phases alone.
+
+    Parameters
+    ----------
+    basis : SegmentBasis
+        Its first moments count: those of rays, or of segments without slopes.
+    amplitude : array_like, shape (batch, S)
+        Complex amplitude of each; 1 everywhere is the perfect pupil.
+
+    Returns
+    -------
+    ndarray, shape (batch, pixels * pixels), float32 or float64
+        Irradiance; 1 is the perfect peak.
+    """
+    fields = np.asarray(amplitude, dtype=np.complex128) / basis.peak
+    if fields.ndim != 2 or fields.shape[1] != basis.segments:
+        raise ValueError(f"amplitude has the shape {fields.shape}, not (batch, {basis.segments})")
+    images = np.empty((len(fields), basis.pixels**2), dtype=basis.matrix.dtype)
+    for first in range(0, len(fields), TILE):
+        part = fields[first : first + TILE]
+        factors = np.zeros((1, basis.segments, 2, TILE), dtype=basis.matrix.dtype)
+        factors[0, :, 0, : len(part)], factors[0, :, 1, : len(part)] = part.real.T, part.imag.T
+        images[first : first + TILE] = tile_images(basis, factors).T[: len(part)]
+    return images
+
+
 def truncation_error(basis: SegmentBasis, segment_phase: Real) -> Real:
     """Bound the error of the image, relative to the perfect peak, that ending the series in the slopes makes.
 

@@ -144,7 +144,8 @@ def _figures(cases: xr.Dataset, name: str) -> Iterator[Picture]:
     yield picture(f"{name}-focus", "The image at rest through focus", focus_panels(focus, waves, axis))
     if "object_image" in shown:
         seen = image_row(shown["object_image"].to_numpy(), controllers, axis)
-        yield picture(f"{name}-object", f"The object as case {case} exposes it, incoherent light", seen)
+        light = str(shown["object_image"].attrs["long_name"]).partition(" in ")[2].partition(";")[0]
+        yield picture(f"{name}-object", f"The object as case {case} exposes it, in {light}", seen)
     yield from common.history_pictures(name, time, los, "mas", wfe)
 
 

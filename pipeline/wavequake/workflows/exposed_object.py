@@ -1,4 +1,6 @@
-"""What an exposure shows of an extended object in incoherent light: a slit, a grating, a chart, stars."""
+"""What an exposure shows of an extended object: a slit, a grating, a chart, stars, a picture of one's own."""
+
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +13,18 @@ from wavequake.imaging.detector import pixel_means
 from wavequake.imaging.exposure_models import cut
 from wavequake.imaging.image_formation import star_field_image
 from wavequake.workflows.contract import Variable
+from wavequake.workflows.object_picture import in_frame, picture_of
 from wavequake.workflows.schema import Section
 
 Array = NDArray[np.float64]
 
 
+# The keys that say what the object is.
+_KINDS = ("slit", "double_slit", "grating", "chart", "stars", "picture")
+
+
 class ObjectSection(Section):
-    """The object whose image is exposed, too, in incoherent light; one key only. Lengths in lambda/D."""
+    """The object whose image is exposed, too: one of its kinds, and its light. Lengths in lambda/D."""
 
     slit: float | None = Field(default=None, gt=0, description="width of a slit along y")
     double_slit: list[float] | None = Field(
@@ -34,21 +41,44 @@ class ObjectSection(Section):
         min_length=1,
         description="x, y and flux of each star; 1 is a pixel of brightness 1",
     )
+    picture: str | None = Field(
+        default=None,
+        exclude=True,
+        description="PNG, NPY or CSV file of a picture or mask (read when the study is loaded), one value of "
+        "at least 0 per pixel of the frame; PNGs are upright, of others the first row is the lowest",
+    )
+    picture_data: str | None = Field(default=None, description="the content of that file")
+    light: Literal["incoherent", "coherent", "partial"] = Field(
+        default="incoherent",
+        description="light of the object; if it is not incoherent, the object holds amplitudes",
+    )
+    sigma: float | None = Field(
+        default=None,
+        gt=0,
+        le=2,
+        description='partial coherence factor of light = "partial": radius of the source over the pupil\'s',
+    )
 
-    def chosen(self) -> tuple[str, float | list[float] | list[list[float]]]:
-        """Return the key that is given, and its value.
+    def chosen(self) -> tuple[str, float | list[float] | list[list[float]] | str]:
+        """Return the kind of object that is given, and its value.
 
         Raises
         ------
         UserError
-            If it is not exactly one.
+            If it is not exactly one, or its light does not fit.
         """
-        given = [(name, value) for name, value in self if value is not None]
+        values = {name: getattr(self, name) for name in _KINDS} | {"picture": self.picture_data}
+        given = [(name, value) for name, value in values.items() if value is not None]
         if len(given) != 1:
             names = ", ".join(name for name, _ in given) or "none"
+            raise UserError(f"[object] takes exactly one of {', '.join(_KINDS)}; it has {names}")
+        if (self.light == "partial") != (self.sigma is not None):
             raise UserError(
-                f"[object] takes exactly one of {', '.join(type(self).model_fields)}; it has {names}"
+                'object.sigma belongs to object.light = "partial", which needs it; the light is '
+                f'"{self.light}", sigma {"missing" if self.sigma is None else format(self.sigma, "g")}'
             )
+        if given[0][0] == "stars" and self.light != "incoherent":
+            raise UserError(f'stars shine incoherently; object.light is "{self.light}"')
         return given[0]
 
 
@@ -80,23 +110,32 @@ def object_image(
             )
         border = pixels // 2 + 1
         return cut(star_field_image(np.pad(spread, border), stars[:, :2], stars[:, 2], sampling), pixels)
-    picture = _picture(name, value, pixels, sampling)
+    picture = object_picture(section, pixels, sampling)
     first = pixels // 2
     spread = pixel_means(spread, sampling, sampling)  # what is lit is a square, not a point
     return np.asarray(fftconvolve(picture, spread)[first : first + pixels, first : first + pixels])
 
 
-def object_variable(dim: str, count: int, pixels: int) -> dict[str, Variable]:
+def object_variable(shown: ObjectSection, dim: str, count: int, pixels: int) -> dict[str, Variable]:
     """Describe the images of an object for each of `count` entries of the dimension `dim`."""
-    attrs = {
-        "units": "1",
-        "long_name": "exposed image of the object in incoherent light; 1 = an evenly lit plane",
-    }
+    light = "partially coherent" if shown.light == "partial" else shown.light
+    one = "an evenly lit plane" + ("" if light == "incoherent" else " whose light all passes the pupil")
+    attrs = {"units": "1", "long_name": f"exposed image of the object in {light} light; 1 = {one}"}
     return {"object_image": Variable((dim, "y", "x"), (count, pixels, pixels), attrs)}
 
 
-def _picture(name: str, value: object, pixels: int, sampling: float) -> Array:
+def object_picture(section: ObjectSection, pixels: int, sampling: float) -> Array:
+    """Return the object (pixels, pixels), what its kind is but for stars.
+
+    Raises
+    ------
+    UserError
+        If the object is impossible or does not fit into the frame.
+    """
+    name, value = section.chosen()
     shape = (pixels, pixels)
+    if isinstance(value, str):
+        return in_frame(picture_of(value), pixels)
     if name == "slit":
         return objects.slit(shape, sampling, float(np.asarray(value)))
     if name == "double_slit":

@@ -1,9 +1,13 @@
 """Study files of the workflows "telescope-exposure" and "mirror-exposure"."""
 
+from pathlib import Path
+from typing import Any
+
 from pydantic import Field, model_validator
 
 from wavequake.workflows.exposed_object import ObjectSection
 from wavequake.workflows.mirror_study import MirrorStudy
+from wavequake.workflows.object_picture import read_picture
 from wavequake.workflows.schema import Section
 from wavequake.workflows.segment_study import SegmentStudy
 
@@ -46,6 +50,14 @@ class TelescopeExposureStudy(SegmentStudy):
         if self.store.keep:
             raise ValueError("store.keep belongs to segment-disturbance; leave it out")
         return self
+
+    @classmethod
+    def read_files(cls, record: dict[str, Any], base: Path) -> None:
+        """Read the picture of the object beside what the disturbance reads."""
+        super().read_files(record, base)
+        shown = record.get("object")
+        if isinstance(shown, dict) and isinstance(shown.get("picture"), str):
+            shown["picture_data"] = read_picture(base / shown["picture"])
 
     @property
     def figure_terms(self) -> int:

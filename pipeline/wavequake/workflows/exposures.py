@@ -41,13 +41,14 @@ def exposed(
     ``static`` (n, n) is the local image at rest and ``los`` (instants, 2) the line of sight in lambda/D; area
     and diameter of the pupil set the scale of encircled energies. ``shown`` is an object to image, too.
     """
+    lit = shown if shown and shown.light == "incoherent" else None
     full = cut(full_exposure(images, los, sampling), pixels)
     shortcuts = [cut(model(static, los, sampling), pixels) for model in (los_exposure, gaussian_exposure)]
     errors = [exposure_error(image, full, sampling, area, diameter) for image in shortcuts]
     ee50, ee80 = (encircled_energy_radius(full, share, sampling, area, diameter) for share in (0.5, 0.8))
     return {
         "exposure": full,
-        **({"object_image": object_image(shown, full, sampling, area, diameter)} if shown else {}),
+        **({"object_image": object_image(lit, full, sampling, area, diameter)} if lit else {}),
         **{f"exposure_{name}": image for name, image in zip(SHORTCUTS, shortcuts, strict=True)},
         "peak": np.asarray(full.max()),
         "ee50": ee50,
@@ -71,7 +72,7 @@ def exposure_variables(
     radius = "radius of {} % encircled energy of the exposure; inf beyond the frame"
     off = "shortcut's minus the full exposure's radius of {} % encircled energy; NaN beyond the frame"
     return {
-        **(object_variable(dim, count, pixels) if shown else {}),
+        **(object_variable(shown, dim, count, pixels) if shown else {}),
         "exposure": variable(
             *frame, "1", "mean of every instant's own image at its line of sight; 1 = peak of the perfect one"
         ),

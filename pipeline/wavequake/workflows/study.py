@@ -33,7 +33,7 @@ STUDIES: dict[str, type[Study]] = {
     "lens-passive": PassiveStudy,
 }
 # Keys that name files.
-_FILES = ("file", "mass", "dofs", "mesh", "polygons", "corners")
+_FILES = ("file", "mass", "dofs", "mesh", "polygons", "corners", "picture")
 
 
 def bundled_studies() -> dict[str, Path]:

@@ -94,7 +94,7 @@ def segment_text(study_text: str) -> str:
     """Return the identity text of the segment-disturbance study that an exposure study contains."""
     record = json.loads(study_text)
     record.pop("exposure")
-    record.pop("object")
+    record.pop("object", None)
     return json.dumps(record, sort_keys=True, separators=(",", ":"))
 
 
@@ -244,12 +244,17 @@ def position(control: ControlBench, wavefront: Wavefront) -> Array:
 
 def local_images(control: ControlBench, opd: Array, wavefront: Wavefront) -> Array:
     """Return images (batch, n, n), each about its own line of sight, from OPDs (batch, N) in waves."""
+    size = control.basis.pixels
+    phase = ray_phase(control, opd, wavefront, wavefront.los)
+    return np.asarray(psf(control.basis, phase), dtype=np.float64).reshape(-1, size, size)
+
+
+def ray_phase(control: ControlBench, opd: Array, wavefront: Wavefront, about: Array) -> Array:
+    """Return the phases (batch, N) in waves of images about a place (batch or 1, 2), mm in the image."""
     rays, prepared = control.prepared.rays, control.prepared
     # A phase that grows along +x moves the image to +x; the OPD of a positive line of sight falls along +x.
-    slopes = (wavefront.chief - wavefront.los) / (prepared.wavelength * prepared.focal_length)
-    phase = slopes[:, :1] * rays.x + slopes[:, 1:] * rays.y - opd
-    size = control.basis.pixels
-    return np.asarray(psf(control.basis, phase), dtype=np.float64).reshape(-1, size, size)
+    slopes = (wavefront.chief - about) / (prepared.wavelength * prepared.focal_length)
+    return np.asarray(slopes[:, :1] * rays.x + slopes[:, 1:] * rays.y - opd)
 
 
 def measured_opd(control: ControlBench, traced: Traced) -> Array:

@@ -22,8 +22,9 @@ from wavequake.optics.states import SurfaceStates
 from wavequake.optics.wavefront import Wavefront
 from wavequake.workflows import segment_disturbance
 from wavequake.workflows.bench import MAS_PER_RAD
+from wavequake.workflows.coherent_object import LitObject, lit_object, mean_image
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
-from wavequake.workflows.exposed_object import object_image
+from wavequake.workflows.exposed_object import object_image, object_picture
 from wavequake.workflows.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.exposures import FOCUS, exposed, exposure_variables, frame_coordinates
 from wavequake.workflows.schema import study_from_identity
@@ -39,6 +40,7 @@ from wavequake.workflows.telescope_control import (
     local_images,
     measured_opd,
     position,
+    ray_phase,
     rigid_tilt,
     segment_text,
     trace,
@@ -91,6 +93,7 @@ def exposed_case(control: ControlBench, drawn: CaseDraw, device: Device) -> dict
     grid = imaging.pixels, imaging.sampling, control.area, control.diameter
     instants = len(drawn.time)
     found: dict[str, list[Array]] = {}
+    lit = _lit_object(control)
     for controller in CONTROLLERS:
         # All instants at rest are one.
         case = replace(drawn, time=drawn.time[:1]) if controller == STATIC else drawn
@@ -99,6 +102,8 @@ def exposed_case(control: ControlBench, drawn: CaseDraw, device: Device) -> dict
         history = {name: np.repeat(values, instants // len(los), axis=0) for name, values in history.items()}
         images, fitted = (_images(control, case, device, controller, of) for of in ("rays", "terms"))
         history |= exposed(images, control.static_image, los, *grid, control.study.object)
+        if lit is not None:
+            history["object_image"] = mean_image(lit, _phases(control, case, device, controller))
         history["exposure_fitted"] = cut(full_exposure(fitted, los, imaging.sampling), imaging.pixels)
         for name, values in history.items():
             found.setdefault(name, []).append(values)
@@ -156,6 +161,22 @@ def _images(
     for count, traced, wavefront in case_blocks(control, drawn, device, controller):
         opd = measured_opd(control, traced) if of == "rays" else fitted_opd(control, wavefront)
         yield local_images(control, opd, wavefront)[:count]
+
+
+def _lit_object(control: ControlBench) -> LitObject | None:
+    """Return the object of a study if its light is coherent or partially so."""
+    shown, imaging, prepared = control.study.object, control.study.imaging, control.prepared
+    if shown is None or shown.light == "incoherent":
+        return None
+    rays = prepared.rays.x, prepared.rays.y, prepared.weight
+    return lit_object(shown, rays, imaging.pixels, imaging.sampling, control.area, control.diameter)
+
+
+def _phases(control: ControlBench, drawn: CaseDraw, device: Device, controller: str) -> Iterator[Array]:
+    """Yield the phases of the rays by blocks, about the line of sight at rest."""
+    for count, traced, wavefront in case_blocks(control, drawn, device, controller):
+        opd = measured_opd(control, traced)
+        yield ray_phase(control, opd, wavefront, control.static.los[:1])[:count]
 
 
 def _motion_of_m2(control: ControlBench, drawn: CaseDraw, device: Device) -> dict[str, Array]:
@@ -245,7 +266,9 @@ def describe(study_text: str) -> dict[str, str]:
 def check(study_text: str) -> None:
     """Raise UserError if the telescope cannot be controlled, or disturbance or object do not fit."""
     study = study_from_identity(TelescopeExposureStudy, study_text)
-    if study.object:
+    if study.object and study.object.light != "incoherent":
+        object_picture(study.object, study.imaging.pixels, study.imaging.sampling)
+    elif study.object:
         dark = np.zeros((study.imaging.pixels, study.imaging.pixels))
         object_image(study.object, dark, study.imaging.sampling, 1.0, 1.0)
     control_bench_of(study_text)
