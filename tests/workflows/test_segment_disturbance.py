@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from small_telescope import STUDY
 from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
@@ -17,48 +18,6 @@ from wavequake.workflows.study import load_study, study_with
 
 OPENCL = [device.name for device in list_devices() if device.kind != "numpy"]
 DEVICE = OPENCL[0] if OPENCL else "numpy"
-
-STUDY = """
-[study]
-name = "small"
-workflow = "segment-disturbance"
-seed = 7
-[telescope]
-name = "tmt-18"
-gap_mm = 20.0
-[imaging]
-pixels = 32
-[[disturbance]]
-name = "pistons"
-model = "static-random"
-piston_nm = 20.0
-tip_nrad = 5.0
-tilt_nrad = 5.0
-instants = 3
-share = 2
-[[disturbance]]
-name = "mount"
-model = "line-of-sight"
-act = "mount"
-instants = 20
-duration_s = 60.0
-[[disturbance]]
-name = "m2"
-model = "line-of-sight"
-act = "m2"
-instants = 5
-duration_s = 60.0
-[[disturbance]]
-name = "figure"
-model = "static-random"
-instants = 2
-figure_nm = { 4 = 20.0, 6 = 10.0 }
-[[disturbance]]
-name = "both"
-model = "combine"
-of = ["pistons", "figure"]
-instants = 2
-"""
 
 
 def only_pistons(study):
@@ -380,22 +339,6 @@ def test_long_cases_are_cut_into_launches_without_changing_bits(study, monkeypat
     np.testing.assert_allclose(cut.arrays["exposure"], whole.arrays["exposure"], rtol=1e-12)
 
 
-def test_a_monolithic_mirror_runs_and_is_perfect_at_rest(tmp_path):
-    path = tmp_path / "one.toml"
-    path.write_text(
-        STUDY.replace('"tmt-18"\ngap_mm = 20.0', '"tmt-thesis"').replace(
-            "[imaging]", "[optics]\nrays = 500\n[imaging]"
-        )
-    )
-    text = load_study(path).identity_text()
-    result = workflow.compute(text, np.array([2]), DEVICE)
-    assert result.status[0] == DONE
-    # Table 4.2 has 0.0368 waves of static defocus (rounded radii).
-    assert result.arrays["wfe_rms"][0, 0] == pytest.approx(0.0368 * 550, rel=0.01)
-    light = result.arrays["exposure"][0].sum() * 0.25**2 * np.pi / 4 * (1 - 0.10081333**2)
-    assert 0.3 < light < 1.0
-
-
 def test_kept_motion_is_the_motion_that_was_drawn(study):
     text = study_with(study, {"store.keep": ["segment_motion"]}).identity_text()
     result = workflow.compute(text, np.array([0]), DEVICE)
@@ -406,61 +349,6 @@ def test_kept_motion_is_the_motion_that_was_drawn(study):
     np.testing.assert_allclose(result.arrays["segment_piston_rms"][0, : len(drawn)], rms * 1e9, rtol=1e-12)
 
 
-CUSTOM = """
-[study]
-name = "newton"
-workflow = "segment-disturbance"
-[telescope]
-name = "custom"
-polygons = "polygons.csv"
-primary_radius_mm = -20000.0
-surfaces = [
-    { name = "fold", distance_mm = 5000.0, tilt_deg = 0.0, semi_diameter_mm = 230.0 },
-    { name = "image", distance_mm = 5000.0 },
-]
-[wavefront]
-zernike_terms = 6
-[imaging]
-pixels = 16
-[[disturbance]]
-name = "pistons"
-model = "static-random"
-piston_nm = 10.0
-figure_nm = { 4 = 1.0 }
-"""
-SQUARES = "id,x1_m,y1_m,x2_m,y2_m,x3_m,y3_m,x4_m,y4_m\n" + "\n".join(
-    f"{name},{x},{y},{x + 0.4},{y},{x + 0.4},{y + 0.4},{x},{y + 0.4}"
-    for name, x, y in [("a", 0.01, 0.01), ("b", -0.41, 0.01), ("c", -0.41, -0.41), ("d", 0.01, -0.41)]
-)
-
-
-@pytest.fixture
-def newton(tmp_path):
-    (tmp_path / "polygons.csv").write_text(SQUARES)
-    path = tmp_path / "newton.toml"
-    path.write_text(CUSTOM)
-    return load_study(path)
-
-
-def with_edge(study, semi_diameter):
-    fold, image = (surface.model_dump() for surface in study.telescope.surfaces)
-    return study_with(study, {"telescope.surfaces": [fold | {"semi_diameter_mm": semi_diameter}, image]})
-
-
-@pytest.mark.parametrize("edge", [150.0, 300.0])
-def test_vignetted_rays_are_counted(newton, edge):
-    """Half way to the focus the beam is half as wide, to the order of sag over focal length."""
-    text = with_edge(newton, edge).identity_text()
-    rays = bench_of(text).prepared.rays
-    expected = np.count_nonzero(np.hypot(rays.x, rays.y) > 2.0 * edge)
-    assert (expected > 0) == (edge < 200.0)
-    if not expected:
-        assert workflow.compute(text, np.array([0]), DEVICE).arrays["vignetted"] == [0.0]
-        return
-    static = bench_of(text).static
-    assert static.vignetted[0] == static.lost[0] == expected
-
-
 @pytest.mark.parametrize(("arcmin", "looks"), [(0.0, False), (0.05, False), (2.0, True), (5.0, True)])
 def test_edges_are_looked_at_where_the_beam_may_reach_them(study, arcmin, looks):
     """On the axis M2 of the TMT is 3.6 % wider than the beam of 1459.6 mm; 10 arcmin reach its edge."""
@@ -468,25 +356,3 @@ def test_edges_are_looked_at_where_the_beam_may_reach_them(study, arcmin, looks)
     bench = bench_of(aside.identity_text())
     assert (bench.prepared.train.semi_diameters is not None) == looks
     assert bench.static.vignetted[0] == 0
-
-
-def test_a_mirror_that_lets_nothing_pass_is_refused(newton):
-    with pytest.raises(UserError, match=r"No ray of segment a .* reaches the image"):
-        workflow.check(with_edge(newton, 1.0).identity_text())
-
-
-def test_distorted_corners_come_from_a_file_and_belong_to_the_study(tmp_path):
-    """A corner 15 mm farther out: more glass, another identity, and rays where the new glass is."""
-    path = tmp_path / "small.toml"
-    path.write_text(STUDY)
-    (tmp_path / "corners.csv").write_text("segment,corner,dx_mm,dy_mm\n18,1,7.5,-12.99\n")
-    plain, bent = load_study(path), load_study(path, {"telescope.corners": "corners.csv"})
-    assert plain.identity() != bent.identity()
-    (tmp_path / "corners.csv").unlink()
-    change = bench_of(bent.identity_text()).layout.areas_m2 - bench_of(plain.identity_text()).layout.areas_m2
-    assert np.flatnonzero(change).tolist() == [17]
-    result = workflow.compute(only_pistons(bent).identity_text(), np.array([0]), DEVICE)
-    assert (result.status == DONE).all()
-    monolith = {"telescope.name": "tmt-thesis", "telescope.gap_mm": None, "telescope.corners_csv": "x"}
-    with pytest.raises(UserError, match="corners_csv belongs to the telescope tmt or tmt-18 or jwst"):
-        study_with(plain, monolith)

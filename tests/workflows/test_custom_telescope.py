@@ -1,0 +1,106 @@
+"""Telescopes of one's own: mirrors from files, edges that vignette, one glass instead of segments."""
+
+import numpy as np
+import pytest
+from small_telescope import STUDY
+
+from wavequake.errors import UserError
+from wavequake.kernels.devices import list_devices
+from wavequake.workflows import segment_disturbance as workflow
+from wavequake.workflows.bench import bench_of
+from wavequake.workflows.contract import DONE
+from wavequake.workflows.study import load_study, study_with
+
+DEVICE = list_devices()[0].name
+
+CUSTOM = """
+[study]
+name = "newton"
+workflow = "segment-disturbance"
+[telescope]
+name = "custom"
+polygons = "polygons.csv"
+primary_radius_mm = -20000.0
+surfaces = [
+    { name = "fold", distance_mm = 5000.0, tilt_deg = 0.0, semi_diameter_mm = 230.0 },
+    { name = "image", distance_mm = 5000.0 },
+]
+[wavefront]
+zernike_terms = 6
+[imaging]
+pixels = 16
+[[disturbance]]
+name = "pistons"
+model = "static-random"
+piston_nm = 10.0
+figure_nm = { 4 = 1.0 }
+"""
+SQUARES = "id,x1_m,y1_m,x2_m,y2_m,x3_m,y3_m,x4_m,y4_m\n" + "\n".join(
+    f"{name},{x},{y},{x + 0.4},{y},{x + 0.4},{y + 0.4},{x},{y + 0.4}"
+    for name, x, y in [("a", 0.01, 0.01), ("b", -0.41, 0.01), ("c", -0.41, -0.41), ("d", 0.01, -0.41)]
+)
+
+
+@pytest.fixture
+def newton(tmp_path):
+    (tmp_path / "polygons.csv").write_text(SQUARES)
+    path = tmp_path / "newton.toml"
+    path.write_text(CUSTOM)
+    return load_study(path)
+
+
+def with_edge(study, semi_diameter):
+    fold, image = (surface.model_dump() for surface in study.telescope.surfaces)
+    return study_with(study, {"telescope.surfaces": [fold | {"semi_diameter_mm": semi_diameter}, image]})
+
+
+@pytest.mark.parametrize("edge", [150.0, 300.0])
+def test_vignetted_rays_are_counted(newton, edge):
+    """Half way to the focus the beam is half as wide, to the order of sag over focal length."""
+    text = with_edge(newton, edge).identity_text()
+    rays = bench_of(text).prepared.rays
+    expected = np.count_nonzero(np.hypot(rays.x, rays.y) > 2.0 * edge)
+    assert (expected > 0) == (edge < 200.0)
+    if not expected:
+        assert workflow.compute(text, np.array([0]), DEVICE).arrays["vignetted"] == [0.0]
+        return
+    static = bench_of(text).static
+    assert static.vignetted[0] == static.lost[0] == expected
+
+
+def test_a_mirror_that_lets_nothing_pass_is_refused(newton):
+    with pytest.raises(UserError, match=r"No ray of segment a .* reaches the image"):
+        workflow.check(with_edge(newton, 1.0).identity_text())
+
+
+def test_distorted_corners_come_from_a_file_and_belong_to_the_study(tmp_path):
+    """A corner 15 mm farther out: more glass, another identity, and rays where the new glass is."""
+    path = tmp_path / "small.toml"
+    path.write_text(STUDY)
+    (tmp_path / "corners.csv").write_text("segment,corner,dx_mm,dy_mm\n18,1,7.5,-12.99\n")
+    plain, bent = load_study(path), load_study(path, {"telescope.corners": "corners.csv"})
+    assert plain.identity() != bent.identity()
+    (tmp_path / "corners.csv").unlink()
+    change = bench_of(bent.identity_text()).layout.areas_m2 - bench_of(plain.identity_text()).layout.areas_m2
+    assert np.flatnonzero(change).tolist() == [17]
+    result = workflow.compute(bent.identity_text(), np.array([0]), DEVICE)
+    assert (result.status == DONE).all()
+    monolith = {"telescope.name": "tmt-thesis", "telescope.gap_mm": None, "telescope.corners_csv": "x"}
+    with pytest.raises(UserError, match="corners_csv belongs to the telescope tmt or tmt-18 or jwst"):
+        study_with(plain, monolith)
+
+
+def test_a_monolithic_mirror_runs_and_is_perfect_at_rest(tmp_path):
+    path = tmp_path / "one.toml"
+    path.write_text(
+        STUDY.replace('"tmt-18"\ngap_mm = 20.0', '"tmt-thesis"').replace(
+            "[imaging]", "[optics]\nrays = 500\n[imaging]"
+        )
+    )
+    text = load_study(path).identity_text()
+    result = workflow.compute(text, np.array([2]), DEVICE)
+    assert result.status[0] == DONE
+    # Table 4.2 has 0.0368 waves of static defocus (rounded radii).
+    assert result.arrays["wfe_rms"][0, 0] == pytest.approx(0.0368 * 550, rel=0.01)
+    light = result.arrays["exposure"][0].sum() * 0.25**2 * np.pi / 4 * (1 - 0.10081333**2)
+    assert 0.3 < light < 1.0
