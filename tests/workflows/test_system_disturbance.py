@@ -304,3 +304,36 @@ def test_a_name_that_two_surfaces_of_a_lens_file_share_is_refused(tmp_path):
     body = text + '[[body]]\nname = "lens"\nsurfaces = ["face"]\n'
     with pytest.raises(UserError, match="10 surfaces called 'face'"):
         check(study_of(tmp_path, body.replace('of = ["face"]', 'of = ["lens"]')).identity_text())
+
+
+def test_slopes_give_the_results_of_path_lengths(tmp_path, text, found):
+    slopes = study_of(tmp_path, STUDY, 'wavefront.method="slopes"').identity_text()
+    one = compute(slopes, np.arange(5), "numpy").arrays
+    assert np.isnan(one["zernike"][..., 0]).all()
+    known = np.isfinite(found["zernike"])
+    known[..., 0] = False
+    assert np.abs(found["zernike"][known]).max() > 5.0
+    np.testing.assert_allclose(one["zernike"][known], found["zernike"][known], atol=0.05)
+    np.testing.assert_allclose(one["los_mm"], found["los_mm"], atol=2e-6)
+    for same in ("wfe_rms_raw", "wfe_pv", "strehl", "centroid_mm", "lost"):
+        np.testing.assert_array_equal(one[same], found[same])
+    told = [template(each).per_case["zernike"].attrs["long_name"] for each in (slopes, text)]
+    assert ["slopes" in each for each in told] == [True, False]
+
+
+def test_the_fitted_reference_moves_the_tilt_into_the_image_point(tmp_path, found):
+    """A plane fits coma about the chief ray with a tilt; about the sphere that fits best none is left."""
+    fitted = study_of(tmp_path, STUDY, 'wavefront.reference="fitted"').identity_text()
+    one = compute(fitted, np.arange(5), "numpy").arrays
+    tilts = [np.nanmax(np.abs(each["zernike"][..., 1:3])) for each in (one, found)]
+    assert tilts[0] < 0.05 * tilts[1]  # 60 rays mix tilt and coma by 2 %
+    np.testing.assert_allclose(one["los_mm"], found["los_mm"], atol=1e-5)
+    np.testing.assert_allclose(1 - one["strehl"], 1 - found["strehl"], rtol=2e-3, atol=1e-9)
+    # rho^3 cos(theta) has an rms of 1 / sqrt(8) about the chief ray and of 1 / sqrt(72) about the best plane.
+    ratio = one["wfe_rms_raw"][0, 0, 1] / found["wfe_rms_raw"][0, 0, 1]
+    np.testing.assert_allclose(ratio, 1 / 3, rtol=0.01)
+
+
+def test_slopes_about_a_fitted_sphere_are_refused(tmp_path):
+    with pytest.raises(UserError, match="reference = 'fitted' needs path lengths"):
+        study_of(tmp_path, STUDY, 'wavefront.method="slopes"', 'wavefront.reference="fitted"')

@@ -196,7 +196,7 @@ def with_slopes(prepared: PreparedSystem) -> PreparedSystem:
     """Return the same with coefficients from ray slopes (Störkle 2018, Eq. 4.13-4.20), not path lengths.
 
     Their piston is NaN. Line of sight and `SystemWavefront.rms` follow the coefficients; all else remains
-    that of path lengths. As far as the polynomials describe the wavefront, both methods agree to 2e-7 waves;
+    that of path lengths. As far as the polynomials describe the wavefront, both methods agree to 4e-7 waves;
     what they leave out enters differently, as a fit of slopes weighs a degree n about n times as much.
 
     Raises

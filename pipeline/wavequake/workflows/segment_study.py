@@ -133,9 +133,14 @@ class WavefrontSection(Section):
 
     @model_validator(mode="after")
     def _slopes_have_no_sphere(self) -> "WavefrontSection":
-        if self.method == "slopes" and self.reference == "fitted":
-            raise ValueError("reference = 'fitted' needs path lengths; choose method = 'opd' for it")
+        require_path_lengths(self.method, self.reference)
         return self
+
+
+def require_path_lengths(method: str, reference: str) -> None:
+    """Raise ValueError if a sphere is to be fitted to wavefronts whose path lengths are not to be used."""
+    if method == "slopes" and reference == "fitted":
+        raise ValueError("reference = 'fitted' needs path lengths; choose method = 'opd' for it")
 
 
 class ImagingSection(Section):

@@ -214,6 +214,11 @@ def _coefficients(study: SegmentStudy) -> str:
         "annular": "annular Noll Zernike coefficients, total",
         "circular": "equivalent circular Noll Zernike coefficients (Störkle 2018, Eq. 3.53), total",
     }[wavefront.basis]
-    slopes = ", from the slopes of the rays (Eq. 4.20), which do not know piston"
-    fitted = ", about the best-fit sphere's image point (section 3.3.3)"
-    return basis + slopes * (wavefront.method == "slopes") + fitted * (wavefront.reference == "fitted")
+    return basis + wavefront_source(wavefront.method, wavefront.reference)
+
+
+def wavefront_source(method: str, reference: str) -> str:
+    """Say what coefficients are from and about, where it is not the path lengths about the chief ray."""
+    slopes = ", from the slopes of the rays (Störkle 2018, Eq. 4.20), which do not know piston"
+    fitted = ", about the best-fit sphere's image point (Störkle 2018, section 3.3.3)"
+    return slopes * (method == "slopes") + fitted * (reference == "fitted")

@@ -26,6 +26,8 @@ from wavequake.optics.system_wavefront import (
     incoming_light,
     measure_system,
     prepare_system,
+    with_fitted_sphere,
+    with_slopes,
 )
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.system_study import SystemStudy
@@ -75,7 +77,10 @@ def system_bench(study_text: str) -> SystemBench:
         bodies = tuple(rigid_body(system, one.name, one.surfaces, one.about_mm) for one in study.body)
         _require_elements(study, system)
         system = _deformable(study, system)
-        prepared = prepared_fields(study, system, range(len(system.wavelengths)))
+        prepared = tuple(
+            tuple(_as_asked(study, one) for one in row)
+            for row in prepared_fields(study, system, range(len(system.wavelengths)))
+        )
         rest = rest_states(system)
         static = tuple(tuple(measure_system(one, rest, NUMPY) for one in row) for row in prepared)
         for row, found in zip(prepared, static, strict=True):
@@ -87,7 +92,7 @@ def system_bench(study_text: str) -> SystemBench:
 def prepared_fields(
     study: SystemStudy, system: OpticalSystem, wavelengths: Iterable[int]
 ) -> tuple[tuple[PreparedSystem, ...], ...]:
-    """Return what the trace takes, per field and chosen wavelength."""
+    """Return what the trace takes, per field and chosen wavelength: path lengths about the chief ray."""
     pupil, terms = sunflower(system.pupil.obscuration, 1.0, study.optics.rays), study.wavefront.zernike_terms
     chosen = [float(system.wavelengths[index]) for index in wavelengths]
     return tuple(
@@ -97,6 +102,13 @@ def prepared_fields(
         )
         for field in range(len(system.fields))
     )
+
+
+def _as_asked(study: SystemStudy, prepared: PreparedSystem) -> PreparedSystem:
+    """Return what is prepared with slopes or the sphere that the study asks for."""
+    if study.wavefront.method == "slopes":
+        return with_slopes(prepared)
+    return with_fitted_sphere(prepared) if study.wavefront.reference == "fitted" else prepared
 
 
 def element_names(study: SystemStudy, system: OpticalSystem) -> tuple[str, ...]:
@@ -196,7 +208,8 @@ def failure(
     prepared: PreparedSystem, wavefront: SystemWavefront, states: SystemStates
 ) -> tuple[int, str] | None:
     """Return the first instant that has no wavefront, and why; None if all have one."""
-    bad = ~(np.isfinite(wavefront.chief).all(axis=1) & np.isfinite(wavefront.zernike).all(axis=1))
+    known = np.isfinite(wavefront.zernike[:, 1:]).all(axis=1)  # slopes do not know piston
+    bad = ~(np.isfinite(wavefront.chief).all(axis=1) & known)
     if not bad.any():
         return None
     instant = int(np.argmax(bad))

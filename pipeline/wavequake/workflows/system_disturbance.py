@@ -23,6 +23,7 @@ from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Va
 from wavequake.workflows.sampling import Plan, plan_of, replicate_labels
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segment_disturbance import slot
+from wavequake.workflows.segment_template import wavefront_source
 from wavequake.workflows.system_bench import (
     NM_PER_MM,
     SystemBench,
@@ -149,6 +150,7 @@ def template(study_text: str) -> Template:
     study = bench.study
     instants = max(population.instants for population in study.disturbance)
     grid = {"field": len(bench.prepared), "wavelength": len(bench.prepared[0])}
+    source = wavefront_source(study.wavefront.method, study.wavefront.reference)
     sizes = {"time": instants, **grid, "noll": study.wavefront.zernike_terms, "axis": 2}
 
     def variable(units: str, long_name: str, *dims: str) -> Variable:
@@ -168,12 +170,12 @@ def template(study_text: str) -> Template:
         ),
         "wfe_rms_raw": variable(
             "nm",
-            "wavefront error rms over the rays that arrive, piston removed, tilt about the chief ray's "
-            "image point",
+            "wavefront error rms over the rays that arrive, piston removed, tilt about the image point of "
+            + {"chief": "the chief ray", "fitted": "the best-fit sphere"}[study.wavefront.reference],
             *over,
         ),
         "wfe_pv": variable("nm", "peak to valley of the wavefront about its best-fit plane", *over),
-        "zernike": variable("nm", "Noll Zernike coefficients, total", *over, "noll"),
+        "zernike": variable("nm", f"Noll Zernike coefficients, total{source}", *over, "noll"),
         "los_mm": variable(
             "mm",
             "line of sight of the best-fit plane in the image, relative to rest "

@@ -1,7 +1,7 @@
 """Study files of the workflow "system-disturbance": any optical system, and what moves its surfaces."""
 
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 from pydantic import BaseModel, Field, field_validator, model_validator
 
@@ -11,6 +11,7 @@ from wavequake.mechanics.vibration_lines import VibrationLines
 from wavequake.optics.system_file import SystemSection, embed_file
 from wavequake.workflows.sampling import SampledCampaignSection, whole_sets
 from wavequake.workflows.schema import Section, Study, text_of
+from wavequake.workflows.segment_study import require_path_lengths
 
 
 class BodySection(Section):
@@ -35,11 +36,28 @@ class SystemOpticsSection(Section):
 
 
 class SystemWavefrontSection(Section):
-    """What is fitted to the wavefronts."""
+    """What is fitted to the wavefronts, and to what of them."""
 
     zernike_terms: int = Field(
         default=28, ge=4, le=231, description="by Noll index; annular where the pupil is obscured"
     )
+    method: Literal["opd", "slopes"] = Field(
+        default="opd",
+        description="coefficients and line of sight from path lengths, or from ray slopes alone "
+        "(Störkle 2018, Eq. 4.20), which do not know piston; they agree as far as zernike_terms describe the "
+        "wavefront",
+    )
+    reference: Literal["chief", "fitted"] = Field(
+        default="chief",
+        description="center of the reference sphere in the image: where the chief ray through the center of "
+        "the stop arrives, or that of the sphere that fits the wavefront best (section 3.3.3; needs method "
+        "opd)",
+    )
+
+    @model_validator(mode="after")
+    def _slopes_have_no_sphere(self) -> "SystemWavefrontSection":
+        require_path_lengths(self.method, self.reference)
+        return self
 
 
 class SystemStudy(Study):
