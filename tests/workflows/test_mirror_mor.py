@@ -255,9 +255,9 @@ def _run(tmp_path, keys):
 
 
 def test_variants_that_do_not_suit_are_quarantined_with_the_reason(tmp_path, monkeypatch):
-    """Eight modes cannot follow nine prescribed motions."""
+    """Six rigid motions and three bending modes do not strain the mounts within their plane."""
     monkeypatch.setattr(cli, "_write_report", lambda *_, **__: None)
-    variants = ["modal8", "craigb18"]
+    variants = ["modal9", "craigb18"]
     result = _run(tmp_path, MOR | {"reduction.variants": variants})
     assert result.exit_code == 3
     found = open_store(tmp_path / "s")
@@ -274,6 +274,7 @@ def test_variants_that_do_not_suit_are_quarantined_with_the_reason(tmp_path, mon
         ({"reduction.reference": "craigb5000"}, "craigb5000"),
         ({"reduction.variants": ["craigb18", "craigb900"]}, "craigb900 is above the 855 degrees of freedom"),
         ({"reduction.variants": ["rubin14"]}, "rubin14 is below the 15 rigid motions and attachment modes"),
+        ({"reduction.variants": ["craigb18", "modal8"]}, "modal8 has fewer coordinates than the 9 interface"),
         ({"reduction.variants": ["guyan12"]}, "exactly the order 9, not that of guyan12"),
         ({"reduction.variants": ["modal500"]}, "modal500 asks for 494 modes, too many for the 855"),
         ({"reduction.variants": ["bt36"], "model.damping_beta": 0.0}, "need positive damping"),

@@ -120,14 +120,14 @@ def test_many_instants_are_traced_in_parts(monkeypatch):
 @pytest.fixture(scope="module")
 def store(tmp_path_factory):
     path = tmp_path_factory.mktemp("trace") / "store"
-    study = load_study("mirror-trace", TRACE | {"reduction.variants": ["craigb18", "modal8"]})
+    study = load_study("mirror-trace", TRACE | {"reduction.variants": ["craigb18", "modal9"]})
     run_study(study, path, on="serial")
     return path
 
 
 def test_the_store_has_labels_and_seconds_per_stage(store):
     found = open_store(store).load()
-    assert list(found["variant"].values) == ["craigb18", "modal8"]
+    assert list(found["variant"].values) == ["craigb18", "modal9"]
     assert list(found["status"].values) == [1, 2]
     assert list(found["excitation"].values) == ["sine100", "sine300"]
     assert found["wfe_rms_standard"].dims == ("case", "excitation", "time")
@@ -152,7 +152,7 @@ def test_the_plan_says_what_is_traced():
 def test_a_quarantined_variant_ends_the_command_with_code_3(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     keys = [f"{key}={value}".replace("'", '"') for key, value in TRACE.items()]
-    keys += ['reduction.variants=["craigb18", "modal8"]', "--on", "serial", "--store", "s"]
+    keys += ['reduction.variants=["craigb18", "modal9"]', "--on", "serial", "--store", "s"]
     result = CliRunner().invoke(cli.app, ["run", "mirror-trace", *keys])
     assert result.exit_code == 3, result.output
     assert "The two methods differ by at most" in " ".join(result.stdout.split())

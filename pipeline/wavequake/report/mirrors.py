@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wavequake.report import mirror_figures as draw
+from wavequake.report import mirror_shapes
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.table import MISSING, number
 from wavequake.report.variants import (
@@ -170,6 +171,9 @@ def _figures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
     if reference is None or not model.variants:
         return
     shown, name = representatives(model), model.name
+    krylov = [one for one in model.variants if one.method == "krylov"]
+    drawn = {one.case for one in (reference, *shown, *krylov)}
+    dataset = dataset.sel(case=sorted(drawn)).load()  # once, not figure by figure
     for key, text, ground in (
         ("frf_mech", "Receptance over frequency", reference),
         ("eps_mech", "Error of the receptance over frequency", None),
@@ -177,7 +181,6 @@ def _figures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
         ("eps_opt", "Error of the mechanical-optical response over frequency", None),
     ):
         yield picture(f"{name}-{key}", text, draw.spectra(dataset, key, shown, ground))
-    krylov = [one for one in model.variants if one.method == "krylov"]
     if len(krylov) > 1:
         yield picture(
             f"{name}-krylov",
@@ -203,6 +206,7 @@ def _figures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
             f"Exposures, {excitation}",
             draw.exposure_panels(dataset, excitation, shown, reference),
         )
+    yield from mirror_shapes.pictures(dataset, model)
     for one in shown[:2]:
         yield picture(
             f"{name}-mac-{one.case}", f"MAC of {one.variant}", draw.mac_map(dataset, one, reference)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.errors import UserError
 from wavequake.imaging.matrix_fourier import MatrixFourier, matrix_fourier
 from wavequake.imaging.pupil_function import annular_pupil
 from wavequake.mechanics.excitations import drive_of
@@ -20,7 +21,7 @@ from wavequake.mechanics.response import displacements, respond
 from wavequake.optics.zernike import annular_zernike
 from wavequake.reduction.intermediate import Intermediate, intermediate
 from wavequake.reduction.metrics import eps_mor, full_receptance, receptance
-from wavequake.reduction.names import parse
+from wavequake.reduction.names import Variant, parse
 from wavequake.reduction.two_stage import check_variants, covers, reduce_variants, reference
 from wavequake.workflows.imported_facts import facts, frequencies
 from wavequake.workflows.mirror_base import CLAMPED, driven, on_moving_base
@@ -187,6 +188,16 @@ def check_variants_of(study: AnyMirrorStudy, bench: Bench, variants: tuple[str, 
         drive = drive_of(excitation, len(bench.stage.interfaces), time_of(study), study.study.seed)
         for name in clamped:
             driven(variant_of(bench, name), drive, excitation.name)
+        for variant in map(parse, variants):
+            _require_coordinates(variant, int(drive.prescribed.sum()), excitation.name)
+
+
+def _require_coordinates(variant: Variant, prescribed: int, excitation: str) -> None:
+    if variant.method != CLAMPED and variant.order is not None and variant.order < prescribed:
+        raise UserError(
+            f"the variant {variant} has fewer coordinates than the {prescribed} interface directions that "
+            f"the excitation {excitation!r} prescribes; choose an order of {prescribed} at least"
+        )
 
 
 def build_model(study: AnyMirrorStudy, name: str) -> FiniteElementModel:
@@ -259,13 +270,20 @@ def spot_check(study: MirrorStudy, name: str) -> tuple[Array, Array]:
 
 def aberrations_over_time(study: MirrorStudy, model: ReducedModel, rows: Array) -> Array:
     """Return the modal method's aberrations, (excitation, time, 2 + J): mm of line of sight, nm."""
+    return over_time(study, model, rows)[0]
+
+
+def over_time(study: MirrorStudy, model: ReducedModel, *rows: Array) -> list[Array]:
+    """Return what rows (m, r) give of a model's coordinates under every excitation, (excitation, time, m)."""
     time, interfaces = time_of(study), model.inputs.shape[1] // 3
-    found = []
+    found: list[list[Array]] = [[] for _ in rows]
     for excitation in study.excitation:
         drive = drive_of(excitation, interfaces, time, study.study.seed)
         held, drive = driven(model, drive, excitation.name)
-        found.append(displacements(respond(modal_model(held, drive.prescribed), [drive], time), rows)[0])
-    return np.array(found)
+        response = respond(modal_model(held, drive.prescribed), [drive], time)
+        for part, chosen in zip(found, rows, strict=True):
+            part.append(displacements(response, chosen)[0])
+    return [np.array(part) for part in found]
 
 
 @lru_cache(maxsize=4)

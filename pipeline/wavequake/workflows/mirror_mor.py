@@ -17,7 +17,6 @@ from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Va
 from wavequake.workflows.mirror_bench import (
     Answers,
     Bench,
-    aberrations_over_time,
     answers_of,
     bench_of,
     check_variants_of,
@@ -25,12 +24,14 @@ from wavequake.workflows.mirror_bench import (
     image_of,
     import_notices,
     import_record,
+    over_time,
     spot_check,
     study_of,
     time_of,
     variant_of,
 )
 from wavequake.workflows.mirror_optics import Optics, mode_residuals, optical_rows
+from wavequake.workflows.mirror_shapes import MOST_TERMS, SHOWN_MODES, mode_shapes, node_row
 from wavequake.workflows.mirror_study import FULL, MirrorStudy
 
 Array = NDArray[np.float64]
@@ -80,7 +81,9 @@ def judged(study: MirrorStudy, bench: Bench, answers: Answers, variant: str) -> 
     rows = optical_rows(optics, reduced)
     frequencies = frequencies_of(study)
     mechanical, optical = receptance(reduced, frequencies), receptance(reduced, frequencies, rows[3:])
-    aberrations = aberrations_over_time(study, reduced, rows)
+    aberrations, node = over_time(study, reduced, rows, node_row(reduced))
+    peaks = _wavefront_error(answers.aberrations).argmax(axis=1)
+    figures, wavefronts = mode_shapes(optics, reduced)
     apart = aberrations - answers.aberrations
     images = exposures(study, optics, aberrations)
     shown = np.full((len(frequencies), SHOWN_TERMS - 1), np.nan)
@@ -105,7 +108,17 @@ def judged(study: MirrorStudy, bench: Bench, answers: Answers, variant: str) -> 
         "resolution_mm": optics.resolution,
         "exposure": images,
         "image_error": _image_error(images, reference_exposures(study, bench, answers)),
+        "obscuration": optics.obscuration,
+        "mode_figure": _padded(figures, SHOWN_MODES, terms_of(study)),
+        "mode_wavefront": _padded(wavefronts, SHOWN_MODES, terms_of(study)),
+        "peak_wavefront": _padded(aberrations[np.arange(len(peaks)), peaks, 2:], len(peaks), terms_of(study)),
+        "node_motion": node[..., 0],
     }
+
+
+def terms_of(study: MirrorStudy) -> int:
+    """Return for how many Noll terms the shapes of all models have room."""
+    return study.optics.zernike_terms or MOST_TERMS
 
 
 def _wavefront_error(aberrations: Array) -> Array:
@@ -114,9 +127,10 @@ def _wavefront_error(aberrations: Array) -> Array:
     return rms
 
 
-def _padded(values: Array, count: int) -> Array:
-    filled = np.full(count, np.nan)
-    filled[: len(values)] = values[:count]
+def _padded(values: Array, *shape: int) -> Array:
+    filled = np.full(shape, np.nan)
+    kept = tuple(slice(min(own, room)) for own, room in zip(values.shape, shape, strict=True))
+    filled[kept] = values[kept]
     return filled
 
 
@@ -185,7 +199,7 @@ def template(study_text: str) -> Template:
 
 def variables(study: MirrorStudy) -> dict[str, Variable]:
     """Return what is stored per case."""
-    excitations, instants = len(study.excitation), study.time.instants
+    excitations, instants, terms = len(study.excitation), study.time.instants, terms_of(study)
     frequencies, pixels = study.reduction.frequencies, study.imaging.pixels
     over_frequency, over_time = ("frequency",), ("excitation", "time")
 
@@ -247,6 +261,29 @@ def variables(study: MirrorStudy) -> dict[str, Variable]:
             (excitations,),
             {"units": "1", "long_name": "L2 norm of the difference of unit-energy exposures"},
         ),
+        "obscuration": scalar("1", "inner over outer radius of the pupil"),
+        "mode_figure": Variable(
+            ("elastic_mode", "term"),
+            (SHOWN_MODES, terms),
+            {
+                "units": "1",
+                "long_name": "Noll coefficients of modes on the mirror, heights of rms 1",
+            },
+        ),
+        "mode_wavefront": Variable(
+            ("elastic_mode", "term"),
+            (SHOWN_MODES, terms),
+            {"units": "nm/um", "long_name": "Noll coefficients of the wavefronts of these modes at 1 um rms"},
+        ),
+        "peak_wavefront": Variable(
+            ("excitation", "term"),
+            (excitations, terms),
+            {
+                "units": "nm",
+                "long_name": "Noll coefficients of the wavefront when that of the reference is worst",
+            },
+        ),
+        "node_motion": history("m", "motion along z of a node on the rim, far from the mounts"),
     }
 
 
@@ -265,6 +302,7 @@ def _fixed(
         "frequency": (("frequency",), frequencies_of(study), {"units": "Hz", "long_name": "frequency"}),
         "time": (("time",), time_of(study), {"units": "s", "long_name": "time"}),
         "excitation": (("excitation",), np.array(names, dtype=object), {"long_name": "excitation"}),
+        "term": (("term",), np.arange(1, terms_of(study) + 1), {"long_name": "Noll index of a shape"}),
         "noll": (("noll",), np.arange(2, SHOWN_TERMS + 1), {"long_name": "Noll index"}),
         "axis": (("axis",), np.array(["x", "y"], dtype=object), {"long_name": "axis of the image plane"}),
         "y": (("y",), pixels, {**lambda_over_d, "long_name": "image y"}),
