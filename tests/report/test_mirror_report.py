@@ -253,6 +253,17 @@ def test_a_trace_report_says_how_far_the_methods_are_apart_why_and_what_they_cos
         assert part in page
 
 
+def test_a_trace_from_before_residual_grids_has_dashes_for_them(tmp_path):
+    """Such stores know neither the share that is missed nor the stages that trace it."""
+    old = traced().drop_vars(["missed_share", "wfe_rms_residual"])
+    old = old.isel(stage=[k for k, stage in enumerate(old["stage"].values) if "residual" not in stage])
+    (first, _) = mirror_traces.trace_results(old)
+    assert np.isnan(first.missed)
+    assert first.standard_s == pytest.approx(4 * 0.002)
+    assert "craigb18 a 100.0 1.0e-04 1.0e-05 – – 8.00 4.00" in _printed(mirror_traces.table_of(tmp_path, old))
+    mirror_traces.write_report_of(tmp_path, old, tmp_path / "r.html", "numpy")
+
+
 def test_a_trace_without_light_or_cases_is_no_error(tmp_path):
     assert "differ" in mirror_traces.answer(mirror_traces.trace_results(traced(wfe=0.0)))
     nothing = traced().isel(case=[1])

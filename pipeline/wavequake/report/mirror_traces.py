@@ -95,10 +95,10 @@ def trace_results(dataset: xr.Dataset) -> list[TraceResult]:
                     from_sag=_share(part["wfe_difference_sag"], wfe),
                     from_optics=_share(part["wfe_difference_optics"], wfe),
                     los=float(part["los_difference"].max()) / float(case["resolution_mm"]),
-                    missed=float(part["missed_share"]),
-                    rest=float(part["wfe_rms_residual"].max()),
-                    standard_s=sum(seconds[stage] for stage in STANDARD),
-                    modal_s=sum(seconds[stage] for stage in MODAL),
+                    missed=float(part["missed_share"]) if "missed_share" in part else float("nan"),
+                    rest=float(part["wfe_rms_residual"].max()) if "wfe_rms_residual" in part else 0.0,
+                    standard_s=sum(seconds.get(stage, 0.0) for stage in STANDARD),
+                    modal_s=sum(seconds.get(stage, 0.0) for stage in MODAL),
                     stages=seconds,
                 )
             )
@@ -138,7 +138,7 @@ def _row(one: TraceResult) -> dict[str, str]:
         f"{one.from_sag:.1e}",
         f"{one.from_optics:.1e}",
         f"{one.los:.1e}",
-        f"{one.missed:.1e}",
+        MISSING if np.isnan(one.missed) else f"{one.missed:.1e}",
         number(one.rest) if one.rest else MISSING,
         number(one.standard_s * 1e3),
         number(one.modal_s * 1e3),
