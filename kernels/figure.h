@@ -39,24 +39,28 @@ INLINE real FIGURE(slopes)(__global const double *figure, real u, real v, real *
     return value;
 }
 
-// Step from a hit of the bare conic to the conic plus figure, and the normal there: F takes z less the
-// figure for z. The first step uses the figure's value alone, which leaves less than the figure times its
-// slope; the second, a Newton step with both at that point, leaves the figure's curvature times the square
-// of that.
-INLINE real FIGURE(step)(__global const double *figure, __global const double *frame, triple hit, triple d,
-                        double c, double k1, triple *normal)
+// From a hit of the bare conic to the conic plus figure in two steps: F takes z less the figure for z. The
+// first step uses the figure's value alone, which leaves less than the figure times its slope; the second, a
+// Newton step with both at that point, leaves the figure's curvature times the square of that.
+INLINE real FIGURE(first)(__global const double *figure, __global const double *frame, triple hit, triple d,
+                         triple bare)
 {
     double ex = frame[2], ey = frame[3];
     real u = ex * (hit.x - frame[0]) + ey * (hit.y - frame[1]);
     real v = ex * (hit.y - frame[1]) - ey * (hit.x - frame[0]);
-    real across_u = ex * d.x + ey * d.y, across_v = ex * d.y - ey * d.x;
+    return FIGURE(value)(figure, u, v) * bare.z / dot3(bare, d);
+}
 
-    triple bare = conic_normal(hit, c, k1);
-    real first = FIGURE(value)(figure, u, v) * bare.z / dot3(bare, d);
+// Takes the first step and returns the second, with the normal where it leads.
+INLINE real FIGURE(second)(__global const double *figure, __global const double *frame, triple hit, triple d,
+                          real first, double c, double k1, triple *normal)
+{
+    double ex = frame[2], ey = frame[3];
     hit = along(hit, first, d);
-
+    real u = ex * (hit.x - frame[0]) + ey * (hit.y - frame[1]);
+    real v = ex * (hit.y - frame[1]) - ey * (hit.x - frame[0]);
     real slope_u, slope_v;
-    real deformation = FIGURE(slopes)(figure, u + first * across_u, v + first * across_v, &slope_u, &slope_v);
+    real deformation = FIGURE(slopes)(figure, u, v, &slope_u, &slope_v);
     real slope_x = ex * slope_u - ey * slope_v, slope_y = ey * slope_u + ex * slope_v;
     triple flat = {hit.x, hit.y, hit.z - deformation};
     triple direction = {d.x, d.y, d.z - slope_x * d.x - slope_y * d.y};
@@ -68,5 +72,5 @@ INLINE real FIGURE(step)(__global const double *figure, __global const double *f
     normal->x = lean.x - slope_x * lean.z;
     normal->y = lean.y - slope_y * lean.z;
     normal->z = lean.z;
-    return first + second;
+    return second;
 }

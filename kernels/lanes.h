@@ -55,6 +55,14 @@ typedef JOIN(char, W) loose_status __attribute__((aligned(1)));
 #define EITHER(condition, yes, no) ((condition) ? (yes) : (no))
 #define NOT(condition) ((condition) == 0)
 
+// Put this at the head of a kernel. Compilers align the stack for spilled vectors only if a variable asks for
+// it; else every other of them crosses a cache line.
+#if W > 1
+#define ALIGN_STACK volatile char aligned __attribute__((aligned(64))) = 0
+#else
+#define ALIGN_STACK (void)0
+#endif
+
 INLINE mask finite(real a) { return a - a == 0.0; }
 
 // Clang's intrinsic becomes the vector instruction; the built-in function may stay a call.

@@ -88,3 +88,15 @@ INLINE real back_to_sphere(const ray *r, real x, real y, double square)
     real excess = square - dot3(offset, offset);
     return (projection + root(projection * projection + r->length * r->length * excess)) / r->length;
 }
+
+// A `b` that is not a number stays, an `a` that is none does not.
+INLINE real larger(real a, real b) { return EITHER(a > b, a, b); }
+
+// What is added to a number to make it NaN where `a` is not finite.
+INLINE real poison(real a) { return a - a; }
+
+// Losses are numbers, of which a ray keeps the largest.
+INLINE real lose_unless(mask good, real loss, double other)
+{
+    return larger(EITHER(good, (real)0.0, (real)other), loss);
+}

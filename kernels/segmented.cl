@@ -1,6 +1,7 @@
 // Traces rays through a segmented telescope: segments of M1, further mirrors, image plane, reference sphere.
 //
-// Work-item (lane group, ray, tile). Compile-time constants: W instants per work-item, EDGES per segment
+// Work-item (lane group, ray, tile). Compile-time constants: W instants in a vector, TURNS vectors per
+// work-item, EDGES per segment
 // (0: no edge), DEGREE and MIRROR_DEGREE of the figure polynomials of segments and of the mirrors after M1
 // (-1: none), SURFACES after M1 (the last is the image plane), PLANES (bit i: surface i is a plane), EDGED
 // (bit i: surface i has an edge).
@@ -25,82 +26,50 @@ enum { OK = 0, GAP = 1, MISS = 2 };
 #include "figure.h"
 #endif
 
-// Reflect at the first candidate whose glass the ray meets. The search runs in each segment's displaced
-// frame; the ray itself stays in the optics frame, where the step is the same and only the normal has to be
-// turned back.
-INLINE mask reflect_at_segments(ray *r, int candidates, __global const int *candidate,
-                                __global const double *poses, __global const double *figures,
-                                __global const double *edges, __global const double *frames,
-                                double c, double k1)
+// Why a ray is lost is a number that is the larger, the earlier the loss: masks that are combined with one
+// another cost processors without 512-bit vectors as much as the trace itself.
+#define LOSS(status) (256.0 - (status))
+
+// The vectors of a work-item take turns at every step, so that one hides the other's waiting.
+#define EACH_TURN _Pragma("unroll") for (int k = 0; k < TURNS; ++k)
+
+// Where a ray meets a segment's conic, in the segment's displaced frame.
+typedef struct { real step; triple hit, direction, lean; } meeting;
+// What the search has found, in the optics frame; `loss` is that of a gap until a ray meets glass.
+typedef struct { real step, loss; triple normal; } sighting;
+
+INLINE meeting meet_conic(const ray *r, __global const double *pose, double c, double k1)
 {
-    mask found = 0;
-    real step = 0.0;
-    triple normal = {0.0, 0.0, -1.0};
-    for (int i = 0; i < candidates; ++i) {
-        const int segment = candidate[i];
-        if (segment < 0)
-            continue;
-        __global const double *pose = poses + (size_t)segment * 12 * 16;
-        triple start = moved(pose, r->position), d = turned(pose, r->direction);
-        real to_glass = conic_step(start, d, c, k1);
-        triple hit = along(start, to_glass, d);
-        triple lean = conic_normal(hit, c, k1);
-#if DEGREE >= 0
-        __global const double *figure = figures + (size_t)segment * TERMS(DEGREE) * 16;
-        real further = segment_figure_step(figure, frames + 4 * segment, hit, d, c, k1, &lean);
-        hit = along(hit, further, d);
-        to_glass += further;
-#endif
-        mask inside = finite(to_glass) & (lean.z < 0.0);
-        #pragma unroll
-        for (int edge = 0; edge < EDGES; ++edge) {
-            __global const double *line = edges + 3 * (EDGES * segment + edge);
-            inside &= line[0] * hit.x + line[1] * hit.y <= line[2];
-        }
-        mask chosen = inside & NOT(found);
-        lean = turned_back(pose, lean);
-        step = EITHER(chosen, to_glass, step);
-        normal.x = EITHER(chosen, lean.x, normal.x);
-        normal.y = EITHER(chosen, lean.y, normal.y);
-        normal.z = EITHER(chosen, lean.z, normal.z);
-        found |= inside;
-    }
-    advance(r, step);
-    reflect(r, normal);
-    return found;
+    meeting m;
+    const triple start = moved(pose, r->position);
+    m.direction = turned(pose, r->direction);
+    m.step = conic_step(start, m.direction, c, k1);
+    m.hit = along(start, m.step, m.direction);
+    m.lean = conic_normal(m.hit, c, k1);
+    return m;
 }
 
-// Reflect at surface i after M1, or stop there if it is the last; tells whether the ray met its clear part.
-INLINE mask reflect_at_surface(ray *r, int i, __global const double *pose, double c, double k1,
-                               double clear_square, __global const double *figure,
-                               __global const double *frame)
+// The first segment whose glass a ray meets counts.
+INLINE void keep_if_on_glass(sighting *s, const meeting *m, __global const double *pose,
+                             __global const double *line)
 {
-    r->position = moved(pose, r->position);
-    r->direction = turned(pose, r->direction);
-    mask met;
-    if ((PLANES >> i & 1) && (MIRROR_DEGREE < 0 || i == SURFACES - 1)) {
-        real step = -r->position.z / r->direction.z;
-        advance(r, step);
-        met = finite(step);
-        if (EDGED >> i & 1)
-            met &= r->position.x * r->position.x + r->position.y * r->position.y <= clear_square;
-        if (i < SURFACES - 1)
-            r->direction.z = -r->direction.z;
-    } else {
-        real step = conic_step(r->position, r->direction, c, k1);
-        advance(r, step);
-        triple normal = conic_normal(r->position, c, k1);
-#if MIRROR_DEGREE >= 0
-        real further = mirror_figure_step(figure, frame, r->position, r->direction, c, k1, &normal);
-        advance(r, further);
-        step += further;
-#endif
-        met = finite(step) & (normal.z < 0.0);
-        if (EDGED >> i & 1)
-            met &= r->position.x * r->position.x + r->position.y * r->position.y <= clear_square;
-        reflect(r, normal);
-    }
-    return met;
+    real beyond = larger(m->lean.z, LOSS(GAP) - s->loss);
+    #pragma unroll
+    for (int edge = 0; edge < EDGES; ++edge)
+        beyond = larger(line[3 * edge] * m->hit.x + (line[3 * edge + 1] * m->hit.y - line[3 * edge + 2]), beyond);
+    const mask first = beyond + poison(m->step) <= 0.0;
+    const triple normal = turned_back(pose, m->lean);
+    s->step = EITHER(first, m->step, s->step);
+    s->normal.x = EITHER(first, normal.x, s->normal.x);
+    s->normal.y = EITHER(first, normal.y, s->normal.y);
+    s->normal.z = EITHER(first, normal.z, s->normal.z);
+    s->loss = EITHER(first, (real)0.0, s->loss);
+}
+
+INLINE real lose_beyond(const ray *r, double clear_square, real loss, double other)
+{
+    const triple p = r->position;
+    return lose_unless(p.x * p.x + p.y * p.y <= clear_square, loss, other);
 }
 
 __kernel void segmented(
@@ -115,7 +84,8 @@ __kernel void segmented(
     __global const double *directions, __global const double *chief,
     __global double *out_opd, __global double *out_x, __global double *out_y, __global char *out_status)
 {
-    const size_t lane = get_global_id(0) * W, n = get_global_id(1), tile = get_global_id(2);
+    ALIGN_STACK;
+    const size_t lane = get_global_id(0) * (TURNS * W), n = get_global_id(1), tile = get_global_id(2);
     if (n >= rays)
         return;
     directions += tile * 3 * 16 + lane;
@@ -129,26 +99,103 @@ __kernel void segmented(
     mirror_figures += tile * (SURFACES - 1) * TERMS(MIRROR_DEGREE) * 16 + lane;
 #endif
 
-    triple light = {LOAD(directions), LOAD(directions + 16), LOAD(directions + 32)};
-    ray r = {{ray_x[n], ray_y[n], start_z}, light, 1.0};
-    r.path = dot3(r.position, r.direction);
-    mask met = reflect_at_segments(&r, candidates, candidate + n * candidates, segment_poses, figures,
-                                   edges, frames, c, k1);
-    mask status = EITHER(met, (mask)OK, (mask)GAP);
+    ray r[TURNS];
+    sighting s[TURNS];
+    EACH_TURN {
+        const triple light = {LOAD(directions + k * W), LOAD(directions + 16 + k * W),
+                              LOAD(directions + 32 + k * W)};
+        r[k].position.x = ray_x[n];
+        r[k].position.y = ray_y[n];
+        r[k].position.z = start_z;
+        r[k].direction = light;
+        r[k].length = 1.0;
+        r[k].path = dot3(r[k].position, light);
+        s[k].step = 0.0;
+        s[k].loss = LOSS(GAP);
+        s[k].normal.x = 0.0;
+        s[k].normal.y = 0.0;
+        s[k].normal.z = -1.0;
+    }
+    // The search runs in each segment's displaced frame; the ray itself stays in the optics frame, where the
+    // step is the same and only the normal has to be turned back.
+    for (int i = 0; i < candidates; ++i) {
+        const int segment = candidate[n * candidates + i];
+        if (segment < 0)
+            continue;
+        __global const double *pose = segment_poses + (size_t)segment * 12 * 16;
+        meeting m[TURNS];
+        EACH_TURN m[k] = meet_conic(&r[k], pose + k * W, c, k1);
+#if DEGREE >= 0
+        __global const double *figure = figures + (size_t)segment * TERMS(DEGREE) * 16;
+        real further[TURNS];
+        EACH_TURN further[k] = segment_figure_first(figure + k * W, frames + 4 * segment, m[k].hit,
+                                                    m[k].direction, m[k].lean);
+        EACH_TURN further[k] += segment_figure_second(figure + k * W, frames + 4 * segment, m[k].hit,
+                                                      m[k].direction, further[k], c, k1, &m[k].lean);
+        EACH_TURN m[k].hit = along(m[k].hit, further[k], m[k].direction);
+        EACH_TURN m[k].step += further[k];
+#endif
+        EACH_TURN keep_if_on_glass(&s[k], &m[k], pose + k * W, edges + 3 * EDGES * segment);
+    }
+    real loss[TURNS];
+    EACH_TURN {
+        advance(&r[k], s[k].step);
+        reflect(&r[k], s[k].normal);
+        loss[k] = s[k].loss;
+    }
+
     #pragma unroll
     for (int i = 0; i < SURFACES; ++i) {
-        met = reflect_at_surface(&r, i, surface_poses + i * 12 * 16, curvatures[i], conics_plus_1[i],
-                                 clear_squares[i], mirror_figures + i * TERMS(MIRROR_DEGREE) * 16, mirror_frames + i * 4);
-        status = EITHER(NOT(met) & (status == OK), (mask)(MISS + i), status);
+        __global const double *pose = surface_poses + i * 12 * 16;
+        EACH_TURN {
+            r[k].position = moved(pose + k * W, r[k].position);
+            r[k].direction = turned(pose + k * W, r[k].direction);
+        }
+        if ((PLANES >> i & 1) && (MIRROR_DEGREE < 0 || i == SURFACES - 1)) {
+            EACH_TURN {
+                const real step = -r[k].position.z / r[k].direction.z;
+                advance(&r[k], step);
+                loss[k] = lose_unless(finite(step), loss[k], LOSS(MISS + i));
+                if (EDGED >> i & 1)
+                    loss[k] = lose_beyond(&r[k], clear_squares[i], loss[k], LOSS(MISS + i));
+                if (i < SURFACES - 1)
+                    r[k].direction.z = -r[k].direction.z;
+            }
+            continue;
+        }
+        real step[TURNS];
+        triple normal[TURNS];
+        EACH_TURN step[k] = conic_step(r[k].position, r[k].direction, curvatures[i], conics_plus_1[i]);
+        EACH_TURN advance(&r[k], step[k]);
+        EACH_TURN normal[k] = conic_normal(r[k].position, curvatures[i], conics_plus_1[i]);
+#if MIRROR_DEGREE >= 0
+        __global const double *figure = mirror_figures + i * TERMS(MIRROR_DEGREE) * 16;
+        real further[TURNS];
+        EACH_TURN further[k] = mirror_figure_first(figure + k * W, mirror_frames + i * 4, r[k].position,
+                                                   r[k].direction, normal[k]);
+        EACH_TURN further[k] += mirror_figure_second(figure + k * W, mirror_frames + i * 4, r[k].position,
+                                                     r[k].direction, further[k], curvatures[i],
+                                                     conics_plus_1[i], &normal[k]);
+        EACH_TURN advance(&r[k], further[k]);
+        EACH_TURN step[k] += further[k];
+#endif
+        EACH_TURN {
+            loss[k] = lose_unless(normal[k].z + poison(step[k]) < 0.0, loss[k], LOSS(MISS + i));
+            if (EDGED >> i & 1)
+                loss[k] = lose_beyond(&r[k], clear_squares[i], loss[k], LOSS(MISS + i));
+            reflect(&r[k], normal[k]);
+        }
     }
-    real back = back_to_sphere(&r, LOAD(chief), LOAD(chief + 16), sphere_square);
-    real opd = LOAD(chief + 32) - (r.path - back);
-    status = EITHER(NOT(finite(opd)) & (status == OK), (mask)(MISS + SURFACES), status);
 
     const size_t out = (tile * rays + n) * 16 + lane;
-    const mask lost = status != OK;
-    STORE(EITHER(lost, (real)NAN, opd), out_opd + out);
-    STORE(EITHER(lost, (real)NAN, r.position.x), out_x + out);
-    STORE(EITHER(lost, (real)NAN, r.position.y), out_y + out);
-    STORE_STATUS(status, out_status + out);
+    EACH_TURN {
+        const real back = back_to_sphere(&r[k], LOAD(chief + k * W), LOAD(chief + 16 + k * W), sphere_square);
+        const real opd = LOAD(chief + 32 + k * W) - (r[k].path - back);
+        loss[k] = lose_unless(finite(opd), loss[k], LOSS(MISS + SURFACES));
+        const mask lost = loss[k] > 0.0;
+        STORE(EITHER(lost, (real)NAN, opd), out_opd + out + k * W);
+        STORE(EITHER(lost, (real)NAN, r[k].position.x), out_x + out + k * W);
+        STORE(EITHER(lost, (real)NAN, r[k].position.y), out_y + out + k * W);
+        STORE_STATUS(to_integers(EITHER(lost, LOSS(loss[k]), (real)OK)), out_status + out + k * W);
+    }
 }

@@ -39,18 +39,8 @@ INLINE int any_lane(mask a)
 #endif
 }
 
-INLINE real larger(real a, real b) { return EITHER(a > b, a, b); }
-
-INLINE real lose_unless(mask good, real loss, double other)
-{
-    return larger(EITHER(good, (real)0.0, (real)other), loss);
-}
-
 INLINE integers status_of(real loss) { return STATUS_OF(to_integers(loss) & 7); }
 INLINE integers surface_of(real loss) { return -1 - (to_integers(loss) >> 3); }
-
-// What is added to a number to make it NaN where `a` is not finite.
-INLINE real poison(real a) { return a - a; }
 
 INLINE triple choose(mask condition, triple yes, triple no)
 {

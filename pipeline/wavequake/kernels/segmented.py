@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from wavequake.kernels.devices import Device
 from wavequake.kernels.program import aligned_empty, launch
 from wavequake.kernels.segmented_numpy import trace_chief, trace_segmented_numpy
+from wavequake.kernels.steps import vector_width
 from wavequake.kernels.tiles import TILE
 from wavequake.kernels.train import SegmentedTrain, Traced, check_rays
 
@@ -115,8 +116,10 @@ def _launch(
     ray_x, ray_y, start_z, candidates = rays
     tiles, count, _ = outputs[0].shape
     segments, edges, _ = train.edges.shape
+    lanes, turns = _lanes(device)
     constants = {
-        "W": device.vector_width,
+        "W": lanes,
+        "TURNS": turns,
         "EDGES": edges,
         "DEGREE": train.figure_degree,
         "SURFACES": train.surface_curvatures.size,
@@ -132,5 +135,13 @@ def _launch(
         *(train.surface_curvatures, 1.0 + train.surface_conics, train.clear_squares, train.mirror_frames),
         *moving,
     ]
-    size = (TILE // device.vector_width, count, tiles)
+    size = (TILE // (lanes * turns), count, tiles)
     launch(device, "segmented", tuple(constants.items()), size, inputs, outputs)
+
+
+def _lanes(device: Device) -> tuple[int, int]:
+    """Return the instants of one vector, and the vectors of a work-item: on a CPU they are a whole tile."""
+    if device.kind == "gpu":
+        return 1, 1
+    lanes = max(4, min(TILE, 2 * vector_width(device, np.dtype(np.float64))))
+    return lanes, TILE // lanes

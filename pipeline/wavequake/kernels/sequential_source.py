@@ -90,6 +90,7 @@ def kernel_source(
     lines += [
         f"__kernel void sequential(const int rays, {', '.join(arguments)})",
         "{",
+        "    ALIGN_STACK;",
         "    const size_t instant = get_global_id(2);",
         "    // The last group overlaps the one before it, so that all lanes are rays.",
         f"    const size_t group = get_global_id(1) * ({turns} * W);",
