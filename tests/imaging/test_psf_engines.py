@@ -5,13 +5,13 @@ import pytest
 from scipy.special import j1
 
 from wavequake.errors import UserError
+from wavequake.imaging.nyquist import samples_for
 from wavequake.imaging.outlines import annulus, blocked, vane
 from wavequake.imaging.psf_engines import (
     ENGINES,
     SegmentedPupil,
     point_spread,
     prepare_psf,
-    samples_for,
 )
 from wavequake.imaging.pupil_function import annular_pupil, sampled_pupil
 from wavequake.kernels.devices import NUMPY, list_devices

@@ -36,7 +36,7 @@ def test_images_are_those_of_phases_evaluated_cell_by_cell(device, pupil, terms,
     grid, waves = PUPILS[pupil], coefficients(terms, rms=0.3 / np.sqrt(terms))
     expected = psf(matrix_fourier(grid, pixels, 0.5), zernike_phase(grid, waves, 0.3))
     imager = zernike_imager(grid, pixels, 0.5, terms, 0.3, device)
-    assert np.abs(zernike_images(imager, waves) - expected).max() < tolerance
+    assert np.abs(zernike_images(imager, waves, check=False) - expected).max() < tolerance
 
 
 @pytest.mark.parametrize("device", OPENCL, **IDS)
@@ -44,7 +44,7 @@ def test_float32_is_good_to_its_precision(device):
     grid, waves = PUPILS["annulus"], coefficients(45, rms=0.03)
     expected = psf(matrix_fourier(grid, 16, 0.5), zernike_phase(grid, waves))
     imager = zernike_imager(grid, 16, 0.5, 45, 0.0, device, np.float32)
-    assert 1e-12 < np.abs(zernike_images(imager, waves) - expected).max() < 2e-6
+    assert 1e-12 < np.abs(zernike_images(imager, waves, check=False) - expected).max() < 2e-6
 
 
 @pytest.mark.parametrize("device", [NUMPY, *OPENCL], **IDS)
@@ -52,11 +52,11 @@ def test_the_sum_skips_weight_0_and_does_not_depend_on_the_batch(device):
     imager = zernike_imager(PUPILS["annulus"], 16, 0.5, 21, 0.3, device)
     waves, weights = coefficients(21, 20), np.linspace(0.1, 1.0, 20)
     weights[7], waves[7, 3] = 0.0, np.nan
-    images = zernike_images(imager, waves)
+    images = zernike_images(imager, waves, check=False)
     assert np.isnan(images[7]).all()
     expected = np.tensordot(np.delete(weights, 7), np.delete(images, 7, axis=0), axes=1)
-    assert zernike_sum(imager, waves, weights) == pytest.approx(expected, rel=1e-13)
-    alone = [zernike_images(imager, waves[i : i + 1])[0] for i in (0, 13)]
+    assert zernike_sum(imager, waves, weights, check=False) == pytest.approx(expected, rel=1e-13)
+    alone = [zernike_images(imager, waves[i : i + 1], check=False)[0] for i in (0, 13)]
     assert np.array_equal(alone, images[[0, 13]])
 
 

@@ -5,6 +5,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wavequake.errors import UserError
 from wavequake.imaging.matrix_fourier import matrix_fourier, psf
+from wavequake.imaging.nyquist import samples_for, warn_of_coarse
 from wavequake.imaging.pupil_function import PupilGrid
 from wavequake.kernels.devices import NUMPY, Device
 
@@ -60,6 +61,10 @@ def polychromatic_psf(
     scale = wavelengths[0] / wavelengths
     brightness = flux * scale**2
     total = np.zeros((len(phase), pixels, pixels))
+    shortest = float(scale[flux > 0.0].max())
+    field = pixels * sampling * shortest
+    if phase.ndim == 2 and phase.shape[1] == grid.cells.size:
+        warn_of_coarse(len(grid.axis), samples_for(grid, phase * shortest, field), field)
     for factor, share in zip(scale, brightness / brightness.sum(), strict=True):
         transform = matrix_fourier(grid, pixels, sampling * float(factor), device)
         total += share * psf(transform, phase * factor)

@@ -6,7 +6,6 @@
   nothing; instants whose slopes exceed what its series is good for are sampled and left to "matrix".
 """
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.imaging import matrix_fourier as matrix
+from wavequake.imaging.nyquist import samples_for, warn_of_coarse
 from wavequake.imaging.outlines import Outline, blocked, segments
 from wavequake.imaging.pupil_function import PupilGrid, pupil_function, sampled_pupil, single_patches
 from wavequake.imaging.segment_basis import MOMENTS, SegmentBasis, segment_basis
@@ -239,52 +239,12 @@ def point_spread(engine: PsfEngine, wavefront: Real, check: bool = True) -> Real
     return images
 
 
-def samples_for(grid: PupilGrid, phase: Real, field: float) -> int:
-    """Return how many samples across the pupil its steepest phase and the image's field need.
-
-    Parameters
-    ----------
-    grid : PupilGrid
-    phase : ndarray, shape (batch, m)
-        rad at the grid's patches; what is not a number does not count.
-    field : float
-        Width of the image in wavelengths / diameter.
-    """
-    steepest = 0.0
-    for before, after in _neighbors(grid):
-        step = np.abs(phase[:, after] - phase[:, before])
-        steepest = max(steepest, float(np.nanmax(step, initial=0.0, where=np.isfinite(step))))
-    return matrix.samples_needed(steepest * len(grid.axis) / 2.0, field)
-
-
 def _sampled(engine: PsfEngine, phase: Real, check: bool) -> Real:
     grid, transform = engine.grid, engine.transform
     if check and phase.ndim == 2 and phase.shape[1] == grid.cells.size:
         field = 2.0 * float(np.abs(transform.axis).max())
-        needed = samples_for(grid, phase, field)
-        if needed > len(grid.axis):
-            warnings.warn(
-                f"the pupil has {len(grid.axis)} samples across, but its phase and an image of {field:g} "
-                f"lambda/D need {needed}: light is folded back into the image",
-                stacklevel=3,
-            )
+        warn_of_coarse(len(grid.axis), samples_for(grid, phase, field), field, 4)
     return _fft_psf(engine, phase) if engine.name == "fft" else matrix.psf(transform, phase)
-
-
-def _neighbors(grid: PupilGrid) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Return pairs of patches of one piece in whole cells side by side, and one above the other."""
-    samples = len(grid.axis)
-    whole = np.flatnonzero(grid.light > 0.5)
-    order = whole[np.lexsort((grid.cells[whole], grid.piece[whole]))]
-    place = grid.piece[order] * samples * samples + grid.cells[order]
-    pairs = []
-    for step in (1, samples):
-        found = np.minimum(np.searchsorted(place, place + step), place.size - 1)
-        met = place[found] == place + step
-        if step == 1:
-            met &= grid.cells[order] % samples < samples - 1
-        pairs.append((order[met], order[found[met]]))
-    return pairs
 
 
 def _fft_psf(engine: PsfEngine, phase: Real) -> Real:

@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wavequake.errors import UserError
-from wavequake.imaging.matrix_fourier import MatrixFourier, psf
+from wavequake.imaging.matrix_fourier import MatrixFourier, check_phase, psf
+from wavequake.imaging.nyquist import samples_for, warn_of_coarse
 
 Real = NDArray[np.float64]
 
@@ -32,4 +33,8 @@ def through_focus(transform: MatrixFourier, phase: Real, defocus: ArrayLike) -> 
         raise UserError("a scan through focus needs defocus coefficients, which are finite numbers")
     grid = transform.pupil
     shape = np.sqrt(3.0) * (2.0 * (grid.x**2 + grid.y**2) - 1.0)
-    return psf(transform, phase + 2.0 * np.pi * coefficients[:, None] * shape)
+    phases = phase + 2.0 * np.pi * coefficients[:, None] * shape
+    check_phase(transform, phases)
+    field = 2.0 * float(np.abs(transform.axis).max())
+    warn_of_coarse(len(grid.axis), samples_for(grid, phases, field), field)
+    return psf(transform, phases)

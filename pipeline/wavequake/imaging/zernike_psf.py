@@ -12,6 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from wavequake.errors import UserError
 from wavequake.imaging.matrix_fourier import MatrixFourier, matrix_fourier, psf, psf_sum
+from wavequake.imaging.nyquist import warn_of_coarse, zernike_samples_for
 from wavequake.imaging.pupil_function import PupilGrid
 from wavequake.kernels.devices import NUMPY, Device
 from wavequake.kernels.folded_transform import (
@@ -46,12 +47,15 @@ class ZernikeImager:
         The transform on a device.
     polynomials : ndarray, shape (J, K, K)
         Chebyshev coefficients, y first, of the Zernike polynomials.
+    obscuration : float
+        Inner over outer radius of the polynomials.
     """
 
     transform: MatrixFourier
     modes: Real
     folded: FoldedTransform | None
     polynomials: Real
+    obscuration: float
 
 
 def zernike_imager(
@@ -87,7 +91,7 @@ def zernike_imager(
     transform = matrix_fourier(pupil, pixels, sampling)
     if device.kind == "numpy":
         modes = annular_zernike(pupil.x, pupil.y, terms, obscuration)
-        return ZernikeImager(transform, modes, None, np.empty((terms, 0, 0)))
+        return ZernikeImager(transform, modes, None, np.empty((terms, 0, 0)), obscuration)
     rows, columns = np.divmod(pupil.cells, len(pupil.axis))
     beside = np.hypot(pupil.x - pupil.axis[columns], pupil.y - pupil.axis[rows]) > _CENTERED
     beside |= np.bincount(pupil.cells, minlength=pupil.amplitude.size)[pupil.cells] > 1
@@ -96,10 +100,10 @@ def zernike_imager(
     rim = Rim(pupil.cells[beside], pupil.light[beside])
     folded = folded_transform(amplitude, pixels, sampling, 1.0 / transform.peak, device, dtype, rim)
     modes = annular_zernike(pupil.x[beside], pupil.y[beside], terms, obscuration)
-    return ZernikeImager(transform, modes, folded, _chebyshev(terms, obscuration))
+    return ZernikeImager(transform, modes, folded, _chebyshev(terms, obscuration), obscuration)
 
 
-def zernike_images(imager: ZernikeImager, coefficients: Real) -> Real:
+def zernike_images(imager: ZernikeImager, coefficients: Real, check: bool = True) -> Real:
     """Return point spread functions (batch, pixels, pixels), whose unit is the peak of the perfect one.
 
     Parameters
@@ -107,6 +111,8 @@ def zernike_images(imager: ZernikeImager, coefficients: Real) -> Real:
     imager : ZernikeImager
     coefficients : ndarray, shape (batch, J)
         Noll terms j = 1..J of the OPD in waves. NaN gives an image of NaN.
+    check : bool
+        Whether to warn if the pupil is too coarse for the steepest wavefront.
 
     Raises
     ------
@@ -114,6 +120,8 @@ def zernike_images(imager: ZernikeImager, coefficients: Real) -> Real:
         If the coefficients have the wrong shape.
     """
     coefficients = _checked(imager, coefficients)
+    if check:
+        _warn_of_coarse(imager, coefficients)
     if imager.folded is not None:
         return np.asarray(folded_images(imager.folded, _smooth(imager, coefficients)), dtype=np.float64)
     images = np.empty((len(coefficients), *2 * imager.transform.axis.shape))
@@ -123,7 +131,7 @@ def zernike_images(imager: ZernikeImager, coefficients: Real) -> Real:
     return images
 
 
-def zernike_sum(imager: ZernikeImager, coefficients: Real, weights: Real) -> Real:
+def zernike_sum(imager: ZernikeImager, coefficients: Real, weights: Real, check: bool = True) -> Real:
     """Return the weighted sum (pixels, pixels) of point spread functions, as an exposure collects it.
 
     Tilts (terms 2 and 3) place the images. On a device only the sum leaves it.
@@ -135,6 +143,8 @@ def zernike_sum(imager: ZernikeImager, coefficients: Real, weights: Real) -> Rea
         As for `zernike_images`.
     weights : ndarray, shape (batch,)
         An instant of weight 0 does not count, whatever its coefficients.
+    check : bool
+        As for `zernike_images`.
 
     Raises
     ------
@@ -145,6 +155,8 @@ def zernike_sum(imager: ZernikeImager, coefficients: Real, weights: Real) -> Rea
     weights = np.asarray(weights, dtype=np.float64)
     if weights.shape != (len(coefficients),) or not np.isfinite(weights).all():
         raise UserError(f"{len(coefficients)} instants need as many finite weights, not {weights.shape}")
+    if check:
+        _warn_of_coarse(imager, coefficients[weights != 0.0])
     total = np.zeros(2 * imager.transform.axis.shape)
     if imager.folded is not None:
         return folded_sum(imager.folded, _smooth(imager, coefficients), weights, total)
@@ -160,6 +172,12 @@ def _checked(imager: ZernikeImager, coefficients: Real) -> Real:
     if coefficients.ndim != 2 or coefficients.shape[1] != terms:
         raise UserError(f"{terms} Zernike terms come as (batch, {terms}), not {coefficients.shape}")
     return coefficients
+
+
+def _warn_of_coarse(imager: ZernikeImager, coefficients: Real) -> None:
+    field = 2.0 * float(np.abs(imager.transform.axis).max())
+    needed = zernike_samples_for(coefficients, imager.obscuration, field)
+    warn_of_coarse(len(imager.transform.pupil.axis), needed, field, 4)
 
 
 def _phase(imager: ZernikeImager, coefficients: Real) -> Real:

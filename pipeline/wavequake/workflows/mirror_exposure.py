@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
 from wavequake.imaging.exposure_models import cut
+from wavequake.imaging.nyquist import too_coarse, zernike_samples_for
 from wavequake.imaging.pupil_function import annular_pupil
 from wavequake.imaging.zernike_psf import ZernikeImager, zernike_imager, zernike_images, zernike_sum
 from wavequake.kernels.devices import NUMPY, Device, choose_device
@@ -106,11 +107,9 @@ def local_images(
     section = study.imaging
     grid = section.pupil_samples, CANVAS * section.pixels, section.sampling
     imager = _imager(*grid, history.shape[1] - 2, optics.obscuration, device)
-    # The OPD of a positive line of sight falls along +x, a phase that moves the image to +x grows.
-    waves = -section.scale / study.optics.wavelength_nm * history[:, 2:]
-    waves[:, :3] = 0.0
+    waves = _waves(study, optics, history, placed=False)
     for first in range(0, len(history), _BLOCK):
-        yield zernike_images(imager, waves[first : first + _BLOCK])
+        yield zernike_images(imager, waves[first : first + _BLOCK], check=False)  # `notices` did
 
 
 def through_focus(study: MirrorStudy, optics: Optics, history: Array, device: Device) -> Array:
@@ -118,12 +117,21 @@ def through_focus(study: MirrorStudy, optics: Optics, history: Array, device: De
     section, shown = study.imaging, history[exposed_instants(study)]
     grid = section.pupil_samples, section.pixels, section.sampling
     imager = _imager(*grid, shown.shape[1] - 2, optics.obscuration, device)
-    waves = -section.scale / study.optics.wavelength_nm * shown[:, 2:]
-    # A tilt moves the image by 4 c / sqrt(1 + eps²) in lambda/D.
-    los = shown[:, :2] * (section.scale / optics.resolution)
-    waves[:, 0], waves[:, 1:3] = 0.0, 0.25 * np.sqrt(1.0 + optics.obscuration**2) * los
+    waves = _waves(study, optics, shown, placed=True)
     weights, term = np.full(len(waves), 1.0 / len(waves)), np.arange(waves.shape[1]) == 3
-    return np.array([zernike_sum(imager, waves - defocus * term, weights) for defocus in FOCUS])
+    return np.array([zernike_sum(imager, waves - defocus * term, weights, check=False) for defocus in FOCUS])
+
+
+def _waves(study: MirrorStudy, optics: Optics, history: Array, placed: bool) -> Array:
+    """Return the Noll terms (instants, J) of the phase in waves, with tilts that place the image or none."""
+    section = study.imaging
+    # The OPD of a positive line of sight falls along +x, a phase that moves the image to +x grows.
+    waves = -section.scale / study.optics.wavelength_nm * history[:, 2:]
+    waves[:, :3] = 0.0
+    if placed:  # a tilt moves the image by 4 c / sqrt(1 + eps²) in lambda/D
+        los = history[:, :2] * (section.scale / optics.resolution)
+        waves[:, 1:3] = 0.25 * np.sqrt(1.0 + optics.obscuration**2) * los
+    return np.asarray(waves)
 
 
 @lru_cache(maxsize=4)
@@ -207,4 +215,28 @@ def check(study_text: str) -> None:
         aberrations_of(study_text, name, study.reduction.reference)
 
 
-WORKFLOW = Workflow("mirror-exposure", template, case_table, compute, check=check, notices=import_notices)
+def notices(study_text: str) -> Iterator[str]:
+    """Yield what to check of an imported model, and models whose phases the pupil's samples do not resolve.
+
+    What all variants do is judged by the reference.
+    """
+    yield from import_notices(study_text)
+    study = study_of(study_text)
+    section, instants = study.imaging, exposed_instants(study)
+    for name in study.models:
+        optics, needed = bench_of(study_text, name).optics, dict[int, float]()
+        history = aberrations_of(study_text, name, study.reduction.reference)[:, instants]
+        still = np.concatenate([_waves(study, optics, one, placed=False) for one in history])
+        placed = np.concatenate([_waves(study, optics, one, placed=True) for one in history])
+        term = np.arange(placed.shape[1]) == 3
+        images = [(CANVAS * section.pixels, still)]
+        images += [(section.pixels, placed - defocus * term) for defocus in (FOCUS[0], FOCUS[-1])]
+        for size, waves in images:
+            field = size * section.sampling
+            needed[zernike_samples_for(waves, optics.obscuration, field)] = field
+        most = max(needed)
+        if text := too_coarse(section.pupil_samples, most, needed[most]):
+            yield f"{name}: {text}; raise imaging.pupil_samples or lower imaging.scale"
+
+
+WORKFLOW = Workflow("mirror-exposure", template, case_table, compute, check=check, notices=notices)
