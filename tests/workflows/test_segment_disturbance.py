@@ -178,6 +178,8 @@ def test_slopes_and_path_lengths_give_the_same_results_where_no_segment_moves(st
     one, other = (workflow.compute(each.identity_text(), cases, DEVICE).arrays for each in (slopes, paths))
     count = np.count_nonzero(np.isfinite(other["time_s"][0]))
     assert np.isnan(one["zernike"][0, :, 0]).all()
+    kept = [workflow.template(each.identity_text()).per_case["zernike"] for each in (slopes, paths)]
+    assert [each.unknown for each in kept] == [1, 0]  # else each case would count as diverged
     assert np.abs(other["los"][0, :count]).max() > 1.0
     np.testing.assert_allclose(one["zernike"][0, :count, 1:], other["zernike"][0, :count, 1:], atol=0.02)
     np.testing.assert_allclose(one["los"][0, :count], other["los"][0, :count], atol=2e-3)

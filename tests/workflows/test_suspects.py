@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -145,6 +146,27 @@ def test_a_case_that_is_not_finite_has_diverged_and_keeps_its_numbers(tmp_path):
     assert stored.message.sel(case=12).item() == "zernike is not finite from instant 2 on"
     np.testing.assert_array_equal(stored.zernike.sel(case=12)[:2], toy.numbers(12)[:2])
     others_are_kept(stored, [12, 15])
+
+
+@pytest.mark.parametrize(("unknown", "quarantined"), [(0, 10), (1, 1)])
+def test_what_is_unknown_by_intent_does_not_diverge(tmp_path, unknown, quarantined):
+    """The piston of ray slopes is no number; another term that is none is a fault."""
+
+    def slopes(text):
+        made = toy.template(text)
+        zernike = replace(made.per_case["zernike"], unknown=unknown)
+        return replace(made, per_case={**made.per_case, "zernike": zernike})
+
+    def without_piston(*arguments):
+        result = toy.compute(*arguments)
+        result.arrays["zernike"][..., 0] = np.nan
+        result.arrays["zernike"][3, 1, 1] = np.nan
+        return result
+
+    create_store(tmp_path / "s", toy.TOY, toy.study(), 10, 10, "numpy", {})
+    workflow = toy.Workflow("toy", slopes, toy.case_table, without_piston)
+    found = compute_chunk(Job(workflow, str(tmp_path / "s"), "numpy", "run"), 0, 10)
+    assert found.quarantined == quarantined
 
 
 def test_instants_that_a_case_does_not_have_do_not_diverge(tmp_path):

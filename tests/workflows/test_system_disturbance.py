@@ -317,8 +317,9 @@ def test_slopes_give_the_results_of_path_lengths(tmp_path, text, found):
     np.testing.assert_allclose(one["los_mm"], found["los_mm"], atol=2e-6)
     for same in ("wfe_rms_raw", "wfe_pv", "strehl", "centroid_mm", "lost"):
         np.testing.assert_array_equal(one[same], found[same])
-    told = [template(each).per_case["zernike"].attrs["long_name"] for each in (slopes, text)]
-    assert ["slopes" in each for each in told] == [True, False]
+    stored = [template(each).per_case["zernike"] for each in (slopes, text)]
+    assert ["slopes" in each.attrs["long_name"] for each in stored] == [True, False]
+    assert [each.unknown for each in stored] == [1, 0]
 
 
 def test_the_fitted_reference_moves_the_tilt_into_the_image_point(tmp_path, found):

@@ -194,7 +194,7 @@ def _judged(result: ChunkResult, template: Template) -> ChunkResult:
         if "time" not in variable.dims or variable.coordinate or np.dtype(variable.dtype).kind not in "fc":
             continue
         axis = 1 + variable.dims.index("time")
-        wrong = ~np.isfinite(np.moveaxis(result.arrays[name], axis, 1))
+        wrong = ~np.isfinite(np.moveaxis(result.arrays[name][..., variable.unknown :], axis, 1))
         wrong = wrong.reshape(*wrong.shape[:2], -1).any(axis=2)
         if exists is not None:
             wrong &= exists

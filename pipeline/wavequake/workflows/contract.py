@@ -16,7 +16,8 @@ class Variable:
     """A stored array: ``dims`` after the leading ``case``, their sizes, dtype, attributes (units, long_name).
 
     A ``coordinate`` labels other arrays (the time of each instant); the rest is data. What is ``measured``
-    with a stopwatch differs from run to run.
+    with a stopwatch differs from run to run. The first ``unknown`` entries along the last of ``dims`` are no
+    numbers by intent (slopes do not know piston).
     """
 
     dims: tuple[str, ...]
@@ -25,6 +26,7 @@ class Variable:
     dtype: str = "float64"
     coordinate: bool = False
     measured: bool = False
+    unknown: int = 0
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """What a store of the workflow ``segment-disturbance`` holds: names, dimensions, units."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -108,7 +109,10 @@ def _variables(bench: Bench) -> dict[str, Variable]:
             "nm",
             "peak to valley of the wavefront over the rays on glass about their best-fit plane",
         ),
-        "zernike": variable(("time", "noll"), (instants, terms), "nm", _coefficients(study)),
+        "zernike": replace(
+            variable(("time", "noll"), (instants, terms), "nm", _coefficients(study)),
+            unknown=int(study.wavefront.method == "slopes"),
+        ),
         "los": variable(
             ("time", "axis"),
             (instants, 2),

@@ -4,6 +4,7 @@ One case is one realization of one population of disturbances over its instants;
 all fields and wavelengths.
 """
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -175,7 +176,10 @@ def template(study_text: str) -> Template:
             *over,
         ),
         "wfe_pv": variable("nm", "peak to valley of the wavefront about its best-fit plane", *over),
-        "zernike": variable("nm", f"Noll Zernike coefficients, total{source}", *over, "noll"),
+        "zernike": replace(
+            variable("nm", f"Noll Zernike coefficients, total{source}", *over, "noll"),
+            unknown=int(study.wavefront.method == "slopes"),
+        ),
         "los_mm": variable(
             "mm",
             "line of sight of the best-fit plane in the image, relative to rest "
