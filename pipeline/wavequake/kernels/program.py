@@ -68,13 +68,7 @@ def launch(
         padded = (lanes, -(-rays // group) * group, tiles)
         cl.enqueue_nd_range_kernel(queue, kernel, padded, (lanes, group, 1))
         for out, result in zip(outputs, results, strict=True):
-            if device.kind == "cpu":
-                mapped, _ = cl.enqueue_map_buffer(
-                    queue, result, cl.map_flags.READ, 0, out.shape, out.dtype, is_blocking=False
-                )
-                mapped.base.release(queue)
-            else:
-                cl.enqueue_copy(queue, out, result, is_blocking=False)
+            _fetch(queue, device, out, result)
         queue.finish()
 
 
@@ -105,6 +99,19 @@ def _output(queue: Any, device: Device, out: np.ndarray[Any, Any]) -> Any:
     if device.kind == "cpu":
         return cl.Buffer(queue.context, cl.mem_flags.WRITE_ONLY | cl.mem_flags.USE_HOST_PTR, hostbuf=out)
     return cl.Buffer(queue.context, cl.mem_flags.WRITE_ONLY, out.nbytes)
+
+
+def _fetch(queue: Any, device: Device, out: np.ndarray[Any, Any], result: Any) -> None:
+    """Queue what brings a result to its array; PoCL's processors write there, and waking them takes long."""
+    import pyopencl as cl
+
+    if device.kind != "cpu":
+        cl.enqueue_copy(queue, out, result, is_blocking=False)
+    elif device.platform != POCL:
+        mapped, _ = cl.enqueue_map_buffer(
+            queue, result, cl.map_flags.READ, 0, out.shape, out.dtype, is_blocking=False
+        )
+        mapped.base.release(queue)
 
 
 @lru_cache(maxsize=8)

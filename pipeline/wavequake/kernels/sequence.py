@@ -5,6 +5,7 @@ come per instant. Every shape is packed as a conic plus even powers plus a polyn
 each part may be absent.
 """
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -216,8 +217,9 @@ def check_surfaces(sequence: Sequence) -> None:
         fixed, grid = element.polynomial, element.grid
         _require_finite(number, "curvature", element.curvature)
         _require_finite(number, "conic constant", element.conic)
-        _require_finite(number, "even power coefficients", element.even)
-        if not (np.isfinite(element.index) and element.index > 0.0):
+        if element.even:
+            _require_finite(number, "even power coefficients", element.even)
+        if not (math.isfinite(element.index) and element.index > 0.0):
             raise UserError(f"surface {number}: the refractive index is {element.index}; it must be positive")
         if element.gradient is not None:
             _require_finite(number, "gradient", element.gradient.radial + element.gradient.axial)
@@ -267,7 +269,8 @@ def _check_moving(number: int, element: Element, moving: Moving, instants: int) 
 
 
 def _require_finite(number: int, what: str, values: float | tuple[float, ...] | Array) -> None:
-    if not np.isfinite(values).all():
+    finite = math.isfinite(values) if isinstance(values, float) else np.isfinite(values).all()
+    if not finite:
         raise UserError(f"surface {number}: {what} must be finite, and a value is not")
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from wavequake.kernels.devices import Device, opencl_handle
-from wavequake.kernels.program import _LOCK, _input, _kernel, _output, _queue
+from wavequake.kernels.program import _LOCK, _fetch, _input, _kernel, _output, _queue
 
 # Scratch memory is kept for the next call: (device, name) to buffer.
 _SCRATCH: dict[tuple[Device, str], Any] = {}
@@ -64,13 +64,7 @@ def run_steps(
             size = tuple(-(-n // g) * g for n, g in zip(step.size, step.group, strict=True))
             cl.enqueue_nd_range_kernel(queue, kernel, size, step.group)
         for name, out in outputs.items():
-            if device.kind == "cpu":
-                mapped, _ = cl.enqueue_map_buffer(
-                    queue, buffers[name], cl.map_flags.READ, 0, out.shape, out.dtype, is_blocking=False
-                )
-                mapped.base.release(queue)
-            else:
-                cl.enqueue_copy(queue, out, buffers[name], is_blocking=False)
+            _fetch(queue, device, out, buffers[name])
         queue.finish()
 
 
