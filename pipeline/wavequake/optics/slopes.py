@@ -146,10 +146,11 @@ def to_sphere(image: Array, along: Array, squared: Array | float, radius: float)
     """Return how many times `along` leads from points of the image (x and y, first axis) to the sphere.
 
     `along` is x and y of a vector against the light, `squared` the square of its length. The sphere about the
-    origin lies before the image, or for a radius < 0 behind it, where the number is negative.
+    origin lies before the image, or for a radius < 0 behind it, where the number is negative; NaN for a miss.
     """
     inward = np.sum(along * image, axis=0)
-    root = np.sqrt(inward**2 - squared * (np.sum(image**2, axis=0) - radius**2))
+    with np.errstate(invalid="ignore"):  # rays that miss the sphere
+        root = np.sqrt(inward**2 - squared * (np.sum(image**2, axis=0) - radius**2))
     return np.asarray((np.copysign(root, radius) - inward) / squared)
 
 
