@@ -16,7 +16,12 @@ typedef struct { int32_t re, im; } wq_start;
 #define WQ_FULL ((int32_t)1 << 30)
 #define WQ_SUM_SHIFT 4 /* states are summed up without their last bits, so that the sum fits */
 _Static_assert((-1 >> 1) == -1, "right shifts of negative numbers must keep the sign");
-_Static_assert(WQ_READING <= (1L << 30) / WQ_ADC_TOP, "a reading must fit the states' range");
+_Static_assert(WQ_READING > 0 && WQ_READING <= (1L << 30) / WQ_ADC_TOP, "a reading must fit the states' range");
+#define WQ_STARTED(re, im) && (re) < WQ_FULL && (re) > -WQ_FULL && (im) < WQ_FULL && (im) > -WQ_FULL
+_Static_assert(1 WQ_START_LIST(WQ_STARTED), "what a blow adds to a state must be below full scale");
+_Static_assert(WQ_READING * WQ_ADC_TOP >= WQ_FULL / WQ_STATE_REACHES - WQ_ADC_TOP &&
+                   WQ_READING * WQ_ADC_TOP <= WQ_FULL / WQ_STATE_REACHES + WQ_ADC_TOP,
+               "the reach of the converters must be its share of the states' full scale");
 _Static_assert(WQ_MODES >= 1 && WQ_MODES <= 15, "the modes' sum must fit 32 bits");
 
 static inline int32_t wq_limited(int32_t x) {

@@ -6,6 +6,15 @@ static const wq_coefficients modes[WQ_MODES] = {WQ_MODE_LIST(COEFFICIENTS)};
 #define START(re, im) {re, im},
 static const wq_start starts[WQ_STARTS * WQ_MODES] = {WQ_START_LIST(START)};
 
+#define COUNTED(...) +1
+_Static_assert((0 WQ_MODE_LIST(COUNTED)) == WQ_MODES, "the header must list as many modes as it says");
+_Static_assert((0 WQ_START_LIST(COUNTED)) == WQ_STARTS * WQ_MODES && WQ_STARTS < 255,
+               "the header must list a start of each mode for each of the blow's steps");
+_Static_assert(sizeof(WQ_HASH) == 17, "the hash of the design has 16 digits");
+_Static_assert(WQ_CODE_TOP == (1L << WQ_CODE_BITS) - 1 && WQ_CODE_MIDDLE == 1L << (WQ_CODE_BITS - 1),
+               "the command's codes must be those of its converter's bits");
+_Static_assert(WQ_ADC_TOP > 0 && WQ_ADC_TOP <= 8191, "twice a code of the position must fit 16 bits");
+
 void wq_control_reset(wq_control *control) {
     for (uint8_t j = 0; j < WQ_MODES; j++) {
         control->re[j] = 0;

@@ -58,6 +58,14 @@ def test_calibration_undoes_distortion():
     assert np.abs(error).max() < 0.2 * np.abs(raw).max()
 
 
+def test_distortion_is_cubic_over_half_the_width():
+    """A point at a quarter of the width, half of half the width, is off by a quarter of the term."""
+    camera = replace(STRAIGHT, distortion=-0.08)
+    at = 200 * camera.pixel
+    (center,) = center_of_intensity(camera, render(camera, [at]))
+    assert (center - 399.5) / 200 == pytest.approx(1 - 0.08 / 4, abs=2e-4)
+
+
 def test_measured_error_stands_for_rendered_frames():
     rng = np.random.default_rng(2)
     calibration = calibrate(STRAIGHT, STEPS, 1.394)

@@ -51,22 +51,53 @@ def device(folder):
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
-@pytest.mark.parametrize("variant", ["q31", "q16"])
+@pytest.mark.parametrize("variant", VARIANTS)
 def test_commands_are_those_of_the_host_bit_by_bit(folder, hit, compiler, variant):
     gains = gains_of(REGULATOR, CHAIN, variant)
     wanted = HostDevice(build("host", gains, folder)).run(hit.adc, hit.trigger)
     due = DueDevice(build("due", gains, folder / compiler, prefer=compiler))
     np.testing.assert_array_equal(due.run(hit.adc, hit.trigger), wanted)
+
+
+@pytest.mark.parametrize("variant", ["q31", "q16"])
+def test_what_the_board_leaves_meets_the_target(folder, hit, variant):
+    due = DueDevice(build("due", gains_of(REGULATOR, CHAIN, variant), folder, prefer=COMPILERS[0]))
     left = residual(due, hit, STAGE, REGULATOR, CHAIN.reach)
     assert max(left.range, left.deviation) < 5
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
-def test_float_agrees_bit_by_bit(folder, hit, compiler):
-    gains = gains_of(REGULATOR, CHAIN, "float")
-    wanted = HostDevice(build("host", gains, folder)).run(hit.adc[:300], hit.trigger[:300])
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_states_that_saturate_agree_with_the_host(folder, compiler, variant):
+    """Blows of nearly full scale, one after the other, drive states to their limits, which no swing does."""
+    full = 4 * CHAIN.reach
+    strong = replace(REGULATOR, start=0.9 * full / np.abs(REGULATOR.start).max() * REGULATOR.start)
+    gains = gains_of(strong, CHAIN, variant)
+    trigger = np.arange(400) % 10 == 0
+    adc = np.where(np.arange(400) // 40 % 2, 4095, 0).astype(np.uint16)
+    wanted = HostDevice(build("host", gains, folder)).run(adc, trigger)
     due = DueDevice(build("due", gains, folder / compiler, prefer=compiler))
-    np.testing.assert_array_equal(due.run(hit.adc[:300], hit.trigger[:300]), wanted)
+    np.testing.assert_array_equal(due.run(adc, trigger), wanted)
+    assert np.ptp(wanted.astype(int)) == 4095
+
+
+def test_peripherals_are_clocked_and_wired_as_the_board_is(device):
+    """SAM3X data sheet: identifiers 13 PIOC, 27 TC0, 37 ADC, 38 DACC; A0 is channel 7; at most 20 MHz."""
+    device.reset()
+    written = dict(device.log)  # the last value of each
+    assert written[0xE0610] == 1 << 13 | 1 << 27
+    assert written[0xE0700] == 1 << (37 - 32) | 1 << (38 - 32)
+    assert written[0xC0010] == 1 << 7
+    prescaler = written[0xC0004] >> 8 & 0xFF
+    assert 1e6 <= 84e6 / (2 * (prescaler + 1)) <= 20e6
+    assert written[0xC0004] & 0b11111 == 0  # software trigger, 12 bits, awake
+    assert written[0xC8010] == 1 << 0  # DAC0
+    assert written[0xC8004] & 0b110001 == 0  # half words, no hardware trigger, awake
+    assert written[0xC8004] >> 16 & 3 == 0  # user's channel 0
+    assert written[0xE1210] == 1 << 3  # of pins 33 to 35 (PC1 to PC3), the last one is an output
+    assert written[0xE1214] == 1 << 1 | 1 << 2
+    assert written[0x80004] & 0b111 == 0  # half the master clock
+    assert written[0x80004] >> 13 & 0b111 == 0b110  # wave mode, up to RC
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)

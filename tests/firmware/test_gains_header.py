@@ -1,6 +1,7 @@
 """Gains as integers: their values in C, and designs that no arithmetic can hold."""
 
 import re
+import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,8 @@ from wavequake.control.experiment import Settings, design
 from wavequake.control.sensor import SensorChain
 from wavequake.control.stage import Stage
 from wavequake.errors import UserError
+from wavequake.files import folder
+from wavequake.firmware.build import BOARDS, compiler_of
 from wavequake.firmware.gains import VARIANTS, gains_of, header
 
 REGULATOR = design(fitted_bench(), Stage(), Settings()).regulator
@@ -48,6 +51,47 @@ def test_float_header_holds_the_regulator_in_single_precision():
     first = [float.fromhex(v.strip(" f")) for v in re.findall(r"X\((.*?)\)", rows)[0].split(",")]
     step = REGULATOR.step[0] - 1
     np.testing.assert_allclose(first[:2], [step.real, step.imag], rtol=1e-7)
+
+
+SPOILED = {  # what a static assertion says, and what it finds in a header: (pattern, replacement)
+    "as many modes as it says": [(r"    X\([^)]*\) \\\n", ""), (r"WQ_MODES 11", "WQ_MODES 10")],
+    "a start of each mode": [(r"WQ_STARTS 8", "WQ_STARTS 7"), (r"WQ_STARTS 8", "WQ_STARTS 9")],
+    "has 16 digits": [(r'WQ_HASH "....', 'WQ_HASH "')],
+    "codes must be those of": [("WQ_CODE_TOP 4095", "WQ_CODE_TOP 1023")],
+    "of its edge and reach": [
+        ("WQ_REACH_NM 8000000L", "WQ_REACH_NM 5000000L"),
+        ("WQ_EDGE_PM 13600000LL", "WQ_EDGE_PM 15000000LL"),
+    ],
+    "the reach of the converters": [(r"WQ_READING \d+", "WQ_READING 32778")],
+    "adds to a state must be below full scale": [(r"X\(0L, 0L\)", "X(1073741825L, 0L)")],
+    "the middle code must fit": [(r"WQ_ROW_SHIFT (\d+)", r"WQ_ROW_SHIFT 9\1")],
+    "step": [(r"WQ_STEP_SHIFT (\d+)", "WQ_STEP_SHIFT 12")],
+}
+
+
+@pytest.mark.parametrize("variant", ["q31", "q16"])
+@pytest.mark.parametrize("words", SPOILED)
+def test_a_spoiled_header_does_not_compile(tmp_path, variant, words):
+    """Static assertions hold the header's numbers, counts, units and hash against each other.
+
+    (gnu99, because glibc replaces the keyword in strict C99, and its messages are lost.)
+    """
+    text = header(gains_of(REGULATOR, CHAIN, variant))
+    (tmp_path / "wq_gains.h").write_text(text)
+    core = folder("firmware") / "core"
+    try:
+        command = [*compiler_of(BOARDS["host"]), "-std=gnu99", "-fsyntax-only", f"-I{tmp_path}", f"-I{core}"]
+    except UserError as error:  # says which package is missing
+        pytest.skip(str(error))
+    command += [str(core / name) for name in ("control.c", "quadrature.c")]
+    subprocess.run(command, check=True)
+    for pattern, other in SPOILED[words]:
+        spoiled, count = re.subn(pattern, other, text, count=1)
+        assert count == 1
+        (tmp_path / "wq_gains.h").write_text(spoiled)
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert done.returncode != 0
+        assert words in done.stderr
 
 
 def test_hash_tells_designs_apart():

@@ -10,12 +10,12 @@
 const char wq_hash[] __attribute__((used, section(".progmem.hash"))) = "wavequake-gains:" WQ_HASH;
 
 /* Of the interrupt, which cannot be handed a pointer; the core itself has no globals. */
-static volatile wq_quadrature position;
+static wq_quadrature position;
 
 /* Pins 2 (A) and 3 (B) are bits 2 and 3 of port D. */
 static uint8_t pins(void) { return (uint8_t)((PIND >> 1 & 2u) | (PIND >> 3 & 1u)); }
 
-ISR(INT0_vect) { wq_quadrature_edge((wq_quadrature *)&position, pins()); }
+ISR(INT0_vect) { wq_quadrature_edge(&position, pins()); }
 ISR(INT1_vect, ISR_ALIASOF(INT0_vect));
 
 static uint8_t sent(uint8_t byte) {
@@ -32,11 +32,11 @@ int main(void) {
     SPSR = _BV(SPI2X);
     EICRA = _BV(ISC00) | _BV(ISC10); /* any edge of either pin */
     EIMSK = _BV(INT0) | _BV(INT1);
-    wq_quadrature_reset((wq_quadrature *)&position, pins());
+    wq_quadrature_reset(&position, pins());
     sei();
     for (;;) {
         cli(); /* two bytes shall be of one count */
-        const int16_t count = position.count;
+        const int16_t count = *(volatile int16_t *)&position.count;
         sei();
         const uint16_t word = wq_mcp4911_word(wq_quadrature_code(count));
         PORTB &= (uint8_t)~_BV(PB2);

@@ -232,6 +232,7 @@ def header(gains: Gains) -> str:
         f"#define WQ_{gains.variant.upper()}",
         f"#define WQ_SAMPLE_TIME_US {round(gains.sample_time * 1e6)}L",
         f"#define WQ_REACH_NM {round(gains.reach * 1e9)}L /* codes span -reach to reach */",
+        f"#define WQ_EDGE_PM {round(chain.edge * 1e12)}LL /* travel of the sensor per edge */",
         f"#define WQ_ADC_TOP {2**chain.adc_bits - 1}",
         f"#define WQ_CODE_BITS {CODE_BITS}",
         f"#define WQ_CODE_TOP {2**CODE_BITS - 1}",
@@ -245,6 +246,11 @@ def header(gains: Gains) -> str:
             f"#define WQ_{name}_SHIFT {shift}"
             for name, shift in zip(("STEP", "GAIN", "ROW"), gains.shifts, strict=True)
             if whole
+        ),
+        *(
+            (f"#define WQ_STATE_REACHES {HEADROOM:.0f}L /* full scale of states over reach */",)
+            if whole
+            else ()
         ),
         f"#define WQ_READING {_number(gains.reading, whole)} /* state per 2 code - top */",
         *(() if whole else (f"#define WQ_STATE_FULL {_number(state_full, False)} /* m */",)),
