@@ -4,6 +4,7 @@ import ctypes
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -67,6 +68,17 @@ def test_commands_are_those_of_numpy_but_for_the_converter(images, hit, variant,
     codes = HostDevice(images[variant]).run(hit.adc, hit.trigger)
     assert np.abs(positions_of(codes, CHAIN.reach) - reference(hit.adc)).max() < STEP / 2 + beyond
     assert np.ptp(codes.astype(int)) > 500
+
+
+def test_a_design_that_is_built_anew_in_the_same_folder_is_the_one_that_runs(tmp_path, hit):
+    first = HostDevice(build("host", gains_of(REGULATOR, CHAIN), tmp_path))
+    before = first.run(hit.adc, hit.trigger)
+    other = replace(REGULATOR, row=0.5 * REGULATOR.row)
+    second = HostDevice(build("host", gains_of(other, CHAIN), tmp_path)).run(hit.adc, hit.trigger)
+    assert np.abs((before.astype(int) - 2048) - 2 * (second.astype(int) - 2048)).max() <= 2
+    assert np.ptp(second.astype(int)) > 200
+    first.reset()
+    np.testing.assert_array_equal(first.run(hit.adc, hit.trigger), before)
 
 
 def test_single_steps_are_those_of_a_run(images, hit):

@@ -3,7 +3,8 @@
 import _ctypes
 import ctypes
 import os
-from pathlib import Path
+import shutil
+import tempfile
 from typing import Protocol
 
 import numpy as np
@@ -43,10 +44,12 @@ class HostDevice:
 
     def __init__(self, image: Image) -> None:
         check_hash(image.path, image.gains)
-        try:
-            self._library = ctypes.CDLL(str(Path(image.path).resolve()))
-        except OSError as error:
-            raise UserError(f"{image.path} cannot be loaded: {error}.") from None
+        # A copy, because a file that is loaded already is not looked at again: it may hold an older design.
+        with tempfile.TemporaryDirectory(prefix="wavequake-", ignore_cleanup_errors=True) as place:
+            try:
+                self._library = ctypes.CDLL(shutil.copy(image.path, place))
+            except OSError as error:
+                raise UserError(f"{image.path} cannot be loaded: {error}.") from None
         self._state = ctypes.create_string_buffer(self._library.wq_host_size() + 16)
         self.reset()
 
