@@ -12,6 +12,7 @@ from wavequake.terminal import out
 
 if TYPE_CHECKING:
     from wavequake.control.bench import Bench
+    from wavequake.control.identification import Record
     from wavequake.control.linear import Array
     from wavequake.control.regulator import ModalRegulator
     from wavequake.control.sensor import SensorChain
@@ -30,6 +31,12 @@ ControllerOption = Annotated[
     typer.Option(help="nominal, or identified: from an uncontrolled run of a plant that the study draws."),
 ]
 PlantOption = Annotated[int, typer.Option(min=0, help="Which plant is identified: its realization.")]
+RecordOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="Identify the bench from this CSV of an uncontrolled run instead: time_s, sensor_mm, image_mm.",
+    ),
+]
 DebugOption = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 
 
@@ -46,7 +53,9 @@ class Designed:
     phases: "Array | None" = None
 
 
-def _designed(study: str, overrides: list[str] | None, controller: str, plant: int) -> Designed:
+def _designed(
+    study: str, overrides: list[str] | None, controller: str, plant: int, record: Path | None = None
+) -> Designed:
     from wavequake.errors import UserError
     from wavequake.workflows import lens_experiment as lens
     from wavequake.workflows.lens_study import LensStudy
@@ -62,12 +71,26 @@ def _designed(study: str, overrides: list[str] | None, controller: str, plant: i
         raise UserError(f"There is no controller {controller!r}; there are nominal and identified.")
     springs = loaded.bench.springs[0]
     chain, friction = lens.chain_of(loaded), lens.errors_of(loaded).friction
-    if controller == "identified":
+    if controller == "identified" and not record:
         drawn, regulator = lens.tuned_plant(loaded, springs, plant)
         strength = drawn.blows[1]
         return Designed(regulator, drawn.bench, drawn.stage, chain, friction, strength, drawn.phases)
     designs = lens.designs_of(loaded.identity_text(), springs)
-    return Designed(designs.regulator, lens.bench_of(loaded, springs), designs.stage, chain, friction)
+    regulator = designs.regulator
+    if record:
+        regulator = lens.regulator_of_record(loaded, springs, _read(record))
+    return Designed(regulator, lens.bench_of(loaded, springs), designs.stage, chain, friction)
+
+
+def _read(path: Path) -> "Record":
+    from wavequake.control.recorded import read_recorded
+    from wavequake.errors import UserError
+
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"The record {path} cannot be read: {error}.") from None
+    return read_recorded(text, path.name)
 
 
 @app.command()
@@ -81,6 +104,7 @@ def build(
     arithmetic: ArithmeticOption = "q31",
     controller: ControllerOption = "nominal",
     plant: PlantOption = 0,
+    record: RecordOption = None,
     to: FolderOption = Path("firmware-build"),
     debug: DebugOption = False,
 ) -> None:
@@ -89,7 +113,7 @@ def build(
     from wavequake.firmware.build import write_header
     from wavequake.firmware.gains import gains_of
 
-    designed = _designed(study, overrides, controller, plant)
+    designed = _designed(study, overrides, controller, plant, record)
     gains = gains_of(designed.regulator, designed.chain, arithmetic)
     if boards == "none":
         place = (write_header(gains, to) / "wq_gains.h").resolve()
@@ -173,20 +197,21 @@ def flash(
     arithmetic: ArithmeticOption = "q31",
     controller: ControllerOption = "nominal",
     plant: PlantOption = 0,
+    record: RecordOption = None,
     to: FolderOption = Path("firmware-build"),
     debug: DebugOption = False,
 ) -> None:
     """Check that an image was built from the study's design, and say how to flash it; flashes nothing."""
     from wavequake.errors import UserError
-    from wavequake.firmware.build import board_of, check_hash
+    from wavequake.firmware.build import board_of, check_hash, flash_lines
     from wavequake.firmware.gains import gains_of
 
     chosen = board_of(board)
     if not chosen.flash:
         raise UserError(f"The board {board!r} is no hardware; boards that can be flashed: due, uno.")
-    designed = _designed(study, overrides, controller, plant)
+    designed = _designed(study, overrides, controller, plant, record)
     gains = gains_of(designed.regulator, designed.chain, arithmetic)
     image = to / f"{board}-{arithmetic}{chosen.suffix}"
     check_hash(image, gains)
     out.print(f"{image} carries the gains {gains.digest} of this design. To flash it:", markup=False)
-    out.print(chosen.flash.format(image=image.with_suffix("")), markup=False, soft_wrap=True)
+    out.print(flash_lines(chosen, image), markup=False, soft_wrap=True)

@@ -1,16 +1,19 @@
 """`wavequake firmware` as a user meets it."""
 
 import re
+import subprocess
 import sys
 
 import numpy as np
 import pytest
 
 from wavequake import cli
+from wavequake.control import experiment
 from wavequake.control.experiment import tuned_regulator
 from wavequake.errors import UserError
 from wavequake.firmware import trial
 from wavequake.firmware.build import BOARDS, compiler_of, image_hash
+from wavequake.firmware.elf import segments_of
 from wavequake.firmware.gains import gains_of
 from wavequake.workflows.lens_experiment import chain_of, designs_of, run_cases, study_of
 from wavequake.workflows.study import load_study
@@ -45,6 +48,19 @@ def test_build_then_flash_and_refuse_another_design(monkeypatch, capsys, tmp_pat
     code, said = run(monkeypatch, capsys, "flash", "due", *other)
     assert code == 2
     assert "but the design has" in said
+
+
+def test_without_gcc_flashing_needs_no_tool_of_it(monkeypatch, capsys, tmp_path):
+    pytest.importorskip("ziglang", reason="needs ziglang (extra firmware)")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    code, _ = run(monkeypatch, capsys, "build", "--to", tmp_path)
+    assert code == 0
+    code, said = run(monkeypatch, capsys, "flash", "due", "--to", tmp_path)
+    assert code == 0
+    assert "-m ziglang objcopy -O binary" in said
+    elf, binary = tmp_path / "due-q31.elf", tmp_path / "due-q31.bin"
+    subprocess.run([sys.executable, "-m", "ziglang", "objcopy", "-O", "binary", elf, binary], check=True)
+    assert binary.read_bytes() == b"".join(one.data for one in segments_of(elf))
 
 
 def test_all_images_give_the_commands_of_the_host(monkeypatch, capsys, tmp_path):
@@ -105,6 +121,56 @@ def test_an_identified_plant_has_an_image_of_its_own(monkeypatch, capsys, tmp_pa
     code, said = run(monkeypatch, capsys, "flash", "due", *words, "--plant", "1")
     assert code == 2
     assert f"was built from gains {carried}, but the design has" in said
+
+
+def test_a_recording_of_a_plant_gives_the_image_of_that_plant(monkeypatch, capsys, tmp_path):
+    """What the simulated plant's sensor and camera saw, as a file, identifies what the plant itself does."""
+    needs("due")
+    seen = []
+    found = experiment.identify
+
+    def noted(record, nominal):
+        seen.append(record)
+        return found(record, nominal)
+
+    monkeypatch.setattr(experiment, "identify", noted)
+    words = [*LENS, "time.duration_s=2", "--to", tmp_path]
+    drawn = run(monkeypatch, capsys, "build", *words, "--controller", "identified")
+    (record,) = seen
+    lens = dict(zip(np.rint(1e3 * record.time).astype(int), 1e3 * record.measured, strict=True))
+    image = dict(zip(np.rint(1e3 * record.frame_time).astype(int), 1e3 * record.image, strict=True))
+    rows = [f"{ms / 1000},{lens.get(ms, '')},{image.get(ms, '')}" for ms in sorted({*lens, *image})]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(["time_s,sensor_mm,image_mm", *rows]))
+    header = (tmp_path / "gains-q31" / "wq_gains.h").read_text()
+    code, said = run(monkeypatch, capsys, "build", *words, "--record", path)
+    assert code == drawn[0] == 0
+    # Decimal numbers of the file move the last digits of the gains, not more.
+    again = (tmp_path / "gains-q31" / "wq_gains.h").read_text()
+    numbers = [np.array([int(n) for n in re.findall(r"(-?\d+)L[,)]", text)]) for text in (header, again)]
+    assert len(numbers[0]) == 11 * 6 + 8 * 11 * 2
+    np.testing.assert_allclose(numbers[1], numbers[0], rtol=1e-4, atol=1e4)
+    code, said = run(monkeypatch, capsys, "flash", "due", *words, "--record", path)
+    assert code == 0
+    code, said = run(monkeypatch, capsys, "flash", "due", *words)
+    assert code == 2
+    assert "but the design has" in said
+
+
+def test_recordings_that_identify_nothing_are_refused(monkeypatch, capsys, tmp_path):
+    path = tmp_path / "run.csv"
+    code, said = run(monkeypatch, capsys, "build", "--record", path, "--to", tmp_path)
+    assert code == 2
+    assert "cannot be read" in said
+    rest = [f"{0.002 * k:.3f},{k % 2},{k % 3}" for k in range(1000)]
+    path.write_text("\n".join(["time_s,sensor_mm,image_mm", *rest]))
+    code, said = run(monkeypatch, capsys, "build", "--record", path, "--to", tmp_path)
+    assert code == 2
+    assert "The identification failed" in said
+    path.write_text("\n".join(["time_s,sensor_mm,image_mm", *rest[:20]]))
+    code, said = run(monkeypatch, capsys, "build", "--record", path, "--to", tmp_path)
+    assert code == 2
+    assert "11 modes cannot be identified: the record needs at least 44 finite samples" in said
 
 
 def test_an_identified_plants_image_steadies_it(monkeypatch, capsys, tmp_path):

@@ -32,3 +32,21 @@ def test_make_builds_the_image_of_the_command(tmp_path):
     for name in ("due-q31.elf", "qemu-q31.elf"):
         assert image_hash(tmp_path / name) == image_hash(tmp_path / "own" / name)
         assert segments_of(tmp_path / name) == segments_of(tmp_path / "own" / name)
+
+
+@pytest.mark.skipif(not shutil.which("make"), reason="needs make")
+def test_make_follows_the_study_and_builds_nothing_twice(tmp_path):
+    python = shlex.quote(sys.executable)
+    study = tmp_path / "bench.toml"
+    tools = [f"BUILD={tmp_path / 'build'}", f"WAVEQUAKE={python} -m wavequake", f"PYTHON={python}"]
+
+    def made(gain):
+        study.write_text(f'[study]\nname = "bench"\nworkflow = "lens-experiment"\n[stage]\ngain = {gain}\n')
+        words = ["make", "-s", "-C", str(folder("firmware")), "due", f"STUDY={study}", *tools]
+        subprocess.run(words, env=os.environ | {"MAKEFLAGS": ""}, check=True, capture_output=True)
+        image = tmp_path / "build" / "due-q31.elf"
+        return image_hash(image), image.stat().st_mtime_ns
+
+    first = made(0.97)
+    assert made(0.97) == first
+    assert made(0.9)[0] != first[0]

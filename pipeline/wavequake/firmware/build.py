@@ -40,7 +40,8 @@ class Board:
     package : str
         What brings a compiler.
     flash : str
-        Command line, with {image} for the file's name without suffix.
+        Command lines, with {image} for the file's name without suffix and {objcopy} for what makes a
+        binary of an ARM's image.
     """
 
     name: str
@@ -67,7 +68,7 @@ BOARDS = {
     ),
     "due": Board(
         "due", ".elf", 84e6, _GCC_ARM, _ZIG_ARM, _ARM,
-        "arm-none-eabi-objcopy -O binary {image}.elf {image}.bin\n"
+        "{objcopy} -O binary {image}.elf {image}.bin\n"
         "bossac -a -p ttyACM0 -e -w -v -b {image}.bin -R",
     ),
     "qemu": Board("qemu", ".elf", 0.0, _GCC_ARM, _ZIG_ARM, _ARM),
@@ -164,7 +165,9 @@ def write_header(gains: Gains, target: Path) -> Path:
     """Write wq_gains.h into a folder of the arithmetic's name below `target`; return that folder."""
     generated = target / f"gains-{gains.variant}"
     generated.mkdir(parents=True, exist_ok=True)
-    (generated / "wq_gains.h").write_text(header(gains))
+    path, text = generated / "wq_gains.h", header(gains)
+    if not (path.is_file() and path.read_text() == text):  # make builds anew what is older than the header
+        path.write_text(text)
     return generated
 
 
@@ -173,6 +176,13 @@ def board_of(name: str) -> Board:
     if name not in BOARDS:
         raise UserError(f"There is no board {name!r}; there are {', '.join(BOARDS)}.")
     return BOARDS[name]
+
+
+def flash_lines(board: Board, image: Path) -> str:
+    """Return the command lines that flash an image, with the tools that built it."""
+    zig = not shutil.which("arm-none-eabi-objcopy") and find_spec("ziglang")
+    objcopy = f"{shlex.quote(sys.executable)} -m ziglang objcopy" if zig else "arm-none-eabi-objcopy"
+    return board.flash.format(image=image.with_suffix(""), objcopy=objcopy)
 
 
 def image_hash(path: Path) -> str:

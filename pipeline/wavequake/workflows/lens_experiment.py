@@ -31,6 +31,7 @@ from wavequake.control.experiment import (
     tuned_regulator,
 )
 from wavequake.control.hammer import HAMMER, hammer_force
+from wavequake.control.identification import Record, identify
 from wavequake.control.loop import late_deviation, peak_to_peak
 from wavequake.control.regulator import ModalRegulator
 from wavequake.control.sensor import SensorChain
@@ -184,6 +185,19 @@ def tuned_plant(study: LensStudy, springs: str, realization: int) -> tuple[Plant
             duration=study.time.duration_s,
         )
         return plant, tuned_regulator(designs, found)
+
+
+def regulator_of_record(study: LensStudy, springs: str, record: Record) -> ModalRegulator:
+    """Identify the bench from a recording of an uncontrolled run, and design its regulator.
+
+    Raises
+    ------
+    UserError
+        If the recording does not identify the modes of the nominal bench.
+    """
+    designs = designs_of(study.identity_text(), springs)
+    with threadpool_limits(1):
+        return tuned_regulator(designs, identify(record, designs.model))
 
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
