@@ -41,7 +41,7 @@ def test_a_budget_is_a_table_and_a_figure_of_the_report(tmp_path, monkeypatch, c
     ("words", "message"),
     [
         (("tmt-segments", *SMALL, "--cases", "0"), "A budget of 0 cases says nothing"),
-        (("lens-experiment",), "A budget is of segment-disturbance studies"),
+        (("lens-experiment",), "A budget is of segment-disturbance and system-disturbance studies"),
         (("tmt-segments", *SMALL, "--of", "x"), "There is no combination 'x' in this study"),
     ],
 )

@@ -10,7 +10,7 @@ from wavequake.terminal import live_progress, out
 
 
 def budget(
-    study: Annotated[str, typer.Argument(help="Study of the workflow segment-disturbance.")],
+    study: Annotated[str, typer.Argument(help="Study of a workflow ...-disturbance.")],
     overrides: Annotated[
         list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. telescope.name=tmt-18")
     ] = None,
@@ -19,7 +19,7 @@ def budget(
     store: Annotated[Path | None, typer.Option("--store", help="Folder of the store (store.path).")] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Rank disturbances and rings of segments by what they contribute; kept beside the study's store."""
+    """Rank disturbances, and rings of segments or elements, by what they contribute; the store keeps it."""
     from wavequake.report.budget import explanations, tables
     from wavequake.workflows.budget import stored_budget
     from wavequake.workflows.store import BUDGET, MANIFEST

@@ -6,7 +6,8 @@ import pytest
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances import draw_case
 from wavequake.workflows.bench import bench_of
-from wavequake.workflows.budget import Factors, budget, open_budget, rings_of, stored_budget, summed, variants
+from wavequake.workflows.budget import budget, open_budget, stored_budget, summed
+from wavequake.workflows.budget_segments import Factors, rings_of, variants
 from wavequake.workflows.study import load_study
 
 STUDY = """
@@ -156,6 +157,23 @@ def test_a_budget_is_kept_and_found_again(study, tmp_path):
     assert stored_budget(study, tmp_path / "s", 17)[1] is False
 
 
+def test_a_budget_that_was_interrupted_goes_on(study, tmp_path):
+    def stop(done, total, failed):
+        if done >= 10:
+            raise KeyboardInterrupt
+
+    whole = budget(study, 40)
+    with pytest.raises(KeyboardInterrupt):
+        stored_budget(study, tmp_path / "s", 40, progress=stop)
+    (kept,) = (tmp_path / "s").glob("budget*")
+    kept.write_text(kept.read_text()[:-7])  # the last line is torn
+    seen = []
+    made, _ = stored_budget(study, tmp_path / "s", 40, progress=lambda done, total, failed: seen.append(done))
+    assert 0 < seen[0] < 20
+    assert made.drop_attrs().identical(whole.drop_attrs())
+    assert [file.name for file in (tmp_path / "s").iterdir()] == ["budget.zarr"]
+
+
 @pytest.mark.parametrize(
     ("keys", "arguments", "words"),
     [
@@ -170,7 +188,9 @@ def test_what_cannot_be_is_refused(tmp_path, keys, arguments, words):
 
 
 def test_other_studies_have_no_budget(tmp_path):
-    with pytest.raises(UserError, match="A budget is of segment-disturbance studies, not of lens-experiment"):
+    with pytest.raises(
+        UserError, match="A budget is of segment-disturbance and system-disturbance studies, not of lens"
+    ):
         budget(load_study("lens-experiment"), 16)
     with pytest.raises(UserError, match=r"There is no budget at .*; wavequake budget STUDY computes it"):
         open_budget(tmp_path)

@@ -13,13 +13,19 @@ from rich.table import Table
 from wavequake.report.figures import COLORS, STYLE, WIDTH
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import MISSING, number
-from wavequake.workflows.budget import QUANTITIES, open_budget
+from wavequake.workflows.budget import UNITS, open_budget
 from wavequake.workflows.store import BUDGET
 
 if TYPE_CHECKING:
     import xarray as xr
 
-_TITLES = {"wfe_rms_raw": "WFE on glass", "wfe_rms": "WFE j ≥ 4", "los": "LOS"}
+_TITLES = {
+    "wfe_rms_raw": "WFE on glass",
+    "wfe_rms": "WFE j ≥ 4",
+    "los": "LOS",
+    "wfe_change": "change of WFE j ≥ 4",
+    "image_motion": "motion of the image",
+}
 _SHARES = {
     "share": "of the mean square, switched off",
     "first": "of the variance, alone",
@@ -28,13 +34,13 @@ _SHARES = {
 
 
 def tables(found: "xr.Dataset") -> Iterator[Table]:
-    """Yield one table per quantity: sources and rings, the largest contributions first."""
-    for quantity in QUANTITIES:
+    """Yield one table per quantity: sources, the largest contributions first, and rings or elements."""
+    for quantity in map(str, found["quantity"].to_numpy()):
         yield _table(found.sel(quantity=quantity), quantity)
 
 
 def _table(one: "xr.Dataset", quantity: str) -> Table:
-    unit = QUANTITIES[quantity]
+    unit = UNITS[quantity]
     table = Table(
         box=SIMPLE_HEAD,
         pad_edge=False,
@@ -45,14 +51,14 @@ def _table(one: "xr.Dataset", quantity: str) -> Table:
     table.add_column("factor")
     for header in ("contributes\n" + unit, "without it\n" + unit, *_HEADERS):
         table.add_column(header, justify="right", no_wrap=True)
-    for kind in ("source", "ring"):
+    for kind in dict.fromkeys(one["kind"].to_numpy().tolist()):
         rows = np.flatnonzero(one["kind"].to_numpy() == kind)
-        if kind == "source":
+        if kind != "ring":
             rows = rows[np.argsort(-one["share"].to_numpy()[rows], kind="stable")]
         for row in rows.tolist():
             factor = one.isel(factor=row)
             name = str(factor["factor"].item())
-            words = name if kind == "source" else f"{name} ({int(factor['segments'])} segments)"
+            words = f"{name} ({int(factor['segments'])} segments)" if kind == "ring" else name
             share = float(factor["share"])
             part = number(np.sqrt(share) * float(one["rms"])) if share > 0 else "0"
             cells = [part, number(float(factor["rms_without"])), *(_share(factor, key) for key in _SHARES)]
@@ -73,15 +79,20 @@ def _share(factor: "xr.Dataset", key: str) -> str:
 def explanations(found: "xr.Dataset") -> list[str]:
     """Return what the numbers mean, in lines."""
     lost = found.attrs["cases"] - found.attrs["cases_used"]
+    rings = "ring" in found["kind"].to_numpy()
+    system = "image_motion" in found["quantity"].to_numpy()
+    over = ", of all field points at the primary wavelength" if system else ""
     lines = [
         f"Budget of {found.attrs['population']}, {found.attrs['cases_used']} cases: rms over cases and "
-        "instants; LOS relative to rest; in brackets 95 % confidence intervals (bootstrap over cases).",
+        f"instants{over}; LOS and image relative to rest; in brackets 95 % confidence intervals (bootstrap "
+        "over cases).",
         "Switched off: by what the mean square falls without the factor, on the same draws. Variance of the "
         "cases' rms: by the factor alone (first-order Sobol index), and with all that it interacts in "
-        "(total index); rings have none where segments are disturbed together, as by wind.",
+        "(total index)"
+        + ("; rings have none where segments are disturbed together, as by wind." if rings else "."),
     ]
     if lost:
-        lines.append(f"{lost} cases are left out: a segment lost its light with some factor on or off.")
+        lines.append(f"{lost} cases are left out: light was lost with some factor on or off.")
     return lines
 
 
@@ -90,7 +101,7 @@ def pictures(store: Path) -> list[Picture]:
     if not (Path(store) / BUDGET).exists():
         return []
     found = open_budget(store)
-    words = f"Budget of {found.attrs['population']}: shares by source and ring, with 95 % confidence"
+    words = f"Budget of {found.attrs['population']}: shares by factor, with 95 % confidence"
     return [picture("budget", words, budget_figure(found))]
 
 
@@ -100,7 +111,7 @@ def budget_figure(found: "xr.Dataset") -> Figure:
     names = [str(name) for name in found["factor"].to_numpy()]
     figure = Figure(figsize=(WIDTH, 1.3 + 0.3 * len(names)), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
-    for axes, quantity in zip(panels, ("wfe_rms_raw", "los"), strict=True):
+    for axes, quantity in zip(panels, found["quantity"].to_numpy()[[0, -1]].tolist(), strict=True):
         one = found.sel(quantity=quantity)
         for place, (key, label) in enumerate(_SHARES.items()):
             value, low, high = (100.0 * one[f"{key}{end}"].to_numpy() for end in ("", "_low", "_high"))

@@ -92,7 +92,8 @@ class Difference:
         """
         excess = self.differences - self.mean
         if self.sets is not None:  # sums over sets: they may differ in size by failed cases
-            excess = np.bincount(np.unique(self.sets, return_inverse=True)[1], excess)
+            which = np.unique(self.sets, return_inverse=True)[1]
+            excess = np.bincount(which, excess).astype(np.float64)
         if excess.size < 2:
             return float("nan")
         error = excess.std(ddof=1) * np.sqrt(excess.size) / self.cases

@@ -16,6 +16,7 @@ from wavequake.kernels.devices import choose_device
 from wavequake.mechanics.population import time_axis
 from wavequake.optics.paraxial import paraxial
 from wavequake.optics.system_wavefront import trace_system
+from wavequake.report import budget
 from wavequake.report import system_figures as draw_figures
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import Excluded
@@ -112,25 +113,20 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         answer=answer(found),
         table=[_row(population, one, bench) for population in found for one in population.fields],
         small_print=_SMALL_PRINT,
-        overview=[
-            picture(
-                "distributions",
-                "Distribution of the wavefront error of all disturbances",
-                draw_figures.distributions(
-                    _worst_fields(found),
-                    "WFE rms of a case (nm), worst field",
-                    {one.name: one.fields[0].sets for one in found if one.fields},
-                ),
-            )
-        ]
-        if any(len(one.cases) for one in found)
-        else [],
+        overview=[*_overview(found), *budget.pictures(store)],
         sections=[Section(one.name, list(_figures(bench, one, dataset, device))) for one in found],
         definitions=list(_DEFINITIONS),
         kind="disturbance",
         left_out=_left_out(dataset),
     )
     return write_page(render_page(dataset, page), target)
+
+
+def _overview(found: Sequence[SystemPopulation]) -> Iterator[Picture]:
+    if any(len(one.cases) for one in found):
+        sets = {one.name: one.fields[0].sets for one in found if one.fields}
+        figure = draw_figures.distributions(_worst_fields(found), "WFE rms of a case (nm), worst field", sets)
+        yield picture("distributions", "Distribution of the wavefront error of all disturbances", figure)
 
 
 def populations(dataset: xr.Dataset, bench: SystemBench) -> list[SystemPopulation]:

@@ -1,13 +1,13 @@
-"""Which disturbance, and which ring of segments, contributes what: a budget of a segment-disturbance study.
+"""Which disturbance, and which ring of segments or element, contributes what: a budget of a study.
 
 Every case is traced with all disturbances, with each of them switched off, and with each of them drawn again
 while the others stay. All share their random numbers, so that differences stand out from the scatter.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,31 +15,23 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import choose_device
-from wavequake.mechanics.common_history import CommonHistory
-from wavequake.mechanics.disturbances import (
-    Combine,
-    SingleDisturbance,
-    draw,
-    parts,
-    stream_of,
-    time_axis,
-)
-from wavequake.mechanics.edge_sensors import EdgeSensorNoise
-from wavequake.mechanics.layout import SegmentLayout
-from wavequake.mechanics.motion import Motion, add
-from wavequake.mechanics.segment_history import SegmentHistory
-from wavequake.mechanics.segment_wind import SegmentWind
-from wavequake.mechanics.static_random import StaticRandom
-from wavequake.workflows.bench import Bench, bench_of
-from wavequake.workflows.contract import DONE
+from wavequake.mechanics.disturbances import Combine
+from wavequake.workflows import budget_segments, budget_systems
+from wavequake.workflows.budget_factors import Experiment
 from wavequake.workflows.indices import Estimate, removed_shares, variance_shares
-from wavequake.workflows.provenance import collect
+from wavequake.workflows.provenance import code, collect
 from wavequake.workflows.schema import Study
-from wavequake.workflows.segment_disturbance import CaseDraw, trace_draws
 from wavequake.workflows.segment_study import SegmentStudy
 from wavequake.workflows.sensitivity import read_dataset, write_dataset
-from wavequake.workflows.store import BUDGET, MANIFEST, read_manifest, refuse_foreign, refuse_other
-from wavequake.workflows.study import study_with
+from wavequake.workflows.store import (
+    BUDGET,
+    MANIFEST,
+    read_manifest,
+    refuse_foreign,
+    refuse_other,
+    write_errors_explained,
+)
+from wavequake.workflows.system_study import SystemStudy
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -48,44 +40,13 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int, int], None]
 
 SCHEMA = 1
-QUANTITIES = {"wfe_rms_raw": "nm", "wfe_rms": "nm", "los": "mas"}
+UNITS = {"wfe_rms_raw": "nm", "wfe_rms": "nm", "los": "mas", "wfe_change": "nm", "image_motion": "µm"}
 FEWEST = 16  # cases below which an interval says nothing
-_AGAIN = "~again"  # no disturbance's name can end so
-_AT_ONCE = 64  # draws that are in memory together
-# Their segments are drawn independently of each other, so that a ring of them is a factor, too.
-_RING_BY_RING = (StaticRandom, CommonHistory)
-_TOGETHER = (SegmentHistory, SegmentWind, EdgeSensorNoise)
+# Cases that are measured, until all are: one line each.
+_UNFINISHED = f"{BUDGET}.partial.jsonl"
 
 
-@dataclass(frozen=True)
-class Factors:
-    """Sources of a sum of disturbances, and rings of segments: (S,) number of each segment's ring, from 1."""
-
-    sources: tuple[SingleDisturbance, ...]
-    rings: NDArray[np.int64]
-
-    @property
-    def ring_numbers(self) -> list[int]:
-        """Rings that there are; none where all segments are in one."""
-        found: list[int] = np.unique(self.rings).tolist()
-        return found if len(found) > 1 else []
-
-
-def rings_of(layout: SegmentLayout) -> NDArray[np.int64]:
-    """Return the ring of every segment (S,): its distance from the axis over the distance of neighbors.
-
-    Rounded, from 1 for the innermost ring that there is; a mirror of one piece is one ring.
-    """
-    centers = layout.centers_m[:, :2]
-    if len(centers) < 2:
-        return np.ones(len(centers), dtype=np.int64)
-    apart = np.linalg.norm(centers[:, None] - centers, axis=2)
-    pitch = np.median(np.where(apart > 0.0, apart, np.inf).min(axis=1))
-    number = np.rint(np.linalg.norm(centers, axis=1) / pitch).astype(np.int64)
-    return np.unique(number, return_inverse=True)[1].astype(np.int64) + 1
-
-
-def summed(study: SegmentStudy, name: str | None) -> Combine:
+def summed(study: SegmentStudy | SystemStudy, name: str | None) -> Combine:
     """Return the sum of disturbances that a budget is made of: a combination of the study, or of all.
 
     Raises
@@ -116,116 +77,48 @@ def summed(study: SegmentStudy, name: str | None) -> Combine:
     )
 
 
-def variants(
-    population: Combine, factors: Factors, layout: SegmentLayout, seed: int, realization: int
-) -> list[Motion]:
-    """Return the motions of one case: of all factors, of all drawn again, without each, with each redrawn."""
-    time = time_axis(population)
-
-    def drawn(part: SingleDisturbance) -> Motion:
-        return draw(part, layout, time, stream_of(part, len(layout), seed, realization))
-
-    still = _scaled(add([drawn(part) for part in factors.sources[:1]]), 0.0)
-    one = [drawn(part) for part in factors.sources]
-    other = [drawn(part.model_copy(update={"name": part.name + _AGAIN})) for part in factors.sources]
-
-    def total(motions: Sequence[Motion]) -> Motion:
-        return add([still, *motions])
-
-    indices = range(len(one))
-    without = [total([one[k] for k in indices if k != i]) for i in indices]
-    redrawn = [total([other[k] if k == i else one[k] for k in indices]) for i in indices]
-    for ring in factors.ring_numbers:
-        mine = factors.rings == ring
-        without.append(_with_segments(total(one), still, mine))
-        ringwise = [
-            _with_segments(first, second, mine) if isinstance(part, _RING_BY_RING) else first
-            for part, first, second in zip(factors.sources, one, other, strict=True)
-        ]
-        redrawn.append(total(ringwise))
-    return [total(one), total(other), *without, *redrawn]
-
-
-def _scaled(motion: Motion, factor: float) -> Motion:
-    return Motion(
-        motion.segment_motion * factor,
-        motion.segment_figure * factor,
-        motion.mount * factor,
-        motion.m2 * factor,
-    )
-
-
-def _with_segments(motion: Motion, other: Motion, mine: NDArray[np.bool_]) -> Motion:
-    """Return a motion in which some segments move as in another."""
-    motion, other = add([motion, _scaled(other, 0.0)]), add([other, _scaled(motion, 0.0)])
-    return replace(
-        motion,
-        segment_motion=np.where(mine[:, None], other.segment_motion, motion.segment_motion),
-        segment_figure=np.where(mine[:, None], other.segment_figure, motion.segment_figure),
-    )
-
-
-def evaluate(bench: Bench, population: Combine, motions: Sequence[Motion], device: str) -> Array:
-    """Return the QUANTITIES (rms over the instants) of motions (B, 3); NaN where one cannot be traced."""
-    time, found = time_axis(population), []
-    for first in range(0, len(motions), _AT_ONCE):
-        draws = [CaseDraw(population, 0, time, motion) for motion in motions[first : first + _AT_ONCE]]
-        result = trace_draws(bench.text, draws, device)
-        squares = [
-            np.sum(result.arrays[name][:, : len(time)].reshape(len(draws), len(time), -1) ** 2, axis=2)
-            for name in QUANTITIES
-        ]
-        values = np.sqrt(np.mean(squares, axis=2)).T
-        found.append(np.where((result.status == DONE)[:, None], values, np.nan))
-    return np.concatenate(found)
-
-
 def budget(
     study: Study,
     cases: int,
     of: str | None = None,
     progress: Progress | None = None,
+    unfinished: Path | None = None,
 ) -> "xr.Dataset":
-    """Return what each source and each ring of segments contributes, with 95 % confidence intervals.
+    """Return what each source and each ring of segments or element contributes, with 95 % intervals.
 
     Parameters
     ----------
     study : Study
-        Of the workflow segment-disturbance.
+        Of the workflow segment-disturbance or system-disturbance.
     cases : int
-        Realizations; each is traced 2 + 2 (sources + rings) times.
+        Realizations; each is traced 2 + 2 (sources + rings or elements) times.
     of : str, optional
         The combination to take apart; by default the study's only one, or else the sum of its disturbances.
+    progress : callable, optional
+        Called with the numbers of cases done, wanted and 0.
+    unfinished : Path, optional
+        A file that keeps what is measured, so that the same call goes on after an interruption.
 
     Raises
     ------
     UserError
         If the study is another kind of study, has several combinations, or most cases cannot be traced.
     """
-    if not isinstance(study, SegmentStudy) or study.study.workflow != "segment-disturbance":
-        raise UserError(f"A budget is of segment-disturbance studies, not of {study.study.workflow}.")
+    if not isinstance(study, SegmentStudy | SystemStudy) or study.study.workflow not in _WORKFLOWS:
+        raise UserError(f"A budget is of {' and '.join(_WORKFLOWS)} studies, not of {study.study.workflow}.")
     if cases < FEWEST:
         raise UserError(f"A budget of {cases} cases says nothing; take at least {FEWEST}.")
     population = summed(study, of)
-    traced = cast(SegmentStudy, study_with(study, _TRACED))
-    bench = bench_of(traced.identity_text())
     device = choose_device(study.campaign.device)
-    factors = Factors(tuple(parts(study.disturbance, population)), rings_of(bench.layout))
-    count = 2 + 2 * (len(factors.sources) + len(factors.ring_numbers))
-    group, values = max(1, _AT_ONCE // count), []
     with threadpool_limits(1):
-        for first in range(0, cases, group):
-            if progress:
-                progress(first, cases, 0)
-            motions = [
-                motion
-                for realization in range(first, min(first + group, cases))
-                for motion in variants(population, factors, bench.layout, study.study.seed, realization)
-            ]
-            values.append(evaluate(bench, population, motions, device.name))
-        rest = evaluate(bench, population, [_scaled(motions[0], 0.0)], device.name)[0]
-    if progress:
-        progress(cases, cases, 0)
+        experiment = (
+            budget_systems.experiment(study, population, device.name)
+            if isinstance(study, SystemStudy)
+            else budget_segments.experiment(study, population, device.name)
+        )
+        identity = [study.identity(), population.name, device.name, code()]
+        values = _measured(experiment, cases, identity, unfinished, progress)
+        rest = experiment.rest()
     attrs = {
         "title": "Budget of disturbances",
         "schema": SCHEMA,
@@ -236,21 +129,56 @@ def budget(
         "device": f"{device.name} ({device.kind})",
         **collect(device),
     }
-    return _dataset(np.concatenate(values).reshape(cases, count, -1), rest, factors, attrs)
+    return _dataset(values, rest, experiment, attrs)
 
 
-_TRACED = {
-    "imaging.enabled": False,
-    "optics.method": "standard",
-    "store.reduce": "none",
-    "store.every": 1,
-    "store.keep": [],
-    "campaign.sampling": "random",
-    "campaign.until": None,
-}
+_WORKFLOWS = ("segment-disturbance", "system-disturbance")
 
 
-def _dataset(values: Array, rest: Array, factors: Factors, attrs: dict[str, object]) -> "xr.Dataset":
+def _measured(
+    experiment: Experiment, cases: int, identity: list[str], file: Path | None, progress: Progress | None
+) -> Array:
+    """Return (cases, variants, quantities), of which `file` may have some and gets the others."""
+    known = {case: values for case, values in _kept(file, identity).items() if case < cases}
+    for first in range(0, cases, experiment.at_once):
+        last = min(first + experiment.at_once, cases)
+        if known.keys() >= set(range(first, last)):
+            continue
+        if progress:
+            progress(first, cases, 0)
+        found = dict(zip(range(first, last), experiment.values(first, last), strict=True))
+        known |= found
+        if file is not None:
+            _keep(file, identity, found)
+    if progress:
+        progress(cases, cases, 0)
+    return np.array([known[case] for case in range(cases)])
+
+
+def _keep(file: Path, identity: list[str], found: dict[int, Array]) -> None:
+    lines = [json.dumps([identity, case, values.tolist()]) for case, values in found.items()]
+    with write_errors_explained(file.parent):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with file.open("a", encoding="utf-8") as out:
+            out.write("\n" + "\n".join(lines) + "\n")  # what comes before may be torn
+
+
+def _kept(file: Path | None, identity: list[str]) -> dict[int, Array]:
+    """Return the cases that a file has of this budget, in whole lines."""
+    found: dict[int, Array] = {}
+    if file is None or not file.exists():
+        return found
+    for line in file.read_text(encoding="utf-8", errors="replace").splitlines():
+        try:
+            whose, case, values = json.loads(line)
+            if whose == identity:
+                found[int(case)] = np.array(values, dtype=np.float64)
+        except (ValueError, TypeError):
+            continue
+    return found
+
+
+def _dataset(values: Array, rest: Array, experiment: Experiment, attrs: dict[str, object]) -> "xr.Dataset":
     """Return the budget of values (case, 2 + 2 k, quantity) and those at rest (quantity,)."""
     import xarray as xr
 
@@ -261,7 +189,7 @@ def _dataset(values: Array, rest: Array, factors: Factors, attrs: dict[str, obje
             f"off, and {FEWEST} are needed; lower the disturbances or raise --cases."
         )
     kept = values[good]
-    names = [part.name for part in factors.sources] + [f"ring {ring}" for ring in factors.ring_numbers]
+    names = [factor.name for factor in experiment.factors]
     count = len(names)
     sets: dict[str, Callable[[Array], Estimate]] = {
         "share": lambda v: removed_shares(v[:, 0], v[:, 2 : 2 + count]),
@@ -273,13 +201,10 @@ def _dataset(values: Array, rest: Array, factors: Factors, attrs: dict[str, obje
         "first": "first-order Sobol index: share of the variance over cases by the factor alone",
         "total": "total Sobol index: share of the variance over cases by the factor and its interactions",
     }
-    known = np.array(
-        [True] * len(factors.sources)
-        + [not any(isinstance(part, _TOGETHER) for part in factors.sources)] * len(factors.ring_numbers)
-    )
+    known = np.array([factor.independent for factor in experiment.factors])
     variables: dict[str, object] = {}
     for key, estimate in sets.items():
-        each: list[Estimate] = [estimate(kept[..., q]) for q in range(len(QUANTITIES))]
+        each: list[Estimate] = [estimate(kept[..., q]) for q in range(len(experiment.quantities))]
         for suffix, attribute in (("", "value"), ("_low", "low"), ("_high", "high")):
             numbers = np.stack([getattr(one, attribute) for one in each], axis=1)
             if key != "share":
@@ -291,7 +216,7 @@ def _dataset(values: Array, rest: Array, factors: Factors, attrs: dict[str, obje
                 {"units": "1", "long_name": words[key] + bound},
             )
     rms = np.sqrt(np.mean(kept**2, axis=0))
-    mixed = {"units": "nm, nm, mas"}
+    mixed = {"units": ", ".join(UNITS[name] for name in experiment.quantities)}
     variables["rms"] = (("quantity",), rms[0], {**mixed, "long_name": "rms over cases and instants"})
     variables["rms_without"] = (
         ("factor", "quantity"),
@@ -310,11 +235,8 @@ def _dataset(values: Array, rest: Array, factors: Factors, attrs: dict[str, obje
     )
     coordinates = {
         "factor": np.array(names, dtype=object),
-        "kind": (
-            ("factor",),
-            np.array(["source"] * len(factors.sources) + ["ring"] * len(factors.ring_numbers), dtype=object),
-        ),
-        "quantity": np.array(list(QUANTITIES), dtype=object),
+        "kind": (("factor",), np.array([factor.kind for factor in experiment.factors], dtype=object)),
+        "quantity": np.array(experiment.quantities, dtype=object),
         "variant": np.array(
             [
                 "all",
@@ -325,21 +247,21 @@ def _dataset(values: Array, rest: Array, factors: Factors, attrs: dict[str, obje
             dtype=object,
         ),
         "case": np.arange(len(values)),
-        "segments": (("factor",), _sizes(factors)),
+        "segments": (
+            ("factor",),
+            np.array([factor.members for factor in experiment.factors], dtype=np.int64),
+        ),
     }
     found: xr.Dataset = xr.Dataset(variables, coordinates, {**attrs, "cases_used": int(good.sum())})
     return found
-
-
-def _sizes(factors: Factors) -> NDArray[np.int64]:
-    rings = [int(np.count_nonzero(factors.rings == ring)) for ring in factors.ring_numbers]
-    return np.array([len(factors.rings)] * len(factors.sources) + rings, dtype=np.int64)
 
 
 def stored_budget(
     study: Study, path: Path, cases: int, of: str | None = None, progress: Progress | None = None
 ) -> tuple["xr.Dataset", bool]:
     """Return the budget that the folder of a store keeps, or compute and keep it; and whether it was there.
+
+    What was measured before an interruption is not measured again.
 
     Raises as :func:`budget` and :func:`open_budget`, and UserError where the folder is something else.
     """
@@ -358,8 +280,9 @@ def stored_budget(
             wanted,
         ):
             return found, True
-    made = budget(study, cases, of, progress)
+    made = budget(study, cases, of, progress, path / _UNFINISHED)
     write_dataset(made, target)
+    (path / _UNFINISHED).unlink(missing_ok=True)
     return made, False
 
 

@@ -80,17 +80,17 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
     with threadpool_limits(1):
         for row, case in enumerate(cases):
             population, drawn = draw(bench, int(case))
-            found, messages[row] = _judged(bench, time_axis(population), drawn, device)
+            found, messages[row] = measured(bench, time_axis(population), drawn, device)
             for name, values in found.items():
                 arrays[name][row][tuple(slice(0, size) for size in values.shape)] = values
     status = np.array([RAISED if message else DONE for message in messages], dtype=np.int8)
     return ChunkResult(arrays, status, tuple(messages))
 
 
-def _judged(
+def measured(
     bench: SystemBench, time: Array, drawn: ElementMotion, device: Device
 ) -> tuple[dict[str, Array], str]:
-    """Return a case's numbers, or none and why it has none."""
+    """Return the numbers of a case by name, ([time], field, wavelength, ...); or none, and why."""
     states = system_states(bench, drawn)
     found: dict[str, list[Array]] = {}
     for row, still in zip(bench.prepared, bench.static, strict=True):

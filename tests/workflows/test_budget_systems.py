@@ -1,0 +1,136 @@
+"""Budgets of lenses: elements that move, on, off and drawn again."""
+
+import numpy as np
+import pytest
+
+from wavequake import cli
+from wavequake.mechanics.element_motion import draw_elements
+from wavequake.report.budget import budget_figure
+from wavequake.workflows.budget import budget, stored_budget, summed
+from wavequake.workflows.budget_systems import variants
+from wavequake.workflows.segment_disturbance import slot
+from wavequake.workflows.study import load_study
+from wavequake.workflows.system_bench import system_bench
+from wavequake.workflows.system_disturbance import compute
+
+STUDY = """
+[study]
+name = "lens"
+workflow = "system-disturbance"
+seed = 5
+[system]
+name = "double-gauss"
+f_number = 8.0
+fields_deg = [[0.0, 5.0]]
+[campaign]
+device = "numpy"
+[optics]
+rays = 60
+[[body]]
+name = "L1"
+surfaces = ["surface 1", "surface 2"]
+[[body]]
+name = "L4"
+surfaces = ["surface 10", "surface 11"]
+[[disturbance]]
+name = "coarse"
+model = "surface-random"
+of = ["L1", "L4"]
+rms = { dx_um = 2.0 }
+[[disturbance]]
+name = "fine"
+model = "surface-random"
+of = ["L1"]
+rms = { dx_um = 1.0 }
+"""
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    path = tmp_path_factory.mktemp("budget") / "lens.toml"
+    path.write_text(STUDY)
+    return load_study(path)
+
+
+@pytest.fixture(scope="module")
+def found(study):
+    return budget(study, 30)
+
+
+def test_a_factor_is_taken_away_or_drawn_again_and_the_others_stay(study):
+    sources = study.disturbance
+    one, other, only_fine, only_coarse, *rest = variants(summed(study, None), sources, 5, 3)
+    direct = [draw_elements(sources, entry, 5, 3).rigid["L1"] for entry in sources]
+    np.testing.assert_array_equal(one.rigid["L1"], direct[0] + direct[1])
+    np.testing.assert_array_equal(only_fine.rigid["L1"], direct[1])
+    np.testing.assert_array_equal(only_coarse.rigid["L1"], direct[0])
+    assert "L4" not in only_fine.rigid
+    without_l1, without_l4, coarse_again, fine_again, l1_again, l4_again = rest
+    assert set(without_l1.rigid) == {"L4"}
+    assert set(without_l4.rigid) == {"L1"}
+    np.testing.assert_array_equal(coarse_again.rigid["L4"], other.rigid["L4"])
+    np.testing.assert_allclose(
+        coarse_again.rigid["L1"] + fine_again.rigid["L1"], one.rigid["L1"] + other.rigid["L1"], rtol=1e-13
+    )
+    np.testing.assert_array_equal(l1_again.rigid["L1"], other.rigid["L1"])
+    np.testing.assert_array_equal(l1_again.rigid["L4"], one.rigid["L4"])
+    np.testing.assert_array_equal(l4_again.rigid["L4"], other.rigid["L4"])
+    assert not np.any(one.rigid["L1"] == other.rigid["L1"], where=direct[0] != 0.0)
+
+
+def test_small_shifts_of_lenses_move_the_image_in_proportion(study, found):
+    # Lenses move by c + f and by d along x: the image by a (c + f) + b d, with constant a, b.
+    drawn = [
+        [draw_elements(study.disturbance, entry, 5, case) for entry in study.disturbance]
+        for case in range(30)
+    ]
+    c, d, f = (
+        np.array([case[source].rigid[name][0, 0] for case in drawn])
+        for source, name in ((0, "L1"), (0, "L4"), (1, "L1"))
+    )
+    moved = {
+        str(name): found["value"].sel(quantity="image_motion", variant=name).to_numpy()
+        for name in found["variant"].to_numpy()
+    }
+    a, b = np.median(moved["without coarse"] / np.abs(f)), np.median(moved["without L1"] / np.abs(d))
+    np.testing.assert_allclose(moved["without coarse"], a * np.abs(f), rtol=1e-4)
+    np.testing.assert_allclose(moved["without L1"], b * np.abs(d), rtol=1e-4)
+    np.testing.assert_allclose(moved["without L4"], a * np.abs(c + f), rtol=1e-4)
+    sign = -1.0 if moved["all"][0] < moved["without L4"][0] + moved["without L1"][0] - 1e-6 else 1.0
+    sign *= np.sign((c + f)[0] * d[0])
+    np.testing.assert_allclose(moved["all"], np.abs(a * (c + f) + sign * b * d), rtol=1e-3)
+    share = found["share"].sel(quantity="image_motion", factor="L4")
+    assert float(share) == pytest.approx(
+        1.0 - np.sum((c + f) ** 2) * a**2 / np.sum(moved["all"] ** 2), rel=1e-3
+    )
+    assert found["kind"].to_numpy().tolist() == ["source", "source", "element", "element"]
+    assert np.isfinite(found["total"]).all()
+
+
+def test_what_is_without_a_factor_is_a_direct_trace(study, found):
+    text = study.identity_text()
+    slots = [slot(study.disturbance, case) for case in range(4)]
+    case = next(i for i, (one, realization) in enumerate(slots) if (one.name, realization) == ("fine", 0))
+    direct = compute(text, np.array([case]), "numpy")
+    light = system_bench(text).system.primary_wavelength
+    change = direct.arrays["wfe_change"][0, :, :, light]
+    value = found["value"].sel(case=0, variant="without coarse", quantity="wfe_change")
+    assert float(value) == pytest.approx(np.sqrt(np.mean(change**2)), rel=1e-6)
+    assert float(found["rms_rest"].sel(quantity="wfe_change")) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_command_prints_a_table_and_a_report_has_a_figure(study, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("wavequake.workflows.budget.FEWEST", 4)
+    (tmp_path / "lens.toml").write_text(STUDY)
+    words = ["budget", str(tmp_path / "lens.toml"), "--cases", "4", "--store", str(tmp_path / "s")]
+    monkeypatch.setattr("sys.argv", ["wavequake", *words])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    said = " ".join(capsys.readouterr().out.split())
+    assert end.value.code in (0, None)
+    for expected in ("motion of the image", "coarse", "L4", "field points at the primary wavelength"):
+        assert expected in said
+    assert "ring" not in said
+    found, kept = stored_budget(study, tmp_path / "s", 4)
+    assert kept
+    assert len(budget_figure(found).axes) == 2
