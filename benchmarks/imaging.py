@@ -11,6 +11,9 @@ on the CPU, alone and summed to an exposure, its NumPy twin, and the peers' tran
 at the phase of each cell, but that of "from Zernike terms" at the coefficients. Errors are the largest
 differences from the NumPy twin.
 
+Exposures: 1000 instants of such a round pupil whose line of sight moves by 1 wavelength / diameter rms, placed
+by a tilt of the pupil ("folded in") or by a Fourier shift of every image, against the images alone.
+
 Strehl ratios alone: pistons of the 492 segments, 4000 instants.
 
 All run on one thread (set POCL_MAX_PTHREAD_COUNT=1); measurements are interleaved, and medians of same-run
@@ -18,7 +21,7 @@ ratios are what to compare between machines.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
@@ -28,6 +31,7 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
+from wavequake.imaging.exposure_models import full_exposure
 from wavequake.imaging.matrix_fourier import matrix_fourier, psf_sum
 from wavequake.imaging.matrix_fourier import psf as matrix_psf
 from wavequake.imaging.polygon_transform import polygon_areas
@@ -50,6 +54,7 @@ PIXELS, SAMPLING, DIAMETER = 64, 0.25, 30000.0
 PUPIL_POINTS = 512
 ROUND_PIXELS = 128
 STREHL_INSTANTS = 4000
+EXPOSED_INSTANTS = 1000
 WAVELENGTH = 550.0  # nm
 REPEATS = 7
 
@@ -219,6 +224,40 @@ def without_phase(image: Callable[[], Real], phase: Real) -> Real:
     return image()
 
 
+def compare_exposure() -> Table:
+    """Expose moving images of a round pupil: what the placing costs beside the images."""
+    random, device = np.random.default_rng(1), choose_device("cpu")
+    waves = random.normal(0.0, 0.02, (EXPOSED_INSTANTS, 45))
+    los = random.normal(0.0, 1.0, (EXPOSED_INSTANTS, 2))
+    waves[:, :3] = 0.0
+    placed = waves.copy()
+    placed[:, 1:3] = los / 4.0  # a tilt of c waves (Noll) moves the image by 4 c
+    imager = zernike_imager(annular_pupil(PUPIL_POINTS), ROUND_PIXELS, SAMPLING, 45, 0.0, device)
+    weights = np.full(EXPOSED_INSTANTS, 1.0 / EXPOSED_INSTANTS)
+
+    def images() -> Iterator[Real]:
+        for first in range(0, EXPOSED_INSTANTS, TILE):
+            yield zernike_images(imager, waves[first : first + TILE])
+
+    jobs: dict[str, Callable[[], object]] = {
+        "images alone": lambda: [image[0, 0, 0] for image in images()],
+        "exposure, folded in": lambda: zernike_sum(imager, placed, weights),
+        "exposure, Fourier shifts": lambda: full_exposure(images(), los, SAMPLING),
+    }
+    seconds: dict[str, list[float]] = {name: [] for name in jobs}
+    for _ in range(REPEATS):
+        for name, job in jobs.items():
+            start = time.perf_counter()
+            job()
+            seconds[name].append(time.perf_counter() - start)
+    alone = np.array(seconds["images alone"])
+    columns = Table("1000 instants at 128²", "instants/s", "best", "rate/images alone", box=None)
+    for name, times in seconds.items():
+        rates = [f"{EXPOSED_INSTANTS / t:.0f}" for t in (np.median(times), min(times))]
+        columns.add_row(name, *rates, f"{np.median(alone / np.array(times)):.2f}")
+    return columns
+
+
 def compare_strehl(segments: Segments) -> Table:
     """Strehl ratios alone, of pistons of the segments."""
     areas = polygon_areas(segments.corners)
@@ -262,6 +301,7 @@ def main() -> None:
         for corner_slope in (0.0, 5.0):
             console.print(compare(segments, corner_slope, console))
         console.print(compare_round(console))
+        console.print(compare_exposure())
         console.print(compare_strehl(segments))
 
 

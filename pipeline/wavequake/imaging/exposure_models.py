@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.fft import fftfreq, irfft2, next_fast_len, rfft2, rfftfreq
+from scipy.fft import fft, fftfreq, irfft2, next_fast_len, rfft, rfft2, rfftfreq
 
 from wavequake.errors import UserError
 from wavequake.imaging.exposure import encircled_energy_radius
@@ -27,6 +27,8 @@ Complex = NDArray[np.complex128]
 _WINGS = 8.0
 # Instants at once: bounds the memory.
 _BLOCK = 64
+# Images at once whose spectra a processor's cache holds.
+_CACHED = 4
 
 
 @dataclass(frozen=True)
@@ -87,16 +89,18 @@ def full_exposure(images: Iterable[NDArray[np.floating]], los: ArrayLike, sampli
             raise UserError(f"there are more images than the {len(los)} lines of sight")
         if total is None:
             total = np.zeros((canvas, canvas // 2 + 1), dtype=np.complex128)
-        for first in range(0, len(local), _BLOCK):
-            part = local[first : first + _BLOCK]
+        for first in range(0, len(local), _CACHED):
+            part = local[first : first + _CACHED]
             if not np.isfinite(part).all():
                 bad = done + first + int(np.argmin(np.isfinite(part).all(axis=(1, 2))))
                 raise UserError(f"the image of instant {bad} is not finite, so there is no exposure")
             along_y, along_x = _factors(los[done + first : done + first + len(part)], canvas, sampling)
-            spectra = rfft2(part, s=(canvas, canvas))
+            rows = rfft(part, canvas, axis=2)  # of the image alone: the border has none
+            rows *= along_x[:, None, :]
+            spectra = fft(rows, canvas, axis=1)
             spectra *= along_y[:, :, None]
-            spectra *= along_x[:, None, :]
-            total += spectra.sum(axis=0)
+            for spectrum in spectra:  # one after the other: the bits do not depend on the blocks
+                total += spectrum
         done += len(local)
     if total is None or done < len(los):
         raise UserError(f"there are {done} images for {len(los)} lines of sight")
