@@ -250,10 +250,9 @@ def bars(ranges: Array, deviations: Array, springs: str, names: Sequence[str]) -
         axes.bar(at, middle, 0.36, color=COLORS[number], alpha=0.55, label=label)
         across = np.repeat(at[None], len(values), axis=0)
         axes.scatter(across, values, s=5, color=COLORS[number], linewidths=0)
-        for x, value in zip(at, middle, strict=True):
-            axes.annotate(
-                f"{value:.0f}" if value >= 10 else f"{value:.1f}", (x, value + 2), ha="center", size=8
-            )
+        for x, value, top in zip(at, middle, values.max(axis=0), strict=True):
+            text = f"{value:.0f}" if value >= 10 else f"{value:.1f}"
+            axes.annotate(text, (x, top + 2), ha="center", size=8)  # above the points
     axes.set_xticks(places, [name.replace(", ", "\n") for name in names])
     axes.set_ylabel("of uncontrolled (%)")
     axes.set_ylim(0, 115)
