@@ -51,6 +51,19 @@ def test_a_summary_has_the_numbers_of_the_arrays_over_time(store, tmp_path):
     assert short.segments_model == pytest.approx(np.sqrt(np.mean(short.segments**2)), rel=0.1)
 
 
+def test_a_store_of_too_many_instants_is_reported_case_by_case(tmp_path, monkeypatch):
+    keys = {"imaging.pixels": 16, "optics.rays_per_segment": 6, "wavefront.zernike_terms": 11}
+    study = load_study("tmt-segments", keys | {"telescope.name": "tmt-18"})
+    wq.run(study, cases=8, store=tmp_path)
+    dataset = wq.open_store(tmp_path)
+    assert not reduced.is_reduced(dataset)
+    monkeypatch.setattr(reduced, "_MOST_INSTANTS", dataset["wfe_rms"].size - 1)
+    assert reduced.is_reduced(dataset)
+    assert "P99.9" in printed(tmp_path)
+    _, path = report_store(tmp_path)
+    assert "wind-shake" in path.read_text()
+
+
 def test_the_table_has_the_quantiles_and_the_certificate(store):
     dataset, text = wq.open_store(store), printed(store)
     raw = dataset["wfe_rms_raw"].sel(statistic="rms").to_numpy()

@@ -1,4 +1,4 @@
-"""The report of a segment-disturbance store without images or without instants: large campaigns.
+"""The report of a segment-disturbance store without images or instants, or with too many to read them all.
 
 One number per case and quantity, of up to millions of cases; and how good the modal model was.
 """
@@ -43,6 +43,7 @@ _ERRORS = {
 _SERIES = ("wfe_rms_raw", "wfe_rms", "los", "segment_piston_rms")
 _PERCENTILES = ((0.5, "P50"), (0.95, "P95"), (0.999, "P99.9"))
 _LISTED = 1000
+_MOST_INSTANTS = 2_000_000  # of all cases: the report of every instant takes some 0.3 GB then
 
 
 @dataclass(frozen=True)
@@ -65,8 +66,9 @@ class ReducedPopulation:
 
 
 def is_reduced(dataset: xr.Dataset) -> bool:
-    """Return whether a store has no images or no instants."""
-    return "exposure" not in dataset or "time" not in dataset["wfe_rms"].dims
+    """Return whether a store has no images or no instants, or too many instants to be in memory together."""
+    series = dataset["wfe_rms"]
+    return "exposure" not in dataset or "time" not in series.dims or series.size > _MOST_INSTANTS
 
 
 def _loaded(dataset: xr.Dataset) -> xr.Dataset:
