@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -34,7 +35,7 @@ from wavequake.optics.wavefront import los_eq339
 from wavequake.optics.zernike import annular_zernike
 
 Array = NDArray[np.float64]
-REPEATS = 7
+REPEATS, CALLS = 7, 500
 RAYS, BATOID_RAYS = 1_000_000, 100_000
 BATCH, BATCH_RAYS, BATOID_INSTANTS = 1000, 2000, 3
 TILES = 4  # of the segmented trace, which flags failures and searches segments
@@ -145,6 +146,15 @@ def interleaved(jobs: dict[str, Callable[[], Any]]) -> dict[str, Array]:
     return {name: np.array(times) for name, times in seconds.items()}
 
 
+def successive(job: Callable[[], Any]) -> Array:
+    """Return the seconds of each of many calls, one after the other."""
+    times = [time.perf_counter()]
+    for _ in range(CALLS):
+        job()
+        times.append(time.perf_counter())
+    return np.diff(times)
+
+
 def measure(device: Device, terms: int, batoid: bool, console: Console) -> dict[str, float]:
     """Print the rates with one number of terms; return what `DEMANDS` are made on."""
     heights, degree, monomials = figures(terms, BATCH)
@@ -156,12 +166,14 @@ def measure(device: Device, terms: int, batoid: bool, console: Console) -> dict[
     rest = Moving(poses(0 * shifts[:1], 0 * tilts[:1]), (monomials[:1], *none))
     batch = Moving(poses(shifts, tilts), (monomials, *none))
     large = trace_sequence(sequence, many, rest, device, outputs=WANTED)
-    batched = trace_sequence(sequence, few, batch, device, outputs=WANTED)
+    # Paths that count from one at rest are differences already.
+    base = trace_sequence(sequence, few, rest, device).path[0, 0]
+    counted = replace(few, path=np.broadcast_to(-base, BATCH_RAYS))
+    batched = trace_sequence(sequence, counted, batch, device, outputs=WANTED)
     bound_jobs, amounts = limit_jobs(device)
     jobs: dict[str, Callable[[], Any]] = {
         "kernel": lambda: trace_sequence(sequence, many, rest, device, outputs=WANTED, out=large),
-        "batch": lambda: trace_sequence(sequence, few, batch, device, outputs=WANTED, out=batched),
-        "small": lambda: trace_sequence(sequence, few, rest, device, outputs=WANTED),
+        "batch": lambda: trace_sequence(sequence, counted, batch, device, outputs=WANTED, out=batched),
         "492 segments": partial(trace_segmented, **workload(bundled("tmt"), TILES, 28), device=device),
     }
     host_jobs: dict[str, Callable[[], Any]] = {
@@ -194,7 +206,9 @@ def measure(device: Device, terms: int, batoid: bool, console: Console) -> dict[
         numba(*arguments)
         worst = max(np.abs(getattr(large, name) - row).max() for name, row in zip(WANTED, out, strict=True))
         console.print(f"largest difference to numba: {worst:.1e} mm")
-    return report(interleaved(jobs | host_jobs | bound_jobs), rays, amounts, terms, console)
+    seconds = interleaved(jobs | host_jobs | bound_jobs)
+    seconds["small"] = successive(lambda: trace_sequence(sequence, few, rest, device, outputs=WANTED))
+    return report(seconds, rays, amounts, terms, console)
 
 
 def host_work(heights: Array, shifts: Array, tilts: Array, rays: Rays, traced: Any) -> Callable[[], Any]:
@@ -207,11 +221,7 @@ def host_work(heights: Array, shifts: Array, tilts: Array, rays: Rays, traced: A
         poses(shifts, tilts)
         heights @ basis.matrix.T
         center = np.stack([traced.x[:, 0], traced.y[:, 0]], axis=1)
-        zernike = np.empty((BATCH, len(fit.matrix)))
-        for first in range(0, BATCH, 50):  # as many as the cache holds
-            path = traced.path[first : first + 50]
-            waves = (path - path[:, :1]) * (1.0 / WAVELENGTH)
-            zernike[first : first + 50] = waves @ fit.matrix.T
+        zernike = (fit.matrix @ traced.path.T).T * (1.0 / WAVELENGTH)
         return los_eq339(center, zernike, WAVELENGTH, APERTURE)
 
     return work

@@ -32,7 +32,7 @@ def packed_elements(
     limits: list[Array] = []
     arrays: list[Array] = []
     index = sequence.index
-    rotates = (moving.poses[:, :, :9] != np.eye(3).ravel()).any(axis=(0, 2)).tolist()
+    rotates = (moving.poses[:, :, :9] != np.eye(3).ravel()).any(axis=0).any(axis=1).tolist()
     for number, element in enumerate(sequence.elements):
         start = len(numbers)
         behind = element.index if element.action == "refract" else index
@@ -65,8 +65,7 @@ def _parts(
         parts.append(Part(call, terms(degree), coefficients.ndim == 2, len(numbers)))
         numbers.append(1.0 / radius)
         arrays.append(coefficients)
-        second = (coefficients @ _second_derivatives(degree, basis)).reshape(*coefficients.shape[:-1], 3, -1)
-        bends.append(_MARGIN * np.sqrt(np.square(second).sum(axis=-2).max(axis=-1)) / radius**2)
+        bends.append(_bend(coefficients, degree, basis) / radius**2)
         reach = min(reach, radius * (_BEYOND if basis == "monomial" else 1.0))
     for grid, heights in _grids(number, element, moving):
         rows, columns = heights.shape[-2:]
@@ -110,9 +109,19 @@ def _grids(number: int, element: Element, moving: Moving) -> list[tuple[Grid, Ar
     )
 
 
+def _bend(coefficients: Array, degree: int, basis: Basis) -> Array:
+    """Return the largest second derivative of polynomials (T or nothing, terms) on a disk of radius 1."""
+    second = _second_derivatives(degree, basis) @ coefficients.T
+    np.square(second, out=second)
+    square, mixed, last = second.reshape(3, -1, *second.shape[1:])
+    square += mixed
+    square += last
+    return np.asarray(_MARGIN * np.sqrt(square.max(axis=0)))
+
+
 @lru_cache(maxsize=64)
 def _second_derivatives(degree: int, basis: Basis) -> Array:
-    """Return the second derivatives uu, sqrt(2) uv and vv of each term at points of a disk of radius 1."""
+    """Return the second derivatives uu, sqrt(2) uv and vv at points of a disk of radius 1, by term."""
     radii = np.array([0.6, 0.9, 1.0]) * (_BEYOND if basis == "monomial" else 1.0)
     angles = np.linspace(0.0, 2.0 * np.pi, 2 * degree + 2, endpoint=False)
     points = radii[:, None] * np.stack([np.cos(angles), np.sin(angles)])[:, None]
@@ -124,13 +133,14 @@ def _second_derivatives(degree: int, basis: Basis) -> Array:
     ]
     at_u, at_v = ([[term(t) for term in row] for row in orders] for t in (u, v))
     pairs = [(total - j, j) for total in range(degree + 1) for j in range(total + 1)]
-    return np.array(
+    return np.stack(
         [
             np.concatenate(
                 [at_u[i][2] * at_v[j][0], np.sqrt(2.0) * at_u[i][1] * at_v[j][1], at_u[i][0] * at_v[j][2]]
             )
             for i, j in pairs
-        ]
+        ],
+        axis=1,
     )
 
 
