@@ -120,6 +120,11 @@ def test_errors_are_shares_of_the_largest_value_and_in_units_of_the_resolution()
     assert [one.variant for one in found.variants] == ["rubin27", "rubin36", "craigb36", "craigb72"]
 
 
+def test_errors_far_below_the_bound_keep_a_row_of_the_table_on_one_line():
+    assert mirrors._percent(3.05e-7) == "<0.001 %"
+    assert [mirrors._percent(one) for one in (0.0, 2e-5, 0.01)] == ["0 %", "0.00200 %", "1.00 %"]
+
+
 def test_failed_variants_and_a_missing_reference_are_told():
     dataset = made(failed=("bt36",))
     (left,) = left_out(dataset)

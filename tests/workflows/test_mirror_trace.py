@@ -13,6 +13,7 @@ from wavequake.mechanics.response import respond
 from wavequake.optics.surface_fit import apply
 from wavequake.workflows import mirror_trace, model_store
 from wavequake.workflows.campaign import WORKFLOWS, plan, run_study
+from wavequake.workflows.journal import read_journal
 from wavequake.workflows.mirror_bench import bench_of, time_of, variant_of
 from wavequake.workflows.mirror_trace import MODAL, STAGES, STANDARD, Clock, compute, standard_method
 from wavequake.workflows.rerun import retry_store, statuses
@@ -142,6 +143,33 @@ def test_a_retried_store_keeps_its_numbers_but_not_the_readings_of_the_clock(sto
     summary = retry_store(WORKFLOWS["mirror-trace"], store, statuses("raised"), on="serial")
     assert (summary.computed, summary.quarantined) == (2, 1)
     np.testing.assert_array_equal(open_store(store)["wfe_rms_modal"].isel(case=0).values, before)
+
+
+def test_a_run_that_is_cut_off_and_resumed_has_the_digests_of_a_whole_one(tmp_path, monkeypatch):
+    keys = TRACE | {"reduction.variants": ["craigb18", "rubin18"], "store.chunk_cases": 1}
+    study = load_study("mirror-trace", keys)
+    run_study(study, tmp_path / "whole", on="serial")
+    judged = mirror_trace.judged
+
+    def cut_off(study, bench, variant, device):
+        if variant == "rubin18":
+            raise KeyboardInterrupt
+        return judged(study, bench, variant, device)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(mirror_trace, "judged", cut_off)
+        with pytest.raises(KeyboardInterrupt):
+            run_study(study, tmp_path / "resumed", on="serial")
+    assert run_study(study, tmp_path / "resumed", on="serial").computed == 1
+    whole, resumed = (_digests(tmp_path / name) for name in ("whole", "resumed"))
+    assert len(whole) == 2
+    assert resumed == whole
+
+
+def _digests(path):
+    """Those of all arrays of every chunk but the readings of the clock."""
+    records = read_journal(path / "done").records.values()
+    return {one.first: {k: v for k, v in one.digests.items() if k != "seconds"} for one in records}
 
 
 def test_the_plan_says_what_is_traced():

@@ -121,6 +121,8 @@ def _tiny(value: float) -> str:
 
 
 def _percent(value: float) -> str:
+    if 0.0 < value < 1e-5:  # more digits would make two lines of a row
+        return "<0.001 %"
     return MISSING if value != value else f"{number(100 * value)} %"
 
 
