@@ -99,14 +99,14 @@ def test_what_ends_a_serial_run_says_why_and_keeps_what_is_done(tmp_path, option
 )
 def test_a_case_that_ends_a_serial_run_is_quarantined_by_the_next(tmp_path, options, code, status):
     assert ran(tmp_path, GUARDED, **options).returncode == code
-    assert os.listdir(tmp_path / "s" / "open") == ["10-20"]
+    assert [mark.name for mark in (tmp_path / "s" / "done").glob("*.open")] == ["10-20.open"]
     again = ran(tmp_path, GUARDED, **options)
     assert (again.returncode, again.stdout, again.stderr) == (0, "1\n", "")
     stored = open_store(tmp_path / "s").load()
     assert stored.status.sel(case=13) == status
     others_are_kept(stored, [13])
     assert verify_store(tmp_path / "s").ok
-    assert not (tmp_path / "s" / "open").exists()
+    assert not list((tmp_path / "s" / "done").glob("*.open"))
     logs = sorted((tmp_path / "s" / "log").glob("*.log"), key=os.path.getmtime)
     assert "the run before died in cases 10 to 19: each is tried alone" in logs[-1].read_text()
 
@@ -117,7 +117,7 @@ def test_a_serial_script_that_was_killed_goes_on_although_it_cannot_start_proces
     again = ran(tmp_path, SERIAL, **options)
     assert (again.returncode, again.stderr) == (0, "")
     others_are_kept(open_store(tmp_path / "s").load(), [])
-    assert not (tmp_path / "s" / "open").exists()
+    assert not list((tmp_path / "s" / "done").glob("*.open"))
 
 
 def test_a_case_that_takes_all_memory_is_quarantined_alone(tmp_path, monkeypatch):

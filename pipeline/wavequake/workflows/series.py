@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from wavequake.workflows.chunks import Job, Outcome, computed_chunk, store_chunk
 from wavequake.workflows.contract import ChunkResult
 from wavequake.workflows.journal import Chunk
-from wavequake.workflows.store import OPEN, write_errors_explained
+from wavequake.workflows.store import JOURNAL, write_errors_explained
 
 # No thread of this process runs if a case does not let go of the interpreter. The process is ended then, that
 # much later than a chunk would be given up.
@@ -62,16 +62,14 @@ def in_series(
 
 
 def _mark(path: Path, piece: Chunk) -> Path:
-    return path / OPEN / "{}-{}".format(*piece)
+    return path / JOURNAL / "{}-{}.open".format(*piece)
 
 
 @contextmanager
 def _marked(path: Path, piece: Chunk) -> Iterator[None]:
-    """Have a mark of a chunk in the store, which stays only if the process dies in here."""
-    mark = _mark(path, piece)
+    """Have a mark of a chunk beside the journal, which stays only if the process dies in here."""
     with write_errors_explained(path):
-        mark.parent.mkdir(exist_ok=True)
-        mark.touch()
+        _mark(path, piece).touch()
     try:
         yield
     finally:
@@ -79,15 +77,15 @@ def _marked(path: Path, piece: Chunk) -> Iterator[None]:
 
 
 def unmark(path: Path, piece: Chunk) -> None:
-    """Remove the mark of a chunk, if there is one, and the folder with the last of them."""
+    """Remove the mark of a chunk, if there is one."""
     with suppress(OSError):
         _mark(path, piece).unlink(missing_ok=True)
-        (path / OPEN).rmdir()
 
 
 def left_open(path: Path, pieces: Sequence[Chunk]) -> list[Chunk]:
     """Return those chunks that a serial run was computing when its process died."""
-    return [piece for piece in pieces if _mark(path, piece).exists()] if (path / OPEN).exists() else []
+    marks = set((path / JOURNAL).glob("*.open"))
+    return [piece for piece in pieces if _mark(path, piece) in marks] if marks else []
 
 
 def _awaited(answers: "SimpleQueue[Answer]", limit: float) -> Answer | None:

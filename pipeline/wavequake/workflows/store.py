@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 MANIFEST, DATA, JOURNAL, LOCK, REPORT = "manifest.json", "data.zarr", "done", "lock", "report.html"
-SENSITIVITY, BUDGET, LOG, SHARDS, OPEN = "sensitivity.zarr", "budget.zarr", "log", "shards", "open"
+SENSITIVITY, BUDGET, LOG, SHARDS = "sensitivity.zarr", "budget.zarr", "log", "shards"
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def refuse_foreign(path: Path) -> None:
     if not names or MANIFEST in names:
         return
     # Where we wrote data, we had made the journal's folder before: other data are somebody else's.
-    ours = [MANIFEST, JOURNAL, LOCK, REPORT, SENSITIVITY, BUDGET, LOG, SHARDS, OPEN]
+    ours = [MANIFEST, JOURNAL, LOCK, REPORT, SENSITIVITY, BUDGET, LOG, SHARDS]
     ours += [DATA] if JOURNAL in names else []
     foreign = [name for name in names if name.split(".partial")[0] not in ours]
     if foreign:
