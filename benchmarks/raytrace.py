@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -155,7 +156,7 @@ def successive(job: Callable[[], Any]) -> Array:
     return np.diff(times)
 
 
-def measure(device: Device, terms: int, batoid: bool, console: Console) -> dict[str, float]:
+def measure(device: Device, threads: int, terms: int, batoid: bool, console: Console) -> dict[str, float]:
     """Print the rates with one number of terms; return what `DEMANDS` are made on."""
     heights, degree, monomials = figures(terms, BATCH)
     random = np.random.default_rng(2)
@@ -178,7 +179,7 @@ def measure(device: Device, terms: int, batoid: bool, console: Console) -> dict[
     }
     host_jobs: dict[str, Callable[[], Any]] = {
         "packing": lambda: packed_elements(sequence, batch, False),
-        "host": host_work(heights, shifts, tilts, few, batched),
+        "host": host_work(heights, shifts, tilts, few, batched, threads),
     }
     rays = {"kernel": RAYS, "batch": BATCH * BATCH_RAYS, "small": BATCH_RAYS}
     rays["492 segments"] = TILES * TILE * 18 * 492
@@ -211,20 +212,25 @@ def measure(device: Device, terms: int, batoid: bool, console: Console) -> dict[
     return report(seconds, rays, amounts, terms, console)
 
 
-def host_work(heights: Array, shifts: Array, tilts: Array, rays: Rays, traced: Any) -> Callable[[], Any]:
+def host_work(
+    heights: Array, shifts: Array, tilts: Array, rays: Rays, traced: Any, threads: int
+) -> Callable[[], Any]:
     """Return what a batch needs besides the trace: poses, monomials, Zernike fit and line of sight."""
     basis = zernike_basis(heights.shape[1], INNER / OUTER)
     x, y = rays.position[:2] / OUTER
     fit = weighted_fit(annular_zernike(x, y, 28, INNER / OUTER), np.full(x.size, 1.0 / x.size))
+    pool = ThreadPoolExecutor(threads)
 
-    def work() -> Array:
-        poses(shifts, tilts)
-        heights @ basis.matrix.T
-        center = np.stack([traced.x[:, 0], traced.y[:, 0]], axis=1)
-        zernike = (fit.matrix @ traced.path.T).T * (1.0 / WAVELENGTH)
+    def part_work(part: slice) -> Array:
+        poses(shifts[part], tilts[part])
+        heights[part] @ basis.matrix.T
+        center = np.stack([traced.x[part, 0], traced.y[part, 0]], axis=1)
+        zernike = (fit.matrix @ traced.path[part].T).T * (1.0 / WAVELENGTH)
         return los_eq339(center, zernike, WAVELENGTH, APERTURE)
 
-    return work
+    each = BATCH // threads
+    parts = [slice(each * k, each * (k + 1)) for k in range(threads)]
+    return lambda: list(pool.map(part_work, parts))
 
 
 def agreement(traced: Any, light: Any, console: Console) -> None:
@@ -281,8 +287,9 @@ def verdict(found: dict[int, dict[str, float]], console: Console) -> None:
 def main() -> None:
     """Measure with one and with two threads, each in a process of its own."""
     for threads in ("1", "2"):
-        names = ("POCL_MAX_PTHREAD_COUNT", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-        environment = os.environ | dict.fromkeys(names, threads)
+        names = ("POCL_MAX_PTHREAD_COUNT", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
+        # OpenBLAS' own threads wait for one another in loops: `host_work` splits batches itself.
+        environment = os.environ | dict.fromkeys(names, threads) | {"OPENBLAS_NUM_THREADS": "1"}
         subprocess.run([sys.executable, "-m", "benchmarks.raytrace", threads], env=environment, check=True)
 
 
@@ -300,7 +307,7 @@ def measure_all(threads: str) -> None:
     found = {}
     for terms in (28, 105):
         console.print(f"{devices[0].name}, {threads} thread(s), {terms} terms, {RAYS} rays")
-        found[terms] = measure(devices[0], terms, batoid is not None, console)
+        found[terms] = measure(devices[0], int(threads), terms, batoid is not None, console)
     verdict(found, console)
 
 
