@@ -51,6 +51,7 @@ class Designed:
     friction: float
     strength: float = 1.0
     phases: "Array | None" = None
+    late: float = 0.0
 
 
 def _designed(
@@ -74,12 +75,15 @@ def _designed(
     if controller == "identified" and not record:
         drawn, regulator = lens.tuned_plant(loaded, springs, plant)
         strength = drawn.blows[1]
-        return Designed(regulator, drawn.bench, drawn.stage, chain, friction, strength, drawn.phases)
+        return Designed(
+            regulator, drawn.bench, drawn.stage, chain, friction, strength, drawn.phases, drawn.late
+        )
     designs = lens.designs_of(loaded.identity_text(), springs)
     regulator = designs.regulator
     if record:
         regulator = lens.regulator_of_record(loaded, springs, _read(record))
-    return Designed(regulator, lens.bench_of(loaded, springs), designs.stage, chain, friction)
+    bench, late = lens.bench_of(loaded, springs), lens.settings_of(loaded).trigger_late
+    return Designed(regulator, bench, designs.stage, chain, friction, late=late)
 
 
 def _read(path: Path) -> "Record":
@@ -151,6 +155,7 @@ def try_images(
         friction=designed.friction,
         strength=designed.strength,
         phases=designed.phases,
+        late=designed.late,
     )
     found = list(trial.trials(hit, designed.stage, regulator, designed.chain, to))
     table = Table(box=None)

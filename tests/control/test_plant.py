@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 from wavequake.control.bench import (
@@ -15,6 +16,7 @@ from wavequake.control.bench import (
 from wavequake.control.hammer import HAMMER, hammer_force, step_means
 from wavequake.control.linear import simulate, zero_order_hold
 from wavequake.control.plant import CREEP, swing
+from wavequake.errors import UserError
 
 
 def test_without_friction_it_is_the_sampled_state_space():
@@ -57,6 +59,19 @@ def test_friction_takes_energy_and_a_blow_scales():
     np.testing.assert_allclose(doubled, 2 * free, rtol=1e-12, atol=1e-18)
     rubbed = swing([bench], np.ones(1), friction=3e-3, duration=3.0).image[0]
     assert rubbed[2000:].std() < 0.97 * free[2000:].std()
+
+
+def test_a_late_trigger_shifts_the_run():
+    """What began 3 ms before the first instant is 3 ms ahead; 2.5 ms lie between those of a finer run."""
+    bench = fitted_bench()
+    late = swing([bench] * 3, np.ones(3), duration=0.5, late=np.array([0.0, 3e-3, 2.5e-3]))
+    fine = swing([bench], np.ones(1), duration=0.51, step=1e-4)
+    for row, shift in enumerate((0, 30, 25)):
+        expected = fine.image[0, shift : shift + 5001 : 10]
+        assert np.abs(late.image[row] - expected).max() < 2e-3 * np.ptp(expected)
+    np.testing.assert_array_equal(late.image[0], swing([bench] * 2, np.ones(2), duration=0.5).image[0])
+    with pytest.raises(UserError, match="late must not be negative"):
+        swing([bench], np.ones(1), late=np.array([-1e-3]))
 
 
 def test_bits_do_not_depend_on_the_neighbors():

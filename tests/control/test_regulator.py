@@ -30,21 +30,22 @@ def test_modal_model_swings_as_the_bench():
     np.testing.assert_allclose((model.image @ states).real, runs.image[0, late], atol=3e-7)
 
 
-def test_steps_of_the_blow_add_up_to_it():
+@pytest.mark.parametrize("late", [0.0, 0.0013])
+def test_steps_of_the_blow_add_up_to_it(late):
     model = modal_model(BENCH)
-    start = first_steps(model, 0.002)
+    start = first_steps(model, 0.002, late=late)
     state = np.zeros(11, dtype=complex)
     for k, added in enumerate(start):
         state = state * np.exp(model.poles * 0.002) if k else state
         state = state + added
-    expected = model.blow * np.exp(model.poles * 0.002 * (len(start) - 1))
+    expected = model.blow * np.exp(model.poles * (0.002 * (len(start) - 1) + late))
     np.testing.assert_allclose(state, expected, rtol=1e-9)
     # During the blow, too, lens 4 is where the bench has it.
     runs = swing([BENCH], np.ones(1), duration=0.05, step=1e-4)
     state = np.zeros(11, dtype=complex)
     for k in range(len(start)):
         state = state * np.exp(model.poles * 0.002) + start[k]
-        assert state.real.sum() == pytest.approx(runs.measured[0, 20 * k], abs=1e-7)
+        assert state.real.sum() == pytest.approx(runs.measured[0, 20 * k + round(late / 1e-4)], abs=1e-7)
 
 
 def test_stage_gain_is_what_held_late_commands_do():

@@ -48,11 +48,15 @@ def mean_delay(hammer: Hammer) -> float:
     return hammer.p1 * float(gamma(1 + 1 / hammer.p2))
 
 
-def step_means(hammer: Hammer, step: float, count: int) -> Array:
-    """Return the mean force over each of `count` steps, N, so that no momentum is lost by sampling."""
+def step_means(hammer: Hammer, step: float, count: int, late: ArrayLike = 0.0, lead: int = 0) -> Array:
+    """Return the mean force over each of lead + count steps, N, so that no momentum is lost by sampling.
+
+    The first `lead` steps lie before 0, and each blow begins `late` s, (...), before 0: (steps, ...).
+    """
     if not step > 0:
         raise UserError(f"The step is {step} s; it must be positive.")
-    return np.diff(impulse(hammer, step * np.arange(count + 1))) / step
+    ends = np.add.outer(step * np.arange(-lead, count + 1), np.asarray(late, dtype=np.float64))
+    return np.asarray(np.diff(impulse(hammer, ends), axis=0) / step)
 
 
 def equivalent_force(hammer: Hammer, duration: float = 0.004) -> float:

@@ -24,7 +24,7 @@ class FreeRuns:
     Attributes
     ----------
     time : ndarray, shape (k,)
-        s, the blow begins at 0.
+        s; the blow begins at 0, or as much before as is said.
     image, measured : ndarray, shape (c, k)
         Image motion that the lenses cause (a_F) and position of lens 4, m.
     """
@@ -42,6 +42,7 @@ def swing(
     duration: float = 6.0,
     step: float = 1e-3,
     hammer: Hammer = HAMMER,
+    late: Array | None = None,
 ) -> FreeRuns:
     """Hit benches of equal size with a hammer.
 
@@ -55,6 +56,9 @@ def swing(
     duration, step : float
         s.
     hammer : Hammer
+    late : ndarray, shape (c,), optional
+        By how much each blow begins before the first instant, s; a control unit that asks for its trigger
+        once per step sees it so late. 0 by default.
 
     Raises
     ------
@@ -83,20 +87,24 @@ def swing(
         axis=-1,
     )
     driven = np.stack([force_column(b) @ m.shapes for b, m in zip(benches, every, strict=True)], axis=-1)
-    count = round(duration / step) + 1
-    force = np.zeros(count)
+    before = np.zeros(len(benches)) if late is None else late
+    if not (np.isfinite(before).all() and (before >= 0).all()):
+        raise UserError("A trigger cannot be seen before the blow begins: late must not be negative.")
+    count, lead = round(duration / step) + 1, int(np.ceil(before.max() / step))
+    force = np.zeros((lead + count, len(benches)))
     pushed = min(count, int(np.ceil(5 * hammer.p1 / step)))
-    force[:pushed] = step_means(hammer, step, pushed)
+    force[: lead + pushed] = step_means(hammer, step, pushed, before, lead)
     push = driven * blows
     grown = np.exp(poles * step)
     held = (grown - 1) / poles
     state = np.zeros_like(poles)
     outputs = np.empty((count, 2, len(benches)))
-    for k in range(count):
+    for k in range(-lead, count):
         # η = Im(z)/ω_d and η' = Im(λ z)/ω_d for z' = λ z + φᵀ f.
-        outputs[k] = (rows * (state.imag / poles.imag)).sum(axis=1)
+        if k >= 0:
+            outputs[k] = (rows * (state.imag / poles.imag)).sum(axis=1)
         speed = (lenses * ((poles * state).imag / poles.imag)).sum(axis=1)
         rubbing = friction * np.tanh(speed / CREEP)
-        modal = push * force[k] - (lenses * rubbing[:, None]).sum(axis=0)
+        modal = push * force[lead + k] - (lenses * rubbing[:, None]).sum(axis=0)
         state = grown * state + held * modal
     return FreeRuns(np.arange(count) * np.float64(step), outputs[:, 0].T.copy(), outputs[:, 1].T.copy())

@@ -134,6 +134,7 @@ def modal_regulator(
     process_noise: float = 0.003,
     sensor_noise: float = 6.6e-6,
     hammer: Hammer = HAMMER,
+    late: float = 0.0,
 ) -> ModalRegulator:
     """Design observer and row for a modal model.
 
@@ -151,6 +152,8 @@ def modal_regulator(
         Standard deviation of the measurement, m.
     hammer : Hammer
         Its shape tells which share of the blow each of the first steps has seen.
+    late : float
+        By how much the blow is expected to begin before the step that sees the trigger, s.
 
     Raises
     ------
@@ -180,26 +183,26 @@ def modal_regulator(
     noise = np.repeat((process_noise * np.abs(model.blow)) ** 2, 2)
     columns = kalman_gain(a, c, noise, sensor_noise**2)[:, 0]
     row = -model.image / (SENSITIVITIES[COMPENSATOR] * gain)
-    start = first_steps(model, sample_time, hammer)
+    start = first_steps(model, sample_time, hammer, late)
     return ModalRegulator(
         name, sample_time, compute_delay, step, columns[::2] + 1j * columns[1::2], row, start
     )
 
 
-def first_steps(model: ModalModel, sample_time: float, hammer: Hammer = HAMMER) -> Complex:
+def first_steps(model: ModalModel, sample_time: float, hammer: Hammer = HAMMER, late: float = 0.0) -> Complex:
     """Return what the blow adds to the modes in each step from the trigger on, (k, m).
 
-    What it hands over within a step arrives at the next one. Shares are those of the hammer's known shape;
+    What it hands over within a step arrives at the next one, and what it did in the `late` s before the
+    trigger was seen, at the first. Shares are those of the hammer's known shape;
     they sum up to the whole blow, referred to each step's instant.
     """
     count = max(1, int(np.ceil(4 * hammer.p1 / sample_time)))
-    instants = sample_time * np.arange(count + 1)
+    instants = late + sample_time * np.arange(count + 1)
     whole = blow_spectrum(hammer, model.poles)
     until = np.stack([blow_spectrum(hammer, model.poles, float(t)) if t else 0 * whole for t in instants])
     until[-1] = whole
-    shares = np.diff(until, axis=0) / whole
-    grown = np.exp(np.outer(instants[1:], model.poles))
-    start: Complex = np.vstack([0 * model.blow[None], shares * model.blow * grown])
+    shares = np.diff(until, axis=0, prepend=0 * whole[None]) / whole
+    start: Complex = shares * model.blow * np.exp(np.outer(instants, model.poles))
     return start
 
 

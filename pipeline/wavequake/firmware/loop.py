@@ -48,6 +48,7 @@ def blow(
     strength: float = 1.0,
     phases: Array | None = None,
     seed: int = 0,
+    late: float = 0.0,
 ) -> Blow:
     """Hit a bench and read lens 4 through the whole sensor chain.
 
@@ -67,6 +68,8 @@ def blow(
         Of the strip's error, rad; drawn if not given.
     seed : int
         Of what is drawn.
+    late : float
+        From the hammer's first touch to the step that sees the trigger, s.
 
     Raises
     ------
@@ -76,7 +79,10 @@ def blow(
     every = round(sample_time / PLANT_STEP)
     if every < 1 or abs(every * PLANT_STEP - sample_time) > 1e-9:
         raise UserError(f"The sample time is {1e3 * sample_time:g} ms; it must be a multiple of 1 ms.")
-    free = swing([bench], np.array([strength]), friction=friction, duration=duration, step=PLANT_STEP)
+    free = swing(
+        [bench], np.array([strength]), friction=friction, duration=duration, step=PLANT_STEP,
+        late=np.array([late]),
+    )  # fmt: skip
     rng = np.random.default_rng(seed)
     drawn = rng.uniform(0, 2 * np.pi, len(chain.strip_periods))
     phases = drawn if phases is None else phases

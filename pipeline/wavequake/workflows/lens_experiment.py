@@ -100,8 +100,9 @@ def errors_of(study: LensStudy) -> Errors:
     """Return what plants have beyond the nominal model, in SI units."""
     section = study.errors
     return Errors(
-        section.stiffness, section.friction_mn / 1e3, section.stage_gain, section.stage_poles, section.blow
-    )
+        section.stiffness, section.friction_mn / 1e3, section.stage_gain, section.stage_poles, section.blow,
+        section.trigger_ms / 1e3,
+    )  # fmt: skip
 
 
 def chain_of(study: LensStudy) -> SensorChain:
@@ -117,7 +118,12 @@ def settings_of(study: LensStudy) -> Settings:
         for name in ("ff", "fi", "both", "modal")
         for kind in ("step", "delay")
     }
-    return Settings(**times, nominal_noise=section.nominal_noise, identified_noise=section.identified_noise)
+    return Settings(
+        **times,
+        nominal_noise=section.nominal_noise,
+        identified_noise=section.identified_noise,
+        trigger_late=study.errors.trigger_ms / 2e3,
+    )
 
 
 @lru_cache(maxsize=8)

@@ -56,6 +56,9 @@ class ErrorsSection(Section):
     stage_gain: float = Field(default=0.01, ge=0, le=0.5)
     stage_poles: float = Field(default=0.05, ge=0, le=0.5)
     blow: float = Field(default=0.01, ge=0, le=0.5, description="of the strength of each blow")
+    trigger_ms: float = Field(
+        default=0.0, ge=0, le=10, description="longest time until a step sees the trigger; up to it, evenly"
+    )
     strip_um: float = Field(default=40.0, ge=0, le=1000, description="largest error of the magnetic strip")
     adc_noise: float = Field(default=0.7, ge=0, le=100, description="steps of the 12-bit converter")
     camera_um: float = Field(default=20.0, ge=0, le=1000, description="unsteadiness of the light point")
