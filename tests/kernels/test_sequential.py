@@ -14,6 +14,7 @@ from wavequake.kernels.sequence import (
     VIGNETTED,
     Element,
     Moving,
+    Polynomial,
     Rays,
     Region,
     Sequence,
@@ -208,3 +209,19 @@ def test_lost_rays_say_why_and_where(device):
     traced = trace_sequence(Sequence((IMAGE, IMAGE)), collimated(), Moving(poses), device)
     assert (traced.status[0] == OK).all()
     assert (traced.status[1] == MISS).all()
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_a_turn_by_nothing_changes_no_bit(device):
+    """So results do not depend on which program traces them."""
+    element = Element(
+        -1 / 400, -0.4, action="reflect", polynomial=Polynomial(3, 90.0, 1e-3 * np.arange(10.0))
+    )
+    moving, rays = Moving(shifts(0.0, (1.0, -2.0, -200.0))), collimated(angle=0.01)
+    found = [
+        trace_sequence(Sequence((element, IMAGE), turning=turning), rays, moving, device)
+        for turning in (False, True)
+    ]
+    assert np.isfinite(found[0].path).all()
+    for name in ("path", "x", "y", "u", "v", "w_sign", "status"):
+        np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))

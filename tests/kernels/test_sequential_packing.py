@@ -64,3 +64,17 @@ def test_even_powers_always_take_the_full_iteration():
     assert (limits < 0.0).all()
     assert [shape.bare for shape in shapes] == [False, True]
     assert fixed.dtype == np.float64
+
+
+def test_one_program_serves_all_batches_of_elements_that_may_turn():
+    """Its text is its shapes': the program of a batch that turns, even where nothing does."""
+    moved = np.zeros((2, 2, 12))
+    moved[:, :, [0, 4, 8]] = 1.0
+    moved[:, :, 11] = -5.0
+    tilted = moved.copy()
+    tilted[1, 1, [4, 5, 7, 8]] = np.cos(0.1), np.sin(0.1), -np.sin(0.1), np.cos(0.1)
+    for turning, same in ((True, True), (False, False)):
+        sequence = Sequence((Element(-0.01, action="reflect"), Element()), turning=turning)
+        shapes = [packing.packed_elements(sequence, Moving(poses), False)[0] for poses in (moved, tilted)]
+        assert (shapes[0] == shapes[1]) is same
+        assert [shape.rotates for shape in shapes[1]] == [turning, True]

@@ -32,7 +32,8 @@ def packed_elements(
     limits: list[Array] = []
     arrays: list[Array] = []
     index = sequence.index
-    rotates = (moving.poses[:, :, :9] != np.eye(3).ravel()).any(axis=0).any(axis=1).tolist()
+    turned = (moving.poses[:, :, :9] != np.eye(3).ravel()).any(axis=0).any(axis=1)
+    rotates = (turned | sequence.turning).tolist()
     for number, element in enumerate(sequence.elements):
         start = len(numbers)
         behind = element.index if element.action == "refract" else index

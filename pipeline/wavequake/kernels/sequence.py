@@ -112,11 +112,14 @@ class Element:
 class Sequence:
     """L elements in the order in which light meets them, the last being the image plane.
 
-    ``index`` is the refractive index before the first element.
+    ``index`` is the refractive index before the first element. Batches in which an element does not turn are
+    traced by a shorter program than others, unless one for both is ``turning``: that is a sixth slower for
+    them, and takes seconds less to compile.
     """
 
     elements: tuple[Element, ...]
     index: float = 1.0
+    turning: bool = False
 
 
 @dataclass(frozen=True)

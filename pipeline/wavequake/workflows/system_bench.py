@@ -92,16 +92,24 @@ def system_bench(study_text: str) -> SystemBench:
 def prepared_fields(
     study: SystemStudy, system: OpticalSystem, wavelengths: Iterable[int]
 ) -> tuple[tuple[PreparedSystem, ...], ...]:
-    """Return what the trace takes, per field and chosen wavelength: path lengths about the chief ray."""
+    """Return what the trace takes, per field and chosen wavelength: path lengths about the chief ray.
+
+    One program traces all populations, whichever bodies they turn: compiling takes longer than tracing does.
+    """
     pupil, terms = sunflower(system.pupil.obscuration, 1.0, study.optics.rays), study.wavefront.zernike_terms
     chosen = [float(system.wavelengths[index]) for index in wavelengths]
     return tuple(
         tuple(
-            prepare_system(system, pupil.x, pupil.y, pupil.weight, terms, field, wavelength)
+            _turning(prepare_system(system, pupil.x, pupil.y, pupil.weight, terms, field, wavelength))
             for wavelength in chosen
         )
         for field in range(len(system.fields))
     )
+
+
+def _turning(prepared: PreparedSystem) -> PreparedSystem:
+    """Return what is prepared with the program for elements that turn."""
+    return replace(prepared, sequence=replace(prepared.sequence, turning=True))
 
 
 def _as_asked(study: SystemStudy, prepared: PreparedSystem) -> PreparedSystem:
