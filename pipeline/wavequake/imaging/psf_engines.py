@@ -24,6 +24,7 @@ from wavequake.imaging.segment_figure import (
     segment_figure,
     terms_of_motion,
 )
+from wavequake.imaging.segment_lattice import SegmentLattice, lattice_psf, segment_lattice
 from wavequake.imaging.segment_psf import moments_needed, truncation_error
 from wavequake.imaging.segment_psf import psf as segments_psf
 from wavequake.imaging.wavefront_phase import segment_phase
@@ -101,7 +102,8 @@ class PsfEngine:
     grid : PupilGrid
         The sampled pupil.
     transform : MatrixFourier
-    basis : SegmentBasis or SegmentFigure, optional
+    basis : SegmentBasis, SegmentFigure or SegmentLattice, optional
+        The last where equal segments on a lattice have pistons alone.
     tolerance : float
         Largest error that ending the series in segments' slopes may make, relative to the perfect peak.
     device : Device
@@ -113,7 +115,7 @@ class PsfEngine:
     pupil: PupilGrid | SegmentedPupil
     grid: PupilGrid
     transform: matrix.MatrixFourier
-    basis: SegmentBasis | SegmentFigure | None
+    basis: SegmentBasis | SegmentFigure | SegmentLattice | None
     tolerance: float
     device: Device
 
@@ -145,7 +147,8 @@ def prepare_psf(
     instants : int
         How many images will be made: they share the time of the preparation.
     corner_phase : float
-        Largest phase in rad that slopes make between a segment's center and a corner; 0 for pistons alone.
+        Largest phase in rad that slopes make between a segment's center and a corner; 0 for pistons alone,
+        with which equal segments on a regular lattice are an order of magnitude faster.
     tolerance : float
         Largest error that ending the series in segments' slopes may make, relative to the perfect peak.
     samples : int
@@ -166,9 +169,15 @@ def prepare_psf(
     padded = _padded_size(len(grid.axis), sampling)
     if padded:
         seconds["fft"] = _fft_seconds(grid, padded, device)
+    lattice = None
     if moments:
         assert isinstance(pupil, SegmentedPupil)
-        seconds["segments"] = _segments_seconds(pupil, pixels, sampling, moments, max(instants, 1))
+        lattice = _lattice(pupil, pixels, sampling, moments)
+        seconds["segments"] = (
+            _lattice_seconds(lattice)
+            if lattice
+            else _segments_seconds(pupil, pixels, sampling, moments, max(instants, 1))
+        )
     if engine not in ("auto", *ENGINES):
         raise UserError(f"the engine of an image is auto, {', '.join(ENGINES)}, not {engine!r}")
     if engine != "auto" and engine not in seconds:
@@ -177,10 +186,10 @@ def prepare_psf(
         )
         raise UserError(f"the engine {engine!r} cannot make this image: {why}")
     name = min(seconds, key=lambda key: seconds[key]) if engine == "auto" else engine
-    basis: SegmentBasis | SegmentFigure | None = None
+    basis: SegmentBasis | SegmentFigure | SegmentLattice | None = None
     if name == "segments":
         assert isinstance(pupil, SegmentedPupil)
-        basis = _segment_basis(pupil, pixels, sampling, moments)
+        basis = lattice or _segment_basis(pupil, pixels, sampling, moments)
     estimates = ", ".join(f"{key} {1e3 * value:.3g} ms" for key, value in sorted(seconds.items()))
     reason = "asked for" if engine != "auto" else f"the least of {estimates} per image"
     if engine == "auto" and unable:
@@ -227,6 +236,9 @@ def point_spread(engine: PsfEngine, wavefront: Real, check: bool = True) -> Real
         terms = terms_of_motion(motion, engine.basis.basis.slope_scale)
         steep = figure_error(engine.basis, terms) > engine.tolerance
         images[~steep] = figure_psf(engine.basis, terms[~steep], engine.tolerance).reshape(-1, pixels, pixels)
+    elif isinstance(engine.basis, SegmentLattice):
+        steep = (motion[..., 1:] != 0.0).any(axis=(1, 2))
+        images[~steep] = lattice_psf(engine.basis, motion[~steep, :, 0])
     elif engine.basis is not None:
         steep = np.asarray(truncation_error(engine.basis, motion)[-1] > engine.tolerance)
         exact = segments_psf(engine.basis, motion[~steep], engine.tolerance)
@@ -306,6 +318,19 @@ def _segments_seconds(
     operations = 4.0 * nodes**2 * columns + 4.0 * pixels * nodes * (nodes + pixels)
     fits = _FIGURE * len(pupil.centers) if pupil.figure_terms > 3 else 0.0
     return fits + operations / _PRODUCTS["numpy"] + _MOMENT * columns * nodes**2 / instants
+
+
+def _lattice(pupil: SegmentedPupil, pixels: int, sampling: float, moments: int) -> SegmentLattice | None:
+    """Return the lattice that equal segments with pistons alone stand on, if they do."""
+    if moments > 1 or pupil.obstructions or pupil.figure_terms > 3 or pixels < 2:
+        return None
+    return segment_lattice(pupil.corners, pupil.centers, pixels, sampling, pupil.diameter)
+
+
+def _lattice_seconds(lattice: SegmentLattice) -> float:
+    pixels, (columns, rows) = lattice.pixels, lattice.shape
+    operations = 2.0 * pixels * columns * (rows + pixels)  # folded by parity
+    return 5e-8 * lattice.places.size + 1e-8 * pixels**2 + operations / _PRODUCTS["numpy"]
 
 
 def _segment_basis(

@@ -1,0 +1,207 @@
+"""Exact point spread functions of equal segments on a regular lattice, each with a piston.
+
+Where all segments have one shape, the field is the transform of that shape times the sum over segments of
+exp(2πi p_s) exp(-2πi f·x_s). On a lattice that sum is separable: first along y in every column, then along x.
+Rows and columns are folded about the middle of the lattice into even and odd parts, which are transformed by
+cosines and sines at half of the frequencies only: a quarter of the products, all of them real.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from wavequake.errors import UserError
+from wavequake.imaging.polygon_transform import polygon_areas, polygon_transform
+from wavequake.kernels.tiles import TILE
+
+Real = NDArray[np.float64]
+Floating = NDArray[np.float32] | NDArray[np.float64]
+
+# Segments are equal and on the lattice if nothing is off by more than this share of the pupil: rounding.
+_ROUNDING = 1e-14
+# A lattice has at most this many places per segment: hexagons fill half of theirs.
+_PLACES = 8
+
+
+@dataclass(frozen=True)
+class SegmentLattice:
+    """What all images of one lattice on one grid have in common.
+
+    Attributes
+    ----------
+    pixels : int
+        An image has pixels x pixels points, axis 0 is y; [pixels // 2, pixels // 2] is the origin.
+    shape : tuple of int
+        Columns C and rows R of the lattice.
+    places : ndarray of int, shape (S,)
+        Place of each segment among the C * R.
+    along_x, along_y : tuple of ndarray, shape (K, half of C or R)
+        Cosines and sines of the columns' and rows' places at the K = pixels // 2 + 1 frequencies f >= 0.
+    envelope : ndarray, shape (pixels, pixels)
+        Irradiance of a segment relative to the peak of the whole pupil.
+    """
+
+    pixels: int
+    shape: tuple[int, int]
+    places: NDArray[np.intp]
+    along_x: tuple[Floating, Floating]
+    along_y: tuple[Floating, Floating]
+    envelope: Floating
+
+
+def segment_lattice(
+    corners: Real,
+    centers: Real,
+    pixels: int,
+    sampling: float,
+    diameter: float,
+    dtype: DTypeLike = np.float64,
+) -> SegmentLattice | None:
+    """Prepare the images of equal segments on a lattice; none if these are not.
+
+    Rows and columns of the lattice must lie along x and y, as those of hexagons do whose corners or edges do.
+
+    Parameters
+    ----------
+    corners : ndarray, shape (S, V, 2)
+        Projected corners in mm, counter-clockwise.
+    centers : ndarray, shape (S, 2)
+        Points in mm to which the pistons belong.
+    pixels : int
+        An image has pixels x pixels points.
+    sampling : float
+        Distance of the points in units of wavelength / `diameter`.
+    diameter : float
+        Length in mm that defines the unit wavelength / diameter.
+    dtype : float64 or float32
+        Precision: errors are below 1e-12 or 2e-6 of the perfect peak.
+
+    Raises
+    ------
+    UserError
+        If a polygon is clockwise, empty or not finite, or the centers or the grid impossible.
+    """
+    if pixels < 2 or not (np.isfinite([sampling, diameter]).all() and sampling > 0.0 and diameter > 0.0):
+        raise UserError(
+            f"an image needs 2 x 2 points and a sampling and diameter above 0, not {pixels} points at "
+            f"{sampling:g} wavelengths / {diameter:g} mm"
+        )
+    areas = polygon_areas(corners)
+    if centers.shape != (len(corners), 2) or not np.isfinite(centers).all():
+        raise UserError(f"{len(corners)} segments need as many finite centers, not {centers.shape}")
+    rounding = _ROUNDING * float(np.abs(corners).max())
+    own = corners - centers[:, None]
+    columns, rows = (_line(centers[:, axis], 10.0 * rounding) for axis in (0, 1))
+    if np.abs(own - own[0]).max() > 10.0 * rounding or columns is None or rows is None:
+        return None
+    (column, along_x), (row, along_y) = columns, rows
+    shape = len(along_x), len(along_y)
+    if shape[0] * shape[1] > _PLACES * len(centers):
+        return None
+    axis = (np.arange(pixels) - pixels // 2) * (sampling / diameter)
+    y, x = np.meshgrid(axis, axis, indexing="ij")
+    field = polygon_transform(own[:1], x.ravel(), y.ravel()).reshape(pixels, pixels) / areas.sum()
+    envelope = (field.real**2 + field.imag**2).astype(dtype)
+    frequencies = np.asarray(np.arange(pixels // 2 + 1) * (sampling / diameter), dtype=np.float64)
+    waves_x, waves_y = (_folded_waves(frequencies, along, dtype) for along in (along_x, along_y))
+    return SegmentLattice(pixels, shape, column * shape[1] + row, waves_x, waves_y, envelope)
+
+
+def lattice_psf(lattice: SegmentLattice, piston_waves: ArrayLike) -> Floating:
+    """Return point spread functions, whose unit is the peak of the perfect one.
+
+    Parameters
+    ----------
+    lattice : SegmentLattice
+    piston_waves : array_like, shape (batch, S)
+        Pistons in waves at the centers, as `wavequake.imaging.segment_psf.psf` takes them. An instant with a
+        NaN gives an image of NaN.
+
+    Returns
+    -------
+    ndarray, shape (batch, pixels, pixels), float32 or float64
+    """
+    piston = np.asarray(piston_waves, dtype=np.float64)
+    if piston.ndim != 2 or piston.shape[1] != lattice.places.size:
+        raise ValueError(f"piston_waves has the shape {piston.shape}, not (batch, {lattice.places.size})")
+    images = np.empty((len(piston), lattice.pixels, lattice.pixels), dtype=lattice.envelope.dtype)
+    for first in range(0, len(piston), TILE):  # products of constant shape: bits do not depend on the batch
+        part = piston[first : first + TILE]
+        tile = np.zeros((TILE, piston.shape[1]))
+        tile[: len(part)] = part
+        _tile_images(lattice, tile, images[first : first + TILE])
+    return images
+
+
+def _tile_images(lattice: SegmentLattice, piston: Real, images: Floating) -> None:
+    """Write the images of one tile (16, S), which it may change; there may be fewer images than that."""
+    dtype, pixels = lattice.envelope.dtype, lattice.pixels
+    columns, rows = lattice.shape
+    broken = np.asarray(~np.isfinite(piston).all(axis=1))
+    piston[broken] = 0.0  # a product would spread what is no number
+    phase = (2.0 * np.pi * (piston - np.rint(piston)).T).astype(dtype)
+    amplitude = np.zeros((columns * rows, 2, TILE), dtype=dtype)
+    amplitude[lattice.places, 0], amplitude[lattice.places, 1] = np.cos(phase), np.sin(phase)
+    even, odd = _fold(amplitude.reshape(columns, rows, 2 * TILE).swapaxes(0, 1))
+    cosines, sines = lattice.along_y
+    # (frequency, column, real and imaginary, instant)
+    te = (cosines @ even.reshape(len(even), -1)).reshape(-1, columns, 2, TILE)
+    to = (sines @ odd.reshape(len(odd), -1)).reshape(-1, columns, 2, TILE)
+    field = np.empty((columns, pixels, 2, TILE), dtype=dtype)
+    lines = field.swapaxes(0, 1)
+    middle, last = pixels // 2, pixels - pixels // 2
+    np.add(te[:last, :, 0], to[:last, :, 1], out=lines[middle:, :, 0])
+    np.subtract(te[:last, :, 1], to[:last, :, 0], out=lines[middle:, :, 1])
+    np.subtract(te[middle:0:-1, :, 0], to[middle:0:-1, :, 1], out=lines[:middle, :, 0])
+    np.add(te[middle:0:-1, :, 1], to[middle:0:-1, :, 0], out=lines[:middle, :, 1])
+    even, odd = _fold(field)
+    cosines, sines = lattice.along_x
+    pe = (cosines @ even.reshape(len(even), -1)).reshape(-1, pixels, 2, TILE)
+    po = (sines @ odd.reshape(len(odd), -1)).reshape(-1, pixels, 2, TILE)
+    cross = 2.0 * (pe[:, :, 0] * po[:, :, 1] - pe[:, :, 1] * po[:, :, 0])
+    pe *= pe
+    po *= po
+    pe += po
+    both = pe[:, :, 0] + pe[:, :, 1]
+    count, envelope = len(images), lattice.envelope
+    right, left = (both + cross)[:last, :, :count], (both - cross)[middle:0:-1, :, :count]
+    np.multiply(right.transpose(2, 1, 0), envelope[:, middle:], out=images[:, :, middle:])
+    np.multiply(left.transpose(2, 1, 0), envelope[:, :middle], out=images[:, :, :middle])
+    images[broken[:count]] = np.nan
+
+
+def _fold(values: Floating) -> tuple[Floating, Floating]:
+    """Return sums and differences of opposite entries of the first axis; a middle one is taken twice."""
+    half = (len(values) + 1) // 2
+    upper, lower = values[len(values) - half :], values[half - 1 :: -1]
+    return upper + lower, upper - lower
+
+
+def _folded_waves(frequencies: Real, along: Real, dtype: DTypeLike) -> tuple[Floating, Floating]:
+    """Return cosines and sines (K, half) at the upper half of symmetric places."""
+    upper = along[len(along) // 2 :]
+    cycles = np.outer(frequencies, upper)
+    angle = 2.0 * np.pi * (cycles - np.rint(cycles))
+    cosines = np.cos(angle)
+    if len(along) % 2:
+        cosines[:, 0] = 0.5  # folding counts the middle twice
+    return cosines.astype(dtype), np.sin(angle).astype(dtype)
+
+
+def _line(values: Real, rounding: float) -> tuple[NDArray[np.intp], Real] | None:
+    """Return the number of each value on a line of even steps, and the line about its middle; none if off."""
+    ordered = np.sort(values)
+    steps = np.diff(ordered)
+    steps = steps[steps > 1e3 * rounding]
+    if not steps.size:
+        return np.zeros(values.size, dtype=np.intp), np.zeros(1)
+    span = float(np.ptp(values))
+    count = round(span / float(steps.min()))
+    if count >= _PLACES * values.size:
+        return None
+    pitch = span / count
+    number = np.rint((values - values.min()) / pitch).astype(np.intp)
+    if np.abs(values - values.min() - number * pitch).max() > rounding:
+        return None
+    return number, np.asarray((np.arange(count + 1) - 0.5 * count) * pitch, dtype=np.float64)

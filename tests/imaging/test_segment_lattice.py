@@ -1,0 +1,114 @@
+"""Images of equal segments on a lattice, against the general basis of segments and sums over polygons."""
+
+import numpy as np
+import pytest
+
+from wavequake.errors import UserError
+from wavequake.imaging.polygon_transform import polygon_transform
+from wavequake.imaging.psf_engines import SegmentedPupil, point_spread, prepare_psf
+from wavequake.imaging.segment_basis import segment_basis
+from wavequake.imaging.segment_lattice import lattice_psf, segment_lattice
+from wavequake.imaging.segment_psf import psf
+from wavequake.optics.segments import hexagon_ring_segments
+from wavequake.optics.telescopes import telescope
+
+RNG = np.random.default_rng(3)
+_HEXAGONS = hexagon_ring_segments(700.0, 3, 5.0)
+CORNERS, CENTERS = _HEXAGONS.corners, _HEXAGONS.centers[:, :2]
+TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
+SQUARE = 400.0 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+_GRID = np.array([[x, y] for x in (0, 1, 3) for y in (0, 1)]) * [900.0, 1000.0] + [50.0, -300.0]
+WEDGE = np.array([[-1.0, -1.0], [2.0, -1.0], [-1.0, 1.5]]) * 200.0
+_ROW = np.array([[x, 0.0] for x in range(4)]) * 700.0
+PUPILS = {
+    "hexagons": (CORNERS, CENTERS),
+    "hexagons, turned": (CORNERS @ TURN, CENTERS @ TURN),
+    "squares, uncentered": (_GRID[:, None] + SQUARE, _GRID),
+    "row of wedges": (_ROW[:, None] + WEDGE, _ROW),
+    "one": (WEDGE[None] + 30.0, np.array([[30.0, 30.0]])),
+    "a hexagon missing": (np.delete(CORNERS, 5, axis=0), np.delete(CENTERS, 5, axis=0)),
+}
+DIAMETER = 9000.0
+
+
+@pytest.mark.parametrize("pixels", [2, 16, 33])
+@pytest.mark.parametrize("name", PUPILS)
+def test_images_are_those_of_the_general_basis(name, pixels):
+    corners, centers = PUPILS[name]
+    piston = RNG.normal(0.0, 0.2, (19, len(centers)))
+    lattice = segment_lattice(corners, centers, pixels, 0.3, DIAMETER)
+    found = lattice_psf(lattice, piston)
+    basis = segment_basis(corners, centers, pixels, 0.3, DIAMETER, 1, np.complex128)
+    assert np.abs(found.reshape(len(found), -1) - psf(basis, piston)).max() < 1e-12
+    assert np.array_equal(lattice_psf(lattice, piston[17:]), found[17:])  # bits do not depend on the batch
+
+
+def test_pixels_equal_a_direct_sum_over_polygons():
+    piston, pixels, sampling = RNG.normal(0.0, 0.2, (1, len(CENTERS))), 9, 0.7
+    found = lattice_psf(segment_lattice(CORNERS, CENTERS, pixels, sampling, DIAMETER), piston)[0]
+    axis = (np.arange(pixels) - pixels // 2) * sampling / DIAMETER
+    y, x = np.meshgrid(axis, axis, indexing="ij")
+    field = polygon_transform(CORNERS, x.ravel(), y.ravel()) @ np.exp(2j * np.pi * piston[0])
+    peak = polygon_transform(CORNERS, np.zeros(1), np.zeros(1)).sum().real
+    assert np.abs(found.ravel() - np.abs(field / peak) ** 2).max() < 1e-13
+
+
+def test_single_precision():
+    piston = RNG.normal(0.0, 0.2, (3, len(CENTERS)))
+    exact, single = (
+        lattice_psf(segment_lattice(CORNERS, CENTERS, 32, 0.25, DIAMETER, dtype), piston)
+        for dtype in (np.float64, np.float32)
+    )
+    assert single.dtype == np.float32
+    assert 1e-9 < np.abs(single - exact).max() < 2e-6
+
+
+def test_what_is_no_lattice_of_equals_is_left_to_others():
+    grid = 16, 0.25, DIAMETER
+    moved, wider = CENTERS.copy(), CORNERS.copy()
+    moved[4, 0] += 1e-6
+    wider[7] += 1e-6 * (wider[7] - CENTERS[7])
+    assert segment_lattice(CORNERS - CENTERS[:, None] + moved[:, None], moved, *grid) is None
+    assert segment_lattice(wider, CENTERS, *grid) is None
+    slanted = np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]])
+    assert segment_lattice(CORNERS @ slanted, CENTERS @ slanted, *grid) is None
+    close = np.concatenate([_ROW, _ROW[-1:] + 1e-5])  # of a tiny step
+    assert segment_lattice(close[:, None] + WEDGE, close, *grid) is None
+    scaled = telescope("tmt").segments
+    assert segment_lattice(scaled.corners, scaled.centers[:, :2], 16, 0.25, 30000.0) is None
+
+
+def test_the_chooser_takes_lattices_of_pistons_alone():
+    pupil = SegmentedPupil(CORNERS, CENTERS, DIAMETER)
+    engine = prepare_psf(pupil, 16, 0.25)
+    assert (engine.name, type(engine.basis).__name__) == ("segments", "SegmentLattice")
+    tilted = prepare_psf(pupil, 16, 0.25, corner_phase=1.0)
+    assert type(tilted.basis).__name__ == "SegmentBasis"
+    assert engine.seconds["segments"] < 0.3 * tilted.seconds["segments"]
+    motion = np.zeros((4, len(CENTERS), 3))
+    motion[..., 0] = RNG.normal(0.0, 0.1, motion.shape[:2])
+    motion[1, :, 1:] = RNG.normal(0.0, 2e-5, (len(CENTERS), 2))  # slopes: sampled
+    motion[3, 2, 0] = np.inf
+    found, expected = point_spread(engine, motion), point_spread(tilted, motion[:3])
+    assert np.abs(found[:3] - expected)[[0, 2]].max() < 1e-12
+    assert np.abs(found[:3] - expected)[1].max() < 1e-3
+    assert np.isnan(found[3]).all()
+    assert not np.isnan(found[:3]).any()
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"pixels": 1}, "2 x 2 points"),
+        ({"sampling": np.nan}, "sampling"),
+        ({"diameter": 0.0}, "diameter"),
+        ({"centers": CENTERS * np.nan}, "finite centers"),
+        ({"centers": CENTERS[1:]}, "finite centers"),
+        ({"corners": CORNERS[:, ::-1]}, "counter-clockwise"),
+        ({"corners": CORNERS * np.nan}, "not a finite number"),
+    ],
+)
+def test_impossible_lattices_are_refused(changed, words):
+    good = {"corners": CORNERS, "centers": CENTERS, "pixels": 8, "sampling": 0.25, "diameter": DIAMETER}
+    with pytest.raises(UserError, match=words):
+        segment_lattice(**good | changed)
