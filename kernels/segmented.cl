@@ -56,7 +56,8 @@ INLINE void keep_if_on_glass(sighting *s, const meeting *m, __global const doubl
     real beyond = larger(m->lean.z, LOSS(GAP) - s->loss);
     #pragma unroll
     for (int edge = 0; edge < EDGES; ++edge)
-        beyond = larger(line[3 * edge] * m->hit.x + (line[3 * edge + 1] * m->hit.y - line[3 * edge + 2]), beyond);
+        beyond = larger(line[3 * edge] * m->hit.x + (line[3 * edge + 1] * m->hit.y - line[3 * edge + 2]),
+                        beyond);
     const mask first = beyond + poison(m->step) <= 0.0;
     const triple normal = turned_back(pose, m->lean);
     s->step = EITHER(first, m->step, s->step);
@@ -64,6 +65,15 @@ INLINE void keep_if_on_glass(sighting *s, const meeting *m, __global const doubl
     s->normal.y = EITHER(first, normal.y, s->normal.y);
     s->normal.z = EITHER(first, normal.z, s->normal.z);
     s->loss = EITHER(first, (real)0.0, s->loss);
+}
+
+// Rays come segment by segment: while the last ray of one is traced, what belongs to the next can be fetched.
+INLINE void fetch(__global const double *first, int numbers)
+{
+#if W > 1 && __has_builtin(__builtin_prefetch)
+    for (int i = 0; i < numbers; i += 8)
+        __builtin_prefetch((const void *)(size_t)(first + i));
+#endif
 }
 
 INLINE real lose_beyond(const ray *r, double clear_square, real loss, double other)
@@ -98,6 +108,16 @@ __kernel void segmented(
 #if MIRROR_DEGREE >= 0
     mirror_figures += tile * (SURFACES - 1) * TERMS(MIRROR_DEGREE) * 16 + lane;
 #endif
+
+    if (candidates > 0 && n + 1 < rays) {
+        const int now = candidate[n * candidates], next = candidate[(n + 1) * candidates];
+        if (next >= 0 && next != now) {
+            fetch(segment_poses + (size_t)next * 12 * 16, 12 * 16);
+#if DEGREE >= 0
+            fetch(figures + (size_t)next * TERMS(DEGREE) * 16, TERMS(DEGREE) * 16);
+#endif
+        }
+    }
 
     ray r[TURNS];
     sighting s[TURNS];
