@@ -133,7 +133,10 @@ def test_failed_variants_and_a_missing_reference_are_told():
     assert "the reference is not done" in mirrors.answer(models, criterion)
     others = tuple(name for name, *_ in VARIANTS if name != "full")
     models, criterion = mirrors.results_of(made(failed=others))
-    assert mirrors.answer(models, criterion) == "disc: none of the variants is done, so nothing can be said."
+    assert (
+        mirrors.answer(models, criterion)
+        == "disc: no variant is done beside the reference, so nothing can be said."
+    )
 
 
 def test_the_answer_names_variant_order_and_bound_per_model():
@@ -193,7 +196,7 @@ def test_both_responses_are_scaled_alike_at_the_first_optical_peak():
 def test_a_reference_alone_makes_a_page_without_warnings(tmp_path):
     alone = made(failed=tuple(name for name, *_ in VARIANTS if name != "full"))
     path = mirrors.write_report_of(tmp_path, alone, tmp_path / "report.html", "numpy")
-    assert "none of the variants is done" in path.read_text()
+    assert "no variant is done beside the reference" in path.read_text()
 
 
 def test_as_many_variants_are_drawn_as_can_be_told_apart():

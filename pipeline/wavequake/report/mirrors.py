@@ -134,7 +134,7 @@ def answer(models: Iterable[ModelResult], criterion: Criterion) -> str:
         if model.reference is None:
             words.append(f"{model.name}: the reference is not done, so nothing can be said yet.")
         elif not model.variants:
-            words.append(f"{model.name}: none of the variants is done, so nothing can be said.")
+            words.append(f"{model.name}: no variant is done beside the reference, so nothing can be said.")
         elif model.enough is None:
             words.append(f"{model.name}: no variant keeps the {MEASURES[criterion.measure]} below {limit}.")
         else:
