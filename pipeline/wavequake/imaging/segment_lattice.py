@@ -13,13 +13,14 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from wavequake.errors import UserError
 from wavequake.imaging.polygon_transform import polygon_areas, polygon_transform
-from wavequake.kernels.tiles import TILE
 
 Real = NDArray[np.float64]
 Floating = NDArray[np.float32] | NDArray[np.float64]
 
 # Segments are equal and on the lattice if nothing is off by more than this share of the pupil: rounding.
 _ROUNDING = 1e-14
+# Images at once, whose fields a processor's cache holds.
+_TILE = 2
 # A lattice has at most this many places per segment: hexagons fill half of theirs.
 _PLACES = 8
 
@@ -35,7 +36,7 @@ class SegmentLattice:
     shape : tuple of int
         Columns C and rows R of the lattice.
     places : ndarray of int, shape (S,)
-        Place of each segment among the C * R.
+        Place of each segment among the R * C.
     along_x, along_y : tuple of ndarray, shape (K, half of C or R)
         Cosines and sines of the columns' and rows' places at the K = pixels // 2 + 1 frequencies f >= 0.
     envelope : ndarray, shape (pixels, pixels)
@@ -105,7 +106,7 @@ def segment_lattice(
     envelope = (field.real**2 + field.imag**2).astype(dtype)
     frequencies = np.asarray(np.arange(pixels // 2 + 1) * (sampling / diameter), dtype=np.float64)
     waves_x, waves_y = (_folded_waves(frequencies, along, dtype) for along in (along_x, along_y))
-    return SegmentLattice(pixels, shape, column * shape[1] + row, waves_x, waves_y, envelope)
+    return SegmentLattice(pixels, shape, row * shape[0] + column, waves_x, waves_y, envelope)
 
 
 def lattice_psf(lattice: SegmentLattice, piston_waves: ArrayLike) -> Floating:
@@ -126,55 +127,56 @@ def lattice_psf(lattice: SegmentLattice, piston_waves: ArrayLike) -> Floating:
     if piston.ndim != 2 or piston.shape[1] != lattice.places.size:
         raise ValueError(f"piston_waves has the shape {piston.shape}, not (batch, {lattice.places.size})")
     images = np.empty((len(piston), lattice.pixels, lattice.pixels), dtype=lattice.envelope.dtype)
-    for first in range(0, len(piston), TILE):  # products of constant shape: bits do not depend on the batch
-        part = piston[first : first + TILE]
-        tile = np.zeros((TILE, piston.shape[1]))
+    for first in range(0, len(piston), _TILE):  # products of constant shape: bits do not depend on the batch
+        part = piston[first : first + _TILE]
+        tile = np.zeros((_TILE, piston.shape[1]))
         tile[: len(part)] = part
-        _tile_images(lattice, tile, images[first : first + TILE])
+        _tile_images(lattice, tile, images[first : first + _TILE])
     return images
 
 
 def _tile_images(lattice: SegmentLattice, piston: Real, images: Floating) -> None:
-    """Write the images of one tile (16, S), which it may change; there may be fewer images than that."""
+    """Write the images of one tile (2, S), which it may change; there may be fewer images than that."""
     dtype, pixels = lattice.envelope.dtype, lattice.pixels
     columns, rows = lattice.shape
     broken = np.asarray(~np.isfinite(piston).all(axis=1))
     piston[broken] = 0.0  # a product would spread what is no number
-    phase = (2.0 * np.pi * (piston - np.rint(piston)).T).astype(dtype)
-    amplitude = np.zeros((columns * rows, 2, TILE), dtype=dtype)
-    amplitude[lattice.places, 0], amplitude[lattice.places, 1] = np.cos(phase), np.sin(phase)
-    even, odd = _fold(amplitude.reshape(columns, rows, 2 * TILE).swapaxes(0, 1))
+    phase = (2.0 * np.pi * (piston - np.rint(piston))).astype(dtype)
+    amplitude = np.zeros((2, _TILE, rows * columns), dtype=dtype)  # real and imaginary parts
+    amplitude[0][:, lattice.places], amplitude[1][:, lattice.places] = np.cos(phase), np.sin(phase)
+    even, odd = _fold(amplitude.reshape(2, _TILE, rows, columns).swapaxes(2, 3))
     cosines, sines = lattice.along_y
-    # (frequency, column, real and imaginary, instant)
-    te = (cosines @ even.reshape(len(even), -1)).reshape(-1, columns, 2, TILE)
-    to = (sines @ odd.reshape(len(odd), -1)).reshape(-1, columns, 2, TILE)
-    field = np.empty((columns, pixels, 2, TILE), dtype=dtype)
-    lines = field.swapaxes(0, 1)
+    te, to = cosines @ even.swapaxes(2, 3), sines @ odd.swapaxes(2, 3)  # (2, tile, frequency, column)
     middle, last = pixels // 2, pixels - pixels // 2
-    np.add(te[:last, :, 0], to[:last, :, 1], out=lines[middle:, :, 0])
-    np.subtract(te[:last, :, 1], to[:last, :, 0], out=lines[middle:, :, 1])
-    np.subtract(te[middle:0:-1, :, 0], to[middle:0:-1, :, 1], out=lines[:middle, :, 0])
-    np.add(te[middle:0:-1, :, 1], to[middle:0:-1, :, 0], out=lines[:middle, :, 1])
+    field = np.empty((2, _TILE, pixels, columns), dtype=dtype)
+    above, below = slice(None, last), slice(middle, 0, -1)
+    np.add(te[0, :, above], to[1, :, above], out=field[0, :, middle:])
+    np.subtract(te[1, :, above], to[0, :, above], out=field[1, :, middle:])
+    np.subtract(te[0, :, below], to[1, :, below], out=field[0, :, :middle])
+    np.add(te[1, :, below], to[0, :, below], out=field[1, :, :middle])
     even, odd = _fold(field)
     cosines, sines = lattice.along_x
-    pe = (cosines @ even.reshape(len(even), -1)).reshape(-1, pixels, 2, TILE)
-    po = (sines @ odd.reshape(len(odd), -1)).reshape(-1, pixels, 2, TILE)
-    cross = 2.0 * (pe[:, :, 0] * po[:, :, 1] - pe[:, :, 1] * po[:, :, 0])
+    pe = (even.reshape(-1, even.shape[3]) @ cosines.T).reshape(2, _TILE, pixels, -1)
+    po = (odd.reshape(-1, odd.shape[3]) @ sines.T).reshape(2, _TILE, pixels, -1)
+    cross = pe[0] * po[1]
+    cross -= pe[1] * po[0]
+    cross *= 2.0
     pe *= pe
     po *= po
     pe += po
-    both = pe[:, :, 0] + pe[:, :, 1]
+    both = np.add(pe[0], pe[1], out=pe[0])
     count, envelope = len(images), lattice.envelope
-    right, left = (both + cross)[:last, :, :count], (both - cross)[middle:0:-1, :, :count]
-    np.multiply(right.transpose(2, 1, 0), envelope[:, middle:], out=images[:, :, middle:])
-    np.multiply(left.transpose(2, 1, 0), envelope[:, :middle], out=images[:, :, :middle])
+    right, left = np.add(both, cross, out=po[0]), np.subtract(both, cross, out=po[1])
+    np.multiply(right[:count, :, above], envelope[:, middle:], out=images[:, :, middle:])
+    np.multiply(left[:count, :, below], envelope[:, :middle], out=images[:, :, :middle])
     images[broken[:count]] = np.nan
 
 
 def _fold(values: Floating) -> tuple[Floating, Floating]:
-    """Return sums and differences of opposite entries of the first axis; a middle one is taken twice."""
-    half = (len(values) + 1) // 2
-    upper, lower = values[len(values) - half :], values[half - 1 :: -1]
+    """Return sums and differences of opposite entries of the last axis; a middle one is taken twice."""
+    length = values.shape[-1]
+    half = (length + 1) // 2
+    upper, lower = values[..., length - half :], values[..., half - 1 :: -1]
     return upper + lower, upper - lower
 
 
