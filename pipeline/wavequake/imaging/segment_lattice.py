@@ -127,15 +127,30 @@ def lattice_psf(lattice: SegmentLattice, piston_waves: ArrayLike) -> Floating:
     if piston.ndim != 2 or piston.shape[1] != lattice.places.size:
         raise ValueError(f"piston_waves has the shape {piston.shape}, not (batch, {lattice.places.size})")
     images = np.empty((len(piston), lattice.pixels, lattice.pixels), dtype=lattice.envelope.dtype)
+    workspace = _workspace(lattice)
     for first in range(0, len(piston), _TILE):  # products of constant shape: bits do not depend on the batch
         part = piston[first : first + _TILE]
         tile = np.zeros((_TILE, piston.shape[1]))
         tile[: len(part)] = part
-        _tile_images(lattice, tile, images[first : first + _TILE])
+        _tile_images(lattice, workspace, tile, images[first : first + _TILE])
     return images
 
 
-def _tile_images(lattice: SegmentLattice, piston: Real, images: Floating) -> None:
+def _workspace(lattice: SegmentLattice) -> tuple[Floating, ...]:
+    """Return memory for the fields of a tile: fresh memory would cost more time than the sums themselves."""
+    pixels, (columns, _), dtype = lattice.pixels, lattice.shape, lattice.envelope.dtype
+    folded, frequencies = (columns + 1) // 2, pixels // 2 + 1
+    lengths = (columns, folded, folded, frequencies, frequencies)
+    return (
+        *(np.empty((2, _TILE, pixels, length), dtype=dtype) for length in lengths),
+        np.empty((_TILE, pixels, frequencies), dtype=dtype),
+        np.empty((_TILE, pixels, frequencies), dtype=dtype),
+    )
+
+
+def _tile_images(
+    lattice: SegmentLattice, workspace: tuple[Floating, ...], piston: Real, images: Floating
+) -> None:
     """Write the images of one tile (2, S), which it may change; there may be fewer images than that."""
     dtype, pixels = lattice.envelope.dtype, lattice.pixels
     columns, rows = lattice.shape
@@ -144,22 +159,27 @@ def _tile_images(lattice: SegmentLattice, piston: Real, images: Floating) -> Non
     phase = (2.0 * np.pi * (piston - np.rint(piston))).astype(dtype)
     amplitude = np.zeros((2, _TILE, rows * columns), dtype=dtype)  # real and imaginary parts
     amplitude[0][:, lattice.places], amplitude[1][:, lattice.places] = np.cos(phase), np.sin(phase)
-    even, odd = _fold(amplitude.reshape(2, _TILE, rows, columns).swapaxes(2, 3))
+    upper, lower = _halves(amplitude.reshape(2, _TILE, rows, columns).swapaxes(2, 3))
     cosines, sines = lattice.along_y
-    te, to = cosines @ even.swapaxes(2, 3), sines @ odd.swapaxes(2, 3)  # (2, tile, frequency, column)
+    # (2, tile, frequency, column)
+    te, to = cosines @ (upper + lower).swapaxes(2, 3), sines @ (upper - lower).swapaxes(2, 3)
     middle, last = pixels // 2, pixels - pixels // 2
-    field = np.empty((2, _TILE, pixels, columns), dtype=dtype)
+    field, even, odd, pe, po, cross, part = workspace
     above, below = slice(None, last), slice(middle, 0, -1)
     np.add(te[0, :, above], to[1, :, above], out=field[0, :, middle:])
     np.subtract(te[1, :, above], to[0, :, above], out=field[1, :, middle:])
     np.subtract(te[0, :, below], to[1, :, below], out=field[0, :, :middle])
     np.add(te[1, :, below], to[0, :, below], out=field[1, :, :middle])
-    even, odd = _fold(field)
+    upper, lower = _halves(field)
+    np.add(upper, lower, out=even)
+    np.subtract(upper, lower, out=odd)
     cosines, sines = lattice.along_x
-    pe = (even.reshape(-1, even.shape[3]) @ cosines.T).reshape(2, _TILE, pixels, -1)
-    po = (odd.reshape(-1, odd.shape[3]) @ sines.T).reshape(2, _TILE, pixels, -1)
-    cross = pe[0] * po[1]
-    cross -= pe[1] * po[0]
+    flat, waves = (-1, even.shape[3]), (-1, pe.shape[3])
+    np.matmul(even.reshape(flat), cosines.T, out=pe.reshape(waves))
+    np.matmul(odd.reshape(flat), sines.T, out=po.reshape(waves))
+    np.multiply(pe[0], po[1], out=cross)
+    np.multiply(pe[1], po[0], out=part)
+    cross -= part
     cross *= 2.0
     pe *= pe
     po *= po
@@ -172,12 +192,11 @@ def _tile_images(lattice: SegmentLattice, piston: Real, images: Floating) -> Non
     images[broken[:count]] = np.nan
 
 
-def _fold(values: Floating) -> tuple[Floating, Floating]:
-    """Return sums and differences of opposite entries of the last axis; a middle one is taken twice."""
+def _halves(values: Floating) -> tuple[Floating, Floating]:
+    """Return the upper half of the last axis and the lower one mirrored; a middle entry is in both."""
     length = values.shape[-1]
     half = (length + 1) // 2
-    upper, lower = values[..., length - half :], values[..., half - 1 :: -1]
-    return upper + lower, upper - lower
+    return values[..., length - half :], values[..., half - 1 :: -1]
 
 
 def _folded_waves(frequencies: Real, along: Real, dtype: DTypeLike) -> tuple[Floating, Floating]:
