@@ -263,6 +263,7 @@ def _moments_for(basis: SegmentBasis, tile: Real, tolerance: float) -> int:
         return MOMENTS[fitting[0]]
     steepest = float(np.nanmax(np.hypot(tile[..., 1], tile[..., 2])))
     raise UserError(
-        f"segment slopes of up to {steepest:.3g} waves/mm change an image by {errors[-1]:.2g} of its peak "
-        f"beyond {basis.moments} moments ({tolerance:g} is allowed): use more moments or less motion"
+        f"segments tilted by up to {steepest:.3g} waves/mm are too steep to be imaged by {basis.moments} "
+        f"moments: up to {errors[-1]:.2g} of the peak may be wrong, {tolerance:g} is allowed; use more "
+        "moments or less motion, or leave images out (imaging.enabled=false)"
     )
