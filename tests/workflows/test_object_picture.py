@@ -1,5 +1,7 @@
 """Pictures of one's own in studies: what files say, what is kept, what is refused."""
 
+import json
+
 import numpy as np
 import pytest
 from matplotlib.image import imsave
@@ -108,3 +110,9 @@ def test_sensitivities_of_a_study_know_nothing_of_its_object():
     plain = load_study("tmt-exposure", SMALL)
     lit = load_study("tmt-exposure", SMALL | {"object.slit": 1.0, "object.light": "coherent"})
     assert segment_text(lit.identity_text()) == segment_text(plain.identity_text())
+
+
+def test_stores_of_before_there_were_objects_can_be_read():
+    text = load_study("tmt-exposure", SMALL).identity_text()
+    old = {key: value for key, value in json.loads(text).items() if key != "object"}
+    assert segment_text(json.dumps(old)) == segment_text(text)
