@@ -9,20 +9,14 @@ from small_mirrors import MOR, TRACE
 from wavequake import cli
 from wavequake.errors import UserError
 from wavequake.mechanics.drive import Drive, Harmonic
-from wavequake.workflows import mirror_trace, model_store
+from wavequake.workflows import mirror_trace
 from wavequake.workflows.campaign import plan, run_study
 from wavequake.workflows.mirror_base import driven
 from wavequake.workflows.mirror_bench import bench_of, check_variants_of, variant_of
 from wavequake.workflows.store import open_store
 from wavequake.workflows.study import load_study
 
-
-@pytest.fixture(autouse=True, scope="module")
-def models(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        folder = tmp_path_factory.getbasetemp() / "mirror-models"
-        patch.setattr(model_store, "model_folder", lambda: folder)
-        yield
+pytestmark = pytest.mark.usefixtures("mirror_models")
 
 
 def _traced(variants, keys=None):

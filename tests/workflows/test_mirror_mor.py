@@ -15,20 +15,13 @@ from wavequake.cli import app
 from wavequake.optics.pupils import sunflower
 from wavequake.reduction.reduce import reduce
 from wavequake.report.comparison import compare
-from wavequake.workflows import model_store
 from wavequake.workflows.campaign import plan, run_study
 from wavequake.workflows.mirror_bench import bench_of, build_model
 from wavequake.workflows.mirror_mor import compute, exposures
 from wavequake.workflows.store import open_store
 from wavequake.workflows.study import load_study
 
-
-@pytest.fixture(autouse=True, scope="module")
-def models(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        folder = tmp_path_factory.getbasetemp() / "mirror-models"
-        patch.setattr(model_store, "model_folder", lambda: folder)
-        yield
+pytestmark = pytest.mark.usefixtures("mirror_models")
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from small_mirrors import TRACE, eleven, wavefront_of
 from wavequake.errors import UserError
 from wavequake.optics.system_wavefront import prepare_system
 from wavequake.reduction.two_stage import reference
-from wavequake.workflows import mirror_optics, model_store
+from wavequake.workflows import mirror_optics
 from wavequake.workflows.mirror_bench import any_study_of, bench_of, build_model, variant_of
 from wavequake.workflows.mirror_optics import (
     deformation_sensitivity,
@@ -21,13 +21,7 @@ from wavequake.workflows.mirror_optics import (
 )
 from wavequake.workflows.study import load_study
 
-
-@pytest.fixture(autouse=True, scope="module")
-def models(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        folder = tmp_path_factory.getbasetemp() / "mirror-models"
-        patch.setattr(model_store, "model_folder", lambda: folder)
-        yield
+pytestmark = pytest.mark.usefixtures("mirror_models")
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,6 @@ from wavequake.mechanics.response import displacements, respond
 from wavequake.optics.surface_fit import apply, residual_grid
 from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.system_wavefront import trace_light, trace_system
-from wavequake.workflows import model_store
 from wavequake.workflows.campaign import run_study
 from wavequake.workflows.mirror_bench import bench_of, time_of, variant_of
 from wavequake.workflows.mirror_optics import displacements_mm, with_deformation
@@ -32,12 +31,7 @@ from wavequake.workflows.study import load_study
 FINE = TRACE | {"model.rings": 4, "optics.rays": 300}
 
 
-@pytest.fixture(autouse=True, scope="module")
-def models(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        folder = tmp_path_factory.getbasetemp() / "mirror-models"
-        patch.setattr(model_store, "model_folder", lambda: folder)
-        yield
+pytestmark = pytest.mark.usefixtures("mirror_models")
 
 
 def _bench(terms, keys=FINE):

@@ -8,7 +8,6 @@ from small_mirrors import MOR, eleven, wavefront_of
 from wavequake.optics.pupils import sunflower
 from wavequake.report import mirror_shapes as draw
 from wavequake.report import mirrors
-from wavequake.workflows import model_store
 from wavequake.workflows.campaign import run_study
 from wavequake.workflows.mirror_bench import bench_of, build_model, variant_of
 from wavequake.workflows.mirror_mor import compute
@@ -16,13 +15,7 @@ from wavequake.workflows.mirror_shapes import mode_shapes, rim_node
 from wavequake.workflows.store import open_store
 from wavequake.workflows.study import load_study
 
-
-@pytest.fixture(autouse=True, scope="module")
-def models(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        folder = tmp_path_factory.getbasetemp() / "mirror-models"
-        patch.setattr(model_store, "model_folder", lambda: folder)
-        yield
+pytestmark = pytest.mark.usefixtures("mirror_models")
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from wavequake.mechanics.excitations import drive_of
 from wavequake.mechanics.modal import modal_model
 from wavequake.mechanics.response import respond
 from wavequake.optics.surface_fit import apply
-from wavequake.workflows import mirror_trace, model_store
+from wavequake.workflows import mirror_trace
 from wavequake.workflows.campaign import WORKFLOWS, plan, run_study
 from wavequake.workflows.journal import read_journal
 from wavequake.workflows.mirror_bench import bench_of, time_of, variant_of
@@ -21,13 +21,7 @@ from wavequake.workflows.store import open_store
 from wavequake.workflows.study import load_study
 from wavequake.workflows.verify import verify_store
 
-
-@pytest.fixture(autouse=True, scope="module")
-def models(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        folder = tmp_path_factory.getbasetemp() / "mirror-models"
-        patch.setattr(model_store, "model_folder", lambda: folder)
-        yield
+pytestmark = pytest.mark.usefixtures("mirror_models")
 
 
 def _arrays(keys):
