@@ -2,8 +2,10 @@
 
 import os
 import signal
+import sys
 from contextlib import suppress
 
+import pytest
 from hypothesis import settings
 
 # One thread per process, as in a worker, and examples that are the same in every run.
@@ -18,3 +20,21 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 settings.register_profile("ci", max_examples=25, deadline=None, derandomize=True, database=None)
 settings.load_profile("ci")
+
+
+@pytest.fixture
+def wavequake(monkeypatch, capsys):
+    """Run the command line in this process; give (exit code, standard output, standard error)."""
+    from wavequake import cli  # after the threads of NumPy are set
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["wavequake", *map(str, words)])
+        try:
+            cli.main()
+            code = 0
+        except SystemExit as end:
+            code = end.code or 0
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run

@@ -37,23 +37,6 @@ def tiny(tmp_path):
     return path
 
 
-@pytest.fixture
-def wavequake(monkeypatch, capsys):
-    """Run the command line in this process; give (exit code, standard output, standard error)."""
-
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["wavequake", *map(str, words)])
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as end:
-            code = end.code or 0
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
-
-
 def run_tiny(wavequake, tiny, store, *words):
     return wavequake("run", tiny, *words, "--store", store, "--on", "serial")
 

@@ -3,12 +3,10 @@
 import importlib.util
 import re
 import shlex
-import sys
 from pathlib import Path
 
 import pytest
 
-from wavequake import cli
 from wavequake.workflows.study import load_study
 
 ROOT = Path(__file__).parents[1]
@@ -35,7 +33,7 @@ def test_python_snippets_run(page, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=lambda page: page.name)
-def test_commands_run(page, tmp_path, monkeypatch, capsys):
+def test_commands_run(page, tmp_path, monkeypatch, wavequake):
     """The commands of a page, in order, in one folder; runs are made smaller and serial."""
     monkeypatch.chdir(tmp_path)
     for command in commands(page):
@@ -46,13 +44,8 @@ def test_commands_run(page, tmp_path, monkeypatch, capsys):
         ]
         if words[1] == "run":
             words += ["store.chunk_cases=4", "--on", "serial"]
-        monkeypatch.setattr(sys, "argv", words)
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = end.code or 0
-        assert code == 0, (command, capsys.readouterr().err)
+        code, _, complained = wavequake(*words[1:])
+        assert code == 0, (command, complained)
 
 
 @pytest.mark.parametrize("text", [block for page in PAGES for block in blocks(page, "toml")])

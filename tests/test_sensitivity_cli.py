@@ -1,11 +1,10 @@
 """``wavequake sensitivity`` as a user meets it."""
 
-import sys
+from functools import partial
 
 import pytest
 import xarray as xr
 
-from wavequake import cli
 from wavequake.optics import sensitivity as optics
 from wavequake.report.sensitivity import zernike_name
 
@@ -19,20 +18,9 @@ WORDS = [
 
 
 @pytest.fixture
-def sensitivity(monkeypatch, capsys, tmp_path):
+def sensitivity(wavequake, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["wavequake", "sensitivity", *map(str, words)])
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = end.code or 0
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
+    return partial(wavequake, "sensitivity")
 
 
 def test_it_prints_and_keeps_the_matrices(sensitivity, tmp_path):

@@ -1,39 +1,25 @@
 """`wavequake budget` and `wavequake tail` as a user meets them."""
 
-import sys
-
 import pytest
 
-from wavequake import cli
 from wavequake.workflows.campaign import run_study
 from wavequake.workflows.study import load_study
 
 SMALL = ["telescope.name=tmt-18", "optics.rays_per_segment=6", "imaging.enabled=false"]
 
 
-def wavequake(monkeypatch, capsys, *words):
-    monkeypatch.setattr(sys, "argv", ["wavequake", *map(str, words)])
-    code = 0
-    try:
-        cli.main()
-    except SystemExit as end:
-        code = end.code or 0
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
-
-
-def test_a_budget_is_a_table_and_a_figure_of_the_report(tmp_path, monkeypatch, capsys):
+def test_a_budget_is_a_table_and_a_figure_of_the_report(tmp_path, wavequake):
     store = tmp_path / "s"
     words = ("budget", "tmt-segments", *SMALL, "--cases", 16, "--store", store)
-    code, out, _ = wavequake(monkeypatch, capsys, *words)
+    code, out, _ = wavequake(*words)
     assert code == 0
     assert "ring 2 (12 segments)" in out
     assert "Written:" in out
     run_study(load_study("tmt-segments", [*SMALL, "campaign.cases=8"]), store, on="serial")
-    code, _, _ = wavequake(monkeypatch, capsys, "report", store)
+    code, _, _ = wavequake("report", store)
     assert code == 0
     assert 'id="budget"' in (store / "report.html").read_text()
-    code, out, _ = wavequake(monkeypatch, capsys, *words)
+    code, out, _ = wavequake(*words)
     assert "Was there already, nothing was computed" in out
 
 
@@ -45,8 +31,8 @@ def test_a_budget_is_a_table_and_a_figure_of_the_report(tmp_path, monkeypatch, c
         (("tmt-segments", *SMALL, "--of", "x"), "There is no combination 'x' in this study"),
     ],
 )
-def test_a_budget_that_cannot_be_is_refused_in_one_sentence(tmp_path, monkeypatch, capsys, words, message):
-    code, _, err = wavequake(monkeypatch, capsys, "budget", *words, "--store", tmp_path / "s")
+def test_a_budget_that_cannot_be_is_refused_in_one_sentence(tmp_path, wavequake, words, message):
+    code, _, err = wavequake("budget", *words, "--store", tmp_path / "s")
     assert code == 2
     assert message in err
     assert not (tmp_path / "s").exists()
@@ -61,8 +47,8 @@ def swings(tmp_path_factory):
     return store
 
 
-def test_a_tail_says_what_is_hardly_ever_exceeded_and_how_often_a_limit_is(swings, monkeypatch, capsys):
-    code, out, _ = wavequake(monkeypatch, capsys, "tail", swings, "--limit", 40, "--statistic", "max")
+def test_a_tail_says_what_is_hardly_ever_exceeded_and_how_often_a_limit_is(swings, wavequake):
+    code, out, _ = wavequake("tail", swings, "--limit", 40, "--statistic", "max")
     assert code == 0
     assert "swing" in out
     assert "generalized Pareto" in out
@@ -94,30 +80,30 @@ def test_a_tail_is_that_of_the_values_of_the_store(swings):
         (("--limit", "nan"), "The limit nan is no number"),
     ],
 )
-def test_a_tail_that_cannot_be_is_refused_in_one_sentence(swings, monkeypatch, capsys, words, message):
-    code, _, err = wavequake(monkeypatch, capsys, "tail", swings, *words)
+def test_a_tail_that_cannot_be_is_refused_in_one_sentence(swings, wavequake, words, message):
+    code, _, err = wavequake("tail", swings, *words)
     assert code == 2
     assert message in err
 
 
 def test_a_budget_is_not_put_into_the_store_of_another_study_nor_into_other_folders(
-    swings, tmp_path, monkeypatch, capsys
+    swings, tmp_path, wavequake
 ):
     (tmp_path / "notes.txt").write_text("mine")
     for folder, message in ((swings, "belongs to another study"), (tmp_path, "is not a store")):
         words = ("budget", "tmt-segments", *SMALL, "--cases", 16, "--store", folder)
-        code, _, err = wavequake(monkeypatch, capsys, *words)
+        code, _, err = wavequake(*words)
         assert code == 2
         assert message in err
         assert not (folder / "budget.zarr").exists()
 
 
-def test_stores_of_unlike_sampling_are_not_compared(tmp_path, monkeypatch, capsys):
+def test_stores_of_unlike_sampling_are_not_compared(tmp_path, wavequake):
     keys = [*SMALL, "campaign.cases=8", "campaign.replicates=2"]
     for name in ("random", "sobol"):
         study = load_study("tmt-segments", [*keys, f"campaign.sampling={name}"])
         run_study(study, tmp_path / name, on="serial")
-    code, _, err = wavequake(monkeypatch, capsys, "compare", tmp_path / "random", tmp_path / "sobol")
+    code, _, err = wavequake("compare", tmp_path / "random", tmp_path / "sobol")
     assert code == 2
     assert "have other draws (sampling random there, sampling sobol, replicates 2 here)" in err.replace(
         "replicates 2, sampling sobol", "sampling sobol, replicates 2"

@@ -1,7 +1,6 @@
 """Optical systems at the command line: what a user gets, and what a user gets wrong."""
 
 import csv
-import sys
 
 import numpy as np
 import pytest
@@ -69,23 +68,6 @@ def newton(tmp_path):
     path = tmp_path / "newton.toml"
     path.write_text(STUDY)
     return path
-
-
-@pytest.fixture
-def wavequake(monkeypatch, capsys):
-    """Run the command line in this process; give (exit code, standard output, standard error)."""
-
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["wavequake", *map(str, words)])
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as end:
-            code = end.code or 0
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
 
 
 def test_a_system_runs_to_its_report(wavequake, newton, tmp_path):

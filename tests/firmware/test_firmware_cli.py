@@ -7,7 +7,6 @@ import sys
 import numpy as np
 import pytest
 
-from wavequake import cli
 from wavequake.control import experiment
 from wavequake.control.experiment import tuned_regulator
 from wavequake.errors import UserError
@@ -21,12 +20,15 @@ from wavequake.workflows.study import load_study
 LENS = ["lens-experiment"]
 
 
-def run(monkeypatch, capsys, *words):
-    monkeypatch.setattr(sys, "argv", ["wavequake", "firmware", *map(str, words)])
-    with pytest.raises(SystemExit) as end:
-        cli.main()
-    said = capsys.readouterr()
-    return end.value.code or 0, " ".join((said.out + said.err).split())
+@pytest.fixture
+def firmware(wavequake):
+    """Run `wavequake firmware`; give the exit code and what is said, on one line."""
+
+    def run(*words):
+        code, out, err = wavequake("firmware", *words)
+        return code, " ".join((out + err).split())
+
+    return run
 
 
 def needs(board):
@@ -36,26 +38,26 @@ def needs(board):
         pytest.skip(str(error))
 
 
-def test_build_then_flash_and_refuse_another_design(monkeypatch, capsys, tmp_path):
+def test_build_then_flash_and_refuse_another_design(firmware, tmp_path):
     needs("due")
-    code, said = run(monkeypatch, capsys, "build", "--to", tmp_path)
+    code, said = firmware("build", "--to", tmp_path)
     assert code == 0
     assert "due-q31.elf" in said
-    code, said = run(monkeypatch, capsys, "flash", "due", "--to", tmp_path)
+    code, said = firmware("flash", "due", "--to", tmp_path)
     assert code == 0
     assert f"bossac -a -p ttyACM0 -e -w -v -b {tmp_path}/due-q31.bin -R" in said
     other = [*LENS, "controller.modal_step_ms=4", "--to", tmp_path]
-    code, said = run(monkeypatch, capsys, "flash", "due", *other)
+    code, said = firmware("flash", "due", *other)
     assert code == 2
     assert "but the design has" in said
 
 
-def test_without_gcc_flashing_needs_no_tool_of_it(monkeypatch, capsys, tmp_path):
+def test_without_gcc_flashing_needs_no_tool_of_it(monkeypatch, firmware, tmp_path):
     pytest.importorskip("ziglang", reason="needs ziglang (extra firmware)")
     monkeypatch.setenv("PATH", str(tmp_path))
-    code, _ = run(monkeypatch, capsys, "build", "--to", tmp_path)
+    code, _ = firmware("build", "--to", tmp_path)
     assert code == 0
-    code, said = run(monkeypatch, capsys, "flash", "due", "--to", tmp_path)
+    code, said = firmware("flash", "due", "--to", tmp_path)
     assert code == 0
     assert "-m ziglang objcopy -O binary" in said
     elf, binary = tmp_path / "due-q31.elf", tmp_path / "due-q31.bin"
@@ -63,10 +65,10 @@ def test_without_gcc_flashing_needs_no_tool_of_it(monkeypatch, capsys, tmp_path)
     assert binary.read_bytes() == b"".join(one.data for one in segments_of(elf))
 
 
-def test_all_images_give_the_commands_of_the_host(monkeypatch, capsys, tmp_path):
+def test_all_images_give_the_commands_of_the_host(monkeypatch, firmware, tmp_path):
     needs("host")
     monkeypatch.setattr(trial, "DURATION", 1.1)  # floats are emulated slowly
-    code, said = run(monkeypatch, capsys, "test", "--to", tmp_path)
+    code, said = firmware("test", "--to", tmp_path)
     assert code == 0
     assert "DIFFER" not in said
     assert said.count("reference") == 3
@@ -87,24 +89,24 @@ def test_all_images_give_the_commands_of_the_host(monkeypatch, capsys, tmp_path)
         (["build", "tmt-segments"], "firmware is made from one of lens-experiment"),
     ],
 )
-def test_bad_input(monkeypatch, capsys, tmp_path, words, sentence):
-    code, said = run(monkeypatch, capsys, *words, "--to", tmp_path)
+def test_bad_input(firmware, tmp_path, words, sentence):
+    code, said = firmware(*words, "--to", tmp_path)
     assert code == 2
     assert sentence in said
 
 
-def test_a_machine_without_compilers_is_told_what_to_install(monkeypatch, capsys, tmp_path):
+def test_a_machine_without_compilers_is_told_what_to_install(monkeypatch, firmware, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setattr("wavequake.firmware.build.find_spec", lambda name: None)
-    code, said = run(monkeypatch, capsys, "build", "--to", tmp_path)
+    code, said = firmware("build", "--to", tmp_path)
     assert code == 2
     assert "it needs ziglang from PyPI (extra firmware) or Debian's gcc-arm-none-eabi" in said
 
 
-def test_an_identified_plant_has_an_image_of_its_own(monkeypatch, capsys, tmp_path):
+def test_an_identified_plant_has_an_image_of_its_own(firmware, tmp_path):
     needs("due")
     words = [*LENS, "time.duration_s=2", "--controller", "identified", "--to", tmp_path]
-    code, said = run(monkeypatch, capsys, "build", *words)
+    code, said = firmware("build", *words)
     assert code == 0
     carried = image_hash(tmp_path / "due-q31.elf")
     # It is the image that the study's campaign runs for the same plant.
@@ -116,14 +118,14 @@ def test_an_identified_plant_has_an_image_of_its_own(monkeypatch, capsys, tmp_pa
     tuned = [tuned_regulator(designs, one) for one in runs.identified]
     assert carried == gains_of(tuned[0], chain_of(study), "q31").digest
     assert not np.array_equal(models[0].poles, models[1].poles)
-    code, said = run(monkeypatch, capsys, "flash", "due", *words)
+    code, said = firmware("flash", "due", *words)
     assert code == 0
-    code, said = run(monkeypatch, capsys, "flash", "due", *words, "--plant", "1")
+    code, said = firmware("flash", "due", *words, "--plant", "1")
     assert code == 2
     assert f"was built from gains {carried}, but the design has" in said
 
 
-def test_a_recording_of_a_plant_gives_the_image_of_that_plant(monkeypatch, capsys, tmp_path):
+def test_a_recording_of_a_plant_gives_the_image_of_that_plant(monkeypatch, firmware, tmp_path):
     """What the simulated plant's sensor and camera saw, as a file, identifies what the plant itself does."""
     needs("due")
     seen = []
@@ -135,7 +137,7 @@ def test_a_recording_of_a_plant_gives_the_image_of_that_plant(monkeypatch, capsy
 
     monkeypatch.setattr(experiment, "identify", noted)
     words = [*LENS, "time.duration_s=2", "--to", tmp_path]
-    drawn = run(monkeypatch, capsys, "build", *words, "--controller", "identified")
+    drawn = firmware("build", *words, "--controller", "identified")
     (record,) = seen
     lens = dict(zip(np.rint(1e3 * record.time).astype(int), 1e3 * record.measured, strict=True))
     image = dict(zip(np.rint(1e3 * record.frame_time).astype(int), 1e3 * record.image, strict=True))
@@ -143,54 +145,54 @@ def test_a_recording_of_a_plant_gives_the_image_of_that_plant(monkeypatch, capsy
     path = tmp_path / "run.csv"
     path.write_text("\n".join(["time_s,sensor_mm,image_mm", *rows]))
     header = (tmp_path / "gains-q31" / "wq_gains.h").read_text()
-    code, said = run(monkeypatch, capsys, "build", *words, "--record", path)
+    code, said = firmware("build", *words, "--record", path)
     assert code == drawn[0] == 0
     # Decimal numbers of the file move the last digits of the gains, not more.
     again = (tmp_path / "gains-q31" / "wq_gains.h").read_text()
     numbers = [np.array([int(n) for n in re.findall(r"(-?\d+)L[,)]", text)]) for text in (header, again)]
     assert len(numbers[0]) == 11 * 6 + 8 * 11 * 2
     np.testing.assert_allclose(numbers[1], numbers[0], rtol=1e-4, atol=1e4)
-    code, said = run(monkeypatch, capsys, "flash", "due", *words, "--record", path)
+    code, said = firmware("flash", "due", *words, "--record", path)
     assert code == 0
-    code, said = run(monkeypatch, capsys, "flash", "due", *words)
+    code, said = firmware("flash", "due", *words)
     assert code == 2
     assert "but the design has" in said
 
 
-def test_recordings_that_identify_nothing_are_refused(monkeypatch, capsys, tmp_path):
+def test_recordings_that_identify_nothing_are_refused(firmware, tmp_path):
     path = tmp_path / "run.csv"
-    code, said = run(monkeypatch, capsys, "build", "--record", path, "--to", tmp_path)
+    code, said = firmware("build", "--record", path, "--to", tmp_path)
     assert code == 2
     assert "cannot be read" in said
     rest = [f"{0.002 * k:.3f},{k % 2},{k % 3}" for k in range(1000)]
     path.write_text("\n".join(["time_s,sensor_mm,image_mm", *rest]))
-    code, said = run(monkeypatch, capsys, "build", "--record", path, "--to", tmp_path)
+    code, said = firmware("build", "--record", path, "--to", tmp_path)
     assert code == 2
     assert "The identification failed" in said
     path.write_text("\n".join(["time_s,sensor_mm,image_mm", *rest[:20]]))
-    code, said = run(monkeypatch, capsys, "build", "--record", path, "--to", tmp_path)
+    code, said = firmware("build", "--record", path, "--to", tmp_path)
     assert code == 2
     assert "11 modes cannot be identified: the record needs at least 44 finite samples" in said
 
 
-def test_an_identified_plants_image_steadies_it(monkeypatch, capsys, tmp_path):
+def test_an_identified_plants_image_steadies_it(monkeypatch, firmware, tmp_path):
     """From one uncontrolled run to the bits of the board, on a plant with all errors on."""
     needs("host")
     monkeypatch.setattr(trial, "VARIANTS", ("q31",))
     words = [*LENS, "--controller", "identified", "--plant", "2", "--to", tmp_path]
-    code, said = run(monkeypatch, capsys, "test", *words)
+    code, said = firmware("test", *words)
     assert code == 0
     assert "DIFFER" not in said
     found = re.search(r"host q31 - - - ([\d.]+) ([\d.]+) reference", said)
     assert max(map(float, found.groups())) < 5
 
 
-def test_an_arithmetic_that_cannot_hold_a_design_is_skipped_by_name(monkeypatch, capsys, tmp_path):
+def test_an_arithmetic_that_cannot_hold_a_design_is_skipped_by_name(monkeypatch, firmware, tmp_path):
     needs("host")
     monkeypatch.setattr(trial, "DURATION", 1.1)
     monkeypatch.setattr(trial, "VARIANTS", ("float", "q16"))
     words = ["controller.modal_step_ms=8", "errors.friction_mn=0", "--to", tmp_path]
-    code, said = run(monkeypatch, capsys, "test", *LENS, *words)
+    code, said = firmware("test", *LENS, *words)
     assert code == 0
     assert "all q16 - - - - - not run" in said
     assert "Not run: The step of mode 11 is 0.6255, beyond the range of q16, which ends at 0.5" in said

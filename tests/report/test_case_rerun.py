@@ -1,7 +1,6 @@
 """`wavequake rerun STORE --case ID`: the bits of the store, and what it does not keep."""
 
 import dataclasses
-import sys
 
 import numpy as np
 import pytest
@@ -62,7 +61,7 @@ def test_a_case_again_has_the_bits_of_the_store_and_its_rays(store, case, tmp_pa
         assert 3.0 < piston < 40.0
 
 
-def test_other_numbers_than_stored_are_named(store, monkeypatch, tmp_path):
+def test_other_numbers_than_stored_are_named(store, wavequake, monkeypatch, tmp_path):
     workflow = WORKFLOWS["segment-disturbance"]
 
     def other(text, cases, device):
@@ -74,10 +73,8 @@ def test_other_numbers_than_stored_are_named(store, monkeypatch, tmp_path):
     found = rerun_stored(store, 2, tmp_path / "case.nc")
     assert found.differing == ("strehl",)
     assert "Not the bits of the store: strehl." in found.lines()
-    monkeypatch.setattr(sys, "argv", ["wavequake", "rerun", str(store), "--case", "2"])
-    with pytest.raises(SystemExit) as end:
-        cli.main()
-    assert end.value.code == cli.EXIT_DAMAGED
+    code, _, _ = wavequake("rerun", store, "--case", 2)
+    assert code == cli.EXIT_DAMAGED
 
 
 def test_a_case_that_fails_again_says_where(store, monkeypatch, tmp_path):
@@ -93,12 +90,9 @@ def test_a_case_that_fails_again_says_where(store, monkeypatch, tmp_path):
     assert not (tmp_path / "case.nc").exists()
 
 
-def test_the_command_line_reruns(store, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["wavequake", "rerun", str(store), "--case", "3"])
-    with pytest.raises(SystemExit) as end:
-        cli.main()
-    assert not end.value.code
-    said = capsys.readouterr().out
+def test_the_command_line_reruns(store, wavequake):
+    code, said, _ = wavequake("rerun", store, "--case", 3)
+    assert code == 0
     assert "Every number has the bits of the store." in said
     assert "disturbance" in said
     assert (store / "case-3.nc").exists()

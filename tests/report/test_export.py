@@ -1,14 +1,12 @@
 """Files for other programs, read back by those programs' own readers."""
 
 import csv
-import sys
 
 import numpy as np
 import pytest
 import xarray as xr
 
 import wavequake as wq
-from wavequake import cli
 from wavequake.errors import UserError
 from wavequake.report.export import export
 
@@ -113,7 +111,7 @@ def test_other_names_are_refused(dataset, tmp_path, name):
         export(dataset, tmp_path / name)
 
 
-def test_the_command_writes_once(tmp_path, monkeypatch, capsys):
+def test_the_command_writes_once(tmp_path, wavequake):
     study = tmp_path / "tiny.toml"
     study.write_text(
         '[study]\nname = "tiny"\nworkflow = "segment-disturbance"\n[telescope]\nname = "tmt-18"\n'
@@ -122,19 +120,16 @@ def test_the_command_writes_once(tmp_path, monkeypatch, capsys):
     )
     store, file = tmp_path / "store", tmp_path / "a.csv"
     wq.run(study, cases=2, store=store, on="serial")
-    monkeypatch.setattr(sys, "argv", ["wavequake", "export", str(store), str(file)])
-    with pytest.raises(SystemExit) as end:
-        cli.main()
-    assert not end.value.code
-    assert str(file) in capsys.readouterr().out
+    code, said, _ = wavequake("export", store, file)
+    assert code == 0
+    assert str(file) in said
     with file.open(encoding="utf-8", newline="") as text:
         rows = list(csv.DictReader(text))
     raw = wq.open_store(store).wfe_rms_raw.to_numpy()
     found = [float(row["wfe_rms_raw_rms (nm)"]) for row in rows]
     np.testing.assert_allclose(found, np.linalg.norm(raw, axis=1) / np.sqrt(2), rtol=1e-14)
-    with pytest.raises(SystemExit) as end:
-        cli.main()
-    assert end.value.code == 2
+    code, _, _ = wavequake("export", store, file)
+    assert code == 2
 
 
 def test_controllers_have_columns_by_name(tmp_path):

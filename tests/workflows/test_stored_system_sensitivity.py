@@ -1,5 +1,3 @@
-import sys
-
 import numpy as np
 import pytest
 
@@ -66,16 +64,9 @@ def test_what_is_stored_is_what_the_optics_say_in_si_units(study):
     assert found.attrs["steps_agree"] == 1
 
 
-def test_it_is_computed_once_and_prints_its_tables(study, monkeypatch, capsys):
+def test_it_is_computed_once_and_prints_its_tables(study, wavequake):
     def run(*words):
-        monkeypatch.setattr(sys, "argv", ["wavequake", "sensitivity", str(study), "--store", "here", *words])
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as end:
-            code = end.code or 0
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
+        return wavequake("sensitivity", study, "--store", "here", *words)
 
     code, out, err = run("--mirror-terms", "3")
     assert code == 0, err
