@@ -21,7 +21,6 @@ from wavequake.optics.shapes import Conic, ZernikeDeformation
 from wavequake.optics.system import OpticalSystem, Pupil, Surface
 from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequential
 from wavequake.optics.system_wavefront import measure_system, prepare_system
-from wavequake.optics.zemax_export import zmx_text
 
 PLANE = Conic()
 N0, G = 1.6, 0.05  # a quarter of its pitch is 31.4 mm
@@ -350,8 +349,3 @@ def test_an_image_inside_a_gradient_is_refused():
     inside = replace(rod, surfaces=(rod.surfaces[0], rod.surfaces[2]))
     with pytest.raises(UserError, match="ends it"):
         pack(inside, WAVE)
-
-
-def test_a_lens_file_cannot_hold_it():
-    with pytest.raises(UserError, match=r"SELFOC.*lens file"):
-        zmx_text(system(selfoc(N0, G), 5.0))

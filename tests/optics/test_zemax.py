@@ -177,6 +177,18 @@ def test_fringe_zernike_terms_are_converted():
     np.testing.assert_allclose(ours, expected, atol=1e-14)
 
 
+def test_the_37th_fringe_term_is_that_of_twelfth_degree():
+    """As printed by Wyant and Creath: 924 r^12 - 2772 r^10 + 3150 r^8 - 1680 r^6 + 420 r^4 - 42 r^2 + 1."""
+    rows = "  XDAT 1 37\n  XDAT 2 2.0\n  XDAT 6 0.3\n  XDAT 39 -0.2"
+    shape = read(f"  TYPE FZERNSAG\n  STOP\n{rows}\n  DISZ 1").surfaces[0].shape
+    t = np.array([0.0, 0.2, 0.7, 1.0])
+    highest = np.polynomial.Polynomial([1, -42, 420, -1680, 3150, -2772, 924])(t)
+    ours = annular_zernike(np.sqrt(t), 0 * t, len(shape.coefficients)) @ np.array(shape.coefficients)
+    np.testing.assert_allclose(ours, 0.3 * (2 * t - 1) - 0.2 * highest, atol=1e-12)
+    with pytest.raises(UserError, match="38 Fringe terms, at most 37"):
+        read("  TYPE FZERNSAG\n  STOP\n  XDAT 1 38\n  XDAT 2 2.0\n  DISZ 1")
+
+
 STOP = "  STOP\n  DISZ 1"
 
 
@@ -185,7 +197,9 @@ STOP = "  STOP\n  DISZ 1"
     [
         (lens("  TYPE BICONICX\n" + STOP), r"line 8 \(TYPE\): surface 1 is of the type BICONICX"),
         (lens("  TYPE TOROIDAL\n" + STOP), "TOROIDAL, which is not supported"),
-        (lens("  TYPE GRID_SAG\n" + STOP), "GRID_SAG"),
+        (lens("  TYPE GRINSUR9\n" + STOP), "GRINSUR9, which is not supported"),
+        (lens(STOP).replace("DISZ INFINITY", "DISZ 9\n  CURV 0.1"), "the object is no plane"),
+        (lens(STOP).replace("DISZ INFINITY", "TYPE GRINSUR2\n  PARM 2 2"), "the object is no plane"),
         (lens(STOP + "\n  GLAS UNOBTAINIUM 0 0"), r"surface 1: There is no glass 'UNOBTAINIUM'"),
         (lens(STOP + "\n  GLAS ___BLANK 1 0 1.6 40"), "index 1.6 and Abbe number 40"),
         (lens(STOP + "\n  UDAD 0 foo.uda"), "the property UDAD"),
@@ -255,6 +269,10 @@ ODD = lens(
     "  TYPE FZERNSAG\n  XDAT 1 3\n  XDAT 2 4\n  XDAT 3 0.1\n  CLAP 1 4 0\n  DISZ 2",
     "  TYPE COORDBRK\n  PARM 1 0.5\n  PARM 3 25\n  PARM 6 1\n  DISZ 1",
     "  TYPE EVENASPH\n  PARM 1 0.5\n  PARM 3 25\n  DISZ 1\n  SQAP 1 2 0\n  STOP",
+    "  TYPE GRINSUR3\n  PARM 1 0.5\n  PARM 2 1.5\n  PARM 3 1e-3\n  PARM 5 1e-5\n  DISZ 1",
+    "  TYPE GRINSUR2\n  PARM 1 0.5\n  PARM 2 2\n  PARM 3 1e-3\n  PARM 8 1e-5\n  DISZ 1",
+    "  TYPE GRID_SAG\n  GDAT 5 5 1 1 0 0\n  DISZ 1"
+    + "".join(f"\n  GARR {k} {1e-3 * k} 0 0 0 0" for k in range(1, 26)),
     header="UNIT CM\nFLOA\nFTYP 0 0 1 1 0 0 0\nWAVL 0.5 0.6\nPWAV 1",
 )
 

@@ -2,7 +2,8 @@
 
 The system's z axis becomes the file's axis; a surface that is shifted or tilted stands between two coordinate
 breaks, the second of which undoes the first. An obscured pupil becomes a dark center of the stop, a numerical
-aperture in the image its f-number. What the format cannot hold is refused by name.
+aperture in the image its f-number, annular Zernike polynomials the circular ones of which they are sums.
+What the format cannot hold is refused by name.
 """
 
 import math
@@ -19,10 +20,14 @@ from wavequake.errors import UserError
 from wavequake.optics.gradient_index import GradientIndex
 from wavequake.optics.media import AIR, Medium, glasses
 from wavequake.optics.paraxial import paraxial
-from wavequake.optics.shapes import Conic, EvenAsphere, ExtendedPolynomial, Opening, ZernikeSag
-from wavequake.optics.system import OpticalSystem, Surface
-from wavequake.optics.zemax_import import MODEL_GLASS
+from wavequake.optics.shapes import Conic, EvenAsphere, ExtendedPolynomial, GridSag, Opening, ZernikeSag
+from wavequake.optics.system import OpticalSystem, Surface, wavelength_of
+from wavequake.optics.zemax_gradients import gradient_lines
+from wavequake.optics.zemax_grids import grid_lines
+from wavequake.optics.zemax_media import MODEL_GLASS
+from wavequake.optics.zemax_rows import written
 from wavequake.optics.zemax_surfaces import MAX_EVEN_TERMS, cardan_angles, spider
+from wavequake.optics.zernike_transforms import transform_coefficients
 
 MAX_FIELDS = 12
 MAX_WAVELENGTHS = 24
@@ -59,22 +64,16 @@ def zmx_text(system: OpticalSystem) -> str:
     lines = ["MODE SEQ", f"NAME {system.name}", "UNIT MM X W X CM MR CPMM", *_pupil(system), *_fields(system)]
     lines += _wavelengths(system)
     infinite = math.isinf(system.object_distance)
-    distance = "INFINITY" if infinite else _number(system.object_distance)
+    distance = "INFINITY" if infinite else written(system.object_distance)
     rows = [["TYPE STANDARD", "CURV 0.0", f"DISZ {distance}", *_glass(system.medium, system.name)]]
-    medium: Medium | GradientIndex = system.medium
+    begins = Surface("object", medium=system.medium)
     for index, surface in enumerate(system.surfaces):
         if surface.action == "refract":
-            medium = surface.medium
-        rows += _rows(system, index, medium)
+            begins = surface
+        rows += _rows(system, index, begins)
     for number, row in enumerate(rows):
         lines += [f"SURF {number}", *(f"  {line}" for line in row)]
     return "\n".join(lines) + "\n"
-
-
-def _number(value: float) -> str:
-    if not math.isfinite(value):
-        raise UserError(f"A lens file holds finite numbers only, not {value}.")
-    return repr(float(value))
 
 
 def _require_one_line(name: str, what: str) -> None:
@@ -85,13 +84,13 @@ def _require_one_line(name: str, what: str) -> None:
 def _pupil(system: OpticalSystem) -> list[str]:
     pupil = system.pupil
     if pupil.kind == "entrance_diameter":
-        return [f"ENPD {_number(pupil.value)}"]
+        return [f"ENPD {written(pupil.value)}"]
     if pupil.kind == "object_na":
-        return [f"OBNA {_number(pupil.value)} 0"]
+        return [f"OBNA {written(pupil.value)} 0"]
     if pupil.kind == "stop":
         return ["FLOA"]
     f_number = 0.5 / pupil.value if pupil.kind == "image_na" else pupil.value
-    return [f"FNUM {_number(f_number)} 1"]
+    return [f"FNUM {written(f_number)} 1"]
 
 
 def _fields(system: OpticalSystem) -> list[str]:
@@ -107,67 +106,68 @@ def _fields(system: OpticalSystem) -> list[str]:
     padded[:count] = values
     return [
         f"FTYP {int(heights)} {int(system.telecentric)} {count} {waves} 0 0 0",
-        "XFLN " + " ".join(_number(value) for value in padded[:, 0]),
-        "YFLN " + " ".join(_number(value) for value in padded[:, 1]),
+        "XFLN " + " ".join(written(value) for value in padded[:, 0]),
+        "YFLN " + " ".join(written(value) for value in padded[:, 1]),
     ]
 
 
 def _wavelengths(system: OpticalSystem) -> list[str]:
     # A shift of the decimal point is exact, a multiplication is not.
-    microns = [Decimal(_number(value)).scaleb(3) for value in system.wavelengths]
+    microns = [Decimal(written(value)).scaleb(3) for value in system.wavelengths]
     lines = [f"WAVM {number} {value} 1" for number, value in enumerate(microns, start=1)]
     return [*lines, f"PWAV {system.primary_wavelength + 1}"]
 
 
-def _glass(medium: Medium | GradientIndex, name: str) -> list[str]:
-    if isinstance(medium, GradientIndex):
-        raise UserError(
-            f"The index of {medium.name} behind {name} varies in space, which a lens file cannot hold."
-        )
+def _glass(medium: Medium, name: str) -> list[str]:
     if medium == AIR:
         return []
     if glasses().get(medium.name.upper()) == medium:
         return [f"GLAS {medium.name} 0 0 1.5 40 0 0 0 0 0 0"]
     if medium.formula == "constant":
-        return [f"GLAS {MODEL_GLASS} 1 0 {_number(medium.coefficients[0])} 0 0 0 0 0 0 0"]
+        return [f"GLAS {MODEL_GLASS} 1 0 {written(medium.coefficients[0])} 0 0 0 0 0 0 0"]
     raise UserError(
         f"The medium {medium.name} of {name} is no glass of the catalogue, and a lens file holds no "
         "coefficients."
     )
 
 
-def _rows(system: OpticalSystem, index: int, medium: Medium | GradientIndex) -> list[list[str]]:
-    """Return the rows of a surface, with its coordinate breaks where it needs them."""
+def _rows(system: OpticalSystem, index: int, begins: Surface) -> list[list[str]]:
+    """Return the rows of a surface, with its coordinate breaks where it needs them.
+
+    ``begins`` is the surface that begins the medium behind it.
+    """
     surface, last = system.surfaces[index], index == len(system.surfaces) - 1
     gap = 0.0 if last else float(system.surfaces[index + 1].position[2] - surface.position[2])
-    lines = _surface(system, index, medium)
+    lines = _surface(system, index, begins)
     x, y = (float(value) for value in surface.position[:2])
     tilts = [float(angle) for angle in np.rad2deg(cardan_angles(surface.rotation))]
     if not any((x, y, *tilts)):
-        return [[*lines, f"DISZ {_number(gap)}"]]
+        return [[*lines, f"DISZ {written(gap)}"]]
     there = _break([x, y, *tilts], 0, 0.0)
     back = _break([-value for value in (x, y, *tilts)], 1, gap)
     return [there, [*lines, "DISZ 0.0"]] + ([] if last else [back])
 
 
 def _break(numbers: Sequence[float], order: int, gap: float) -> list[str]:
-    parameters = [f"PARM {k} {_number(value)}" for k, value in enumerate([*numbers, order], start=1)]
-    return ["TYPE COORDBRK", *parameters, f"DISZ {_number(gap)}"]
+    parameters = [f"PARM {k} {written(value)}" for k, value in enumerate([*numbers, order], start=1)]
+    return ["TYPE COORDBRK", *parameters, f"DISZ {written(gap)}"]
 
 
-def _surface(system: OpticalSystem, index: int, medium: Medium | GradientIndex) -> list[str]:
+def _surface(system: OpticalSystem, index: int, begins: Surface) -> list[str]:
     surface = system.surfaces[index]
     _require_one_line(surface.name, "a surface")
     if surface.deformation is not None:
         raise UserError(
             f"The surface {surface.name} of {system.name} has a deformation, which a lens file cannot hold."
         )
-    lines = [f"COMM {surface.name}", *_shape(surface, system.name)]
-    lines += (
-        ["GLAS MIRROR 0 0 1.5 40 0 0 0 0 0 0"]
-        if surface.action == "reflect"
-        else _glass(medium, surface.name)
-    )
+    medium = begins.medium
+    lines = _shape(surface, system.name)
+    if isinstance(medium, GradientIndex):
+        lines = [*gradient_lines(surface, medium, begins, wavelength_of(system)), *lines[1:]]
+    elif surface.action == "reflect":
+        lines.append("GLAS MIRROR 0 0 1.5 40 0 0 0 0 0 0")
+    else:
+        lines += _glass(medium, surface.name)
     semi_diameter = math.inf
     opening = surface.opening
     if index == system.stop and system.pupil.obscuration:
@@ -180,8 +180,8 @@ def _surface(system: OpticalSystem, index: int, medium: Medium | GradientIndex) 
         if system.pupil.kind == "stop":
             semi_diameter = system.pupil.value
     if math.isfinite(semi_diameter):
-        lines.append(f"DIAM {_number(semi_diameter)} 1 0 0 1")
-    return lines
+        lines.append(f"DIAM {written(semi_diameter)} 1 0 0 1")
+    return [f"COMM {surface.name}", *lines]
 
 
 def _obscured(system: OpticalSystem, opening: Opening) -> Opening:
@@ -192,26 +192,35 @@ def _obscured(system: OpticalSystem, opening: Opening) -> Opening:
 
 def _shape(surface: Surface, system: str) -> list[str]:
     shape = surface.shape
-    numbers = [f"CURV {_number(1.0 / shape.radius)}", f"CONI {_number(shape.conic)}"]
+    numbers = [f"CURV {written(1.0 / shape.radius)}", f"CONI {written(shape.conic)}"]
     if isinstance(shape, Conic):
         return ["TYPE STANDARD", *numbers]
     if isinstance(shape, EvenAsphere) and len(shape.coefficients) <= MAX_EVEN_TERMS:
-        terms = [f"PARM {k} {_number(value)}" for k, value in enumerate(shape.coefficients, start=1)]
+        terms = [f"PARM {k} {written(value)}" for k, value in enumerate(shape.coefficients, start=1)]
         return ["TYPE EVENASPH", *numbers, *terms]
     if isinstance(shape, ExtendedPolynomial):
         return ["TYPE XPOLYNOM", *numbers, *_extra_data(shape.coefficients, shape.normalization_radius)]
-    if isinstance(shape, ZernikeSag) and not shape.obscuration:
-        return ["TYPE SZERNSAG", *numbers, *_extra_data(shape.coefficients, shape.pupil_radius)]
-    what = {
-        EvenAsphere: f"an even asphere of more than {MAX_EVEN_TERMS} terms",
-        ZernikeSag: "annular Zernike polynomials",
-    }.get(type(shape), "heights on a grid")
-    raise UserError(f"The surface {surface.name} of {system} has {what}, which a lens file cannot hold.")
+    if isinstance(shape, ZernikeSag):
+        return ["TYPE SZERNSAG", *numbers, *_extra_data(_circular(shape), shape.pupil_radius)]
+    if isinstance(shape, GridSag):
+        return ["TYPE GRID_SAG", *numbers, "PARM 0 0", *grid_lines(shape, f"{surface.name} of {system}")]
+    raise UserError(
+        f"The surface {surface.name} of {system} has an even asphere of more than {MAX_EVEN_TERMS} terms, "
+        "which a lens file cannot hold."
+    )
+
+
+def _circular(shape: ZernikeSag) -> tuple[float, ...]:
+    """Return the coefficients over the full circle: annular polynomials are finite sums of circular ones."""
+    if not (shape.obscuration and shape.coefficients):
+        return shape.coefficients
+    circular = transform_coefficients(np.array(shape.coefficients), shape.obscuration, 0.0)
+    return tuple(circular.tolist())
 
 
 def _extra_data(coefficients: tuple[float, ...], radius: float) -> list[str]:
     values = [float(len(coefficients)), radius, *coefficients]
-    return [f"XDAT {k} {_number(value)} 0 0" for k, value in enumerate(values, start=1)]
+    return [f"XDAT {k} {written(value)} 0 0" for k, value in enumerate(values, start=1)]
 
 
 def _opening(opening: Opening, name: str) -> list[str]:
@@ -219,15 +228,15 @@ def _opening(opening: Opening, name: str) -> list[str]:
         return []
     if not opening.corners and not opening.arms:
         if math.isfinite(opening.outer):
-            return [f"CLAP {_number(opening.inner)} {_number(opening.outer)} 0"]
-        return [f"OBSC 0.0 {_number(opening.inner)} 0"]
+            return [f"CLAP {written(opening.inner)} {written(opening.outer)} 0"]
+        return [f"OBSC 0.0 {written(opening.inner)} 0"]
     half_x, half_y = (max(corner[axis] for corner in opening.corners or ((0.0, 0.0),)) for axis in (0, 1))
     rectangle = ((-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y))
     if opening == Opening(corners=rectangle):
-        return [f"SQAP {_number(half_x)} {_number(half_y)} 0"]
+        return [f"SQAP {written(half_x)} {written(half_y)} 0"]
     arms = opening.arms
     if arms and opening == Opening(arms=spider(arms[0][1], len(arms))):
-        return [f"SPID {_number(arms[0][1])} {len(arms)} 0"]
+        return [f"SPID {written(arms[0][1])} {len(arms)} 0"]
     raise UserError(
         f"The surface {name} has an opening that is no circle, annulus, centered rectangle or spider alone, "
         "which a lens file cannot hold; spread it over several surfaces."

@@ -15,24 +15,15 @@ from pathlib import Path
 import numpy as np
 
 from wavequake.errors import UserError
-from wavequake.optics.media import AIR, Medium, constant, glass
-from wavequake.optics.shapes import SurfaceAction
+from wavequake.optics.gradient_index import GradientIndex
+from wavequake.optics.media import AIR, Medium
 from wavequake.optics.system import OpticalSystem, Pupil, require_system
 from wavequake.optics.system_kinematics import Break, SurfaceRow, sequential
-from wavequake.optics.zemax_surfaces import (
-    Line,
-    Row,
-    as_count,
-    as_integer,
-    as_number,
-    coordinate_break,
-    fail,
-    opening,
-    shape,
-)
+from wavequake.optics.zemax_media import medium_after
+from wavequake.optics.zemax_rows import Line, Row, as_count, as_integer, as_number, fail
+from wavequake.optics.zemax_surfaces import coordinate_break, opening, shape
 
 MM_PER_UNIT = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}
-MODEL_GLASS = "___BLANK"
 
 _VIGNETTING = ("VDXN", "VDYN", "VCXN", "VCYN", "VANN")
 _PUPILS = ("ENPD", "FNUM", "OBNA", "FLOA")
@@ -103,7 +94,7 @@ def parse_zmx(text: str, where: str) -> OpticalSystem:
         wavelengths=wavelengths,
         primary_wavelength=primary,
         telecentric=telecentric,
-        medium=_medium(file.rows[0], AIR)[1],
+        medium=_object_medium(file.rows[0]),
     )
     try:
         require_system(system)
@@ -167,9 +158,7 @@ def _prescription(file: _File, scale: float) -> tuple[list[SurfaceRow | Break], 
     """Return the rows after the object, and the index of the stop among the surfaces."""
     rows: list[SurfaceRow | Break] = []
     stops: list[tuple[int, Row]] = []
-    action, medium = _medium(file.rows[0], AIR)
-    if action == "reflect":
-        fail(file.rows[0].line, "the object cannot be a mirror")
+    medium: Medium | GradientIndex = _object_medium(file.rows[0])
     count = 0
     for row in file.rows[1:]:
         row.require_known()
@@ -183,7 +172,7 @@ def _prescription(file: _File, scale: float) -> tuple[list[SurfaceRow | Break], 
                 fail(row.line, f"{row.label} is a coordinate break, which cannot be the stop")
             rows.append(coordinate_break(row, scale, thickness))
             continue
-        action, medium = _medium(row, medium)
+        action, medium = medium_after(row, medium, scale)
         rows.append(
             SurfaceRow(
                 name=row.label,
@@ -210,6 +199,19 @@ def _prescription(file: _File, scale: float) -> tuple[list[SurfaceRow | Break], 
     return rows, stops[0][0]
 
 
+def _object_medium(row: Row) -> Medium:
+    """Return the medium before the first surface; the object must be a plane without any property."""
+    curvature = row.one("CURV")
+    if row.type != "STANDARD" or (
+        curvature and as_number(curvature, 0) and not math.isinf(_thickness(row, 1.0))
+    ):
+        fail(curvature or row.line, "the object is no plane; move the curvature to a surface of its own")
+    action, medium = medium_after(row, AIR, 1.0)
+    if action == "reflect" or isinstance(medium, GradientIndex):
+        fail(row.line, "the object cannot be a mirror")
+    return medium
+
+
 def _thickness(row: Row, scale: float) -> float:
     line = row.one("DISZ")
     if line is None:
@@ -217,32 +219,6 @@ def _thickness(row: Row, scale: float) -> float:
     if line.words[:1] == ["INFINITY"]:
         return math.inf
     return as_number(line, 0) * scale
-
-
-def _medium(row: Row, before: Medium) -> tuple[SurfaceAction, Medium]:
-    """Return what a surface does and the medium after it; no glass means air."""
-    line = row.one("GLAS")
-    if line is not None and line.words[:1] == ["MIRROR"]:
-        return "reflect", before
-    after = AIR if line is None else _glass(line, row)
-    return ("pass" if after == before else "refract"), after
-
-
-def _glass(line: Line, row: Row) -> Medium:
-    name = line.words[0] if line.words else ""
-    if name != MODEL_GLASS and not (len(line.words) > 1 and line.words[1] == "1"):
-        try:
-            return glass(name)
-        except UserError as error:
-            fail(line, f"{row.label}: {error}".rstrip("."))
-    index, abbe = as_number(line, 3), as_number(line, 4)
-    if abbe:
-        fail(
-            line,
-            f"{row.label} has a model glass with index {index:g} and Abbe number {abbe:g}; name a glass "
-            "of the catalogue, or set the Abbe number to 0 for a constant index",
-        )
-    return constant(index)
 
 
 def _pupil(file: _File, scale: float) -> Pupil:

@@ -2,122 +2,31 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NoReturn
 
 import numpy as np
 
-from wavequake.errors import UserError
 from wavequake.optics.kinematics import cardan
 from wavequake.optics.shapes import Conic, EvenAsphere, ExtendedPolynomial, Opening, Shape, ZernikeSag
 from wavequake.optics.system_kinematics import Break
+from wavequake.optics.zemax_gradients import GRADIENTS
+from wavequake.optics.zemax_grids import grid_sag
+from wavequake.optics.zemax_rows import (
+    MAX_COUNT,
+    OPENINGS,
+    Row,
+    as_count,
+    as_number,
+    fail,
+    require_no_numbers,
+)
 from wavequake.optics.zernike_indices import convert_coefficients
 
 MAX_EVEN_TERMS = 8
-MAX_COUNT = 1000
 
-_OPENINGS = ("CLAP", "FLAP", "OBSC", "SQAP", "SPID")
-_USED = ("TYPE", "CURV", "CONI", "DISZ", "GLAS", "DIAM", "STOP", "PARM", "XDAT", "OBDC", "COMM")
-# Drawing, coatings, mechanical diameters, thermal data, physical optics; and the solves, variables and
-# pickups whose results are in the file.
-_HARMLESS = (
-    *("HIDE", "MIRR", "SLAB", "POPS", "COAT", "MEMA", "FIMP", "EDGE", "TCED"),
-    *("MAZH", "PZUP", "PPAR", "PKUP", "VPAR", "VCON"),
-)
-_KNOWN = frozenset((*_USED, *_HARMLESS, *_OPENINGS))
+_FRINGE_TERMS = 36
+_LAST_FRINGE = (79, math.sqrt(13.0))  # the 37th has degree 12: its Noll index and its crest
 
-
-@dataclass(frozen=True)
-class Line:
-    """A line of the file: where it stands, its keyword and the rest."""
-
-    where: str
-    number: int
-    keyword: str
-    rest: str
-
-    @property
-    def words(self) -> list[str]:
-        """What follows the keyword, split at blanks."""
-        return self.rest.split()
-
-
-@dataclass(frozen=True)
-class Row:
-    """A surface as the file gives it: its number, its SURF line, and its lines by keyword."""
-
-    number: int
-    line: Line
-    lines: dict[str, list[Line]]
-
-    @property
-    def type(self) -> str:
-        """The surface type, STANDARD if none is given."""
-        line = self.one("TYPE")
-        return line.words[0] if line and line.words else "STANDARD"
-
-    @property
-    def label(self) -> str:
-        """The comment, or the number."""
-        line = self.one("COMM")
-        return (line.rest.strip('"') if line else "") or f"surface {self.number}"
-
-    def one(self, keyword: str) -> Line | None:
-        """Return the line of a keyword that may stand once."""
-        found = self.lines.get(keyword)
-        return found[0] if found else None
-
-    def table(self, keyword: str) -> dict[int, float]:
-        """Return the numbers of lines ``keyword index value`` by index."""
-        return {as_integer(line, 0): as_number(line, 1) for line in self.lines.get(keyword, [])}
-
-    def require_known(self) -> None:
-        """Refuse a keyword that may change the optics and is not understood."""
-        for keyword, lines in self.lines.items():
-            if keyword not in _KNOWN:
-                fail(
-                    lines[0],
-                    f"{self.label} has the property {keyword}, which is not supported; remove the line if it "
-                    "does not change the path of light",
-                )
-
-
-def fail(line: Line, message: str) -> NoReturn:
-    """Raise a UserError that names file and line."""
-    raise UserError(f"{line.where}, line {line.number} ({line.keyword}): {message}.")
-
-
-def as_number(line: Line, index: int) -> float:
-    """Return a word of a line as a finite number."""
-    words = line.words
-    if index >= len(words):
-        fail(line, f"the number {index + 1} after the keyword is missing")
-    try:
-        value = float(words[index])
-    except ValueError:
-        fail(line, f"{words[index]!r} is not a number")
-    if not math.isfinite(value):
-        fail(line, f"{words[index]!r} is not a finite number")
-    return value
-
-
-def as_integer(line: Line, index: int) -> int:
-    """Return a word of a line as an integer."""
-    value = as_number(line, index)
-    if value != int(value):
-        fail(line, f"{value:g} is not an integer")
-    return int(value)
-
-
-_Builder = Callable[["Row", float, float, float], Shape]
-
-
-def as_count(line: Line, index: int) -> int:
-    """Return a word of a line as a number of things, of which there is at least one."""
-    value = as_integer(line, index)
-    if not 1 <= value <= MAX_COUNT:
-        fail(line, f"{value} is not a number of things from 1 to {MAX_COUNT}")
-    return value
+_Builder = Callable[[Row, float, float, float], Shape]
 
 
 def shape(row: Row, scale: float) -> Shape:
@@ -131,44 +40,55 @@ def shape(row: Row, scale: float) -> Shape:
         "XPOLYNOM": _extended_polynomial,
         "SZERNSAG": _zernike,
         "FZERNSAG": _zernike,
+        "GRID_SAG": grid_sag,
     }
     if row.type in builders:
         return builders[row.type](row, scale, radius, kappa)
+    if row.type in GRADIENTS:  # their parameters are those of the medium
+        return Conic(radius, kappa)
     if row.type != "STANDARD":
         fail(
             row.one("TYPE") or row.line,
             f"{row.label} is of the type {row.type}, which is not supported; STANDARD, COORDBRK, "
-            f"{', '.join(builders)} are",
+            f"{', '.join((*builders, *GRADIENTS))} are",
         )
-    _require_no_numbers(row, "PARM", row.table("PARM"))
+    require_no_numbers(row, "PARM", row.table("PARM"))
     return Conic(radius, kappa)
 
 
 def _even_asphere(row: Row, scale: float, radius: float, conic: float) -> EvenAsphere:
     given = row.table("PARM")
-    _require_no_numbers(row, "PARM", {k: v for k, v in given.items() if not 1 <= k <= MAX_EVEN_TERMS})
+    require_no_numbers(row, "PARM", {k: v for k, v in given.items() if not 1 <= k <= MAX_EVEN_TERMS})
     count = max((k for k in given if 1 <= k <= MAX_EVEN_TERMS), default=0)
     terms = tuple(given.get(k, 0.0) * scale ** (1 - 2 * k) for k in range(1, count + 1))
     return EvenAsphere(radius, conic, terms)
 
 
 def _extended_polynomial(row: Row, scale: float, radius: float, conic: float) -> ExtendedPolynomial:
-    _require_no_numbers(row, "PARM", row.table("PARM"))
+    require_no_numbers(row, "PARM", row.table("PARM"))
     coefficients, norm = _extra_data(row, scale)
     return ExtendedPolynomial(radius, conic, coefficients, norm)
 
 
 def _zernike(row: Row, scale: float, radius: float, conic: float) -> ZernikeSag:
     # Parameters 1-8 add an even asphere, 9 and 10 shift the polynomials; 0 only extrapolates.
-    _require_no_numbers(row, "PARM", {k: v for k, v in row.table("PARM").items() if k})
+    require_no_numbers(row, "PARM", {k: v for k, v in row.table("PARM").items() if k})
     coefficients, norm = _extra_data(row, scale)
     if row.type == "FZERNSAG":
-        if len(coefficients) > 36:
-            fail(row.line, f"{row.label} has {len(coefficients)} Fringe terms, at most 36 are supported")
-        coefficients = tuple(
-            float(value) for value in convert_coefficients(np.array(coefficients), "fringe", "noll")
-        )
+        coefficients = _from_fringe(row, coefficients)
     return ZernikeSag(radius, conic, coefficients, norm)
+
+
+def _from_fringe(row: Row, coefficients: tuple[float, ...]) -> tuple[float, ...]:
+    """Return Noll coefficients for up to 37 Fringe ones."""
+    if len(coefficients) > _FRINGE_TERMS + 1:
+        fail(row.line, f"{row.label} has {len(coefficients)} Fringe terms, at most 37 are supported")
+    noll = convert_coefficients(np.array(coefficients[:_FRINGE_TERMS]), "fringe", "noll")
+    if any(coefficients[_FRINGE_TERMS:]):
+        place, crest = _LAST_FRINGE
+        noll = np.pad(noll, (0, place - len(noll)))
+        noll[-1] = coefficients[_FRINGE_TERMS] / crest
+    return tuple(float(value) for value in noll)
 
 
 def _extra_data(row: Row, scale: float) -> tuple[tuple[float, ...], float]:
@@ -183,16 +103,9 @@ def _extra_data(row: Row, scale: float) -> tuple[tuple[float, ...], float]:
     return tuple(data.get(3 + k, 0.0) * scale for k in range(int(count))), norm * scale
 
 
-def _require_no_numbers(row: Row, keyword: str, numbers: dict[int, float]) -> None:
-    for index, value in numbers.items():
-        if value:
-            line = next(line for line in row.lines[keyword] if as_integer(line, 0) == index)
-            fail(line, f"{row.label}: parameter {index} of the type {row.type} must be 0, it is {value:g}")
-
-
 def opening(row: Row, scale: float) -> Opening | None:
     """Return the aperture of a surface in mm."""
-    given = [line for keyword in _OPENINGS for line in row.lines.get(keyword, [])]
+    given = [line for keyword in OPENINGS for line in row.lines.get(keyword, [])]
     if not given:
         return None
     if len(given) > 1:
