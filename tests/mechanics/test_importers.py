@@ -96,21 +96,6 @@ def test_matrix_market(folder, symmetry, storage):
     assert imported.notes == ()
 
 
-def test_half_of_a_general_matrix_is_mirrored_and_noted(folder):
-    scipy.io.mmwrite(
-        folder / "truss_K.mtx", scipy.sparse.coo_array(np.triu(K)), symmetry="general", precision=17
-    )
-    scipy.io.mmwrite(
-        folder / "mass.mtx", scipy.sparse.coo_array(np.tril(M)), symmetry="general", precision=17
-    )
-    imported = import_model(folder / "truss_K.mtx", mass=folder / "mass.mtx", **files(folder), **CHOICE)
-    check(imported.model)
-    assert imported.notes == (
-        "truss_K.mtx holds the upper triangle only; the other one is its mirror image",
-        "mass.mtx holds the lower triangle only; the other one is its mirror image",
-    )
-
-
 OUTPUT4 = sorted(path.name for path in DATA.glob("truss_*.op4"))
 
 
@@ -204,9 +189,9 @@ def test_ansys_example_file():
 
     contents = read_matrices(Path(reader.__file__).parent / "examples" / "file.full")
     notes = []
-    stiffness, mass = (assemble(part, contents.dofs, notes) for part in contents.matrices.values())
+    stiffness, mass = (assemble(part, contents.dofs) for part in contents.matrices.values())
     # The example has 321 nodes, 21 of them clamped; the rest moves.
-    assert len(free_dofs(stiffness, mass, contents.dofs, notes)) == 900
+    assert len(free_dofs(stiffness, mass, contents.dofs, notes, drop=contents.keeps_fixed)) == 900
 
 
 def test_calculix_plate_is_found_beside_its_stiffness():

@@ -121,6 +121,7 @@ def test_what_the_import_did_is_kept_with_the_model(tmp_path):
     keys = {
         "file": "held.npz",
         "units": "m,kg,s,N",
+        "zero_rows": "drop",
         "interfaces": [int(node) + 1 for node in mirror.interfaces],
         "surface": [int(node) + 1 for node in mirror.surface_nodes],
     }

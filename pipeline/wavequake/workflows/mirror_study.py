@@ -7,7 +7,8 @@ from pydantic import Field, field_validator, model_validator
 
 from wavequake.errors import UserError
 from wavequake.mechanics.excitations import AnyExcitation
-from wavequake.mechanics.importers.model import ImportedModel, Nodes
+from wavequake.mechanics.importers.checks import Triangle
+from wavequake.mechanics.importers.model import TRIANGLE, ZERO_ROWS, ImportedModel, Nodes
 from wavequake.reduction.names import parse
 from wavequake.workflows.model_store import keep_imported
 from wavequake.workflows.schema import CampaignSection, Section, StoreSection, Study, text_of
@@ -51,13 +52,17 @@ class ModelSection(Section):
     units: str | None = Field(default=None, description="of a file, e.g. 'm,kg,s,N'")
     interfaces: str | Nodes | None = Field(default=None, description="of a file: node set or node numbers")
     surface: str | Nodes | None = Field(default=None, description="of a file: nodes of the optical surface")
+    triangle: Triangle | None = Field(default=None, exclude=True, description=f"of a file: {TRIANGLE}")
+    zero_rows: Literal["drop"] | None = Field(
+        default=None, exclude=True, description=f"of a file: {ZERO_ROWS}"
+    )
     content: str | None = Field(
         default=None, description="SHA-256 of the imported model; filled in when the study is loaded"
     )
 
     @model_validator(mode="after")
     def _a_file_says_what_it_is(self) -> "ModelSection":
-        keys = ("units", "interfaces", "surface")
+        keys = ("mass", "dofs", "mesh", "units", "interfaces", "surface", "triangle", "zero_rows")
         given = [key for key in keys if getattr(self, key) is not None]
         if self.content is None and given:
             raise ValueError(f"{given[0]} belongs to a model file; give file, too")
@@ -233,7 +238,9 @@ class AnyMirrorStudy(Study):
             if isinstance(entry, dict) and isinstance(entry.get("file"), str):
                 entry["file_csv"] = text_of(base / entry["file"], f"excitation.{entry.get('name')}.file")
         model = record.get("model")
-        if isinstance(model, dict) and isinstance(model.get("file"), str):
+        if not isinstance(model, dict) or model.keys() - ModelSection.model_fields.keys():
+            return  # a misspelled key is said before what would be wrong without it
+        if isinstance(model.get("file"), str):
             keys = {key: value for key, value in model.items() if key in ImportedModel.model_fields}
             model["content"] = keep_imported(keys, base)
             model.pop("shapes", None)

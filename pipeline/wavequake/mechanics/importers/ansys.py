@@ -37,4 +37,4 @@ def read_matrices(path: Path) -> Contents:
         matrices[name] = Entries(source, rows, columns, values, matrix.shape[0], True)
     # Its directions count from 0, ours from 1.
     table = np.asarray(dofs, dtype=np.int64) + np.array([0, 1])
-    return Contents(matrices, dofs=table)
+    return Contents(matrices, dofs=table, keeps_fixed=True)

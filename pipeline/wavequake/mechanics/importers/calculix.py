@@ -30,7 +30,8 @@ def read_matrix(path: Path) -> Contents:
             f"{path.name} ends with row {tail[0]:.0f}, column {tail[1]:.0f}, not on the diagonal: "
             "the file is cut off, write it again"
         )
-    return Contents({"": Entries(path.name, rows, columns, values, int(tail[0]), True)})
+    entries = Entries(path.name, rows, columns, values, int(tail[0]), True)
+    return Contents({"": entries}, keeps_fixed=True)
 
 
 def read_dofs(path: Path) -> Integers:

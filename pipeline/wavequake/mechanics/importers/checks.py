@@ -1,14 +1,18 @@
 """Checks that every imported model passes: complete, symmetric, free and with a mass everywhere."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from wavequake.errors import UserError
-from wavequake.mechanics.importers.entries import DIRECTIONS, Array, Entries, Integers
+from wavequake.mechanics.importers.entries import DIRECTIONS, Entries, Integers
+
+Triangle = Literal["upper", "lower"]
 
 ASYMMETRY = 1e-8
 """Largest difference of symmetric entries, over the largest entry, that still counts as round-off."""
@@ -20,7 +24,7 @@ SINGULAR = 1e-10
 """Smallest pivot of the mass matrix scaled to a unit diagonal."""
 
 
-def assemble(entries: Entries, dofs: Integers, notes: list[str]) -> csc_array:
+def assemble(entries: Entries, dofs: Integers, declared: Triangle | None = None) -> csc_array:
     """Return the full symmetric matrix of a file's entries, in the order of `dofs`.
 
     Parameters
@@ -28,14 +32,14 @@ def assemble(entries: Entries, dofs: Integers, notes: list[str]) -> csc_array:
     entries : Entries
     dofs : ndarray of int, shape (n, 2)
         Node number and direction of each row.
-    notes : list of str
-        Receives what was done that the user may want to know.
+    declared : {"upper", "lower"}, optional
+        The triangle that stands for the matrix where its format does not say so.
 
     Raises
     ------
     UserError
-        For a value that is not finite, an entry outside the matrix or given twice, a wrong size, or a matrix
-        that is not symmetric; all say where.
+        For a value that is not finite, an entry outside the matrix or given twice, a wrong size, a triangle
+        that nobody declared, or a matrix that is not symmetric; all say where.
     """
     _finite(entries)
     rows, columns = _positions(entries, dofs)
@@ -49,15 +53,22 @@ def assemble(entries: Entries, dofs: Integers, notes: list[str]) -> csc_array:
     if not (upper or lower):
         return matrix
     if upper != lower:
-        if not entries.one_triangle:
-            side = "upper" if upper else "lower"
-            notes.append(
-                f"{entries.source} holds the {side} triangle only; the other one is its mirror image"
-            )
+        _require_declared(entries, "upper" if upper else "lower", declared)
         return _mirrored(matrix)
     if entries.one_triangle and not _paired(rows, columns, size):
         return _mirrored(matrix)
     return _symmetric(matrix, entries.source, dofs)
+
+
+def _require_declared(entries: Entries, side: Triangle, declared: Triangle | None) -> None:
+    """Refuse a triangle that neither the format nor the user says to be one."""
+    if declared is None and not entries.one_triangle:
+        raise UserError(
+            f"{entries.source} holds the {side} triangle only, and its format does not say that it is "
+            f"symmetric; write the whole matrix, or say triangle = '{side}'"
+        )
+    if declared not in (None, side):
+        raise UserError(f"{entries.source} holds the {side} triangle, but triangle = '{declared}'")
 
 
 def _finite(entries: Entries) -> None:
@@ -138,21 +149,28 @@ def _symmetric(matrix: csc_array, source: str, dofs: Integers) -> csc_array:
     return csc_array((matrix + matrix.T) / 2)
 
 
-def free_dofs(stiffness: csc_array, mass: csc_array, dofs: Integers, notes: list[str]) -> Integers:
+def free_dofs(
+    stiffness: csc_array, mass: csc_array, dofs: Integers, notes: list[str], drop: bool
+) -> Integers:
     """Return the rows that are free displacements; fixed ones are left out with a note.
 
-    A row is fixed if both matrices are empty there or its stiffness is beyond physics (`FIXED`).
+    A row is fixed if both matrices are empty there or its stiffness is beyond physics (`FIXED`). Empty
+    displacements need `drop`; rotations of solid elements are always empty.
 
     Raises
     ------
     UserError
-        For rotations and other directions than displacements, a negative diagonal, a displacement with mass
-        and no stiffness, and where nothing is free.
+        For empty displacements, rotations and other directions, a negative diagonal, a displacement with
+        mass and no stiffness, and where nothing is free.
     """
-    diagonal = stiffness.diagonal()
     with_stiffness, with_mass = (abs(matrix).sum(axis=0) > 0.0 for matrix in (stiffness, mass))
-    fixed = ~(with_stiffness | with_mass) | (diagonal >= FIXED)
-    other = ~fixed & ((dofs[:, 1] < 1) | (dofs[:, 1] > 3))
+    empty, moves = ~(with_stiffness | with_mass), (dofs[:, 1] >= 1) & (dofs[:, 1] <= 3)
+    fixed = empty | (stiffness.diagonal() >= FIXED)
+    if fixed.all():
+        raise UserError("every degree of freedom is fixed or empty, so nothing can move")
+    if not drop:
+        _refuse_empty(empty & moves, dofs)
+    other = ~fixed & ~moves
     _refuse(
         other,
         dofs,
@@ -173,15 +191,31 @@ def free_dofs(stiffness: csc_array, mass: csc_array, dofs: Integers, notes: list
         dofs,
         lambda index: f"{describe(dofs, index)} has mass but no stiffness: it is attached to nothing",
     )
-    if fixed.all():
-        raise UserError("every degree of freedom is fixed or empty, so nothing can move")
-    if fixed.any():
-        shown = ", ".join(str(node) for node in np.unique(dofs[fixed, 0])[:5])
-        notes.append(f"{int(fixed.sum())} fixed degrees of freedom were left out (nodes {shown} ...)")
+    for left_out, what in ((fixed & moves, "fixed degrees of freedom"), (fixed & ~moves, "empty rotations")):
+        if left_out.any():
+            notes.append(f"{int(left_out.sum())} {what} were left out ({_nodes(left_out, dofs)})")
     return np.flatnonzero(~fixed)
 
 
-def _refuse(bad: Sequence[bool] | Array, dofs: Integers, sentence: Callable[[int], str]) -> None:
+def _refuse_empty(empty: NDArray[np.bool_], dofs: Integers) -> None:
+    _refuse(
+        empty,
+        dofs,
+        lambda index: (
+            f"{int(empty.sum())} degrees of freedom have empty rows in stiffness and mass, the first at "
+            f"{describe(dofs, index)} ({_nodes(empty, dofs)}); if they are fixed say zero_rows = 'drop', "
+            "otherwise their elements are missing"
+        ),
+    )
+
+
+def _nodes(chosen: NDArray[np.bool_], dofs: Integers) -> str:
+    """Return ``nodes 3, 8 ...``: the first few nodes of some rows of `dofs`."""
+    nodes = np.unique(dofs[chosen, 0])
+    return f"nodes {', '.join(map(str, nodes[:5]))}{' ...' if len(nodes) > 5 else ''}"
+
+
+def _refuse(bad: NDArray[np.bool_], dofs: Integers, sentence: Callable[[int], str]) -> None:
     if np.any(bad):
         raise UserError(sentence(int(np.argmax(bad))))
 

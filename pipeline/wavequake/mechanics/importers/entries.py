@@ -56,12 +56,15 @@ class Contents:
     dofs : ndarray of int, shape (n, 2), or None
         Number of the node and direction (1 to 6) of each degree of freedom.
     node_numbers, coordinates : ndarray, shapes (N,) and (N, 3), or None
+    keeps_fixed : bool
+        Degrees of freedom that the program holds fixed stay in its matrices, as empty rows.
     """
 
     matrices: Mapping[str, Entries] = field(default_factory=dict)
     dofs: Integers | None = None
     node_numbers: Integers | None = None
     coordinates: Array | None = None
+    keeps_fixed: bool = False
 
 
 def read_bytes(path: Path) -> bytes:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -12,7 +12,7 @@ from scipy.sparse import csc_array
 from wavequake.errors import UserError
 from wavequake.mechanics.importers import abaqus, ansys, arrays, calculix, matrix_market, nastran, op4
 from wavequake.mechanics.importers.areas import area_shares
-from wavequake.mechanics.importers.checks import assemble, check_mass, free_dofs
+from wavequake.mechanics.importers.checks import Triangle, assemble, check_mass, free_dofs
 from wavequake.mechanics.importers.entries import DIRECTIONS, Contents, Entries, Integers
 from wavequake.mechanics.importers.mesh import MeshFile, chosen_nodes, positions, read_mesh
 from wavequake.mechanics.importers.units import si_factors
@@ -29,6 +29,8 @@ READERS = {
     ".hdf5": arrays.read_hdf5,
 }
 MESHES = (".inp", ".msh", ".vtu", ".bdf", ".nas", ".fem", ".cdb", ".vtk", ".med")
+TRIANGLE = "'upper' or 'lower': half of the matrix is in the file, in a format that does not say so"
+ZERO_ROWS = "'drop': displacements whose rows are empty are fixed, and left out"
 NodeChoice = str | Sequence[int | str]
 Nodes = Annotated[tuple[int | str, ...], Field(strict=False)]  # a study file has lists
 
@@ -48,6 +50,8 @@ class ImportedModel(BaseModel):
     units: str = Field(description="length, mass, time, force, e.g. 'm,kg,s,N' or 'mm,t,s,N'")
     interfaces: str | Nodes = Field(description="node set, or node numbers")
     surface: str | Nodes = Field(description="node set, or node numbers, of the optical surface")
+    triangle: Triangle | None = Field(default=None, description=TRIANGLE)
+    zero_rows: Literal["drop"] | None = Field(default=None, description=ZERO_ROWS)
     damping_alpha: float = Field(default=0.0, ge=0, description="1/s, times the mass")
     damping_beta: float = Field(default=5e-6, ge=0, description="s, times the stiffness")
 
@@ -78,6 +82,8 @@ def load_model(section: ImportedModel, folder: Path) -> Imported:
         units=section.units,
         interfaces=section.interfaces,
         surface=section.surface,
+        triangle=section.triangle,
+        zero_rows=section.zero_rows,
         damping=RayleighDamping(section.damping_alpha, section.damping_beta),
     )
 
@@ -91,6 +97,8 @@ def import_model(
     mass: Path | str | None = None,
     dofs: Path | str | None = None,
     mesh: Path | str | None = None,
+    triangle: Triangle | None = None,
+    zero_rows: Literal["drop"] | None = None,
     damping: RayleighDamping | None = None,
 ) -> Imported:
     """Read matrices and mesh of a finite-element program into a model in SI units.
@@ -106,6 +114,12 @@ def import_model(
         Node sets and node numbers that carry forces, and that form the optical surface.
     mass, dofs, mesh : path, optional
         Where not beside `file` under its name.
+    triangle : {"upper", "lower"}, optional
+        What the file holds of a symmetric matrix, in a format that does not say so (``.npz``, HDF5, general
+        Matrix Market, square DMIG and OUTPUT4). A whole matrix is taken as it is.
+    zero_rows : "drop", optional
+        Displacements whose rows are empty in both matrices are fixed, and left out. CalculiX and Ansys need
+        not say so.
     damping : RayleighDamping, optional
         In SI units.
 
@@ -123,7 +137,8 @@ def import_model(
     mass, dofs, mesh = (None if path is None else Path(path) for path in (mass, dofs, mesh))
     contents = _read(file)
     notes: list[str] = []
-    K, M, table = _matrices(contents, file, (mass, dofs), notes)
+    drop = zero_rows == "drop" or contents.keeps_fixed
+    K, M, table = _matrices(contents, file, (mass, dofs), (triangle, drop), notes)
     grid = _mesh(contents, file, mesh)
     dof_node = positions(grid, table[:, 0], "degree of freedom")
     optical, mounts = chosen_nodes(grid, surface, "surface"), chosen_nodes(grid, interfaces, "interfaces")
@@ -146,13 +161,20 @@ def import_model(
 
 
 def _matrices(
-    contents: Contents, file: Path, others: tuple[Path | None, Path | None], notes: list[str]
+    contents: Contents,
+    file: Path,
+    others: tuple[Path | None, Path | None],
+    declared: tuple[Triangle | None, bool],
+    notes: list[str],
 ) -> tuple[csc_array, csc_array, Integers]:
-    """Return stiffness, mass and the free displacements; `others` are the files of mass and dofs."""
+    """Return stiffness, mass and the free displacements.
+
+    `others` are the files of mass and dofs; `declared` are the triangle and whether empty rows are dropped.
+    """
     stiffness, mass = _pair(contents, file, others[0])
     table = _dofs(contents, (stiffness, mass), file, others[1])
-    K, M = (assemble(entries, table, notes) for entries in (stiffness, mass))
-    free = free_dofs(K, M, table, notes)
+    K, M = (assemble(entries, table, declared[0]) for entries in (stiffness, mass))
+    free = free_dofs(K, M, table, notes, drop=declared[1])
     K, M, table = csc_array(K[free][:, free]), csc_array(M[free][:, free]), table[free]
     check_mass(M, table, mass.source)
     return K, M, table

@@ -39,15 +39,15 @@ def read_matrices(path: Path) -> Contents:
     return Contents(matrices)
 
 
-def _entries(source: str, size: int, runs: list[Run], values: Array) -> Entries:
-    """Spread runs of entries over rows and columns."""
+def _entries(source: str, shape: tuple[int, int], runs: list[Run], values: Array) -> Entries:
+    """Spread runs of entries over rows and columns; shape: columns and form."""
     table = np.array(runs, dtype=np.int64).reshape(-1, 3)
     columns, starts, counts = table.T
     if counts.sum() != len(values):
         raise ValueError(f"{source} announces {counts.sum()} entries and has {len(values)}")
     within = np.arange(len(values)) - np.repeat(np.cumsum(counts) - counts, counts)
     rows = np.repeat(starts, counts) + within
-    return Entries(source, rows, np.repeat(columns, counts), values, size, False)
+    return Entries(source, rows, np.repeat(columns, counts), values, shape[0], shape[1] == SYMMETRIC)
 
 
 def _check(name: str, rows: int, columns: int, kind: int, source: str) -> None:
@@ -63,14 +63,15 @@ def _text(data: bytes, source: str) -> dict[str, Entries]:
     at = 0
     while at < len(lines) and lines[at].strip():
         head = lines[at].decode()
-        columns, rows, _, kind = (int(head[k : k + 8]) for k in (0, 8, 16, 24))
+        columns, rows, form, kind = (int(head[k : k + 8]) for k in (0, 8, 16, 24))
         name = head[32:40].strip().upper()
         _check(name, rows, columns, kind, source)
-        form = re.search(r"(\d*)[ED](\d+)\.", head[40:].upper().replace("1P,", ""))
-        per_line, width = (int(form[1] or 1), int(form[2])) if form else (5, 16)
+        digits = re.search(r"(\d*)[ED](\d+)\.", head[40:].upper().replace("1P,", ""))
+        per_line, width = (int(digits[1] or 1), int(digits[2])) if digits else (5, 16)
         runs, texts, at = _text_columns(lines, at + 1, columns, (rows, kind, per_line))
         fields = np.frombuffer(b"".join(texts), dtype=f"S{width}")
-        matrices[name] = _entries(f"{name} of {source}", columns, runs, fixed_reals(fields, source))
+        values = fixed_reals(fields, source)
+        matrices[name] = _entries(f"{name} of {source}", (columns, form), runs, values)
     return matrices
 
 
@@ -120,14 +121,14 @@ def _binary(data: bytes, source: str) -> dict[str, Entries]:
     matrices: dict[str, Entries] = {}
     at = 0
     while at < len(words):
-        columns, rows, _, kind = words[at + 1 : at + 5].tolist()
+        columns, rows, form, kind = words[at + 1 : at + 5].tolist()
         name = data[4 * at + 20 : 4 * at + 28].decode("latin-1").strip().upper()
         _check(name, rows, columns, kind, source)
         runs, starts, at = _binary_columns(words, at + _HEADER // 4 + 2, columns, (rows, kind))
         sizes = kind * np.array([run[2] for run in runs], dtype=np.int64)
         places = np.repeat(np.array(starts, dtype=np.int64) - np.cumsum(sizes) + sizes, sizes)
-        values = raw[places + np.arange(len(places))].view(order + ("f4", "f8")[kind - 1])
-        matrices[name] = _entries(f"{name} of {source}", columns, runs, values.astype(np.float64))
+        values = raw[places + np.arange(len(places))].view(order + ("f4", "f8")[kind - 1]).astype(np.float64)
+        matrices[name] = _entries(f"{name} of {source}", (columns, form), runs, values)
     return matrices
 
 
