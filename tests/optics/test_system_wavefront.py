@@ -245,3 +245,24 @@ def test_too_few_rays_for_the_terms_name_the_keys_of_a_lens():
         UserError, match=r"8 rays do not determine 21 wavefront terms; raise optics\.rays, or"
     ):
         prepare_system(parabola(), x, y, weight, 21)
+
+
+@pytest.mark.parametrize(
+    ("changes", "weights", "match"),
+    [
+        (
+            {"primary_wavelength": 1},
+            1.0,
+            "primary wavelength of parabola is number 1, counted from 0; it has 1",
+        ),
+        ({"stop": 1}, 1.0, "stop of parabola is its image"),
+        ({"telecentric": True}, 1.0, "parabola is telecentric in the object space"),
+        ({}, 0.0, "weights of the rays"),
+        ({}, -1.0, "weights of the rays"),
+        ({}, np.nan, "weights of the rays"),
+    ],
+)
+def test_numbers_that_leave_no_wavefront_are_refused(changes, weights, match):
+    x, y, weight = quadrature(0.0, 4, 12)
+    with pytest.raises(UserError, match=match):
+        prepare_system(replace(parabola(), **changes), x, y, weights * weight, 4)

@@ -96,8 +96,21 @@ class OpticalSystem:
 
 
 def wavelength_of(system: OpticalSystem, wavelength: float | None = None) -> float:
-    """Return a wavelength in mm: the one that is given, or else the primary one of the system."""
-    return float(system.wavelengths[system.primary_wavelength]) if wavelength is None else wavelength
+    """Return a wavelength in mm: the one that is given, or else the primary one of the system.
+
+    Raises
+    ------
+    UserError
+        If the system has no such wavelength.
+    """
+    if wavelength is not None:
+        return wavelength
+    if not 0 <= system.primary_wavelength < len(system.wavelengths):
+        raise UserError(
+            f"the primary wavelength of {system.name} is number {system.primary_wavelength}, counted from 0; "
+            f"it has {len(system.wavelengths)}"
+        )
+    return float(system.wavelengths[system.primary_wavelength])
 
 
 def require_system(system: OpticalSystem) -> None:
@@ -115,17 +128,18 @@ def require_system(system: OpticalSystem) -> None:
         raise UserError(
             f"the stop of {name} is surface {system.stop}; it must be one of its surfaces 0 to {count - 1}"
         )
-    if not 0 <= system.primary_wavelength < len(system.wavelengths):
-        raise UserError(
-            f"the primary wavelength of {name} is number {system.primary_wavelength}; it has "
-            f"{len(system.wavelengths)}"
-        )
+    wavelength_of(system)
     if not (np.isfinite(system.wavelengths) & (np.asarray(system.wavelengths) > 0.0)).all():
         raise UserError(f"the wavelengths of {name} must be positive numbers in mm")
     if system.fields.ndim != 2 or system.fields.shape[1] != 2 or not np.isfinite(system.fields).all():
         raise UserError(f"the fields of {name} must be an array (fields, 2) of finite numbers")
     if np.isnan(system.object_distance):
         raise UserError(f"the object distance of {name} is not a number; a star's is infinite")
+    if np.isinf(system.object_distance) and system.telecentric:
+        raise UserError(
+            f"{name} is telecentric in the object space, where its object is at infinity; give the object a "
+            "finite distance"
+        )
     if np.isinf(system.object_distance) and not (np.abs(system.fields) < np.pi / 2.0).all():
         raise UserError(f"a field of {name} lies 90 degrees or more off the axis; its light does not come in")
     _require_pupil(system)

@@ -155,13 +155,20 @@ def prepare_system(
     Raises
     ------
     UserError
-        If the field does not exist, the rays do not determine the polynomials, the chief ray or a rim ray
-        does not arrive at the image, or the rays arrive there parallel to each other.
+        If the field does not exist, a weight is negative or their sum is not positive, the stop is the image,
+        the rays do not determine the polynomials, the chief ray or a rim ray does not arrive at the image, or
+        the rays arrive there parallel to each other.
     """
     if not 0 <= field < len(system.fields):
         raise UserError(
             f"the system {system.name} has {len(system.fields)} fields; there is no field {field}"
         )
+    if not (np.isfinite(weight).all() and (weight >= 0.0).all() and (weight.sum() > 0.0 or not len(weight))):
+        raise UserError(
+            "the weights of the rays must be finite, none of them negative and not all of them zero"
+        )
+    if system.stop == len(system.surfaces) - 1:
+        raise UserError(f"the stop of {system.name} is its image, which leaves no exit pupil; choose another")
     wavelength = wavelength_of(system, wavelength)
     sequence, first_order = pack(system, wavelength), paraxial(system, wavelength)
     point = system.fields[field]
