@@ -119,8 +119,6 @@ INLINE quadrants light(__global const scalar *pupil, __global const scalar *ampl
 
 #if TERMS
 #define PUPIL_SIZE (TERMS * TERMS)
-#define TABLES __global const scalar *chebyshev, __global const scalar *rim_phase, __global const int *rim, \
-               __global const scalar *rim_light
 #define PREPARE(row) \
     scalar phase[2][TERMS]; \
     row_phase(pupil, chebyshev, row, phase)
@@ -146,13 +144,18 @@ INLINE void add_rim(__global const scalar *rim_phase, __global const int *rim, _
 }
 #else
 #define PUPIL_SIZE ((FIELD + 1) * N * N)
-#define TABLES __global const scalar *ramp
 #define PREPARE(row)
 #define LIGHT(row, column) light(pupil, amplitude, ramp, row, column)
 #endif
 
 #if SHARED
-__kernel void fold(__global const scalar *pupil, __global const scalar *amplitude, TABLES,
+__kernel void fold(__global const scalar *pupil, __global const scalar *amplitude,
+#if TERMS
+                   __global const scalar *chebyshev, __global const scalar *rim_phase,
+                   __global const int *rim, __global const scalar *rim_light,
+#else
+                   __global const scalar *ramp,
+#endif
                    __global scalar *folded)
 {
     const int column = get_global_id(0), row = get_global_id(1);
@@ -177,9 +180,12 @@ __kernel void fold_rim(const int cells, __global const scalar *rim_phase, __glob
 #endif
 
 // Transform a folded row along x.
-__kernel void transform_rows(__global const scalar *pupil, __global const scalar *amplitude, TABLES,
+__kernel void transform_rows(__global const scalar *pupil, __global const scalar *amplitude,
 #if TERMS
-                             const int cells,
+                             __global const scalar *chebyshev, __global const scalar *rim_phase,
+                             __global const int *rim, __global const scalar *rim_light, const int cells,
+#else
+                             __global const scalar *ramp,
 #endif
                              __global const int *range, __global const scalar *along_x,
 #if SHARED

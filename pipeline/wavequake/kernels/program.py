@@ -14,6 +14,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from wavequake.files import folder
 from wavequake.kernels.devices import POCL, Device, opencl_handle
+from wavequake.kernels.pocl_source import for_pocl, has_wide_vectors
 
 # Rays in a work-group. One size for all launches, because PoCL compiles a kernel again for each new size.
 _GROUP_RAYS = {"cpu": 125, "gpu": 8}
@@ -137,6 +138,8 @@ def _kernel(device: Device, name: str, constants: tuple[tuple[str, int], ...], t
     # -w: a CPU without 512-bit vectors warns of each function that takes lanes, though all are inlined.
     options = ["-cl-std=CL1.2", "-w", *(f"-D{key}={value}" for key, value in constants)]
     text = source(f"{name}.cl") if text is None else text
+    if device.platform == POCL and device.kind == "cpu":
+        text = for_pocl(text, has_wide_vectors())
     with warnings.catch_warnings():  # compilers that have nothing to warn of say that all is well
         warnings.simplefilter("ignore", cl.CompilerWarning)
         try:

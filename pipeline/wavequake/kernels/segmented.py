@@ -143,5 +143,5 @@ def _lanes(device: Device) -> tuple[int, int]:
     """Return the instants of one vector, and the vectors of a work-item: on a CPU they are a whole tile."""
     if device.kind == "gpu":
         return 1, 1
-    lanes = max(4, min(TILE, 2 * vector_width(device, np.dtype(np.float64))))
+    lanes = max(4, min(TILE, 2 * vector_width(device, np.dtype(np.float64), long=True)))
     return lanes, TILE // lanes

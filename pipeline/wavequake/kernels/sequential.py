@@ -166,7 +166,11 @@ def _launch(
 
 def _lanes(device: Device) -> int:
     """Return the rays of one vector: on a CPU two registers of them, as its latencies ask for."""
-    return 1 if device.kind == "gpu" else max(4, min(16, 2 * vector_width(device, np.dtype(np.float64))))
+    return (
+        1
+        if device.kind == "gpu"
+        else max(4, min(16, 2 * vector_width(device, np.dtype(np.float64), long=True)))
+    )
 
 
 def _once(values: Array) -> tuple[Array, bool]:

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from wavequake.kernels.devices import Device, opencl_handle
+from wavequake.kernels.devices import POCL, Device, opencl_handle
+from wavequake.kernels.pocl_source import has_wide_vectors
 from wavequake.kernels.program import _LOCK, _fetch, _input, _kernel, _output, _queue
 
 # Scratch memory is kept for the next call: (device, name) to buffer.
@@ -68,15 +69,17 @@ def run_steps(
         queue.finish()
 
 
-def vector_width(device: Device, dtype: np.dtype[Any]) -> int:
+def vector_width(device: Device, dtype: np.dtype[Any], long: bool = False) -> int:
     """Return how many real numbers the device calculates with at once: on a GPU 1.
 
-    AMD's processors to Zen 4 calculate with 256 bits at a time, and the compilers of PoCL know no more.
+    AMD's processors to Zen 4 calculate with 256 bits at a time; `long` kernels, which run out of registers,
+    gain by 512 where there are such.
     """
     if device.kind == "gpu":
         return 1
     own = int(opencl_handle(device).native_vector_width_double) * (8 // dtype.itemsize)
-    return max(1, min(own, 32 // dtype.itemsize) if "AMD" in device.name else own)
+    wide = long and device.platform == POCL and has_wide_vectors()
+    return max(1, min(own, 32 // dtype.itemsize) if "AMD" in device.name and not wide else own)
 
 
 def _scratch(queue: Any, device: Device, name: str, size: int) -> Any:

@@ -54,7 +54,7 @@ def strehl_ratios(phase: Real, weight: Real, device: Device = NUMPY) -> Real:
             field = (waves[:, None, :] @ share[:, None])[:, 0, 0]  # bits do not depend on the batch
             ratios[first : first + _BATCH] = field.real**2 + field.imag**2
         return ratios
-    width = vector_width(device, np.dtype(np.float64))
+    width = vector_width(device, np.dtype(np.float64), long=True)
     while width > weight.size:
         width //= 2
     # The last group of lanes ends with the last patch: what is in the group before it has no weight again.
