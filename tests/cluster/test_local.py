@@ -73,8 +73,16 @@ def test_interrupts_wait_until_they_may_come():
     other_threads_take_signals_too.join()
 
 
-def test_importing_wavequake_is_quick_because_dask_stays_out():
-    code = "import sys, wavequake, wavequake.workflows.engine; sys.exit('dask' in sys.modules)"
+@pytest.mark.parametrize(
+    ("module", "absent"),
+    [
+        ("engine", ["dask"]),
+        # SciPy loads these when they are first used, which few studies do; each takes half a second.
+        ("campaign", ["dask", "matplotlib", "scipy.signal", "scipy.stats"]),
+    ],
+)
+def test_importing_wavequake_is_quick_because_much_stays_out(module, absent):
+    code = f"import sys, wavequake.workflows.{module}; sys.exit(any(n in sys.modules for n in {absent}))"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     assert subprocess.run([sys.executable, "-c", code], env=environment, check=False).returncode == 0
 
@@ -82,3 +90,20 @@ def test_importing_wavequake_is_quick_because_dask_stays_out():
 def test_two_campaigns_run_at_the_same_time():
     with local_cluster(1) as one, local_cluster(1) as other:
         assert one.submit(abs, -1).result() == other.submit(abs, -1).result() == 1
+
+
+def until(condition, seconds=10.0):
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.1)
+    return condition()
+
+
+def pause_between_reports(dask_worker):
+    return dask_worker.periodic_callbacks["heartbeat"].callback_time / 1e3
+
+
+def test_workers_take_their_time_between_reports():
+    with local_cluster(1) as client:
+        assert until(lambda: min(client.run(pause_between_reports).values()) >= 5.0)
+        assert client.cluster.scheduler.extensions["amm"].running is False

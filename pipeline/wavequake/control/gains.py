@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 from scipy.linalg import solve_continuous_are, solve_discrete_are
-from scipy.signal import place_poles
 
 from wavequake.control.linear import Array, LinearModel
 from wavequake.control.modes import check_controllable, check_observable, check_stable, modes
@@ -118,7 +118,7 @@ def _placed(a: Array, b: Array, poles: Sequence[complex]) -> Array:
     if len(wanted) != len(a):
         raise UserError(f"{len(wanted)} poles are given; a model of {len(a)} states needs as many.")
     try:
-        gain: Array = place_poles(a, b, wanted).gain_matrix
+        gain: Array = scipy.signal.place_poles(a, b, wanted).gain_matrix
     except ValueError as error:
         raise UserError(f"The poles cannot be placed: {str(error).rstrip('.')}.") from None
     return gain

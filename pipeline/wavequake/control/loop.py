@@ -4,7 +4,7 @@ The stage carries lens 5 alone and does not shake the chain, which swings the sa
 """
 
 import numpy as np
-from scipy.signal import lfilter, ss2tf
+import scipy
 
 from wavequake.control.bench import COMPENSATOR, SENSITIVITIES
 from wavequake.control.hammer import HAMMER, Hammer, equivalent_force
@@ -51,14 +51,15 @@ def stage_motion(
     delay = compute_delay + stage.delay
     every, late, kept = (_multiple(value) for value in (sample_time, delay, step))
     model = zero_order_hold(stage_model(stage), FINE_STEP)
-    up, down = ss2tf(model.a, model.b, model.c, model.d)
+    up, down = scipy.signal.ss2tf(model.a, model.b, model.c, model.d)
     held = np.repeat(quantized_command(commands), every, axis=-1)
     shape = (*held.shape[:-1], late)
     shifted = np.concatenate([np.zeros(shape), held], axis=-1)
     missing = (count - 1) * kept + 1 - shifted.shape[-1]
     if missing > 0:
         shifted = np.concatenate([shifted, np.repeat(shifted[..., -1:], missing, axis=-1)], axis=-1)
-    return np.asarray(lfilter(up[0], down, shifted, axis=-1)[..., : (count - 1) * kept + 1 : kept])
+    moved = scipy.signal.lfilter(up[0], down, shifted, axis=-1)
+    return np.asarray(moved[..., : (count - 1) * kept + 1 : kept])
 
 
 def _multiple(value: float) -> int:

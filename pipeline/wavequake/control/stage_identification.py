@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.signal import butter, lfilter, sosfiltfilt, ss2tf
 
 from wavequake.control.linear import Array, linear_model, zero_order_hold
 from wavequake.control.stage import Stage
@@ -34,8 +34,8 @@ def smoothed(signal: Array, step: float, cutoff_hz: float = 100.0, order: int = 
         raise UserError(
             f"The cutoff {cutoff_hz:g} Hz must lie below half the sampling rate, {0.5 / step:g} Hz."
         )
-    sections = butter(order, cutoff_hz, fs=1 / step, output="sos")
-    return np.asarray(sosfiltfilt(sections, signal))
+    sections = scipy.signal.butter(order, cutoff_hz, fs=1 / step, output="sos")
+    return np.asarray(scipy.signal.sosfiltfilt(sections, signal))
 
 
 def identify_stage(
@@ -109,10 +109,10 @@ def _states(down: Array, step: float) -> Filters:
     model = zero_order_hold(
         linear_model(a, np.eye(order, 1), np.vstack([a[0], np.eye(order)]), np.eye(order + 1, 1)), step
     )
-    up, bottom = ss2tf(model.a, model.b, model.c, model.d)
+    up, bottom = scipy.signal.ss2tf(model.a, model.b, model.c, model.d)
 
     def derivatives(signal: Array) -> Array:
-        return np.asarray([lfilter(row, bottom, signal) for row in up[::-1]])
+        return np.asarray([scipy.signal.lfilter(row, bottom, signal) for row in up[::-1]])
 
     return derivatives
 

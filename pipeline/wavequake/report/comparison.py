@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import scipy
 import xarray as xr
 from matplotlib import rc_context
 from matplotlib.figure import Figure
@@ -18,7 +19,6 @@ from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
-from scipy.stats import t as student
 
 from wavequake.errors import UserError
 from wavequake.report.figures import STYLE
@@ -97,7 +97,7 @@ class Difference:
         if excess.size < 2:
             return float("nan")
         error = excess.std(ddof=1) * np.sqrt(excess.size) / self.cases
-        return float(student.ppf(0.5 + CONFIDENCE / 2, excess.size - 1) * error)
+        return float(scipy.stats.t.ppf(0.5 + CONFIDENCE / 2, excess.size - 1) * error)
 
 
 def compare(one_set: xr.Dataset, other_set: xr.Dataset, first: str, second: str) -> list[Difference]:

@@ -3,9 +3,9 @@
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.signal import fftconvolve
 
 from wavequake.errors import UserError
 from wavequake.imaging import objects
@@ -113,7 +113,8 @@ def object_image(
     picture = object_picture(section, pixels, sampling)
     first = pixels // 2
     spread = pixel_means(spread, sampling, sampling)  # what is lit is a square, not a point
-    return np.asarray(fftconvolve(picture, spread)[first : first + pixels, first : first + pixels])
+    whole = scipy.signal.fftconvolve(picture, spread)
+    return np.asarray(whole[first : first + pixels, first : first + pixels])
 
 
 def object_variable(shown: ObjectSection, dim: str, count: int, pixels: int) -> dict[str, Variable]:

@@ -11,9 +11,9 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
-from scipy.stats import qmc
 
 from wavequake.errors import UserError
 from wavequake.mechanics.motion import generator
@@ -187,9 +187,10 @@ def plan_of(
     if campaign.sampling == "latin-hypercube":
         points = campaign.cases // sum(shares) * max(shares) // campaign.replicates
     plan = Plan(campaign.sampling, seed, campaign.replicates, points, sizes)
-    if plan.method == "sobol" and plan.dimensions > qmc.Sobol.MAXDIM:
+    if plan.method == "sobol" and plan.dimensions > scipy.stats.qmc.Sobol.MAXDIM:
+        most = scipy.stats.qmc.Sobol.MAXDIM
         raise UserError(
-            f"A case draws {plan.dimensions} numbers, and Sobol's sequence has {qmc.Sobol.MAXDIM} "
+            f"A case draws {plan.dimensions} numbers, and Sobol's sequence has {most} "
             'dimensions; take campaign.sampling = "latin-hypercube" or fewer disturbances.'
         )
     if points * plan.replicates * plan.dimensions > _MOST_NUMBERS:
@@ -204,7 +205,9 @@ class _Sobol:
     """A scrambled Sobol sequence that is read in any order."""
 
     def __init__(self, seed: int, replicate: int, dimensions: int) -> None:
-        self._engine = qmc.Sobol(dimensions, scramble=True, rng=generator(seed, _STREAM, replicate))
+        self._engine = scipy.stats.qmc.Sobol(
+            dimensions, scramble=True, rng=generator(seed, _STREAM, replicate)
+        )
 
     def at(self, index: int) -> Array:
         """Return the point (dimensions,) of an index: in the middle of its cell of 2^-30."""
@@ -222,6 +225,6 @@ def _sobol(seed: int, replicate: int, dimensions: int) -> _Sobol:
 
 @lru_cache(maxsize=32)
 def _hypercube(seed: int, replicate: int, dimensions: int, points: int) -> Array:
-    engine = qmc.LatinHypercube(dimensions, rng=generator(seed, _STREAM, replicate))
+    engine = scipy.stats.qmc.LatinHypercube(dimensions, rng=generator(seed, _STREAM, replicate))
     drawn: Array = engine.random(points)
     return drawn

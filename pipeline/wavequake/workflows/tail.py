@@ -9,10 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize
 from scipy.special import betaincinv, boxcox
-from scipy.stats import chi2
 
 from wavequake.errors import UserError
 from wavequake.workflows.quantiles import CONFIDENCE, Quantile, quantile
@@ -190,7 +190,7 @@ def _lack(tail: Tail, excess: float, log_probability: float) -> float:
     shape = next(possible, None)
     found = -np.inf if shape is None else _largest(constrained, [shape, log_rate])[1]
     freedom = 2 if tail.shape < _IRREGULAR else 1  # then twice the lack is less regular: a wider bound
-    return best - found - float(chi2.ppf(CONFIDENCE, freedom)) / 2.0
+    return best - found - float(scipy.stats.chi2.ppf(CONFIDENCE, freedom)) / 2.0
 
 
 def _largest(
