@@ -5,9 +5,12 @@ import pytest
 
 import wavequake as wq
 from wavequake.errors import UserError
+from wavequake.kernels.devices import NUMPY
+from wavequake.optics.system_kinematics import rest_states
+from wavequake.optics.system_wavefront import measure_system
 from wavequake.workflows.contract import DONE, RAISED
 from wavequake.workflows.study import load_study
-from wavequake.workflows.system_bench import system_bench
+from wavequake.workflows.system_bench import failure, system_bench
 from wavequake.workflows.system_disturbance import case_table, check, compute, describe, draw, template
 
 # A parabola of 1 m focal length and 50 mm radius: f/10, so that slopes are small.
@@ -222,6 +225,16 @@ def test_a_case_without_light_is_quarantined_with_the_reason(tmp_path):
     assert np.isnan(result.arrays["wfe_rms"][0]).all()
 
 
+def test_a_lost_chief_ray_names_the_surface_and_what_happens_there(tmp_path):
+    """A ball 100 m beside its place; light would follow the mirror, which is the stop."""
+    ball = 'stop = true\n[[system.surface]]\nname = "ball"\ndistance_mm = 500.0\nradius_mm = 500.0'
+    bench = system_bench(study_of(tmp_path, STUDY.replace("stop = true", ball)).identity_text())
+    prepared, states = bench.prepared[0][0], rest_states(bench.system, 2)
+    states.surface_motion[1, 1, 0] = 1e5
+    found = failure(prepared, measure_system(prepared, states, NUMPY), states)
+    assert found == (1, "the chief ray of field (0, 0) deg at 500 nm is lost at ball, it misses that surface")
+
+
 def test_the_radius_of_a_figure_without_an_edge_is_that_of_the_beam(tmp_path):
     open_ = STUDY.replace("semi_diameter_mm = 55.0\n", "")
     bench = system_bench(study_of(tmp_path, open_).identity_text())
@@ -242,7 +255,7 @@ def test_the_radius_of_a_figure_without_an_edge_is_that_of_the_beam(tmp_path):
             "stop = true",
             'stop = true\n[[system.surface]]\nname = "ball"\ndistance_mm = 500.0\nradius_mm = 20.0\n'
             "glass = 1.5",
-            "lost at the surface ball",
+            "lost at ball, it misses that surface",
         ),
         (
             "stop = true",

@@ -30,11 +30,12 @@ _STEPS = 30
 _HALVINGS = 10
 _DIFFERENCE = 1e-4  # step of the differences, as a share of the beam's radius
 _TELECENTRIC = 100.0  # an entrance pupil that many object distances away makes chief rays parallel
-_WHY = {
+LOSSES = {
     MISS: "it misses that surface",
     TOTAL_REFLECTION: "it is totally reflected there",
     DIVERGED: "that surface folds over",
 }
+"""What happens to a ray that ends at a surface, by its status."""
 
 
 @dataclass(frozen=True)
@@ -264,5 +265,5 @@ def _require_aimed(
         )
     raise UserError(
         f"{count} of {system.name} cannot be aimed at the stop {stop}: the ray is lost at "
-        f"{system.surfaces[surface].name}, {_WHY[status]}; make the pupil or the field smaller"
+        f"{system.surfaces[surface].name}, {LOSSES[status]}; make the pupil or the field smaller"
     )

@@ -128,6 +128,10 @@ def require_system(system: OpticalSystem) -> None:
         raise UserError(
             f"the stop of {name} is surface {system.stop}; it must be one of its surfaces 0 to {count - 1}"
         )
+    if 0 < system.stop == count - 1:
+        raise UserError(
+            f"the stop of {name} is its image, which leaves no exit pupil; choose another surface"
+        )
     wavelength_of(system)
     if not (np.isfinite(system.wavelengths) & (np.asarray(system.wavelengths) > 0.0)).all():
         raise UserError(f"the wavelengths of {name} must be positive numbers in mm")

@@ -21,7 +21,7 @@ from wavequake.optics.fits import MORE_RAYS, Fit, fit_instants, weighted_fit
 from wavequake.optics.packing import moving, pack
 from wavequake.optics.paraxial import paraxial
 from wavequake.optics.quality import peak_to_valley, spot
-from wavequake.optics.ray_aiming import pupil_rays
+from wavequake.optics.ray_aiming import LOSSES, pupil_rays
 from wavequake.optics.sphere_fit import sphere_basis_fit
 from wavequake.optics.stop_following import follow_stop, stays, steering
 from wavequake.optics.system import OpticalSystem, SystemStates, wavelength_of
@@ -155,9 +155,9 @@ def prepare_system(
     Raises
     ------
     UserError
-        If the field does not exist, a weight is negative or their sum is not positive, the stop is the image,
-        the rays do not determine the polynomials, the chief ray or a rim ray does not arrive at the image, or
-        the rays arrive there parallel to each other.
+        If the field does not exist, a weight is negative or their sum is not positive, the rays do not
+        determine the polynomials, the chief ray or a rim ray does not arrive at the image, or the rays arrive
+        there parallel to each other.
     """
     if not 0 <= field < len(system.fields):
         raise UserError(
@@ -167,8 +167,6 @@ def prepare_system(
         raise UserError(
             "the weights of the rays must be finite, none of them negative and not all of them zero"
         )
-    if system.stop == len(system.surfaces) - 1:
-        raise UserError(f"the stop of {system.name} is its image, which leaves no exit pupil; choose another")
     wavelength = wavelength_of(system, wavelength)
     sequence, first_order = pack(system, wavelength), paraxial(system, wavelength)
     point = system.fields[field]
@@ -262,8 +260,11 @@ def _arrive(system: OpticalSystem, sequence: Sequence, rays: Rays) -> TracedRays
     traced = trace_sequence(sequence, rays, moving(system, rest_states(system)), NUMPY, ignore_apertures=True)
     if (traced.status != OK).any():
         lost = int(np.argmax(traced.status[0] != OK))
-        name = system.surfaces[int(traced.surface[0, lost])].name
-        raise UserError(f"a ray from the rim of the pupil of {system.name} is lost at the surface {name}")
+        name, why = system.surfaces[int(traced.surface[0, lost])].name, LOSSES[int(traced.status[0, lost])]
+        raise UserError(
+            f"a ray from the rim of the pupil of {system.name} is lost at {name}, {why}; make the pupil or "
+            "the field smaller"
+        )
     return traced
 
 

@@ -16,6 +16,7 @@ from wavequake.kernels.sequential import trace_sequence
 from wavequake.mechanics.element_motion import ElementMotion, SurfaceDeformation, single_parts
 from wavequake.optics.bodies import Body, beam_radii, rigid_body, surface_index, with_bodies
 from wavequake.optics.pupils import sunflower
+from wavequake.optics.ray_aiming import LOSSES
 from wavequake.optics.shapes import ZernikeDeformation
 from wavequake.optics.system import OpticalSystem, SystemStates
 from wavequake.optics.system_file import build
@@ -222,8 +223,19 @@ def failure(
         return None
     instant = int(np.argmax(bad))
     if not np.isfinite(wavefront.chief[instant]).all():
-        return instant, f"the chief ray of {light_of(prepared)} is lost"
+        return instant, _lost_chief(prepared, states, instant)
     return instant, lost_light(prepared, states, instant)
+
+
+def _lost_chief(prepared: PreparedSystem, states: SystemStates, instant: int) -> str:
+    """Say where the chief ray is lost at an instant, and why."""
+    light = incoming_light(prepared, at_instant(states, instant))
+    traced = trace_sequence(prepared.sequence, prepared.chief, light, NUMPY, ignore_apertures=True)
+    why = LOSSES.get(int(traced.status[0, 0]))
+    if why is None:
+        return f"the chief ray of {light_of(prepared)} misses the reference sphere"
+    name = prepared.system.surfaces[int(traced.surface[0, 0])].name
+    return f"the chief ray of {light_of(prepared)} is lost at {name}, {why}"
 
 
 def lost_light(prepared: PreparedSystem, states: SystemStates, instant: int) -> str:
