@@ -46,20 +46,16 @@ def everything():
     return run(Errors(blow=0.01), 40e-6, range(3))
 
 
-def test_levels_of_the_reference_come_out_similar(everything):
-    """Störkle 2018, Fig. 5.33: FF 30 % and 30 %, FI 54 % and 17 %, FF+FI a factor of almost 4."""
+def test_orderings_are_those_of_the_reference(everything):
+    """Störkle 2018, Fig. 5.33: FF is better at once, FI later; both in a row are better than either.
+
+    For the levels see test_baseline.py.
+    """
     ranges, deviations = (
         dict(zip(CONTROLLERS, np.median(v, axis=0), strict=True)) for v in residuals(everything)
     )
-    assert 26 < ranges["FF"] < 36
-    assert 22 < deviations["FF"] < 38
-    assert 50 < ranges["FI"] < 72
-    assert 15 < deviations["FI"] < 32
-    assert 8 < ranges["FF+FI"] < 25
-    assert 10 < deviations["FF+FI"] < 28
-    # FF is better at once, FI later (Section 5.4.2).
-    assert ranges["FF"] < ranges["FI"]
-    assert deviations["FI"] < deviations["FF"]
+    assert ranges["FF+FI"] < ranges["FF"] < ranges["FI"] < 100
+    assert max(deviations["FI"], deviations["FF+FI"]) < deviations["FF"] < 100
     assert ranges["uncontrolled"] == deviations["uncontrolled"] == 100.0
 
 
