@@ -1,9 +1,10 @@
 """What a campaign costs beside the bare computation of its cases, by role, and what a second worker gains.
 
-``python -m benchmarks.campaign [CHUNKS_PER_PROCESS [ROUNDS]]`` takes 2 to 3 minutes. Overhead is CPU time
+``python -m benchmarks.campaign [CHUNKS_PER_PROCESS [ROUNDS]]`` takes 3 to 4 minutes. Overhead is CPU time
 that each process counts itself; what Dask does by the clock (heartbeats) weighs more where other work slows
 down the kernels. The gain of a second worker is compared with that of a second process which does nothing but
-compute: two CPUs may be threads of one core. Both are measured in turn; medians.
+compute: two CPUs may be threads of one core. Campaigns and bare processes take turns, which of them is first
+changes from round to round, and what counts are medians over the rounds.
 """
 
 import multiprocessing
@@ -12,7 +13,9 @@ import tempfile
 import threading
 import time
 from collections import defaultdict
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from statistics import median
@@ -29,10 +32,10 @@ from wavequake.workflows.engine import run_campaign
 from wavequake.workflows.journal import read_journal
 from wavequake.workflows.study import load_study
 
-STUDY = load_study("tmt-segments", {"campaign.cases": 1000})
+STUDY = load_study("tmt-segments", {"campaign.cases": 4000})
 TEXT, BARE = STUDY.identity_text(), WORKFLOWS[STUDY.study.workflow]
 CHUNK, DEVICE = chunk_of(STUDY), choose_device("auto").name
-WARM = 1  # chunks of each process that do not count: kernels and tables are built
+WARM = 1  # chunks of each worker that do not count: kernels and tables are built
 
 
 def compute(study: str, cases: NDArray[np.int64], device: str) -> ChunkResult:
@@ -54,92 +57,115 @@ def _main_thread_s() -> float:
 
 @dataclass(frozen=True)
 class Measured:
-    """Rate in cases/s, and CPU times in ms per chunk by role."""
+    """Rate in cases/s, CPU time in ms per chunk of all processes, and of that beside the kernels by role."""
 
     rate: float
-    roles: dict[str, float]
+    cpu: float
+    beside: dict[str, float] = field(default_factory=dict)
 
 
-def of_processes(starts: dict[int, list[float]]) -> float:
+def rate_of(starts: Iterable[Sequence[float]]) -> float:
     """Return the rate of processes, of which the times when each chunk began are known."""
-    return sum(CHUNK / median(np.diff(times[WARM:])) for times in starts.values())
+    return sum(CHUNK / median(np.diff(times)) for times in starts)
 
 
-def bare(processes: int, chunks: int) -> Measured:
+@contextmanager
+def bare_processes(most: int) -> Iterator[Callable[[int, int], Measured]]:
+    """Start processes that only compute; yield what lets some of them compute so many chunks each."""
     context = multiprocessing.get_context("spawn")
-    pipes = [context.Pipe() for _ in range(processes)]
+    pipes = [context.Pipe() for _ in range(most)]
     with worker_environment():
         for _, theirs in pipes:
-            context.Process(target=_loop, args=(theirs, chunks), daemon=True).start()
+            context.Process(target=_loop, args=(theirs,), daemon=True).start()
     for ours, _ in pipes:
         ours.recv()
-    for ours, _ in pipes:
-        ours.send("go")
-    return Measured(of_processes({index: ours.recv() for index, (ours, _) in enumerate(pipes)}), {})
+
+    def bare(processes: int, chunks: int) -> Measured:
+        for ours, _ in pipes[:processes]:
+            ours.send(chunks)
+        found = [ours.recv() for ours, _ in pipes[:processes]]
+        cpu = median(step for _, times in found for step in np.diff(times))
+        return Measured(rate_of(starts for starts, _ in found), 1e3 * cpu)
+
+    yield bare
 
 
-def _loop(connection: Connection, chunks: int) -> None:
+def _loop(connection: Connection) -> None:
     BARE.compute(TEXT, np.arange(CHUNK), DEVICE)
     connection.send("ready")
-    connection.recv()
-    starts = []
     with threadpool_limits(1):
-        for index in range(chunks):
-            starts.append(time.time())
-            BARE.compute(TEXT, np.arange(index * CHUNK, (index + 1) * CHUNK), DEVICE)
-    connection.send([*starts, time.time()])
+        while True:
+            starts, cpu = [], []
+            for index in range(connection.recv() + 1):
+                starts.append(time.time())
+                cpu.append(time.process_time())
+                BARE.compute(TEXT, np.arange(index * CHUNK, (index + 1) * CHUNK), DEVICE)
+            connection.send((starts, cpu))
 
 
 def campaign(workers: int, chunks: int) -> Measured:
+    """Run a campaign of so many chunks per worker, and those that do not count."""
     noted: list[tuple[float, float]] = []
     workflow = replace(BARE, compute=compute)
     with tempfile.TemporaryDirectory() as folder:
         store = Path(folder) / "store"
         run_campaign(
             *(workflow, TEXT, store),
-            **{"cases": workers * (chunks + WARM) * CHUNK, "chunk": CHUNK, "device": DEVICE},
+            **{"cases": workers * (WARM + chunks + 1) * CHUNK, "chunk": CHUNK, "device": DEVICE},
             **{"on": "local", "workers": workers},
             progress=lambda *_: noted.append((time.process_time(), time.thread_time())),
         )
         found = sorted(read_journal(store / "done").records.values(), key=lambda one: one.timings["clock"])
-    starts, cpu, alone = defaultdict(list), defaultdict(list), []
+    by_process: dict[int, list[Mapping[str, float]]] = defaultdict(list)
     for record in found:
-        starts[record.pid].append(record.timings["clock"])
-        cpu[record.pid].append(record.timings["cpu"])
-        alone.append(record.timings["bare"])
-    kernels = median(alone[workers * WARM :])
-    busy = median([step for times in cpu.values() for step in np.diff(times[WARM:])])
+        by_process[record.pid].append(record.timings)
+    counted = [chunks[WARM:] for chunks in by_process.values()]
+    busy = [step for some in counted for step in np.diff([one["cpu"] for one in some])]
+    kernels = [one["bare"] for some in counted for one in some[:-1]]
     # The first call is before anything is done, and others come when chunks are.
     driver, client = np.subtract(noted[-1], noted[workers]) / (len(noted) - 1 - workers)
-    roles = {
-        "kernels": kernels,
-        "workers beside": busy - kernels,
+    beside = {
+        "workers": median(np.subtract(busy, kernels)),
         "scheduler": driver - client,
         "client": client,
     }
-    return Measured(of_processes(starts), {name: 1e3 * value for name, value in roles.items()})
+    return Measured(
+        rate_of([one["clock"] for one in some] for some in counted),
+        1e3 * (median(busy) + driver),
+        {name: 1e3 * value for name, value in beside.items()},
+    )
 
 
-def main(chunks: int = 4, rounds: int = 2) -> None:
-    print(f"campaign: tmt-segments in chunks of {CHUNK} cases of 16 instants on {DEVICE}; medians")
-    gains = []
-    for _ in range(rounds):
-        found = {(f, n): f(n, chunks) for n in (1, 2) for f in (bare, campaign)}
-        for workers in (1, 2):
-            roles = found[campaign, workers].roles
-            beside = sum(roles.values()) - roles["kernels"]
-            parts = ", ".join(f"{name} {value:.1f}" for name, value in roles.items())
+def main(chunks: int = 3, rounds: int = 3) -> None:
+    """Print each round, and the medians over all of them."""
+    print(
+        f"campaign: tmt-segments of {STUDY.cases} cases of 16 instants, in chunks of {CHUNK} (the default), "
+        f"on {DEVICE}; {chunks} chunks per process and round"
+    )
+    overheads: dict[int, list[float]] = defaultdict(list)
+    ratios = []
+    with bare_processes(2) as bare:
+        for index in range(rounds):
+            ways = (bare, campaign) if index % 2 else (campaign, bare)
+            found = {(way.__name__, n): way(n, chunks) for n in (1, 2) for way in ways}
+            for workers in (1, 2):
+                alone, ours = found["bare", workers], found["campaign", workers]
+                overheads[workers].append(sum(ours.beside.values()) / alone.cpu)
+                parts = ", ".join(f"{name} {value:.1f}" for name, value in ours.beside.items())
+                print(
+                    f"  {workers} worker(s): bare {alone.cpu:.0f} ms CPU per chunk; beside it {parts}: "
+                    f"{overheads[workers][-1]:.2%} (all CPU time {ours.cpu / alone.cpu - 1:+.1%})"
+                )
+            gains = {way: found[way, 2].rate / found[way, 1].rate for way in ("bare", "campaign")}
+            ratios.append(gains["campaign"] / gains["bare"])
+            rates = ", ".join(f"{way} x{n} {one.rate:.1f}" for (way, n), one in sorted(found.items()))
             print(
-                f"  {workers} worker(s), ms CPU per chunk: {parts}; overhead {beside / roles['kernels']:.2%}"
+                f"  cases/s: {rates}; two against one: bare {gains['bare']:.2f}, campaign "
+                f"{gains['campaign']:.2f}, ratio {ratios[-1]:.3f}"
             )
-        speedups = {f: found[f, 2].rate / found[f, 1].rate for f in (bare, campaign)}
-        gains.append(speedups[campaign] / speedups[bare])
-        rates = ", ".join(f"{f.__name__} x{n} {one.rate:.1f}" for (f, n), one in found.items())
-        print(
-            f"  cases/s: {rates}; two against one: bare {speedups[bare]:.2f}, campaign "
-            f"{speedups[campaign]:.2f}, ratio {gains[-1]:.3f}"
-        )
-    print(f"  ratio of the gains of a second worker and a second process: {max(gains):.3f} at best")
+    for workers, values in overheads.items():
+        print(f"  overhead with {workers} worker(s): {median(values):.2%} (median of {rounds} rounds)")
+    print(f"  gain of a second worker over that of a second process: {median(ratios):.3f} (median)")
 
 
 if __name__ == "__main__":

@@ -33,19 +33,25 @@ WORKER_ENVIRONMENT = {**THREADS, "DASK_LOGGING__DISTRIBUTED": "critical"}
 # Would pin the one thread of every worker to the same CPU.
 UNSET = ("POCL_AFFINITY",)
 
-# A task takes seconds: slow clocks save idle CPU time. A worker holds no task but the one it runs, so that
-# its death is blamed on no other.
+# A task takes seconds: slow clocks save idle CPU time, and as no result stays in memory, nobody has to manage
+# it. A worker holds no task but the one it runs, so that its death is blamed on no other.
 SETTINGS: dict[str, Any] = {
     "distributed.scheduler.worker-saturation": 1.0,
     "distributed.scheduler.work-stealing": False,  # nothing waits at a worker
     "distributed.scheduler.allowed-failures": 1,
-    "distributed.admin.tick.interval": "500ms",
+    "distributed.scheduler.active-memory-manager.start": False,
+    "distributed.admin.tick.interval": "5s",
+    "distributed.admin.tick.cycle": "5s",
     "distributed.admin.tick.limit": "30s",
-    "distributed.admin.system-monitor.interval": "5s",
+    "distributed.admin.system-monitor.interval": "30s",
+    "distributed.client.scheduler-info-interval": "30s",
     "distributed.worker.profile.enabled": False,
     "distributed.worker.memory.monitor-interval": "1s",
     "distributed.nanny.pre-spawn-environ": {},
 }
+# Between two reports of a worker. Few workers report twice a second by default, which costs their scheduler
+# more than all tasks of a campaign; a death shows at once, by the connection.
+_HEARTBEAT_S = 5.0
 
 GUARDED = 'a script that starts processes must do so under `if __name__ == "__main__":`.'
 _GUARD = 'a script that runs campaigns must do so under `if __name__ == "__main__":` or with on="serial".'
@@ -95,7 +101,10 @@ def local_cluster(workers: int | None = None, dashboard: bool = False) -> Iterat
                         scheduler_kwargs={} if dashboard else {"dashboard_address": "127.0.0.1:0"},
                         memory_limit=memory_limit() // (workers or CPU_COUNT),
                         silence_logs=logging.CRITICAL,
+                        scheduler_sync_interval=_HEARTBEAT_S,
                     )
+                    if not dashboard:  # which shows what workers report
+                        _calm(cluster.scheduler)
                 except RuntimeError as error:
                     raise UserError(f"The worker processes do not start ({error}): {_GUARD}") from None
                 client = Client(cluster, set_as_default=False)
@@ -103,6 +112,22 @@ def local_cluster(workers: int | None = None, dashboard: bool = False) -> Iterat
         finally:
             if client is not None:
                 _stop(client, cluster)
+
+
+def _calm(scheduler: Any) -> None:
+    """Have workers report seldom, and the scheduler not look all the time whether it is idle.
+
+    It tells workers when to report next in its answer to each report.
+    """
+    answer = scheduler.handlers["heartbeat_worker"]
+
+    def slowly(**report: Any) -> dict[str, Any]:
+        return {**answer(**report), "heartbeat-interval": _HEARTBEAT_S}
+
+    scheduler.handlers["heartbeat_worker"] = slowly
+    for name in ("idle-timeout", "no-workers-timeout"):  # we set no such limits
+        if name in scheduler.periodic_callbacks:
+            scheduler.loop.add_callback(scheduler.periodic_callbacks[name].stop)
 
 
 def _stop(client: Any, cluster: Any) -> None:

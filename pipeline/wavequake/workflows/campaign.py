@@ -11,6 +11,7 @@ import numpy as np
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import choose_device
+from wavequake.workflows.chunk_size import default_chunk, stored_bytes
 from wavequake.workflows.contract import Workflow
 from wavequake.workflows.driver_lock import Shard, shard_of
 from wavequake.workflows.engine import CampaignSummary, run_campaign
@@ -36,10 +37,9 @@ Progress = Callable[[int, int, int], None]
 
 _PILOT_S = 0.05  # a pilot that is shorter says little: it is repeated with more cases
 _WHOLE_S = 5.0  # a pilot of a whole chunk may take that long
-# Engine and store take about 30 ms of CPU time per chunk, to be at most 2 % of it; but a chunk is what
-# a crash may cost, and the least that a worker takes on.
+# Engine and store shall take at most 2 % of a chunk; but a chunk is what a crash may cost, and the least that
+# a worker takes on.
 _CHUNK_S = (2.0, 10.0)
-_LEAST_CHUNK, _MOST_CHUNK = 20, 100
 
 WORKFLOWS: dict[str, Workflow] = {
     workflow.name: workflow
@@ -125,7 +125,9 @@ def chunk_of(study: Study, path: Path | None = None) -> int:
     """Return the number of cases per chunk: of the store at `path` if there is one, or of a new one."""
     if path is not None and (path / MANIFEST).exists():
         return read_manifest(path).chunk
-    return study.store.chunk_cases or min(max(_LEAST_CHUNK, -(-study.cases // 10)), _MOST_CHUNK)
+    if study.store.chunk_cases is not None:
+        return study.store.chunk_cases
+    return default_chunk(study.cases, workflow_of(study).template(study.identity_text()))
 
 
 def _run_until(
@@ -214,7 +216,7 @@ def plan(study: Study) -> dict[str, str]:
     cases, chunk = study.cases, chunk_of(study)
     workflow.check(text)
     template = workflow.template(text)
-    per_case = sum(int(np.prod(v.shape)) * np.dtype(v.dtype).itemsize for v in template.per_case.values())
+    per_case = stored_bytes(template)
     device = choose_device(study.campaign.device)
     whole = min(cases, chunk)
     pilot = min(whole, 8)

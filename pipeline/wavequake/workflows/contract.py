@@ -31,10 +31,14 @@ class Variable:
 
 @dataclass(frozen=True)
 class Template:
-    """What a store holds: arrays per case, and coordinates and arrays that do not depend on the case."""
+    """What a store holds: arrays per case, and coordinates and arrays that do not depend on the case.
+
+    ``working_bytes`` is the memory of each case while it is computed, where that is more than what is stored.
+    """
 
     per_case: Mapping[str, Variable]
     fixed: Mapping[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]] = field(default_factory=dict)
+    working_bytes: int = 0
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.workflows.bench import Bench, bench_of, in_basis
+from wavequake.workflows.chunk_size import stored_bytes
 from wavequake.workflows.contract import Template, Variable
 from wavequake.workflows.images import image_axis
 from wavequake.workflows.retention import STATISTICS, kept_variables
@@ -20,7 +21,11 @@ TRACED_ONLY = ("wfe_pv", "spot_rms", "strehl", "rayleigh", "vignetted", *IMAGED)
 def template(study_text: str) -> Template:
     """Return what a store of this study holds."""
     bench = bench_of(study_text)
-    return Template(kept_variables(bench.study.store, computed(study_text)), _fixed(bench))
+    found = Template(computed(study_text))
+    instants = max(population.instants for population in bench.study.disturbance)
+    motion = instants * len(bench.system.segments) * 6 * 8  # of all cases of a chunk at the same time
+    kept = kept_variables(bench.study.store, found.per_case)
+    return Template(kept, _fixed(bench), working_bytes=stored_bytes(found) + motion)
 
 
 @lru_cache(maxsize=2)

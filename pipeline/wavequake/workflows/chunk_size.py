@@ -1,0 +1,30 @@
+"""How many cases share a chunk: one task, one file of every array, and what a crash may cost a worker."""
+
+from math import prod
+
+import numpy as np
+
+from wavequake.workflows.contract import Template
+
+# Store and scheduler take some 20 ms of CPU time per chunk: the more cases share it the better. But workers
+# end together only where there are many more chunks than workers, and few cases want few.
+_SOME, _MANY, _MOST = 20, 100, 400
+_SOME_CHUNKS, _MANY_CHUNKS = 10, 40
+_BYTES = 2**28  # of a chunk while it is computed; a worker has a few copies of what is stored
+
+
+def default_chunk(cases: int, template: Template) -> int:
+    """Return the number of cases per chunk of a new store.
+
+    It is a tenth of the cases, from 20 to 100, or where that is more a fortieth, up to 400; fewer where a
+    chunk would take more than 256 MB.
+    """
+    tenth = min(max(_SOME, -(-cases // _SOME_CHUNKS)), _MANY)
+    fortieth = min(-(-cases // _MANY_CHUNKS), _MOST)
+    fitting = _BYTES // max(1, template.working_bytes, stored_bytes(template))
+    return max(1, min(max(tenth, fortieth), fitting))
+
+
+def stored_bytes(template: Template) -> int:
+    """Return the bytes that a store keeps of each case."""
+    return sum(prod(one.shape) * np.dtype(one.dtype).itemsize for one in template.per_case.values())
