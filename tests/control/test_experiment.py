@@ -24,7 +24,7 @@ from wavequake.errors import UserError
 DURATION = 4.0
 CAMERA = CameraError(np.array([-1e-2, 1e-2]), np.zeros(2), 20e-6)
 BENCH, STAGE = fitted_bench(), Stage()
-DESIGNS = design(BENCH, STAGE, Settings())
+ALL = Errors(blow=0.01, trigger=0.002)
 
 
 def plants(errors, seeds):
@@ -36,14 +36,15 @@ def plants(errors, seeds):
 
 def run(errors, strip, seeds):
     chain = SensorChain(strip_error=strip)
+    designs = design(BENCH, STAGE, Settings(trigger_late=errors.trigger / 2))
     return run_plants(
-        DESIGNS, plants(errors, seeds), chain, CAMERA, friction=errors.friction, duration=DURATION
+        designs, plants(errors, seeds), chain, CAMERA, friction=errors.friction, duration=DURATION
     )
 
 
 @pytest.fixture(scope="module")
 def everything():
-    return run(Errors(blow=0.01), 40e-6, range(3))
+    return run(ALL, 40e-6, range(3))
 
 
 def test_orderings_are_those_of_the_reference(everything):
@@ -92,7 +93,7 @@ def test_without_errors_only_converters_are_left():
 
 
 def test_bits_of_a_plant_do_not_depend_on_its_neighbors(everything):
-    alone = run(Errors(blow=0.01), 40e-6, [2])
+    alone = run(ALL, 40e-6, [2])
     for name in ("image", "command", "stage", "lens", "measured"):
         np.testing.assert_array_equal(getattr(alone, name)[0], getattr(everything, name)[2])
 
