@@ -46,7 +46,7 @@ from wavequake.imaging.segment_lattice import SegmentLattice, lattice_psf, segme
 from wavequake.imaging.segment_psf import psf, strehl_exact
 from wavequake.imaging.wavefront_phase import zernike_phase
 from wavequake.imaging.zernike_psf import zernike_imager, zernike_images, zernike_sum
-from wavequake.kernels.devices import choose_device
+from wavequake.kernels.devices import NUMPY, choose_device
 from wavequake.kernels.strehl import strehl_ratios
 from wavequake.kernels.tiles import TILE
 from wavequake.optics.segments import Segments, hexagon_ring_segments
@@ -221,9 +221,11 @@ def compare_lattice(console: Console) -> Table:
     grid, phase = (ROUND_PIXELS, SAMPLING, DIAMETER), phases(segments, 0.0)
     candidates: dict[str, Imager] = {}
     for dtype in (np.float64, np.float32):
-        lattice = segment_lattice(corners, centers, *grid, dtype)
-        assert lattice is not None
-        candidates[f"lattice, {dtype.__name__}"] = partial(lattice_images, lattice)
+        for device in (choose_device("cpu"), NUMPY):
+            lattice = segment_lattice(corners, centers, *grid, dtype, device)
+            assert lattice is not None
+            name = "NumPy lattice" if device is NUMPY else "lattice"
+            candidates[f"{name}, {dtype.__name__}"] = partial(lattice_images, lattice)
     candidates["basis, complex128"] = partial(psf, segment_basis(corners, centers, *grid, 1, np.complex128))
     for name, transform in peers(ROUND_PIXELS, console).items():
         candidates[f"{name} {PUPIL_POINTS}²"] = peer_imager(segments, False, transform)

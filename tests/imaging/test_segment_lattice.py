@@ -9,6 +9,7 @@ from wavequake.imaging.psf_engines import SegmentedPupil, point_spread, prepare_
 from wavequake.imaging.segment_basis import segment_basis
 from wavequake.imaging.segment_lattice import lattice_psf, segment_lattice
 from wavequake.imaging.segment_psf import psf
+from wavequake.kernels.devices import Device, list_devices
 from wavequake.optics.segments import hexagon_ring_segments
 from wavequake.optics.telescopes import telescope
 
@@ -29,14 +30,18 @@ PUPILS = {
     "a hexagon missing": (np.delete(CORNERS, 5, axis=0), np.delete(CENTERS, 5, axis=0)),
 }
 DIAMETER = 9000.0
+DEVICES = list_devices()
+DEVICES += [Device(device.name, "gpu", device.platform, 1) for device in DEVICES if device.kind == "cpu"]
 
 
+@pytest.mark.parametrize("device", DEVICES, ids=lambda device: device.kind)
 @pytest.mark.parametrize("pixels", [2, 16, 33])
 @pytest.mark.parametrize("name", PUPILS)
-def test_images_are_those_of_the_general_basis(name, pixels):
+def test_images_are_those_of_the_general_basis(name, pixels, device):
     corners, centers = PUPILS[name]
     piston = RNG.normal(0.0, 0.2, (19, len(centers)))
-    lattice = segment_lattice(corners, centers, pixels, 0.3, DIAMETER)
+    lattice = segment_lattice(corners, centers, pixels, 0.3, DIAMETER, device=device)
+    assert (lattice.kernel is None) == (device.kind != "cpu")
     found = lattice_psf(lattice, piston)
     basis = segment_basis(corners, centers, pixels, 0.3, DIAMETER, 1, np.complex128)
     assert np.abs(found.reshape(len(found), -1) - psf(basis, piston)).max() < 1e-12
@@ -53,14 +58,33 @@ def test_pixels_equal_a_direct_sum_over_polygons():
     assert np.abs(found.ravel() - np.abs(field / peak) ** 2).max() < 1e-13
 
 
-def test_single_precision():
+@pytest.mark.parametrize("device", DEVICES, ids=lambda device: device.kind)
+def test_single_precision(device):
     piston = RNG.normal(0.0, 0.2, (3, len(CENTERS)))
-    exact, single = (
-        lattice_psf(segment_lattice(CORNERS, CENTERS, 32, 0.25, DIAMETER, dtype), piston)
-        for dtype in (np.float64, np.float32)
-    )
+    exact = lattice_psf(segment_lattice(CORNERS, CENTERS, 32, 0.25, DIAMETER), piston)
+    single = lattice_psf(segment_lattice(CORNERS, CENTERS, 32, 0.25, DIAMETER, np.float32, device), piston)
     assert single.dtype == np.float32
     assert 1e-9 < np.abs(single - exact).max() < 2e-6
+
+
+@pytest.mark.parametrize("device", DEVICES, ids=lambda device: device.kind)
+def test_instants_do_not_depend_on_each_other(device):
+    lattice = segment_lattice(CORNERS, CENTERS, 16, 0.25, DIAMETER, device=device)
+    piston = RNG.normal(0.0, 0.2, (5, len(CENTERS)))
+    healthy = lattice_psf(lattice, piston)
+    assert np.array_equal(healthy, [lattice_psf(lattice, row[None])[0] for row in piston])
+    assert np.abs(lattice_psf(lattice, piston + 1e6) - healthy).max() < 1e-8  # whole waves are reduced first
+    piston[1, 0], piston[3, 4] = np.nan, np.inf
+    broken = lattice_psf(lattice, piston)
+    assert np.isnan(broken[[1, 3]]).all()
+    assert np.array_equal(broken[[0, 2, 4]], healthy[[0, 2, 4]])
+    assert lattice_psf(lattice, piston[:0]).shape == (0, 16, 16)
+
+
+def test_images_too_large_for_a_work_item_s_memory_are_left_to_numpy():
+    device = DEVICES[0]
+    lattice = segment_lattice(CORNERS, CENTERS, 16000, 0.001, DIAMETER, np.float32, device)
+    assert lattice.kernel is None
 
 
 def test_what_is_no_lattice_of_equals_is_left_to_others():

@@ -172,7 +172,7 @@ def prepare_psf(
     lattice = None
     if moments:
         assert isinstance(pupil, SegmentedPupil)
-        lattice = _lattice(pupil, pixels, sampling, moments)
+        lattice = _lattice(pupil, pixels, sampling, moments, device)
         seconds["segments"] = (
             _lattice_seconds(lattice)
             if lattice
@@ -320,16 +320,20 @@ def _segments_seconds(
     return fits + operations / _PRODUCTS["numpy"] + _MOMENT * columns * nodes**2 / instants
 
 
-def _lattice(pupil: SegmentedPupil, pixels: int, sampling: float, moments: int) -> SegmentLattice | None:
+def _lattice(
+    pupil: SegmentedPupil, pixels: int, sampling: float, moments: int, device: Device
+) -> SegmentLattice | None:
     """Return the lattice that equal segments with pistons alone stand on, if they do."""
     if moments > 1 or pupil.obstructions or pupil.figure_terms > 3 or pixels < 2:
         return None
-    return segment_lattice(pupil.corners, pupil.centers, pixels, sampling, pupil.diameter)
+    return segment_lattice(pupil.corners, pupil.centers, pixels, sampling, pupil.diameter, device=device)
 
 
 def _lattice_seconds(lattice: SegmentLattice) -> float:
     pixels, (columns, rows) = lattice.pixels, lattice.shape
     operations = 2.0 * pixels * columns * (rows + pixels)  # folded by parity
+    if lattice.kernel:
+        return 1e-8 * lattice.places.size + 6e-10 * pixels**2 + operations / _PRODUCTS["opencl"]
     return 5e-8 * lattice.places.size + 1e-8 * pixels**2 + operations / _PRODUCTS["numpy"]
 
 

@@ -3,7 +3,8 @@
 Where all segments have one shape, the field is the transform of that shape times the sum over segments of
 exp(2πi p_s) exp(-2πi f·x_s). On a lattice that sum is separable: first along y in every column, then along x.
 Rows and columns are folded about the middle of the lattice into even and odd parts, which are transformed by
-cosines and sines at half of the frequencies only: a quarter of the products, all of them real.
+cosines and sines at half of the frequencies only: a quarter of the products, all of them real. An OpenCL
+processor makes each image in one go (`wavequake.kernels.lattice`).
 """
 
 from dataclasses import dataclass
@@ -13,6 +14,8 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from wavequake.errors import UserError
 from wavequake.imaging.polygon_transform import polygon_areas, polygon_transform
+from wavequake.kernels.devices import NUMPY, Device
+from wavequake.kernels.lattice import LatticeKernel, lattice_images, lattice_kernel
 
 Real = NDArray[np.float64]
 Floating = NDArray[np.float32] | NDArray[np.float64]
@@ -41,6 +44,8 @@ class SegmentLattice:
         Cosines and sines of the columns' and rows' places at the K = pixels // 2 + 1 frequencies f >= 0.
     envelope : ndarray, shape (pixels, pixels)
         Irradiance of a segment relative to the peak of the whole pupil.
+    kernel : LatticeKernel, optional
+        The same for an OpenCL processor, which then makes the images.
     """
 
     pixels: int
@@ -49,6 +54,7 @@ class SegmentLattice:
     along_x: tuple[Floating, Floating]
     along_y: tuple[Floating, Floating]
     envelope: Floating
+    kernel: LatticeKernel | None = None
 
 
 def segment_lattice(
@@ -58,6 +64,7 @@ def segment_lattice(
     sampling: float,
     diameter: float,
     dtype: DTypeLike = np.float64,
+    device: Device = NUMPY,
 ) -> SegmentLattice | None:
     """Prepare the images of equal segments on a lattice; none if these are not.
 
@@ -77,6 +84,8 @@ def segment_lattice(
         Length in mm that defines the unit wavelength / diameter.
     dtype : float64 or float32
         Precision: errors are below 1e-12 or 2e-6 of the perfect peak.
+    device : Device
+        An OpenCL processor, unless the images are to be made by NumPy; a GPU leaves them to it.
 
     Raises
     ------
@@ -106,7 +115,8 @@ def segment_lattice(
     envelope = (field.real**2 + field.imag**2).astype(dtype)
     frequencies = np.asarray(np.arange(pixels // 2 + 1) * (sampling / diameter), dtype=np.float64)
     waves_x, waves_y = (_folded_waves(frequencies, along, dtype) for along in (along_x, along_y))
-    return SegmentLattice(pixels, shape, row * shape[0] + column, waves_x, waves_y, envelope)
+    kernel = lattice_kernel((column, row), (along_x, along_y), envelope, sampling / diameter, device)
+    return SegmentLattice(pixels, shape, row * shape[0] + column, waves_x, waves_y, envelope, kernel)
 
 
 def lattice_psf(lattice: SegmentLattice, piston_waves: ArrayLike) -> Floating:
@@ -126,6 +136,8 @@ def lattice_psf(lattice: SegmentLattice, piston_waves: ArrayLike) -> Floating:
     piston = np.asarray(piston_waves, dtype=np.float64)
     if piston.ndim != 2 or piston.shape[1] != lattice.places.size:
         raise ValueError(f"piston_waves has the shape {piston.shape}, not (batch, {lattice.places.size})")
+    if lattice.kernel:
+        return lattice_images(lattice.kernel, piston)
     images = np.empty((len(piston), lattice.pixels, lattice.pixels), dtype=lattice.envelope.dtype)
     workspace = _workspace(lattice)
     for first in range(0, len(piston), _TILE):  # products of constant shape: bits do not depend on the batch

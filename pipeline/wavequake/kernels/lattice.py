@@ -1,0 +1,118 @@
+"""Images of equal segments on a regular lattice, each with a piston: one launch for many images."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from wavequake.kernels.devices import Device
+from wavequake.kernels.program import launch
+from wavequake.kernels.steps import vector_width
+
+Floating = NDArray[np.float32] | NDArray[np.float64]
+Real = NDArray[np.float64]
+
+# What a work-item may keep in local memory, as numbers.
+_LOCAL_NUMBERS = 1 << 17
+
+
+@dataclass(frozen=True)
+class LatticeKernel:
+    """The tables of one lattice and one image for a device.
+
+    Attributes
+    ----------
+    device : Device
+    constants : tuple of (str, int)
+        Compile-time constants of ``kernels/lattice.cl``.
+    ramp : ndarray, shape (S,)
+        Phase that puts an even number of pixels symmetric about 0.
+    tables : tuple of ndarray
+        Places of the segments in a quarter of the lattice, what each adds to the parts even and odd in x and
+        y, waves along x and along y, and the irradiance of a segment (pixels, pixels).
+    """
+
+    device: Device
+    constants: tuple[tuple[str, int], ...]
+    ramp: Real
+    tables: tuple[NDArray[Any], ...]
+
+
+def lattice_kernel(
+    numbers: tuple[NDArray[np.intp], NDArray[np.intp]],
+    lines: tuple[Real, Real],
+    envelope: Floating,
+    step: float,
+    device: Device,
+) -> LatticeKernel | None:
+    """Prepare the images of a lattice; none if the device is no OpenCL processor, or the image too large.
+
+    Parameters
+    ----------
+    numbers : tuple of ndarray of int, shape (S,)
+        Column and row of each segment.
+    lines : tuple of ndarray
+        Places of the columns along x and of the rows along y, evenly spaced about 0.
+    envelope : ndarray, shape (pixels, pixels), float32 or float64
+        Irradiance of a segment; its type is that of the images.
+    step : float
+        Distance of the pixels in cycles per unit of the places.
+    device : Device
+    """
+    if device.kind != "cpu":
+        return None  # a GPU wants more work-items than there are images
+    dtype, pixels, segments = envelope.dtype, len(envelope), numbers[0].size
+    width = vector_width(device, dtype, long=True)
+    while width > segments:
+        width //= 2
+    wide = 1 if width * dtype.itemsize < 64 else 2  # as many sums as there are registers
+    quarter = (pixels + 1) // 2
+    padded = -(-quarter // (wide * width)) * wide * width
+    columns, rows = ((len(line) + 1) // 2 for line in lines)
+    if 8 * columns * (rows + padded) > _LOCAL_NUMBERS:
+        return None
+    frequency = np.asarray((np.arange(padded) + 0.5 * (1 - pixels % 2)) * step, np.float64)
+    (column, even_x, odd_x), (row, even_y, odd_y) = (
+        _folded(number, len(line)) for number, line in zip(numbers, lines, strict=True)
+    )
+    shares = np.stack([even_x * even_y, even_x * odd_y, odd_x * even_y, odd_x * odd_y], axis=1)
+    ramp = np.pi * step * (1 - pixels % 2) * (lines[0][numbers[0]] + lines[1][numbers[1]])
+    constants = {"W": width, "SINGLE": int(dtype == np.float32), "WIDE": wide, "SEGMENTS": segments}
+    constants |= {"ROWS": rows, "COLUMNS": columns, "PIXELS": pixels, "QUARTER": quarter, "WAVES": padded}
+    return LatticeKernel(
+        device,
+        tuple(constants.items()),
+        ramp,
+        (
+            (row * columns + column).astype(np.int32),
+            shares.astype(dtype),
+            _waves(lines[0], frequency, dtype),
+            _waves(lines[1], frequency, dtype),
+            np.ascontiguousarray(envelope),
+        ),
+    )
+
+
+def lattice_images(kernel: LatticeKernel, piston_waves: Real) -> Floating:
+    """Return images (batch, pixels, pixels) of pistons (batch, S) in waves; NaN where one is not finite."""
+    envelope = kernel.tables[-1]
+    images = np.empty((len(piston_waves), *envelope.shape), envelope.dtype)
+    with np.errstate(invalid="ignore"):  # infinite pistons become NaN
+        phase = 2.0 * np.pi * (piston_waves - np.rint(piston_waves)) + kernel.ramp
+    inputs = [np.int32(len(images)), phase.astype(envelope.dtype), *kernel.tables]
+    launch(kernel.device, "lattice", kernel.constants, (1, len(images), 1), inputs, [images], group=1)
+    return images
+
+
+def _folded(number: NDArray[np.intp], length: int) -> tuple[NDArray[np.intp], Real, Real]:
+    """Return places in the upper half of a line, and shares in what is even and odd about its middle."""
+    upper = np.where(number < length // 2, length - 1 - number, number) - length // 2
+    return upper, np.ones(number.size), np.sign(number - 0.5 * (length - 1))
+
+
+def _waves(line: Real, frequency: Real, dtype: DTypeLike) -> Floating:
+    """Return cosines and sines (2, half, frequencies) at the upper half of a line of places."""
+    cycles = np.outer(line[len(line) // 2 :], frequency)
+    angle = 2.0 * np.pi * (cycles - np.rint(cycles))
+    return np.stack([np.cos(angle), np.sin(angle)]).astype(dtype)
