@@ -37,6 +37,13 @@ def tiny(tmp_path):
     return path
 
 
+@pytest.fixture
+def done(tiny, tmp_path):
+    """Give a store of four cases of the study, without a report."""
+    wq.run(tiny, cases=4, store=tmp_path / "store", on="serial")
+    return tmp_path / "store"
+
+
 def run_tiny(wavequake, tiny, store, *words):
     return wavequake("run", tiny, *words, "--store", store, "--on", "serial")
 
@@ -71,9 +78,9 @@ def test_run_repeat_extend_status_verify_report(wavequake, tiny, tmp_path):
     assert "report.html" in out
 
 
-def test_damage_is_named_and_mended(wavequake, tiny, tmp_path):
-    store = tmp_path / "store"
-    run_tiny(wavequake, tiny, store, "campaign.cases=8")
+def test_damage_is_named_and_mended(wavequake, tiny, done):
+    store = done
+    wq.run(tiny, cases=8, store=store, on="serial")
     before = wq.open_store(store)["zernike"].values
     shard = next(
         path
@@ -96,14 +103,12 @@ def test_damage_is_named_and_mended(wavequake, tiny, tmp_path):
     np.testing.assert_array_equal(wq.open_store(store)["zernike"].values, before)
 
 
-def test_a_flipped_bit_is_named_by_the_report(wavequake, tiny, tmp_path):
-    store = tmp_path / "store"
-    run_tiny(wavequake, tiny, store, "campaign.cases=4")
-    shard = next((store / "data.zarr" / "strehl").glob("c*"))
+def test_a_flipped_bit_is_named_by_the_report(wavequake, tiny, done):
+    shard = next((done / "data.zarr" / "strehl").glob("c*"))
     content = bytearray(shard.read_bytes())
     content[len(content) // 2] ^= 1
     shard.write_bytes(content)
-    for words in (["report", store], ["run", tiny, "campaign.cases=4", "--store", store, "--on", "serial"]):
+    for words in (["report", done], ["run", tiny, "campaign.cases=4", "--store", done, "--on", "serial"]):
         code, _, err = wavequake(*words)
         assert code == cli.EXIT_DAMAGED
         assert "strehl, cases 0 to 3" in err
@@ -154,10 +159,9 @@ def test_bad_input_is_one_sentence_and_exit_code_2(wavequake, tiny, tmp_path, mo
     assert len(err.strip().splitlines()) == 1
 
 
-def test_output_that_is_closed_or_has_no_greek_does_no_harm(wavequake, tiny, tmp_path):
-    run_tiny(wavequake, tiny, tmp_path / "store", "campaign.cases=1")
+def test_output_that_is_closed_or_has_no_greek_does_no_harm(done):
     python = f"{shlex.quote(sys.executable)} -m wavequake"
-    store = shlex.quote(str(tmp_path / "store"))
+    store = shlex.quote(str(done))
     for command in (f"PYTHONIOENCODING=ascii {python} report {store}", f"{python} status {store} >&-"):
         done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr) == (0, "")
@@ -172,14 +176,12 @@ def test_debug_shows_the_traceback_wherever_it_stands(wavequake, place):
     assert "Traceback" in err
 
 
-def test_a_store_of_another_study_is_refused_and_left_alone(wavequake, tiny, tmp_path):
-    store = tmp_path / "store"
-    run_tiny(wavequake, tiny, store, "campaign.cases=2")
-    manifest = (store / "manifest.json").read_bytes()
-    code, _, err = run_tiny(wavequake, tiny, store, "campaign.cases=2", "study.seed=5")
+def test_a_store_of_another_study_is_refused_and_left_alone(wavequake, tiny, done):
+    manifest = (done / "manifest.json").read_bytes()
+    code, _, err = run_tiny(wavequake, tiny, done, "campaign.cases=4", "study.seed=5")
     assert code == cli.EXIT_BAD_INPUT
     assert "seed" in err
-    assert (store / "manifest.json").read_bytes() == manifest
+    assert (done / "manifest.json").read_bytes() == manifest
 
 
 def test_a_store_that_cannot_be_written_says_so(wavequake, tiny, tmp_path):
@@ -220,10 +222,9 @@ def test_a_report_that_was_cut_off_is_written_by_the_next_run(wavequake, tiny, t
     assert report.read_bytes() != before
 
 
-def test_a_store_is_reported_where_its_device_is_missing(wavequake, tiny, tmp_path, monkeypatch):
-    run_tiny(wavequake, tiny, tmp_path / "store", "campaign.cases=2")
+def test_a_store_is_reported_where_its_device_is_missing(wavequake, done, monkeypatch):
     monkeypatch.setattr(devices, "_found", lambda: ())
-    code, out, _ = wavequake("report", tmp_path / "store")
+    code, out, _ = wavequake("report", done)
     assert code == 0
     assert "pistons" in out
 

@@ -12,7 +12,7 @@ TODO, DONE, RAISED, TIMED_OUT = 0, 1, 2, 4
 HOSTILE = '</title><script>alert("x")</script><img src=x onerror=alert(1)> $\\frac{'
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def hexagons():
     """Seven hexagons with a side of 1000 mm around the origin, and six corners each, counter-clockwise."""
     pitch = 1000.0 * np.sqrt(3.0)
@@ -23,7 +23,7 @@ def hexagons():
     return centers, corners
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def detail(hexagons):
     """Case 3 of "wind": at instant i segment k is displaced by 10 i k nm; six rays around each center."""
     centers, corners = hexagons
@@ -54,7 +54,13 @@ def detail(hexagons):
 
 
 @pytest.fixture
-def campaign():
+def campaign(pristine):
+    """Give a copy of the campaign that a test may change."""
+    return pristine.copy(deep=True)
+
+
+@pytest.fixture(scope="session")
+def pristine():
     """Cases 0..7 alternate between "wind" (4 instants) and "shake" (2, then NaN); 8 and 9 are "empty".
 
     Finished: wind 0, 2, 4 with WFE 10, 20, 30 nm at each instant, and 6 quarantined; shake 1, 3 with line of
