@@ -10,6 +10,7 @@ from wavequake.kernels.devices import NUMPY, choose_device
 from wavequake.mechanics.excitations import drive_of
 from wavequake.mechanics.modal import modal_model
 from wavequake.mechanics.response import displacements, respond
+from wavequake.optics.motion_fit import motion_fit
 from wavequake.optics.surface_fit import apply, residual_grid
 from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.system_wavefront import trace_light, trace_system
@@ -124,13 +125,15 @@ def test_both_methods_agree_about_what_the_polynomials_miss():
     variant, response = _response(study, bench)
     left = left_by(optics, variant)
     residual = residual_of(optics, left, device)
-    _, traced = standard_method(optics, variant.surface, response, device, Clock(), residual)
+    motion = motion_fit(optics.surface, displacements_mm(variant.surface.T))
+    coordinates = coordinates_of(response)
+    traced = standard_method(optics, motion, coordinates, device, Clock(), residual)
     summed = modal_method(optics, variant.surface, response, Clock(), residual)
     size = traced.rms_raw.max()
     np.testing.assert_allclose(summed.rms_raw, traced.rms_raw, atol=1e-3 * size)
     np.testing.assert_allclose(summed.aberrations[:, 5:], traced.aberrations[:, 5:], atol=1e-4 * size)
     # Without it both are off by a percent, alike.
-    _, without = standard_method(optics, variant.surface, response, device, Clock())
+    without = standard_method(optics, motion, coordinates, device, Clock())
     assert np.abs(without.rms_raw - traced.rms_raw).max() > 5e-3 * size
 
 

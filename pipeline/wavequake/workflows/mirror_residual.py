@@ -14,9 +14,16 @@ from wavequake.kernels.sequence import Moving
 from wavequake.mechanics.model import ReducedModel
 from wavequake.mechanics.response import Response, displacements
 from wavequake.optics.fits import fit_instants
+from wavequake.optics.motion_fit import MotionFit
 from wavequake.optics.shapes import GridDeformation
 from wavequake.optics.surface_basis import spline_coefficients
-from wavequake.optics.surface_fit import coefficients, heights, residual, residual_grid
+from wavequake.optics.surface_fit import (
+    coefficients,
+    heights,
+    relative_residual,
+    residual,
+    residual_grid,
+)
 from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.system_wavefront import incoming_light, line_of_sight, trace_light
 from wavequake.workflows.mirror_optics import NM_PER_MM, Optics, displacements_mm, with_deformation
@@ -25,6 +32,8 @@ Array = NDArray[np.float64]
 
 # Step of the central differences of a grid, mm.
 _STEP = 1e-5
+# Instants whose nodes are displaced at a time.
+_INSTANTS = 1024
 
 
 @dataclass(frozen=True)
@@ -94,6 +103,17 @@ def left_by(optics: Optics, model: ReducedModel) -> Left:
     above = heights(fit, displacements_mm(model.surface.T))
     left = residual(fit, above, coefficients(fit, above))
     return Left(left, (left * fit.weights) @ left.T, (above * fit.weights) @ above.T)
+
+
+def missed_over_time(motion: MotionFit, coordinates: Array) -> Array:
+    """Return the share of each instant's deformation that the polynomials miss, from all nodes, (T,)."""
+    shapes = motion.shapes.reshape(len(motion.shapes), -1)
+    found = []
+    for start in range(0, len(coordinates), _INSTANTS):
+        moved = (coordinates[start : start + _INSTANTS] @ shapes).reshape(-1, *motion.shapes.shape[1:])
+        above = heights(motion.fit, moved, linear=False)
+        found.append(relative_residual(motion.fit, above, coefficients(motion.fit, above)))
+    return np.concatenate(found)
 
 
 def grid_of(optics: Optics) -> GridDeformation:

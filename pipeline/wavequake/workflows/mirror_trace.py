@@ -1,16 +1,16 @@
 """The workflow "mirror-trace": every instant traced, or sensitivities times modal coordinates.
 
 A case is one reduced model of one mirror. For each excitation the standard method fits the displaced nodes of
-every instant and traces all rays; the modal method adds up what each mode does to the light (Störkle 2018,
-Sections 4.1 and 4.5.2). A third way, the linear fit traced, tells where the two part: in the sag that is
-taken at the displaced x and y, or in the optics. Where the polynomials of the fit miss much of the
-deformation, both methods add what they leave, as a grid (Eq. 4.11).
+every instant (`wavequake.optics.motion_fit`) and traces all rays; the modal method adds up what each mode
+does to the light (Störkle 2018, Sections 4.1 and 4.5.2). A third way, the linear fit traced, tells where the
+two part: in the sag that is taken at the displaced x and y, or in the optics. Where the polynomials of the
+fit miss much of the deformation, both methods add what they leave, as a grid (Eq. 4.11).
 """
 
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,11 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import Device, choose_device
 from wavequake.mechanics.excitations import drive_of
 from wavequake.mechanics.modal import modal_model
-from wavequake.mechanics.response import Response, displacements, respond
+from wavequake.mechanics.response import Response, respond
 from wavequake.optics.fits import fit_instants
-from wavequake.optics.surface_fit import apply, coefficients, heights, relative_residual
-from wavequake.optics.system_wavefront import line_of_sight, trace_light
+from wavequake.optics.motion_fit import MotionFit, figures, motion_fit
+from wavequake.optics.surface_fit import apply
+from wavequake.optics.system_wavefront import PreparedSystem, line_of_sight, trace_light
 from wavequake.reduction.metrics import pseudo_frequencies
 from wavequake.reduction.names import parse
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
@@ -45,6 +46,7 @@ from wavequake.workflows.mirror_residual import (
     deformed_light,
     grid_of,
     left_by,
+    missed_over_time,
     residual_of,
     rms_of,
 )
@@ -53,10 +55,10 @@ from wavequake.workflows.mirror_study import TraceStudy
 Array = NDArray[np.float64]
 
 # Like the rows of Table 4.1: what is done once per model or variant, and per excitation by either method.
-SET_UP = ("sensitivities", "reduction", "residual of modes", "modal form")
-STANDARD = ("displacements", "surface fit", "residual grids", "ray trace", "wavefront fit")
+SET_UP = ("sensitivities", "reduction", "fits of coordinates", "residual of modes", "modal form")
+STANDARD = ("surface fit", "residual grids", "ray trace", "wavefront fit")
 MODAL = ("maps of modes", "products")
-# Instants whose nodes are displaced at a time.
+# Instants that are traced at a time.
 _INSTANTS = 1024
 STAGES = (*SET_UP, "time response", *STANDARD, *MODAL)
 
@@ -125,7 +127,9 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
 def judged(study: TraceStudy, bench: Bench, variant: str, device: Device) -> dict[str, Array | float]:
     """Return all stored numbers of one variant."""
     reduced, optics, instants = variant_of(bench, variant), bench.optics, time_of(study)
-    left, residual, residual_seconds = left_by(optics, reduced), None, Clock()
+    left, residual, set_up = left_by(optics, reduced), None, Clock()
+    with set_up("fits of coordinates"):
+        motion = motion_fit(optics.surface, displacements_mm(reduced.surface.T))
     rows: dict[str, list[Array]] = {}
     for excitation in study.excitation:
         clock = Clock()
@@ -135,25 +139,23 @@ def judged(study: TraceStudy, bench: Bench, variant: str, device: Device) -> dic
             modal = modal_model(held, drive.prescribed)
         with clock("time response"):
             response = respond(modal, [drive], instants)
-        coordinates = coordinates_of(response)
+        with clock("surface fit"):
+            coordinates = coordinates_of(response)
         share = left.share(coordinates)
         needed = share > study.optics.residual_limit
         if needed and residual is None:
-            with residual_seconds("residual of modes"):
+            with set_up("residual of modes"):
                 residual = residual_of(optics, left, device)
         added = residual if needed else None
         summed = modal_method(optics, reduced.surface, response, clock, added)
-        parts = [
-            compared(optics, reduced.surface, part, summed.aberrations[rows], device, clock, added)
-            for rows, part in _parts(response)
-        ]
-        found = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+        found = compared(optics, motion, coordinates, summed.aberrations, device, clock, added)
+        found["fit_residual"] = missed_over_time(motion, coordinates)
         found["wfe_rms_raw_modal"] = summed.rms_raw
         untraced = np.zeros(len(instants))
         found["wfe_rms_residual"] = untraced if added is None else rms_of(added.whole, coordinates)
         found["missed_share"] = np.array(share)
         clock.seconds |= {"sensitivities": optics.seconds, "reduction": reduced.seconds}
-        clock.seconds |= residual_seconds.seconds if needed else {}
+        clock.seconds |= {key: value for key, value in set_up.seconds.items() if needed or "fits" in key}
         found["seconds"] = np.array([clock.seconds.get(stage, 0.0) for stage in STAGES])
         for key, value in found.items():
             rows.setdefault(key, []).append(value)
@@ -165,36 +167,23 @@ def judged(study: TraceStudy, bench: Bench, variant: str, device: Device) -> dic
     }
 
 
-def _parts(response: Response) -> Iterator[tuple[slice, Response]]:
-    """Yield a response in parts of so many instants that the displacements of all nodes fit the memory."""
-    for first in range(0, len(response.time), _INSTANTS):
-        part = slice(first, first + _INSTANTS)
-        yield (
-            part,
-            replace(
-                response,
-                time=response.time[part],
-                coordinates=response.coordinates[:, part],
-                rigid=response.rigid[:, part],
-                drive=response.drive[:, part],
-            ),
-        )
+def _parts(count: int) -> list[slice]:
+    """Return parts of so many instants that all their rays and grids fit the memory."""
+    return [slice(first, first + _INSTANTS) for first in range(0, count, _INSTANTS)]
 
 
 def compared(
     optics: Optics,
-    surface: Array,
-    response: Response,
+    motion: MotionFit,
+    coordinates: Array,
     summed: Array,
     device: Device,
     clock: Clock,
     residual: Residual | None = None,
 ) -> dict[str, Array]:
-    """Trace some instants and compare them with what the modal method gives, `summed` (T, 2 + J)."""
-    moved, traced = standard_method(optics, surface, response, device, clock, residual)
-    splines = None if residual is None else residual.at(coordinates_of(response))
-    linear = trace_figures(optics, apply(optics.surface, moved), splines, device, Clock())
-    above = heights(optics.surface, moved, linear=False)
+    """Trace all instants and compare them with what the modal method gives, `summed` (T, 2 + J)."""
+    traced = standard_method(optics, motion, coordinates, device, clock, residual)
+    linear = trace_figures(optics, coordinates @ motion.linear, coordinates, device, Clock(), residual)
     apart = traced.aberrations - summed
     return {
         "wfe_rms_standard": _wfe(traced.aberrations),
@@ -203,7 +192,6 @@ def compared(
         "wfe_difference": _wfe(apart),
         "wfe_difference_sag": _wfe(traced.aberrations - linear.aberrations),
         "wfe_difference_optics": _wfe(linear.aberrations - summed),
-        "fit_residual": relative_residual(optics.surface, above, coefficients(optics.surface, above)),
         "los_standard": traced.aberrations[:, :2],
         "los_modal": summed[:, :2],
         "los_difference": np.linalg.norm(apart[:, :2], axis=1),
@@ -218,13 +206,13 @@ def _wfe(aberrations: Array) -> Array:
 
 def standard_method(
     optics: Optics,
-    surface: Array,
-    response: Response,
+    motion: MotionFit,
+    coordinates: Array,
     device: Device,
     clock: Clock,
     residual: Residual | None = None,
-) -> tuple[Array, Wavefronts]:
-    """Return the displacements (T, p, 3) in mm, and what tracing all rays at every instant gives.
+) -> Wavefronts:
+    """Return what tracing all rays at every instant gives.
 
     The figure of each instant is fitted to the displaced nodes with the undeformed surface taken where they
     are (DeformOnlyTrafo, Störkle 2018, Eq. 4.7 to 4.10).
@@ -232,31 +220,42 @@ def standard_method(
     Parameters
     ----------
     optics : Optics
-    surface : ndarray, shape (3 p, r)
-        Rows of the reduced model at the optical nodes.
-    response : Response
-        Of one drive.
+    motion : MotionFit
+        Of the reduced model's coordinates.
+    coordinates : ndarray, shape (T, r)
     device : Device
     clock : Clock
     residual : Residual, optional
         What the polynomials leave, to be traced with them.
     """
-    with clock("displacements"):
-        moved = displacements_mm(displacements(response, surface)[0])
     with clock("surface fit"):
-        figures = apply(optics.surface, moved, linear=False)
-    with clock("residual grids"):
-        splines = None if residual is None else residual.at(coordinates_of(response))
-    return moved, trace_figures(optics, figures, splines, device, clock)
+        fitted = figures(motion, coordinates)
+    return trace_figures(optics, fitted, coordinates, device, clock, residual)
 
 
 def trace_figures(
-    optics: Optics, figures: Array, splines: Array | None, device: Device, clock: Clock
+    optics: Optics,
+    fitted: Array,
+    coordinates: Array,
+    device: Device,
+    clock: Clock,
+    residual: Residual | None = None,
 ) -> Wavefronts:
-    """Trace all rays at T instants with the figures (T, J) and splines of what they leave, mm."""
-    prepared = optics.prepared if splines is None else with_deformation(optics, grid_of(optics))
-    with clock("ray trace"):
-        opd, _, chief = trace_light(prepared, deformed_light(optics, figures, splines), device)
+    """Trace all rays at T instants with the figures (T, J) and what they leave, mm."""
+    prepared = optics.prepared if residual is None else with_deformation(optics, grid_of(optics))
+    parts = []
+    for part in _parts(len(fitted)):
+        with clock("residual grids"):
+            splines = None if residual is None else residual.at(coordinates[part])
+        with clock("ray trace"):
+            light = deformed_light(optics, fitted[part], splines)
+            opd, _, chief = trace_light(prepared, light, device)
+        parts.append(_wavefronts(prepared, opd, chief, clock))
+    return Wavefronts(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+
+def _wavefronts(prepared: PreparedSystem, opd: Array, chief: Array, clock: Clock) -> tuple[Array, Array]:
+    """Return aberrations and raw rms of `Wavefronts` from traced rays."""
     with clock("wavefront fit"):
         zernike = fit_instants(prepared.fit, opd)
         to_nm = prepared.wavelength * NM_PER_MM
@@ -264,7 +263,7 @@ def trace_figures(
     flat = opd - zernike[:, :3] @ prepared.fit.basis[:, :3].T
     weight = prepared.fit.weight
     raw = to_nm * np.sqrt(np.square(flat) @ (weight / weight.sum()))
-    return Wavefronts(aberrations, raw)
+    return aberrations, raw
 
 
 def modal_method(
