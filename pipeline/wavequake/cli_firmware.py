@@ -220,3 +220,4 @@ def flash(
     check_hash(image, gains)
     out.print(f"{image} carries the gains {gains.digest} of this design. To flash it:", markup=False)
     out.print(flash_lines(chosen, image), markup=False, soft_wrap=True)
+    out.print(f"({chosen.tools})", markup=False, soft_wrap=True)

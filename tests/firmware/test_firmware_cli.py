@@ -46,6 +46,7 @@ def test_build_then_flash_and_refuse_another_design(firmware, tmp_path):
     code, said = firmware("flash", "due", "--to", tmp_path)
     assert code == 0
     assert f"bossac -a -p ttyACM0 -e -w -v -b {tmp_path}/due-q31.bin -R" in said
+    assert "Debian's bossa-cli" in said
     other = [*LENS, "controller.modal_step_ms=4", "--to", tmp_path]
     code, said = firmware("flash", "due", *other)
     assert code == 2
@@ -78,7 +79,7 @@ def test_all_images_give_the_commands_of_the_host(monkeypatch, firmware, tmp_pat
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["flash", "due"], "There is no image"),
+        (["flash", "uno"], "`wavequake firmware build --boards uno --arithmetic q31` makes it"),
         (["flash", "qemu"], "is no hardware"),
         (["build", "--boards", "mega"], "There is no board 'mega'"),
         (["build", "--arithmetic", "q7"], "There is no arithmetic 'q7'"),

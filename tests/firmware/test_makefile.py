@@ -50,3 +50,26 @@ def test_make_follows_the_study_and_builds_nothing_twice(tmp_path):
     first = made(0.97)
     assert made(0.97) == first
     assert made(0.9)[0] != first[0]
+
+
+@pytest.mark.skipif(not shutil.which("make"), reason="needs make")
+@pytest.mark.parametrize(
+    ("target", "missing", "sentence"),
+    [
+        (
+            "due",
+            ["PYTHON=/none"],
+            "install Debian's gcc-arm-none-eabi, or ziglang from PyPI for PYTHON=/none",
+        ),
+        ("uno", [], "avr-gcc is missing: install Debian's gcc-avr and avr-libc"),
+        ("due", ["WAVEQUAKE=wavequake-not-there"], "install Wavequake or name its command by WAVEQUAKE="),
+    ],
+)
+def test_make_says_what_is_missing(tmp_path, target, missing, sentence):
+    make, python = shutil.which("make"), shlex.quote(sys.executable)
+    tools = [f"BUILD={tmp_path}", f"WAVEQUAKE={python} -m wavequake", *missing]
+    words = [make, "-s", "-C", str(folder("firmware")), target, *tools]
+    alone = os.environ | {"MAKEFLAGS": "", "PATH": str(tmp_path)}
+    done = subprocess.run(words, env=alone, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert sentence in " ".join(done.stderr.split())

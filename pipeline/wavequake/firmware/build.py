@@ -42,6 +42,8 @@ class Board:
     flash : str
         Command lines, with {image} for the file's name without suffix and {objcopy} for what makes a
         binary of an ARM's image.
+    tools : str
+        What brings the tools of `flash`.
     """
 
     name: str
@@ -51,6 +53,7 @@ class Board:
     zig: tuple[str, ...]
     package: str
     flash: str = ""
+    tools: str = ""
 
 
 _ZIG_ARM = ("-target", "thumb-freestanding-eabi", "-mcpu=cortex_m3", *CORTEX, "-fno-sanitize=undefined")
@@ -70,6 +73,7 @@ BOARDS = {
         "due", ".elf", 84e6, _GCC_ARM, _ZIG_ARM, _ARM,
         "{objcopy} -O binary {image}.elf {image}.bin\n"
         "bossac -a -p ttyACM0 -e -w -v -b {image}.bin -R",
+        "bossac comes with Debian's bossa-cli; the cable goes to the programming port, here ttyACM0.",
     ),
     "qemu": Board("qemu", ".elf", 0.0, _GCC_ARM, _ZIG_ARM, _ARM),
     "simavr": Board("simavr", ".elf", 16e6, _GCC_AVR, (), _AVR),
@@ -77,6 +81,7 @@ BOARDS = {
         "uno", ".elf", 16e6, _GCC_AVR, (), _AVR,
         "avr-objcopy -O ihex {image}.elf {image}.hex\n"
         "avrdude -p m328p -c arduino -P /dev/ttyACM0 -b 115200 -U flash:w:{image}.hex:i",
+        "avr-objcopy and avrdude come with Debian's binutils-avr and avrdude; the port is here ttyACM0.",
     ),
 }  # fmt: skip
 
@@ -194,7 +199,11 @@ def image_hash(path: Path) -> str:
         If the file is missing or carries none.
     """
     if not path.is_file():
-        raise UserError(f"There is no image {path}; `wavequake firmware build` makes it.")
+        board, _, variant = path.stem.partition("-")
+        raise UserError(
+            f"There is no image {path}; `wavequake firmware build --boards {board} --arithmetic {variant}` "
+            "makes it."
+        )
     data = path.read_bytes()
     at = data.find(MARK)
     found = data[at + len(MARK) : at + len(MARK) + 16]
