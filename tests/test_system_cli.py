@@ -149,7 +149,7 @@ def test_a_study_takes_a_lens_file_beside_it(wavequake, tmp_path):
         ('"N-BK7"', '"N-BK8"', "nearest of its 232 names are N-BK7"),
         ('of = ["plate"]', 'of = ["plane"]', "did you mean 'plate'"),
         ('surfaces = ["window", "back"]', 'surfaces = ["window", "bac"]', "did you mean 'back'"),
-        ("distance_mm = 800.0", "distance_mm = 800.0\nradius_mm = 5.0", "lost at window, it misses that surface"),
+        ("distance_mm = 800.0", "distance_mm = 800.0\nradius_mm = 5.0", "lost at window, it misses that"),
         ("conic = -1.0", "even_asphere = [0.0, -0.1]", "lost at mirror"),
         ("conic = -1.0", "conic = inf", "system.surface.mirror.conic"),
         ("conic = -1.0", "even_asphere = [nan]", "system.surface.mirror.even_asphere"),

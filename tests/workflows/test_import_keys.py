@@ -70,7 +70,7 @@ def test_a_wrong_declaration_is_one_sentence(mirror, monkeypatch, capsys, key, t
 
 
 def test_a_misspelled_key_is_said_before_what_is_wrong_without_it(mirror):
-    with pytest.raises(UserError, match="nearest valid key is .triangle"):
+    with pytest.raises(UserError, match=r"nearest valid key is .triangle"):
         load_study("mirror-mor", mirror | {"model.triagle": "upper"})
 
 
