@@ -19,12 +19,14 @@ if TYPE_CHECKING:
     from wavequake.workflows.store import open_store
     from wavequake.workflows.study import load_study
     from wavequake.workflows.system_source import load_system
+    from wavequake.workflows.zernike_arrays import convert_zernike
 
 __version__ = "0.1.0"
 __all__ = [
     "StoreDamageError",
     "Study",
     "UserError",
+    "convert_zernike",
     "load_study",
     "load_system",
     "open_store",
@@ -38,6 +40,7 @@ __all__ = [
 # stay quick.
 _HOMES = {
     "Study": "wavequake.workflows.schema",
+    "convert_zernike": "wavequake.workflows.zernike_arrays",
     "load_study": "wavequake.workflows.study",
     "load_system": "wavequake.workflows.system_source",
     "open_store": "wavequake.workflows.store",

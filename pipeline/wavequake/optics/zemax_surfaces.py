@@ -24,7 +24,6 @@ from wavequake.optics.zernike_indices import convert_coefficients
 MAX_EVEN_TERMS = 8
 
 _FRINGE_TERMS = 36
-_LAST_FRINGE = (79, math.sqrt(13.0))  # the 37th has degree 12: its Noll index and its crest
 
 _Builder = Callable[[Row, float, float, float], Shape]
 
@@ -80,15 +79,13 @@ def _zernike(row: Row, scale: float, radius: float, conic: float) -> ZernikeSag:
 
 
 def _from_fringe(row: Row, coefficients: tuple[float, ...]) -> tuple[float, ...]:
-    """Return Noll coefficients for up to 37 Fringe ones."""
+    """Return Noll coefficients for up to 37 Fringe ones, the last of which is term 49 of the full set."""
     if len(coefficients) > _FRINGE_TERMS + 1:
         fail(row.line, f"{row.label} has {len(coefficients)} Fringe terms, at most 37 are supported")
-    noll = convert_coefficients(np.array(coefficients[:_FRINGE_TERMS]), "fringe", "noll")
+    fringe = np.array(coefficients[:_FRINGE_TERMS])
     if any(coefficients[_FRINGE_TERMS:]):
-        place, crest = _LAST_FRINGE
-        noll = np.pad(noll, (0, place - len(noll)))
-        noll[-1] = coefficients[_FRINGE_TERMS] / crest
-    return tuple(float(value) for value in noll)
+        fringe = np.concatenate([fringe, np.zeros(12), coefficients[_FRINGE_TERMS:]])
+    return tuple(float(value) for value in convert_coefficients(fringe, "fringe", "noll"))
 
 
 def _extra_data(row: Row, scale: float) -> tuple[tuple[float, ...], float]:

@@ -79,3 +79,12 @@ def transform_coefficients(coefficients: Array, source: float, target: float) ->
     """
     transformed: Array = coefficients @ expansion_matrix(coefficients.shape[-1], source, target)
     return transformed
+
+
+def known_transformed(coefficients: Array, source: float, target: float) -> Array:
+    """Return `transform_coefficients` where a coefficient may be unknown (NaN), such as a piston from slopes.
+
+    It stays unknown, and the others take it as zero.
+    """
+    known = np.nan_to_num(coefficients, posinf=np.inf, neginf=-np.inf)
+    return np.where(np.isnan(coefficients), np.nan, transform_coefficients(known, source, target))

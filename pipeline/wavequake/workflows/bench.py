@@ -24,7 +24,7 @@ from wavequake.optics.sphere_fit import reference_fit
 from wavequake.optics.states import SurfaceStates, rest
 from wavequake.optics.telescopes import telescope
 from wavequake.optics.wavefront import Wavefront, analyse
-from wavequake.optics.zernike_transforms import transform_coefficients
+from wavequake.optics.zernike_transforms import known_transformed
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segment_study import SegmentStudy
 
@@ -121,10 +121,7 @@ def in_basis(bench: Bench, coefficients: NDArray[np.float64]) -> NDArray[np.floa
     """Return annular Noll coefficients (..., J) as the study wants them; an unknown piston stays unknown."""
     if bench.study.wavefront.basis == "annular":
         return coefficients
-    circular = transform_coefficients(
-        np.nan_to_num(coefficients, posinf=np.inf, neginf=-np.inf), bench.prepared.obscuration, 0.0
-    )
-    return np.where(np.isnan(coefficients), np.nan, circular)
+    return known_transformed(coefficients, bench.prepared.obscuration, 0.0)
 
 
 def monolithic(system: SegmentedTelescope) -> bool:

@@ -216,6 +216,7 @@ def dataset(bench: Bench, found: Sensitivities, device: Device) -> "xr.Dataset":
     variables: dict[str, _Array] = {}
     for name, (element, matrix) in matrices.items():
         variables |= _variables(name, element, matrix, bench.study.optics.wavelength_nm)
+        variables[f"sensitivity_zernike_{name}"][2]["obscuration"] = repr(bench.prepared.obscuration)
     coordinates: dict[str, _Array] = {
         "surface": (("surface",), _text(found.surfaces.elements), {"long_name": "surface after M1"}),
         "segment": (("segment",), _text(found.segments.elements), {"long_name": "segment of M1"}),

@@ -20,6 +20,7 @@ from wavequake.mechanics.streams import Streams
 from wavequake.optics.packing import moving
 from wavequake.optics.quality import meets_marechal, meets_rayleigh
 from wavequake.optics.system_wavefront import PreparedSystem, SystemWavefront, measure_system
+from wavequake.optics.zernike_transforms import known_transformed
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.sampling import Plan, plan_of, replicate_labels
 from wavequake.workflows.schema import study_from_identity
@@ -99,7 +100,8 @@ def measured(
             trouble = failure(prepared, wavefront, states)
             if trouble:
                 return {}, f"at t = {time[trouble[0]]:.4g} s {trouble[1]}"
-            for name, values in _numbers(prepared, wavefront, rest).items():
+            numbers = _numbers(prepared, wavefront, rest, bench.study.wavefront.basis)
+            for name, values in numbers.items():
                 found.setdefault(name, []).append(values)
     return {"time_s": time} | {name: _shaped(bench, values) for name, values in found.items()}, ""
 
@@ -113,14 +115,19 @@ def _shaped(bench: SystemBench, values: list[Array]) -> Array:
     return stacked.reshape(len(stacked), *grid, *stacked.shape[2:])
 
 
-def _numbers(prepared: PreparedSystem, wavefront: SystemWavefront, rest: SystemWavefront) -> dict[str, Array]:
+def _numbers(
+    prepared: PreparedSystem, wavefront: SystemWavefront, rest: SystemWavefront, basis: str
+) -> dict[str, Array]:
     to_nm = prepared.wavelength * NM_PER_MM
+    coefficients = wavefront.zernike
+    if basis == "circular":
+        coefficients = known_transformed(coefficients, prepared.system.pupil.obscuration, 0.0)
     return {
         "wfe_rms": wavefront.rms * to_nm,
         "wfe_change": np.sqrt(np.sum((wavefront.zernike - rest.zernike)[:, 3:] ** 2, axis=1)) * to_nm,
         "wfe_rms_raw": wavefront.rms_raw * to_nm,
         "wfe_pv": wavefront.pv * to_nm,
-        "zernike": wavefront.zernike * to_nm,
+        "zernike": coefficients * to_nm,
         "los_mm": wavefront.los - rest.los,
         "centroid_mm": wavefront.centroid - rest.centroid,
         "spot_rms": wavefront.spot_rms * 1e3,
@@ -151,11 +158,16 @@ def template(study_text: str) -> Template:
     study = bench.study
     instants = max(population.instants for population in study.disturbance)
     grid = {"field": len(bench.prepared), "wavelength": len(bench.prepared[0])}
+    kind = {
+        "annular": "Noll Zernike coefficients",
+        "circular": "equivalent circular Noll Zernike coefficients (Störkle 2018, Eq. 3.53)",
+    }[study.wavefront.basis]
     source = wavefront_source(study.wavefront.method, study.wavefront.reference)
     sizes = {"time": instants, **grid, "noll": study.wavefront.zernike_terms, "axis": 2}
 
-    def variable(units: str, long_name: str, *dims: str) -> Variable:
-        return Variable(dims, tuple(sizes[dim] for dim in dims), {"units": units, "long_name": long_name})
+    def variable(units: str, long_name: str, *dims: str, **more: str) -> Variable:
+        attrs = {"units": units, "long_name": long_name, **more}
+        return Variable(dims, tuple(sizes[dim] for dim in dims), attrs)
 
     over = ("time", "field", "wavelength")
     per_case = {
@@ -177,7 +189,7 @@ def template(study_text: str) -> Template:
         ),
         "wfe_pv": variable("nm", "peak to valley of the wavefront about its best-fit plane", *over),
         "zernike": replace(
-            variable("nm", f"Noll Zernike coefficients, total{source}", *over, "noll"),
+            variable("nm", f"{kind}, total{source}", *over, "noll", **over_annulus(bench)),
             unknown=int(study.wavefront.method == "slopes"),
         ),
         "los_mm": variable(
@@ -209,6 +221,12 @@ def template(study_text: str) -> Template:
     return Template(per_case, _fixed(bench))
 
 
+def over_annulus(bench: SystemBench) -> dict[str, str]:
+    """Return over which annulus the polynomials of the stored coefficients are orthogonal, as a label."""
+    inner = bench.system.pupil.obscuration if bench.study.wavefront.basis == "annular" else 0.0
+    return {"obscuration": repr(float(inner))}
+
+
 def _fixed(bench: SystemBench) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]]:
     system = bench.system
     far = bool(np.isinf(system.object_distance))
@@ -216,10 +234,10 @@ def _fixed(bench: SystemBench) -> dict[str, tuple[tuple[str, ...], NDArray[np.ge
     grid = ("field", "wavelength")
 
     def still(
-        name: str, units: str, long_name: str, *more: str
+        name: str, units: str, long_name: str, *more: str, **attrs: str
     ) -> tuple[tuple[str, ...], Array, dict[str, str]]:
         rows = [
-            _numbers(prepared, rest, rest)[name]
+            _numbers(prepared, rest, rest, bench.study.wavefront.basis)[name]
             for row, found in zip(bench.prepared, bench.static, strict=True)
             for prepared, rest in zip(row, found, strict=True)
         ]
@@ -227,7 +245,7 @@ def _fixed(bench: SystemBench) -> dict[str, tuple[tuple[str, ...], NDArray[np.ge
         return (
             (*grid, *more),
             values[0] if values.ndim > 2 else values,
-            {"units": units, "long_name": long_name},
+            {"units": units, "long_name": long_name, **attrs},
         )
 
     names = np.array([field_name(system, field) for field in range(len(points))], dtype=object)
@@ -247,7 +265,9 @@ def _fixed(bench: SystemBench) -> dict[str, tuple[tuple[str, ...], NDArray[np.ge
             {"long_name": "Noll index"},
         ),
         "axis": (("axis",), np.array(["x", "y"], dtype=object), {"long_name": "axis of the image plane"}),
-        "zernike_static": still("zernike", "nm", "Zernike coefficients at rest", "noll"),
+        "zernike_static": still(
+            "zernike", "nm", "Zernike coefficients at rest", "noll", **over_annulus(bench)
+        ),
         "wfe_rms_static": still("wfe_rms", "nm", "wavefront error rms at rest, j >= 4"),
         "spot_rms_static": still("spot_rms", "um", "rms spot radius at rest"),
         "strehl_static": still("strehl", "1", "Strehl ratio at rest"),

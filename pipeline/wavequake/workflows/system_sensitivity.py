@@ -107,6 +107,7 @@ def system_dataset(study: SystemStudy, device: Device, terms: int = 0) -> "xr.Da
     worst = {}
     for name, (element, column, found) in matrices.items():
         variables |= _variables(name, (element, column), found, wavelength_nm)
+        variables[f"sensitivity_zernike_{name}"][2]["obscuration"] = repr(bench.system.pupil.obscuration)
         coordinates[element] = ((element,), _text(found[0].elements), {"long_name": element})
         largest = max((one.worst for one in found), key=lambda item: item[2])
         worst[f"worst_step_error_{name}"] = f"{largest[2]:.1e} ({largest[0]} {largest[1]})"

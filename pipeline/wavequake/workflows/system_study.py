@@ -47,6 +47,12 @@ class SystemWavefrontSection(Section):
         "(Störkle 2018, Eq. 4.20), which do not know piston; they agree as far as zernike_terms describe the "
         "wavefront",
     )
+    basis: Literal["annular", "circular"] = Field(
+        default="annular",
+        description="of the stored coefficients where the pupil is obscured; circular ones are equivalent "
+        "(Eq. 3.53), but the sum of their squares is not the rms over the annulus, which stays that of the "
+        "annular ones",
+    )
     reference: Literal["chief", "fitted"] = Field(
         default="chief",
         description="center of the reference sphere in the image: where the chief ray through the center of "
