@@ -9,6 +9,7 @@ from wavequake.imaging.psf_engines import SegmentedPupil, point_spread, prepare_
 from wavequake.imaging.segment_basis import segment_basis
 from wavequake.imaging.segment_lattice import lattice_psf, segment_lattice
 from wavequake.imaging.segment_psf import psf
+from wavequake.kernels import lattice
 from wavequake.kernels.devices import Device, list_devices
 from wavequake.optics.segments import hexagon_ring_segments
 from wavequake.optics.telescopes import telescope
@@ -40,12 +41,12 @@ DEVICES += [Device(device.name, "gpu", device.platform, 1) for device in DEVICES
 def test_images_are_those_of_the_general_basis(name, pixels, device):
     corners, centers = PUPILS[name]
     piston = RNG.normal(0.0, 0.2, (19, len(centers)))
-    lattice = segment_lattice(corners, centers, pixels, 0.3, DIAMETER, device=device)
-    assert (lattice.kernel is None) == (device.kind != "cpu")
-    found = lattice_psf(lattice, piston)
+    prepared = segment_lattice(corners, centers, pixels, 0.3, DIAMETER, device=device)
+    assert (prepared.kernel is None) == (device.kind != "cpu")
+    found = lattice_psf(prepared, piston)
     basis = segment_basis(corners, centers, pixels, 0.3, DIAMETER, 1, np.complex128)
     assert np.abs(found.reshape(len(found), -1) - psf(basis, piston)).max() < 1e-12
-    assert np.array_equal(lattice_psf(lattice, piston[17:]), found[17:])  # bits do not depend on the batch
+    assert np.array_equal(lattice_psf(prepared, piston[17:]), found[17:])  # bits do not depend on the batch
 
 
 def test_pixels_equal_a_direct_sum_over_polygons():
@@ -69,22 +70,23 @@ def test_single_precision(device):
 
 @pytest.mark.parametrize("device", DEVICES, ids=lambda device: device.kind)
 def test_instants_do_not_depend_on_each_other(device):
-    lattice = segment_lattice(CORNERS, CENTERS, 16, 0.25, DIAMETER, device=device)
+    prepared = segment_lattice(CORNERS, CENTERS, 16, 0.25, DIAMETER, device=device)
     piston = RNG.normal(0.0, 0.2, (5, len(CENTERS)))
-    healthy = lattice_psf(lattice, piston)
-    assert np.array_equal(healthy, [lattice_psf(lattice, row[None])[0] for row in piston])
-    assert np.abs(lattice_psf(lattice, piston + 1e6) - healthy).max() < 1e-8  # whole waves are reduced first
+    healthy = lattice_psf(prepared, piston)
+    assert np.array_equal(healthy, [lattice_psf(prepared, row[None])[0] for row in piston])
+    assert np.abs(lattice_psf(prepared, piston + 1e6) - healthy).max() < 1e-8  # whole waves are reduced first
     piston[1, 0], piston[3, 4] = np.nan, np.inf
-    broken = lattice_psf(lattice, piston)
+    broken = lattice_psf(prepared, piston)
     assert np.isnan(broken[[1, 3]]).all()
     assert np.array_equal(broken[[0, 2, 4]], healthy[[0, 2, 4]])
-    assert lattice_psf(lattice, piston[:0]).shape == (0, 16, 16)
+    assert lattice_psf(prepared, piston[:0]).shape == (0, 16, 16)
 
 
-def test_images_too_large_for_a_work_item_s_memory_are_left_to_numpy():
-    device = DEVICES[0]
-    lattice = segment_lattice(CORNERS, CENTERS, 16000, 0.001, DIAMETER, np.float32, device)
-    assert lattice.kernel is None
+def test_images_too_large_for_a_work_item_s_memory_are_left_to_numpy(monkeypatch):
+    grid = 16, 0.25, DIAMETER, np.float32, DEVICES[0]
+    assert (segment_lattice(CORNERS, CENTERS, *grid).kernel is None) == (DEVICES[0].kind != "cpu")
+    monkeypatch.setattr(lattice, "_LOCAL_NUMBERS", 500)
+    assert segment_lattice(CORNERS, CENTERS, *grid).kernel is None
 
 
 def test_what_is_no_lattice_of_equals_is_left_to_others():
