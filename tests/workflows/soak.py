@@ -37,11 +37,11 @@ def touch():
     if not left[0]:
         os.kill(os.getpid(), signal.SIGKILL)
 
-put, write, sync, rename = arrays.DurableStore.set, os.write, os.fsync, pathlib.Path.replace
+put, write, sync, rename = arrays._put, os.write, os.fsync, pathlib.Path.replace
 
-async def set_and_die(self, key, value):
+def put_and_die(path, parts):
     touch()
-    await put(self, key, value)
+    put(path, parts)
     touch()
 
 def write_and_die(handle, content):
@@ -59,7 +59,7 @@ def rename_and_die(self, target):
     touch()
     return rename(self, target)
 
-arrays.DurableStore.set, os.fsync, pathlib.Path.replace = set_and_die, sync_and_die, rename_and_die
+arrays._put, os.fsync, pathlib.Path.replace = put_and_die, sync_and_die, rename_and_die
 journal.os = type(sys)("os")
 journal.os.__dict__.update(os.__dict__, write=write_and_die, fsync=sync_and_die)
 for line in sys.stdin:

@@ -73,10 +73,10 @@ def test_a_small_store_is_small(tmp_path):
 
 def test_large_chunks_are_shards_that_are_read_in_parts(tmp_path):
     group = arrays.create_group(tmp_path / "g", {})
-    arrays.create_per_case(group, "psf", Variable(("y", "x"), (256, 256), {}), cases=60, chunk=20)
+    arrays.create_per_case(group, "psf", Variable(("y", "x"), (256, 256), {}), cases=120, chunk=40)
     arrays.create_per_case(group, "los", Variable(("axis",), (2,), {}), cases=60, chunk=20)
-    assert group["psf"].shards == (20, 256, 256)
-    assert group["psf"].chunks == (2, 256, 256)  # 1 MiB, and a divisor of 20
+    assert group["psf"].shards == (40, 256, 256)
+    assert group["psf"].chunks == (2, 256, 256)  # 1 MiB, and a divisor of 40
     assert group["los"].shards is None
     assert group["los"].chunks == (20, 2)
     assert group["los"].metadata.fill_value != group["los"].metadata.fill_value
@@ -89,6 +89,39 @@ def test_only_whole_chunks_can_be_written(tmp_path, chunk):
     result = toy.compute(toy.study(), np.arange(*chunk), "numpy")
     with pytest.raises(AssertionError, match="are not one piece"):
         arrays.write_chunk({"zernike": group["zernike"]}, chunk, result)
+
+
+@pytest.mark.parametrize("chunk", [(0, 20), (20, 40), (40, 43)])
+@pytest.mark.parametrize(
+    "dtype", ["float64", "float32", "int8", "int32", "int64", "bool", "complex128", "str"]
+)
+@pytest.mark.parametrize(
+    ("kind", "shape"), [("plain", ()), ("plain", (3, 2)), ("compressed", (3,)), ("shards", (256, 512))]
+)
+def test_files_are_what_zarr_itself_writes(tmp_path, monkeypatch, dtype, kind, shape, chunk):
+    """Whole pieces of plain numbers are written without zarr."""
+    if kind == "shards" and dtype != "float64":
+        return
+    numbers = np.random.default_rng(1).integers(0, 100, (chunk[1] - chunk[0], *shape))
+    values = np.asfortranarray(numbers).astype(
+        object if dtype == "str" else np.dtype(dtype).newbyteorder(">")
+    )
+    values = np.vectorize(str, otypes=[object])(values) if dtype == "str" else values
+    written = []
+    for folder in (tmp_path / "zarr", tmp_path / "ours"):
+        group = arrays.create_group(folder, {})
+        if kind == "compressed":
+            codecs = {**arrays._encoding(dtype), "compressors": arrays._EVEN}
+            group.create_array("a", shape=(43, *shape), chunks=(20, *shape), **codecs)
+        else:
+            arrays.create_per_case(group, "a", Variable(tuple("xyz"[: len(shape)]), shape, {}, dtype), 43, 20)
+        array = arrays.array_of(group, "a")
+        if folder.name == "zarr":
+            array[slice(*chunk)] = values
+        else:
+            arrays.sync(arrays._write(array, *chunk, values))
+        written.append(arrays.chunk_file(folder, array, chunk[0]).read_bytes())
+    assert written[0] == written[1]
 
 
 def test_numbers_are_on_disk_when_the_write_returns(tmp_path, monkeypatch):
@@ -253,10 +286,10 @@ def test_another_workflow_or_kind_of_device_is_refused(tmp_path):
     ],
 )
 def test_a_disk_that_takes_nothing_is_one_sentence(tmp_path, monkeypatch, code, words):
-    async def refuse(self, key, value):
+    def refuse(path, parts):
         raise OSError(code, os.strerror(code))
 
-    monkeypatch.setattr(arrays.DurableStore, "set", refuse)
+    monkeypatch.setattr(arrays, "_put", refuse)
     with pytest.raises(UserError, match=words):
         new(tmp_path / "s")
     monkeypatch.undo()
@@ -266,13 +299,13 @@ def test_a_disk_that_takes_nothing_is_one_sentence(tmp_path, monkeypatch, code, 
 @pytest.mark.parametrize("where", ["data", "journal"])
 def test_a_disk_that_fills_up_loses_nothing(tmp_path, monkeypatch, where):
     written = []
-    put, record = arrays.DurableStore.set, journal.append
+    put, record = arrays._put, journal.append
 
-    async def fill(self, key, value):
-        written.append(key)
+    def fill(path, parts):
+        written.append(path)
         if len(written) == 13:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        await put(self, key, value)
+        put(path, parts)
 
     def fill_journal(folder, entry):
         if entry.first == 20:
@@ -281,7 +314,7 @@ def test_a_disk_that_fills_up_loses_nothing(tmp_path, monkeypatch, where):
 
     new(tmp_path / "s")
     if where == "data":
-        monkeypatch.setattr(arrays.DurableStore, "set", fill)
+        monkeypatch.setattr(arrays, "_put", fill)
     else:
         monkeypatch.setattr(journal, "append", fill_journal)
     with pytest.raises(UserError, match="is full"):

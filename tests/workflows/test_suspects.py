@@ -186,24 +186,24 @@ def test_instants_that_a_case_does_not_have_do_not_diverge(tmp_path):
 def test_a_disk_that_is_busy_for_a_while_is_waited_for(tmp_path, monkeypatch, times):
     monkeypatch.setattr(chunks, "_PAUSES_S", (0.0, 0.0, 0.0))
     failures = {"data": times, "journal": times}
-    put, record = arrays.DurableStore.set, journal.append
+    put, record = arrays._put, journal.append
 
     def fail(what):
         if failures[what]:
             failures[what] -= 1
             raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
 
-    async def busy(self, key, value):
-        if "/c." in key:
+    def busy(path, parts):
+        if path.name.startswith("c."):
             fail("data")
-        await put(self, key, value)
+        put(path, parts)
 
     def busy_journal(folder, entry):
         fail("journal")
         record(folder, entry)
 
     create_store(tmp_path / "s", toy.TOY, toy.study(), 40, 10, "numpy", {})
-    monkeypatch.setattr(arrays.DurableStore, "set", busy)
+    monkeypatch.setattr(arrays, "_put", busy)
     monkeypatch.setattr(journal, "append", busy_journal)
     if times > 3:
         with pytest.raises(OSError, match=r"[Ss]tale"):
