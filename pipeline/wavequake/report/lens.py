@@ -50,7 +50,7 @@ _DEFINITIONS = (
     ),
     (
         "all errors",
-        "Springs, friction, strip, converters, stage and strength of the blow, as the study says.",
+        "Springs, friction, strip, converters, stage, strength of the blow and trigger, as the study says.",
     ),
 )
 
