@@ -155,18 +155,15 @@ def prepare_system(
     Raises
     ------
     UserError
-        If the field does not exist, a weight is negative or their sum is not positive, the rays do not
-        determine the polynomials, the chief ray or a rim ray does not arrive at the image, or the rays arrive
-        there parallel to each other.
+        If the field does not exist, a weight is not positive, the rays do not determine the polynomials, the
+        chief ray or a rim ray does not arrive at the image, or the rays arrive there parallel to each other.
     """
     if not 0 <= field < len(system.fields):
         raise UserError(
             f"the system {system.name} has {len(system.fields)} fields; there is no field {field}"
         )
-    if not (np.isfinite(weight).all() and (weight >= 0.0).all() and (weight.sum() > 0.0 or not len(weight))):
-        raise UserError(
-            "the weights of the rays must be finite, none of them negative and not all of them zero"
-        )
+    if not (np.isfinite(weight) & (weight > 0.0)).all():
+        raise UserError("the weights of the rays must all be positive numbers")
     wavelength = wavelength_of(system, wavelength)
     sequence, first_order = pack(system, wavelength), paraxial(system, wavelength)
     point = system.fields[field]
