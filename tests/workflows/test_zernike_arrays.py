@@ -132,3 +132,15 @@ def test_sensitivities_say_over_which_annulus_they_are(tmp_path):
     fringe = wq.convert_zernike(found.sensitivity_zernike_surface, "fringe")
     assert fringe.dims == ("field", "surface", "dof", "fringe")
     assert fringe.attrs["units"] == "nm per m or rad"
+
+
+def test_a_store_of_segments_tells_its_annulus(tmp_path):
+    keys = {"telescope.name": "tmt-18", "optics.rays_per_segment": 18, "wavefront.zernike_terms": 21}
+    keys |= {"imaging.enabled": False, "campaign.device": "numpy"}
+    overrides = {key.replace(".", "__"): value for key, value in keys.items()}
+    made = wq.run("tmt-segments", cases=1, store=tmp_path / "store", on="serial", **overrides)
+    circular = wq.convert_zernike(made.zernike, target=0.0)
+    assert float(made.zernike.attrs["obscuration"]) > 0.05
+    assert circular.attrs["obscuration"] == "0.0"
+    back = wq.convert_zernike(circular, target=float(made.zernike.attrs["obscuration"]))
+    np.testing.assert_allclose(back.transpose(*made.zernike.dims), made.zernike, atol=1e-9)

@@ -89,8 +89,10 @@ def _variables(bench: Bench) -> dict[str, Variable]:
     terms, pixels = study.wavefront.zernike_terms, study.imaging.pixels
     over_time = ("time",)
 
-    def variable(dims: tuple[str, ...], shape: tuple[int, ...], units: str, long_name: str) -> Variable:
-        return Variable(dims, shape, {"units": units, "long_name": long_name})
+    def variable(
+        dims: tuple[str, ...], shape: tuple[int, ...], units: str, long_name: str, **more: str
+    ) -> Variable:
+        return Variable(dims, shape, {"units": units, "long_name": long_name, **more})
 
     per_case = {
         "time_s": Variable(
@@ -115,7 +117,7 @@ def _variables(bench: Bench) -> dict[str, Variable]:
             "peak to valley of the wavefront over the rays on glass about their best-fit plane",
         ),
         "zernike": replace(
-            variable(("time", "noll"), (instants, terms), "nm", _coefficients(study)),
+            variable(("time", "noll"), (instants, terms), "nm", _coefficients(study), **_over_annulus(bench)),
             unknown=int(study.wavefront.method == "slopes"),
         ),
         "los": variable(
@@ -190,7 +192,11 @@ def _fixed(bench: Bench) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic]
         "zernike_static": (
             ("noll",),
             in_basis(bench, bench.static.zernike[0]) * wavelength,
-            {"units": "nm", "long_name": "Zernike coefficients at rest (a_0 of Störkle 2018, Eq. 3.41)"},
+            {
+                "units": "nm",
+                "long_name": "Zernike coefficients at rest (a_0 of Störkle 2018, Eq. 3.41)",
+                **_over_annulus(bench),
+            },
         ),
     }
     if bench.study.imaging.enabled:
@@ -214,6 +220,12 @@ def _fixed(bench: Bench) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic]
             {"long_name": "motion"},
         )
     return fixed
+
+
+def _over_annulus(bench: Bench) -> dict[str, str]:
+    """Return over which annulus the polynomials of the stored coefficients are orthogonal, as a label."""
+    inner = bench.prepared.obscuration if bench.study.wavefront.basis == "annular" else 0.0
+    return {"obscuration": repr(float(inner))}
 
 
 def _coefficients(study: SegmentStudy) -> str:
