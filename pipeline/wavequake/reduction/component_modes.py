@@ -6,6 +6,7 @@ rigid motions, which every basis but that of fixed-interface modes contains.
 
 import numpy as np
 
+from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, Integers
 from wavequake.reduction.structure import (
     Structure,
@@ -15,6 +16,12 @@ from wavequake.reduction.structure import (
     fixed_modes,
     held,
 )
+
+MASSLESS_HZ = 1e6
+"""Frequency of shapes that stand for massless ones."""
+
+# Of the largest residual flexibility: below is rounding.
+_NO_FLEXIBILITY = 1e-12
 
 
 def modal(body: Structure, count: int) -> Array:
@@ -75,15 +82,55 @@ def inertia_relief(body: Structure, count: int) -> Array:
 
 
 def rubin(body: Structure, count: int) -> Array:
-    """Free-interface modes and residual attachment modes (Rubin 1975, MacNeal 1971; Martinez 1984).
+    """Free-interface modes and residual attachment modes (Rubin 1975; Martinez 1984).
 
-    The residual flexibility is the static one less that of the kept modes. With rigid motions, Rubin's basis,
-    that of Martinez (dual Craig-Bampton) and that of inertia relief span one space; MacNeal's neglect of the
-    residual mass, which would leave the mass singular, is not made.
+    With rigid motions, Rubin's basis, that of Martinez (dual Craig-Bampton) and that of inertia relief span
+    one space.
+    """
+    return np.hstack(_modes_and_residual(body, count)[1:])
+
+
+def _modes_and_residual(body: Structure, count: int) -> tuple[Array, Array, Array]:
+    """Return squared frequencies and shapes of free modes, and what they leave of the static shapes.
+
+    The residual flexibility is the static one less that of the kept modes.
     """
     static = attachment_modes(body)
     squared, shapes = elastic_modes(body, count - static.shape[1])
-    return np.hstack([shapes, static - shapes @ (shapes[body.interface].T / squared[:, None])])
+    return squared, shapes, static - shapes @ (shapes[body.interface].T / squared[:, None])
+
+
+def macneal(body: Structure, count: int) -> tuple[Array, Array]:
+    """Free-interface modes and residual flexibility without its mass (MacNeal 1971).
+
+    A mass matrix must be positive definite, so the residual shapes get what puts their frequencies at
+    `MASSLESS_HZ`: at 1 kHz a millionth of the residual flexibility is lost. They are orthogonal to the modes.
+
+    Returns
+    -------
+    squared : ndarray, shape (count,)
+        rad^2/s^2.
+    shapes : ndarray, shape (n, count)
+        With a mass of 1 each.
+
+    Raises
+    ------
+    UserError
+        If the modes leave no flexibility of some interface direction.
+    """
+    squared, shapes, residual = _modes_and_residual(body, count)
+    flexibility = residual[body.interface]
+    values, turn = np.linalg.eigh((flexibility + flexibility.T) / 2.0)
+    if values[0] <= _NO_FLEXIBILITY * values[-1]:
+        raise UserError(
+            f"The {len(squared)} elastic modes leave no residual flexibility of some interface direction of "
+            f"the model {body.name}, so macneal has too high an order; choose a lower one, or modal."
+        )
+    fast = 2.0 * np.pi * MASSLESS_HZ
+    return (
+        np.concatenate([squared, np.full(len(values), fast**2)]),
+        np.hstack([shapes, residual @ (turn * (fast / np.sqrt(values)))]),
+    )
 
 
 def hintz(body: Structure, count: int) -> Array:

@@ -92,6 +92,16 @@ def project(body: Structure, variant: Variant, rigid: Array, elastic: Array) -> 
     return np.concatenate([zeros, np.maximum(squared, 0.0)]), np.hstack([rigid, elastic @ turn])
 
 
+def _macneal(body: Structure, variant: Variant) -> tuple[Array, Array]:
+    """Return squared frequencies and shapes of a model that is no projection, as `project`."""
+    check_size(body.size, variant)
+    rigid = body.rigid.shape[1]
+    if variant.order is None:
+        raise UserError(f"The variant {variant} has no order.")
+    squared, shapes = component_modes.macneal(body, variant.order - rigid)
+    return np.concatenate([np.zeros(rigid), squared]), np.hstack([body.rigid, shapes])
+
+
 def reduced(
     body: Structure,
     variant: Variant,
@@ -112,7 +122,10 @@ def reduced(
     snapshots : ndarray, shape (n, m), optional
     """
     start = time.perf_counter()
-    squared, shapes = project(body, variant, *basis(body, variant, snapshots))
+    if variant.method == "macneal":
+        squared, shapes = _macneal(body, variant)
+    else:
+        squared, shapes = project(body, variant, *basis(body, variant, snapshots))
     rates = body.damping.mass + body.damping.stiffness * squared
     name = variant if variant.order is not None else _with_order(variant, len(squared))
     return ReducedModel(

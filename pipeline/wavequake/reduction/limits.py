@@ -8,7 +8,7 @@ from wavequake.reduction.names import Variant
 
 # Below this order dense algebra is faster than sparse.
 DENSE = 600
-_CONSTRAINT, _ATTACHMENT = ("craigb", "guyan"), ("rubin", "dualcb", "inertia")
+_CONSTRAINT, _ATTACHMENT = ("craigb", "guyan"), ("rubin", "macneal", "dualcb", "inertia")
 _GRAMIANS = ("bt", "flbt", "fwbt", "irka", "pod")
 
 
@@ -46,6 +46,11 @@ def check_size(size: Size, variant: Variant, snapshots: bool = False) -> None:
         raise UserError(
             f"{variant}: balanced truncation, IRKA and POD need positive damping of every elastic mode, and "
             f"the model {size.name} has none; set its Rayleigh damping, or choose craigb, rubin or krylov."
+        )
+    if method == "macneal" and size.damping.stiffness == 0:
+        raise UserError(
+            f"{variant}: shapes without mass ring when they are struck, unless the damping has a part "
+            f"proportional to the stiffness, and that of the model {size.name} has none; choose rubin."
         )
     if order is None:
         return

@@ -2,8 +2,8 @@
 
 A name is a method, an order, and for some methods arguments in brackets. Of component modes there are modal
 (free-interface modes), modalfix (fixed-interface modes, the thesis' "Guyan"), guyan (static condensation),
-craigb, rubin (with MacNeal), dualcb (Martinez), inertia and hintz; then krylov, irka, bt (balanced
-truncation; flbt in frequency bands, fwbt with weights) and pod.
+craigb, rubin, macneal, dualcb (Martinez), inertia and hintz; then krylov, irka, bt (balanced truncation; flbt
+in frequency bands, fwbt with weights) and pod.
 
 - ``krylov36(150)``: expansion points in Hz. A real point f lies on the imaginary axis, s0 = 2 pi i f; a
   complex one a+bj is s0 = 2 pi (b + i a), so that ``150j`` is the real s0 = 2 pi 150.
@@ -19,16 +19,20 @@ from dataclasses import dataclass
 
 from wavequake.errors import UserError
 
+COMPONENT_MODES = (
+    "modal",
+    "guyan",
+    "modalfix",
+    "craigb",
+    "rubin",
+    "macneal",
+    "dualcb",
+    "inertia",
+    "hintz",
+)
 # What the brackets of each method hold.
 METHODS = {
-    "modal": "",
-    "guyan": "",
-    "modalfix": "",
-    "craigb": "",
-    "rubin": "",
-    "dualcb": "",
-    "inertia": "",
-    "hintz": "",
+    **dict.fromkeys(COMPONENT_MODES, ""),
     "krylov": "points",
     "irka": "",
     "bt": "",

@@ -15,7 +15,7 @@ from wavequake.reduction.galerkin import reduced
 from wavequake.reduction.intermediate import Intermediate, dense_structure
 from wavequake.reduction.limits import DENSE, Size, check_size
 from wavequake.reduction.metrics import full_receptance, relative_errors
-from wavequake.reduction.names import Variant, parse
+from wavequake.reduction.names import COMPONENT_MODES, Variant, parse
 from wavequake.reduction.reduce import reduce
 from wavequake.reduction.structure import Structure
 
@@ -36,7 +36,7 @@ def covers(model: Intermediate, variant: Variant) -> bool:
         return True
     interface, rigid = 3 * len(model.interfaces), model.rigid.shape[1]
     order = variant.order or 0
-    if variant.method in ("modal", "rubin", "dualcb", "inertia", "hintz", "modalfix", "craigb", "guyan"):
+    if variant.method in COMPONENT_MODES:
         static = {"modal": rigid, "modalfix": 0, "craigb": interface, "guyan": interface, "hintz": interface}
         available = model.modes if variant.method != "hintz" else model.modes // 2
         return bool(order - static.get(variant.method, rigid + interface) <= available)
