@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib import rc_context
-from matplotlib.animation import PillowWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from PIL import Image
 from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
@@ -182,8 +182,8 @@ def _mirror(study_text: str, case: int, excitation: int, device: str) -> Film:
 
 @rc_context(STYLE)
 def _write(path: Path, film: Film) -> None:
-    figure = Figure(figsize=(7.2, 3.4), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = Figure(figsize=(7.2, 3.4), dpi=80, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     waves, images, sampling = film.waves, film.images, film.sampling
     reach = max(float(np.abs(waves).max()), 1e-9)
@@ -202,11 +202,15 @@ def _write(path: Path, film: Film) -> None:
     (track,) = right.plot([], [], color="#ff4d4d", linewidth=0.8)
     right.set_xlabel("image x (λ/D)")
     right.set_autoscale_on(False)
-    writer = PillowWriter(fps=_FRAMES_PER_SECOND)
-    with writer.saving(figure, str(path), dpi=80):
-        for number, instant in enumerate(film.time_ms):
-            dots.set_array(waves[number])
-            picture.set_data(np.maximum(images[number], 1e-4 * top))
-            track.set_data(film.los[: number + 1, 0], film.los[: number + 1, 1])
-            left.set_title(f"t = {instant:.1f} ms")
-            writer.grab_frame()
+    frames = []
+    for number, instant in enumerate(film.time_ms):
+        dots.set_array(waves[number])
+        picture.set_data(np.maximum(images[number], 1e-4 * top))
+        track.set_data(film.los[: number + 1, 0], film.los[: number + 1, 1])
+        left.set_title(f"t = {instant:.1f} ms")
+        canvas.draw()  # type: ignore[no-untyped-call]
+        figure.set_layout_engine("none")  # the first frame's is that of all, and takes as long as the frame
+        drawn = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+        frames.append(Image.fromarray(drawn[..., :3].copy()))
+    milliseconds = 1000 // _FRAMES_PER_SECOND
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=milliseconds, loop=0)
