@@ -9,8 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
+from wavequake.kernels.sequence import Rays
 from wavequake.kernels.sequential_numpy import trace_sequence_numpy
 from wavequake.optics.catalog import optical_system, system_names
+from wavequake.optics.gradient_index import selfoc
 from wavequake.optics.kinematics import cardan
 from wavequake.optics.media import AIR, constant, glass, glasses
 from wavequake.optics.packing import moving, pack
@@ -156,15 +158,12 @@ def test_annular_zernike_sag_is_written_by_circular_polynomials():
         ),
         (simple(shape=EvenAsphere(np.inf, 0.0, (0.0,) * 9)), "more than 8 terms"),
         (simple(deformation=ZernikeDeformation(5, 10.0)), "a deformation"),
-        (simple(opening=Opening(outer=5.0, arms=((0.0, 0.1),))), "spider alone"),
-        (simple(opening=Opening(corners=((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))), "no circle"),
+        (simple(opening=Opening(outer=5.0, arms=((0.3, 0.1),))), "no spider of equal ones"),
+        (simple(opening=Opening(arms=((0.0, 0.1), (np.pi, 0.2)))), "no spider of equal ones"),
+        (simple(opening=Opening(corners=((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))), "no centered rectangle"),
         (simple(name="two\nlines"), "one line"),
         (simple(shape=Conic(np.nan)), "finite numbers only"),
         (simple(action="refract", medium=replace(glass("F2"), name="mine")), "no glass of the catalogue"),
-        (
-            replace(simple(opening=Opening(arms=((0.0, 0.1),))), pupil=Pupil("entrance_diameter", 9.0, 0.2)),
-            "spider alone",
-        ),
         (replace(simple(), fields=np.zeros((13, 2))), "13 fields"),
     ],
 )
@@ -196,6 +195,58 @@ def test_every_bundled_system_comes_back_with_its_light(name):
             np.testing.assert_array_equal(found.status, truth.status)
             for key in ("x", "y", "path"):
                 np.testing.assert_allclose(getattr(found, key), getattr(truth, key), rtol=1e-13, atol=1e-9)
+
+
+RECTANGLE = ((6.0, -5.0), (6.0, 5.0), (-6.0, 5.0), (-6.0, -5.0))
+
+
+@pytest.mark.parametrize(
+    "opening",
+    [
+        Opening(6.0, 2.0, arms=spider(0.7, 3)),
+        Opening(inner=2.0, corners=RECTANGLE),
+        Opening(inner=2.0, corners=RECTANGLE, arms=spider(0.5, 4)),
+        Opening(corners=RECTANGLE),
+    ],
+)
+def test_several_apertures_of_a_surface_stand_on_equal_ones_before_it(opening):
+    """A turned mirror behind a lens: the same rays arrive, on the same ways."""
+    glass_plate = Surface("plate", position=np.array([0.0, 0.0, -9.0]), action="refract", medium=glass("F2"))
+    turn = cardan(np.array([0.2, -0.1, 0.3]))
+    mirror = Surface(
+        "mirror",
+        EvenAsphere(-90.0, -0.5, (1e-4, 1e-6)),
+        np.array([0.3, 0.1, 0.0]),
+        turn,
+        "reflect",
+        opening=opening,
+    )
+    image = Surface("image", position=np.array([0.0, 0.0, -4.0]))
+    system = OpticalSystem("ring", (glass_plate, mirror, image), 1, Pupil("entrance_diameter", 20.0))
+    again = parse_zmx(zmx_text(system), "lens.zmx")
+    assert again.stop == len(again.surfaces) - 2
+    assert again.surfaces[again.stop].name == "mirror"
+    x, y = np.random.default_rng(8).uniform(-8, 8, (2, 500))
+    rays = Rays(np.stack([x, y, 0 * x - 20]), np.array([[0.0], [0.0], [1.0]]) * np.ones(500), np.zeros(500))
+    moved = replace(rays, position=rays.position + np.array([[0.0], [0.0], [9.0]]))
+    truth, found = (
+        trace_sequence_numpy(pack(one, 550e-6), light, moving(one, rest_states(one)))
+        for one, light in ((system, rays), (again, moved))
+    )
+    assert 50 < np.count_nonzero(truth.status) < 450
+    np.testing.assert_array_equal(found.status, truth.status)
+    for key in ("x", "y", "path"):
+        np.testing.assert_allclose(getattr(found, key), getattr(truth, key), rtol=1e-12, atol=1e-10)
+
+
+def test_several_apertures_behind_a_gradient_are_refused():
+    inside = simple(action="refract", medium=selfoc(1.6, 0.01))
+    rear = Surface(
+        "rear", position=np.array([0, 0, 5.0]), action="refract", opening=Opening(5.0, arms=spider(0.1, 2))
+    )
+    image = Surface("image", position=np.array([0, 0, 9.0]))
+    with pytest.raises(UserError, match="rear has several apertures and SELFOC before it"):
+        zmx_text(replace(inside, surfaces=(inside.surfaces[0], rear, image)))
 
 
 def test_an_obscured_pupil_is_a_dark_center_of_the_stop():

@@ -3,7 +3,8 @@
 The system's z axis becomes the file's axis; a surface that is shifted or tilted stands between two coordinate
 breaks, the second of which undoes the first. An obscured pupil becomes a dark center of the stop, a numerical
 aperture in the image its f-number, annular Zernike polynomials the circular ones of which they are sums.
-What the format cannot hold is refused by name.
+Further apertures of a surface stand on equal surfaces before it. What the format cannot hold is refused by
+name.
 """
 
 import math
@@ -68,9 +69,10 @@ def zmx_text(system: OpticalSystem) -> str:
     rows = [["TYPE STANDARD", "CURV 0.0", f"DISZ {distance}", *_glass(system.medium, system.name)]]
     begins = Surface("object", medium=system.medium)
     for index, surface in enumerate(system.surfaces):
+        before = begins.medium
         if surface.action == "refract":
             begins = surface
-        rows += _rows(system, index, begins)
+        rows += _rows(system, index, before, begins)
     for number, row in enumerate(rows):
         lines += [f"SURF {number}", *(f"  {line}" for line in row)]
     return "\n".join(lines) + "\n"
@@ -131,21 +133,24 @@ def _glass(medium: Medium, name: str) -> list[str]:
     )
 
 
-def _rows(system: OpticalSystem, index: int, begins: Surface) -> list[list[str]]:
+def _rows(
+    system: OpticalSystem, index: int, before: Medium | GradientIndex, begins: Surface
+) -> list[list[str]]:
     """Return the rows of a surface, with its coordinate breaks where it needs them.
 
-    ``begins`` is the surface that begins the medium behind it.
+    ``before`` is the medium before it; ``begins`` the surface that begins the medium behind it.
     """
     surface, last = system.surfaces[index], index == len(system.surfaces) - 1
     gap = 0.0 if last else float(system.surfaces[index + 1].position[2] - surface.position[2])
-    lines = _surface(system, index, begins)
+    *apertures, lines = _surface(system, index, before, begins)
+    on_it = [[*one, "DISZ 0.0"] for one in apertures]
     x, y = (float(value) for value in surface.position[:2])
     tilts = [float(angle) for angle in np.rad2deg(cardan_angles(surface.rotation))]
     if not any((x, y, *tilts)):
-        return [[*lines, f"DISZ {written(gap)}"]]
+        return [*on_it, [*lines, f"DISZ {written(gap)}"]]
     there = _break([x, y, *tilts], 0, 0.0)
     back = _break([-value for value in (x, y, *tilts)], 1, gap)
-    return [there, [*lines, "DISZ 0.0"]] + ([] if last else [back])
+    return [there, *on_it, [*lines, "DISZ 0.0"]] + ([] if last else [back])
 
 
 def _break(numbers: Sequence[float], order: int, gap: float) -> list[str]:
@@ -153,35 +158,45 @@ def _break(numbers: Sequence[float], order: int, gap: float) -> list[str]:
     return ["TYPE COORDBRK", *parameters, f"DISZ {written(gap)}"]
 
 
-def _surface(system: OpticalSystem, index: int, begins: Surface) -> list[str]:
+def _surface(
+    system: OpticalSystem, index: int, before: Medium | GradientIndex, begins: Surface
+) -> list[list[str]]:
+    """Return the lines of a surface, after those of equal ones that hold further apertures."""
     surface = system.surfaces[index]
     _require_one_line(surface.name, "a surface")
     if surface.deformation is not None:
         raise UserError(
             f"The surface {surface.name} of {system.name} has a deformation, which a lens file cannot hold."
         )
-    medium = begins.medium
-    lines = _shape(surface, system.name)
+    medium, shape = begins.medium, _shape(surface, system.name)
     if isinstance(medium, GradientIndex):
-        lines = [*gradient_lines(surface, medium, begins, wavelength_of(system)), *lines[1:]]
+        lines = [*gradient_lines(surface, medium, begins, wavelength_of(system)), *shape[1:]]
     elif surface.action == "reflect":
-        lines.append("GLAS MIRROR 0 0 1.5 40 0 0 0 0 0 0")
+        lines = [*shape, "GLAS MIRROR 0 0 1.5 40 0 0 0 0 0 0"]
     else:
-        lines += _glass(medium, surface.name)
-    semi_diameter = math.inf
-    opening = surface.opening
+        lines = [*shape, *_glass(medium, surface.name)]
+    opening = surface.opening or Opening()
     if index == system.stop and system.pupil.obscuration:
-        opening = _obscured(system, opening or Opening())
-    if opening is not None:
-        lines += _opening(opening, surface.name)
-        semi_diameter = opening.outer
+        opening = _obscured(system, opening)
+    *more, own = _apertures(opening, surface.name)
+    lines += own
+    semi_diameter = opening.outer
     if index == system.stop:
         lines.append("STOP")
         if system.pupil.kind == "stop":
             semi_diameter = system.pupil.value
     if math.isfinite(semi_diameter):
         lines.append(f"DIAM {written(semi_diameter)} 1 0 0 1")
-    return [f"COMM {surface.name}", *lines]
+    rows = [[f"COMM {surface.name}", *lines]]
+    if not more:
+        return rows
+    if isinstance(before, GradientIndex):
+        raise UserError(
+            f"The surface {surface.name} has several apertures and {before.name} before it, whose index "
+            "varies: a lens file holds one aperture there."
+        )
+    same = [*shape, *_glass(before, surface.name)]
+    return [[f"COMM {surface.name} aperture {k}", *same, *one] for k, one in enumerate(more, start=1)] + rows
 
 
 def _obscured(system: OpticalSystem, opening: Opening) -> Opening:
@@ -223,21 +238,27 @@ def _extra_data(coefficients: tuple[float, ...], radius: float) -> list[str]:
     return [f"XDAT {k} {written(value)} 0 0" for k, value in enumerate(values, start=1)]
 
 
-def _opening(opening: Opening, name: str) -> list[str]:
-    if opening == Opening():
-        return []
-    if not opening.corners and not opening.arms:
-        if math.isfinite(opening.outer):
-            return [f"CLAP {written(opening.inner)} {written(opening.outer)} 0"]
-        return [f"OBSC 0.0 {written(opening.inner)} 0"]
-    half_x, half_y = (max(corner[axis] for corner in opening.corners or ((0.0, 0.0),)) for axis in (0, 1))
-    rectangle = ((-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y))
-    if opening == Opening(corners=rectangle):
-        return [f"SQAP {written(half_x)} {written(half_y)} 0"]
-    arms = opening.arms
-    if arms and opening == Opening(arms=spider(arms[0][1], len(arms))):
-        return [f"SPID {written(arms[0][1])} {len(arms)} 0"]
-    raise UserError(
-        f"The surface {name} has an opening that is no circle, annulus, centered rectangle or spider alone, "
-        "which a lens file cannot hold; spread it over several surfaces."
-    )
+def _apertures(opening: Opening, name: str) -> list[list[str]]:
+    """Return the apertures whose intersection an opening is, the lines of each; no line where all passes."""
+    found = []
+    if opening.arms:
+        arms = opening.arms
+        if arms != spider(arms[0][1], len(arms)):
+            raise UserError(
+                f"The surface {name} has arms that are no spider of equal ones at equal angles, the first "
+                "along x, which a lens file cannot hold."
+            )
+        found.append([f"SPID {written(arms[0][1])} {len(arms)} 0"])
+    if opening.corners:
+        x, y = (max(corner[axis] for corner in opening.corners) for axis in (0, 1))
+        if len(opening.corners) != 4 or set(opening.corners) != {(-x, -y), (x, -y), (x, y), (-x, y)}:
+            raise UserError(
+                f"The surface {name} has a polygonal opening that is no centered rectangle, which a lens "
+                "file cannot hold."
+            )
+        found.append([f"SQAP {written(x)} {written(y)} 0"])
+    elif math.isfinite(opening.outer):
+        return [*found, [f"CLAP {written(opening.inner)} {written(opening.outer)} 0"]]
+    if opening.inner:
+        found.append([f"OBSC 0.0 {written(opening.inner)} 0"])
+    return found or [[]]
