@@ -185,7 +185,8 @@ def try_images(
         "Instructions are the most in a step. Times are those of the longest step: on the Due at 84 MHz if "
         f"instructions take {trial.CYCLES_PER_INSTRUCTION:g} cycles, on the Uno's processor (in simavr) at "
         "16 MHz by cycles that were counted, of the decoder per edge. A step may take "
-        f"{1e3 * regulator.sample_time:g} ms. Ranges, and deviations after 1 s, in % of those uncontrolled.",
+        f"{1e3 * regulator.sample_time:g} ms. Ranges, and deviations after 1 s, in % of those uncontrolled. "
+        f"Commands are compared over {len(hit.adc)} steps, bit by bit.",
         markup=False,
     )
     for reason in dict.fromkeys(one.skipped for one in found if one.skipped):

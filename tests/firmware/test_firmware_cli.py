@@ -73,6 +73,7 @@ def test_all_images_give_the_commands_of_the_host(monkeypatch, firmware, tmp_pat
     assert code == 0
     assert "DIFFER" not in said
     assert said.count("reference") == 3
+    assert "Commands are compared over 551 steps" in said
     assert said.count("not run") + said.count("as the host's") == 8
 
 
