@@ -8,6 +8,7 @@ from small_mirrors import MOR, eleven, wavefront_of
 from wavequake.optics.pupils import sunflower
 from wavequake.report import mirror_shapes as draw
 from wavequake.report import mirrors
+from wavequake.report.deformed_body import bodies
 from wavequake.workflows.campaign import run_study
 from wavequake.workflows.mirror_bench import bench_of, build_model, variant_of
 from wavequake.workflows.mirror_mor import compute
@@ -108,7 +109,7 @@ def test_the_wavefront_of_the_worst_instant_has_its_rms(store):
 def test_figures_show_what_is_stored(store):
     (model,), _ = mirrors.results_of(store)
     names = [one.id for one in draw.pictures(store, model)]
-    assert len(names) == 3 + store.sizes["excitation"]
+    assert len(names) == 4 + store.sizes["excitation"]
     drawn = next(one for one in model.variants if one.variant == "krylov36(150)")
     figure = draw.node_history(store, "sine300", [drawn], model.reference)
     motion = store["node_motion"].sel(excitation="sine300")
@@ -129,6 +130,47 @@ def store_tile(store, mode):
     x, y = np.meshgrid(*[(np.arange(72) + 0.5) / 72 * 2 - 1] * 2)
     inside = np.hypot(x, y) <= 1
     return eleven(x[inside], y[inside]) @ store["mode_figure"].values[0, mode]
+
+
+def test_the_figure_of_the_worst_instant_makes_its_wavefront(store, study):
+    """Along the light, so that a mirror which is 1 um nearer to it has -1 um of piston."""
+    optics = bench_of(study.identity_text(), "circular").optics
+    made = 1e-3 * store["peak_figure"].values @ optics.sensitivity[2:].T
+    np.testing.assert_allclose(made, store["peak_wavefront"].values, rtol=1e-9, atol=1e-6)
+    worst = store["wfe_rms"].isel(case=0).values.argmax(axis=1)
+    row = list(store["excitation"].values).index("sine100")
+    rim = store["node_motion"].values[0, row, worst[row]]
+    angle = np.radians(store["node_angle"].values[0])
+    assert np.degrees(angle) == pytest.approx(60.0, abs=0.01)
+    height = -eleven(np.cos([angle]), np.sin([angle]))[0] @ store["peak_figure"].values[0, row]
+    # Heights are across the surface, of slope 0.15 there, which also moves in its plane.
+    assert height == pytest.approx(1e6 * rim, rel=0.1)
+
+
+def test_the_body_is_drawn_as_high_as_it_stands(store):
+    (model,), _ = mirrors.results_of(store)
+    figure = bodies(store, model.reference)
+    assert len(figure.axes) == store.sizes["excitation"]
+    for row, axes in enumerate(figure.axes):
+        (drawn,) = axes.collections
+        corners = np.array([path.vertices[:4] for path in drawn.get_paths()])
+        assert len(corners) == 17 * 96
+        # At the middle of the disc the picture shows the height alone: by Noll's own formulas there.
+        numbers = store["peak_figure"].values[0, row]
+        x, y = np.meshgrid(np.linspace(-1, 1, 201), np.linspace(-1, 1, 201))
+        inside = np.hypot(x, y) <= 1
+        scale = 0.15 / np.abs(eleven(x[inside], y[inside]) @ numbers).max()
+        height = -scale * (eleven(np.zeros(1), np.zeros(1))[0] @ numbers)
+        center = np.array([0.0, np.cos(np.radians(35.0)) * height])
+        assert np.hypot(*(corners - center).reshape(-1, 2).T).min() < 2e-3
+        assert f"{np.abs(eleven(x[inside], y[inside]) @ numbers).max():.3g}"[:3] in axes.get_title(loc="left")
+
+
+def test_a_mirror_at_rest_and_a_store_from_before_are_drawn(store):
+    (model,), _ = mirrors.results_of(store)
+    assert bodies(store.assign(peak_figure=0.0 * store["peak_figure"]), model.reference).axes
+    before = store.drop_vars(["peak_figure", "node_angle"])
+    assert len(list(draw.pictures(before, model))) == 3 + store.sizes["excitation"]
 
 
 def test_of_pairs_one_is_drawn():

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from wavequake.optics.zernike import annular_zernike
+from wavequake.report.deformed_body import bodies
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import number as shortened
@@ -44,6 +45,8 @@ def pictures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
         "Wavefronts when that of the reference is worst",
         peak_wavefronts(dataset, shown, reference),
     )
+    if "peak_figure" in dataset:
+        yield picture(f"{model.name}-body", "The mirror at these instants", bodies(dataset, reference))
     for excitation in map(str, dataset["excitation"].to_numpy()):
         yield picture(
             f"{model.name}-{excitation}-node",

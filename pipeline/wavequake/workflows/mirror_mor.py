@@ -30,8 +30,8 @@ from wavequake.workflows.mirror_bench import (
     time_of,
     variant_of,
 )
-from wavequake.workflows.mirror_optics import Optics, mode_residuals, optical_rows
-from wavequake.workflows.mirror_shapes import MOST_TERMS, SHOWN_MODES, mode_shapes, node_row
+from wavequake.workflows.mirror_optics import Optics, figure_rows, mode_residuals, optical_rows
+from wavequake.workflows.mirror_shapes import MOST_TERMS, SHOWN_MODES, mode_shapes, node_row, rim_angle
 from wavequake.workflows.mirror_study import FULL, MirrorStudy
 
 Array = NDArray[np.float64]
@@ -41,6 +41,7 @@ Array = NDArray[np.float64]
 SHOWN_TERMS = 15
 MODES = 40
 FITTED_MODES = 120
+_UM_PER_MM = 1e3
 
 
 def cases_of(study: MirrorStudy) -> list[tuple[str, str]]:
@@ -81,7 +82,9 @@ def judged(study: MirrorStudy, bench: Bench, answers: Answers, variant: str) -> 
     rows = optical_rows(optics, reduced)
     frequencies = frequencies_of(study)
     mechanical, optical = receptance(reduced, frequencies), receptance(reduced, frequencies, rows[3:])
-    aberrations, node = over_time(study, reduced, rows, node_row(reduced))
+    aberrations, node, shapes = over_time(
+        study, reduced, rows, node_row(reduced), figure_rows(optics, reduced)
+    )
     peaks = _wavefront_error(answers.aberrations).argmax(axis=1)
     figures, wavefronts = mode_shapes(optics, reduced)
     apart = aberrations - answers.aberrations
@@ -112,7 +115,11 @@ def judged(study: MirrorStudy, bench: Bench, answers: Answers, variant: str) -> 
         "mode_figure": _padded(figures, SHOWN_MODES, terms_of(study)),
         "mode_wavefront": _padded(wavefronts, SHOWN_MODES, terms_of(study)),
         "peak_wavefront": _padded(aberrations[np.arange(len(peaks)), peaks, 2:], len(peaks), terms_of(study)),
+        "peak_figure": _padded(
+            _UM_PER_MM * shapes[np.arange(len(peaks)), peaks], len(peaks), terms_of(study)
+        ),
         "node_motion": node[..., 0],
+        "node_angle": rim_angle(reduced),
     }
 
 
@@ -283,6 +290,12 @@ def variables(study: MirrorStudy) -> dict[str, Variable]:
                 "long_name": "Noll coefficients of the wavefront when that of the reference is worst",
             },
         ),
+        "peak_figure": Variable(
+            ("excitation", "term"),
+            (excitations, terms),
+            {"units": "um", "long_name": "Noll coefficients of the mirror's figure, along the light, then"},
+        ),
+        "node_angle": scalar("deg", "where on the rim this node is, about the axis from x"),
         "node_motion": history("m", "motion along z of a node on the rim, far from the mounts"),
     }
 

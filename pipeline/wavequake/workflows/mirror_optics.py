@@ -231,7 +231,13 @@ def displacements_mm(rows: Any) -> Array:
 
 def optical_rows(optics: Optics, model: ReducedModel) -> Array:
     """Return aberrations per unit of a model's coordinates, (2 + J, r): Störkle 2018, Eq. 4.22."""
-    rows: Array = optics.sensitivity @ apply(optics.surface, displacements_mm(model.surface.T)).T
+    rows: Array = optics.sensitivity @ figure_rows(optics, model)
+    return rows
+
+
+def figure_rows(optics: Optics, model: ReducedModel) -> Array:
+    """Return Noll coefficients of the figure along the light per unit of the coordinates, mm, (J, r)."""
+    rows: Array = apply(optics.surface, displacements_mm(model.surface.T)).T
     return rows
 
 

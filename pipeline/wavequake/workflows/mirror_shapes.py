@@ -76,6 +76,12 @@ def rim_node(model: ReducedModel) -> int:
     return int(farthest[np.argmin(np.round(angle, 6))])
 
 
+def rim_angle(model: ReducedModel) -> float:
+    """Return where on the rim that node is, in deg about the axis from x."""
+    x, y, _ = model.nodes[model.surface_nodes][rim_node(model)]
+    return float(np.degrees(np.arctan2(y, x)))
+
+
 def node_row(model: ReducedModel) -> Array:
     """Return the row (1, r) that gives the motion of the test node along z, m per unit coordinate."""
     place = 3 * rim_node(model) + 2
