@@ -26,6 +26,17 @@ def test_equal_stores_do_not_differ(campaign):
     differences = compare(campaign, other(campaign), "A", "B")
     assert {one.group for one in differences} == {"wind", "shake"}  # "empty" has no finished case
     assert all(np.all(one.differences == 0.0) for one in differences)
+    caption = comparison_table(["A", "B"], [differences]).caption
+    assert caption.endswith("No case of B differs from A in any of these.")
+
+
+def test_stores_that_differ_in_one_number_are_not_called_equal(campaign):
+    comparisons = [
+        compare(campaign, store, "A", "B") for store in (other(campaign, shift=1e-9), other(campaign))
+    ]
+    caption = comparison_table(["A", "B", "C"], comparisons).caption
+    assert "No case of B" not in caption
+    assert "No case of C differs" in caption
 
 
 def test_cases_are_paired_by_their_labels(campaign):

@@ -1,4 +1,5 @@
 import json
+import re
 import tomllib
 
 import pytest
@@ -182,3 +183,18 @@ def test_a_custom_telescope_carries_its_polygons(tmp_path, own):
     assert "A,1,0" in study_from_identity(SegmentStudy, study.identity_text()).telescope.polygons_csv
     with pytest.raises(UserError, match=r"telescope.polygons: the file .* cannot be read"):
         load_study(own)
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("foo.bar=1", "the key 'foo' is unknown; valid keys are study, campaign, store, telescope"),
+        ("foo.wavelength_nm=1", "The key 'foo.wavelength_nm' is unknown; did you mean optics.wavelength_nm?"),
+        ("optic.wavelength_nm=1", "the key 'optic' is unknown; the nearest valid key is 'optics'"),
+        ("optics.wavelenth_nm=1", "the nearest valid key is 'wavelength_nm'"),
+        ("optics.colour=1", "the key 'optics.colour' is unknown; valid keys are wavelength_nm, sampling"),
+    ],
+)
+def test_an_override_of_no_key_says_what_would_be_one(override, words):
+    with pytest.raises(UserError, match=re.escape(words)):
+        load_study("tmt-segments", [override])

@@ -18,7 +18,7 @@ from wavequake.errors import UserError
 from wavequake.workflows import arrays, chunks, isolation, journal, provenance
 from wavequake.workflows.chunks import Job, compute_chunk
 from wavequake.workflows.status import store_status
-from wavequake.workflows.store import create_store, open_store
+from wavequake.workflows.store import create_store, open_store, read_manifest
 from wavequake.workflows.stream import limit_of
 from wavequake.workflows.verify import verify_store
 
@@ -228,6 +228,24 @@ def test_another_version_of_the_code_is_refused_unless_allowed_and_then_recorded
     found = store_status(tmp_path / "s")
     assert found.codes == {one: 4, "wavequake 9.9 (feed)": 2}
     assert "  2 chunks by wavequake 9.9 (feed)" in found.lines()
+
+
+def test_a_store_that_another_version_made_and_never_used_is_made_anew(tmp_path, monkeypatch):
+    other = toy.study(seed=8)  # what a key that the new version adds does to the identity
+    create_store(tmp_path / "s", toy.TOY, other, 60, 10, "numpy", {"code": "wavequake 0.1 (feed)"})
+    assert toy.run(tmp_path / "s", allow_mixed=False).computed == 40
+    found = read_manifest(tmp_path / "s")
+    assert (found.study, found.provenance["code"]) == (toy.study(), provenance.code())
+    assert verify_store(tmp_path / "s").ok
+    monkeypatch.setattr(provenance, "code", lambda: "wavequake 9.9 (feed)")
+    with pytest.raises(UserError, match="another study"):  # now there is something to lose
+        toy.run(tmp_path / "s", {"seed": 8}, allow_mixed=False)
+
+
+def test_a_blank_store_of_this_version_keeps_its_study(tmp_path):
+    create_store(tmp_path / "s", toy.TOY, toy.study(seed=8), 40, 10, "numpy", {"code": provenance.code()})
+    with pytest.raises(UserError, match="another study"):
+        toy.run(tmp_path / "s")
 
 
 def test_a_worker_with_other_code_refuses(tmp_path):

@@ -1,7 +1,11 @@
 import dataclasses
+import errno
+import os
 
+import google_crc32c
 import pytest
 import toy
+import zarr
 
 from wavequake.errors import StoreDamageError
 from wavequake.workflows.journal import append, read_journal
@@ -18,6 +22,12 @@ def empty(file):
 
 def truncate(file):
     file.write_bytes(file.read_bytes()[:-5])
+
+
+def shorten(file):
+    """Leave fewer numbers, with a checksum of their own."""
+    content = file.read_bytes()[:16]
+    file.write_bytes(content + google_crc32c.value(content).to_bytes(4, "little"))
 
 
 def flip(file):
@@ -66,6 +76,29 @@ def test_damage_is_named_and_repaired_to_equal_bits(done, damage, name, file):
     assert (summary.computed, summary.chunks) == (last - first, 1)
     assert verify_store(done).ok
     assert toy.digests(done) == before
+
+
+@pytest.mark.parametrize(
+    ("damage", "name", "reason"),
+    [
+        (delete, "strehl/c.3", "the file is missing or empty"),
+        (flip, "strehl/c.3", "the file has changed since it was written: its checksum does not fit"),
+        (truncate, "zernike/c.1.0.0", "the file has changed since it was written: its checksum does not fit"),
+        (shorten, "strehl/c.3", "the file was cut off or overwritten: its bytes are no array"),
+        (flip, "message/c.1", "the file has changed since it was written: its checksum does not fit"),
+    ],
+)
+def test_damage_is_told_in_words(done, damage, name, reason):
+    damage(done / "data.zarr" / name)
+    assert [one.reason for one in verify_store(done).damaged] == [reason]
+
+
+def test_a_file_that_may_not_be_read_is_told_in_words(done, monkeypatch):
+    def refuse(self, key, *rest):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr(zarr.Array, "__getitem__", refuse)
+    assert verify_store(done).damaged[0].reason == "the file cannot be read (permission denied)"
 
 
 def test_a_damaged_message_is_named(done):

@@ -5,6 +5,7 @@ the scatter of the draws.
 """
 
 import json
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -266,7 +267,8 @@ def comparison_table(names: Sequence[str], comparisons: Sequence[Sequence[Differ
         box=SIMPLE_HEAD,
         caption=f"Means over paired cases; difference from {names[0]} with its 95 % confidence interval "
         "(Student; of stratified cases by the scatter between their sets). Measures over time are rms values "
-        "per case, the Strehl ratio a mean; images: L2 norm of the difference of unit-energy images.",
+        "per case, the Strehl ratio a mean; images: L2 norm of the difference of unit-energy images."
+        + _equal_ones(names, comparisons),
         caption_justify="left",
     )
     for header in ("", "measure", "cases", "first", "this", "difference", "relative"):
@@ -287,12 +289,23 @@ def comparison_table(names: Sequence[str], comparisons: Sequence[Sequence[Differ
     return table
 
 
+def _equal_ones(names: Sequence[str], comparisons: Sequence[Sequence[Difference]]) -> str:
+    """Say which stores do not differ from the first at all."""
+    equal = [
+        name
+        for name, differences in zip(names[1:], comparisons, strict=True)
+        if differences and not any(one.differences.any() for one in differences)
+    ]
+    return "".join(f" No case of {name} differs from {names[0]} in any of these." for name in equal)
+
+
 def _table_of_variants(names: Sequence[str], comparisons: Sequence[Sequence[Difference]]) -> Table:
     """Return how far the reduced models are apart, which no mean over them would say."""
     table = Table(
         box=SIMPLE_HEAD,
         caption=f"Differences of reduced models of one name, from {names[0]}. Measures over time or "
-        "frequency are rms values; images: L2 norm of the difference of unit-energy images.",
+        "frequency are rms values; images: L2 norm of the difference of unit-energy images."
+        + _equal_ones(names, comparisons),
         caption_justify="left",
     )
     for header in ("", "measure", "variants", "median", "largest", "of", "there", "here"):
@@ -378,5 +391,9 @@ def compare_stores(stores: Sequence[Path], figure: Path | None = None) -> tuple[
     comparisons = [
         compare(first, other, names[0], name) for other, name in zip(others, names[1:], strict=True)
     ]
-    comparison_figure(names, comparisons).savefig(figure, dpi=150)
+    try:
+        comparison_figure(names, comparisons).savefig(figure, dpi=150)
+    except OSError as error:
+        reason = os.strerror(error.errno or 0).lower()
+        raise UserError(f"{figure} cannot be written ({reason}); choose another with --figure.") from None
     return comparison_table(names, comparisons), figure

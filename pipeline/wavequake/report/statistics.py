@@ -116,12 +116,26 @@ def jitter(los: NDArray[np.float64], sets: NDArray[np.int64] | None = None) -> J
     """
     if not los.size:
         return Jitter(np.full(2, np.nan), np.nan, np.nan)
-    squares = np.square(los - los.mean(axis=(0, 1)))
-    axis = np.sqrt(squares.mean(axis=(0, 1)))
+    return jitter_of_cases(los.mean(axis=1), los.var(axis=1), sets)
+
+
+def jitter_of_cases(
+    means: NDArray[np.float64], variances: NDArray[np.float64], sets: NDArray[np.int64] | None = None
+) -> Jitter:
+    """Return the :func:`jitter` from mean and variance over the instants, as many in each case.
+
+    Parameters
+    ----------
+    means, variances : ndarray, shape (case, 2)
+    sets : ndarray of int, shape (case,), optional
+        The stratified set that each case belongs to.
+    """
+    squares = variances + np.square(means - means.mean(axis=0))
+    axis = np.sqrt(squares.mean(axis=0))
     radial = float(np.hypot(*axis))
     # First order: the error of sqrt(mean) is that of the mean over twice the root. Cases are the independent
     # draws.
-    per_case = squares.sum(axis=2).mean(axis=1)
+    per_case = squares.sum(axis=1)
     if sets is not None:
         _, which = np.unique(sets, return_inverse=True)
         per_case = np.bincount(which, per_case) / np.bincount(which)

@@ -20,7 +20,7 @@ from wavequake.report import budget
 from wavequake.report import system_figures as draw_figures
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import Excluded
-from wavequake.report.statistics import Jitter, Quantile, case_rms, jitter, quantile
+from wavequake.report.statistics import Jitter, Quantile, case_rms, jitter_of_cases, quantile
 from wavequake.report.table import interval, number, share
 from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
 from wavequake.workflows.store import read_manifest
@@ -35,10 +35,15 @@ from wavequake.workflows.system_disturbance import draw
 
 Array = NDArray[np.float64]
 
+_SERIES = ("wfe_rms", "wfe_change", "spot_rms", "strehl", "los_mm")
+_BLOCK_BYTES = 2**26  # of time series in memory at a time
+_INSTANTS = 2**20  # about the most whose Strehl ratios a median is taken of
+
 _SMALL_PRINT = (
     "At the primary wavelength. WFE, its change from rest and spot: rms of a case over its instants; P50 "
     "and P95 over cases, in small print its 95 % interval. LOS: rms of both axes "
-    "about the mean of all cases and instants, ± standard error. Strehl: over all instants. Maréchal: share "
+    "about the mean of all cases and instants, ± standard error. Strehl: over all instants; over a million, "
+    "evenly spaced, of more. Maréchal: share "
     "of instants with an rms of at most λ/14 about the best-fit plane. Vignetted: the largest number of rays "
     "at any instant that openings stop, of all that are traced."
 )
@@ -130,44 +135,84 @@ def _overview(found: Sequence[SystemPopulation]) -> Iterator[Picture]:
 
 
 def populations(dataset: xr.Dataset, bench: SystemBench) -> list[SystemPopulation]:
-    """Split a store by disturbance, in the order in which the disturbances first appear."""
-    primary = bench.system.primary_wavelength
-    light = dataset.isel(wavelength=primary)
+    """Split a store by disturbance, in the order in which the disturbances first appear.
+
+    A few chunks are read at a time; numbers per case stay, and so many instants of the Strehl ratio that a
+    median needs.
+    """
+    light = dataset.isel(wavelength=bench.system.primary_wavelength)
     names = np.array([str(name) for name in dataset["disturbance"].to_numpy()])
     done = dataset["status"].to_numpy() == DONE
-    return [
-        _population(light.isel(case=done & (names == name)), name) for name in dict.fromkeys(names.tolist())
-    ]
+    places = {name: np.flatnonzero(done & (names == name)) for name in dict.fromkeys(names.tolist())}
+    present = {
+        name: np.isfinite(light["time_s"].isel(case=rows[0]).to_numpy())  # as many instants in each case
+        for name, rows in places.items()
+        if len(rows)
+    }
+    parts: dict[str, list[dict[str, Array]]] = {name: [] for name in places}
+    for first, last in _blocks(light):
+        rows = {name: mine[(first <= mine) & (mine < last)] - first for name, mine in places.items()}
+        if not any(map(len, rows.values())):
+            continue
+        block = {key: light[key].isel(case=slice(first, last)).to_numpy() for key in _SERIES}
+        for name, mine in rows.items():
+            if len(mine):
+                every = -(-present[name].sum() * len(places[name]) // _INSTANTS)
+                parts[name].append(_per_case(block, mine, present[name], every))
+    return [_population(light.isel(case=places[name]), name, parts[name]) for name in places]
 
 
-def _population(light: xr.Dataset, name: str) -> SystemPopulation:
+def _blocks(light: xr.Dataset) -> Iterator[tuple[int, int]]:
+    """Yield the first case and the case after the last of blocks of whole chunks."""
+    cases = light.sizes["case"]
+    chunk = max(1, *light.chunks.get("case", (cases,)))
+    each = sum(light[key].nbytes for key in _SERIES) / max(1, cases)
+    rows = chunk * max(1, int(_BLOCK_BYTES / max(1.0, each * chunk)))
+    for first in range(0, cases, rows):
+        yield first, min(first + rows, cases)
+
+
+def _per_case(
+    block: dict[str, Array], rows: NDArray[np.int64], present: NDArray[np.bool_], every: int
+) -> dict[str, Array]:
+    """Return what is kept of some cases: numbers per case and field, and every n-th Strehl ratio."""
+    values = {key: series[rows][:, present] for key, series in block.items()}
+    worst = values["wfe_change"].max(axis=2)  # over the field
+    return {
+        **{key: case_rms(values[key]) for key in ("wfe_rms", "wfe_change", "spot_rms")},
+        "los_mean": values["los_mm"].mean(axis=1),
+        "los_variance": values["los_mm"].var(axis=1),
+        "strehl": values["strehl"][:, ::every].reshape(-1, values["strehl"].shape[2]),
+        "worst": worst.max(axis=1),
+        "instant": worst.argmax(axis=1),
+    }
+
+
+def _population(light: xr.Dataset, name: str, parts: Sequence[dict[str, Array]]) -> SystemPopulation:
     cases = light["case"].to_numpy()
     if not len(cases):
         return SystemPopulation(name, cases, (), None)
-    present = np.isfinite(light["time_s"].to_numpy()[0])  # the same number of instants in each case
-    values = {
-        key: light[key].to_numpy()[:, present]
-        for key in ("wfe_rms", "wfe_change", "spot_rms", "strehl", "los_mm")
-    }
+    values = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
     sets = light["replicate"].to_numpy() if "replicate" in light.coords else None
     vignetted, marechal = light["vignetted"].to_numpy(), light["marechal"].to_numpy()
     fields = tuple(
         FieldResult(
             field=str(label),
-            wfe=case_rms(values["wfe_rms"][..., index]),
-            change=case_rms(values["wfe_change"][..., index]),
-            spot=case_rms(values["spot_rms"][..., index]),
-            strehl_p50=float(np.median(values["strehl"][..., index])),
+            wfe=values["wfe_rms"][:, index],
+            change=values["wfe_change"][:, index],
+            spot=values["spot_rms"][:, index],
+            strehl_p50=float(np.median(values["strehl"][:, index])),
             marechal=float(marechal[:, index].mean()),
-            los=jitter(values["los_mm"][:, :, index] * 1e3, sets),
+            los=jitter_of_cases(
+                values["los_mean"][:, index] * 1e3, values["los_variance"][:, index] * 1e6, sets
+            ),
             vignetted=int(vignetted[:, index].max()),
             sets=sets,
         )
         for index, label in enumerate(light["field"].to_numpy())
     )
-    change = values["wfe_change"].max(axis=2)
-    case, instant = np.unravel_index(int(np.argmax(change)), change.shape)
-    return SystemPopulation(name, cases, fields, (int(cases[case]), int(instant)))
+    worst = int(np.argmax(values["worst"]))
+    return SystemPopulation(name, cases, fields, (int(cases[worst]), int(values["instant"][worst])))
 
 
 _HEADERS = (

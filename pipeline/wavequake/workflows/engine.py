@@ -137,7 +137,7 @@ def run_campaign(
     with driver_lock(path, shard) as setup:
         others = others_at_work(path, shard)
         _refuse_growth(path, cases, others)
-        manifest = _prepared(workflow, study, path, cases, chunk, device, kind, title, repair)
+        manifest = _prepared(workflow, study, path, cases, chunk, device, kind, title, repair, not others)
         if not others:
             _sweep(path)
         setup.close()
@@ -217,16 +217,26 @@ def _prepared(
     kind: str,
     title: str,
     repair: bool,
+    alone: bool,
 ) -> Manifest:
-    """Create the store, or check that it is ours and extend it."""
-    if not (path / store.MANIFEST).exists():
+    """Create the store, or check that it is ours and extend it.
+
+    One that another version made, and in which nobody has computed anything, is made anew.
+    """
+    manifest = store.read_manifest(path) if (path / store.MANIFEST).exists() else None
+    if manifest is None or (alone and _is_blank(path, manifest)):
         sources = {"study_title": title, **provenance.collect(choose_device(device))}
         return store.create_store(path, workflow, study, cases, chunk, device, sources)
-    manifest = store.read_manifest(path)
     store.refuse_other(path, manifest, workflow.name, study, kind)
     if repair or store.lost_layout(path, manifest):
         store.mend_layout(path, manifest, workflow)
     return store.extend_store(path, workflow, cases)
+
+
+def _is_blank(path: Path, manifest: Manifest) -> bool:
+    """Return whether another version made a store, and no chunk of it was computed."""
+    by_another = manifest.provenance.get("code", "") not in ("", provenance.code())
+    return by_another and not any((path / store.JOURNAL).glob("*.jsonl"))
 
 
 def _refuse_growth(path: Path, cases: int, others: list[str]) -> None:

@@ -139,7 +139,7 @@ def describe(error: ValidationError, record: Mapping[str, Any], model: type[Base
     more = f" ({len(errors) - 1} more after this one)" if len(errors) > 1 else ""
     if first["type"] == "extra_forbidden":
         valid = list(holder.model_fields)
-        near = difflib.get_close_matches(str(location[-1]), valid, n=1, cutoff=0.3)
+        near = difflib.get_close_matches(str(location[-1]), valid, n=1, cutoff=0.5)
         hint = f"; the nearest valid key is {near[0]!r}" if near else f"; valid keys are {', '.join(valid)}"
         return f"the key {where!r} is unknown{hint}{more}."
     if first["type"] == "missing":

@@ -142,12 +142,16 @@ def _split(text: str) -> tuple[str, Any]:
 def _override(record: dict[str, Any], key: str, value: Any, model: type[Study]) -> None:
     node: Any = record
     *parents, last = key.split(".")
+    homes = [
+        name
+        for name, field in model.model_fields.items()
+        if last in getattr(field.annotation, "model_fields", ())
+    ]
+    if len(parents) == 1 and parents[0] not in model.model_fields:
+        near = difflib.get_close_matches(parents[0], model.model_fields, n=1)
+        if homes and not near:
+            raise UserError(f"The key {key!r} is unknown; did you mean {homes[0]}.{last}?")
     if not parents:
-        homes = [
-            name
-            for name, field in model.model_fields.items()
-            if key in getattr(field.annotation, "model_fields", ())
-        ]
         hint = f"did you mean {homes[0]}.{key}?" if homes else "write section.key=value."
         raise UserError(f"The key {key!r} has no section; {hint}")
     for depth, part in enumerate(parents):

@@ -1,5 +1,6 @@
 """Check a store against its journal: read every array of every finished chunk and compare its digest."""
 
+import os
 from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
@@ -124,7 +125,7 @@ def _damage(path: Path, array: Array, record: Record) -> str:
     try:
         stored = digest(np.asarray(array[record.first : record.last]))
     except Exception as error:  # zarr raises what its codecs raise
-        return f"the file cannot be read ({error})"
+        return f"the file {_in_words(error)}"
     return "" if stored == record.digests[name] else "the numbers are not those that were written"
 
 
@@ -132,8 +133,17 @@ def _unreadable(array: Array) -> str:
     try:
         array[...]
     except Exception as error:
-        return f"it cannot be read ({error})"
+        return f"its file {_in_words(error)}"
     return ""
+
+
+def _in_words(error: Exception) -> str:
+    """Say what an error in reading a file means for its bytes, whatever codec raised it."""
+    if isinstance(error, OSError) and error.errno:
+        return f"cannot be read ({os.strerror(error.errno).lower()})"
+    if "checksum" in str(error).lower():
+        return "has changed since it was written: its checksum does not fit"
+    return "was cut off or overwritten: its bytes are no array"
 
 
 def _lost(path: Path, array: Array, record: Record) -> bool:
