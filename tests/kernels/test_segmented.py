@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rotations import rotations
 from segmented_cases import NAMES, OPENCL, assert_close, assert_same, one_mirror, poses
 
 from wavequake.kernels import segmented
@@ -237,17 +238,6 @@ def test_opencl_agrees_with_the_twin_on_any_system(device, seed, primary, second
         trace_segmented(**arguments | {"train": train}, device=where) for where in (device, NUMPY)
     )
     assert_close(traced, expected)
-
-
-def rotations(angles):
-    """Rotation matrices (n, 3, 3) from Euler parameters, which share nothing with the package."""
-    w, (x, y, z) = np.sqrt(1.0 - np.sum(angles**2, axis=1)), angles.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
 
 
 @pytest.mark.parametrize(

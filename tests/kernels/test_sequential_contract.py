@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rotations import rotations
 
 from wavequake.kernels.devices import NUMPY, Device, list_devices
 from wavequake.kernels.sequence import (
@@ -46,17 +47,6 @@ SYSTEMS = {
         "conic",
     ],
 }
-
-
-def rotation(angles):
-    """Rotation matrices (n, 3, 3) from Euler parameters, which share nothing with the package."""
-    w, (x, y, z) = np.sqrt(1.0 - np.sum(angles**2, axis=1)), angles.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def random_element(words, random, scale):
@@ -103,7 +93,7 @@ def random_system(descriptions, seed, scale):
     elements, deformations, grids = zip(*parts, strict=True)
     sense, poses = 1.0, []
     for element in elements:
-        turn = rotation(random.normal(0.0, 0.02, (INSTANTS, 3)))
+        turn = rotations(random.normal(0.0, 0.02, (INSTANTS, 3)))
         shift = random.normal(0.0, 0.1, (INSTANTS, 3)) - [0.0, 0.0, sense * random.uniform(8.0, 25.0)]
         poses.append(np.concatenate([turn.reshape(INSTANTS, 9), shift], axis=1))
         sense = -sense if element.action == "reflect" else sense

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from wavefront_cases import two_of_492
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
@@ -13,7 +14,6 @@ from wavequake.optics import modal
 from wavequake.optics.modal_derivatives import modal_model
 from wavequake.optics.prepared import prepare, trace_states
 from wavequake.optics.pupils import PupilRays, on_glass, segment_rays, sunflower
-from wavequake.optics.segments import Segments
 from wavequake.optics.slopes import slope_fit
 from wavequake.optics.states import rest
 from wavequake.optics.telescopes import telescope
@@ -149,21 +149,6 @@ def test_a_row_has_the_same_bits_whatever_its_neighbors(model):
         found = modal.forms(model, alone, INSTANTS)
         np.testing.assert_array_equal(found.linear[row], whole.linear[INSTANTS + row])
         assert found.quadratic[row] == whole.quadratic[INSTANTS + row]
-
-
-def two_of_492(names):
-    """A1 and B10 of the TMT at the points of the reference that are on their glass."""
-    whole = telescope("tmt")
-    chosen = [whole.segments.names.index(name) for name in names]
-    centers, corners = (values[chosen] for values in (whole.segments.centers, whole.segments.corners))
-    segments = Segments(tuple(names), centers, whole.segments.axes[chosen], corners)
-    grid = (np.arange(600) + 0.5) * 50.0 - 15e3
-    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid))
-    edge = np.roll(corners, -1, axis=1) - corners
-    side = edge[..., :1] * (y - corners[..., 1:]) - edge[..., 1:] * (x - corners[..., :1])
-    segment, point = np.nonzero((side > 0).all(axis=1))
-    rays = PupilRays(x[point], y[point], np.ones(len(point)), segment)
-    return prepare(replace(whole, segments=segments), rays, WAVELENGTH, 3)
 
 
 def test_mean_squares_of_two_of_492_segments_against_an_independent_trace():

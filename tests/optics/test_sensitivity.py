@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from wavefront_cases import two_of_492
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
@@ -11,7 +12,6 @@ from wavequake.kernels.tiles import TILE
 from wavequake.optics.prepared import prepare
 from wavequake.optics.pupils import PupilRays, on_glass, sunflower
 from wavequake.optics.segmented_telescope import ConicSurface
-from wavequake.optics.segments import Segments
 from wavequake.optics.sensitivity import DOFS, Steps, sensitivities
 from wavequake.optics.states import rest
 from wavequake.optics.telescopes import telescope
@@ -140,21 +140,6 @@ def test_pistons_of_18_segments_against_an_independent_trace(tmt18, of_tmt18):
         np.testing.assert_allclose(
             values, expected[key], atol=1e-6 * np.abs(expected[key]).max(), err_msg=key
         )
-
-
-def two_of_492(names):
-    """The telescope of which only these segments are left, at the reference's grid points on them."""
-    whole = telescope("tmt")
-    chosen = [whole.segments.names.index(name) for name in names]
-    corners, centers = whole.segments.corners[chosen], whole.segments.centers[chosen]
-    segments = Segments(tuple(names), centers, whole.segments.axes[chosen], corners)
-    grid = (np.arange(600) + 0.5) * 50.0 - 15e3
-    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid))
-    edge = np.roll(corners, -1, axis=1) - corners
-    side = edge[..., :1] * (y - corners[..., 1:]) - edge[..., 1:] * (x - corners[..., :1])
-    segment, point = np.nonzero((side > 0).all(axis=1))
-    rays = PupilRays(x[point], y[point], np.ones(len(point)), segment)
-    return prepare(replace(whole, segments=segments), rays, WAVELENGTH, 3)
 
 
 def test_two_of_492_segments_against_an_independent_trace():

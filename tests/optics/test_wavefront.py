@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from wavefront_cases import TERMS, WAVELENGTH, each_device, quadrature_rays, states_of, sunflower_rays
+from wavefront_cases import TERMS, WAVELENGTH, each_device, states_of
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
@@ -16,18 +16,6 @@ from wavequake.optics.states import rest
 from wavequake.optics.telescopes import telescope
 from wavequake.optics.wavefront import analyse, measure
 from wavequake.optics.zernike import annular_zernike
-
-
-@pytest.fixture(scope="module")
-def thesis():
-    system = telescope("tmt-thesis")
-    return prepare(system, quadrature_rays(system.pupil_inner, system.pupil_outer), WAVELENGTH, TERMS)
-
-
-@pytest.fixture(scope="module")
-def tmt18():
-    system = telescope("tmt-18")
-    return prepare(system, sunflower_rays(system), WAVELENGTH, TERMS)
 
 
 def synthetic(prepared, waves, tiles=1):

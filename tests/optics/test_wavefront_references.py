@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from wavefront_cases import (
-    TERMS,
     WAVELENGTH,
     each_device,
     local_motion,
-    quadrature_rays,
     reference,
     slope,
     states_of,
-    sunflower_rays,
 )
 
 from wavequake.kernels.tiles import TILE, from_tiles
@@ -22,18 +19,6 @@ from wavequake.optics.prepared import chief_rays, prepare, trace_states
 from wavequake.optics.pupils import PupilRays
 from wavequake.optics.telescopes import telescope
 from wavequake.optics.wavefront import analyse, los_eq339, measure
-
-
-@pytest.fixture(scope="module")
-def thesis():
-    system = telescope("tmt-thesis")
-    return prepare(system, quadrature_rays(system.pupil_inner, system.pupil_outer), WAVELENGTH, TERMS)
-
-
-@pytest.fixture(scope="module")
-def tmt18():
-    system = telescope("tmt-18")
-    return prepare(system, sunflower_rays(system), WAVELENGTH, TERMS)
 
 
 @each_device

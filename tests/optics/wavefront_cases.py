@@ -1,6 +1,7 @@
 """What tests of telescopes' wavefronts share: rays, motions, devices."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from wavequake.kernels.devices import NUMPY, list_devices
 from wavequake.kernels.tiles import TILE
+from wavequake.optics.prepared import prepare
 from wavequake.optics.pupils import PupilRays
+from wavequake.optics.segments import Segments
 from wavequake.optics.states import rest
+from wavequake.optics.telescopes import telescope
 
 DATA = Path(__file__).parents[1] / "data"
 WAVELENGTH = 550e-6
@@ -60,3 +64,18 @@ def states_of(prepared, batch=TILE):
 def slope(values, step):
     """Central differences of consecutive pairs (+step, -step)."""
     return (values[0::2] - values[1::2]) / (2 * step)
+
+
+def two_of_492(names):
+    """The telescope of which only these segments are left, at the reference's grid points on them."""
+    whole = telescope("tmt")
+    chosen = [whole.segments.names.index(name) for name in names]
+    corners, centers = whole.segments.corners[chosen], whole.segments.centers[chosen]
+    segments = Segments(tuple(names), centers, whole.segments.axes[chosen], corners)
+    grid = (np.arange(600) + 0.5) * 50.0 - 15e3
+    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid))
+    edge = np.roll(corners, -1, axis=1) - corners
+    side = edge[..., :1] * (y - corners[..., 1:]) - edge[..., 1:] * (x - corners[..., :1])
+    segment, point = np.nonzero((side > 0).all(axis=1))
+    rays = PupilRays(x[point], y[point], np.ones(len(point)), segment)
+    return prepare(replace(whole, segments=segments), rays, WAVELENGTH, 3)

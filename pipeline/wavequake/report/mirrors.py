@@ -1,7 +1,7 @@
 """The report of a mirror-mor store: its variants in a table, the smallest that is enough, and figures."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -197,6 +197,18 @@ def _figures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
     )
     yield picture(f"{name}-fits", "Fit of each mode by Zernike polynomials", draw.mode_fits(dataset, shown))
     yield picture(f"{name}-fmax", "Largest pseudo-eigenfrequencies", draw.pseudo_frequencies(shown))
+    yield from excitation_pictures(dataset, name, shown, reference)
+    yield from mirror_shapes.pictures(dataset, model)
+    for one in shown[:2]:
+        yield picture(
+            f"{name}-mac-{one.case}", f"MAC of {one.variant}", draw.mac_map(dataset, one, reference)
+        )
+
+
+def excitation_pictures(
+    dataset: xr.Dataset, name: str, shown: Sequence[VariantResult], reference: VariantResult
+) -> Iterable[Picture]:
+    """Draw what each excitation does: wavefront errors over time, and exposures."""
     for excitation in map(str, dataset["excitation"].to_numpy()):
         yield picture(
             f"{name}-{excitation}-time",
@@ -207,9 +219,4 @@ def _figures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
             f"{name}-{excitation}-image",
             f"Exposures, {excitation}",
             draw.exposure_panels(dataset, excitation, shown, reference),
-        )
-    yield from mirror_shapes.pictures(dataset, model)
-    for one in shown[:2]:
-        yield picture(
-            f"{name}-mac-{one.case}", f"MAC of {one.variant}", draw.mac_map(dataset, one, reference)
         )

@@ -117,17 +117,7 @@ def _telescope_figures(
     one = model.enough or min(model.variants, key=lambda found: float(found.errors["wfe"].max()))
     off = detail(dataset, reference, study_text, device, one)
     yield picture(f"{name}-off", f"Wavefront of {one.variant} less that of the reference", opd_map(off))
-    for excitation in map(str, dataset["excitation"].to_numpy()):
-        yield picture(
-            f"{name}-{excitation}-time",
-            f"Wavefront error over time, {excitation}",
-            draw.wavefront_history(dataset, excitation, shown, reference),
-        )
-        yield picture(
-            f"{name}-{excitation}-image",
-            f"Exposures, {excitation}",
-            draw.exposure_panels(dataset, excitation, shown, reference),
-        )
+    yield from mirrors.excitation_pictures(dataset, name, shown, reference)
 
 
 def detail(

@@ -1,9 +1,9 @@
 """Study files of the mirror workflows: a mirror's model, its reduced variants, excitations and optics."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from wavequake.errors import UserError
 from wavequake.mechanics.excitations import AnyExcitation
@@ -195,25 +195,29 @@ class MirrorStoreSection(StoreSection):
     chunk_cases: int = Field(default=5, ge=1, le=100_000, description="K: cases per task and per shard")
 
 
+def _names_are_unique(value: tuple[Any, ...]) -> tuple[Any, ...]:
+    names = [entry.name for entry in value]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"two excitations are called {name!r}; each needs a name of its own")
+    return value
+
+
+Excitations = Annotated[
+    tuple[AnyExcitation, ...], Field(min_length=1, strict=False), AfterValidator(_names_are_unique)
+]
+
+
 class AnyMirrorStudy(Study):
     """What the studies of mirrors have in common: cases are the variants of each model."""
 
     model: ModelSection = ModelSection()
     reduction: VariantsSection
-    excitation: tuple[AnyExcitation, ...] = Field(min_length=1, strict=False)
+    excitation: Excitations
     time: TimeSection = TimeSection()
     optics: MirrorOpticsSection = MirrorOpticsSection()
     campaign: MirrorCampaignSection = MirrorCampaignSection()
     store: MirrorStoreSection = MirrorStoreSection()
-
-    @field_validator("excitation")
-    @classmethod
-    def _names_are_unique(cls, value: tuple[Any, ...]) -> tuple[Any, ...]:
-        names = [entry.name for entry in value]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"two excitations are called {name!r}; each needs a name of its own")
-        return value
 
     @property
     def models(self) -> tuple[str, ...]:

@@ -5,11 +5,11 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from wavequake.mechanics.excitations import AnyExcitation
 from wavequake.mechanics.material import GLASS_CERAMIC
 from wavequake.mechanics.mirrors import SEGMENT_SUPPORT
 from wavequake.workflows.mirror_study import (
     CriterionSection,
+    Excitations,
     MirrorCampaignSection,
     ReductionSection,
     TimeSection,
@@ -112,22 +112,13 @@ class SegmentMorStudy(Study):
     model: SegmentModelSection = SegmentModelSection()
     segments: SegmentsSection = SegmentsSection()
     reduction: ReductionSection
-    excitation: tuple[AnyExcitation, ...] = Field(min_length=1, strict=False)
+    excitation: Excitations
     time: TracedTimeSection = TracedTimeSection()
     optics: SegmentMorOpticsSection = SegmentMorOpticsSection()
     imaging: SegmentMorImagingSection = SegmentMorImagingSection()
     criterion: CriterionSection = CriterionSection()
     campaign: MirrorCampaignSection = MirrorCampaignSection()
     store: SegmentMorStoreSection = SegmentMorStoreSection()
-
-    @field_validator("excitation")
-    @classmethod
-    def _names_are_unique(cls, value: tuple[Any, ...]) -> tuple[Any, ...]:
-        names = [entry.name for entry in value]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"two excitations are called {name!r}; each needs a name of its own")
-        return value
 
     @model_validator(mode="after")
     def _sections_fit_each_other(self) -> "SegmentMorStudy":

@@ -1,0 +1,19 @@
+"""Telescopes that tests of their wavefronts share."""
+
+import pytest
+from wavefront_cases import TERMS, WAVELENGTH, quadrature_rays, sunflower_rays
+
+from wavequake.optics.prepared import prepare
+from wavequake.optics.telescopes import telescope
+
+
+@pytest.fixture(scope="module")
+def thesis():
+    system = telescope("tmt-thesis")
+    return prepare(system, quadrature_rays(system.pupil_inner, system.pupil_outer), WAVELENGTH, TERMS)
+
+
+@pytest.fixture(scope="module")
+def tmt18():
+    system = telescope("tmt-18")
+    return prepare(system, sunflower_rays(system), WAVELENGTH, TERMS)
