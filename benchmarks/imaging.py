@@ -20,10 +20,13 @@ a tilt of the pupil ("folded in") or a Fourier shift of every image places, agai
 
 Strehl ratios alone: pistons of the 492 segments, 4000 instants.
 
+The last table puts the ratios, those of `python -m benchmarks.fourier` included, beside what is demanded.
+
 All run on one thread (set POCL_MAX_PTHREAD_COUNT=1); measurements are interleaved, and medians of same-run
 ratios are what to compare between machines.
 """
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -36,6 +39,8 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
+from benchmarks import fourier
+from benchmarks._verdict import Row, verdict
 from wavequake.imaging.exposure_models import full_exposure
 from wavequake.imaging.matrix_fourier import matrix_fourier, psf_sum
 from wavequake.imaging.matrix_fourier import psf as matrix_psf
@@ -55,6 +60,7 @@ from wavequake.optics.telescopes import telescope
 Real = NDArray[np.float64]
 Imager = Callable[[Real], Real]  # segment phases (batch, S, 3) to images (batch, PIXELS**2)
 Transform = Callable[[NDArray[np.complex128]], NDArray[np.complex128]]  # fields (n, n) to (pixels, pixels)
+Seconds = dict[str, NDArray[np.float64]]  # of every repeat, by name
 
 PIXELS, SAMPLING, DIAMETER = 64, 0.25, 30000.0
 PUPIL_POINTS = 512
@@ -203,7 +209,7 @@ def peers(pixels: int, console: Console) -> dict[str, Transform]:
     return found
 
 
-def compare(segments: Segments, corner_slope: float, console: Console) -> Table:
+def compare(segments: Segments, corner_slope: float, console: Console) -> tuple[Table, Seconds]:
     phase = phases(segments, corner_slope)
     candidates = imagers(segments, corner_slope > 0.0, console)
     exact_basis = segment_basis(
@@ -214,7 +220,7 @@ def compare(segments: Segments, corner_slope: float, console: Console) -> Table:
     return table(candidates, errors, phase)
 
 
-def compare_lattice(console: Console) -> Table:
+def compare_lattice(console: Console) -> tuple[Table, Seconds]:
     """Image equal hexagons on a regular lattice, which move as pistons."""
     segments = hexagon_ring_segments(680.0, 12, 2.5)
     corners, centers = segments.corners, segments.centers[:, :2]
@@ -236,12 +242,28 @@ def compare_lattice(console: Console) -> Table:
     return table(candidates, errors, phase)
 
 
+def compare_tilted_lattice(console: Console) -> tuple[Table, Seconds]:
+    """Image equal hexagons on a regular lattice, which tilt, too."""
+    segments = hexagon_ring_segments(680.0, 12, 2.5)
+    place = segments.corners, segments.centers[:, :2], ROUND_PIXELS, SAMPLING, DIAMETER
+    phase, candidates = phases(segments, 5.0), {}
+    for dtype in (np.complex64, np.complex128):
+        candidates[f"6 moments, {dtype.__name__}"] = partial(
+            psf, segment_basis(*place, 6, dtype), tolerance=0.01
+        )
+    if "hcipy" in peers(ROUND_PIXELS, console):
+        candidates["hcipy's segmented mirror"] = hcipy_mirror(segments, ROUND_PIXELS, True)
+    exact = psf(segment_basis(*place, 28, np.complex128), phase, tolerance=1e-6)
+    errors = {name: np.abs(image(phase) - exact).max() for name, image in candidates.items()}
+    return table(candidates, errors, phase)
+
+
 def lattice_images(lattice: SegmentLattice, phase: Real) -> Real:
     """Make images (batch, pixels²) of the pistons alone."""
     return np.asarray(lattice_psf(lattice, phase[..., 0]).reshape(len(phase), -1))
 
 
-def table(candidates: dict[str, Imager], errors: dict[str, float], phase: Real) -> Table:
+def table(candidates: dict[str, Imager], errors: dict[str, float], phase: Real) -> tuple[Table, Seconds]:
     """Time ways to make 16 images; the first is what the others are compared with.
 
     Fast ones are called several times in a row: what others left in the caches is not theirs to pay.
@@ -264,10 +286,10 @@ def table(candidates: dict[str, Imager], errors: dict[str, float], phase: Real) 
         median, ratio = np.median(times), np.median(np.array(times) / first)
         row = [name, f"{1e3 * median:.2f}", f"{1e3 * min(times):.2f}", f"{TILE / median:.0f}"]
         columns.add_row(*row, f"{ratio:.2f}", f"{errors[name]:.1e}")
-    return columns
+    return columns, {name: np.array(times) for name, times in seconds.items()}
 
 
-def compare_round(console: Console) -> Table:
+def compare_round(console: Console) -> tuple[Table, Seconds]:
     """Image a round pupil of many cells, whose phase is smooth."""
     grid = annular_pupil(PUPIL_POINTS)
     coefficients = np.random.default_rng(1).normal(0.0, 0.02, (TILE, 45))
@@ -301,7 +323,7 @@ def without_phase(image: Callable[[], Real], phase: Real) -> Real:
     return image()
 
 
-def compare_exposure() -> Table:
+def compare_exposure() -> tuple[Table, Seconds]:
     """Expose moving images of a round pupil: what the placing costs beside the images."""
     random, device = np.random.default_rng(1), choose_device("cpu")
     waves = random.normal(0.0, 0.02, (EXPOSED_INSTANTS, 45))
@@ -332,10 +354,10 @@ def compare_exposure() -> Table:
     for name, times in seconds.items():
         rates = [f"{EXPOSED_INSTANTS / t:.0f}" for t in (np.median(times), min(times))]
         columns.add_row(name, *rates, f"{np.median(alone / np.array(times)):.2f}")
-    return columns
+    return columns, {name: np.array(times) for name, times in seconds.items()}
 
 
-def compare_strehl(segments: Segments) -> Table:
+def compare_strehl(segments: Segments) -> tuple[Table, Seconds]:
     """Strehl ratios alone, of pistons of the segments."""
     areas = polygon_areas(segments.corners)
     waves = np.random.default_rng(1).normal(0.0, 0.06, (STREHL_INSTANTS, len(segments)))
@@ -356,7 +378,7 @@ def compare_strehl(segments: Segments) -> Table:
     for name, times in seconds.items():
         rates = [f"{STREHL_INSTANTS / t:.3g}" for t in (np.median(times), min(times))]
         columns.add_row(name, *rates, f"{errors[name]:.1e}")
-    return columns
+    return columns, {name: np.array(times) for name, times in seconds.items()}
 
 
 def round_images(grid: PupilGrid, transform: Transform, phase: Real) -> Real:
@@ -371,16 +393,60 @@ def round_images(grid: PupilGrid, transform: Transform, phase: Real) -> Real:
     return np.array(images) / dark
 
 
+def ratio(seconds: Seconds, own: str, peer: str) -> float | None:
+    """Return how many times as long a peer takes; none if it is missing."""
+    return float(np.median(seconds[peer] / seconds[own])) if peer in seconds else None
+
+
+def demands(found: dict[str, Seconds]) -> list[Row]:
+    """Return what is demanded of each comparison."""
+    tmt, tilted, lattice = found["pistons"], found["tilts"], found["lattice"]
+    whole, exposed = found["round"], found["exposure"]
+    exact, single, peer = "folded, float64", "folded, float32", f"poppy {PUPIL_POINTS}²"
+    mirror = "hcipy's segmented mirror"
+    return [
+        ("512² to 128² pixels, float64, times poppy", ratio(whole, exact, "poppy"), 8, 15),
+        ("the same, times hcipy", ratio(whole, exact, "hcipy"), 4.5, 8),
+        ("the same, times prysm", ratio(whole, exact, "prysm"), 4.5, 8),
+        ("the same in float32, times poppy", ratio(whole, single, "poppy"), 18, 30),
+        (
+            "lattice with tilts, float64, times " + mirror,
+            ratio(found["tilted"], "6 moments, complex128", mirror),
+            20,
+            20,
+        ),
+        ("the same in float32", ratio(found["tilted"], "6 moments, complex64", mirror), 20, 60),
+        ("lattice, pistons, float64, times poppy", ratio(lattice, "lattice, float64", peer), 200, 200),
+        ("the same in float32", ratio(lattice, "lattice, float32", peer), 200, 500),
+        ("TMT, pistons, float64, times poppy", ratio(tmt, "1 moments, complex128", peer), 40, 100),
+        ("TMT with tilts, float64, times " + mirror, ratio(tilted, "6 moments, complex128", mirror), 6, 20),
+        ("Strehl ratios per s", STREHL_INSTANTS / float(np.median(found["strehl"]["OpenCL"])), 1e5, 1e6),
+        ("exposures, of the rate of images", ratio(exposed, "exposure, folded in", "images alone"), 0.8, 1),
+    ]
+
+
 def main() -> None:
     console = Console(width=120)
+    if os.environ.get("POCL_MAX_PTHREAD_COUNT") != "1":
+        console.print("POCL_MAX_PTHREAD_COUNT is not 1: the kernels may use several threads, the peers one")
     segments = telescope("tmt").segments
+    comparisons: dict[str, Callable[[], tuple[Table, Seconds]]] = {
+        "pistons": partial(compare, segments, 0.0, console),
+        "tilts": partial(compare, segments, 5.0, console),
+        "lattice": partial(compare_lattice, console),
+        "tilted": partial(compare_tilted_lattice, console),
+        "round": partial(compare_round, console),
+        "exposure": compare_exposure,
+        "strehl": partial(compare_strehl, segments),
+    }
+    found = {}
     with threadpool_limits(1):
-        for corner_slope in (0.0, 5.0):
-            console.print(compare(segments, corner_slope, console))
-        console.print(compare_lattice(console))
-        console.print(compare_round(console))
-        console.print(compare_exposure())
-        console.print(compare_strehl(segments))
+        for name, comparison in comparisons.items():
+            columns, found[name] = comparison()
+            console.print(columns)
+        columns, rows = fourier.compare(console)
+        console.print(columns)
+    console.print(verdict([*rows, *demands(found)]))
 
 
 if __name__ == "__main__":

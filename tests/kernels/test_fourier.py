@@ -148,3 +148,19 @@ def test_stages_multiply_to_the_length(width):
 def test_bad_input_is_refused(call, message):
     with pytest.raises(UserError, match=message):
         call()
+
+
+@pytest.mark.parametrize("engine", ["scipy", "opencl"])
+def test_results_go_where_they_are_wanted(engine):
+    device = next((d for d in list_devices() if d.kind == "cpu"), None)
+    if device is None and engine == "opencl":
+        pytest.skip("there is no OpenCL processor (pip install pocl-binary-distribution)")
+    values = np.random.default_rng(5).normal(size=(2, 16, 32)) + 0j
+    out = np.empty_like(values)
+    assert fourier_2d(values, device=device or NUMPY, engine=engine, out=out) is out
+    assert np.array_equal(out, fourier_2d(values, device=device or NUMPY, engine=engine))
+    for bad in (out[:1], out.astype(np.complex64), np.empty((2, 32, 16), complex).swapaxes(1, 2)):
+        with pytest.raises(ValueError, match="contiguous complex128 array of shape"):
+            fourier_2d(values, engine="scipy", out=bad)
+    with pytest.raises(ValueError, match="must not share memory"):
+        fourier_2d(values, engine="scipy", out=values)

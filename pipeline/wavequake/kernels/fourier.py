@@ -42,7 +42,7 @@ def choose_fourier(shape: tuple[int, ...], dtype: DTypeLike, device: Device = NU
         return Choice("scipy", unable)
     if device.kind == "gpu":
         return Choice("scipy", "the kernels are shaped for processors with vectors and caches, not for GPUs")
-    lanes = row_lanes(columns, vector_width(device, _real(dtype)))
+    lanes = row_lanes(columns, vector_width(device, _real(dtype), long=True))
     if lanes < 4:
         return Choice("scipy", f"rows of {columns} leave {lanes} of the vectors' lanes busy")
     if np.dtype(dtype) == np.complex64 and (rows & (rows - 1) or columns & (columns - 1)):
@@ -53,7 +53,11 @@ def choose_fourier(shape: tuple[int, ...], dtype: DTypeLike, device: Device = NU
 
 
 def fourier_2d(
-    values: NDArray[Any], inverse: bool = False, device: Device = NUMPY, engine: str = "auto"
+    values: NDArray[Any],
+    inverse: bool = False,
+    device: Device = NUMPY,
+    engine: str = "auto",
+    out: Complex | None = None,
 ) -> Complex:
     """Return the discrete Fourier transform over the last two axes, as `scipy.fft.fft2` or `ifft2`.
 
@@ -66,6 +70,9 @@ def fourier_2d(
         Where to run.
     engine : {"auto", "opencl", "scipy"}
         "auto" is what `choose_fourier` says.
+    out : ndarray, optional
+        Where the result goes, of the shape and type of the values and no part of them: new memory takes a
+        fifth of the time of large transforms.
 
     Raises
     ------
@@ -78,17 +85,31 @@ def fourier_2d(
             f"a transform takes complex64 or complex128 of shape (..., rows, columns), not {values.dtype} of "
             f"shape {values.shape}"
         )
+    if out is not None and (out.shape, out.dtype, out.flags.c_contiguous) != (
+        values.shape,
+        values.dtype,
+        True,
+    ):
+        raise ValueError(f"out must be a contiguous {values.dtype} array of shape {values.shape}")
+    if out is not None and np.may_share_memory(out, values):
+        raise ValueError("out must not share memory with the values")
     if engine not in ENGINES:
         raise UserError(f"the engine of a Fourier transform is one of {', '.join(ENGINES)}, not {engine!r}")
     if engine == "auto":
         engine = choose_fourier(values.shape, values.dtype, device).engine
     if engine == "scipy":
         transform = scipy.fft.ifft2 if inverse else scipy.fft.fft2
-        return np.asarray(transform(values))
+        transformed = np.asarray(transform(values))
+        if out is None:
+            return transformed
+        out[...] = transformed
+        return out
     unable = _unable(values.shape[-2:], values.dtype, device)
     if unable:
         raise UserError(f'the OpenCL transform cannot run: {unable}; use engine="scipy"')
-    return _opencl(values, inverse, device)
+    out = np.empty(values.shape, values.dtype) if out is None else out
+    _opencl(values, inverse, device, out)
+    return out
 
 
 def _unable(shape: tuple[int, ...], dtype: np.dtype[Any], device: Device) -> str:
@@ -98,19 +119,18 @@ def _unable(shape: tuple[int, ...], dtype: np.dtype[Any], device: Device) -> str
     for length in shape:
         if not radices(length, 8):
             return f"{length} has a prime factor above 5"
-    width = vector_width(device, _real(dtype))
+    width = vector_width(device, _real(dtype), long=True)
     need = max(2 * dtype.itemsize * shape[1], 2 * dtype.itemsize * shape[0] * width)
     if need > _LOCAL_BYTES[device.kind]:
         return f"a panel of {need >> 10} KiB does not fit into local memory"
     return ""
 
 
-def _opencl(values: NDArray[Any], inverse: bool, device: Device) -> Complex:
+def _opencl(values: NDArray[Any], inverse: bool, device: Device, out: Complex) -> None:
     rows, columns = values.shape[-2:]
     real = _real(values.dtype)
-    images = values.reshape(-1, rows, columns)
-    out = np.empty_like(images, order="C")
-    width = vector_width(device, real)
+    images, results = values.reshape(-1, rows, columns), out.reshape(-1, rows, columns)
+    width = vector_width(device, real, long=True)
     lanes, native = row_lanes(columns, width), width
     while width > columns:
         width //= 2
@@ -141,8 +161,7 @@ def _opencl(values: NDArray[Any], inverse: bool, device: Device) -> Complex:
     inputs["column_factors"] = _factors(rows, False, native, real.name)
     scratch = {} if inner == "out" else {"rows": images.nbytes}
     if len(images):
-        run_steps(device, steps, inputs, {"out": out.view(real)}, scratch)
-    return out.reshape(values.shape)
+        run_steps(device, steps, inputs, {"out": results.view(real)}, scratch)
 
 
 @lru_cache(maxsize=32)
