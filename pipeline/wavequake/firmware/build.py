@@ -155,7 +155,7 @@ def build(board: str, gains: Gains, target: Path, *, prefer: str = "", more: tup
     ]
     if command[0] == "arm-none-eabi-gcc":
         words.append("-lgcc")
-    # A partial image shall not stand for a whole one, and zig keeps its cache out of the user's folders.
+    # A partial image shall not stand for a whole one, and zig's local cache is not for the working folder.
     environment = os.environ | {"ZIG_LOCAL_CACHE_DIR": str(target / ".zig")}
     done = subprocess.run(words, capture_output=True, text=True, env=environment, check=False)
     if done.returncode:
