@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.report.populations import excluded, populations, representatives, summarize
+from wavequake.report.populations import Excluded, excluded, left_out, populations, representatives, summarize
 
 
 def test_failed_and_missing_cases_are_counted_and_left_out(campaign):
@@ -86,3 +86,15 @@ def test_case_ids_need_not_be_rows(campaign):
 def test_another_dataset_is_refused_by_the_name_that_it_lacks(campaign):
     with pytest.raises(UserError, match="no 'strehl'"):
         populations(campaign.drop_vars("strehl"))
+
+
+@pytest.mark.parametrize("first", [0, 4])
+def test_what_is_left_out_is_named_wherever_it_stands(campaign, first):
+    part = campaign.isel(case=slice(first, None))
+    expected = [
+        Excluded(5, "shake", 2, "timed_out", "no answer after 600 s"),
+        Excluded(6, "wind", 3, "raised", "segment S1 lost all its rays"),
+    ]
+    assert left_out(part) == expected
+    assert left_out(part, most=1) == expected[:1]
+    assert [one.disturbance for one in left_out(part, "case")] == ["5", "6"]

@@ -11,10 +11,9 @@ from rich.table import Table
 from wavequake.report import exposure_figures as draw
 from wavequake.report import exposure_tables as common
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
-from wavequake.report.populations import Excluded
+from wavequake.report.populations import left_out
 from wavequake.report.psf_figures import focus_panels, image_row
 from wavequake.report.table import number
-from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
 
 Array = NDArray[np.float64]
 
@@ -60,7 +59,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         ],
         definitions=list(_DEFINITIONS),
         kind="disturbance",
-        left_out=_left_out(dataset),
+        left_out=left_out(dataset),
     )
     return write_page(render_page(dataset, page), target)
 
@@ -147,17 +146,3 @@ def _figures(cases: xr.Dataset, name: str) -> Iterator[Picture]:
         light = str(shown["object_image"].attrs["long_name"]).partition(" in ")[2].partition(";")[0]
         yield picture(f"{name}-object", f"The object as case {case} exposes it, in {light}", seen)
     yield from common.history_pictures(name, time, los, "mas", wfe)
-
-
-def _left_out(dataset: xr.Dataset) -> list[Excluded]:
-    status, meanings = dataset["status"].to_numpy(), STATUS_MEANINGS.split()
-    return [
-        Excluded(
-            case=int(dataset["case"].to_numpy()[row]),
-            disturbance=str(dataset["disturbance"].to_numpy()[row]),
-            realization=int(dataset["realization"].to_numpy()[row]),
-            reason=meanings[status[row]],
-            message=str(dataset["message"].to_numpy()[row]),
-        )
-        for row in np.flatnonzero((status != DONE) & (status != TODO))
-    ]

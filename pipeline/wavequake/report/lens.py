@@ -14,9 +14,9 @@ from rich.text import Text
 from wavequake.report import lens_figures as draw
 from wavequake.report.lens_firmware import Firmware, firmware_of, left_beside, off_exact
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
-from wavequake.report.populations import Excluded
+from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number
-from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
+from wavequake.workflows.contract import DONE
 from wavequake.workflows.lens_experiment import bench_of, stage_of, study_of
 
 Array = NDArray[np.float64]
@@ -208,7 +208,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         + [Section("hammer and stage", list(_hardware(dataset, found)))],
         definitions=list(_DEFINITIONS),
         kind="configuration",
-        left_out=_left_out(dataset),
+        left_out=left_out(dataset, "springs"),
     )
     return write_page(render_page(dataset, page), target)
 
@@ -259,18 +259,3 @@ def _hardware(dataset: xr.Dataset, found: list[Configuration]) -> Iterator[Pictu
             yield picture(
                 "follow", "The stage during a blow, actual and simulated", draw.following(case, record)
             )
-
-
-def _left_out(dataset: xr.Dataset) -> list[Excluded]:
-    """Return the plants that failed, with the reason."""
-    status, meanings = dataset["status"].to_numpy(), STATUS_MEANINGS.split()
-    return [
-        Excluded(
-            case=int(dataset["case"].to_numpy()[row]),
-            disturbance=str(dataset["springs"].to_numpy()[row]),
-            realization=int(dataset["realization"].to_numpy()[row]),
-            reason=meanings[status[row]],
-            message=str(dataset["message"].to_numpy()[row]),
-        )
-        for row in np.flatnonzero((status != DONE) & (status != TODO))
-    ]

@@ -215,6 +215,18 @@ def excluded(dataset: xr.Dataset) -> tuple[Excluded, ...]:
     )
 
 
+def left_out(dataset: xr.Dataset, label: str = "disturbance", most: int | None = None) -> list[Excluded]:
+    """Return the cases that failed (the first `most` of them), with the reason; `label` names them."""
+    status, meanings = dataset["status"].to_numpy(), STATUS_MEANINGS.split()
+    rows = np.flatnonzero((status != DONE) & (status != TODO))[:most]
+    failed = dataset[["message", label, "realization"]].isel(case=rows)
+    columns = (failed[name].to_numpy() for name in ("case", label, "realization", "message"))
+    return [
+        Excluded(int(case), str(name), int(realization), meanings[status[row]], str(message))
+        for row, case, name, realization, message in zip(rows, *columns, strict=True)
+    ]
+
+
 def _arrays(dataset: xr.Dataset) -> dict[str, NDArray[Any]]:
     """Load what the statistics need, with the case first, and tell which cases they may use."""
     missing = [name for name in _NEEDED if name not in dataset]

@@ -16,12 +16,12 @@ from rich.text import Text
 from wavequake.mechanics.disturbances import analytic_rms
 from wavequake.report import budget
 from wavequake.report.page import Page, Picture, picture, render_page, write_page
-from wavequake.report.populations import Excluded
+from wavequake.report.populations import left_out
 from wavequake.report.statistics import Quantile, case_rms, quantile
 from wavequake.report.system_figures import distributions
 from wavequake.report.table import MISSING, interval, number, share
 from wavequake.workflows.bench import bench_of
-from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
+from wavequake.workflows.contract import DONE
 from wavequake.workflows.segment_modal import CERTIFIED, TRACED
 from wavequake.workflows.store import read_manifest
 
@@ -234,7 +234,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
             )
         ],
         kind="disturbance",
-        left_out=_left_out(dataset),
+        left_out=left_out(dataset, most=_LISTED),
     )
     return write_page(render_page(dataset, page), target)
 
@@ -264,16 +264,3 @@ def _row(one: ReducedPopulation) -> dict[str, tuple[str, str]]:
     row["segments (nm)"] = number(_rms(one.segments)), model
     row["Maréchal"] = share(float(one.marechal.mean())), ""
     return row
-
-
-def _left_out(dataset: xr.Dataset) -> list[Excluded]:
-    """Return the first cases that failed, with the reason."""
-    status, meanings = dataset["status"].to_numpy(), STATUS_MEANINGS.split()
-    failed = dataset[["message", "disturbance", "realization"]].isel(
-        case=np.flatnonzero((status != DONE) & (status != TODO))[:_LISTED]
-    )
-    columns = (failed[name].to_numpy() for name in ("case", "disturbance", "realization", "message"))
-    return [
-        Excluded(int(case), str(name), int(realization), meanings[status[case]], str(message))
-        for case, name, realization, message in zip(*columns, strict=True)
-    ]

@@ -19,10 +19,10 @@ from wavequake.optics.system_wavefront import trace_system
 from wavequake.report import budget
 from wavequake.report import system_figures as draw_figures
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
-from wavequake.report.populations import Excluded
+from wavequake.report.populations import left_out
 from wavequake.report.statistics import Jitter, Quantile, case_rms, jitter_of_cases, quantile
 from wavequake.report.table import interval, number, share
-from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
+from wavequake.workflows.contract import DONE
 from wavequake.workflows.store import read_manifest
 from wavequake.workflows.system_bench import (
     SystemBench,
@@ -122,7 +122,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         sections=[Section(one.name, list(_figures(bench, one, dataset, device))) for one in found],
         definitions=list(_DEFINITIONS),
         kind="disturbance",
-        left_out=_left_out(dataset),
+        left_out=left_out(dataset),
     )
     return write_page(render_page(dataset, page), target)
 
@@ -329,18 +329,3 @@ def _spots(bench: SystemBench, worst: tuple[int, int], device: str) -> Figure:
 
 def _field_labels(bench: SystemBench) -> list[str]:
     return [field_name(bench.system, index) for index in range(len(bench.prepared))]
-
-
-def _left_out(dataset: xr.Dataset) -> list[Excluded]:
-    """Return the cases that failed, with the reason."""
-    status, meanings = dataset["status"].to_numpy(), STATUS_MEANINGS.split()
-    return [
-        Excluded(
-            case=int(dataset["case"].to_numpy()[row]),
-            disturbance=str(dataset["disturbance"].to_numpy()[row]),
-            realization=int(dataset["realization"].to_numpy()[row]),
-            reason=meanings[status[row]],
-            message=str(dataset["message"].to_numpy()[row]),
-        )
-        for row in np.flatnonzero((status != DONE) & (status != TODO))
-    ]
