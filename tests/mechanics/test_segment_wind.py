@@ -187,23 +187,23 @@ def test_a_mirror_of_one_piece_moves_too(few):
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("change", "tolerance"),
     [
-        {"coherence_decay": 1e-9},
-        {"coherence_decay": 1e9},
-        {"mean_speed_m_s": 1e-3},
-        {"mean_speed_m_s": 100.0},
-        {"length_scale_m": 1e-3},
-        {"length_scale_m": 1e5},
-        {"turbulence_intensity": 1e-6},
+        # All segments alike, or hardly any change in a case, leave few independent samples: loose bounds.
+        ({"coherence_decay": 1e-9}, 0.4),
+        ({"length_scale_m": 1e5}, 0.8),
+        ({"coherence_decay": 1e9}, 0.05),
+        ({"mean_speed_m_s": 1e-3}, 0.05),
+        ({"mean_speed_m_s": 100.0}, 0.05),
+        ({"length_scale_m": 1e-3}, 0.05),
+        ({"turbulence_intensity": 1e-6}, 0.05),
     ],
 )
-def test_extreme_air_gives_finite_motion_of_the_right_rms(tmt, change):
+def test_extreme_air_gives_finite_motion_of_the_right_rms(tmt, change, tolerance):
     p = SegmentWind(name="wind", **change)
     motions = [draw_case([p], p, tmt, 1, case).segment_motion[..., 2] for case in range(4)]
     sampled = np.sqrt(np.mean(np.square(motions))) * 1e9
-    # All segments alike leave few independent samples: a loose bound.
-    assert sampled == pytest.approx(segment_wind_rms_nm(p, tmt).mean(), rel=1.0)
+    assert sampled == pytest.approx(segment_wind_rms_nm(p, tmt).mean(), rel=tolerance)
 
 
 def test_modes_without_damping_are_refused():
