@@ -110,15 +110,17 @@ def test_indices_follow_the_light_through_glass_and_mirrors():
     assert [element.index for element in sequence.elements] == [1.5, 1.0, 1.0, 1.0, 1.0]
 
 
-def test_openings_pass_what_geometry_says():
+@pytest.mark.parametrize("center", [(0.0, 0.0), (3.0, -4.0)])
+def test_openings_pass_what_geometry_says(center):
     x, y = RNG.uniform(-12.0, 12.0, (2, 4000))
     radius = np.hypot(x, y)
-    got = on_glass(opening_regions(Opening(10.0, 3.0, arms=((0.5, 1.0),))), x, y)
+    at = x + center[0], y + center[1]
+    got = on_glass(opening_regions(Opening(10.0, 3.0, arms=((0.5, 1.0),), center=center)), *at)
     along, across = x * np.cos(0.5) + y * np.sin(0.5), y * np.cos(0.5) - x * np.sin(0.5)
     shadow = (along >= 0.0) & (np.abs(across) <= 0.5)
     np.testing.assert_array_equal(got, (radius <= 10.0) & (radius > 3.0) & ~shadow)
     square = ((-5.0, -4.0), (5.0, -4.0), (5.0, 4.0), (-5.0, 4.0))
-    got = on_glass(opening_regions(Opening(corners=square)), x, y)
+    got = on_glass(opening_regions(Opening(corners=square, center=center)), *at)
     np.testing.assert_array_equal(got, (np.abs(x) <= 5.0) & (np.abs(y) <= 4.0))
     assert opening_regions(Opening()) == ()
 
@@ -130,6 +132,7 @@ def test_openings_pass_what_geometry_says():
         (Opening(corners=((0.0, 0.0), (0.0, 1.0), (1.0, 0.0))), "counterclockwise"),
         (Opening(corners=((0.0, 0.0), (4.0, 0.0), (1.0, 1.0), (0.0, 4.0))), "convex"),
         (Opening(arms=((0.0, 0.0),)), "spider arm"),
+        (Opening(5.0, center=(0.0, np.nan)), "center of an opening"),
     ],
 )
 def test_openings_without_sense_are_refused(opening, message):

@@ -101,7 +101,8 @@ def test_shapes_openings_and_media():
         '{name = "b", polynomial_mm = [0.0, 0.1], normalization_radius_mm = 7.0, distance_mm = 2.0}',
         '{name = "c", zernike_nm = [0.0, 0.0, 0.0, 25.0], semi_diameter_mm = 9.0, inner_mm = 1.0,'
         "stop = true}",
-        '{name = "d", deformation_terms = 15, semi_diameter_mm = 8.0, arms = [[90.0, 0.5]]}',
+        '{name = "d", deformation_terms = 15, semi_diameter_mm = 8.0, arms = [[90.0, 0.5]],'
+        "center_mm = [3.0, 4.0]}",
         '{name = "e", corners_mm = [[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]]}',
         '{name = "f", inner_mm = 2.0, decenter_mm = [1.0, -2.0], distance_mm = 3.0}',
         '{name = "image", distance_mm = 5.0}',
@@ -113,8 +114,8 @@ def test_shapes_openings_and_media():
     assert b.action == "pass"
     assert c.shape == ZernikeSag(np.inf, 0.0, (0.0, 0.0, 0.0, pytest.approx(25e-6)), 9.0)
     assert c.opening == Opening(outer=9.0, inner=1.0)
-    assert d.deformation == ZernikeDeformation(15, 8.0)
-    assert d.opening == Opening(outer=8.0, arms=((pytest.approx(np.pi / 2), 0.5),))
+    assert d.deformation == ZernikeDeformation(15, 13.0)  # about the vertex, to the opening's far edge
+    assert d.opening == Opening(outer=8.0, arms=((pytest.approx(np.pi / 2), 0.5),), center=(3.0, 4.0))
     assert e.opening == Opening(corners=((-1.0, -1.0), (1.0, -1.0), (0.0, 1.0)))
     assert f.opening == Opening(inner=2.0)
     np.testing.assert_allclose(f.position, [1, -2, 5])

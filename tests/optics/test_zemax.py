@@ -203,7 +203,7 @@ STOP = "  STOP\n  DISZ 1"
         (lens(STOP + "\n  GLAS UNOBTAINIUM 0 0"), r"surface 1: There is no glass 'UNOBTAINIUM'"),
         (lens(STOP + "\n  GLAS ___BLANK 1 0 1.6 40"), "index 1.6 and Abbe number 40"),
         (lens(STOP + "\n  UDAD 0 foo.uda"), "the property UDAD"),
-        (lens(STOP + "\n  CLAP 0 5 0\n  OBDC 1 0"), "decentered aperture"),
+        (lens(STOP + "\n  CLAP 0 5 0\n  OBDC 1 x"), "'x' is not a number"),
         (lens(STOP + "\n  CLAP 5 2 0"), "must increase"),
         (lens(STOP + "\n  SPID -1 4 0"), "not a positive number"),
         (lens(STOP + "\n  SPID 1 0 0"), "0 is not a number of things"),
@@ -252,6 +252,21 @@ def test_apertures_of_the_beam():
     assert pupil("FNUM 4 0") == Pupil("f_number", 4.0)
     assert pupil("OBNA 0.1 0") == Pupil("object_na", 0.1)
     assert pupil("FLOA", STOP + "\n  DIAM 3.5") == Pupil("stop", 3.5)
+
+
+def test_a_decentered_aperture_is_about_its_center():
+    header = "UNIT CM\nENPD 10\nWAVM 1 0.55 1\nFTYP 0 0 1 1 0 0 0"
+    for line, inside, outside in (
+        ("CLAP 0.1 1 0", [(31.5, -20), (38, -20)], [(30, -20), (41, -20), (0, 0)]),
+        ("OBSC 0 1 0", [(0, 0), (41, -20)], [(30, -20), (39, -20)]),
+        ("SQAP 1 2 0", [(39, -1), (21, -39)], [(41, -20), (30, 1), (0, 0)]),
+        ("SPID 0.1 1 0", [(29, -20), (31, -19)], [(31, -20), (90, -20.4)]),
+    ):
+        opening = read(STOP + f"\n  {line}\n  OBDC 3 -2", header=header).surfaces[0].opening
+        assert opening.center == (30.0, -20.0)
+        x, y = np.array([*inside, *outside], float).T
+        passed = [True] * len(inside) + [False] * len(outside)
+        assert on_glass(opening_regions(opening), x, y).tolist() == passed
 
 
 def test_spider_arms_reach_outwards_at_equal_angles():

@@ -50,6 +50,7 @@ shapes = st.one_of(
 openings = st.one_of(
     st.none(),
     st.builds(Opening, outer=st.floats(2, 50)),
+    st.builds(Opening, outer=st.floats(2, 50), center=st.tuples(numbers, numbers)),
     st.builds(Opening, outer=st.floats(2, 50), inner=st.floats(0.1, 1)),
     st.builds(Opening, inner=st.floats(0.1, 1)),
     st.tuples(st.floats(0.1, 2), st.integers(1, 6)).map(lambda a: Opening(arms=spider(*a))),
@@ -207,6 +208,8 @@ RECTANGLE = ((6.0, -5.0), (6.0, 5.0), (-6.0, 5.0), (-6.0, -5.0))
         Opening(inner=2.0, corners=RECTANGLE),
         Opening(inner=2.0, corners=RECTANGLE, arms=spider(0.5, 4)),
         Opening(corners=RECTANGLE),
+        Opening(6.0, 2.0, arms=spider(0.7, 3), center=(1.0, -2.0)),
+        Opening(inner=2.0, corners=RECTANGLE, center=(1.0, -2.0)),
     ],
 )
 def test_several_apertures_of_a_surface_stand_on_equal_ones_before_it(opening):
@@ -252,6 +255,9 @@ def test_several_apertures_behind_a_gradient_are_refused():
 def test_an_obscured_pupil_is_a_dark_center_of_the_stop():
     again = parse_zmx(zmx_text(replace(simple(), pupil=Pupil("stop", 5.0, 0.2))), "lens.zmx")
     assert again.surfaces[0].opening == Opening(inner=1.0)
+    beside = replace(simple(opening=Opening(outer=6.0, center=(1.0, 0.0))), pupil=Pupil("stop", 5.0, 0.2))
+    dark, last = parse_zmx(zmx_text(beside), "lens.zmx").surfaces[:2]
+    assert (dark.opening, last.opening) == (Opening(inner=1.0), Opening(outer=6.0, center=(1.0, 0.0)))
     ring = simple(opening=Opening(outer=6.0, inner=2.0))
     again = parse_zmx(zmx_text(replace(ring, pupil=Pupil("stop", 5.0, 0.2))), "lens.zmx")
     assert again.surfaces[0].opening == Opening(outer=6.0, inner=2.0)

@@ -115,28 +115,40 @@ def _centered_grid(rows: int, columns: int, dx: float, dy: float, coefficients: 
 def opening_regions(opening: Opening) -> tuple[Region, ...]:
     """Return the regions whose intersection is an opening.
 
-    A polygon replaces the outer circle; the inner circle and the spider arms, which reach from the vertex
+    A polygon replaces the outer circle; the inner circle and the spider arms, which reach from the center
     outwards, block.
 
     Raises
     ------
     UserError
-        If the corners are not those of a convex polygon, counterclockwise, or an arm has no width.
+        If the corners are not those of a convex polygon, counterclockwise, an arm has no width, or the center
+        is not finite.
     """
     regions = []
+    x, y = opening.center
+    if not (isfinite(x) and isfinite(y)):
+        raise UserError(f"the center of an opening is {opening.center}; it must be two finite numbers")
     if opening.corners:
-        regions.append(Region("polygon", _half_planes(np.asarray(opening.corners, dtype=np.float64))))
+        corners = np.asarray(opening.corners, dtype=np.float64)
+        regions.append(Region("polygon", _shifted(_half_planes(corners), x, y)))
     elif isfinite(opening.outer):
-        regions.append(Region("circle", (0.0, 0.0, opening.outer)))
+        regions.append(Region("circle", (x, y, opening.outer)))
     if opening.inner > 0.0:
-        regions.append(Region("circle", (0.0, 0.0, opening.inner), blocks=True))
+        regions.append(Region("circle", (x, y, opening.inner), blocks=True))
     for angle, width in opening.arms:
         if not (isfinite(angle) and isfinite(width) and width > 0.0):
             raise UserError(f"a spider arm has the angle {angle} rad and the width {width} mm")
         along_x, along_y, half = cos(angle), sin(angle), width / 2.0
         strip = (-along_y, along_x, half, along_y, -along_x, half, -along_x, -along_y, 0.0)
-        regions.append(Region("polygon", strip, blocks=True))
+        regions.append(Region("polygon", _shifted(strip, x, y), blocks=True))
     return tuple(regions)
+
+
+def _shifted(half_planes: tuple[float, ...], x: float, y: float) -> tuple[float, ...]:
+    """Return half planes a x + b y <= c whose origin moves to (x, y)."""
+    table = np.array(half_planes).reshape(-1, 3)
+    table[:, 2] += table[:, 0] * x + table[:, 1] * y
+    return tuple(table.ravel().tolist())
 
 
 def _half_planes(corners: Array) -> tuple[float, ...]:

@@ -103,14 +103,16 @@ Deformation = ZernikeDeformation | GridDeformation
 class Opening:
     """Where a surface lets light through: a circle, an annulus or a convex polygon, less spider arms.
 
-    ``outer`` and ``inner`` are radii about the vertex (inner 0: none); ``corners`` (counterclockwise) replace
-    the outer circle. Each spider arm is a strip: angle (rad) from the x axis and full width.
+    ``outer`` and ``inner`` are radii (inner 0: none); ``corners`` (counterclockwise) replace the outer
+    circle. Each spider arm is a strip: angle (rad) from the x axis and full width. All are about ``center``,
+    by default the vertex.
     """
 
     outer: float = np.inf
     inner: float = 0.0
     corners: tuple[tuple[float, float], ...] = ()
     arms: tuple[tuple[float, float], ...] = ()
+    center: tuple[float, float] = (0.0, 0.0)
 
 
 SurfaceAction = Literal["reflect", "refract", "pass"]

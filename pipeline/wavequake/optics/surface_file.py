@@ -1,5 +1,6 @@
 """One surface of an optical system as a study file gives it (see `wavequake.optics.system_file`)."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -95,6 +96,9 @@ class SurfaceSection(FileSection):
     )
     arms: tuple[Pair, ...] = Field(
         default=(), strict=False, description="spider arms: angle from x in degrees, width in mm"
+    )
+    center_mm: Pair = Field(
+        default=(0.0, 0.0), strict=False, description="of all of these, beside the vertex"
     )
     tilt_deg: tuple[float, float, float] = Field(
         default=(0.0, 0.0, 0.0), strict=False, description="Cardan angles about x, y and z"
@@ -212,7 +216,9 @@ def embed_sag(record: dict[str, Any], base: Path) -> None:
 
 
 def _norm(section: SurfaceSection) -> float:
-    return section.normalization_radius_mm or section.semi_diameter_mm or np.nan
+    if section.normalization_radius_mm is None and section.semi_diameter_mm is not None:
+        return section.semi_diameter_mm + float(np.hypot(*section.center_mm))  # about the vertex
+    return section.normalization_radius_mm or np.nan
 
 
 def deformation_of(section: SurfaceSection) -> Deformation | None:
@@ -227,4 +233,4 @@ def opening_of(section: SurfaceSection) -> Opening | None:
     outer = np.inf if section.semi_diameter_mm is None else section.semi_diameter_mm
     arms = tuple((float(np.deg2rad(angle)), width) for angle, width in section.arms)
     opening = Opening(outer, section.inner_mm, section.corners_mm, arms)
-    return None if opening == Opening() else opening
+    return None if opening == Opening() else replace(opening, center=section.center_mm)

@@ -107,7 +107,9 @@ def _opening(opening: Opening | None) -> str:
     text = f"polygon of {len(opening.corners)}" if opening.corners else _number(opening.outer)
     if opening.inner:
         text = f"{_number(opening.inner)} to {text}"
-    return text + (f", {len(opening.arms)} arms" if opening.arms else "")
+    text += f", {len(opening.arms)} arms" if opening.arms else ""
+    x, y = opening.center
+    return text + (f" about ({_number(x)}, {_number(y)})" if x or y else "")
 
 
 def _length(value: float) -> str:

@@ -176,9 +176,13 @@ def _surface(
     else:
         lines = [*shape, *_glass(medium, surface.name)]
     opening = surface.opening or Opening()
-    if index == system.stop and system.pupil.obscuration:
-        opening = _obscured(system, opening)
-    *more, own = _apertures(opening, surface.name)
+    inner = system.pupil.obscuration if index == system.stop else 0.0
+    dark = inner * paraxial(system).stop_radius if inner else 0.0
+    parts = [Opening(inner=dark), opening]  # an obscured pupil is a dark center of the stop
+    if opening.center == (0.0, 0.0):
+        parts = [replace(opening, inner=max(dark, opening.inner))]
+    apertures = [lines for part in parts for lines in _apertures(part, surface.name) if lines]
+    *more, own = apertures or [[]]
     lines += own
     semi_diameter = opening.outer
     if index == system.stop:
@@ -197,12 +201,6 @@ def _surface(
         )
     same = [*shape, *_glass(before, surface.name)]
     return [[f"COMM {surface.name} aperture {k}", *same, *one] for k, one in enumerate(more, start=1)] + rows
-
-
-def _obscured(system: OpticalSystem, opening: Opening) -> Opening:
-    """Return the stop's opening with a center as dark as that of the pupil, which the format has not."""
-    dark = system.pupil.obscuration * paraxial(system).stop_radius
-    return replace(opening, inner=max(dark, opening.inner))
 
 
 def _shape(surface: Surface, system: str) -> list[str]:
@@ -239,7 +237,9 @@ def _extra_data(coefficients: tuple[float, ...], radius: float) -> list[str]:
 
 
 def _apertures(opening: Opening, name: str) -> list[list[str]]:
-    """Return the apertures whose intersection an opening is, the lines of each; no line where all passes."""
+    """Return the apertures whose intersection an opening is, the lines of each."""
+    x, y = opening.center
+    shift = [f"OBDC {written(x)} {written(y)}"] if x or y else []
     found = []
     if opening.arms:
         arms = opening.arms
@@ -258,7 +258,7 @@ def _apertures(opening: Opening, name: str) -> list[list[str]]:
             )
         found.append([f"SQAP {written(x)} {written(y)} 0"])
     elif math.isfinite(opening.outer):
-        return [*found, [f"CLAP {written(opening.inner)} {written(opening.outer)} 0"]]
-    if opening.inner:
+        found.append([f"CLAP {written(opening.inner)} {written(opening.outer)} 0"])
+    if opening.inner and not (math.isfinite(opening.outer) and not opening.corners):
         found.append([f"OBSC 0.0 {written(opening.inner)} 0"])
-    return found or [[]]
+    return [[*lines, *shift] for lines in found]

@@ -109,16 +109,15 @@ def opening(row: Row, scale: float) -> Opening | None:
         fail(given[1], f"{row.label} has a second aperture; one is supported")
     line = given[0]
     shift = row.one("OBDC")
-    if shift and any(as_number(shift, index) for index in range(len(shift.words))):
-        fail(shift, f"{row.label} has a decentered aperture, which is not supported")
+    center = (as_number(shift, 0) * scale, as_number(shift, 1) * scale) if shift else (0.0, 0.0)
     if line.keyword == "SPID":
         width, count = as_number(line, 0) * scale, as_count(line, 1)
         if not width > 0:
             fail(line, f"{row.label} has a spider whose arms are {width:g} mm wide, not a positive number")
-        return Opening(arms=spider(width, count))
+        return Opening(arms=spider(width, count), center=center)
     low, high = as_number(line, 0) * scale, as_number(line, 1) * scale
     if line.keyword == "SQAP":
-        return Opening(corners=((-low, -high), (low, -high), (low, high), (-low, high)))
+        return Opening(corners=((-low, -high), (low, -high), (low, high), (-low, high)), center=center)
     if not 0 <= low < high:
         fail(
             line,
@@ -127,8 +126,8 @@ def opening(row: Row, scale: float) -> Opening | None:
     if line.keyword == "OBSC":
         if low:
             fail(line, f"{row.label} has a ring-shaped obscuration, which is not supported")
-        return Opening(inner=high)
-    return Opening(outer=high, inner=low)
+        return Opening(inner=high, center=center)
+    return Opening(outer=high, inner=low, center=center)
 
 
 def spider(width: float, count: int) -> tuple[tuple[float, float], ...]:

@@ -172,7 +172,7 @@ def deformable(system: OpticalSystem, terms: Mapping[int, int]) -> OpticalSystem
     fields fill.
     """
     edges = {
-        index: opening.outer
+        index: opening.outer + float(np.hypot(*opening.center))
         for index in terms
         if (opening := system.surfaces[index].opening) is not None and np.isfinite(opening.outer)
     }
