@@ -80,6 +80,10 @@ def test_a_case_alone_has_the_bits_it_has_in_a_chunk(results):
         (["telescope.name=tmt-thesis"], "not hexagons that lie alike"),
         (["segments.figure_terms=66", "model.divisions=2"], "do not determine 66 Zernike terms"),
         (["model.mount_radius_m=9.0"], "lie outside the mirror"),
+        (
+            ["model.divisions=3", "model.mount_radius_m=3.0"],
+            "take a finer mesh, or mounts farther from its edge",
+        ),
         (["excitation.floor.high_hz=900.0"], "take a smaller time step"),
         (["excitation.sine.interfaces=[3]"], "acts at interface node 3"),
     ],
@@ -105,6 +109,10 @@ def test_studies_that_cannot_work_say_so(overrides, words):
 def test_studies_that_are_wrong_are_refused(overrides, words):
     with pytest.raises(UserError, match=words):
         text_of(*overrides)
+
+
+def test_segments_may_be_named_by_numbers():
+    assert text_of("segments.name=8") == text_of("segments.name='8'")
 
 
 def test_motions_that_take_a_segment_out_of_the_beam_are_left_out_with_the_reason():

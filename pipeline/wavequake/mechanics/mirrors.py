@@ -192,7 +192,13 @@ def on_springs(model: FiniteElementModel, stiffness: tuple[float, float, float])
 
 def _model(name: str, mirror: Mirror) -> FiniteElementModel:
     mesh = mirror_mesh(mirror)
-    mass, stiffness = assemble(mesh.nodes, mesh.elements, mirror.material)
+    try:
+        mass, stiffness = assemble(mesh.nodes, mesh.elements, mirror.material)
+    except UserError as error:
+        raise UserError(
+            f"the mesh of the {name} folds where it makes room for mounts at the radius "
+            f"{mirror.mount_radius} m; take a finer mesh, or mounts farther from its edge"
+        ) from error
     count = len(mesh.nodes)
     weights: NDArray[np.float64] = lumped_areas(mesh.nodes[:, :2], mesh.front_facets)[mesh.front_nodes]
     model = FiniteElementModel(

@@ -61,6 +61,11 @@ class SegmentsSection(Section):
         default=21, ge=4, le=66, description="Zernike terms of a segment's figure over its circle"
     )
 
+    @field_validator("name", mode="before")
+    @classmethod
+    def _names_may_be_numbers(cls, value: object) -> object:
+        return str(value) if type(value) is int else value
+
     @field_validator("disturbed")
     @classmethod
     def _is_a_set(cls, value: tuple[str, ...]) -> tuple[str, ...]:
