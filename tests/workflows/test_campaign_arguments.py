@@ -113,3 +113,10 @@ def test_a_plan_says_which_chunk_would_suit_better(monkeypatch, seconds, chunk, 
     monkeypatch.setattr(campaign, "workflow_of", lambda study: workflow)
     monkeypatch.setattr(campaign.time, "perf_counter", clock)
     assert plan(study)["one chunk"] == words
+
+
+@pytest.mark.parametrize("until", ["wfe_rms.p95 ci<=-2%", "nonsense", "", "phase.p95 ci<=2%"])
+def test_a_plan_refuses_a_goal_that_a_run_would_refuse(until):
+    keys = {"telescope.name": "tmt-18", "campaign.device": "numpy", "campaign.until": until}
+    with pytest.raises(UserError, match=r"campaign\.until"):
+        plan(load_study("tmt-segments", keys))

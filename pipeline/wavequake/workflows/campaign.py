@@ -216,6 +216,8 @@ def plan(study: Study) -> dict[str, str]:
     cases, chunk = study.cases, chunk_of(study)
     workflow.check(text)
     template = workflow.template(text)
+    if study.campaign.until is not None:
+        goal_of(study.campaign.until, template)  # says what is wrong with it
     per_case = stored_bytes(template)
     device = choose_device(study.campaign.device)
     whole = min(cases, chunk)
