@@ -213,9 +213,10 @@ def test_a_lost_journal_is_begun_again(tmp_path):
     assert toy.digests(tmp_path / "s") == before
 
 
-def test_results_without_a_manifest_are_never_overwritten(tmp_path):
+@pytest.mark.parametrize("other", ["report.html", "case-3.nc"])
+def test_results_without_a_manifest_are_never_overwritten(tmp_path, other):
     toy.run(tmp_path / "s")
-    (tmp_path / "s" / "report.html").write_text("x")
+    (tmp_path / "s" / other).write_text("x")
     (tmp_path / "s" / "manifest.json").unlink()
     with pytest.raises(UserError, match=r"has results but no manifest\.json"):
         toy.run(tmp_path / "s")

@@ -95,13 +95,13 @@ def refuse_foreign(path: Path) -> None:
     ours = [MANIFEST, JOURNAL, LOCK, REPORT, SENSITIVITY, BUDGET, LOG, SHARDS]
     ours += [DATA] if JOURNAL in names else []
     foreign = [name for name in names if name.split(".partial")[0] not in ours]
+    if DATA in names and any((path / JOURNAL).glob("*.jsonl")):
+        raise UserError(
+            f"{path} has results but no {MANIFEST}: put that file back, or choose another --store."
+        )
     if foreign:
         raise UserError(
             f"{path} is not a store: it holds {foreign[0]!r}, no {MANIFEST}; choose another --store."
-        )
-    if any((path / JOURNAL).glob("*.jsonl")):
-        raise UserError(
-            f"{path} has results but no {MANIFEST}: put that file back, or choose another --store."
         )
 
 
