@@ -8,7 +8,7 @@ from wavequake.imaging.polygon_transform import polygon_transform
 from wavequake.imaging.psf_engines import SegmentedPupil, point_spread, prepare_psf
 from wavequake.imaging.segment_basis import segment_basis
 from wavequake.imaging.segment_lattice import lattice_psf, segment_lattice
-from wavequake.imaging.segment_psf import psf
+from wavequake.imaging.segment_psf import psf, truncation_error
 from wavequake.kernels import lattice
 from wavequake.kernels.devices import Device, list_devices
 from wavequake.optics.segments import hexagon_ring_segments
@@ -47,6 +47,33 @@ def test_images_are_those_of_the_general_basis(name, pixels, device):
     basis = segment_basis(corners, centers, pixels, 0.3, DIAMETER, 1, np.complex128)
     assert np.abs(found.reshape(len(found), -1) - psf(basis, piston)).max() < 1e-12
     assert np.array_equal(lattice_psf(prepared, piston[17:]), found[17:])  # bits do not depend on the batch
+
+
+@pytest.mark.parametrize("moments", [6, 15])
+@pytest.mark.parametrize("pixels", [2, 16, 33])
+@pytest.mark.parametrize("name", ["hexagons", "squares, uncentered", "row of wedges", "one"])
+def test_tilted_segments_are_those_of_the_general_basis(name, pixels, moments):
+    corners, centers = PUPILS[name]
+    motion = RNG.normal(0.0, 1.0, (3, len(centers), 3)) * [0.2, 6e-5, 6e-5]
+    basis = segment_basis(corners, centers, pixels, 0.3, DIAMETER, moments, np.complex128)
+    tolerance = 1.001 * truncation_error(basis, motion)[-1].max()  # all moments are needed
+    expected = psf(basis, motion, tolerance)
+    for device in DEVICES:
+        prepared = segment_lattice(corners, centers, pixels, 0.3, DIAMETER, device=device, moments=moments)
+        if device.kind != "cpu":
+            assert prepared is None
+            continue
+        found = lattice_psf(prepared, motion)
+        assert np.abs(found.reshape(len(found), -1) - expected).max() < 1e-12
+        bound = truncation_error(prepared, motion)
+        assert np.allclose(bound, truncation_error(basis, motion), rtol=1e-9)
+        motion[1, 0, 2] = np.nan
+        broken = lattice_psf(prepared, motion)
+        assert np.isnan(broken[1]).all()
+        assert np.array_equal(broken[[0, 2]], found[[0, 2]])
+        motion[1, 0, 2] = 0.0
+        single = segment_lattice(corners, centers, pixels, 0.3, DIAMETER, np.float32, device, moments)
+        assert np.abs(lattice_psf(single, motion[:1]) - found[0]).max() < 2e-6
 
 
 def test_pixels_equal_a_direct_sum_over_polygons():
@@ -104,6 +131,20 @@ def test_what_is_no_lattice_of_equals_is_left_to_others():
     assert segment_lattice(scaled.corners, scaled.centers[:, :2], 16, 0.25, 30000.0) is None
 
 
+@pytest.mark.parametrize("device", DEVICES, ids=lambda device: device.kind)
+def test_the_chooser_takes_lattices_for_tilted_segments_where_they_can_be(device):
+    pupil = SegmentedPupil(CORNERS, CENTERS, DIAMETER)
+    engine = prepare_psf(pupil, 16, 0.25, corner_phase=0.2, device=device)
+    names = {"cpu": "SegmentLattice"}
+    assert type(engine.basis).__name__ == names.get(device.kind, "SegmentBasis")
+    motion = RNG.normal(0.0, 1.0, (4, len(CENTERS), 3)) * [0.1, 2e-5, 2e-5]
+    motion[1, :, 1] = 8e-5  # too steep for its moments: sampled
+    exact = psf(segment_basis(CORNERS, CENTERS, 16, 0.25, DIAMETER, 45, np.complex128), motion, 0.1)
+    difference = np.abs(point_spread(engine, motion).reshape(4, -1) - exact).max(axis=1)
+    assert difference[[0, 2, 3]].max() < engine.tolerance
+    assert difference[1] < 1e-3
+
+
 def test_the_chooser_takes_lattices_of_pistons_alone():
     pupil = SegmentedPupil(CORNERS, CENTERS, DIAMETER)
     engine = prepare_psf(pupil, 16, 0.25)
@@ -132,6 +173,7 @@ def test_the_chooser_takes_lattices_of_pistons_alone():
         ({"centers": CENTERS[1:]}, "finite centers"),
         ({"corners": CORNERS[:, ::-1]}, "counter-clockwise"),
         ({"corners": CORNERS * np.nan}, "not a finite number"),
+        ({"moments": 3}, "1, 6, 15, 28, 45 moments per segment, not 3"),
     ],
 )
 def test_impossible_lattices_are_refused(changed, words):

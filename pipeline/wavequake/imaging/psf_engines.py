@@ -103,7 +103,7 @@ class PsfEngine:
         The sampled pupil.
     transform : MatrixFourier
     basis : SegmentBasis, SegmentFigure or SegmentLattice, optional
-        The last where equal segments on a lattice have pistons alone.
+        The last where equal segments stand on a lattice, and have pistons alone or an OpenCL processor.
     tolerance : float
         Largest error that ending the series in segments' slopes may make, relative to the perfect peak.
     device : Device
@@ -237,8 +237,8 @@ def point_spread(engine: PsfEngine, wavefront: Real, check: bool = True) -> Real
         steep = figure_error(engine.basis, terms) > engine.tolerance
         images[~steep] = figure_psf(engine.basis, terms[~steep], engine.tolerance).reshape(-1, pixels, pixels)
     elif isinstance(engine.basis, SegmentLattice):
-        steep = (motion[..., 1:] != 0.0).any(axis=(1, 2))
-        images[~steep] = lattice_psf(engine.basis, motion[~steep, :, 0])
+        steep = np.asarray(truncation_error(engine.basis, motion)[-1] > engine.tolerance)
+        images[~steep] = lattice_psf(engine.basis, motion[~steep])
     elif engine.basis is not None:
         steep = np.asarray(truncation_error(engine.basis, motion)[-1] > engine.tolerance)
         exact = segments_psf(engine.basis, motion[~steep], engine.tolerance)
@@ -323,16 +323,18 @@ def _segments_seconds(
 def _lattice(
     pupil: SegmentedPupil, pixels: int, sampling: float, moments: int, device: Device
 ) -> SegmentLattice | None:
-    """Return the lattice that equal segments with pistons alone stand on, if they do."""
-    if moments > 1 or pupil.obstructions or pupil.figure_terms > 3 or pixels < 2:
+    """Return the lattice that equal segments stand on, if they do."""
+    if pupil.obstructions or pupil.figure_terms > 3 or pixels < 2:
         return None
-    return segment_lattice(pupil.corners, pupil.centers, pixels, sampling, pupil.diameter, device=device)
+    place = pupil.corners, pupil.centers, pixels, sampling, pupil.diameter
+    return segment_lattice(*place, device=device, moments=moments)
 
 
 def _lattice_seconds(lattice: SegmentLattice) -> float:
     pixels, (columns, rows) = lattice.pixels, lattice.shape
     operations = 2.0 * pixels * columns * (rows + pixels)  # folded by parity
     if lattice.kernel:
+        operations *= MOMENTS[lattice.kernel.degree // 2]
         return 1e-8 * lattice.places.size + 6e-10 * pixels**2 + operations / _PRODUCTS["opencl"]
     return 5e-8 * lattice.places.size + 1e-8 * pixels**2 + operations / _PRODUCTS["numpy"]
 

@@ -1,10 +1,11 @@
-"""Exact point spread functions of equal segments on a regular lattice, each with a piston.
+"""Exact point spread functions of equal segments on a regular lattice, from pistons and slopes.
 
 Where all segments have one shape, the field is the transform of that shape times the sum over segments of
 exp(2πi p_s) exp(-2πi f·x_s). On a lattice that sum is separable: first along y in every column, then along x.
 Rows and columns are folded about the middle of the lattice into even and odd parts, which are transformed by
 cosines and sines at half of the frequencies only: a quarter of the products, all of them real. An OpenCL
-processor makes each image in one go (`wavequake.kernels.lattice`).
+processor makes each image in one go (`wavequake.kernels.lattice`), and adds slopes moment by moment, as
+`wavequake.imaging.segment_psf` does.
 """
 
 from dataclasses import dataclass
@@ -14,6 +15,8 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from wavequake.errors import UserError
 from wavequake.imaging.polygon_transform import polygon_areas, polygon_transform
+from wavequake.imaging.segment_basis import MOMENTS
+from wavequake.imaging.segment_moments import largest_means, moments_on_grid
 from wavequake.kernels.devices import NUMPY, Device
 from wavequake.kernels.lattice import LatticeKernel, lattice_images, lattice_kernel
 
@@ -44,6 +47,8 @@ class SegmentLattice:
         Cosines and sines of the columns' and rows' places at the K = pixels // 2 + 1 frequencies f >= 0.
     envelope : ndarray, shape (pixels, pixels)
         Irradiance of a segment relative to the peak of the whole pupil.
+    remainders : ndarray, shape (degrees, 1)
+        As those of a `SegmentBasis`; what is left out beyond the moments of the last degree.
     kernel : LatticeKernel, optional
         The same for an OpenCL processor, which then makes the images.
     """
@@ -54,6 +59,7 @@ class SegmentLattice:
     along_x: tuple[Floating, Floating]
     along_y: tuple[Floating, Floating]
     envelope: Floating
+    remainders: Real
     kernel: LatticeKernel | None = None
 
 
@@ -65,8 +71,9 @@ def segment_lattice(
     diameter: float,
     dtype: DTypeLike = np.float64,
     device: Device = NUMPY,
+    moments: int = 1,
 ) -> SegmentLattice | None:
-    """Prepare the images of equal segments on a lattice; none if these are not.
+    """Prepare the images of equal segments on a lattice; none if these are not, or slopes are too much.
 
     Rows and columns of the lattice must lie along x and y, as those of hexagons do whose corners or edges do.
 
@@ -86,12 +93,17 @@ def segment_lattice(
         Precision: errors are below 1e-12 or 2e-6 of the perfect peak.
     device : Device
         An OpenCL processor, unless the images are to be made by NumPy; a GPU leaves them to it.
+    moments : {1, 6, 15, ...}
+        As for `wavequake.imaging.segment_basis.segment_basis`: 1 for pistons; more only on an OpenCL
+        processor.
 
     Raises
     ------
     UserError
         If a polygon is clockwise, empty or not finite, or the centers or the grid impossible.
     """
+    if moments not in MOMENTS:
+        raise UserError(f"an image takes {', '.join(map(str, MOMENTS))} moments per segment, not {moments}")
     if pixels < 2 or not (np.isfinite([sampling, diameter]).all() and sampling > 0.0 and diameter > 0.0):
         raise UserError(
             f"an image needs 2 x 2 points and a sampling and diameter above 0, not {pixels} points at "
@@ -109,35 +121,49 @@ def segment_lattice(
     shape = len(along_x), len(along_y)
     if shape[0] * shape[1] > _PLACES * len(centers):
         return None
-    axis = (np.arange(pixels) - pixels // 2) * (sampling / diameter)
+    axis = np.asarray((np.arange(pixels) - pixels // 2) * (sampling / diameter), dtype=np.float64)
     y, x = np.meshgrid(axis, axis, indexing="ij")
-    field = polygon_transform(own[:1], x.ravel(), y.ravel()).reshape(pixels, pixels) / areas.sum()
-    envelope = (field.real**2 + field.imag**2).astype(dtype)
+    field = polygon_transform(own[:1], x.ravel(), y.ravel()).reshape(1, pixels, pixels) / areas.sum()
+    envelope = (field[0].real ** 2 + field[0].imag ** 2).astype(dtype)
+    degree, middle, scale = 2 * MOMENTS.index(moments), np.zeros((1, 2)), float(np.hypot(*own[0].T).max())
+    if degree:
+        field = moments_on_grid(own[:1], middle, axis, axis, degree, scale).T.reshape(-1, pixels, pixels)
+        field = field / areas.sum()
     frequencies = np.asarray(np.arange(pixels // 2 + 1) * (sampling / diameter), dtype=np.float64)
     waves_x, waves_y = (_folded_waves(frequencies, along, dtype) for along in (along_x, along_y))
-    kernel = lattice_kernel((column, row), (along_x, along_y), envelope, sampling / diameter, device)
-    return SegmentLattice(pixels, shape, row * shape[0] + column, waves_x, waves_y, envelope, kernel)
+    places, lines = (column, row), (along_x, along_y)
+    kernel = lattice_kernel(places, lines, field, scale, sampling / diameter, device, dtype)
+    if kernel is None and degree:
+        return None
+    remainders = largest_means(own[:1], middle, degree) / areas.sum()
+    number = row * shape[0] + column
+    return SegmentLattice(pixels, shape, number, waves_x, waves_y, envelope, remainders, kernel)
 
 
-def lattice_psf(lattice: SegmentLattice, piston_waves: ArrayLike) -> Floating:
+def lattice_psf(lattice: SegmentLattice, segment_phase: ArrayLike) -> Floating:
     """Return point spread functions, whose unit is the peak of the perfect one.
 
     Parameters
     ----------
     lattice : SegmentLattice
-    piston_waves : array_like, shape (batch, S)
-        Pistons in waves at the centers, as `wavequake.imaging.segment_psf.psf` takes them. An instant with a
-        NaN gives an image of NaN.
+    segment_phase : array_like, shape (batch, S) or (batch, S, 3)
+        Pistons in waves at the centers, or these and slopes in waves per mm, as
+        `wavequake.imaging.segment_psf.psf` takes them; slopes count where the lattice has moments of them
+        (`wavequake.imaging.segment_psf.truncation_error` says how well). An instant with a NaN gives an image
+        of NaN.
 
     Returns
     -------
     ndarray, shape (batch, pixels, pixels), float32 or float64
     """
-    piston = np.asarray(piston_waves, dtype=np.float64)
-    if piston.ndim != 2 or piston.shape[1] != lattice.places.size:
-        raise ValueError(f"piston_waves has the shape {piston.shape}, not (batch, {lattice.places.size})")
+    phase = np.asarray(segment_phase, dtype=np.float64)
+    if phase.ndim == 2:
+        phase = np.pad(phase[..., None], ((0, 0), (0, 0), (0, 2)))
+    if phase.ndim != 3 or phase.shape[1:] != (lattice.places.size, 3):
+        raise ValueError(f"segment_phase has the shape {phase.shape}, not (batch, {lattice.places.size}, 3)")
     if lattice.kernel:
-        return lattice_images(lattice.kernel, piston)
+        return lattice_images(lattice.kernel, phase)
+    piston = phase[..., 0]
     images = np.empty((len(piston), lattice.pixels, lattice.pixels), dtype=lattice.envelope.dtype)
     workspace = _workspace(lattice)
     for first in range(0, len(piston), _TILE):  # products of constant shape: bits do not depend on the batch

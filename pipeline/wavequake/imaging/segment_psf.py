@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wavequake.errors import UserError
 from wavequake.imaging.segment_basis import MOMENTS, SegmentBasis
+from wavequake.imaging.segment_lattice import SegmentLattice
 from wavequake.imaging.segment_moments import exponents
 from wavequake.kernels.tiles import TILE
 
@@ -101,7 +102,7 @@ def amplitude_images(basis: SegmentBasis, amplitude: ArrayLike) -> Floating:
     return images
 
 
-def truncation_error(basis: SegmentBasis, segment_phase: Real) -> Real:
+def truncation_error(basis: SegmentBasis | SegmentLattice, segment_phase: Real) -> Real:
     """Bound the error of the image, relative to the perfect peak, that ending the series in the slopes makes.
 
     What follows degree n in the series of exp(iφ) is at most |φ|^(n+1) / (n+1)!. Its mean over the
@@ -110,7 +111,7 @@ def truncation_error(basis: SegmentBasis, segment_phase: Real) -> Real:
 
     Parameters
     ----------
-    basis : SegmentBasis
+    basis : SegmentBasis or SegmentLattice
     segment_phase : ndarray, shape (batch, S, 3)
         As for `psf`; slopes that are not finite are left out.
 

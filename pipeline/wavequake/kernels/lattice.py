@@ -1,5 +1,6 @@
-"""Images of equal segments on a regular lattice, each with a piston: one launch for many images."""
+"""Images of equal segments on a regular lattice, with pistons and slopes: one launch for many images."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +15,7 @@ Floating = NDArray[np.float32] | NDArray[np.float64]
 Real = NDArray[np.float64]
 
 # What a work-item may keep in local memory, as numbers.
-_LOCAL_NUMBERS = 1 << 17
+_LOCAL_NUMBERS = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -30,21 +31,32 @@ class LatticeKernel:
         Phase that puts an even number of pixels symmetric about 0.
     tables : tuple of ndarray
         Places of the segments in a quarter of the lattice, what each adds to the parts even and odd in x and
-        y, waves along x and along y, and the irradiance of a segment (pixels, pixels).
+        y, waves along x and along y, and the irradiance of a segment, or its moments.
+    shape : tuple of int
+        Of an image.
+    degree : int
+        Of the moments, 0 for pistons alone.
+    scale : float
+        Length in mm that makes slopes and moments dimensionless.
     """
 
     device: Device
     constants: tuple[tuple[str, int], ...]
     ramp: Real
     tables: tuple[NDArray[Any], ...]
+    shape: tuple[int, int]
+    degree: int
+    scale: float
 
 
 def lattice_kernel(
     numbers: tuple[NDArray[np.intp], NDArray[np.intp]],
     lines: tuple[Real, Real],
-    envelope: Floating,
+    moments: NDArray[np.complex128],
+    scale: float,
     step: float,
     device: Device,
+    dtype: DTypeLike,
 ) -> LatticeKernel | None:
     """Prepare the images of a lattice; none if the device is no OpenCL processor, or the image too large.
 
@@ -54,15 +66,21 @@ def lattice_kernel(
         Column and row of each segment.
     lines : tuple of ndarray
         Places of the columns along x and of the rows along y, evenly spaced about 0.
-    envelope : ndarray, shape (pixels, pixels), float32 or float64
-        Irradiance of a segment; its type is that of the images.
+    moments : ndarray, shape (J, pixels, pixels)
+        Transforms of a segment times monomials of a complete degree, in the order of
+        `wavequake.imaging.segment_moments.exponents`, relative to the peak of the whole pupil.
+    scale : float
+        Length in mm that makes monomials dimensionless.
     step : float
         Distance of the pixels in cycles per unit of the places.
     device : Device
+    dtype : float32 or float64
+        Precision of the images.
     """
     if device.kind != "cpu":
         return None  # a GPU wants more work-items than there are images
-    dtype, pixels, segments = envelope.dtype, len(envelope), numbers[0].size
+    dtype, pixels, segments = np.dtype(dtype), moments.shape[1], numbers[0].size
+    degree = (math.isqrt(8 * len(moments) + 1) - 3) // 2
     width = vector_width(device, dtype, long=True)
     while width > segments:
         width //= 2
@@ -70,7 +88,7 @@ def lattice_kernel(
     quarter = (pixels + 1) // 2
     padded = -(-quarter // (wide * width)) * wide * width
     columns, rows = ((len(line) + 1) // 2 for line in lines)
-    if 8 * columns * (rows + padded) > _LOCAL_NUMBERS:
+    if len(moments) * 8 * columns * (rows + padded) > _LOCAL_NUMBERS:
         return None
     frequency = np.asarray((np.arange(padded) + 0.5 * (1 - pixels % 2)) * step, np.float64)
     (column, even_x, odd_x), (row, even_y, odd_y) = (
@@ -80,6 +98,9 @@ def lattice_kernel(
     ramp = np.pi * step * (1 - pixels % 2) * (lines[0][numbers[0]] + lines[1][numbers[1]])
     constants = {"W": width, "SINGLE": int(dtype == np.float32), "WIDE": wide, "SEGMENTS": segments}
     constants |= {"ROWS": rows, "COLUMNS": columns, "PIXELS": pixels, "QUARTER": quarter, "WAVES": padded}
+    constants |= {"DEGREE": degree}
+    parts = np.stack([moments.real, moments.imag], axis=1)
+    segment = parts if degree else (parts[0] ** 2).sum(axis=0)
     return LatticeKernel(
         device,
         tuple(constants.items()),
@@ -89,18 +110,32 @@ def lattice_kernel(
             shares.astype(dtype),
             _waves(lines[0], frequency, dtype),
             _waves(lines[1], frequency, dtype),
-            np.ascontiguousarray(envelope),
+            np.pad(segment.astype(dtype).ravel(), width),
         ),
+        (pixels, pixels),
+        degree,
+        scale,
     )
 
 
-def lattice_images(kernel: LatticeKernel, piston_waves: Real) -> Floating:
-    """Return images (batch, pixels, pixels) of pistons (batch, S) in waves; NaN where one is not finite."""
-    envelope = kernel.tables[-1]
-    images = np.empty((len(piston_waves), *envelope.shape), envelope.dtype)
-    with np.errstate(invalid="ignore"):  # infinite pistons become NaN
-        phase = 2.0 * np.pi * (piston_waves - np.rint(piston_waves)) + kernel.ramp
-    inputs = [np.int32(len(images)), phase.astype(envelope.dtype), *kernel.tables]
+def lattice_images(kernel: LatticeKernel, motion: Real) -> Floating:
+    """Return images (batch, pixels, pixels) of pistons and slopes.
+
+    Parameters
+    ----------
+    kernel : LatticeKernel
+    motion : ndarray, shape (batch, S, 3)
+        Pistons in waves and slopes in waves per mm; a number that is not finite makes an image of NaN. Slopes
+        do not count where the kernel has none.
+    """
+    dtype = kernel.tables[-1].dtype
+    images = np.empty((len(motion), *kernel.shape), dtype)
+    numbers = np.where(np.isfinite(motion), motion, np.nan)
+    given = np.empty((len(motion), 3 if kernel.degree else 1, motion.shape[1]), dtype)
+    given[:, 0] = 2.0 * np.pi * (numbers[..., 0] - np.rint(numbers[..., 0])) + kernel.ramp
+    if kernel.degree:
+        given[:, 1:] = 2.0 * np.pi * kernel.scale * numbers[..., 1:].swapaxes(1, 2)
+    inputs = [np.int32(len(images)), given, *kernel.tables]
     launch(kernel.device, "lattice", kernel.constants, (1, len(images), 1), inputs, [images], group=1)
     return images
 

@@ -13,7 +13,7 @@ from pathlib import Path
 # What LLVM calls the instructions that all processors with AVX-512 have but the first, and Linux's names.
 _WIDE = ("avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl")
 _KERNEL = re.compile(r"^__kernel void (\w+)\((.*?)\)\n\{\n(.*?)^\}$", re.DOTALL | re.MULTILINE)
-_LOCAL_ARRAY = re.compile(r"^ *__local (\w+) (\w+)\[.+\];\n", re.MULTILINE)
+_LOCAL_ARRAY = re.compile(r"^ *__local (\w+) (\w+)\[.+\];.*\n", re.MULTILINE)
 
 
 @lru_cache(maxsize=1)
