@@ -74,20 +74,23 @@ def bare_processes(most: int) -> Iterator[Callable[[int, int], Measured]]:
     """Start processes that only compute; yield what lets some of them compute so many chunks each."""
     context = multiprocessing.get_context("spawn")
     pipes = [context.Pipe() for _ in range(most)]
+    processes = [context.Process(target=_loop, args=(theirs,), daemon=True) for _, theirs in pipes]
     with worker_environment():
-        for _, theirs in pipes:
-            context.Process(target=_loop, args=(theirs,), daemon=True).start()
+        for process in processes:
+            process.start()
     for ours, _ in pipes:
         ours.recv()
 
-    def bare(processes: int, chunks: int) -> Measured:
-        for ours, _ in pipes[:processes]:
+    def bare(count: int, chunks: int) -> Measured:
+        for ours, _ in pipes[:count]:
             ours.send(chunks)
-        found = [ours.recv() for ours, _ in pipes[:processes]]
+        found = [ours.recv() for ours, _ in pipes[:count]]
         cpu = median(step for _, times in found for step in np.diff(times))
         return Measured(rate_of(starts for starts, _ in found), 1e3 * cpu)
 
     yield bare
+    for process in processes:
+        process.kill()
 
 
 def _loop(connection: Connection) -> None:
