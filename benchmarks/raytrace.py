@@ -175,11 +175,10 @@ def measure(device: Device, threads: int, terms: int, batoid: bool, console: Con
     jobs: dict[str, Callable[[], Any]] = {
         "kernel": lambda: trace_sequence(sequence, many, rest, device, outputs=WANTED, out=large),
         "batch": lambda: trace_sequence(sequence, counted, batch, device, outputs=WANTED, out=batched),
-        "492 segments": partial(trace_segmented, **workload(bundled("tmt"), TILES, 28), device=device),
-    }
-    host_jobs: dict[str, Callable[[], Any]] = {
+        # Before the peers, whose threads wait for more work in a loop on the second processor.
         "packing": lambda: packed_elements(sequence, batch, False),
         "host": host_work(heights, shifts, tilts, few, batched, threads),
+        "492 segments": partial(trace_segmented, **workload(bundled("tmt"), TILES, 28), device=device),
     }
     rays = {"kernel": RAYS, "batch": BATCH * BATCH_RAYS, "small": BATCH_RAYS}
     rays["492 segments"] = TILES * TILE * 18 * 492
@@ -207,7 +206,7 @@ def measure(device: Device, threads: int, terms: int, batoid: bool, console: Con
         numba(*arguments)
         worst = max(np.abs(getattr(large, name) - row).max() for name, row in zip(WANTED, out, strict=True))
         console.print(f"largest difference to numba: {worst:.1e} mm")
-    seconds = interleaved(jobs | host_jobs | bound_jobs)
+    seconds = interleaved(jobs | bound_jobs)
     seconds["small"] = successive(lambda: trace_sequence(sequence, few, rest, device, outputs=WANTED))
     return report(seconds, rays, amounts, terms, console)
 
@@ -222,7 +221,6 @@ def host_work(
     pool = ThreadPoolExecutor(threads)
 
     def part_work(part: slice) -> Array:
-        poses(shifts[part], tilts[part])
         heights[part] @ basis.matrix.T
         center = np.stack([traced.x[part, 0], traced.y[part, 0]], axis=1)
         zernike = (fit.matrix @ traced.path[part].T).T * (1.0 / WAVELENGTH)
@@ -230,7 +228,13 @@ def host_work(
 
     each = BATCH // threads
     parts = [slice(each * k, each * (k + 1)) for k in range(threads)]
-    return lambda: list(pool.map(part_work, parts))
+
+    def work() -> list[Array]:
+        found = pool.map(part_work, parts)
+        poses(shifts, tilts)  # small arrays, whose loops hold the interpreter's lock: no gain by threads
+        return list(found)
+
+    return work
 
 
 def agreement(traced: Any, light: Any, console: Console) -> None:

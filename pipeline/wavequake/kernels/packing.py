@@ -15,10 +15,12 @@ Array = NDArray[np.float64]
 _HEIGHT, _SLOPE, _LEAN = 1e-12, 1e-13, 1e-7
 # Monomials are sampled a little beyond their radius, since rays may fall there.
 _BEYOND = 1.02
+_UNTURNED = np.eye(3).ravel()
 # A polynomial may bend more strongly between samples, but no random one came near that many times.
 _MARGIN = 2.0
 
 
+@np.errstate(divide="ignore", over="ignore", invalid="ignore")
 def packed_elements(
     sequence: Sequence, moving: Moving, ignore_apertures: bool
 ) -> tuple[tuple[Shape, ...], Array, Array, list[Array]]:
@@ -32,7 +34,7 @@ def packed_elements(
     limits: list[Array] = []
     arrays: list[Array] = []
     index = sequence.index
-    turned = (moving.poses[:, :, :9] != np.eye(3).ravel()).any(axis=0).any(axis=1)
+    turned = (moving.poses[:, :, :9] != _UNTURNED).any(axis=(0, 2))
     rotates = (turned | sequence.turning).tolist()
     for number, element in enumerate(sequence.elements):
         start = len(numbers)
@@ -111,17 +113,20 @@ def _grids(number: int, element: Element, moving: Moving) -> list[tuple[Grid, Ar
 
 
 def _bend(coefficients: Array, degree: int, basis: Basis) -> Array:
-    """Return the largest second derivative of polynomials (T or nothing, terms) on a disk of radius 1."""
-    second = _second_derivatives(degree, basis) @ coefficients.T
+    """Return the largest second derivative of polynomials (T or nothing, terms) on a disk of radius 1.
+
+    A bound needs no double precision: what underflows bends nothing, what overflows is steep indeed.
+    """
+    second = _second_derivatives(degree, basis) @ coefficients.T.astype(np.float32)
     np.square(second, out=second)
     square, mixed, last = second.reshape(3, -1, *second.shape[1:])
     square += mixed
     square += last
-    return np.asarray(_MARGIN * np.sqrt(square.max(axis=0)))
+    return np.asarray(_MARGIN * np.sqrt(square.max(axis=0)), dtype=np.float64)
 
 
 @lru_cache(maxsize=64)
-def _second_derivatives(degree: int, basis: Basis) -> Array:
+def _second_derivatives(degree: int, basis: Basis) -> NDArray[np.float32]:
     """Return the second derivatives uu, sqrt(2) uv and vv at points of a disk of radius 1, by term."""
     radii = np.array([0.6, 0.9, 1.0]) * (_BEYOND if basis == "monomial" else 1.0)
     angles = np.linspace(0.0, 2.0 * np.pi, 2 * degree + 2, endpoint=False)
@@ -142,6 +147,7 @@ def _second_derivatives(degree: int, basis: Basis) -> Array:
             for i, j in pairs
         ],
         axis=1,
+        dtype=np.float32,
     )
 
 
@@ -153,10 +159,7 @@ def _limit(element: Element, bends: list[Array], instants: int) -> Array:
     for part in bends:
         bend = bend + part
     lean = abs(element.curvature) * (1.0 + abs(1.0 + element.conic))
-    with np.errstate(divide="ignore", over="ignore"):
-        return np.asarray(
-            np.minimum(np.minimum(_HEIGHT / bend, (_SLOPE / bend) ** 2), _LEAN / np.float64(lean))
-        )
+    return np.asarray(np.minimum(np.minimum(_HEIGHT / bend, (_SLOPE / bend) ** 2), _LEAN / np.float64(lean)))
 
 
 def _regions(element: Element, numbers: list[float]) -> tuple[tuple[str, int, bool, int], ...]:

@@ -77,8 +77,8 @@ def aligned_empty(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDAr
     """Return a new array at the start of a memory page: some implementations copy what lies elsewhere."""
     size = math.prod(shape) * np.dtype(dtype).itemsize
     memory = np.empty(size + mmap.PAGESIZE, np.uint8)
-    first = -memory.ctypes.data % mmap.PAGESIZE
-    return memory[first : first + size].view(dtype).reshape(shape)
+    first = -memory.__array_interface__["data"][0] % mmap.PAGESIZE
+    return np.ndarray(shape, dtype, memory, first)
 
 
 def _input(queue: Any, device: Device, item: Any) -> Any:
