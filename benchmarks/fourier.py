@@ -38,6 +38,7 @@ def transforms(values: NDArray[np.complexfloating], console: Console) -> dict[st
         "opencl": lambda: fourier_2d(values, device=device, engine="opencl", out=out),
         "scipy": lambda: scipy.fft.fft2(values),
     }
+    os.environ.setdefault("MKL_NUM_THREADS", "1")  # MKL reads it when it is loaded
     try:
         import mkl_fft
 

@@ -10,6 +10,15 @@
 
 #include "waves.h"
 
+#ifndef __has_builtin
+#define __has_builtin(name) 0
+#endif
+#if __has_builtin(__builtin_prefetch)
+#define PREFETCH(address) __builtin_prefetch(address)
+#else
+#define PREFETCH(address)
+#endif
+
 // Where the imaginary parts of a row start, and what lies between two copies of a row or panel.
 #define IMAGINARY (N + 8)
 #define APART (ROWS ? 24 : 3)

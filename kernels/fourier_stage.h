@@ -83,8 +83,12 @@ INLINE void NAME(first)(__global const scalar *x, __local wave *y, __global cons
     for (int p = 0; p < m; ++p, factors += 2 * (RADIX - 1)) {
         wave a[RADIX];
         #pragma unroll
-        for (int r = 0; r < RADIX; ++r)
-            a[r] = load_complex(x + 2 * (size_t)OTHER * (p + m * r));
+        for (int r = 0; r < RADIX; ++r) {
+            __global const scalar *place = x + 2 * (size_t)OTHER * (p + m * r);
+            a[r] = load_complex(place);
+            PREFETCH(place + 2 * W);  // no processor foresees such long steps to the next group of columns
+            PREFETCH(place + 3 * W);
+        }
         TRANSFORM(a);
         y[RADIX * p] = a[0];
         #pragma unroll
