@@ -50,7 +50,17 @@ def test_a_count_that_is_no_whole_number_is_refused():
 
 @pytest.mark.parametrize(
     ("cases", "chunk"),
-    [(1, 20), (200, 20), (201, 21), (640, 64), (1000, 100), (2000, 200), (8000, 200), (8001, 201), (10**6, 400)],
+    [
+        (1, 20),
+        (200, 20),
+        (201, 21),
+        (640, 64),
+        (1000, 100),
+        (2000, 200),
+        (8000, 200),
+        (8001, 201),
+        (10**6, 400),
+    ],
 )
 def test_a_chunk_is_a_tenth_or_a_fortieth_of_the_cases_within_limits(cases, chunk):
     keys = {"telescope.name": "tmt-18", "campaign.cases": cases}
