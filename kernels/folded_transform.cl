@@ -17,6 +17,7 @@
 // each real and imaginary.
 
 #include "waves.h"
+#include "pixels.h"
 
 INLINE wave lit(real phase, real weight)
 {
@@ -248,22 +249,6 @@ __kernel void transform_rows(__global const scalar *pupil, __global const scalar
                     STORE(sums[i][wide], out + i * LINE);
             }
         }
-}
-
-// Store W pixels of a row right of its middle, or left of it.
-INLINE void put(real value, __global scalar *row, int u, int plus)
-{
-#if W > 1
-    if (u + W > QUARTER) {
-        for (int i = 0; u + i < QUARTER; ++i)
-            row[plus ? PIXELS / 2 + u + i : (PIXELS - 1) / 2 - u - i] = LANE(value, i);
-        return;
-    }
-#endif
-    if (plus)
-        STORE(value, row + PIXELS / 2 + u);
-    else
-        STORE(REVERSED(value), row + (PIXELS - 1) / 2 - u - (W - 1));
 }
 
 // Transform along y: lines (ROWS, 8 parts, COLUMNS).

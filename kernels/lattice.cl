@@ -11,25 +11,10 @@
 // groups of WIDE vectors, DEGREE of the moments.
 
 #include "waves.h"
+#include "pixels.h"
 
 #define MOMENTS ((DEGREE + 1) * (DEGREE + 2) / 2)
 #define CELLS (ROWS * COLUMNS)
-
-// Store W pixels of a row right of its middle, or left of it.
-INLINE void put(real value, __global scalar *row, int u, int plus)
-{
-#if W > 1
-    if (u + W > QUARTER) {
-        for (int i = 0; u + i < QUARTER; ++i)
-            row[plus ? PIXELS / 2 + u + i : (PIXELS - 1) / 2 - u - i] = LANE(value, i);
-        return;
-    }
-#endif
-    if (plus)
-        STORE(value, row + PIXELS / 2 + u);
-    else
-        STORE(REVERSED(value), row + (PIXELS - 1) / 2 - u - (W - 1));
-}
 
 // Read W pixels of a row as `put` stores them; at the edges also what lies beyond.
 INLINE real get(__global const scalar *row, int u, int plus)
