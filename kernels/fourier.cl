@@ -6,7 +6,8 @@
 // of q (of p in the first stage), or W adjacent columns, whose lanes they are; none ever waits for another.
 //
 // Compile-time constants: W lanes, SINGLE, N, OTHER (rows of a column transform, or columns of a row
-// transform), INVERSE, ROWS (1: along rows). The generator adds the kernels, which call the stages.
+// transform), INVERSE, ROWS (1: along rows), STREAM (1: outputs are aligned vectors and go past the caches).
+// The generator adds the kernels, which call the stages.
 
 #include "waves.h"
 
@@ -17,6 +18,13 @@
 #define PREFETCH(address) __builtin_prefetch(address)
 #else
 #define PREFETCH(address)
+#endif
+
+// Past the caches: what is not read soon need not be there, and memory is not read before it is written.
+#if STREAM && __has_builtin(__builtin_nontemporal_store)
+#define STORE_OUT(value, address) __builtin_nontemporal_store(value, (__global real *)(address))
+#else
+#define STORE_OUT(value, address) STORE(value, address)
 #endif
 
 // Where the imaginary parts of a row start, and what lies between two copies of a row or panel.
@@ -47,8 +55,8 @@ INLINE void store_complex(wave value, __global scalar *address)
     a.odd = im.lo;
     b.even = re.hi;
     b.odd = im.hi;
-    STORE(a, address);
-    STORE(b, address + W);
+    STORE_OUT(a, address);
+    STORE_OUT(b, address + W);
 }
 #endif
 

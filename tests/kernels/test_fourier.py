@@ -8,6 +8,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY, Device, list_devices
 from wavequake.kernels.fourier import choose_fourier, fourier_2d
 from wavequake.kernels.fourier_source import factors, radices, row_lanes
+from wavequake.kernels.program import aligned_empty
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 CPUS = [device for device in OPENCL if device.kind == "cpu"]
@@ -75,6 +76,18 @@ def test_an_image_does_not_depend_on_its_batch(device):
     alone = [fourier_2d(value, device=device, engine="opencl") for value in values]
     assert np.array_equal(fourier_2d(values, device=device, engine="opencl"), alone)
     assert np.array_equal(fourier_2d(values[:, None], device=device, engine="opencl")[:, 0], alone)
+
+
+@pytest.mark.parametrize("offset", [0, 1])
+@pytest.mark.parametrize("device", CPUS, ids=lambda device: device.kind)
+def test_images_beyond_the_caches_do_not_depend_on_their_batch(device, offset):
+    """They are transformed one after the other, and stored past the caches where they begin with a vector."""
+    values = images((256, 240), batch=5)
+    memory = aligned_empty((values.size + 1,), np.complex128)
+    out = memory[offset : offset + values.size].reshape(values.shape)
+    for inverse in (False, True):
+        alone = [fourier_2d(value, inverse, device, "opencl") for value in values]
+        assert np.array_equal(fourier_2d(values, inverse, device, "opencl", out=out), alone)
 
 
 @pytest.mark.parametrize("device", **NAMES)

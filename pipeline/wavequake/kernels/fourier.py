@@ -19,6 +19,9 @@ ENGINES = ("auto", "opencl", "scipy")
 # Below this many numbers (two images of 512 x 512) handing the work to the device's own thread can take
 # longer than the kernels gain, on a busy processor at least.
 _SMALL = 1 << 19
+# Images are transformed along rows and columns in groups of about this size, while caches still hold them.
+_TOGETHER_BYTES = 1 << 20
+_VECTOR_BYTES = 64
 # What a work-item may keep in local memory.
 _LOCAL_BYTES = {"cpu": 1 << 20, "gpu": 32 << 10}
 
@@ -127,46 +130,60 @@ def _unable(shape: tuple[int, ...], dtype: np.dtype[Any], device: Device) -> str
 
 
 def _opencl(values: NDArray[Any], inverse: bool, device: Device, out: Complex) -> None:
-    rows, columns = values.shape[-2:]
+    images, results = (array.reshape(-1, *values.shape[-2:]) for array in (values, out))
+    if not len(images):
+        return
     real = _real(values.dtype)
-    images, results = values.reshape(-1, rows, columns), out.reshape(-1, rows, columns)
-    width = vector_width(device, real, long=True)
-    lanes, native = row_lanes(columns, width), width
+    plan = _plan(device, images.shape, real, inverse, out.ctypes.data % _VECTOR_BYTES == 0)
+    inputs = {"in": images.view(real), **plan.factors}
+    run_steps(device, plan.steps, inputs, {"out": results.view(real)}, plan.scratch)
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What `run_steps` needs to transform images of a shape."""
+
+    steps: tuple[Step, ...]
+    factors: dict[str, NDArray[Any]]
+    scratch: dict[str, int]
+
+
+@lru_cache(maxsize=64)
+def _plan(
+    device: Device, shape: tuple[int, int, int], real: np.dtype[Any], inverse: bool, aligned: bool
+) -> _Plan:
+    """Plan the transform of images (count, rows, columns) whose results begin at whole vectors, or not."""
+    images, rows, columns = shape
+    width = native = vector_width(device, real, long=True)
     while width > columns:
         width //= 2
+    image_bytes = 2 * real.itemsize * rows * columns
+    together = max(1, _TOGETHER_BYTES // image_bytes)
+    several, whole = images > together, columns % width == 0
     # Groups of columns that overlap may not write where others still read.
-    inner = "out" if columns % width == 0 else "rows"
+    inner = "rows" if several or not whole else "out"
     common = {"SINGLE": int(real == np.float32), "INVERSE": int(inverse)}
-    scale = 1.0 / (rows * columns) if inverse else 1.0
-    count, groups = len(images) * rows, -(-columns // width)
-    steps = [
-        Step(
-            kernel_source(columns, True, native),
-            "transform",
-            tuple((common | {"W": lanes, "N": columns, "OTHER": rows}).items()),
-            (1, count, 1),
-            (1, 1, 1),
-            (np.int32(count), "in", "row_factors", real.type(1.0), inner),
-        ),
-        Step(
-            kernel_source(rows, False, native),
-            "transform",
-            tuple((common | {"W": width, "N": rows, "OTHER": columns}).items()),
-            (1, groups, len(images)),
-            (1, 1, 1),
-            (np.int32(groups), inner, "column_factors", real.type(scale), "out"),
-        ),
-    ]
-    inputs = {"in": images.view(real), "row_factors": _factors(columns, True, native, real.name)}
-    inputs["column_factors"] = _factors(rows, False, native, real.name)
-    scratch = {} if inner == "out" else {"rows": images.nbytes}
-    if len(images):
-        run_steps(device, steps, inputs, {"out": results.view(real)}, scratch)
-
-
-@lru_cache(maxsize=32)
-def _factors(length: int, along_rows: bool, width: int, dtype: str) -> NDArray[Any]:
-    return np.append(factors(length, along_rows, width), 0.0).astype(dtype)
+    row_constants = common | {"W": row_lanes(columns, native), "N": columns, "OTHER": rows, "STREAM": 0}
+    column_constants = common | {"W": width, "N": rows, "OTHER": columns}
+    column_constants["STREAM"] = int(several and whole and aligned)
+    along_rows = kernel_source(columns, True, native), "transform", tuple(row_constants.items())
+    along_columns = kernel_source(rows, False, native), "transform", tuple(column_constants.items())
+    one, scale = real.type(1.0), real.type(1.0 / (rows * columns) if inverse else 1.0)
+    steps = []
+    for first in range(0, images, together):
+        count, groups = min(together, images - first), -(-columns // width)
+        between = 0 if inner == "rows" else first
+        places = np.array([[first * rows, between * rows, count * rows], [between, first, groups]], np.int32)
+        to_rows = (*places[0], "in", "row_factors", one, inner)
+        to_columns = (*places[1], inner, "column_factors", scale, "out")
+        steps.append(Step(*along_rows, (1, count * rows, 1), (1, 1, 1), to_rows))
+        steps.append(Step(*along_columns, (1, groups, count), (1, 1, 1), to_columns))
+    table = {"row_factors": (columns, True), "column_factors": (rows, False)}
+    factors_of = {
+        name: np.append(factors(length, along, native), 0.0).astype(real)
+        for name, (length, along) in table.items()
+    }
+    return _Plan(tuple(steps), factors_of, {} if inner == "out" else {"rows": together * image_bytes})
 
 
 def _real(dtype: DTypeLike) -> np.dtype[Any]:

@@ -62,8 +62,9 @@ def factors(length: int, along_rows: bool, width: int) -> NDArray[np.float64]:
 def kernel_source(length: int, along_rows: bool, width: int) -> str:
     """Return the OpenCL C of a kernel ``transform`` of many rows or columns.
 
-    ``width`` counts the lanes of the device's vectors. Its arguments are: how many (rows, or groups of
-    columns), input, factors, scale, output.
+    ``width`` counts the lanes of the device's vectors. Its arguments are: where to begin in the input and in
+    the output (at which row, or along columns at which image), how many rows (or groups of columns) there
+    are, input, factors, scale, output.
     """
     stages = radices(length, width)
     lines = [f"#define ROWS {int(along_rows)}", source("fourier.cl")]
@@ -73,8 +74,8 @@ def kernel_source(length: int, along_rows: bool, width: int) -> str:
         lines += [source("fourier_stage.h"), "#undef RADIX", "#undef IS_FIRST"]
     element, room = ("scalar", "(2 * IMAGINARY)") if along_rows else ("wave", "N")
     lines += [
-        "__kernel void transform(const int count, __global const scalar *x, __global const scalar *factors,",
-        "                        const scalar scale, __global scalar *y)",
+        "__kernel void transform(const int from, const int to, const int count, __global const scalar *x,",
+        "                        __global const scalar *factors, const scalar scale, __global scalar *y)",
         "{",
         "    const int number = get_global_id(1);",
         "    if (number >= count)",
@@ -84,14 +85,15 @@ def kernel_source(length: int, along_rows: bool, width: int) -> str:
         f"    __local {element} *odd = even + {room} + APART;",
     ]
     if along_rows:
-        lines += ["    const size_t place = (size_t)number * 2 * N;"]
+        lines += ["    x += (size_t)(from + number) * 2 * N;", "    y += (size_t)(to + number) * 2 * N;"]
     else:
         lines += [
             "    // The last group of columns overlaps the one before it.",
             "    const int column = number * W + W > OTHER ? OTHER - W : number * W;",
-            "    const size_t place = 2 * (get_global_id(2) * (size_t)N * OTHER + column);",
+            "    const size_t image = get_global_id(2);",
+            "    x += 2 * ((from + image) * N * OTHER + column);",
+            "    y += 2 * ((to + image) * N * OTHER + column);",
         ]
-    lines += ["    x += place;", "    y += place;"]
     size, stride, offset, here, there = length, 1, 0, "even", "odd"
     for number, radix in enumerate(stages):
         steps = size // radix

@@ -8,7 +8,7 @@ import numpy as np
 
 from wavequake.kernels.devices import POCL, Device, opencl_handle
 from wavequake.kernels.pocl_source import has_wide_vectors
-from wavequake.kernels.program import _LOCK, _fetch, _input, _kernel, _output, _queue
+from wavequake.kernels.program import _LOCK, _fetch, _input, _kernel, _output, _queue, scalar_types
 
 # Scratch memory is kept for the next call: (device, name) to buffer.
 _SCRATCH: dict[tuple[Device, str], Any] = {}
@@ -60,7 +60,7 @@ def run_steps(
         buffers |= {name: _output(queue, device, array) for name, array in outputs.items()}
         buffers |= {name: _scratch(queue, device, name, size) for name, size in scratch.items()}
         for step in steps:
-            kernel = _kernel(device, step.kernel, step.constants, step.text)
+            kernel = _kernel(device, step.kernel, step.constants, step.text, scalar_types(step.arguments))
             kernel.set_args(*(buffers[a] if isinstance(a, str) else a for a in step.arguments))
             size = tuple(-(-n // g) * g for n, g in zip(step.size, step.group, strict=True))
             cl.enqueue_nd_range_kernel(queue, kernel, size, step.group)
