@@ -85,7 +85,7 @@ def test_a_csv_is_the_same_whatever_the_size_of_its_blocks(tmp_path, monkeypatch
     keys = {"telescope.name": "tmt-18", "optics.rays_per_segment": 6, "campaign.cases": 23}
     run_study(load_study("tmt-segments", {**keys, "imaging.enabled": False}), tmp_path / "s", on="serial")
     export(open_store(tmp_path / "s"), tmp_path / "one.csv")
-    monkeypatch.setattr("wavequake.report.export._ROWS", 7)
+    monkeypatch.setattr("wavequake.report.blocks.BLOCK_BYTES", 2000)
     export(open_store(tmp_path / "s"), tmp_path / "many.csv")
     assert (tmp_path / "one.csv").read_bytes() == (tmp_path / "many.csv").read_bytes()
     assert len((tmp_path / "one.csv").read_text().splitlines()) == 24

@@ -57,14 +57,10 @@ def read_hdf5(path: Path) -> Contents:
     Raises
     ------
     UserError
-        If h5py is not installed, the file is none of HDF5, or its arrays make no square matrices.
+        If the file is none of HDF5, or its arrays make no square matrices.
     """
-    try:
-        import h5py
-    except ImportError as error:
-        raise UserError(
-            f"reading {path.name} needs the package h5py: pip install 'wavequake[hdf5]'"
-        ) from error
+    import h5py  # takes a while to load
+
     read_bytes(path)
     content: dict[str, Any] = {}
 

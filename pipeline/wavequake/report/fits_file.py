@@ -1,0 +1,103 @@
+"""A dataset as a FITS file of any size, written by blocks of cases."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from astropy.io import fits
+from numpy.typing import NDArray
+
+from wavequake.report.blocks import blocks, pieces
+
+_TITLES = (("ORIGIN", "title"), ("STUDYID", "study_sha256"), ("CREATED", "created"))
+
+
+def write_fits(dataset: xr.Dataset, path: Path) -> None:
+    """Write a table ``CASES`` of labels and scalars, and an image per array of numbers, which may be large.
+
+    Every header has checksums; they are computed at last, from the file.
+    """
+    arrays = {str(name): variable for name, variable in dataset.variables.items()}
+    columns = {name: array for name, array in arrays.items() if array.dims == ("case",)}
+    first = fits.PrimaryHDU()
+    for key, name in _TITLES:
+        first.header[key] = _ascii(dataset.attrs.get(name, ""))[:60]
+    first.writeto(path, checksum=True)
+    _append_table(path, columns)
+    for name, array in arrays.items():
+        if name not in columns and array.dtype.kind in "biuf":
+            _append_image(path, name, array)
+    with fits.open(path, mode="update", memmap=True) as file:
+        for part in file:
+            part.add_checksum()
+
+
+def _append(path: Path, header: fits.Header, values: Iterable[NDArray[Any]]) -> None:
+    """Append a header, with room for checksums, and the numbers that it announces."""
+    header["CHECKSUM"], header["DATASUM"] = "0" * 16, "0"
+    with fits.StreamingHDU(str(path), header) as stream:
+        for part in values:
+            if part.size:
+                stream.write(part)
+
+
+def _append_table(path: Path, columns: dict[str, xr.Variable]) -> None:
+    codes = {name: _code(array) for name, array in columns.items()}
+    empty = [
+        fits.Column(name, codes[name], _ascii(array.attrs.get("units", "")), array=np.empty(0))
+        for name, array in columns.items()
+    ]
+    table = fits.BinTableHDU.from_columns(empty, name="CASES")
+    table.header["NAXIS2"] = next(array.size for array in columns.values())
+    kinds = np.dtype([(name, _KINDS.get(code, f"S{code[:-1]}")) for name, code in codes.items()])
+
+    def rows(cases: slice) -> NDArray[np.uint8]:
+        found = np.zeros(cases.stop - cases.start, kinds)
+        for name, array in columns.items():
+            values = array[cases].to_numpy()
+            if codes[name] == "L":
+                values = np.where(values, b"T", b"F")
+            elif codes[name] not in _KINDS:
+                values = np.array([_ascii(text).encode() for text in values.tolist()])
+            found[name] = values
+        return found.view(np.uint8)
+
+    _append(path, table.header, map(rows, blocks(columns.values())))
+
+
+_KINDS = {"L": "S1", "D": ">f8", "K": ">i8"}
+
+
+def _code(array: xr.Variable) -> str:
+    """Return the FITS code of a column: truth value, 64-bit number, 64-bit integer, or text of a width."""
+    kind = array.dtype.kind
+    if kind in "biuf":
+        return {"b": "L", "f": "D"}.get(kind, "K")
+    return f"{max([1, *(len(_ascii(text)) for _, values in pieces(array) for text in values.tolist())])}A"
+
+
+def _append_image(path: Path, name: str, array: xr.Variable) -> None:
+    dtype = np.dtype(np.uint8) if array.dtype.kind == "b" else array.dtype
+    shape = array.shape or (1,)
+    image = fits.ImageHDU(np.zeros((1,) * len(shape), dtype), name=name)
+    for number, size in enumerate(reversed(shape), 1):
+        image.header[f"NAXIS{number}"] = size
+    image.header["BUNIT"] = _ascii(array.attrs.get("units", ""))
+    for number, dim in enumerate(reversed(array.dims), 1):  # FITS counts axes from the last
+        image.header[f"CTYPE{number}"] = str(dim)
+    _append(path, image.header, (_stored(values.astype(dtype)) for _, values in pieces(array)))
+
+
+def _stored(values: NDArray[Any]) -> NDArray[Any]:
+    """Return numbers of a type that FITS has: others are kept less the middle of their range (BZERO)."""
+    size, kind = values.dtype.itemsize, values.dtype.kind
+    if kind == "f" or (kind == "u") == (size == 1):
+        return values
+    middle = np.array(1 << (8 * size - 1), f"u{size}")
+    return np.asarray((values.view(middle.dtype) ^ middle).view("u1" if size == 1 else f"i{size}"))
+
+
+def _ascii(text: object) -> str:
+    return str(text).encode("ascii", "replace").decode()
