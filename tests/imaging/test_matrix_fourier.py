@@ -5,9 +5,9 @@ from hypothesis import strategies as st
 from scipy.special import j1
 
 from wavequake.errors import UserError
-from wavequake.imaging.matrix_fourier import matrix_fourier, psf, psf_sum, samples_needed
+from wavequake.imaging.matrix_fourier import amplitude_images, matrix_fourier, psf, psf_sum, samples_needed
 from wavequake.imaging.outlines import segments
-from wavequake.imaging.pupil_function import annular_pupil, pupil_function, sampled_pupil
+from wavequake.imaging.pupil_function import annular_pupil, apodized, pupil_function, sampled_pupil
 from wavequake.kernels.devices import NUMPY, list_devices
 
 GRIDS = {eps: annular_pupil(256, eps) for eps in (0.0, 0.4)}
@@ -128,6 +128,21 @@ def test_devices_agree_with_numpy(flower, device, dtype, tolerance, pixels):
             assert psf_sum(on, phase, weights) == pytest.approx(
                 np.einsum("b,bij", weights, expected), abs=tolerance
             )
+
+
+@pytest.mark.parametrize("device", [NUMPY, *OPENCL], ids=lambda device: device.kind)
+def test_amplitudes_image_as_an_apodized_pupil_does(flower, device):
+    halves = sampled_pupil(segments(flower.corners), 128, 2700.0)
+    for grid in (GRIDS[0.4], halves):
+        rng = np.random.default_rng(4)
+        transmission, phase = rng.random(grid.cells.size), rng.normal(size=(9, grid.cells.size))
+        found = amplitude_images(matrix_fourier(grid, 33, 0.3, device), transmission * np.exp(1j * phase))
+        weak = apodized(grid, transmission)
+        share = (weak.amplitude.sum() / grid.amplitude.sum()) ** 2
+        expected = share * psf(matrix_fourier(weak, 33, 0.3), phase)
+        assert np.abs(found - expected).max() < 1e-14
+    with pytest.raises(UserError, match="must be"):
+        amplitude_images(matrix_fourier(grid, 33, 0.3, device), np.ones((2, 3), complex))
 
 
 def test_weights_are_checked():

@@ -5,13 +5,14 @@ import pytest
 
 from wavequake.errors import UserError
 from wavequake.imaging.image_formation import coherent_image, partially_coherent_image
+from wavequake.imaging.matrix_fourier import matrix_fourier
 from wavequake.imaging.objects import double_slit
 from wavequake.imaging.pupil_function import annular_pupil
 from wavequake.imaging.pupil_shape import PupilShape
 from wavequake.imaging.segment_basis import ray_basis
 from wavequake.imaging.segment_psf import psf
 from wavequake.workflows.campaign import run_study
-from wavequake.workflows.coherent_object import lit_object, mean_image, source_of
+from wavequake.workflows.coherent_object import lit_by_cells, lit_object, mean_image, source_of
 from wavequake.workflows.exposed_object import ObjectSection, object_image
 from wavequake.workflows.store import open_store
 from wavequake.workflows.study import load_study
@@ -33,16 +34,19 @@ def waves(x, y):
     return 0.3 * x + 0.1 * (x**2 + y**2) + 0.15 * (3.0 * (x**2 + y**2) - 2.0) * y
 
 
-def image(section, phase):
+def image(section, phase, of="rays"):
+    if of == "cells":
+        return mean_image(lit_by_cells(section, matrix_fourier(GRID, PIXELS, SAMPLING)), [phase])
     rays = GRID.x, GRID.y, GRID.light
     lit = lit_object(section, rays, PIXELS, SAMPLING, np.pi, 2.0)
     return mean_image(lit, [phase])
 
 
+@pytest.mark.parametrize("of", ["rays", "cells"])
 @pytest.mark.parametrize("light", [{"light": "coherent"}, {"light": "partial", "sigma": 0.4}])
-def test_rays_image_as_transfer_functions_do(light):
+def test_rays_and_cells_image_as_transfer_functions_do(light, of):
     section = ObjectSection(double_slit=[0.75, 2.25], **light)
-    found = image(section, waves(GRID.x, GRID.y)[None])
+    found = image(section, waves(GRID.x, GRID.y)[None], of)
     picture = double_slit((PIXELS, PIXELS), SAMPLING, 0.75, 2.25)
     fine = np.kron(np.pad(picture, BORDER), np.ones((FINE, FINE)))
     pupil = PupilShape(0.0, lambda x, y: waves(-x, -y))  # an OPD there falls where the phase here grows
@@ -65,7 +69,7 @@ def test_a_source_larger_than_the_pupil_lights_incoherently():
         [phase],
     )
     spread = psf(ray_basis(*rays, pixels, SAMPLING, 2.0), phase).reshape(pixels, pixels)
-    expected = object_image(ObjectSection(**slits), spread, SAMPLING, np.pi, 2.0)
+    expected = object_image(ObjectSection(**slits), spread, pixels, SAMPLING, np.pi, 2.0)
     # The pupil takes in a quarter of the source; what the slits diffract beyond the source's rim is missing.
     np.testing.assert_allclose(4.0 * found, expected, atol=0.13 * expected.max())
 

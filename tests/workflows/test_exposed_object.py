@@ -1,5 +1,7 @@
 """Objects that an exposure shows, against sums over their pixels, and refused where they make no sense."""
 
+import base64
+
 import numpy as np
 import pytest
 
@@ -22,7 +24,7 @@ AIRY = psf(matrix_fourier(PUPIL, PIXELS, SAMPLING), np.zeros((1, len(PUPIL.cells
 
 
 def image(**keys):
-    return object_image(ObjectSection(**keys), AIRY, SAMPLING, AREA, 1.0)
+    return object_image(ObjectSection(**keys), AIRY, PIXELS, SAMPLING, AREA, 1.0)
 
 
 def test_a_chart_is_the_sum_over_its_pixels():
@@ -49,6 +51,21 @@ def test_stars_lie_between_pixels_and_keep_their_flux():
     one = image(stars=[[1.1, -0.6, 2.0]])
     assert centroid(one, SAMPLING) == pytest.approx([1.1, -0.6], abs=0.02)
     assert one.sum() == pytest.approx(2.0 * image(stars=[[0.0, 0.0, 1.0]]).sum(), rel=0.01)
+
+
+def test_a_wider_exposure_carries_light_from_rim_to_rim():
+    """A point at the left rim lights the right one as the Airy pattern falls off over the whole frame."""
+    wide = psf(matrix_fourier(PUPIL, 2 * PIXELS, SAMPLING), np.zeros((1, len(PUPIL.cells))))[0]
+    picture = np.zeros((PIXELS, PIXELS), dtype="<f4")
+    picture[PIXELS // 2, 0] = 1.0
+    point = ObjectSection(picture_data=f"{PIXELS}x{PIXELS}:" + base64.b64encode(picture.tobytes()).decode())
+    found, narrow = (
+        object_image(point, spread, PIXELS, SAMPLING, AREA, 1.0)[PIXELS // 2] for spread in (wide, AIRY)
+    )
+    expected = pixel_means(wide, SAMPLING, SAMPLING)[PIXELS, PIXELS : 2 * PIXELS] * SAMPLING**2 * AREA
+    np.testing.assert_allclose(found, expected, atol=1e-15)
+    assert expected[-8:].max() > 1e-7
+    assert np.abs(narrow[-8:]).max() < 1e-15
 
 
 def test_slits_double_slits():

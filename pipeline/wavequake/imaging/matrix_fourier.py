@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from wavequake.errors import UserError
-from wavequake.imaging.pupil_function import PupilGrid, pupil_function, single_patches
+from wavequake.imaging.pupil_function import PupilGrid, pupil_field, pupil_function, single_patches
 from wavequake.kernels.devices import NUMPY, Device
 from wavequake.kernels.folded_transform import FoldedTransform, folded_images, folded_sum, folded_transform
 
@@ -107,17 +107,51 @@ def psf(transform: MatrixFourier, phase: Real) -> Real:
         If the phase has the wrong shape.
     """
     check_phase(transform, phase)
-    kernel, folded = transform.kernel, transform.folded
-    images = np.empty((len(phase), len(kernel), len(kernel)))
+    folded = transform.folded
+    images = np.empty((len(phase), *2 * transform.axis.shape))
     for first in range(0, len(phase), _BATCH):
         part = phase[first : first + _BATCH]
         if folded is not None:
             images[first : first + _BATCH] = folded_images(folded, _pupils(transform, part))
-            continue
-        field = pupil_function(transform.pupil, part)
-        image = kernel @ field @ kernel.T  # a product per pupil: the bits do not depend on the batch
-        images[first : first + _BATCH] = (image.real**2 + image.imag**2) / transform.peak
+        else:
+            images[first : first + _BATCH] = _images(transform, pupil_function(transform.pupil, part))
     return images
+
+
+def amplitude_images(transform: MatrixFourier, amplitude: Complex) -> Real:
+    """Return images of complex amplitudes, as `psf` does of phases alone.
+
+    Parameters
+    ----------
+    transform : MatrixFourier
+    amplitude : ndarray, shape (batch, m)
+        At the pupil's patches; 1 everywhere is the perfect pupil.
+
+    Returns
+    -------
+    ndarray, shape (batch, pixels, pixels)
+        Irradiance; 1 is the perfect peak.
+
+    Raises
+    ------
+    UserError
+        If the amplitude has the wrong shape.
+    """
+    check_phase(transform, amplitude)
+    images = np.empty((len(amplitude), *2 * transform.axis.shape))
+    for first in range(0, len(amplitude), _BATCH):
+        field = pupil_field(transform.pupil, amplitude[first : first + _BATCH])
+        if transform.folded is not None:
+            images[first : first + _BATCH] = folded_images(transform.folded, field)
+        else:
+            images[first : first + _BATCH] = _images(transform, field)
+    return images
+
+
+def _images(transform: MatrixFourier, field: Complex) -> Real:
+    kernel = transform.kernel
+    image = kernel @ field @ kernel.T  # a product per pupil: the bits do not depend on the batch
+    return np.asarray((image.real**2 + image.imag**2) / transform.peak)
 
 
 def psf_sum(transform: MatrixFourier, phase: Real, weights: Real) -> Real:
@@ -158,7 +192,7 @@ def psf_sum(transform: MatrixFourier, phase: Real, weights: Real) -> Real:
     return total
 
 
-def check_phase(transform: MatrixFourier, phase: Real) -> None:
+def check_phase(transform: MatrixFourier, phase: Real | Complex) -> None:
     """Raise UserError if phases have not the shape (batch, m) of the transform's pupil."""
     if phase.ndim != 2 or phase.shape[1] != len(transform.pupil.cells):
         raise UserError(

@@ -126,9 +126,17 @@ def apodized(grid: PupilGrid, transmission: Real) -> PupilGrid:
 
 def pupil_function(grid: PupilGrid, phase: Real) -> NDArray[np.complex128]:
     """Return the complex amplitude (batch, n, n) for phases (batch, m) in rad at the grid's patches."""
-    batch, samples = len(phase), len(grid.axis)
+    return pupil_field(grid, np.exp(1j * phase))
+
+
+def pupil_field(grid: PupilGrid, amplitude: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return the complex amplitude (batch, n, n) of what is `amplitude` (batch, m) at the grid's patches.
+
+    Weakened by the grid's own light; 1 everywhere is the perfect pupil.
+    """
+    batch, samples = len(amplitude), len(grid.axis)
     field = np.zeros((batch, samples * samples), dtype=np.complex128)
-    patches = grid.light * np.exp(1j * phase)
+    patches = grid.light * amplitude
     if single_patches(grid):
         field[:, grid.cells] = patches
     else:

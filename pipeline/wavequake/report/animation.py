@@ -19,8 +19,8 @@ from wavequake.kernels.devices import choose_device
 from wavequake.optics.zernike import annular_zernike
 from wavequake.report.figures import STYLE
 from wavequake.workflows import mirror_exposure, telescope_exposure
-from wavequake.workflows.mirror_bench import bench_of, study_of, time_of
-from wavequake.workflows.mirror_exposure import aberrations_of
+from wavequake.workflows.mirror_bench import bench_of, time_of
+from wavequake.workflows.mirror_exposure import aberrations_of, study_of
 from wavequake.workflows.mirror_exposure import local_images as local_mirror_images
 from wavequake.workflows.mirror_mor import cases_of
 from wavequake.workflows.store import read_manifest

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from wavequake.report import exposure_figures as draw
 from wavequake.report.page import Picture, picture
-from wavequake.report.psf_figures import log_psf, mtf_curves
+from wavequake.report.psf_figures import image_row, log_psf, mtf_curves
 from wavequake.report.table import number
 from wavequake.workflows.contract import DONE
 
@@ -67,6 +67,15 @@ def image_pictures(key: str, text: str, images: Mapping[str, Array], axis: Array
         f"{key}-mtf", f"Modulation transfer of {text}", mtf_curves(images, float(axis[1] - axis[0]))
     )
     yield picture(f"{key}-log", f"Image of {text}, {first}, five decades", log_psf(image, axis))
+
+
+def object_picture(
+    key: str, words: str, images: Mapping[str, Array], stored: xr.DataArray, axis: Array
+) -> Picture:
+    """Return images of an object side by side; what is stored of them says in which light."""
+    light = str(stored.attrs["long_name"]).partition(" in ")[2].partition(";")[0]
+    figure = image_row(np.array(list(images.values())), list(images), axis)
+    return picture(f"{key}-object", f"The object as {words}, in {light}", figure)
 
 
 def history_pictures(

@@ -12,7 +12,7 @@ from wavequake.report import exposure_figures as draw
 from wavequake.report import exposure_tables as common
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
-from wavequake.report.psf_figures import focus_panels, image_row
+from wavequake.report.psf_figures import focus_panels
 from wavequake.report.table import number
 
 Array = NDArray[np.float64]
@@ -142,7 +142,7 @@ def _figures(cases: xr.Dataset, name: str) -> Iterator[Picture]:
     focus, waves = shown["static_focus"].to_numpy(), shown["focus"].to_numpy().tolist()
     yield picture(f"{name}-focus", "The image at rest through focus", focus_panels(focus, waves, axis))
     if "object_image" in shown:
-        seen = image_row(shown["object_image"].to_numpy(), controllers, axis)
-        light = str(shown["object_image"].attrs["long_name"]).partition(" in ")[2].partition(";")[0]
-        yield picture(f"{name}-object", f"The object as case {case} exposes it, in {light}", seen)
+        seen = shown["object_image"]
+        objects = dict(zip(controllers, seen.to_numpy(), strict=True))
+        yield common.object_picture(name, f"case {case} exposes it", objects, seen, axis)
     yield from common.history_pictures(name, time, los, "mas", wfe)

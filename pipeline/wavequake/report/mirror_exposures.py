@@ -136,4 +136,9 @@ def _figures(cases: xr.Dataset, key: str, excitation: str) -> Iterator[Picture]:
     focus, waves = part["exposure_focus"].isel(case=0).to_numpy(), part["focus"].to_numpy().tolist()
     text = f"The exposure through focus, {variants[0]}, scale {scale:g}"
     yield picture(f"{key}-focus", text, focus_panels(focus, waves, axis))
+    if "object_image" in part:
+        seen = part["object_image"]
+        objects = {"static": part["object_static"].isel(case=0).to_numpy()}
+        objects |= dict(zip(variants[:3], seen.to_numpy(), strict=False))
+        yield common.object_picture(key, f"{excitation} exposes it, scale {scale:g}", objects, seen, axis)
     yield from common.history_pictures(key, time, tracks, "λ/D", wfe)

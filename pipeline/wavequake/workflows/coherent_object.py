@@ -1,4 +1,4 @@
-"""Images of an object whose light is coherent, or partially so, through a pupil of rays.
+"""Images of an object whose light is coherent, or partially so, through a pupil of rays or of cells.
 
 The object's spectrum at the frequency of a ray is what that ray carries; the image is the same sum over rays
 as a point spread function is. A source is a set of points, each of which shifts the spectrum across the pupil
@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.imaging import matrix_fourier, segment_psf
 from wavequake.imaging.image_formation import Source, disk_source
+from wavequake.imaging.matrix_fourier import MatrixFourier
 from wavequake.imaging.segment_basis import SegmentBasis, ray_basis
-from wavequake.imaging.segment_psf import amplitude_images
 from wavequake.workflows.exposed_object import ObjectSection, object_picture
 
 Array = NDArray[np.float64]
@@ -23,22 +24,24 @@ Array = NDArray[np.float64]
 # wings of the point spread function no longer matter.
 _APART = 12.0
 _LEAST_ACROSS = 5
+# Instants at once: bounds the memory.
+_BATCH = 16
 
 
 @dataclass(frozen=True)
 class LitObject:
-    """An object in its light, as rays see it.
+    """An object in its light, as rays or the cells of a pupil see it.
 
     Attributes
     ----------
-    basis : SegmentBasis
-        Of the rays.
+    pupil : SegmentBasis or MatrixFourier
+        Of R rays, or of the R patches of a sampled pupil.
     spectra : ndarray, shape (points, R)
-        What each ray carries of the object, by point of the source.
+        What each of them carries of the object, by point of the source.
     weights : ndarray, shape (points,)
     """
 
-    basis: SegmentBasis
+    pupil: SegmentBasis | MatrixFourier
     spectra: NDArray[np.complex128]
     weights: Array
 
@@ -51,7 +54,7 @@ def lit_object(
     area: float,
     diameter: float,
 ) -> LitObject:
-    """Prepare an object in coherent or partially coherent light.
+    """Prepare an object in coherent or partially coherent light for a pupil of rays.
 
     Parameters
     ----------
@@ -71,13 +74,31 @@ def lit_object(
     x, y, weight = rays
     picture = object_picture(section, pixels, sampling)
     source = source_of(section)
-    axis = np.asarray((np.arange(pixels) - pixels // 2) * sampling, dtype=np.float64)
-    spectra = [
-        _spectrum(picture, axis, sampling, x / diameter + 0.5 * across, y / diameter + 0.5 * up)
-        for across, up in source.points
-    ]
+    spectra: list[NDArray[np.complex128]] = []
+    for across, up in source.points:
+        fx, fy = x / diameter + 0.5 * across, y / diameter + 0.5 * up
+        along_x, along_y = (_along(f, pixels, sampling) for f in (fx, fy))
+        spectra.append(_squares(sampling, fx, fy) * ((along_x @ picture.T) * along_y).sum(axis=1))
     basis = ray_basis(x, y, weight, pixels, sampling, diameter)
     return LitObject(basis, np.array(spectra) * (area / diameter**2), source.weights)
+
+
+def lit_by_cells(section: ObjectSection, transform: MatrixFourier) -> LitObject:
+    """Prepare an object in coherent or partially coherent light for a sampled pupil.
+
+    The frame is that of the transform. Errors are those of `lit_object`.
+    """
+    pupil, axis = transform.pupil, transform.axis
+    sampling = float(axis[1] - axis[0])
+    picture = object_picture(section, len(axis), sampling)
+    source = source_of(section)
+    spectra: list[NDArray[np.complex128]] = []
+    for across, up in source.points:  # of whole cells: their spectrum is separable
+        fx, fy = 0.5 * (pupil.axis + across), 0.5 * (pupil.axis + up)
+        grid = _along(fy, len(axis), sampling) @ picture @ _along(fx, len(axis), sampling).T
+        spectra.append((_squares(sampling, fx, fy[:, None]) * grid).ravel()[pupil.cells])
+    share = pupil.light.sum() / len(pupil.axis) ** 2
+    return LitObject(transform, np.array(spectra) * share, source.weights)
 
 
 def source_of(section: ObjectSection) -> Source:
@@ -95,20 +116,31 @@ def mean_image(lit: LitObject, phases: Iterable[Array]) -> Array:
     ----------
     lit : LitObject
     phases : iterable of ndarray, shape (block, R)
-        Phases of the rays in waves; a tilt places the image.
+        Phases of rays or patches in waves; a tilt places the image.
     """
-    size, count = lit.basis.pixels, 0
-    total = np.zeros(size * size)
+    total, count = np.zeros(()), 0
     for block in phases:
-        fields = np.exp(2j * np.pi * (block - np.rint(block)))
-        for spectrum, weight in zip(lit.spectra, lit.weights, strict=True):
-            total += weight * amplitude_images(lit.basis, fields * spectrum).sum(axis=0, dtype=np.float64)
+        for first in range(0, len(block), _BATCH):
+            part = block[first : first + _BATCH]
+            fields = np.exp(2j * np.pi * (part - np.rint(part)))
+            for spectrum, weight in zip(lit.spectra, lit.weights, strict=True):
+                total = total + weight * _images(lit.pupil, fields * spectrum).sum(axis=0, dtype=np.float64)
         count += len(block)
-    return np.asarray(total.reshape(size, size) / count)
+    return np.asarray(total / count)
 
 
-def _spectrum(picture: Array, axis: Array, pitch: float, x: Array, y: Array) -> NDArray[np.complex128]:
-    """Transform square pixels at frequencies x and y (R,), in the sign with which a tilt places an image."""
-    along_x, along_y = (np.exp(2j * np.pi * np.outer(f, axis)) for f in (x, y))
-    squares = pitch**2 * np.sinc(pitch * x) * np.sinc(pitch * y)
-    return np.asarray(squares * ((along_x @ picture.T) * along_y).sum(axis=1))
+def _images(pupil: SegmentBasis | MatrixFourier, amplitude: NDArray[np.complex128]) -> NDArray[np.floating]:
+    if isinstance(pupil, MatrixFourier):
+        return matrix_fourier.amplitude_images(pupil, amplitude)
+    return segment_psf.amplitude_images(pupil, amplitude).reshape(-1, pupil.pixels, pupil.pixels)
+
+
+def _along(frequency: Array, pixels: int, pitch: float) -> NDArray[np.complex128]:
+    """Waves (R, pixels) along an axis of the object, in the sign with which a tilt places an image."""
+    axis = (np.arange(pixels) - pixels // 2) * pitch
+    return np.asarray(np.exp(2j * np.pi * np.outer(frequency, axis)))
+
+
+def _squares(pitch: float, fx: Array, fy: Array) -> Array:
+    """Spectrum of a square pixel."""
+    return np.asarray(pitch**2 * np.sinc(pitch * fx) * np.sinc(pitch * fy))

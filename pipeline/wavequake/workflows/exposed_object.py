@@ -83,11 +83,12 @@ class ObjectSection(Section):
 
 
 def object_image(
-    section: ObjectSection, exposure: Array, sampling: float, area: float, diameter: float
+    section: ObjectSection, exposure: Array, pixels: int, sampling: float, area: float, diameter: float
 ) -> Array:
-    """Return the image (n, n) of an object that has the frame of an exposure (n, n) and is dark beyond.
+    """Return the image (pixels, pixels) of an object that fills the frame and is dark beyond.
 
-    In incoherent light every point of the object makes the same exposure. 1 is the brightness of an evenly
+    In incoherent light every point of the object makes the same exposure (n, n). Where that is twice as wide
+    as the frame, each point's light is followed through the whole frame. 1 is the brightness of an evenly
     lit plane: area and diameter of the pupil say what share of a point's light a pixel of the exposure holds.
 
     Raises
@@ -96,7 +97,6 @@ def object_image(
         If the object is impossible or does not fit into the frame.
     """
     name, value = section.chosen()
-    pixels = len(exposure)
     spread = exposure * (sampling**2 * area / diameter**2)
     if name == "stars":
         table = [star for star in value if isinstance(star, list)] if isinstance(value, list) else []
@@ -111,18 +111,36 @@ def object_image(
         border = pixels // 2 + 1
         return cut(star_field_image(np.pad(spread, border), stars[:, :2], stars[:, 2], sampling), pixels)
     picture = object_picture(section, pixels, sampling)
-    first = pixels // 2
     spread = pixel_means(spread, sampling, sampling)  # what is lit is a square, not a point
     whole = scipy.signal.fftconvolve(picture, spread)
+    first = len(spread) // 2
     return np.asarray(whole[first : first + pixels, first : first + pixels])
+
+
+def check_object(section: ObjectSection, pixels: int, sampling: float) -> None:
+    """Raise UserError if an object is impossible or does not fit into the frame."""
+    if section.light == "incoherent":
+        object_image(section, np.zeros((pixels, pixels)), pixels, sampling, 1.0, 1.0)
+    else:
+        object_picture(section, pixels, sampling)
 
 
 def object_variable(shown: ObjectSection, dim: str, count: int, pixels: int) -> dict[str, Variable]:
     """Describe the images of an object for each of `count` entries of the dimension `dim`."""
+    attrs = {"units": "1", "long_name": "exposed image of " + _lit_object(shown)}
+    return {"object_image": Variable((dim, "y", "x"), (count, pixels, pixels), attrs)}
+
+
+def object_at_rest(shown: ObjectSection, pixels: int) -> dict[str, Variable]:
+    """Describe the image of an object while nothing moves."""
+    attrs = {"units": "1", "long_name": "image at rest of " + _lit_object(shown)}
+    return {"object_static": Variable(("y", "x"), (pixels, pixels), attrs)}
+
+
+def _lit_object(shown: ObjectSection) -> str:
     light = "partially coherent" if shown.light == "partial" else shown.light
     one = "an evenly lit plane" + ("" if light == "incoherent" else " whose light all passes the pupil")
-    attrs = {"units": "1", "long_name": f"exposed image of the object in {light} light; 1 = {one}"}
-    return {"object_image": Variable((dim, "y", "x"), (count, pixels, pixels), attrs)}
+    return f"the object in {light} light; 1 = {one}"
 
 
 def object_picture(section: ObjectSection, pixels: int, sampling: float) -> Array:

@@ -55,9 +55,7 @@ class TelescopeExposureStudy(SegmentStudy):
     def read_files(cls, record: dict[str, Any], base: Path) -> None:
         """Read the picture of the object beside what the disturbance reads."""
         super().read_files(record, base)
-        shown = record.get("object")
-        if isinstance(shown, dict) and isinstance(shown.get("picture"), str):
-            shown["picture_data"] = read_picture(base / shown["picture"])
+        _read_picture(record, base)
 
     @property
     def figure_terms(self) -> int:
@@ -67,3 +65,23 @@ class TelescopeExposureStudy(SegmentStudy):
 
 class MirrorExposureStudy(MirrorStudy):
     """A validated study file of ``mirror-exposure``: cases are the variants of each model."""
+
+    object: ObjectSection | None = None
+
+    @model_validator(mode="after")
+    def _the_object_is_one(self) -> "MirrorExposureStudy":
+        if self.object is not None:
+            self.object.chosen()
+        return self
+
+    @classmethod
+    def read_files(cls, record: dict[str, Any], base: Path) -> None:
+        """Read the picture of the object beside what the mirror reads."""
+        super().read_files(record, base)
+        _read_picture(record, base)
+
+
+def _read_picture(record: dict[str, Any], base: Path) -> None:
+    shown = record.get("object")
+    if isinstance(shown, dict) and isinstance(shown.get("picture"), str):
+        shown["picture_data"] = read_picture(base / shown["picture"])

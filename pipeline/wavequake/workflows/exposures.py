@@ -42,13 +42,14 @@ def exposed(
     and diameter of the pupil set the scale of encircled energies. ``shown`` is an object to image, too.
     """
     lit = shown if shown and shown.light == "incoherent" else None
-    full = cut(full_exposure(images, los, sampling), pixels)
+    canvas = full_exposure(images, los, sampling)
+    full = cut(canvas, pixels)
     shortcuts = [cut(model(static, los, sampling), pixels) for model in (los_exposure, gaussian_exposure)]
     errors = [exposure_error(image, full, sampling, area, diameter) for image in shortcuts]
     ee50, ee80 = (encircled_energy_radius(full, share, sampling, area, diameter) for share in (0.5, 0.8))
     return {
         "exposure": full,
-        **({"object_image": object_image(lit, full, sampling, area, diameter)} if lit else {}),
+        **({"object_image": object_image(lit, canvas, pixels, sampling, area, diameter)} if lit else {}),
         **{f"exposure_{name}": image for name, image in zip(SHORTCUTS, shortcuts, strict=True)},
         "peak": np.asarray(full.max()),
         "ee50": ee50,

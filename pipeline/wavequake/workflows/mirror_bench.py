@@ -23,6 +23,7 @@ from wavequake.reduction.intermediate import Intermediate, intermediate
 from wavequake.reduction.metrics import eps_mor, full_receptance, receptance
 from wavequake.reduction.names import Variant, parse
 from wavequake.reduction.two_stage import check_variants, covers, reduce_variants, reference
+from wavequake.workflows.exposure_study import MirrorExposureStudy
 from wavequake.workflows.imported_facts import facts, frequencies
 from wavequake.workflows.mirror_base import CLAMPED, driven, on_moving_base
 from wavequake.workflows.mirror_optics import Optics, optical_rows, optics_of
@@ -82,8 +83,9 @@ class Answers:
 
 @lru_cache(maxsize=2)
 def study_of(text: str) -> MirrorStudy:
-    """Rebuild a study of mirror-mor from its identity."""
-    study: MirrorStudy = study_from_identity(MirrorStudy, text)
+    """Rebuild a study of mirror-mor or mirror-exposure from its identity."""
+    exposed = json.loads(text)["study"]["workflow"] == "mirror-exposure"
+    study: MirrorStudy = study_from_identity(MirrorExposureStudy if exposed else MirrorStudy, text)
     return study
 
 

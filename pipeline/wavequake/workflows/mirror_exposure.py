@@ -5,6 +5,7 @@ excitation, as in Störkle 2018, Fig. 4.32.
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -14,11 +15,17 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
 from wavequake.imaging.exposure_models import cut
+from wavequake.imaging.matrix_fourier import matrix_fourier
 from wavequake.imaging.nyquist import too_coarse, zernike_samples_for
 from wavequake.imaging.pupil_function import annular_pupil
 from wavequake.imaging.zernike_psf import ZernikeImager, zernike_imager, zernike_images, zernike_sum
 from wavequake.kernels.devices import NUMPY, Device, choose_device
+from wavequake.optics.zernike import annular_zernike
+from wavequake.workflows import mirror_bench
+from wavequake.workflows.coherent_object import LitObject, lit_by_cells, mean_image
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.workflows.exposed_object import check_object, object_at_rest, object_image
+from wavequake.workflows.exposure_study import MirrorExposureStudy
 from wavequake.workflows.exposures import CANVAS, FOCUS, exposed, exposure_variables, frame_coordinates
 from wavequake.workflows.mirror_bench import (
     aberrations_over_time,
@@ -26,13 +33,11 @@ from wavequake.workflows.mirror_bench import (
     check_variants_of,
     import_notices,
     import_record,
-    study_of,
     time_of,
     variant_of,
 )
 from wavequake.workflows.mirror_mor import case_table, cases_of
 from wavequake.workflows.mirror_optics import Optics, optical_rows
-from wavequake.workflows.mirror_study import MirrorStudy
 
 Array = NDArray[np.float64]
 
@@ -65,11 +70,15 @@ def exposed_variant(study_text: str, model: str, variant: str, device: Device = 
     study, optics = study_of(study_text), bench_of(study_text, model).optics
     aberrations = aberrations_of(study_text, model, variant)
     static = next(local_images(study, optics, np.zeros((1, aberrations.shape[2])), device))[0]
+    seen = seen_object(study_text, model, device)
     found: dict[str, list[Array]] = {}
     for history in aberrations:
         for name, values in _exposure(study, optics, history, static, device).items():
             found.setdefault(name, []).append(values)
         found.setdefault("exposure_focus", []).append(through_focus(study, optics, history, device))
+        if seen is not None:
+            phases = seen.phases(_waves(study, optics, history[exposed_instants(study)], placed=True))
+            found.setdefault("object_image", []).append(mean_image(seen.lit, phases))
     reference = aberrations_of(study_text, model, study.reduction.reference)
     return {
         **{name: np.stack(values) for name, values in found.items()},
@@ -77,8 +86,16 @@ def exposed_variant(study_text: str, model: str, variant: str, device: Device = 
         "wfe_error": _wavefront_error(aberrations - reference),
         "los_mm": aberrations[..., :2],
         "exposure_static": cut(static, study.imaging.pixels),
+        **_object_at_rest(study, optics, static, seen),
         "resolution_mm": optics.resolution,
     }
+
+
+def study_of(study_text: str) -> MirrorExposureStudy:
+    """Rebuild a study from its identity."""
+    study = mirror_bench.study_of(study_text)
+    assert isinstance(study, MirrorExposureStudy)
+    return study
 
 
 @lru_cache(maxsize=2)
@@ -90,7 +107,7 @@ def aberrations_of(study_text: str, model: str, variant: str) -> Array:
         return aberrations_over_time(study_of(study_text), reduced, optical_rows(bench.optics, reduced))
 
 
-def exposed_instants(study: MirrorStudy) -> NDArray[np.intp]:
+def exposed_instants(study: MirrorExposureStudy) -> NDArray[np.intp]:
     """Return the instants of the time response that are exposed, evenly spread."""
     count = study.time.instants
     chosen = np.linspace(0, count - 1, min(study.imaging.instants, count)).round()
@@ -98,7 +115,7 @@ def exposed_instants(study: MirrorStudy) -> NDArray[np.intp]:
 
 
 def local_images(
-    study: MirrorStudy, optics: Optics, history: Array, device: Device = NUMPY
+    study: MirrorExposureStudy, optics: Optics, history: Array, device: Device = NUMPY
 ) -> Iterator[Array]:
     """Yield images (block, n, n) about the line of sight of aberrations (instants, 2 + J), by blocks.
 
@@ -112,7 +129,7 @@ def local_images(
         yield zernike_images(imager, waves[first : first + _BLOCK], check=False)  # `notices` did
 
 
-def through_focus(study: MirrorStudy, optics: Optics, history: Array, device: Device) -> Array:
+def through_focus(study: MirrorExposureStudy, optics: Optics, history: Array, device: Device) -> Array:
     """Return exposures (focus, y, x) with defocus added; tilts of the phase place the images."""
     section, shown = study.imaging, history[exposed_instants(study)]
     grid = section.pupil_samples, section.pixels, section.sampling
@@ -122,7 +139,7 @@ def through_focus(study: MirrorStudy, optics: Optics, history: Array, device: De
     return np.array([zernike_sum(imager, waves - defocus * term, weights, check=False) for defocus in FOCUS])
 
 
-def _waves(study: MirrorStudy, optics: Optics, history: Array, placed: bool) -> Array:
+def _waves(study: MirrorExposureStudy, optics: Optics, history: Array, placed: bool) -> Array:
     """Return the Noll terms (instants, J) of the phase in waves, with tilts that place the image or none."""
     section = study.imaging
     # The OPD of a positive line of sight falls along +x, a phase that moves the image to +x grows.
@@ -142,8 +159,58 @@ def _imager(
     return zernike_imager(pupil, pixels, sampling, terms, obscuration, device)
 
 
+@dataclass(frozen=True)
+class SeenObject:
+    """An object in coherent or partially coherent light, seen by a mirror.
+
+    Attributes
+    ----------
+    lit : LitObject
+        For the patches of the sampled pupil.
+    modes : ndarray, shape (m, J)
+        Zernike polynomials there.
+    """
+
+    lit: LitObject
+    modes: Array
+
+    def phases(self, waves: Array) -> Iterator[Array]:
+        """Yield the phases (block, m) in waves of Noll terms (instants, J), by blocks."""
+        for first in range(0, len(waves), _BLOCK):
+            yield waves[first : first + _BLOCK] @ self.modes.T
+
+
+@lru_cache(maxsize=4)
+def seen_object(study_text: str, model: str, device: Device = NUMPY) -> SeenObject | None:
+    """Return the object of a study, if there is one whose light is coherent or partially so."""
+    study, optics = study_of(study_text), bench_of(study_text, model).optics
+    if study.object is None or study.object.light == "incoherent":
+        return None
+    pupil = annular_pupil(study.imaging.pupil_samples, optics.obscuration)
+    transform = matrix_fourier(pupil, study.imaging.pixels, study.imaging.sampling, device)
+    modes = annular_zernike(pupil.x, pupil.y, optics.terms, optics.obscuration)
+    return SeenObject(lit_by_cells(study.object, transform), modes)
+
+
+def _object_at_rest(
+    study: MirrorExposureStudy, optics: Optics, static: Array, seen: SeenObject | None
+) -> dict[str, Array]:
+    if seen is not None:
+        return {"object_static": mean_image(seen.lit, seen.phases(np.zeros((1, optics.terms))))}
+    if study.object is None:
+        return {}
+    imaging = study.imaging
+    grid = imaging.pixels, imaging.sampling, *_pupil_size(optics)
+    return {"object_static": object_image(study.object, static, *grid)}
+
+
+def _pupil_size(optics: Optics) -> tuple[float, float]:
+    """Return area (mm²) and diameter (mm) of the pupil."""
+    return np.pi * optics.radius**2 * (1.0 - optics.obscuration**2), 2.0 * optics.radius
+
+
 def _exposure(
-    study: MirrorStudy, optics: Optics, history: Array, static: Array, device: Device
+    study: MirrorExposureStudy, optics: Optics, history: Array, static: Array, device: Device
 ) -> dict[str, Array]:
     imaging = study.imaging
     shown = history[exposed_instants(study)]
@@ -153,8 +220,8 @@ def _exposure(
         shown[:, :2] * (imaging.scale / optics.resolution),
         imaging.pixels,
         imaging.sampling,
-        area=np.pi * optics.radius**2 * (1.0 - optics.obscuration**2),
-        diameter=2.0 * optics.radius,
+        *_pupil_size(optics),
+        study.object,
     )
 
 
@@ -179,7 +246,7 @@ def template(study_text: str) -> Template:
             (excitations, instants, 2),
             {"units": "mm", "long_name": "line of sight in the image (Störkle 2018, Eq. 3.39), not scaled"},
         ),
-        **exposure_variables("excitation", excitations, pixels),
+        **exposure_variables("excitation", excitations, pixels, study.object),
         "exposure_focus": Variable(
             ("excitation", "focus", "y", "x"),
             (excitations, len(FOCUS), pixels, pixels),
@@ -188,6 +255,7 @@ def template(study_text: str) -> Template:
         "exposure_static": Variable(
             ("y", "x"), (pixels, pixels), {"units": "1", "long_name": "image at rest; 1 = its peak"}
         ),
+        **(object_at_rest(study.object, pixels) if study.object else {}),
         "resolution_mm": Variable(
             (),
             (),
@@ -210,6 +278,8 @@ def template(study_text: str) -> Template:
 def check(study_text: str) -> None:
     """Raise UserError for a study that no variant of can succeed: model, reference or optics do not fit."""
     study = study_of(study_text)
+    if study.object:
+        check_object(study.object, study.imaging.pixels, study.imaging.sampling)
     for name in study.models:
         check_variants_of(study, bench_of(study_text, name), study.reduction.variants)
         aberrations_of(study_text, name, study.reduction.reference)
@@ -231,6 +301,8 @@ def notices(study_text: str) -> Iterator[str]:
         term = np.arange(placed.shape[1]) == 3
         images = [(CANVAS * section.pixels, still)]
         images += [(section.pixels, placed - defocus * term) for defocus in (FOCUS[0], FOCUS[-1])]
+        if study.object and study.object.light != "incoherent":
+            images.append((2 * section.pixels, placed))  # from rim to rim of object and image
         for size, waves in images:
             field = size * section.sampling
             needed[zernike_samples_for(waves, optics.obscuration, field)] = field

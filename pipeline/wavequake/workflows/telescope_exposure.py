@@ -24,7 +24,7 @@ from wavequake.workflows import segment_disturbance
 from wavequake.workflows.bench import MAS_PER_RAD
 from wavequake.workflows.coherent_object import LitObject, lit_object, mean_image
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
-from wavequake.workflows.exposed_object import object_image, object_picture
+from wavequake.workflows.exposed_object import check_object
 from wavequake.workflows.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.exposures import FOCUS, exposed, exposure_variables, frame_coordinates
 from wavequake.workflows.schema import study_from_identity
@@ -266,11 +266,8 @@ def describe(study_text: str) -> dict[str, str]:
 def check(study_text: str) -> None:
     """Raise UserError if the telescope cannot be controlled, or disturbance or object do not fit."""
     study = study_from_identity(TelescopeExposureStudy, study_text)
-    if study.object and study.object.light != "incoherent":
-        object_picture(study.object, study.imaging.pixels, study.imaging.sampling)
-    elif study.object:
-        dark = np.zeros((study.imaging.pixels, study.imaging.pixels))
-        object_image(study.object, dark, study.imaging.sampling, 1.0, 1.0)
+    if study.object:
+        check_object(study.object, study.imaging.pixels, study.imaging.sampling)
     control_bench_of(study_text)
 
 
