@@ -49,7 +49,7 @@ def test_a_case_again_has_the_bits_of_the_store_and_its_rays(store, case, tmp_pa
     assert (found.differing, found.trouble, found.status) == ((), "", 1)
     assert "Every number has the bits of the store." in found.lines()
     stored = open_store(store).sel(case=case).load()
-    with xr.open_dataset(tmp_path / "case.nc", engine="scipy") as detail:
+    with xr.open_dataset(tmp_path / "case.nc") as detail:
         np.testing.assert_array_equal(detail.zernike, stored.zernike)
         assert detail.case == case
         instants = int(np.isfinite(stored.time_s).sum())

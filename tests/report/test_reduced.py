@@ -106,9 +106,9 @@ def test_a_case_of_a_summary_is_computed_again_with_its_bits(store, tmp_path):
     found = rerun_stored(store, 7, tmp_path / "case.nc")
     assert not found.differing
     assert not found.trouble
-    with xr.open_dataset(tmp_path / "case.nc", engine="scipy") as case:
+    with xr.open_dataset(tmp_path / "case.nc") as case:
         nm = case["opd"].to_numpy() - case["opd"].to_numpy().mean(axis=1, keepdims=True)
-        last = float(case["wfe_rms_raw"].sel(statistic="last"))
+        last = float(case["wfe_rms_raw"][-1])
         assert nm.shape[0] == 10
         assert np.sqrt(np.mean(nm[-1] ** 2)) == pytest.approx(last, rel=1e-2)  # rays weigh nearly alike
 

@@ -12,7 +12,7 @@ from wavequake.kernels.devices import list_devices
 from wavequake.workflows import campaign, segment_modal
 from wavequake.workflows import segment_disturbance as workflow
 from wavequake.workflows.contract import DONE, RAISED
-from wavequake.workflows.retention import STATISTICS
+from wavequake.workflows.retention import STATISTICS, kept_result
 from wavequake.workflows.segment_modal import CERTIFIED, MODAL, TRACED, sampled
 from wavequake.workflows.study import load_study, study_with
 
@@ -82,8 +82,8 @@ def uncertified(monkeypatch):
 
 
 def computed(study, cases, **keys):
-    chosen = study_with(study, {key.replace("__", "."): value for key, value in keys.items()})
-    return workflow.compute(chosen.identity_text(), np.asarray(cases), DEVICE)
+    text = study_with(study, {key.replace("__", "."): value for key, value in keys.items()}).identity_text()
+    return kept_result(text, workflow.template(text), workflow.compute(text, np.asarray(cases), DEVICE))
 
 
 def names(study, count):
@@ -266,7 +266,7 @@ def test_a_store_of_summaries_is_whole_and_says_how_good_the_model_is(study, tmp
         ({"imaging.enabled": True}, r"'modal' makes no images; set imaging.enabled = false"),
         ({"wavefront.method": "slopes"}, r"needs wavefront.method = 'opd'"),
         ({"wavefront.reference": "fitted"}, r"needs wavefront.method = 'opd' and wavefront.reference"),
-        ({"store.reduce": "summary", "store.every": 2}, r"leave store.keep and store.every out"),
+        ({"store.reduce": "summary", "store.every": 2}, r"leave store.every out"),
         ({"store.every": 4}, r"store.every is 4, but there are cases of 3 instants"),
         ({"study.workflow": "telescope-exposure"}, r"belong to the workflow segment-disturbance"),
         ({"optics.modal_tolerance_nm": 0.0}, r"modal_tolerance_nm"),

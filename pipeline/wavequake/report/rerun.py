@@ -14,13 +14,14 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
 from wavequake.report.campaign import device_at_hand
+from wavequake.report.case_detail import detail_of
 from wavequake.report.export import export, target_of
-from wavequake.report.segments import detail
 from wavequake.workflows.campaign import WORKFLOWS
 from wavequake.workflows.chunks import checked
 from wavequake.workflows.contract import DIVERGED, DONE, RAISED, STATUS_MEANINGS, TODO, ChunkResult, Template
 from wavequake.workflows.journal import digest
-from wavequake.workflows.store import Manifest, open_store, read_manifest
+from wavequake.workflows.retention import kept_result, stored_template
+from wavequake.workflows.store import open_store, read_manifest
 
 
 @dataclass(frozen=True)
@@ -64,8 +65,9 @@ class CaseRerun:
 def rerun_stored(store: Path, case: int, file: Path | None = None) -> CaseRerun:
     """Compute a case of a store again from its study and id, and compare every number with the stored one.
 
-    The numbers go to `file`, by default ``STORE/case-ID.nc``, with what the store does not keep: for
-    segment-disturbance the motion of every segment and the path of every ray. The store is not changed.
+    The numbers go to `file`, by default ``STORE/case-ID.nc``, over all instants also where the store keeps
+    less, and with what no store keeps (:func:`wavequake.report.case_detail.detail_of`). The store is not
+    changed.
 
     Raises
     ------
@@ -80,14 +82,16 @@ def rerun_stored(store: Path, case: int, file: Path | None = None) -> CaseRerun:
         raise UserError(f"{target} must end in .nc.")
     stored = open_store(store).sel(case=[case]).load()
     device, workflow = device_at_hand(manifest), WORKFLOWS[manifest.workflow]
-    template = workflow.template(manifest.study)
+    computed, template = workflow.template(manifest.study), stored_template(workflow, manifest.study)
     if sys.__stderr__:  # a case that crashed in the campaign will do so here, and say where
         faulthandler.enable(sys.__stderr__)
-    status, trouble, result = RAISED, "", None
+    status, trouble, result, detail = RAISED, "", None, xr.Dataset()
     try:
         with threadpool_limits(1):
-            result = checked(workflow.compute(manifest.study, np.array([case]), device), template, 1)
-        status, trouble = int(result.status[0]), result.messages[0]
+            result = checked(workflow.compute(manifest.study, np.array([case]), device), computed, 1)
+            status, trouble = int(result.status[0]), result.messages[0]
+            if status in (DONE, DIVERGED):
+                detail = detail_of(manifest, case, device)
     except Exception as error:
         trouble = "".join(format_exception(error)).rstrip()
     before = int(stored["status"].item())
@@ -96,10 +100,14 @@ def rerun_stored(store: Path, case: int, file: Path | None = None) -> CaseRerun:
         {str(name): str(values.item()) for name, values in stored.coords.items() if values.dims == ("case",)},
         before,
         status,
-        _ranges(result, template) if result else {},
-        _differing(stored, result, template) if result and before != TODO else (),
+        _ranges(result, computed) if result else {},
+        _differing(stored, kept_result(manifest.study, computed, result), template)
+        if result and before != TODO
+        else (),
         trouble,
-        _written(manifest, stored, result, device, target) if result and status in (DONE, DIVERGED) else None,
+        export(_merged(_dataset(stored, result, computed), detail), target, overwrite=True)
+        if result and status in (DONE, DIVERGED)
+        else None,
     )
 
 
@@ -123,35 +131,19 @@ def _differing(stored: xr.Dataset, result: ChunkResult, template: Template) -> t
     )
 
 
-def _written(manifest: Manifest, stored: xr.Dataset, result: ChunkResult, device: str, target: Path) -> Path:
-    case = int(stored["case"].item())
-    numbers = stored.assign(
-        {name: stored[name].copy(data=np.asarray(values)) for name, values in result.arrays.items()}
-    )
-    numbers["status"][:], numbers["message"] = result.status, ("case", list(result.messages))
-    if manifest.workflow == "segment-disturbance":
-        numbers = numbers.isel(case=0).merge(_segment_detail(manifest, case, device, stored))
-    return export(numbers, target, overwrite=True)
+def _dataset(stored: xr.Dataset, result: ChunkResult, computed: Template) -> xr.Dataset:
+    """Return labels, numbers over all instants, and what does not depend on the case."""
+    arrays = {
+        name: xr.Variable(variable.dims, result.arrays[name][0], variable.attrs)
+        for name, variable in computed.per_case.items()
+    }
+    fixed = {name: xr.Variable(dims, values, attrs) for name, (dims, values, attrs) in computed.fixed.items()}
+    labels = {name: values.isel(case=0) for name, values in stored.coords.items() if values.dims == ("case",)}
+    ends = {"status": result.status[0], "message": result.messages[0]}
+    coordinates = [name for name, variable in computed.per_case.items() if variable.coordinate]
+    return xr.Dataset({**fixed, **arrays, **ends}, labels, stored.attrs).set_coords(coordinates)
 
 
-def _segment_detail(manifest: Manifest, case: int, device: str, stored: xr.Dataset) -> xr.Dataset:
-    """Return what the report's maps show of a case; instants are those that it has."""
-    found = detail(manifest.study, case, device, stored)
-
-    def variable(dims: tuple[str, ...], values: np.ndarray, units: str, long_name: str) -> xr.Variable:
-        return xr.Variable(dims, values, {"units": units, "long_name": long_name})
-
-    degrees = ["dx", "dy", "dz", "rx", "ry", "rz"]
-    return xr.Dataset(
-        {
-            "segment_motion": variable(
-                ("instant", "segment", "dof"), found.segment_motion, "m, rad", "motion in the segment's frame"
-            ),
-            "opd": variable(("instant", "ray"), found.opd, "nm", "optical path difference; NaN: lost"),
-            "spot": variable(("instant", "ray", "axis"), found.spot, "mas", "where rays meet the image"),
-            "ray_x": variable(("ray",), found.ray_x, "mm", "where rays meet the aperture"),
-            "ray_y": variable(("ray",), found.ray_y, "mm", "where rays meet the aperture"),
-            "ray_segment": variable(("ray",), found.ray_segment, "1", "segment that a ray hits, -1: none"),
-        },
-        {"segment": list(found.segment_names), "dof": degrees},
-    )
+def _merged(numbers: xr.Dataset, detail: xr.Dataset) -> xr.Dataset:
+    """Return both; of what the store keeps, too (motions of segments), the detail."""
+    return numbers.drop_vars([name for name in detail.data_vars if name in numbers]).merge(detail)

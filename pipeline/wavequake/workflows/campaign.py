@@ -21,6 +21,7 @@ from wavequake.workflows.lens_passive import WORKFLOW as LENS_PASSIVE
 from wavequake.workflows.mirror_exposure import WORKFLOW as MIRROR_EXPOSURE
 from wavequake.workflows.mirror_mor import WORKFLOW as MIRROR_MOR
 from wavequake.workflows.mirror_trace import WORKFLOW as MIRROR_TRACE
+from wavequake.workflows.retention import stored_template
 from wavequake.workflows.schema import Study
 from wavequake.workflows.segment_disturbance import WORKFLOW as SEGMENT_DISTURBANCE
 from wavequake.workflows.segment_mor import WORKFLOW as SEGMENT_MOR
@@ -117,7 +118,7 @@ def run_study(
 
     if study.campaign.until is None:
         return run_to(study.cases)
-    goal = goal_of(study.campaign.until, workflow.template(text))
+    goal = goal_of(study.campaign.until, stored_template(workflow, text))
     return _run_until(goal, study, path, looks(study.cases, chunk), run_to)
 
 
@@ -127,7 +128,7 @@ def chunk_of(study: Study, path: Path | None = None) -> int:
         return read_manifest(path).chunk
     if study.store.chunk_cases is not None:
         return study.store.chunk_cases
-    return default_chunk(study.cases, workflow_of(study).template(study.identity_text()))
+    return default_chunk(study.cases, stored_template(workflow_of(study), study.identity_text()))
 
 
 def _run_until(
@@ -215,7 +216,7 @@ def plan(study: Study) -> dict[str, str]:
     workflow, text = workflow_of(study), study.identity_text()
     cases, chunk = study.cases, chunk_of(study)
     workflow.check(text)
-    template = workflow.template(text)
+    template = stored_template(workflow, text)
     if study.campaign.until is not None:
         goal_of(study.campaign.until, template)  # says what is wrong with it
     per_case = stored_bytes(template)

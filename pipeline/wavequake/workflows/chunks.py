@@ -20,6 +20,7 @@ from wavequake.workflows import journal, provenance
 from wavequake.workflows.arrays import Array, array_of, open_group, write_chunk
 from wavequake.workflows.contract import DIVERGED, DONE, RAISED, ChunkResult, Template, Workflow
 from wavequake.workflows.journal import Chunk, Record
+from wavequake.workflows.retention import kept_result, kept_template, retention_of
 from wavequake.workflows.store import DATA, JOURNAL, Manifest, read_manifest, write_errors_explained
 
 
@@ -70,9 +71,10 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Opened:
-    """An open store and what its chunks look like."""
+    """An open store, what is computed of its cases, and what of that its chunks keep."""
 
     manifest: Manifest
+    computed: Template
     template: Template
     arrays: Mapping[str, Array]
 
@@ -83,7 +85,8 @@ def opened_store(workflow: Workflow, path: str, run: str) -> Opened:
     manifest = patiently(lambda: read_manifest(path))
     group = patiently(lambda: open_group(Path(path) / DATA))
     arrays = {name: array_of(group, name) for name in manifest.variables}
-    return Opened(manifest, workflow.template(manifest.study), arrays)
+    computed = workflow.template(manifest.study)
+    return Opened(manifest, computed, kept_template(retention_of(manifest.study), computed), arrays)
 
 
 def patiently(action: Callable[[], Answer]) -> Answer:
@@ -136,9 +139,9 @@ def computed_chunk(job: Job, first: int, last: int) -> tuple[ChunkResult, float]
 
 
 def _computed(job: Job, opened: Opened, first: int, last: int) -> ChunkResult:
-    cases = np.arange(first, last, dtype=np.int64)
-    result = job.workflow.compute(opened.manifest.study, cases, job.device)
-    return checked(result, opened.template, len(cases))
+    cases, study = np.arange(first, last, dtype=np.int64), opened.manifest.study
+    result = checked(job.workflow.compute(study, cases, job.device), opened.computed, len(cases))
+    return kept_result(study, opened.computed, result)
 
 
 def computed_alone(job: Job, opened: Opened, case: int) -> ChunkResult:
@@ -152,7 +155,7 @@ def computed_alone(job: Job, opened: Opened, case: int) -> ChunkResult:
 
 
 def checked(result: ChunkResult, template: Template, count: int) -> ChunkResult:
-    """Return the result in the types of the store, those cases diverged that are not finite.
+    """Return the result in the types of the template, those cases diverged that are not finite.
 
     Raises
     ------

@@ -128,6 +128,11 @@ class LensStudy(Study):
     campaign: LensCampaignSection = LensCampaignSection()
     store: LensStoreSection = LensStoreSection()
 
+    @property
+    def fewest_instants(self) -> int:
+        """Number of stored instants of each run."""
+        return round(self.time.duration_s * 1e3 / self.time.step_ms) + 1
+
     @model_validator(mode="after")
     def _histories_are_whole(self) -> Self:
         steps = self.time.duration_s * 1e3 / self.time.step_ms

@@ -235,6 +235,11 @@ class AnyMirrorStudy(Study):
         every = len(self.models) * len(self.compared)
         return min(self.campaign.cases or every, every)
 
+    @property
+    def fewest_instants(self) -> int:
+        """Number of instants of each case."""
+        return self.time.instants
+
     @classmethod
     def read_files(cls, record: dict[str, Any], base: Path) -> None:
         """Import the model that the study names, and read the records of its excitations."""

@@ -1,99 +1,161 @@
-"""What of the numbers over time a store keeps: all of them, every n-th instant, or statistics per case."""
+"""What of the numbers over time a store keeps: all of them, every n-th instant, or statistics per case.
 
-from collections.abc import Mapping
-from dataclasses import replace
+A workflow computes histories and knows nothing of this: its template and its results pass through here on
+their way to the store.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.workflows.contract import Variable
-from wavequake.workflows.segment_study import SegmentStoreSection
+from wavequake.workflows.chunk_size import stored_bytes
+from wavequake.workflows.contract import ChunkResult, Template, Variable, Workflow
+
+Array = NDArray[np.float64]
 
 STATISTICS = ("mean", "rms", "min", "max", "p95", "last")
-_RMS_ONLY = "zernike"
 
 
-def kept_variables(section: SegmentStoreSection, variables: Mapping[str, Variable]) -> dict[str, Variable]:
-    """Return the variables that a store keeps of those that are computed.
+@dataclass(frozen=True)
+class Retention:
+    """Keep every n-th instant, or with ``reduce = "summary"`` statistics over the instants of a case."""
 
-    In a summary the dimension ``statistic`` takes the place of ``time``, lines of sight and centroids become
-    their distance from rest, and ``zernike`` becomes ``zernike_rms``.
+    every: int = 1
+    reduce: str = "none"
+
+
+@lru_cache(maxsize=8)
+def retention_of(study: str) -> Retention:
+    """Return what the study with this identity text keeps."""
+    section = json.loads(study).get("store", {})
+    return Retention(section.get("every", 1), section.get("reduce", "none"))
+
+
+def stored_template(workflow: Workflow, study: str) -> Template:
+    """Return what a store of this study holds of what its workflow computes."""
+    return kept_template(retention_of(study), workflow.template(study))
+
+
+def kept_template(retention: Retention, computed: Template) -> Template:
+    """Return what is kept of a template.
+
+    In a summary the dimension ``statistic`` takes the place of ``time``, vectors (lines of sight, centroids)
+    become their lengths, that is distances from rest, and coefficients their rms, as ``zernike_rms``.
     """
-    kept = {}
-    for name, variable in variables.items():
-        if "time" not in variable.dims:
-            kept[name] = variable
-        elif section.reduce == "none":
-            shape = (variable.shape[0] // section.every, *variable.shape[1:])
-            kept[name] = replace(variable, shape=shape)
-        elif name == _RMS_ONLY:
-            kept[f"{name}_rms"] = replace(
-                variable,
-                dims=variable.dims[1:],
-                shape=variable.shape[1:],
-                attrs=_described(variable, "rms over the instants of "),
-            )
-        elif not variable.coordinate:
-            distance = "distance from rest: " if variable.dims[1:] == ("axis",) else ""
-            kept[name] = replace(
-                variable,
-                dims=("statistic",),
-                shape=(len(STATISTICS),),
-                attrs=_described(variable, f"over the instants of a case, {distance}"),
-            )
-    return kept
+    if retention == Retention():
+        return computed
+    per_case: dict[str, Variable] = {}
+    for name, variable in computed.per_case.items():
+        per_case |= _kept_variable(retention, name, variable)
+    fixed = dict(computed.fixed)
+    for name, (dims, values, attrs) in computed.fixed.items():
+        if "time" not in dims:
+            continue
+        if retention.reduce == "none":
+            fixed[name] = (dims, _decimated(values, dims.index("time"), retention.every), attrs)
+        else:
+            del fixed[name]
+    if retention.reduce == "summary":
+        words = {"long_name": "statistic over the instants of a case"}
+        fixed["statistic"] = (("statistic",), np.array(STATISTICS, dtype=object), words)
+    return Template(per_case, fixed, max(computed.working_bytes, stored_bytes(computed)))
 
 
-def _described(variable: Variable, before: str) -> dict[str, str]:
-    return {**variable.attrs, "long_name": before + variable.attrs["long_name"]}
+def _kept_variable(retention: Retention, name: str, variable: Variable) -> dict[str, Variable]:
+    """Return what is kept of a variable, under its name; nothing of the time axis of a summary."""
+    sizes = dict(zip(variable.dims, variable.shape, strict=True))
+    if "time" not in sizes:
+        return {name: variable}
+    if retention.reduce == "none":
+        sizes["time"] //= retention.every
+        return {name: replace(variable, shape=tuple(sizes.values()))}
+    if variable.coordinate:
+        return {}
+    words = "over the instants of a case, "
+    if "noll" in sizes:
+        name, words = f"{name}_rms", "rms over the instants of "
+        del sizes["time"]
+    elif sizes.pop("axis", None):
+        words += "distance from rest: "
+    kept = {"statistic" if dim == "time" else dim: size for dim, size in sizes.items()}
+    kept |= {"statistic": len(STATISTICS)} if "time" in sizes else {}
+    attrs = {**variable.attrs, "long_name": words + variable.attrs["long_name"]}
+    found = replace(variable, dims=tuple(kept), shape=tuple(kept.values()), attrs=attrs, dtype="float64")
+    return {name: found}
 
 
-def kept_arrays(
-    section: SegmentStoreSection,
-    variables: Mapping[str, Variable],
-    arrays: Mapping[str, NDArray[Any]],
-    instants: NDArray[np.int64],
-) -> dict[str, NDArray[Any]]:
-    """Return what a store keeps of `arrays` (case, ...), of which the first `instants` (case,) count."""
-    kept: dict[str, NDArray[Any]] = {}
-    for name, variable in variables.items():
-        values = arrays[name]
-        if "time" not in variable.dims:
-            kept[name] = values
-        elif section.reduce == "none":
-            kept[name] = values[:, section.every - 1 :: section.every]
-        elif name == _RMS_ONLY:
-            kept[f"{name}_rms"] = _by_count(values, instants, values.shape[2:], _rms)
-        elif not variable.coordinate:
-            series = np.linalg.norm(values, axis=2) if values.ndim == 3 else values
-            kept[name] = _by_count(series, instants, (len(STATISTICS),), statistics_over_time)
-    return kept
+def kept_result(study: str, computed: Template, result: ChunkResult) -> ChunkResult:
+    """Return what the study with this identity text keeps of results that have the shapes of `computed`."""
+    retention = retention_of(study)
+    if retention == Retention():
+        return result
+    instants = _instants(computed, result.arrays, len(result.status))
+    arrays: dict[str, NDArray[Any]] = {}
+    for name, variable in computed.per_case.items():
+        for kept in _kept_variable(retention, name, variable):
+            arrays[kept] = _kept_array(retention, variable, result.arrays[name], instants)
+    return replace(result, arrays=arrays)
 
 
-def _by_count(values: NDArray[Any], instants: NDArray[np.int64], shape: tuple[int, ...], reducer: Any) -> Any:
-    """Reduce the first instants of each case; those of equal number together."""
-    found = np.full((len(values), *shape), np.nan)
-    for count in np.unique(instants):
+def _instants(computed: Template, arrays: Mapping[str, NDArray[Any]], cases: int) -> NDArray[np.int64]:
+    """Return how many instants each case has, the first ones; none of a case that failed."""
+    if "time_s" in computed.per_case:
+        return np.asarray(np.isfinite(arrays["time_s"]).sum(axis=1), dtype=np.int64)
+    shapes = (zip(one.dims, one.shape, strict=True) for one in computed.per_case.values())
+    most = max(size for shape in shapes for dim, size in shape if dim == "time")
+    return np.full(cases, most, dtype=np.int64)
+
+
+def _kept_array(
+    retention: Retention, variable: Variable, values: NDArray[Any], instants: NDArray[np.int64]
+) -> NDArray[Any]:
+    if "time" not in variable.dims:
+        return values
+    axis = 1 + variable.dims.index("time")
+    if retention.reduce == "none":
+        return _decimated(values, axis, retention.every)
+    series = np.moveaxis(values.astype(np.float64, copy=False), axis, 1)
+    if "noll" in variable.dims:
+        return _by_count(series, instants, _rms)
+    if "axis" in variable.dims:
+        series = np.linalg.norm(series, axis=1 + variable.dims.index("axis"))
+    return np.moveaxis(_by_count(series, instants, statistics_over_time), 1, axis)
+
+
+def _decimated(values: NDArray[Any], axis: int, every: int) -> NDArray[Any]:
+    """Return the last of every `every` instants along an axis."""
+    return values[(slice(None),) * axis + (slice(every - 1, None, every),)]
+
+
+def _by_count(series: Array, instants: NDArray[np.int64], reducer: Callable[[Array], Array]) -> Array:
+    """Reduce the first instants of each case (case, time, ...); those of equal number together."""
+    found = np.full((len(series), *reducer(series[:0]).shape[1:]), np.nan)
+    for count in np.unique(instants[instants > 0]):
         mine = instants == count
-        found[mine] = reducer(np.ascontiguousarray(values[mine, :count]))
+        found[mine] = reducer(np.ascontiguousarray(series[mine, :count]))
     return found
 
 
-def _rms(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.sqrt(np.mean(values**2, axis=1)), dtype=np.float64)
+def _rms(series: Array) -> Array:
+    with np.errstate(over="ignore"):
+        return np.asarray(np.sqrt(np.mean(series**2, axis=1)))
 
 
-def statistics_over_time(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the STATISTICS (case, 6) of series (case, n)."""
-    return np.stack(
-        [
-            np.mean(values, axis=1),
-            _rms(values),
-            values.min(axis=1),
-            values.max(axis=1),
-            np.quantile(values, 0.95, axis=1),
-            values[:, -1],
-        ],
-        axis=1,
-    )
+def statistics_over_time(series: Array) -> Array:
+    """Return the STATISTICS (case, 6, ...) of series (case, n, ...)."""
+    rows = np.ascontiguousarray(np.moveaxis(series, 1, -1))  # each sum has its own order, whatever is beside
+    with np.errstate(invalid="ignore", over="ignore"):  # of a case that diverged
+        found = [
+            np.mean(rows, axis=-1),
+            np.sqrt(np.mean(rows**2, axis=-1)),
+            rows.min(axis=-1),
+            rows.max(axis=-1),
+            np.quantile(rows, 0.95, axis=-1),
+            rows[..., -1],
+        ]
+    return np.stack(found, axis=1)

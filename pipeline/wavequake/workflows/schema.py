@@ -12,9 +12,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from wavequake.errors import UserError
 
@@ -50,7 +50,7 @@ class CampaignSection(Section):
 
 
 class StoreSection(Section):
-    """Where the results go; not part of the identity."""
+    """Where the results go, which is no part of the identity, and what of them is kept, which is."""
 
     path: str | None = None
     chunk_cases: int | None = Field(
@@ -60,6 +60,16 @@ class StoreSection(Section):
         description="K: cases per task and per shard; by default a tenth of the cases, from 20 to 200, "
         "or a fortieth, up to 400, within 256 MB",
     )
+    every: int = Field(default=1, ge=1, description="keep the numbers of every n-th instant only")
+    reduce: Literal["none", "summary"] = Field(
+        default="none",
+        description="summary: of each series over the instants of a case, keep mean, rms, min, max, 95 % "
+        "quantile and last value, and of coefficients their rms",
+    )
+
+    def identity_record(self) -> dict[str, object]:
+        """Return the keys of this section that say what is kept, where that is not everything."""
+        return self.model_dump(mode="json", exclude={"path", "chunk_cases"}, exclude_defaults=True)
 
 
 class Study(Section):
@@ -74,14 +84,33 @@ class Study(Section):
         """Number of cases to run."""
         return self.campaign.cases
 
+    @property
+    def fewest_instants(self) -> int:
+        """Number of instants of the shortest case; 0 if nothing is stored over time."""
+        return 0
+
+    @model_validator(mode="after")
+    def _what_is_kept_is_there(self) -> Self:
+        store, fewest = self.store, self.fewest_instants
+        if not fewest and (store.every > 1 or store.reduce != "none"):
+            raise ValueError(
+                f"{self.study.workflow} stores nothing over time; leave store.every and store.reduce out"
+            )
+        if store.reduce == "summary" and store.every > 1:
+            raise ValueError("store.reduce = 'summary' keeps nothing over time; leave store.every out")
+        if store.every > max(fewest, 1):
+            raise ValueError(f"store.every is {store.every}, but there are cases of {fewest} instants")
+        return self
+
     @classmethod
     def read_files(cls, record: dict[str, Any], base: Path) -> None:
         """Replace the files that a record names, relative to `base`, by their contents."""
 
     def identity_text(self) -> str:
         """Return the canonical JSON text of all that determines one case's numbers (and of what is kept)."""
-        record = self.model_dump(mode="json", exclude={"campaign": True, "store": {"path", "chunk_cases"}})
+        record = self.model_dump(mode="json", exclude={"campaign", "store"})
         record["study"].pop("title")
+        record["store"] = self.store.identity_record()
         if campaign := self.campaign.identity_record():
             record["campaign"] = campaign
         return json.dumps(record, sort_keys=True, separators=(",", ":"))

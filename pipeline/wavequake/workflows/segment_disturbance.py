@@ -6,7 +6,7 @@ instants' point spread functions make the case's exposure (`imaging`).
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -26,13 +26,12 @@ from wavequake.workflows.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in
 from wavequake.workflows.case_pattern import slots
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Workflow
 from wavequake.workflows.images import energy_scale, refuse_what_cannot_be_imaged, summed_images
-from wavequake.workflows.retention import kept_arrays
 from wavequake.workflows.sampling import replicate_labels
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segment_draws import draw_realization, sampling_plan
 from wavequake.workflows.segment_modal import modal_cases, model_of
 from wavequake.workflows.segment_study import SegmentStudy
-from wavequake.workflows.segment_template import computed, template, traced
+from wavequake.workflows.segment_template import template, traced
 from wavequake.workflows.stopwatch import Stopwatch
 
 Array = NDArray[np.float64]
@@ -113,15 +112,10 @@ def _joined(states: list[SurfaceStates]) -> SurfaceStates:
 
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
-    """Compute what the study keeps of the numbers of `cases`, by full traces or by the modal model."""
-    study = bench_of(study_text).study
-    if study.optics.method == "modal":
-        result = modal_cases(study_text, cases, device_name, trace_cases)
-    else:
-        result = trace_cases(study_text, cases, device_name)
-    which, _ = slots([entry.share for entry in study.disturbance], cases)
-    instants = np.array([entry.instants for entry in study.disturbance])[which]
-    return replace(result, arrays=kept_arrays(study.store, computed(study_text), result.arrays, instants))
+    """Compute the numbers of `cases` over their instants, by full traces or by the modal model."""
+    if bench_of(study_text).study.optics.method == "modal":
+        return modal_cases(study_text, cases, device_name, trace_cases)
+    return trace_cases(study_text, cases, device_name)
 
 
 def trace_cases(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:

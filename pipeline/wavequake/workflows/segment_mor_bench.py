@@ -156,7 +156,7 @@ def traced_instants(study: SegmentMorStudy) -> NDArray[np.int64]:
 
     The first instant, at which all is at rest, is left out.
     """
-    count = min(study.time.traced, study.time.instants - 1)
+    count = study.fewest_instants
     places = np.rint(np.arange(1, count + 1) * ((study.time.instants - 1) / count))
     return np.asarray(places, dtype=np.int64)
 

@@ -156,6 +156,11 @@ class SegmentMorStudy(Study):
         every = len(self.segments.disturbed) * len(self.compared)
         return min(self.campaign.cases or every, every)
 
+    @property
+    def fewest_instants(self) -> int:
+        """Number of traced instants of each case."""
+        return min(self.time.traced, self.time.instants - 1)
+
     @classmethod
     def read_files(cls, record: dict[str, Any], base: Path) -> None:
         """Read the tables of the telescope and the records of the excitations."""

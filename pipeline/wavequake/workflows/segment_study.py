@@ -155,15 +155,13 @@ class ImagingSection(Section):
 
 
 class SegmentStoreSection(StoreSection):
-    """Where the results go; not part of the identity, but for what is kept."""
+    """Where the results go, and what of them is kept."""
 
     keep: tuple[Literal["segment_motion"], ...] = Field(default=(), strict=False)
-    every: int = Field(default=1, ge=1, description="keep the numbers of every n-th instant only")
-    reduce: Literal["none", "summary"] = Field(
-        default="none",
-        description="summary: of each series over the instants of a case, keep mean, rms, min, max, 95 % "
-        "quantile and last value, and of the coefficients their rms",
-    )
+
+    def identity_record(self) -> dict[str, object]:
+        """Return all keys that say what is kept: stores of segmented telescopes always had them."""
+        return self.model_dump(mode="json", exclude={"path", "chunk_cases"})
 
 
 class SegmentStudy(Study):
@@ -198,7 +196,7 @@ class SegmentStudy(Study):
         return value
 
     @model_validator(mode="after")
-    def _what_is_kept_is_there(self) -> "SegmentStudy":
+    def _sections_fit_each_other(self) -> "SegmentStudy":
         store, wavefront = self.store, self.wavefront
         modal = self.optics.method == "modal"
         if self.study.workflow == "segment-disturbance":
@@ -207,12 +205,10 @@ class SegmentStudy(Study):
             raise ValueError(
                 "campaign.sampling belongs to the workflows segment-disturbance and system-disturbance"
             )
-        if self.study.workflow != "segment-disturbance" and (
-            modal or not self.imaging.enabled or store.every > 1 or store.reduce != "none"
-        ):
+        if self.study.workflow != "segment-disturbance" and (modal or not self.imaging.enabled):
             raise ValueError(
-                "optics.method = 'modal', imaging.enabled = false, store.every and store.reduce belong to "
-                "the workflow segment-disturbance"
+                "optics.method = 'modal' and imaging.enabled = false belong to the workflow "
+                "segment-disturbance"
             )
         if modal and self.imaging.enabled:
             raise ValueError("optics.method = 'modal' makes no images; set imaging.enabled = false")
@@ -220,14 +216,14 @@ class SegmentStudy(Study):
             raise ValueError(
                 "optics.method = 'modal' needs wavefront.method = 'opd' and wavefront.reference = 'chief'"
             )
-        if store.reduce == "summary" and (store.keep or store.every > 1):
-            raise ValueError(
-                "store.reduce = 'summary' keeps nothing over time; leave store.keep and store.every out"
-            )
-        fewest = min(entry.instants for entry in self.disturbance if entry.share)
-        if store.every > fewest:
-            raise ValueError(f"store.every is {store.every}, but there are cases of {fewest} instants")
+        if store.reduce == "summary" and store.keep:
+            raise ValueError("store.reduce = 'summary' keeps nothing over time; leave store.keep out")
         return self
+
+    @property
+    def fewest_instants(self) -> int:
+        """Number of instants of the shortest case."""
+        return min(entry.instants for entry in self.disturbance if entry.share)
 
     @classmethod
     def read_files(cls, record: dict[str, Any], base: Path) -> None:

@@ -10,7 +10,6 @@ from wavequake.workflows.bench import Bench, bench_of, in_basis
 from wavequake.workflows.chunk_size import stored_bytes
 from wavequake.workflows.contract import Template, Variable
 from wavequake.workflows.images import image_axis
-from wavequake.workflows.retention import STATISTICS, kept_variables
 from wavequake.workflows.segment_study import SegmentStudy
 
 IMAGED = ("exposure", "ee50", "ee80")
@@ -19,13 +18,12 @@ TRACED_ONLY = ("wfe_pv", "spot_rms", "strehl", "rayleigh", "vignetted", *IMAGED)
 
 
 def template(study_text: str) -> Template:
-    """Return what a store of this study holds."""
+    """Return what a store of this study holds if it keeps every instant."""
     bench = bench_of(study_text)
     found = Template(computed(study_text))
     instants = max(population.instants for population in bench.study.disturbance)
     motion = instants * len(bench.system.segments) * 6 * 8  # of all cases of a chunk at the same time
-    kept = kept_variables(bench.study.store, found.per_case)
-    return Template(kept, _fixed(bench), working_bytes=stored_bytes(found) + motion)
+    return replace(found, fixed=_fixed(bench), working_bytes=stored_bytes(found) + motion)
 
 
 @lru_cache(maxsize=2)
@@ -202,12 +200,6 @@ def _fixed(bench: Bench) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic]
     if bench.study.imaging.enabled:
         for name in ("y", "x"):
             fixed[name] = ((name,), axis, {"units": "lambda/D", "long_name": f"image {name}"})
-    if bench.study.store.reduce == "summary":
-        fixed["statistic"] = (
-            ("statistic",),
-            np.array(STATISTICS, dtype=object),
-            {"long_name": "statistic over the instants of a case"},
-        )
     if "segment_motion" in bench.study.store.keep:
         fixed["segment"] = (
             ("segment",),

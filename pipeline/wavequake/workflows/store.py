@@ -26,6 +26,7 @@ from wavequake.workflows import arrays
 from wavequake.workflows.contract import Template, Workflow
 from wavequake.workflows.difference import first_difference
 from wavequake.workflows.journal import Chunk, Journal, Record, flush
+from wavequake.workflows.retention import stored_template
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -150,7 +151,7 @@ def create_store(
         identity,
         cases,
         chunk,
-        (*workflow.template(study).per_case, *arrays.ENGINE_VARIABLES),
+        (*stored_template(workflow, study).per_case, *arrays.ENGINE_VARIABLES),
         chosen.name,
         chosen.kind,
         dict(provenance),
@@ -167,7 +168,7 @@ def create_store(
 
 def _write_layout(folder: Path, manifest: Manifest, workflow: Workflow) -> None:
     """Write everything of the zarr folder that no chunk writes: metadata, labels, fixed arrays."""
-    template = workflow.template(manifest.study)
+    template = stored_template(workflow, manifest.study)
     labels = _labels(workflow, manifest.study, 0, manifest.cases)
     group = arrays.create_group(folder, _attributes(manifest, template, tuple(labels)))
     for name, variable in {**template.per_case, **arrays.ENGINE_VARIABLES}.items():

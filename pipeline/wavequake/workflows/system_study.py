@@ -115,6 +115,11 @@ class SystemStudy(Study):
         whole_sets(self.campaign, [entry.share for entry in self.disturbance])
         return self
 
+    @property
+    def fewest_instants(self) -> int:
+        """Number of instants of the shortest case."""
+        return min(entry.instants for entry in self.disturbance if entry.share)
+
     @classmethod
     def read_files(cls, record: dict[str, Any], base: Path) -> None:
         """Read the lens file and the spectra of the line of sight."""

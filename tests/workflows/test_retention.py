@@ -1,0 +1,266 @@
+"""What stores of every workflow keep, against NumPy's statistics of stores that keep everything."""
+
+import numpy as np
+import pytest
+import small_mirrors
+import small_segments
+import small_telescope
+import toy
+
+from wavequake.errors import UserError
+from wavequake.workflows.campaign import WORKFLOWS, run_study
+from wavequake.workflows.chunks import Job, computed_alone, computed_chunk, opened_store
+from wavequake.workflows.contract import DIVERGED, DONE, Template, Variable, Workflow
+from wavequake.workflows.retention import STATISTICS, kept_template, retention_of
+from wavequake.workflows.store import create_store, open_store
+from wavequake.workflows.study import STUDIES, load_study, study_with
+
+SYSTEM = """
+[study]
+name = "parabola"
+workflow = "system-disturbance"
+[system]
+entrance_diameter_mm = 100.0
+fields_arcmin = [[0.0, 0.0], [3.0, 0.0]]
+wavelengths_nm = [500.0, 1000.0]
+[[system.surface]]
+name = "mirror"
+radius_mm = -2000.0
+conic = -1.0
+glass = "mirror"
+stop = true
+[[system.surface]]
+name = "image"
+distance_mm = 1000.0
+[optics]
+rays = 40
+[wavefront]
+zernike_terms = 6
+[[disturbance]]
+name = "hum"
+model = "surface-vibration"
+of = ["image"]
+instants = 7
+lines = [{ frequency_hz = 10.0, amplitude = { dy_um = 7.0, rx_urad = 5.0 } }]
+[[disturbance]]
+name = "sight"
+model = "line-of-sight"
+rms_mas = 50.0
+instants = 3
+"""
+MIRROR = {**small_mirrors.TRACE, "time.duration_s": 0.002}
+MOR = {**small_mirrors.MOR, "time.duration_s": 0.002, "reduction.variants": ["craigb18"]}
+EXPOSURE = {
+    "model.rings": 2,
+    "reduction.variants": ["craigb18"],
+    "imaging.pixels": 16,
+    "imaging.pupil_samples": 32,
+    "imaging.instants": 3,
+    "imaging.scale": 0.003,
+    "optics.rays": 120,
+    "optics.zernike_terms": 11,
+    "time.duration_s": 0.002,
+}
+TELESCOPE = {
+    "imaging.pixels": 16,
+    "optics.rays_per_segment": 6,
+    "wavefront.zernike_terms": 6,
+    "disturbance.mount.instants": 4,
+}
+EXPOSED = small_telescope.STUDY.replace("segment-disturbance", "telescope-exposure")
+LENS = {"time.duration_s": 2.0, "time.step_ms": 20.0, "bench.springs": ["initial"]}
+SEGMENTS = {"segments.disturbed": ["one"], "reduction.variants": ["modal12"], "excitation.sine.name": "hum"}
+# Study, changed keys, cases.
+SMALL = {
+    "system-disturbance": (SYSTEM, {}, 5),
+    "segment-disturbance": (small_telescope.STUDY, {"imaging.enabled": False}, 7),
+    "telescope-exposure": (EXPOSED, TELESCOPE, 3),
+    "lens-experiment": ("lens-experiment", LENS, 3),
+    "mirror-trace": ("mirror-trace", MIRROR, None),
+    "mirror-mor": ("mirror-mor", MOR, None),
+    "mirror-exposure": ("mirror-exposure", EXPOSURE, None),
+    "segment-mor": (small_segments.STUDY, SEGMENTS, None),
+}
+pytestmark = pytest.mark.usefixtures("mirror_models")
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """Return the study of a workflow, all that it computes, and what its store keeps under some keys."""
+    folder, kept = tmp_path_factory.mktemp("retention"), {}
+
+    def study_of(name):
+        text, keys, cases = SMALL[name]
+        if "\n" in text:
+            path = folder / f"{name}.toml"
+            path.write_text(text)
+            text = path
+        return load_study(text, {**keys, **({"campaign.cases": cases} if cases else {})})
+
+    def dataset(name, **keys):
+        place = folder / "-".join([name, *map(str, keys.values())])
+        if place not in kept:
+            chosen = {f"store.{key}": value for key, value in keys.items()}
+            run_study(study_with(study_of(name), chosen), place, on="serial")
+            kept[place] = open_store(place).load()
+        return kept[place]
+
+    return study_of, dataset
+
+
+def over_time(dataset):
+    return [name for name in dataset.variables if "time" in dataset[name].dims]
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_decimated_stores_hold_the_same_bits_at_every_other_instant(small, name):
+    _, dataset = small
+    whole, short = dataset(name), dataset(name, every=2)
+    assert set(whole.variables) == set(short.variables)
+    assert (short["status"] == DONE).all()
+    assert len(over_time(whole)) > 2
+    for key in whole.variables:
+        if key == "seconds" or key == "reduce_seconds":
+            continue
+        expected = whole[key].isel(time=slice(1, None, 2)) if "time" in whole[key].dims else whole[key]
+        np.testing.assert_array_equal(short[key].to_numpy(), expected.to_numpy(), err_msg=key)
+        assert short[key].attrs == whole[key].attrs
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_summaries_are_the_statistics_of_the_histories(small, name):
+    _, dataset = small
+    whole, short = dataset(name), dataset(name, reduce="summary")
+    assert "time" not in short.dims
+    assert tuple(short["statistic"].to_numpy()) == STATISTICS
+    for key in whole.data_vars:
+        values = whole[key]
+        if "time" not in values.dims:
+            if key != "seconds" and key != "reduce_seconds":
+                np.testing.assert_array_equal(short[key].to_numpy(), values.to_numpy())
+            continue
+        if "case" not in values.dims:  # the hammer's force
+            assert key not in short
+            continue
+        for case in range(whole.sizes["case"]):
+            # One history after the other, in NumPy's own words.
+            one = values.isel(case=case).transpose("time", ...).to_numpy().astype(np.float64)
+            if "time_s" in whole:
+                one = one[np.isfinite(whole["time_s"].isel(case=case).to_numpy())]
+            if "noll" in values.dims:
+                found = short[f"{key}_rms"].isel(case=case)
+                assert found.dims == tuple(dim for dim in values.dims if dim not in ("case", "time"))
+                np.testing.assert_allclose(found, np.sqrt((one**2).mean(0)), rtol=1e-12, err_msg=key)
+                continue
+            if "axis" in values.dims:
+                one = np.hypot(one[..., 0], one[..., 1])
+            found = short[key].isel(case=case).transpose("statistic", ...).to_numpy()
+            for place in np.ndindex(one.shape[1:]):
+                history = one[(slice(None), *place)]
+                expected = [
+                    np.mean(history),
+                    np.sqrt(np.mean(history * history)),
+                    min(history),
+                    max(history),
+                    np.percentile(history, 95),
+                    history[-1],
+                ]
+                np.testing.assert_allclose(
+                    found[(slice(None), *place)], expected, rtol=1e-12, atol=0.0, err_msg=key
+                )
+        assert short[key if key in short else f"{key}_rms"].attrs["units"] == values.attrs["units"]
+    small_bytes = sum(short[key].nbytes for key in short.data_vars if "statistic" in short[key].dims)
+    assert small_bytes < sum(whole[key].nbytes for key in over_time(whole))
+
+
+@pytest.mark.parametrize("name", ["system-disturbance", "lens-experiment", "telescope-exposure"])
+def test_each_case_alone_has_the_bits_that_it_has_in_a_chunk(small, name, tmp_path):
+    study_of, dataset = small
+    whole = dataset(name, reduce="summary")
+    study = study_with(study_of(name), {"store.reduce": "summary"})
+    run_study(study_with(study, {"store.chunk_cases": 1}), tmp_path / "s", on="serial")
+    assert whole.drop_attrs().identical(open_store(tmp_path / "s").load().drop_attrs())
+
+
+def test_the_identity_changes_with_what_is_kept_only(small):
+    study_of, _ = small
+    for name in SMALL:
+        study = study_of(name)
+        assert study.identity() == study_with(study, {"store.every": 1, "store.reduce": "none"}).identity()
+        kept = [
+            study_with(study, {key: value})
+            for key, value in (("store.every", 2), ("store.reduce", "summary"))
+        ]
+        assert len({study.identity(), *(one.identity() for one in kept)}) == 3
+        assert retention_of(kept[0].identity_text()).every == 2
+    plain = study_of("system-disturbance").identity_text()
+    assert '"store":{}' in plain  # as before there was anything to choose
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_what_does_not_fit_is_refused(small, name):
+    study_of, _ = small
+    study = study_of(name)
+    with pytest.raises(UserError, match=r"'summary' keeps nothing over time; leave store.every out"):
+        study_with(study, {"store.reduce": "summary", "store.every": 2})
+    with pytest.raises(UserError, match=r"store.every is 5000, but there are cases of \d+ instants"):
+        study_with(study, {"store.every": 5000})
+    with pytest.raises(UserError, match=r"store.every: .* greater than or equal to 1"):
+        study_with(study, {"store.every": 0})
+    with pytest.raises(UserError, match=r"store.reduce: .*'none' or 'summary'"):
+        study_with(study, {"store.reduce": "all"})
+
+
+def test_a_workflow_without_histories_has_nothing_to_thin_out():
+    for keys in ({"store.every": 2}, {"store.reduce": "summary"}):
+        with pytest.raises(UserError, match=r"lens-passive stores nothing over time"):
+            load_study("lens-passive", keys)
+
+
+def test_every_workflow_is_tested_here():
+    assert set(SMALL) == set(STUDIES) - {"lens-passive"} == set(WORKFLOWS) - {"lens-passive"}
+
+
+def toy_store(tmp_path, **options):
+    text = toy.study(**options)
+    create_store(tmp_path / "s", toy.TOY, text, 6, 6, "numpy", {})
+    return Job(toy.TOY, str(tmp_path / "s"), "numpy", "run"), text
+
+
+@pytest.mark.parametrize("store", [{"every": 4}, {"reduce": "summary"}])
+def test_a_case_that_blows_up_between_kept_instants_is_found(tmp_path, store):
+    """Case 2 is infinite at the third instant of four, and no number at the last."""
+    job, _ = toy_store(tmp_path, store=store, blow=[2])
+    result, _ = computed_chunk(job, 0, 6)
+    assert [int(code) for code in result.status] == [DONE, DONE, DIVERGED, DONE, DONE, DONE]
+    assert result.messages[2] == "zernike is not finite from instant 2 on"
+
+
+def test_a_case_that_fails_has_no_statistics(tmp_path):
+    job, _ = toy_store(tmp_path, store={"reduce": "summary"}, reasons=[1], poison=[4])
+    result, _ = computed_chunk(job, 0, 6)
+    lost = np.isnan(result.arrays["zernike_rms"]).all(axis=1)
+    assert np.flatnonzero(lost).tolist() == [1, 4]
+    expected = np.sqrt((toy.numbers(3) ** 2).mean(axis=0))
+    np.testing.assert_allclose(result.arrays["zernike_rms"][3], expected, rtol=1e-14)
+    opened = opened_store(job.workflow, job.path, job.run)
+    alone = computed_alone(job, opened, 3).arrays
+    np.testing.assert_array_equal(alone["zernike_rms"][0], result.arrays["zernike_rms"][3])
+
+
+def test_a_template_says_what_is_computed_at_a_time():
+    """A summary of 1000 instants is small, but the chunk that makes it is not."""
+    attrs = {"units": "nm", "long_name": "history"}
+    history = Variable(("controller", "time", "axis"), (2, 1000, 2), attrs, dtype="float32")
+    fixed = {"time": (("time",), np.arange(1000.0), {}), "axis": (("axis",), np.array(["x", "y"]), {})}
+    computed = Template({"los": history}, fixed, working_bytes=10)
+    kept = kept_template(retention_of('{"store": {"reduce": "summary"}}'), computed)
+    assert (kept.per_case["los"].dims, kept.per_case["los"].shape) == (("controller", "statistic"), (2, 6))
+    assert kept.per_case["los"].dtype == "float64"
+    assert kept.working_bytes == 2 * 1000 * 2 * 4
+    assert set(kept.fixed) == {"axis", "statistic"}
+    third = kept_template(retention_of('{"store": {"every": 3}}'), computed)
+    assert third.per_case["los"].shape == (2, 333, 2)
+    np.testing.assert_array_equal(third.fixed["time"][1], np.arange(2.0, 999.0, 3.0))
+    workflow = Workflow("w", lambda text: computed, toy.case_table, toy.compute)
+    assert kept_template(retention_of("{}"), workflow.template("{}")) is computed
