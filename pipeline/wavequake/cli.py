@@ -244,13 +244,20 @@ def report(
         str | None,
         typer.Option(help="Controller that is animated (disturbed), or excitation of a mirror (the first)."),
     ] = None,
+    format: Annotated[
+        str | None, typer.Option(help="Format of the animation: gif (default), or mp4, which needs ffmpeg.")
+    ] = None,
 ) -> None:
     """Print the table of a store and write its HTML report."""
+    for option, value in (("--controller", controller), ("--format", format)):
+        if value is not None and animate is None:
+            raise UserError(f"{option} belongs to an animation; say --animate CASE, too.")
     _write_report(store, fresh=True)
     if animate is not None:
         from wavequake.report.animation import animate_case
 
-        out.print(f"Written: {animate_case(store, animate, controller)}", markup=False, soft_wrap=True)
+        film = animate_case(store, animate, controller, kind=format or "gif")
+        out.print(f"Written: {film}", markup=False, soft_wrap=True)
 
 
 @app.command()

@@ -1,5 +1,6 @@
 """Exposures of a shaken mirror against sums over its pupil, and the reports of both exposure workflows."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -206,12 +207,69 @@ def test_a_case_is_animated(telescope_store):
 def test_what_cannot_be_animated(telescope_store, case, controller, words):
     with pytest.raises(UserError, match=words):
         animate_case(telescope_store, case, controller)
+    with pytest.raises(UserError, match="there is no format 'avi'; choose one of gif, mp4"):
+        animate_case(telescope_store, 0, kind="avi")
 
 
 def test_the_command_line_animates(telescope_store):
     result = CliRunner().invoke(app, ["report", str(telescope_store), "--animate", "1"])
     assert result.exit_code == 0, result.output
     assert (telescope_store / "case-1-disturbed.gif").stat().st_size > 1000
+
+
+def test_the_command_line_writes_an_mp4(telescope_store):
+    if shutil.which("ffmpeg") is None:
+        pytest.skip("ffmpeg, which writes MP4, is not installed (apt install ffmpeg)")
+    result = CliRunner().invoke(app, ["report", str(telescope_store), "--animate", "1", "--format", "mp4"])
+    assert result.exit_code == 0, result.output
+    film = (telescope_store / "case-1-disturbed.mp4").read_bytes()
+    assert film[4:8] == b"ftyp"  # the first box of an MP4 (ISO/IEC 14496-12)
+    assert b"avc1" in film
+    assert len(film) > 5000
+
+
+def program(folder, script):
+    """Put a program called ffmpeg alone on the PATH, but for /bin."""
+    path = folder / "ffmpeg"
+    path.write_text("#!/bin/sh\n" + script)
+    path.chmod(0o755)
+    return f"{folder}:/bin:/usr/bin"
+
+
+def test_an_mp4_has_the_frames_of_the_gif(telescope_store, tmp_path, monkeypatch):
+    """What ffmpeg is sent: raw pixels, one frame after the other."""
+    monkeypatch.setenv("PATH", program(tmp_path, 'for last; do :; done\ncat > "$last"\n'))
+    sent = animate_case(telescope_store, 0, "elastic", "numpy", "mp4").read_bytes()
+    path = animate_case(telescope_store, 0, "elastic", "numpy")
+    with Image.open(path) as film:
+        frames = np.frombuffer(sent, np.uint8).reshape(film.n_frames, film.height, film.width, 4)
+        for number, frame in enumerate(frames):
+            film.seek(number)
+            off = np.abs(np.asarray(film.convert("RGB"), dtype=int) - frame[..., :3])
+            assert off.mean() < 3.0  # the GIF has 256 colors
+    assert np.abs(frames[5].astype(int) - frames[0]).max() > 100
+
+
+def test_an_mp4_without_ffmpeg_names_the_package(telescope_store, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    before = set(telescope_store.iterdir())
+    with pytest.raises(UserError, match="not on the PATH: install the package ffmpeg"):
+        animate_case(telescope_store, 0, "elastic", "numpy", "mp4")
+    assert set(telescope_store.iterdir()) == before
+
+
+def test_an_ffmpeg_that_fails_leaves_nothing(telescope_store, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", program(tmp_path, 'echo "Unknown encoder h264" >&2\nexit 1\n'))
+    before = set(telescope_store.iterdir())
+    with pytest.raises(UserError, match=r"could not write the MP4 \(Unknown encoder h264\)"):
+        animate_case(telescope_store, 0, "rigid", "numpy", "mp4")
+    assert set(telescope_store.iterdir()) == before
+
+
+@pytest.mark.parametrize(("option", "value"), [("--controller", "elastic"), ("--format", "mp4")])
+def test_options_of_an_animation_need_one(telescope_store, option, value):
+    result = CliRunner().invoke(app, ["report", str(telescope_store), option, value])
+    assert f"{option} belongs to an animation" in str(result.exception)
 
 
 def test_a_mirror_is_animated(store):

@@ -1,11 +1,13 @@
 """A moving picture of one case of an exposure: wavefront, image and line of sight over time."""
 
-from collections.abc import Sequence
+import subprocess
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.animation import FFMpegWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
@@ -38,6 +40,8 @@ Array = NDArray[np.float64]
 
 _MOST_FRAMES = 60
 _FRAMES_PER_SECOND = 12
+_DOTS_PER_INCH = 80
+FORMATS = ("gif", "mp4")
 
 
 @dataclass(frozen=True)
@@ -69,8 +73,10 @@ class Film:
     sampling: float
 
 
-def animate_case(store: Path, case: int, of: str | None = None, device: str = "auto") -> Path:
-    """Write an animated GIF of one case into its store's folder and return where it is.
+def animate_case(
+    store: Path, case: int, of: str | None = None, device: str = "auto", kind: str = "gif"
+) -> Path:
+    """Write a moving picture of one case into its store's folder and return where it is.
 
     The case is computed anew from its seed, at most 60 instants of it.
 
@@ -83,12 +89,20 @@ def animate_case(store: Path, case: int, of: str | None = None, device: str = "a
         The controller ("disturbed" by default), or the excitation of a mirror (the first by default).
     device : str
         Where to compute.
+    kind : {"gif", "mp4"}
+        Format; the program ffmpeg writes MP4.
 
     Raises
     ------
     UserError
-        If the store is not one of an exposure, or case, controller or excitation do not exist.
+        If the store is not one of an exposure, case, controller or excitation do not exist, or ffmpeg is
+        missing or fails.
     """
+    if _named(kind, FORMATS, "format") == "mp4" and not FFMpegWriter.isAvailable():
+        raise UserError(
+            "an MP4 needs the program ffmpeg, which is not on the PATH: install the package ffmpeg "
+            "(apt install ffmpeg, brew install ffmpeg), or take the format gif"
+        )
     manifest = read_manifest(store)
     if case not in range(manifest.cases):
         raise UserError(f"{store} has cases 0 to {manifest.cases - 1}; there is no case {case}")
@@ -104,8 +118,13 @@ def animate_case(store: Path, case: int, of: str | None = None, device: str = "a
             f"only stores of telescope-exposure and mirror-exposure can be animated; {store} is one of "
             f"{manifest.workflow}"
         )
-    path = Path(store) / f"case-{case}-{name}.gif"
-    _write(path, film)
+    path = Path(store) / f"case-{case}-{name}.{kind}"
+    unfinished = path.with_name(f".{path.name}.part")
+    try:
+        (_write_gif if kind == "gif" else _write_mp4)(unfinished, film)
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
     return path
 
 
@@ -181,9 +200,40 @@ def _mirror(study_text: str, case: int, excitation: int, device: str) -> Film:
 
 
 @rc_context(STYLE)
-def _write(path: Path, film: Film) -> None:
-    figure = Figure(figsize=(7.2, 3.4), dpi=80, layout="constrained")
-    canvas = FigureCanvasAgg(figure)
+def _write_gif(path: Path, film: Film) -> None:
+    figure = _figure()
+    frames = []
+    for _ in _drawn(figure, film):
+        drawn = np.asarray(figure.canvas.buffer_rgba())  # type: ignore[attr-defined]
+        frames.append(Image.fromarray(drawn[..., :3].copy()))
+    milliseconds = 1000 // _FRAMES_PER_SECOND
+    frames[0].save(path, "GIF", save_all=True, append_images=frames[1:], duration=milliseconds, loop=0)
+
+
+@rc_context(STYLE)
+def _write_mp4(path: Path, film: Film) -> None:
+    figure = _figure()
+    # H.264 for players and browsers alike; the name of an unfinished file does not tell the format.
+    writer = FFMpegWriter(_FRAMES_PER_SECOND, codec="h264", extra_args=["-f", "mp4"])
+    try:
+        with writer.saving(figure, str(path), _DOTS_PER_INCH):
+            for _ in _drawn(figure, film):
+                writer.grab_frame()
+    except (subprocess.CalledProcessError, OSError) as error:
+        said = (getattr(error, "stderr", None) or str(error)).strip().splitlines()
+        raise UserError(
+            f"ffmpeg could not write the MP4 ({said[-1]}); mend it, or take the format gif"
+        ) from None
+
+
+def _figure() -> Figure:
+    figure = Figure(figsize=(7.2, 3.4), dpi=_DOTS_PER_INCH, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _drawn(figure: Figure, film: Film) -> Iterator[None]:
+    """Draw one instant after the other."""
     left, right = figure.subplots(1, 2)
     waves, images, sampling = film.waves, film.images, film.sampling
     reach = max(float(np.abs(waves).max()), 1e-9)
@@ -202,15 +252,11 @@ def _write(path: Path, film: Film) -> None:
     (track,) = right.plot([], [], color="#ff4d4d", linewidth=0.8)
     right.set_xlabel("image x (λ/D)")
     right.set_autoscale_on(False)
-    frames = []
     for number, instant in enumerate(film.time_ms):
         dots.set_array(waves[number])
         picture.set_data(np.maximum(images[number], 1e-4 * top))
         track.set_data(film.los[: number + 1, 0], film.los[: number + 1, 1])
         left.set_title(f"t = {instant:.1f} ms")
-        canvas.draw()  # type: ignore[no-untyped-call]
+        figure.canvas.draw()
         figure.set_layout_engine("none")  # the first frame's is that of all, and takes as long as the frame
-        drawn = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
-        frames.append(Image.fromarray(drawn[..., :3].copy()))
-    milliseconds = 1000 // _FRAMES_PER_SECOND
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=milliseconds, loop=0)
+        yield
