@@ -3,7 +3,7 @@
 // Work-item (lane group, ray, tile). Compile-time constants: W instants in a vector, TURNS vectors per
 // work-item, EDGES per segment
 // (0: no edge), DEGREE and MIRROR_DEGREE of the figure polynomials of segments and of the mirrors after M1
-// (-1: none), SURFACES after M1 (the last is the image plane), PLANES (bit i: surface i is a plane), EDGED
+// (-1: none), SEGMENT_RING and MIRROR_RING (whether these are evaluated by recurrences), SURFACES after M1 (the last is the image plane), PLANES (bit i: surface i is a plane), EDGED
 // (bit i: surface i has an edge).
 
 #include "lanes.h"
@@ -13,16 +13,24 @@
 
 enum { OK = 0, GAP = 1, MISS = 2 };
 
+#if SEGMENT_RING || MIRROR_RING
+#define EACH 16
+#define READ(place) LOAD(place)
+#include "ring.h"
+#endif
 #if DEGREE >= 0
 #define FIGURE(part) segment_figure_##part
 #define ORDER DEGREE
+#define RING SEGMENT_RING
 #include "figure.h"
 #undef FIGURE
 #undef ORDER
+#undef RING
 #endif
 #if MIRROR_DEGREE >= 0
 #define FIGURE(part) mirror_figure_##part
 #define ORDER MIRROR_DEGREE
+#define RING MIRROR_RING
 #include "figure.h"
 #endif
 
@@ -89,6 +97,7 @@ __kernel void segmented(
     __global const double *edges, __global const double *frames,
     __global const double *curvatures, __global const double *conics_plus_1,
     __global const double *clear_squares, __global const double *mirror_frames,
+    __global const double *segment_steps, __global const double *mirror_steps,
     __global const double *segment_poses, __global const double *figures,
     __global const double *surface_poses, __global const double *mirror_figures,
     __global const double *directions, __global const double *chief,
@@ -148,10 +157,11 @@ __kernel void segmented(
 #if DEGREE >= 0
         __global const double *figure = figures + (size_t)segment * TERMS(DEGREE) * 16;
         real further[TURNS];
-        EACH_TURN further[k] = segment_figure_first(figure + k * W, frames + 4 * segment, m[k].hit,
-                                                    m[k].direction, m[k].lean);
-        EACH_TURN further[k] += segment_figure_second(figure + k * W, frames + 4 * segment, m[k].hit,
-                                                      m[k].direction, further[k], c, k1, &m[k].lean);
+        EACH_TURN further[k] = segment_figure_first(figure + k * W, segment_steps, frames + 4 * segment,
+                                                    m[k].hit, m[k].direction, m[k].lean);
+        EACH_TURN further[k] += segment_figure_second(figure + k * W, segment_steps, frames + 4 * segment,
+                                                      m[k].hit, m[k].direction, further[k], c, k1,
+                                                      &m[k].lean);
         EACH_TURN m[k].hit = along(m[k].hit, further[k], m[k].direction);
         EACH_TURN m[k].step += further[k];
 #endif
@@ -191,11 +201,11 @@ __kernel void segmented(
 #if MIRROR_DEGREE >= 0
         __global const double *figure = mirror_figures + i * TERMS(MIRROR_DEGREE) * 16;
         real further[TURNS];
-        EACH_TURN further[k] = mirror_figure_first(figure + k * W, mirror_frames + i * 4, r[k].position,
-                                                   r[k].direction, normal[k]);
-        EACH_TURN further[k] += mirror_figure_second(figure + k * W, mirror_frames + i * 4, r[k].position,
-                                                     r[k].direction, further[k], curvatures[i],
-                                                     conics_plus_1[i], &normal[k]);
+        EACH_TURN further[k] = mirror_figure_first(figure + k * W, mirror_steps, mirror_frames + i * 4,
+                                                   r[k].position, r[k].direction, normal[k]);
+        EACH_TURN further[k] += mirror_figure_second(figure + k * W, mirror_steps, mirror_frames + i * 4,
+                                                     r[k].position, r[k].direction, further[k],
+                                                     curvatures[i], conics_plus_1[i], &normal[k]);
         EACH_TURN advance(&r[k], further[k]);
         EACH_TURN step[k] += further[k];
 #endif

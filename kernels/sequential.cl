@@ -199,38 +199,19 @@ INLINE real monomials(__global const double *a, const int degree, double inverse
     return value;
 }
 
-// Clenshaw's recurrence and its derivative, in v, then in u; b1 and b2 are its last two values, d1 and d2
-// their derivatives along u, e1 and e2 along v.
-INLINE real chebyshev(__global const double *a, const int degree, double inverse_radius, real x, real y,
-                      real *slope_x, real *slope_y)
+#define EACH 1
+#define READ(place) (*(place))
+#include "ring.h"
+
+// The first of `step` is 1 / radius; the others follow.
+INLINE real ring(__global const double *a, const int degree, __global const double *step, real x, real y,
+                 real *slope_x, real *slope_y)
 {
-    real u = inverse_radius * x, v = inverse_radius * y;
-    real b1 = 0.0, b2 = 0.0, d1 = 0.0, d2 = 0.0, e1 = 0.0, e2 = 0.0;
-    real inner, inner_v;
-    for (int i = degree; i >= 0; --i) {
-        real c1 = 0.0, c2 = 0.0, s1 = 0.0, s2 = 0.0;
-        for (int j = degree - i; j > 0; --j) {
-            real s = 2.0 * (c1 + v * s1) - s2, c = TERM(i, j) + 2.0 * v * c1 - c2;
-            s2 = s1;
-            s1 = s;
-            c2 = c1;
-            c1 = c;
-        }
-        inner = TERM(i, 0) + v * c1 - c2;
-        inner_v = c1 + v * s1 - s2;
-        if (i > 0) {
-            real d = 2.0 * (b1 + u * d1) - d2, b = inner + 2.0 * u * b1 - b2, e = inner_v + 2.0 * u * e1 - e2;
-            d2 = d1;
-            d1 = d;
-            b2 = b1;
-            b1 = b;
-            e2 = e1;
-            e1 = e;
-        }
-    }
-    *slope_x += inverse_radius * (b1 + u * d1 - d2);
-    *slope_y += inverse_radius * (inner_v + u * e1 - e2);
-    return inner + u * b1 - b2;
+    real along_u, along_v;
+    real value = ring_sum(a, degree, step + 1, step[0] * x, step[0] * y, &along_u, &along_v);
+    *slope_x += step[0] * along_u;
+    *slope_y += step[0] * along_v;
+    return value;
 }
 
 #if W > 1

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from wavequake.kernels.devices import NUMPY, Device, list_devices
-from wavequake.kernels.sequence import Element, Grid, Polynomial, Rays
+from wavequake.kernels.sequence import Element, Grid, Polynomial, Rays, Ring
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 # Processors also run the variant for GPUs: one ray per work-item, copied buffers.
@@ -51,8 +51,8 @@ def paraboloids():
     power = -1.0 / 4000.0
     square = np.zeros(6)
     square[[3, 5]] = power * 100.0**2
-    chebyshev = np.zeros(6)
-    chebyshev[[0, 3, 5]] = power * 100.0**2 * np.array([1.0, 0.5, 0.5])
+    zernike = np.zeros(6)
+    zernike[4:] = power * 100.0**2 * np.array([0.5 / np.sqrt(3.0), 0.5])  # defocus and piston come last
     place = -120.0 + 8.0 * np.arange(31)
     # The B-spline of x^2 has the coefficients x_k^2 - dx^2 / 3.
     nodes = power * (place[:, None] ** 2 + place**2 - 2.0 * 8.0**2 / 3.0)
@@ -61,14 +61,14 @@ def paraboloids():
         "conic": (Element(-1.0 / 2000.0, -1.0, "reflect"), None, None),
         "even": (replace(mirror, even=(power,)), None, None),
         "polynomial": (replace(mirror, polynomial=Polynomial(2, 100.0, square)), None, None),
-        "chebyshev": (
-            replace(mirror, polynomial=Polynomial(2, 100.0, chebyshev, "chebyshev")), None, None
+        "ring": (
+            replace(mirror, polynomial=Polynomial(2, 100.0, zernike, Ring())), None, None
         ),
         "grid": (replace(mirror, grid=Grid(-120.0, -120.0, 8.0, 8.0, nodes)), None, None),
         "moving": (replace(mirror, deformation_degree=2, deformation_radius=100.0), square[None], None),
-        "moving chebyshev": (
-            replace(mirror, deformation_degree=2, deformation_radius=100.0, deformation_basis="chebyshev"),
-            chebyshev[None],
+        "moving ring": (
+            replace(mirror, deformation_degree=2, deformation_radius=100.0, deformation_basis=Ring()),
+            zernike[None],
             None,
         ),
         "moving grid": (
@@ -81,10 +81,10 @@ def paraboloids():
                 -1.0 / 8000.0, -1.0, "reflect", even=(power / 4,),
                 polynomial=Polynomial(2, 100.0, square / 8),
                 grid=Grid(-120.0, -120.0, 8.0, 8.0, nodes / 8),
-                deformation_degree=2, deformation_radius=100.0, deformation_basis="chebyshev",
+                deformation_degree=2, deformation_radius=100.0, deformation_basis=Ring(),
                 deformation_grid=Grid(-120.0, -120.0, 8.0, 8.0, np.zeros((4, 4))),
             ),
-            chebyshev[None] / 8,
+            zernike[None] / 8,
             nodes[None] / 8,
         ),
     }  # fmt: skip

@@ -7,6 +7,7 @@ from segmented_cases import NAMES, OPENCL, assert_close
 from wavequake.kernels.devices import NUMPY
 from wavequake.kernels.example import two_mirrors
 from wavequake.kernels.segmented import trace_chief, trace_segmented
+from wavequake.kernels.sequence import Ring
 from wavequake.kernels.tiles import TILE
 from wavequake.kernels.train import vignetted
 
@@ -29,6 +30,25 @@ def test_opencl_agrees_with_the_twin_on_figured_mirrors(device, segments, mirror
     assert_close(trace_segmented(**arguments, device=device), trace_segmented(**arguments, device=NUMPY))
 
 
+@pytest.mark.parametrize("device", OPENCL, ids=NAMES["ids"])
+def test_opencl_agrees_with_the_twin_on_figures_of_high_degree(device):
+    """Recurrences on circles and rings, of both parities, beside one another and beside monomials."""
+    for segments, mirror, rings in [(23, 26, (Ring(), Ring(0.1))), (22, 2, (Ring(0.1), "monomial"))]:
+        arguments = with_mirror_figure(two_mirrors(tiles=2, degree=segments), mirror, 1e-6)
+        train = replace(arguments["train"], figure_basis=rings[0], mirror_basis=rings[1])
+        arguments["chief"] = trace_chief(
+            train,
+            arguments["surface_poses"],
+            arguments["directions"],
+            -100.0,
+            mirror_figure=arguments["mirror_figure"],
+        )
+        arguments["train"] = train
+        traced = trace_segmented(**arguments, device=device)
+        assert (traced.status == 0).any()
+        assert_close(traced, trace_segmented(**arguments, device=NUMPY))
+
+
 @pytest.mark.parametrize("device", **NAMES)
 def test_a_constant_figure_of_a_mirror_is_a_shift_of_it(device):
     arguments = with_mirror_figure(two_mirrors(), 0, 0.01)
@@ -46,16 +66,20 @@ def test_a_constant_figure_of_a_mirror_is_a_shift_of_it(device):
 
 
 @pytest.mark.parametrize("device", **NAMES)
-def test_a_parabolic_figure_makes_a_plane_mirror_a_paraboloid(device):
+@pytest.mark.parametrize("basis", ["monomial", Ring()], ids=str)
+def test_a_parabolic_figure_makes_a_plane_mirror_a_paraboloid(basis, device):
     """A flat secondary plus c (x^2 + y^2) / 2, micrometers, against the paraboloid of curvature c."""
     arguments = two_mirrors()
     curvature, radius = 1e-8, 900.0
     flat = replace(
         arguments["train"], surface_curvatures=np.zeros(2), surface_conics=np.zeros(2),
-        mirror_degree=2, mirror_radii=np.array([radius]),
+        mirror_degree=2, mirror_radii=np.array([radius]), mirror_basis=basis,
     )  # fmt: skip
     figure = np.zeros((1, 1, 6, TILE))
-    figure[:, :, [3, 5]] = curvature * radius**2 / 2
+    # rho^2 is x^2 + y^2, or half of piston plus defocus / sqrt(3), which come last on a ring
+    shares = {3: 1.0, 5: 1.0} if basis == "monomial" else {4: 0.5 / np.sqrt(3.0), 5: 0.5}
+    for term, share in shares.items():
+        figure[:, :, term] = share * curvature * radius**2 / 2
     round_ = replace(
         arguments["train"],
         surface_curvatures=np.array([curvature, 0.0]),

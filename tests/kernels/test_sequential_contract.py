@@ -19,6 +19,7 @@ from wavequake.kernels.sequence import (
     Polynomial,
     Rays,
     Region,
+    Ring,
     Sequence,
     terms,
 )
@@ -41,8 +42,8 @@ SYSTEMS = {
     ],
     "mirrors": ["conic reflect", "moving reflect polygon", "plane reflect", "moving grid reflect", "plane"],
     "high": [
-        "chebyshev moving refract",
-        "chebyshev grid reflect blocked",
+        "ring moving refract",
+        "ring grid reflect blocked",
         "moving moving grid refract",
         "conic",
     ],
@@ -58,13 +59,14 @@ def random_element(words, random, scale):
     if "even" in words:
         parts["even"] = tuple(random.normal(size=3) * scale / 10.0 ** np.array([2, 4, 6]))
     grid = Grid(-12.0, -13.0, 4.0, 5.0, scale * random.normal(size=(7, 8)))
-    if "polynomial" in words or "chebyshev" in words:
-        basis, degree = ("chebyshev", 17) if "chebyshev" in words else ("monomial", 5)
+    if "polynomial" in words or "ring" in words:
+        basis, degree = (Ring(random.choice([0.0, 0.2])), 24) if "ring" in words else ("monomial", 5)
         coefficients = scale * random.normal(size=terms(degree)) / (1.0 + np.arange(terms(degree)))
+        coefficients = coefficients[::-1].copy() if "ring" in words else coefficients
         parts["polynomial"] = Polynomial(degree, 20.0, coefficients, basis)
     if "moving" in words:
         parts |= {"deformation_degree": 4, "deformation_radius": 20.0}
-        parts["deformation_basis"] = "chebyshev" if "grid" in words else "monomial"
+        parts["deformation_basis"] = Ring() if "grid" in words else "monomial"
         deformation = scale * random.normal(size=(INSTANTS, 15))
     if "grid" in words:
         parts |= {"grid": grid}

@@ -15,6 +15,7 @@ from wavequake.kernels.sequence import (
     Moving,
     Polynomial,
     Rays,
+    Ring,
     Sequence,
 )
 from wavequake.kernels.sequential import trace_sequence
@@ -24,8 +25,8 @@ from wavequake.kernels.sequential_numpy import sag_and_slopes
 def surfaces():
     """One element of each kind, all bent enough to need several steps; with its moving parts."""
     random = np.random.default_rng(7)
-    monomials, chebyshev = 2.0 * random.normal(size=(2, 28)) / (1.0 + np.arange(28))
-    high = random.normal(size=231) / (1.0 + np.arange(231.0)) ** 1.5
+    monomials, others = 2.0 * random.normal(size=(2, 28)) / (1.0 + np.arange(28))
+    high = random.normal(size=300) / (1.0 + np.arange(300.0)[::-1]) ** 1.5
     nodes = random.normal(size=(21, 17))
     grid = Grid(-80.0, -90.0, 10.0, 9.0, nodes)
     bent = Element(1.0 / 400.0, -0.7)
@@ -34,11 +35,11 @@ def surfaces():
         "conic": (bent, None, None),
         "even": (replace(bent, even=(1e-4, -2e-8, 1e-13)), None, None),
         "polynomial": (replace(bent, polynomial=Polynomial(6, 90.0, monomials)), None, None),
-        "chebyshev": (replace(bent, polynomial=Polynomial(20, 120.0, high, "chebyshev")), None, None),
+        "ring": (replace(bent, polynomial=Polynomial(23, 120.0, high, Ring(0.2))), None, None),
         "grid": (replace(bent, grid=grid), None, None),
         "moving": (
             replace(bent, even=(1e-4,), deformation_degree=6, deformation_radius=90.0),
-            np.stack([monomials, chebyshev]),
+            np.stack([monomials, others]),
             None,
         ),
         "moving grid": (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY
+from wavequake.kernels.devices import NUMPY, list_devices
 from wavequake.kernels.tiles import TILE
 from wavequake.optics.prepared import chief_rays, prepare, trace_states
 from wavequake.optics.pupils import PupilRays
@@ -167,3 +167,24 @@ def test_mirrors_without_edges_vignette_nothing(thesis):
     states = rest(TILE, 1, 3)
     states.field[:, 0] = np.deg2rad(15 / 60)
     assert (trace_states(bare, states, NUMPY).status == 0).all()
+
+
+@pytest.mark.parametrize("device", list_devices(), ids=lambda device: device.kind)
+def test_more_terms_are_traced_by_recurrences_to_the_same_light(thesis, device):
+    """231 terms are monomials and 240 recurrences; without the last nine both are one figure."""
+    random = np.random.default_rng(5)
+    figure = 2e-5 * random.normal(size=(TILE, 1, 231)) / (1.0 + np.arange(231)) ** 0.5
+    mirrors = 2e-5 * random.normal(size=(TILE, 2, 231)) / (1.0 + np.arange(231)) ** 0.5
+    opd = []
+    for terms in (231, 240):
+        prepared = prepare(thesis.system, thesis.rays, WAVELENGTH, 3, figure_terms=terms, mirror_terms=terms)
+        assert (prepared.train.figure_basis == "monomial") is (terms == 231)
+        assert prepared.train.mirror_basis == prepared.train.figure_basis
+        more = [(0, 0), (0, 0), (0, terms - 231)]
+        states = rest(TILE, 1, 3)
+        states = replace(states, segment_figure=np.pad(figure, more), mirror_figure=np.pad(mirrors, more))
+        traced = trace_states(prepared, states, device)
+        assert (traced.status == 0).all()
+        opd.append(traced.opd)
+    assert np.ptp(opd[0]) > 2e-4  # mm
+    np.testing.assert_allclose(opd[1], opd[0], rtol=0, atol=2e-10)

@@ -37,11 +37,13 @@ SHAPES = {
     "circular Zernike": ZernikeSag(500.0, -0.5, tuple(RNG.normal(size=45) * 2e-3), 70.0),
     "annular Zernike": ZernikeSag(-500.0, -0.5, tuple(RNG.normal(size=45) * 2e-3), 70.0, 0.3),
     "grid": GridSag(-700.0, 0.0, RNG.normal(size=(15, 12)) * 5e-3, 12.0, 10.0),
+    "fine Zernike": ZernikeSag(500.0, -0.5, tuple(RNG.normal(size=325) * 2e-4), 70.0),
 }
 FORMS = {
     "rigid": None,
     "Zernike": ZernikeDeformation(28, 70.0),
     "annular": ZernikeDeformation(21, 70.0, 0.25),
+    "fine annular": ZernikeDeformation(240, 70.0, 0.1),
     "grid": GridDeformation(9, 11, 16.0, 20.0),
     "Zernike and grid": ZernikeDeformation(15, 70.0, 0.0, GridDeformation(8, 8, 20.0, 20.0)),
 }

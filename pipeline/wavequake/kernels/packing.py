@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.kernels.ring import ring_second_derivatives, ring_steps
 from wavequake.kernels.sequence import Basis, Element, Grid, Moving, Sequence, terms
 from wavequake.kernels.sequential_source import Part, Shape
 
@@ -13,7 +14,7 @@ Array = NDArray[np.float64]
 # Where one evaluation of the height and its slopes may do: the lateral step may change the height's linear
 # continuation by so many mm, the slopes by so many rad, and the conic's by so many mm.
 _HEIGHT, _SLOPE, _LEAN = 1e-12, 1e-13, 1e-7
-# Monomials are sampled a little beyond their radius, since rays may fall there.
+# Polynomials are sampled a little beyond their radius, since rays may fall there.
 _BEYOND = 1.02
 _UNTURNED = np.eye(3).ravel()
 # A polynomial may bend more strongly between samples, but no random one came near that many times.
@@ -63,13 +64,14 @@ def _parts(
     """
     parts, bends, reach = [], [], np.inf
     for degree, radius, basis, coefficients in _polynomials(number, element, moving):
-        name = "monomials" if basis == "monomial" else "chebyshev"
-        call = f"{name}({{array}}, {degree}, ({{place}})[0], x, y, sx, sy)"
+        name = "monomials" if basis == "monomial" else "ring"
+        place = "({place})[0]" if basis == "monomial" else "{place}"
+        call = f"{name}({{array}}, {degree}, {place}, x, y, sx, sy)"
         parts.append(Part(call, terms(degree), coefficients.ndim == 2, len(numbers)))
-        numbers.append(1.0 / radius)
+        numbers += [1.0 / radius, *(() if basis == "monomial" else ring_steps(degree, basis.inner))]
         arrays.append(coefficients)
         bends.append(_bend(coefficients, degree, basis) / radius**2)
-        reach = min(reach, radius * (_BEYOND if basis == "monomial" else 1.0))
+        reach = min(reach, radius * _BEYOND)
     for grid, heights in _grids(number, element, moving):
         rows, columns = heights.shape[-2:]
         call = f"spline_grid({{array}}, {rows}, {columns}, {{place}}, x, y, sx, sy)"
@@ -113,7 +115,7 @@ def _grids(number: int, element: Element, moving: Moving) -> list[tuple[Grid, Ar
 
 
 def _bend(coefficients: Array, degree: int, basis: Basis) -> Array:
-    """Return the largest second derivative of polynomials (T or nothing, terms) on a disk of radius 1.
+    """Return the largest second derivative of polynomials (T or nothing, terms) on their disk or ring.
 
     A bound needs no double precision: what underflows bends nothing, what overflows is steep indeed.
     """
@@ -127,12 +129,17 @@ def _bend(coefficients: Array, degree: int, basis: Basis) -> Array:
 
 @lru_cache(maxsize=64)
 def _second_derivatives(degree: int, basis: Basis) -> NDArray[np.float32]:
-    """Return the second derivatives uu, sqrt(2) uv and vv at points of a disk of radius 1, by term."""
-    radii = np.array([0.6, 0.9, 1.0]) * (_BEYOND if basis == "monomial" else 1.0)
+    """Return the second derivatives uu, sqrt(2) uv and vv at points of a disk or ring, by term."""
+    radii = np.array([0.6, 0.9, 1.0]) * _BEYOND
+    if basis != "monomial" and basis.inner > 0.0:
+        radii = np.append(radii[radii > basis.inner], basis.inner)
     angles = np.linspace(0.0, 2.0 * np.pi, 2 * degree + 2, endpoint=False)
     points = radii[:, None] * np.stack([np.cos(angles), np.sin(angles)])[:, None]
     u, v = points.reshape(2, -1)
-    kind = np.polynomial.Polynomial if basis == "monomial" else np.polynomial.Chebyshev
+    if basis != "monomial":
+        second = ring_second_derivatives(degree, basis.inner, u, v) * [[[1.0]], [[np.sqrt(2.0)]], [[1.0]]]
+        return np.asarray(second.reshape(-1, second.shape[-1]), dtype=np.float32)
+    kind = np.polynomial.Polynomial
     orders = [
         [kind.basis(k).deriv(order) if order else kind.basis(k) for order in range(3)]
         for k in range(degree + 1)

@@ -1,8 +1,9 @@
-"""Polynomials in x and y and their slopes, in NumPy: monomials by Horner's rule, Chebyshev by Clenshaw's."""
+"""Polynomials in x and y and their slopes, in NumPy: monomials by Horner's rule, others by recurrences."""
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.kernels.ring import ring_polynomial
 from wavequake.kernels.sequence import Basis
 
 Array = NDArray[np.float64]
@@ -19,8 +20,8 @@ def polynomial(
         Highest total degree.
     radius : float
         What x and y are divided by, mm.
-    basis : str
-        "monomial" or "chebyshev".
+    basis : str or Ring
+        "monomial", or the ring of Zernike polynomials.
     coefficients : ndarray, shape (terms,) or (T, terms)
         In the order of `wavequake.kernels.sequence.Polynomial`, mm.
     x, y : ndarray
@@ -34,11 +35,13 @@ def polynomial(
     u, v = x / radius, y / radius
     terms = np.moveaxis(coefficients, -1, 0)
     terms = terms.reshape(*terms.shape, *(1,) * (u.ndim - terms.ndim + 1))
+    if basis != "monomial":
+        value, slope_u, slope_v = ring_polynomial(degree, basis.inner, terms, u, v)
+        return value, slope_u / radius, slope_v / radius
     rows = [[terms[(i + j) * (i + j + 1) // 2 + j] for j in range(degree - i + 1)] for i in range(degree + 1)]
-    sum_up = _horner if basis == "monomial" else _clenshaw
-    inner = [sum_up(row, v) for row in rows]
-    value, slope_u = sum_up([value for value, _ in inner], u)
-    slope_v, _ = sum_up([slope for _, slope in inner], u)
+    inner = [_horner(row, v) for row in rows]
+    value, slope_u = _horner([value for value, _ in inner], u)
+    slope_v, _ = _horner([slope for _, slope in inner], u)
     return value, slope_u / radius, slope_v / radius
 
 
@@ -49,13 +52,3 @@ def _horner(coefficients: list[Array], t: Array) -> tuple[Array, Array]:
         derivative = derivative * t + value
         value = value * t + coefficient
     return value, derivative
-
-
-def _clenshaw(coefficients: list[Array], t: Array) -> tuple[Array, Array]:
-    """Return the sum of c_k T_k(t) and its derivative: Clenshaw's recurrence and its derivative."""
-    zero = np.zeros_like(t)
-    b1, b2, d1, d2 = zero, zero, zero, zero
-    for coefficient in reversed(coefficients[1:]):
-        d1, d2 = 2.0 * b1 + 2.0 * t * d1 - d2, d1
-        b1, b2 = coefficient + 2.0 * t * b1 - b2, b1
-    return coefficients[0] + t * b1 - b2, b1 + t * d1 - d2

@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 from wavequake.kernels.devices import Device
 from wavequake.kernels.program import aligned_empty, launch
+from wavequake.kernels.ring import ring_steps
 from wavequake.kernels.segmented_numpy import trace_chief, trace_segmented_numpy
+from wavequake.kernels.sequence import Basis
 from wavequake.kernels.steps import vector_width
 from wavequake.kernels.tiles import TILE
 from wavequake.kernels.train import SegmentedTrain, Traced, check_rays
@@ -51,7 +53,8 @@ def trace_segmented(
         then o in mm.
     figure : ndarray, shape (T, S, M, 16), or None
         Coefficients of the figure polynomial in u and v, mm, in total-degree order: for n = 0..degree the
-        terms u^n, u^(n-1) v, ..., v^n; added to the conic's sag along z.
+        terms u^n, u^(n-1) v, ..., v^n (on a ring: in that of `wavequake.kernels.ring.ring_order`); added to
+        the conic's sag along z.
     surface_poses : ndarray, shape (T, L, 12, 16)
         The same from the previous surface's frame (first: the optics frame) to each surface's.
     directions : ndarray, shape (T, 3, 16)
@@ -122,8 +125,10 @@ def _launch(
         "TURNS": turns,
         "EDGES": edges,
         "DEGREE": train.figure_degree,
+        "SEGMENT_RING": int(train.figure_basis != "monomial"),
         "SURFACES": train.surface_curvatures.size,
         "MIRROR_DEGREE": train.mirror_degree,
+        "MIRROR_RING": int(train.mirror_basis != "monomial"),
         "EDGED": sum(1 << i for i, square in enumerate(train.clear_squares) if np.isfinite(square)),
         "PLANES": sum(1 << i for i, curvature in enumerate(train.surface_curvatures) if curvature == 0.0),
     }
@@ -133,10 +138,17 @@ def _launch(
         np.float64(train.sphere_radius**2),
         *(ray_x, ray_y, candidates, train.edges, train.figure_frames),
         *(train.surface_curvatures, 1.0 + train.surface_conics, train.clear_squares, train.mirror_frames),
+        _steps(train.figure_degree, train.figure_basis),
+        _steps(train.mirror_degree, train.mirror_basis),
         *moving,
     ]
     size = (TILE // (lanes * turns), count, tiles)
     launch(device, "segmented", tuple(constants.items()), size, inputs, outputs)
+
+
+def _steps(degree: int, basis: Basis) -> Array | None:
+    """Return what the recurrences of figures take."""
+    return None if basis == "monomial" or degree < 0 else np.array(ring_steps(degree, basis.inner))
 
 
 def _lanes(device: Device) -> tuple[int, int]:

@@ -7,6 +7,8 @@ none of this algebra. Tiles are traced one at a time, so a tile's bits do not de
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.kernels.ring import ring_polynomial
+from wavequake.kernels.sequence import Basis
 from wavequake.kernels.surfaces import conic_path, conic_sag, conic_slopes
 from wavequake.kernels.tiles import TILE
 from wavequake.kernels.train import GAP, MISS, OK, SegmentedTrain, Traced, check_train
@@ -127,7 +129,9 @@ def _reflect_at_primary(
         coefficients = None if figures is None else figures[segments]
         step, slopes = _meet(
             (train.primary_curvature, train.primary_conic),
-            *(train.figure_frames[segments], train.figure_degree, coefficients, local, local_direction),
+            train.figure_frames[segments],
+            (train.figure_degree, train.figure_basis),
+            *(coefficients, local, local_direction),
         )
         hit = local + step * local_direction
         inside = _on_glass(train.edges[segments], hit) & (status[rays] == GAP)
@@ -142,7 +146,7 @@ def _reflect_at_primary(
 def _meet(
     conic: tuple[float, float],
     frames: Array,
-    degree: int,
+    form: tuple[int, Basis],
     coefficients: Array | None,
     position: Array,
     direction: Array,
@@ -155,7 +159,7 @@ def _meet(
         return path, conic_slopes(hit[0], hit[1], c, kappa)
     for _ in range(_NEWTON_STEPS):
         x, y, z = position + path * direction
-        deformation, figure_x, figure_y = _figure(frames, degree, coefficients, x, y)
+        deformation, figure_x, figure_y = _figure(frames, form, coefficients, x, y)
         conic_x, conic_y = conic_slopes(x, y, c, kappa)
         slope_x, slope_y = conic_x + figure_x, conic_y + figure_y
         miss = z - conic_sag(x, y, c, kappa) - deformation
@@ -167,12 +171,17 @@ def _meet(
 
 
 def _figure(
-    frames: Array, degree: int, coefficients: Array, x: Array, y: Array
+    frames: Array, form: tuple[int, Basis], coefficients: Array, x: Array, y: Array
 ) -> tuple[Array, Array, Array]:
     """Return the figure polynomial (n, 16) and its slopes along x and y, term by term."""
     center_x, center_y, e_x, e_y = frames.T[:, :, None]
     u = e_x * (x - center_x) + e_y * (y - center_y)
     v = e_x * (y - center_y) - e_y * (x - center_x)
+    degree, basis = form
+    if basis != "monomial":
+        terms = np.moveaxis(coefficients, 1, 0)
+        value, slope_u, slope_v = ring_polynomial(degree, basis.inner, terms, u, v)
+        return value, e_x * slope_u - e_y * slope_v, e_y * slope_u + e_x * slope_v
     powers_u, powers_v = [np.ones_like(u)], [np.ones_like(v)]
     for _ in range(degree):
         powers_u.append(powers_u[-1] * u)
@@ -209,12 +218,12 @@ def _through_surfaces(
     clear_squares: Array,
 ) -> tuple[Array, Array, Array, NDArray[np.int8]]:
     """Reflect at each surface after M1, stop at the image; `poses` and `figures` have surfaces first."""
-    last = train.surface_curvatures.size - 1
+    last, form = train.surface_curvatures.size - 1, (train.mirror_degree, train.mirror_basis)
     for surface, (c, kappa) in enumerate(zip(train.surface_curvatures, train.surface_conics, strict=True)):
         position, direction = _into(poses[surface], position, direction)
         figure = figures[surface] if figures is not None and surface < last else None
         frames = train.mirror_frames[surface : surface + 1]
-        path, slopes = _meet((c, kappa), frames, train.mirror_degree, figure, position, direction)
+        path, slopes = _meet((c, kappa), frames, form, figure, position, direction)
         position, opl = position + path * direction, opl + path
         clear = position[0] ** 2 + position[1] ** 2 <= clear_squares[surface]  # not where there is no path
         status = np.where((status == OK) & ~clear, np.int8(MISS + surface), status)

@@ -16,7 +16,6 @@ from wavequake.errors import UserError
 
 Array = NDArray[np.float64]
 Action = Literal["reflect", "refract", "pass"]
-Basis = Literal["monomial", "chebyshev"]
 
 OK = 0
 VIGNETTED = 1  # hits the surface outside its aperture
@@ -26,11 +25,22 @@ DIVERGED = 4  # the iteration finds no point of the surface: it folds over
 
 
 @dataclass(frozen=True)
+class Ring:
+    """The basis of Zernike polynomials of unit rms over the ring of radii `inner` (0: the circle) to 1."""
+
+    inner: float = 0.0
+
+
+Basis = Literal["monomial"] | Ring
+
+
+@dataclass(frozen=True)
 class Polynomial:
     """A polynomial of total degree `degree` in u = x / radius and v = y / radius, mm.
 
-    ``coefficients[(i + j) (i + j + 1) / 2 + j]`` belongs to u^i v^j, or to T_i(u) T_j(v) in the Chebyshev
-    basis, which stays accurate beyond degree 16.
+    ``coefficients[(i + j) (i + j + 1) / 2 + j]`` belongs to u^i v^j. On a ring coefficients have the order of
+    `wavequake.kernels.ring.ring_order`: these sums keep 13 digits at any degree, those of monomials 10 at
+    degree 20 and 7 at degree 30.
     """
 
     degree: int

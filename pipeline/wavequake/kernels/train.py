@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.kernels.sequence import Basis
 from wavequake.kernels.tiles import TILE
 
 Array = NDArray[np.float64]
@@ -41,6 +42,8 @@ class SegmentedTrain:
         Total degree of the figure polynomials of the L - 1 mirrors after M1; -1 for none.
     mirror_radii : ndarray, shape (L - 1,), optional
         Lengths of u and v of these figures: ``u = x / radius``, ``v = y / radius``.
+    figure_basis, mirror_basis : "monomial" or Ring
+        Of the figures' polynomials: above degree 20 monomials cancel too much.
     """
 
     primary_curvature: float
@@ -54,6 +57,8 @@ class SegmentedTrain:
     semi_diameters: Array | None = None
     mirror_degree: int = -1
     mirror_radii: Array | None = None
+    figure_basis: Basis = "monomial"
+    mirror_basis: Basis = "monomial"
 
     @property
     def clear_squares(self) -> Array:
@@ -97,7 +102,7 @@ def vignetted(train: SegmentedTrain, status: NDArray[np.int8]) -> NDArray[np.boo
 
 
 def figure_terms(degree: int) -> int:
-    """Return the number of monomials of total degree up to `degree` in two variables."""
+    """Return the number of polynomials of total degree up to `degree` in two variables."""
     return (degree + 1) * (degree + 2) // 2
 
 

@@ -60,9 +60,9 @@ def pack(system: OpticalSystem, wavelength_mm: float) -> Sequence:
 
 def _element(surface: Surface, index: float) -> Element:
     shape, form = surface.shape, surface.deformation
-    degree, radius = -1, 1.0
+    zernike, radius = None, 1.0
     if isinstance(form, ZernikeDeformation):
-        degree, radius = zernike_basis(form.terms, form.obscuration).degree, form.pupil_radius
+        zernike, radius = zernike_basis(form.terms, form.obscuration), form.pupil_radius
     return Element(
         curvature=1.0 / shape.radius,
         conic=shape.conic,
@@ -71,8 +71,9 @@ def _element(surface: Surface, index: float) -> Element:
         even=shape.coefficients if isinstance(shape, EvenAsphere) else (),
         polynomial=_polynomial(shape),
         grid=_grid(shape),
-        deformation_degree=degree,
+        deformation_degree=zernike.degree if zernike else -1,
         deformation_radius=radius,
+        deformation_basis=zernike.basis if zernike else "monomial",
         deformation_grid=_deformation_grid(form.residual if isinstance(form, ZernikeDeformation) else form),
         regions=opening_regions(surface.opening) if surface.opening is not None else (),
     )
@@ -82,7 +83,7 @@ def _polynomial(shape: Shape) -> Polynomial | None:
     if isinstance(shape, ZernikeSag) and shape.coefficients:
         zernike = zernike_basis(len(shape.coefficients), shape.obscuration)
         coefficients = zernike.matrix @ np.asarray(shape.coefficients)
-        return Polynomial(zernike.degree, shape.pupil_radius, coefficients)
+        return Polynomial(zernike.degree, shape.pupil_radius, coefficients, zernike.basis)
     if isinstance(shape, ExtendedPolynomial) and shape.coefficients:
         i, j = extended_powers(len(shape.coefficients))[-1]
         degree = i + j

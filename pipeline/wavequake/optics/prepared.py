@@ -20,9 +20,12 @@ from wavequake.optics.pupils import PupilRays
 from wavequake.optics.segmented_telescope import SegmentedTelescope, first_order, footprints
 from wavequake.optics.segments import candidates, half_planes
 from wavequake.optics.states import SurfaceStates, rest
-from wavequake.optics.zernike import annular_zernike, circular_zernike_xy, noll_to_nm
+from wavequake.optics.surface_basis import ZernikeBasis, zernike_basis
+from wavequake.optics.zernike import annular_zernike
 
 Array = NDArray[np.float64]
+
+_NO_FIGURE = ZernikeBasis(-1, np.zeros((0, 0)))
 
 
 @dataclass(frozen=True)
@@ -49,9 +52,9 @@ class PreparedTrace:
         Values to piston at the center, slope in x and slope in y (1/mm) of each segment.
     figure_matrix : ndarray, shape (S, M, terms)
         From Noll coefficients (heights along the segment's normal, to the sky) to coefficients of the
-        kernel's monomials (heights along z, with the light); M = 0 without a figure.
+        kernel's polynomials (heights along z, with the light); M = 0 without a figure.
     mirror_matrix : ndarray, shape (M', terms)
-        From Noll coefficients of a mirror after M1 (heights along its z axis) to those of its monomials.
+        From Noll coefficients of a mirror after M1 (heights along its z axis) to those of its polynomials.
     obscuration, numerical_aperture, focal_length : float
     chief : ndarray, shape (2,)
         Image point of the virtual chief ray in the reference configuration.
@@ -129,9 +132,8 @@ def prepare(
     x, y = rays.x / system.pupil_outer, rays.y / system.pupil_outer
     obscuration = system.pupil_inner / system.pupil_outer
     optics = first_order(system)
-    degree = noll_to_nm(figure_terms)[0] if figure_terms else -1
-    mirror_degree = noll_to_nm(mirror_terms)[0] if mirror_terms else -1
-    train = _train(system, degree, mirror_degree, optics.exit_pupil_distance)
+    figure, mirror = (zernike_basis(count) if count else _NO_FIGURE for count in (figure_terms, mirror_terms))
+    train = _train(system, figure, mirror, optics.exit_pupil_distance)
     rows, solved = segment_planes(rays.x, rays.y, weight, rays.segment, system.segments.centers[:, :2])
     if not solved.all():
         name = system.segments.names[int(np.argmin(solved))]
@@ -154,8 +156,8 @@ def prepare(
         ),
         plane=weighted_fit(np.stack([np.ones_like(x), x, y], axis=1), weight, MORE_SEGMENT_RAYS),
         segment_fit=csr_matrix((rows.ravel(), places), shape=(3 * len(system.segments), len(x))),
-        figure_matrix=circular_zernike_xy(degree, figure_terms) / -system.segments.axes[:, 2, 2, None, None],
-        mirror_matrix=circular_zernike_xy(mirror_degree, mirror_terms),
+        figure_matrix=figure.matrix / -system.segments.axes[:, 2, 2, None, None],
+        mirror_matrix=mirror.matrix,
         obscuration=obscuration,
         numerical_aperture=optics.numerical_aperture,
         focal_length=optics.focal_length,
@@ -164,7 +166,7 @@ def prepare(
 
 
 def _train(
-    system: SegmentedTelescope, figure_degree: int, mirror_degree: int, sphere_radius: float
+    system: SegmentedTelescope, figure: ZernikeBasis, mirror: ZernikeBasis, sphere_radius: float
 ) -> SegmentedTrain:
     """Pack the parts of a system that do not move."""
     segments = system.segments
@@ -175,13 +177,15 @@ def _train(
         primary_conic=system.primary_conic,
         edges=half_planes(segments),
         figure_frames=np.concatenate([segments.centers[:, :2], along], axis=1),
-        figure_degree=figure_degree,
+        figure_degree=figure.degree,
         surface_curvatures=np.array([1.0 / surface.radius for surface in system.surfaces]),
         surface_conics=np.array([surface.conic for surface in system.surfaces]),
         sphere_radius=sphere_radius,
         semi_diameters=np.array([surface.semi_diameter for surface in system.surfaces]),
-        mirror_degree=mirror_degree,
-        mirror_radii=footprints(system) if mirror_degree >= 0 else None,
+        mirror_degree=mirror.degree,
+        mirror_radii=footprints(system) if mirror.degree >= 0 else None,
+        figure_basis=figure.basis,
+        mirror_basis=mirror.basis,
     )
 
 
@@ -211,7 +215,7 @@ def chief_rays(prepared: PreparedTrace, states: SurfaceStates) -> Array:
 
 
 def _mirror_figure(prepared: PreparedTrace, states: SurfaceStates) -> Array | None:
-    """Return the monomials (T, L - 1, M, 16) of the figures of the mirrors after M1."""
+    """Return the coefficients (T, L - 1, M, 16) of the figures of the mirrors after M1."""
     mirrors, terms = len(prepared.system.surfaces) - 1, prepared.mirror_matrix.shape[1]
     if not terms and states.mirror_figure is None:
         return None
@@ -221,8 +225,8 @@ def _mirror_figure(prepared: PreparedTrace, states: SurfaceStates) -> Array | No
         raise UserError(f"the mirror figures have the shape {found}, it must be {shape}")
     assert states.mirror_figure is not None
     lanes_last = states.mirror_figure.reshape(-1, TILE, *shape[1:]).transpose(0, 2, 3, 1)
-    monomials: Array = np.matmul(prepared.mirror_matrix, lanes_last)
-    return monomials
+    coefficients: Array = np.matmul(prepared.mirror_matrix, lanes_last)
+    return coefficients
 
 
 def trace_states(prepared: PreparedTrace, states: SurfaceStates, device: Device) -> Traced:

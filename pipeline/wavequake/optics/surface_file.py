@@ -72,7 +72,7 @@ class SurfaceSection(FileSection):
     deformation_terms: int = Field(
         default=0,
         ge=0,
-        le=231,
+        le=2016,
         description="Noll terms by which the surface may deform from instant to instant",
     )
     glass: str | float | None = Field(

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.kernels.ring import Recurrence, ring_recurrence
 
 Array = NDArray[np.float64]
-Recurrence = tuple[float, list[tuple[float, float, float]]]
 
 
 def noll_to_nm(j: int) -> tuple[int, int]:
@@ -71,7 +71,7 @@ def annular_zernike(
     t = x**2 + y**2
     radial = {}
     for m in range(degree + 1):
-        recurrence = _recurrence(m, (degree - m) // 2 + 1, obscuration**2)
+        recurrence = ring_recurrence(m, (degree - m) // 2 + 1, obscuration**2)
         for k, values in enumerate(_orthonormal(t, recurrence)):
             radial[m + 2 * k, m] = values
     azimuthal = _azimuthal(x, y, degree)
@@ -109,7 +109,7 @@ def annular_zernike_gradient(
     t = x**2 + y**2
     radial = {}
     for m in range(degree + 1):
-        recurrence = _recurrence(m, (degree - m) // 2 + 1, obscuration**2)
+        recurrence = ring_recurrence(m, (degree - m) // 2 + 1, obscuration**2)
         heights = _orthonormal(t, recurrence)
         slopes = _orthonormal_slopes(t, recurrence, heights)
         for k, pair in enumerate(zip(heights, slopes, strict=True)):
@@ -147,29 +147,6 @@ def _azimuthal(x: Array, y: Array, degree: int) -> list[NDArray[np.complex128]]:
     for _ in range(degree):
         waves.append(waves[-1] * (x + 1j * y))
     return waves
-
-
-def _recurrence(m: int, count: int, start: float) -> Recurrence:
-    """Return P_0 and, for each further P_k up to `count` in all, what leads to it from its predecessors.
-
-    P_k is orthonormal over [start, 1] for the weight t^m / (1 - start), and the triples (center, before,
-    norm) mean ``norm P_(k+1) = (t - center) P_k - before P_(k-1)``. They come from Stieltjes' procedure on
-    Gauss-Legendre nodes, so many that every inner product is exact up to rounding (Gautschi 2004, "Orthogonal
-    Polynomials", section 2.2).
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(count + m // 2 + 1)
-    nodes = start + (1 - start) * (nodes + 1) / 2
-    weights = weights / 2 * nodes**m
-    first = float(1 / np.sqrt(np.sum(weights)))
-    before, now, norm = np.zeros_like(nodes), np.full_like(nodes, first), 0.0
-    steps = []
-    for _ in range(count - 1):
-        center = float(np.sum(weights * nodes * now**2))
-        following = (nodes - center) * now - norm * before
-        previous, norm = norm, float(np.sqrt(np.sum(weights * following**2)))
-        before, now = now, following / norm
-        steps.append((center, previous, norm))
-    return first, steps
 
 
 def _orthonormal(t: Array, recurrence: Recurrence) -> list[Array]:
