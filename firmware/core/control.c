@@ -27,7 +27,7 @@ void wq_control_reset(wq_control *control) {
 /* A blow counts if the trigger was low before and the last blow's start is over: it arms itself again. */
 static void add_start(wq_control *control, uint8_t inputs) {
     const uint8_t triggered = (inputs & WQ_TRIGGER) != 0;
-    if (triggered && !control->triggered && control->next_start == WQ_STARTS) control->next_start = 0;
+    if (triggered && wq_control_armed(control)) control->next_start = 0;
     control->triggered = triggered;
     if (control->next_start == WQ_STARTS) return;
     const wq_start *start = &starts[control->next_start * WQ_MODES];

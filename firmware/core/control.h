@@ -33,6 +33,11 @@ typedef struct {
 
 void wq_control_reset(wq_control *control);
 
+/* Whether a trigger would count: it was low in the step before, and the last blow's start is over. */
+static inline uint8_t wq_control_armed(const wq_control *control) {
+    return !control->triggered && control->next_start == WQ_STARTS;
+}
+
 /* Take a code of the position's converter, return one for the command's converter. */
 uint16_t wq_control_step(wq_control *control, uint16_t adc, uint8_t inputs);
 

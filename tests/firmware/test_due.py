@@ -153,6 +153,38 @@ def test_a_missed_deadline_raises_the_pin_and_the_next_step_in_time_clears_it(de
     assert not device.was_missed
 
 
+def test_a_trigger_between_ticks_begins_a_step(device, monkeypatch):
+    """The blow is seen at once, and commands are those of a blow at a tick."""
+    adc = np.full(30, 2100, np.uint16)
+    device.reset()
+    wanted = device.run(adc, np.arange(30) == 4)
+    device.reset()
+    found = []
+    for k, code in enumerate(adc.tolist()):
+        device.early = k == 4
+        found.append(device.step(code, k == 4))
+        assert device.restarted == (k == 4)
+        assert not device.was_missed
+    np.testing.assert_array_equal(found, wanted)
+    monkeypatch.setattr("wavequake.firmware.due.PATIENCE", 20_000)
+    device.early = True  # the trigger has not come, nor has the tick
+    with pytest.raises(UserError, match="did not come back to its timer"):
+        device.step(2048, False)
+    device.reset()
+
+
+def test_a_trigger_that_does_not_count_begins_no_step(device, monkeypatch):
+    """Not while a blow is being added, and not while the pin has been up since."""
+    monkeypatch.setattr("wavequake.firmware.due.PATIENCE", 20_000)
+    for trigger in (np.array([True, False]), np.ones(40, dtype=bool)):
+        device.reset()
+        device.run(np.full(len(trigger), 2048, np.uint16), trigger)
+        device.early = True
+        with pytest.raises(UserError, match="did not come back to its timer"):
+            device.step(2048, True)
+    device.reset()
+
+
 def test_an_image_of_other_gains_is_refused(folder):
     image = build("due", gains_of(REGULATOR, CHAIN), folder, prefer=COMPILERS[0])
     other = gains_of(replace(REGULATOR, gain=REGULATOR.gain * 1.01), CHAIN)

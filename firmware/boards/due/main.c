@@ -1,6 +1,7 @@
 /* Arduino Due: position at A0, command at DAC0, trigger at pin 33, switch at pin 34, "deadline missed" at pin 35.
  *
- * The loop polls its timer: nothing interrupts a step, so that each takes the same time.
+ * The loop polls its timer: nothing interrupts a step, so that each takes the same time. While it waits, it looks
+ * for the trigger, too: a blow begins a step and starts the timer anew, so that it is not seen up to a step late.
  */
 #include "control.h"
 #include "sam3x.h"
@@ -62,6 +63,16 @@ static uint16_t position(void) {
     return (uint16_t)(ADC_CDR7 & 0xfffu);
 }
 
+/* The step that a trigger cuts short is one in which a bench at rest has nothing to lose. */
+static void wait_for_step(const wq_control *control) {
+    while (!(TC0_SR & TC_SR_RC)) {
+        if (wq_control_armed(control) && (PIOC_PDSR & PIN_TRIGGER)) {
+            TC0_CCR = TC_CCR_ENABLE_AND_START;
+            return;
+        }
+    }
+}
+
 static uint8_t inputs(void) {
     const uint32_t pins = PIOC_PDSR;
     return (uint8_t)(((pins & PIN_SWITCH) ? WQ_ENABLED : 0u) | ((pins & PIN_TRIGGER) ? WQ_TRIGGER : 0u));
@@ -75,8 +86,7 @@ int main(void) {
     wq_control_reset(&control);
     DACC_CDR = WQ_CODE_MIDDLE;
     for (;;) {
-        while (!(TC0_SR & TC_SR_RC)) {
-        }
+        wait_for_step(&control);
         for (;;) {
             const uint16_t code = wq_control_step(&control, position(), inputs());
             DACC_CDR = code;

@@ -20,7 +20,7 @@ PERIPHERALS, PERIPHERALS_SIZE = 0x40000000, 0x200000
 
 # Offsets of registers from PERIPHERALS.
 PMC_SR, PIOC_PDSR, PIOC_SODR, PIOC_CODR = 0xE0668, 0xE123C, 0xE1230, 0xE1234
-TC0_SR, ADC_ISR, ADC_CDR7, DACC_CDR, WDT_CR = 0x80020, 0xC0030, 0xC006C, 0xC8020, 0xE1A50
+TC0_CCR, TC0_SR, ADC_ISR, ADC_CDR7, DACC_CDR, WDT_CR = 0x80000, 0x80020, 0xC0030, 0xC006C, 0xC8020, 0xE1A50
 ALL_READY = 0xFFFFFFFF
 PIN_TRIGGER, PIN_SWITCH, PIN_MISSED = 1 << 1, 1 << 2, 1 << 3
 WDT_MR, WATCHDOG_RESETS, WATCHDOG_RESTART = 0xE1A54, 1 << 13, 0xA5000001
@@ -51,6 +51,10 @@ class DueDevice:
         Count instructions.
     late : bool
         Let the next step find that its deadline has passed.
+    early : bool
+        Let the trigger of the next step come before the timer's tick: the image begins the step by itself.
+    restarted : bool
+        Whether it started its timer anew within the last step.
     stuck : bool
         Let no conversion of the position's converter end: the image waits for it, its command stays, and the
         watchdog starts the board anew when its time is over.
@@ -80,7 +84,7 @@ class DueDevice:
 
     def reset(self) -> None:
         """Switch the board on and run to its first look at the timer."""
-        self.late = self.stuck = False
+        self.late = self.early = self.stuck = False
         self.resets = 0
         self._start()
 
@@ -111,7 +115,8 @@ class DueDevice:
 
         self._adc = adc
         self._pins = (PIN_TRIGGER if inputs & TRIGGER else 0) | (PIN_SWITCH if inputs & ENABLED else 0)
-        self._begin(ticks=1, starting=False)
+        self._begin(ticks=0 if self.early else 1, starting=False)
+        self.early = False
         self._go(self._emulator.reg_read(UC_ARM_REG_PC) | 1)
         self._unfed += self._sample_time
         if self._watchdog is not None and self._unfed > self._watchdog:
@@ -125,7 +130,7 @@ class DueDevice:
 
     def _begin(self, ticks: int, starting: bool) -> None:
         self._ticks, self._starting, self._counted = ticks, starting, 0
-        self._wrote = self._looked = self._stopped = self.was_missed = False
+        self._wrote = self._looked = self._stopped = self.was_missed = self.restarted = False
         self._polls = 0
 
     def _go(self, address: int) -> None:
@@ -178,6 +183,8 @@ class DueDevice:
             self._code = value
         if self._starting:
             self.log.append((offset, value))
+        elif offset == TC0_CCR:
+            self.restarted = True
         elif offset == DACC_CDR:
             self._wrote, self._looked = True, False
         elif offset in (PIOC_SODR, PIOC_CODR) and value & PIN_MISSED:
