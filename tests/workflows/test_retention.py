@@ -8,6 +8,8 @@ import small_telescope
 import toy
 
 from wavequake.errors import UserError
+from wavequake.report.comparison import compare
+from wavequake.report.tail import per_case
 from wavequake.workflows.campaign import WORKFLOWS, run_study
 from wavequake.workflows.chunks import Job, computed_alone, computed_chunk, opened_store
 from wavequake.workflows.contract import DIVERGED, DONE, Template, Variable, Workflow
@@ -195,6 +197,29 @@ def test_the_identity_changes_with_what_is_kept_only(small):
         assert retention_of(kept[0].identity_text()).every == 2
     plain = study_of("system-disturbance").identity_text()
     assert '"store":{}' in plain  # as before there was anything to choose
+
+
+@pytest.mark.parametrize("statistic", ["mean", "rms", "min", "max", "last"])
+def test_rare_events_are_judged_alike_by_histories_and_by_summaries(small, statistic):
+    _, dataset = small
+    whole, short = dataset("system-disturbance"), dataset("system-disturbance", reduce="summary")
+    found = per_case(whole.chunk(case=2), "los_mm", statistic)
+    np.testing.assert_allclose(per_case(short, "los_mm", statistic), found, rtol=1e-12)
+    one = whole["los_mm"].isel(case=1).to_numpy()[:3]  # the second population has three instants
+    lengths = np.hypot(one[..., 0], one[..., 1])
+    by_hand = {"rms": np.sqrt((lengths**2).mean(0)), "last": lengths[-1], "mean": lengths.mean(0)}
+    by_hand |= {"min": lengths.min(0), "max": lengths.max(0)}
+    assert found[1] == pytest.approx(by_hand[statistic].max(), rel=1e-12)
+
+
+def test_stores_that_keep_other_things_are_compared_where_they_can(small):
+    _, dataset = small
+    whole, short = dataset("system-disturbance"), dataset("system-disturbance", reduce="summary")
+    found = compare(whole, short, "whole", "short")
+    names = {one.measure for one in found}
+    assert {"wfe_rms", "los_mm", "spot_rms", "strehl", "marechal"} <= names
+    for one in found:
+        np.testing.assert_allclose(one.differences, 0.0, atol=1e-9 * max(1e-6, abs(one.each).max()))
 
 
 @pytest.mark.parametrize("name", SMALL)

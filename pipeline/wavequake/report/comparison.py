@@ -205,9 +205,11 @@ def _differences(
     places = {str(group): np.flatnonzero(groups == group) for group in dict.fromkeys(groups)}
     for measure in left.data_vars:
         name = str(measure)
-        if name not in right or left[name].dims != right[name].dims or left[name].dtype.kind != "f":
+        if name not in right or left[name].dtype.kind != "f" or name in _CLOCKS:
             continue
-        if name in _CLOCKS or "case" not in left[name].dims or _MIXED & set(map(str, left[name].dims)):
+        dims, others = ({*map(str, data[name].dims)} for data in (left, right))
+        alike = dims ^ others <= {"time", "axis", "statistic"}  # of one history, and of a summary of it
+        if "case" not in dims or _MIXED & dims or not alike:
             continue
         if name in _IMAGES:
             if left[name].shape != right[name].shape:

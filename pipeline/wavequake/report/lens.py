@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wavequake.report import lens_figures as draw
+from wavequake.report.histories import has_all_instants, what_is_kept
 from wavequake.report.lens_firmware import Firmware, firmware_of, left_beside, off_exact
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
@@ -187,7 +188,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
             for one in found
             for place in range(len(one.controllers))
         ],
-        small_print=_SMALL_PRINT,
+        small_print=_SMALL_PRINT + _without_histories(dataset),
         overview=[
             picture(
                 f"bars-{one.springs}",
@@ -203,7 +204,9 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
             if len(one.rows)
         ],
         sections=[
-            Section(f"{one.springs} springs", list(_figures(dataset, one))) for one in found if len(one.rows)
+            Section(f"{one.springs} springs", list(_figures(dataset, one)))
+            for one in found
+            if len(one.rows) and has_all_instants(dataset)
         ]
         + [Section("hammer and stage", list(_hardware(dataset, found)))],
         definitions=list(_DEFINITIONS),
@@ -211,6 +214,16 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         left_out=left_out(dataset, "springs"),
     )
     return write_page(render_page(dataset, page), target)
+
+
+def _without_histories(dataset: xr.Dataset) -> str:
+    """Say why no plant is drawn where histories are not whole, which filters follow step by step."""
+    if has_all_instants(dataset):
+        return ""
+    return (
+        f"{what_is_kept(dataset)} Figures of one plant, whose filters need every step, are left out; the "
+        "numbers of the table are of all instants."
+    )
 
 
 def _figures(dataset: xr.Dataset, one: Configuration) -> Iterator[Picture]:
@@ -254,7 +267,7 @@ def _hardware(dataset: xr.Dataset, found: list[Configuration]) -> Iterator[Pictu
         "zeros", "Poles and zeros of the stage, true and identified", draw.pole_zero_map(stage, record)
     )
     for one in found[:1]:
-        if one.shown is not None:
+        if one.shown is not None and has_all_instants(dataset):
             case = draw.Shown.of(dataset, one.shown)
             yield picture(
                 "follow", "The stage during a blow, actual and simulated", draw.following(case, record)

@@ -18,11 +18,13 @@ from wavequake.optics.paraxial import paraxial
 from wavequake.optics.system_wavefront import trace_system
 from wavequake.report import budget
 from wavequake.report import system_figures as draw_figures
+from wavequake.report.histories import has_histories, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
 from wavequake.report.statistics import Jitter, Quantile, case_rms, jitter_of_cases, quantile
 from wavequake.report.table import interval, number, share
 from wavequake.workflows.contract import DONE
+from wavequake.workflows.retention import STATISTICS
 from wavequake.workflows.store import read_manifest
 from wavequake.workflows.system_bench import (
     SystemBench,
@@ -31,7 +33,7 @@ from wavequake.workflows.system_bench import (
     system_bench,
     system_states,
 )
-from wavequake.workflows.system_disturbance import draw
+from wavequake.workflows.system_disturbance import draw, worst_instant
 
 Array = NDArray[np.float64]
 
@@ -85,20 +87,21 @@ class SystemPopulation:
     cases : ndarray of int, shape (C,)
         Ids.
     fields : tuple of FieldResult
-    worst : tuple of int or None
-        Case and instant of the largest change of the wavefront at any field point.
+    worst : int or None
+        Case of the largest change of the wavefront at any instant and field point.
     """
 
     name: str
     cases: NDArray[np.int64]
     fields: tuple[FieldResult, ...]
-    worst: tuple[int, int] | None
+    worst: int | None
 
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     bench = system_bench(read_manifest(store).study)
-    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=_SMALL_PRINT, caption_justify="left")
+    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=_SMALL_PRINT + what_is_kept(dataset))
+    table.caption_justify = "left"
     table.add_column("disturbance\nfield")
     for header in _HEADERS[3:]:
         table.add_column(header.replace(" ", "\n"), justify="right", no_wrap=True)
@@ -117,7 +120,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     page = Page(
         answer=answer(found),
         table=[_row(population, one, bench) for population in found for one in population.fields],
-        small_print=_SMALL_PRINT,
+        small_print=_SMALL_PRINT + what_is_kept(dataset),
         overview=[*_overview(found), *budget.pictures(store)],
         sections=[Section(one.name, list(_figures(bench, one, dataset, device))) for one in found],
         definitions=list(_DEFINITIONS),
@@ -147,7 +150,7 @@ def populations(dataset: xr.Dataset, bench: SystemBench) -> list[SystemPopulatio
     present = {
         name: np.isfinite(light["time_s"].isel(case=rows[0]).to_numpy())  # as many instants in each case
         for name, rows in places.items()
-        if len(rows)
+        if len(rows) and has_histories(light)
     }
     parts: dict[str, list[dict[str, Array]]] = {name: [] for name in places}
     for first, last in _blocks(light):
@@ -156,7 +159,9 @@ def populations(dataset: xr.Dataset, bench: SystemBench) -> list[SystemPopulatio
             continue
         block = {key: light[key].isel(case=slice(first, last)).to_numpy() for key in _SERIES}
         for name, mine in rows.items():
-            if len(mine):
+            if len(mine) and not present:
+                parts[name].append(_of_summary(block, mine))
+            elif len(mine):
                 every = -(-present[name].sum() * len(places[name]) // _INSTANTS)
                 parts[name].append(_per_case(block, mine, present[name], every))
     return [_population(light.isel(case=places[name]), name, parts[name]) for name in places]
@@ -177,14 +182,28 @@ def _per_case(
 ) -> dict[str, Array]:
     """Return what is kept of some cases: numbers per case and field, and every n-th Strehl ratio."""
     values = {key: series[rows][:, present] for key, series in block.items()}
-    worst = values["wfe_change"].max(axis=2)  # over the field
     return {
         **{key: case_rms(values[key]) for key in ("wfe_rms", "wfe_change", "spot_rms")},
         "los_mean": values["los_mm"].mean(axis=1),
         "los_variance": values["los_mm"].var(axis=1),
         "strehl": values["strehl"][:, ::every].reshape(-1, values["strehl"].shape[2]),
-        "worst": worst.max(axis=1),
-        "instant": worst.argmax(axis=1),
+        "worst": values["wfe_change"].max(axis=(1, 2)),
+    }
+
+
+def _of_summary(block: dict[str, Array], rows: NDArray[np.int64]) -> dict[str, Array]:
+    """Return the same of statistics (case, statistic, field); of the line of sight about rest."""
+    mean, rms, largest = (
+        {key: series[rows, STATISTICS.index(name)] for key, series in block.items()}
+        for name in ("mean", "rms", "max")
+    )
+    squares = np.repeat(rms["los_mm"][..., None] ** 2 / 2.0, 2, axis=-1)  # of both axes together
+    return {
+        **{key: rms[key] for key in ("wfe_rms", "wfe_change", "spot_rms")},
+        "los_mean": np.zeros_like(squares),
+        "los_variance": squares,
+        "strehl": mean["strehl"],
+        "worst": largest["wfe_change"].max(axis=1),
     }
 
 
@@ -211,8 +230,7 @@ def _population(light: xr.Dataset, name: str, parts: Sequence[dict[str, Array]])
         )
         for index, label in enumerate(light["field"].to_numpy())
     )
-    worst = int(np.argmax(values["worst"]))
-    return SystemPopulation(name, cases, fields, (int(cases[worst]), int(values["instant"][worst])))
+    return SystemPopulation(name, cases, fields, int(cases[np.argmax(values["worst"])]))
 
 
 _HEADERS = (
@@ -302,10 +320,10 @@ def _figures(
     yield picture(f"{name}-spots", f"Spot diagrams, {name}", _spots(bench, population.worst, device))
 
 
-def _spots(bench: SystemBench, worst: tuple[int, int], device: str) -> Figure:
-    """Trace the worst instant again and draw its spots about where the chief rays arrive at rest."""
-    case, instant = worst
+def _spots(bench: SystemBench, case: int, device: str) -> Figure:
+    """Trace a case again and draw the spots of its worst instant about where chief rays arrive at rest."""
     population, drawn = draw(bench, case)
+    instant = worst_instant(bench, time_axis(population), drawn, choose_device(device))
     states = at_instant(system_states(bench, drawn), instant)
     panels = []
     for row, rest in zip(bench.prepared, bench.static, strict=True):

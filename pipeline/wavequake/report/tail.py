@@ -129,7 +129,8 @@ def _over_time(values: xr.DataArray, statistic: str) -> xr.DataArray:
     if statistic == "rms":
         return (values**2).mean("time") ** 0.5
     if statistic == "last":
-        return values.ffill("time").isel(time=-1)
+        instant = xr.DataArray(np.arange(values.sizes["time"]), dims="time")
+        return values.where(instant == instant.where(values.notnull()).max("time")).max("time")
     reduced: xr.DataArray = getattr(values, statistic)("time")
     return reduced
 

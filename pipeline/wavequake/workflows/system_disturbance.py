@@ -106,6 +106,15 @@ def measured(
     return {"time_s": time} | {name: _shaped(bench, values) for name, values in found.items()}, ""
 
 
+def worst_instant(bench: SystemBench, time: Array, drawn: ElementMotion, device: Device) -> int:
+    """Return the instant at which the wavefront at the primary wavelength changes most at any field point."""
+    found, trouble = measured(bench, time, drawn, device)
+    if trouble:
+        return 0
+    change = found["wfe_change"][:, :, bench.system.primary_wavelength]
+    return int(change.max(axis=1).argmax())
+
+
 def _shaped(bench: SystemBench, values: list[Array]) -> Array:
     """Return ([time], field, wavelength, ...) from one array ([time], ...) per field and wavelength."""
     grid = (len(bench.prepared), len(bench.prepared[0]))
