@@ -207,9 +207,8 @@ def _differences(
         name = str(measure)
         if name not in right or left[name].dtype.kind != "f" or name in _CLOCKS:
             continue
-        dims, others = ({*map(str, data[name].dims)} for data in (left, right))
-        alike = dims ^ others <= {"time", "axis", "statistic"}  # of one history, and of a summary of it
-        if "case" not in dims or _MIXED & dims or not alike:
+        dims, others = ({*map(str, data[name].dims)} for data in (left, right))  # other ones of a summary
+        if "case" not in dims or _MIXED & dims or (dims ^ others) - {"time", "axis", "statistic"}:
             continue
         if name in _IMAGES:
             if left[name].shape != right[name].shape:
