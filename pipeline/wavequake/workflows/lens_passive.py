@@ -51,7 +51,7 @@ class PassiveCampaignSection(CampaignSection):
 
 
 class PassiveStoreSection(StoreSection):
-    """Where the results go; not part of the identity."""
+    """Where the results go; nothing is stored over time."""
 
     chunk_cases: int = Field(default=4, ge=1, le=100_000, description="K: cases per task and per shard")
 

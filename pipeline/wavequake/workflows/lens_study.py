@@ -111,7 +111,7 @@ class LensCampaignSection(CampaignSection):
 
 
 class LensStoreSection(StoreSection):
-    """Where the results go; not part of the identity."""
+    """Where the results go, and what of them is kept."""
 
     chunk_cases: int = Field(default=16, ge=1, le=100_000, description="K: cases per task and per shard")
 

@@ -105,7 +105,7 @@ class SegmentMorImagingSection(Section):
 
 
 class SegmentMorStoreSection(StoreSection):
-    """Where the results go; not part of the identity."""
+    """Where the results go, and what of them is kept."""
 
     chunk_cases: int = Field(default=3, ge=1, le=100_000, description="K: cases per task and per shard")
 
