@@ -9,10 +9,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.statistics import distribution
 from wavequake.report.table import number
+from wavequake.report.variants import few
 from wavequake.workflows.lens_experiment import exact_of, study_of
 
 Array = NDArray[np.float64]
+_MOST_POINTS = 2000  # of a figure
 
 
 @dataclass(frozen=True)
@@ -86,9 +89,15 @@ def off_exact(firmware: Firmware) -> Figure:
     figure = Figure(figsize=(1.4 * WIDTH, HEIGHT))
     axes = figure.add_axes((0.09, 0.15, 0.89, 0.75))
     for place, name in enumerate(firmware.arithmetic):
-        values = np.sort(firmware.rms[:, place])
-        share = np.arange(1, len(values) + 1) / len(values)
-        axes.step(values, 100 * share, where="post", color=COLORS[place], linestyle=LINES[place], label=name)
+        curve = distribution(firmware.rms[:, place], points=_MOST_POINTS)
+        axes.step(
+            curve.values,
+            100 * curve.probability,
+            where="post",
+            color=COLORS[place],
+            linestyle=LINES[place],
+            label=name,
+        )
     axes.set_xlim(left=0)
     axes.set_ylim(0, 103)
     axes.set_xlabel("rms difference of commands from double precision (um); the converter's step is 3.9 um")
@@ -104,8 +113,10 @@ def left_beside(firmware: Firmware) -> Figure:
     for half, title in enumerate(("range", "standard deviation, t > 1 s")):
         axes = figure.add_axes((0.11 + 0.48 * half, 0.15, 0.39, 0.75))
         for place, name in enumerate(firmware.arithmetic):
+            apart = firmware.apart[half, :, place]
+            drawn = np.sort(few(np.argsort(apart).tolist(), _MOST_POINTS))
             axes.plot(
-                firmware.exact[half, :, 0], firmware.apart[half, :, place], "o",
+                firmware.exact[half, drawn, 0], apart[drawn], "o",
                 color=COLORS[place], markersize=3, fillstyle="none", markeredgewidth=0.6, label=name,
             )  # fmt: skip
         axes.axhline(0.0, color="#888888", linewidth=0.6)

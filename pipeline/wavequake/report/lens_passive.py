@@ -63,7 +63,7 @@ def _rows(dataset: xr.Dataset) -> list[dict[str, tuple[str, str]]]:
     best, present = best_of(dataset), fitted_bench(active=False)
     if best is None:
         return []
-    found = {name: dataset[name].to_numpy()[best] for name in PARAMETERS}
+    found = {name: dataset[name].isel(case=best).to_numpy() for name in PARAMETERS}
     return [
         {"lens": (str(lens + 1), "")}
         | {
@@ -100,9 +100,10 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
 def _amplitudes(dataset: xr.Dataset, best: int, present: Bench) -> Figure:
     figure = Figure(figsize=(WIDTH, HEIGHT))
     axes = figure.add_axes((0.12, 0.15, 0.86, 0.78))
+    omega, amplitude = (dataset[name].isel(case=best).to_numpy() for name in ("frequency", "mode_amplitude"))
     pairs = (
         (bench_modes(present).omega, 1e3 * modal_amplitudes(present), "present"),
-        (dataset["frequency"].to_numpy()[best], dataset["mode_amplitude"].to_numpy()[best], "optimized"),
+        (omega, amplitude, "optimized"),
     )
     for place, (omega, amplitude, label) in enumerate(pairs):
         axes.stem(omega, amplitude, linefmt=COLORS[place], markerfmt="os"[place], basefmt=" ", label=label)

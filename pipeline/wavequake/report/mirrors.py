@@ -21,6 +21,7 @@ from wavequake.report.variants import (
     ModelResult,
     VariantResult,
     criterion_of,
+    few,
     largest,
     left_out,
     model_results,
@@ -173,7 +174,7 @@ def _figures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
     if reference is None or not model.variants:
         return
     shown, name = representatives(model), model.name
-    krylov = [one for one in model.variants if one.method == "krylov"]
+    krylov = few([one for one in model.variants if one.method == "krylov"])
     drawn = {one.case for one in (reference, *shown, *krylov)}
     dataset = dataset.sel(case=sorted(drawn)).load()  # once, not figure by figure
     for key, text, ground in (

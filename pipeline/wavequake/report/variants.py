@@ -1,7 +1,8 @@
 """From a mirror-mor store to what its report compares: one record per variant, and which one is enough."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -11,6 +12,7 @@ from wavequake.report.populations import Excluded
 from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
 
 Array = NDArray[np.float64]
+Item = TypeVar("Item")
 
 # Methods of which one variant each is drawn, as far as there is room.
 _DRAWN = ("craigb", "krylov", "rubin", "flbt", "modal", "bt", "hintz")
@@ -81,7 +83,7 @@ def model_results(dataset: xr.Dataset, reference: str, criterion: Criterion) -> 
     """
     done = np.flatnonzero(dataset["status"].to_numpy() == DONE)
     models, variants = dataset["model"].to_numpy(), dataset["variant"].to_numpy()
-    found = []
+    found, numbers = [], _numbers_per_case(dataset)
     for name in dict.fromkeys(models):
         rows = [int(row) for row in done if models[row] == name]
         own = next((row for row in rows if variants[row] == reference), None)
@@ -89,7 +91,7 @@ def model_results(dataset: xr.Dataset, reference: str, criterion: Criterion) -> 
             found.append(ModelResult(str(name), None, (), None))
             continue
         scale = dataset["wfe_rms"].isel(case=own).to_numpy().max(axis=-1)
-        results = [_result(dataset, row, scale) for row in rows]
+        results = [_result(numbers.isel(case=row), scale) for row in rows]
         others = sorted(
             (result for result in results if result.variant != reference),
             key=lambda result: (result.order, largest(result, criterion)),
@@ -105,12 +107,24 @@ def largest(result: VariantResult, criterion: Criterion) -> float:
     return float(np.max(result.errors[criterion.measure][list(criterion.excitations)]))
 
 
-def _result(dataset: xr.Dataset, row: int, scale: Array) -> VariantResult:
-    case = dataset.isel(case=row)
-    eps = {name: case[name].to_numpy() for name in ("eps_mech", "eps_opt")}
-    third = max(1, len(eps["eps_mech"]) // 3)
+def _numbers_per_case(dataset: xr.Dataset) -> xr.Dataset:
+    """Reduce spectra and histories to their largest values, chunk by chunk, and read what is left."""
+    third = slice(max(1, dataset.sizes["frequency"] // 3))
+    spectra = {name: dataset[name] for name in ("eps_mech", "eps_opt")}
+    largest = {
+        **spectra,
+        **{f"{name}_low": values.isel(frequency=third) for name, values in spectra.items()},
+        **{name: dataset[name] for name in ("wfe_error", "los_error")},
+    }
+    others = ("order", "reduce_seconds", "pseudo_frequency_max", "resolution_mm", "image_error")
+    return xr.Dataset(
+        {name: values.max(str(values.dims[-1]), skipna=False) for name, values in largest.items()}
+        | {name: dataset[name] for name in others}
+    ).compute()
 
-    worst = {name: case[f"{name}_error"].to_numpy().max(axis=-1) for name in ("wfe", "los")}
+
+def _result(case: xr.Dataset, scale: Array) -> VariantResult:
+    worst = {name: case[f"{name}_error"].to_numpy() for name in ("wfe", "los")}
     return VariantResult(
         case=int(case["case"]),
         variant=str(case["variant"].to_numpy()),
@@ -118,10 +132,10 @@ def _result(dataset: xr.Dataset, row: int, scale: Array) -> VariantResult:
         order=int(case["order"]),
         reduce_seconds=float(case["reduce_seconds"]),
         pseudo_frequency_max=float(case["pseudo_frequency_max"]),
-        eps_mech=float(eps["eps_mech"].max()),
-        eps_mech_low=float(eps["eps_mech"][:third].max()),
-        eps_opt=float(eps["eps_opt"].max()),
-        eps_opt_low=float(eps["eps_opt"][:third].max()),
+        eps_mech=float(case["eps_mech"]),
+        eps_mech_low=float(case["eps_mech_low"]),
+        eps_opt=float(case["eps_opt"]),
+        eps_opt_low=float(case["eps_opt_low"]),
         errors={
             "wfe": np.divide(worst["wfe"], scale, out=np.full_like(scale, np.nan), where=scale > 0),
             "los": worst["los"] / float(case["resolution_mm"]),
@@ -157,3 +171,9 @@ def representatives(model: ModelResult, most: int = 6) -> list[VariantResult]:
         if len(chosen) < most and one not in chosen:
             chosen.append(one)
     return sorted(chosen, key=lambda one: (one.order, one.variant))
+
+
+def few(items: Sequence[Item], most: int = 12) -> list[Item]:
+    """Return what a figure has room for: all items, or some evenly spaced, the first and the last of all."""
+    places = np.linspace(0, len(items) - 1, min(most, len(items))).round().astype(int)
+    return [items[place] for place in places]
