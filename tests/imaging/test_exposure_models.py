@@ -1,5 +1,6 @@
 """Exposures against closed forms: Gaussians, the sinusoid's arcsine density, the shift theorem, energy."""
 
+import re
 import tracemalloc
 
 import numpy as np
@@ -179,6 +180,32 @@ def test_error_of_an_image_with_itself_is_nothing():
 def test_what_cannot_be_exposed(images, los, words):
     with pytest.raises(UserError, match=words):
         full_exposure(images, los, SAMPLING)
+
+
+@pytest.mark.parametrize("far", [400.0, 1e300])
+def test_motion_beyond_every_canvas_is_refused(far):
+    """Two places `far` apart: 8 standard deviations to each side are 8 far / 0.25 pixels."""
+    los = np.array([[far, 0.0], [0.0, 0.0]])
+    image = np.ones((4, 4))
+    for model in (los_exposure, gaussian_exposure):
+        with pytest.raises(UserError, match=f"up to {re.escape(format(far, '.3g'))} wavelengths"):
+            model(image, los, SAMPLING)
+    with pytest.raises(UserError, match="have to fit into 6000 pixels"):
+        full_exposure([image[None], image[None]], los, SAMPLING)
+
+
+def test_long_canvases_hold_the_same_light():
+    """Images one by one, on a canvas of 1700 pixels, against the same places on a short one."""
+    image = np.random.default_rng(9).random((6, 8, 8))
+    los = np.full((6, 2), [26.0, -3.0])
+    far = np.concatenate([los, -los])
+    both = np.concatenate([image, image])
+    found = full_exposure([both], far, SAMPLING)
+    assert len(found) > 1500
+    middle = len(found) // 2
+    there = found[middle - 12 - 4 : middle - 12 + 4, middle + 104 - 4 : middle + 104 + 4]
+    np.testing.assert_allclose(there, 0.5 * image.mean(axis=0), atol=1e-13)
+    assert found.sum() == pytest.approx(image.sum() / 6, rel=1e-12)
 
 
 def test_static_images_are_checked():

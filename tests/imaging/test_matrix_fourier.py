@@ -89,6 +89,10 @@ def test_sampling_that_is_called_enough_is_enough():
     assert images[0].max() == pytest.approx(images[1].max(), rel=0.1)
 
 
+def test_a_phase_that_no_pupil_samples_needs_a_number_all_the_same():
+    assert samples_needed(np.inf, 60.0) == samples_needed(1e300, 60.0) == 10**9
+
+
 def test_bad_input():
     grid = annular_pupil(16)
     with pytest.raises(UserError, match="repeats every 16 lambda/D"):

@@ -18,10 +18,10 @@ from wavequake.imaging.through_focus import through_focus
 from wavequake.report import animation, mirror_exposures, psf_figures
 from wavequake.report.animation import animate_case
 from wavequake.report.campaign import report_store, summary_table
-from wavequake.workflows import model_store
+from wavequake.workflows import mirror_exposure, model_store
 from wavequake.workflows.campaign import run_study
-from wavequake.workflows.contract import DONE
-from wavequake.workflows.mirror_exposure import aberrations_of, compute, exposed_instants, template
+from wavequake.workflows.contract import DONE, RAISED
+from wavequake.workflows.mirror_exposure import WORKFLOW, aberrations_of, compute, exposed_instants, template
 from wavequake.workflows.store import open_store, read_manifest
 from wavequake.workflows.study import load_study
 
@@ -134,6 +134,40 @@ def test_a_case_does_not_depend_on_its_chunk(study):
     assert {name: values.shape[1:] for name, values in alone.items()} == {
         name: variable.shape for name, variable in template(text).per_case.items()
     }
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"imaging.scale": 1e6}, "the line of sight moves by up to"),
+        ({"imaging.scale": 1e300}, "too far for an"),
+    ],
+)
+def test_motion_that_no_image_holds_is_quarantined(keys, words):
+    found = compute(load_study("mirror-exposure", SMALL | keys).identity_text(), np.array([1]), "numpy")
+    assert found.status[0] == RAISED
+    assert words in found.messages[0]
+    assert np.isnan(found.arrays["exposure"][0]).all()
+
+
+def test_a_wavefront_that_is_no_number_is_quarantined_alone(study, monkeypatch):
+    text = study.identity_text()
+    spoiled = aberrations_of(text, "circular", "craigb18").copy()
+    spoiled[ONE, 20, 7] = np.nan  # instants are every second or third
+
+    def of(text, model, variant):
+        return spoiled if variant == "craigb18" else aberrations_of(text, model, variant)
+
+    monkeypatch.setattr(mirror_exposure, "aberrations_of", of)
+    found = compute(text, np.array([0, 1]), "numpy")
+    assert found.status.tolist() == [DONE, RAISED]
+    assert "is not finite, so there is no exposure" in found.messages[1]
+
+
+def test_images_wider_than_the_pupils_period_are_refused_before_a_case_runs():
+    study = load_study("mirror-exposure", SMALL | {"imaging.pixels": 128})
+    with pytest.raises(UserError, match=r"computed 64 lambda/D wide.*set it to at least 64"):
+        WORKFLOW.check(study.identity_text())
 
 
 def test_the_table_of_a_mirror(store, dataset):

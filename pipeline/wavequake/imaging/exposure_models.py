@@ -29,6 +29,8 @@ _WINGS = 8.0
 _BLOCK = 64
 # Images at once whose spectra a processor's cache holds.
 _CACHED = 4
+# Longest canvas: its spectrum takes 288 MB; beyond the second, images come one by one.
+_LONGEST, _LONG = 6000, 1500
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,8 @@ def full_exposure(images: Iterable[NDArray[np.floating]], los: ArrayLike, sampli
     Raises
     ------
     UserError
-        If a number is not finite, or there are not as many square images as lines of sight.
+        If a number is not finite, there are not as many square images as lines of sight, or the motion is
+        beyond a canvas of 6000 pixels.
     """
     los = _checked(los, sampling)
     total: Complex | None = None
@@ -89,8 +92,9 @@ def full_exposure(images: Iterable[NDArray[np.floating]], los: ArrayLike, sampli
             raise UserError(f"there are more images than the {len(los)} lines of sight")
         if total is None:
             total = np.zeros((canvas, canvas // 2 + 1), dtype=np.complex128)
-        for first in range(0, len(local), _CACHED):
-            part = local[first : first + _CACHED]
+        together = _CACHED if canvas <= _LONG else 1
+        for first in range(0, len(local), together):
+            part = local[first : first + together]
             if not np.isfinite(part).all():
                 bad = done + first + int(np.argmin(np.isfinite(part).all(axis=(1, 2))))
                 raise UserError(f"the image of instant {bad} is not finite, so there is no exposure")
@@ -206,8 +210,16 @@ def _static(static: NDArray[np.floating], los: Real, sampling: float) -> tuple[R
 
 def _canvas_length(pixels: int, los: Real, sampling: float) -> int:
     """Return an odd length with a fast transform, wide enough for the images and for the Gaussian's wings."""
-    wings = np.abs(los.mean(axis=0)) + _WINGS * los.std(axis=0)
-    reach = max(np.abs(los).max(), wings.max()) / sampling
+    farthest = float(np.abs(los).max())
+    with np.errstate(over="ignore"):
+        wings = np.abs(los.mean(axis=0)) + _WINGS * los.std(axis=0)
+    reach = max(farthest, wings.max()) / sampling
+    if not pixels + 2.0 * reach < _LONGEST:
+        raise UserError(
+            f"the line of sight moves by up to {farthest:.3g} wavelengths/diameter, which is too far for an "
+            f"exposure: images of {pixels} pixels and {_WINGS:g} of its standard deviations to each side "
+            f"have to fit into {_LONGEST} pixels of {sampling:g}"
+        )
     length = (pixels + 2 * int(np.ceil(reach))) | 1
     while next_fast_len(length) != length:
         length += 2

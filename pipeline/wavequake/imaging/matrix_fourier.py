@@ -16,6 +16,8 @@ Complex = NDArray[np.complex128]
 
 # Pupils that are transformed at once: bounds the memory, changes no bit of any image.
 _BATCH = 8
+# Samples that no pupil has.
+_MOST = 1e9
 
 
 @dataclass(frozen=True)
@@ -226,7 +228,7 @@ def samples_needed(phase_slope: float, field: float) -> int:
     -------
     int
         At least two samples per period of the phase and of the transform's kernel at the image's edge
-        together.
+        together; at most 1e9.
     """
     cycles = 2.0 * phase_slope / (2.0 * np.pi) + field / 2.0
-    return int(np.ceil(2.0 * cycles))
+    return int(np.ceil(min(2.0 * cycles, _MOST)))

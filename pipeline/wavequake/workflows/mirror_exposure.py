@@ -280,6 +280,14 @@ def check(study_text: str) -> None:
     study = study_of(study_text)
     if study.object:
         check_object(study.object, study.imaging.pixels, study.imaging.sampling)
+    imaging = study.imaging
+    field = CANVAS * imaging.pixels * imaging.sampling
+    if field > imaging.pupil_samples:
+        raise UserError(
+            f"imaging.pupil_samples is {imaging.pupil_samples}, so that images repeat every "
+            f"{imaging.pupil_samples} lambda/D, but those of {imaging.pixels} pixels are computed "
+            f"{field:g} lambda/D wide, for light that moves in; set it to at least {int(np.ceil(field))}"
+        )
     for name in study.models:
         check_variants_of(study, bench_of(study_text, name), study.reduction.variants)
         aberrations_of(study_text, name, study.reduction.reference)
