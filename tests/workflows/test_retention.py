@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-import small_mirrors
-import small_segments
-import small_telescope
 import toy
+from small_histories import SMALL
 
 from wavequake.errors import UserError
 from wavequake.report.comparison import compare
@@ -17,97 +15,14 @@ from wavequake.workflows.retention import STATISTICS, kept_template, retention_o
 from wavequake.workflows.store import create_store, open_store
 from wavequake.workflows.study import STUDIES, load_study, study_with
 
-SYSTEM = """
-[study]
-name = "parabola"
-workflow = "system-disturbance"
-[system]
-entrance_diameter_mm = 100.0
-fields_arcmin = [[0.0, 0.0], [3.0, 0.0]]
-wavelengths_nm = [500.0, 1000.0]
-[[system.surface]]
-name = "mirror"
-radius_mm = -2000.0
-conic = -1.0
-glass = "mirror"
-stop = true
-[[system.surface]]
-name = "image"
-distance_mm = 1000.0
-[optics]
-rays = 40
-[wavefront]
-zernike_terms = 6
-[[disturbance]]
-name = "hum"
-model = "surface-vibration"
-of = ["image"]
-instants = 7
-lines = [{ frequency_hz = 10.0, amplitude = { dy_um = 7.0, rx_urad = 5.0 } }]
-[[disturbance]]
-name = "sight"
-model = "line-of-sight"
-rms_mas = 50.0
-instants = 3
-"""
-MIRROR = {**small_mirrors.TRACE, "time.duration_s": 0.002}
-MOR = {**small_mirrors.MOR, "time.duration_s": 0.002, "reduction.variants": ["craigb18"]}
-EXPOSURE = {
-    "model.rings": 2,
-    "reduction.variants": ["craigb18"],
-    "imaging.pixels": 16,
-    "imaging.pupil_samples": 32,
-    "imaging.instants": 3,
-    "imaging.scale": 0.003,
-    "optics.rays": 120,
-    "optics.zernike_terms": 11,
-    "time.duration_s": 0.002,
-}
-TELESCOPE = {
-    "imaging.pixels": 16,
-    "optics.rays_per_segment": 6,
-    "wavefront.zernike_terms": 6,
-    "disturbance.mount.instants": 4,
-}
-EXPOSED = small_telescope.STUDY.replace("segment-disturbance", "telescope-exposure")
-LENS = {"time.duration_s": 2.0, "time.step_ms": 20.0, "bench.springs": ["initial"]}
-SEGMENTS = {"segments.disturbed": ["one"], "reduction.variants": ["modal12"], "excitation.sine.name": "hum"}
-# Study, changed keys, cases.
-SMALL = {
-    "system-disturbance": (SYSTEM, {}, 5),
-    "segment-disturbance": (small_telescope.STUDY, {"imaging.enabled": False}, 7),
-    "telescope-exposure": (EXPOSED, TELESCOPE, 3),
-    "lens-experiment": ("lens-experiment", LENS, 3),
-    "mirror-trace": ("mirror-trace", MIRROR, None),
-    "mirror-mor": ("mirror-mor", MOR, None),
-    "mirror-exposure": ("mirror-exposure", EXPOSURE, None),
-    "segment-mor": (small_segments.STUDY, SEGMENTS, None),
-}
 pytestmark = pytest.mark.usefixtures("mirror_models")
 
 
-@pytest.fixture(scope="module")
-def small(tmp_path_factory):
-    """Return the study of a workflow, all that it computes, and what its store keeps under some keys."""
-    folder, kept = tmp_path_factory.mktemp("retention"), {}
-
-    def study_of(name):
-        text, keys, cases = SMALL[name]
-        if "\n" in text:
-            path = folder / f"{name}.toml"
-            path.write_text(text)
-            text = path
-        return load_study(text, {**keys, **({"campaign.cases": cases} if cases else {})})
-
-    def dataset(name, **keys):
-        place = folder / "-".join([name, *map(str, keys.values())])
-        if place not in kept:
-            chosen = {f"store.{key}": value for key, value in keys.items()}
-            run_study(study_with(study_of(name), chosen), place, on="serial")
-            kept[place] = open_store(place).load()
-        return kept[place]
-
-    return study_of, dataset
+@pytest.fixture
+def small(kept_stores):
+    """Return the study of a workflow, and what its store keeps under some keys, as functions."""
+    study_of, store_of = kept_stores
+    return study_of, lambda name, **keys: open_store(store_of(name, **keys)).load()
 
 
 def over_time(dataset):

@@ -1,0 +1,84 @@
+"""A small study of every workflow that stores numbers over time."""
+
+import small_mirrors
+import small_segments
+import small_telescope
+
+from wavequake.workflows.study import load_study
+
+SYSTEM = """
+[study]
+name = "parabola"
+workflow = "system-disturbance"
+[system]
+entrance_diameter_mm = 100.0
+fields_arcmin = [[0.0, 0.0], [3.0, 0.0]]
+wavelengths_nm = [500.0, 1000.0]
+[[system.surface]]
+name = "mirror"
+radius_mm = -2000.0
+conic = -1.0
+glass = "mirror"
+stop = true
+[[system.surface]]
+name = "image"
+distance_mm = 1000.0
+[optics]
+rays = 40
+[wavefront]
+zernike_terms = 6
+[[disturbance]]
+name = "hum"
+model = "surface-vibration"
+of = ["image"]
+instants = 7
+lines = [{ frequency_hz = 10.0, amplitude = { dy_um = 7.0, rx_urad = 5.0 } }]
+[[disturbance]]
+name = "sight"
+model = "line-of-sight"
+rms_mas = 50.0
+instants = 3
+"""
+MIRROR = {**small_mirrors.TRACE, "time.duration_s": 0.002}
+MOR = {**small_mirrors.MOR, "time.duration_s": 0.002, "reduction.variants": ["craigb18"]}
+EXPOSURE = {
+    "model.rings": 2,
+    "reduction.variants": ["craigb18"],
+    "imaging.pixels": 16,
+    "imaging.pupil_samples": 32,
+    "imaging.instants": 3,
+    "imaging.scale": 0.003,
+    "optics.rays": 120,
+    "optics.zernike_terms": 11,
+    "time.duration_s": 0.002,
+}
+TELESCOPE = {
+    "imaging.pixels": 16,
+    "optics.rays_per_segment": 6,
+    "wavefront.zernike_terms": 6,
+    "disturbance.mount.instants": 4,
+}
+EXPOSED = small_telescope.STUDY.replace("segment-disturbance", "telescope-exposure")
+LENS = {"time.duration_s": 2.0, "time.step_ms": 20.0, "bench.springs": ["initial"]}
+SEGMENTS = {"segments.disturbed": ["one"], "reduction.variants": ["modal12"], "excitation.sine.name": "hum"}
+# Study, changed keys, cases.
+SMALL = {
+    "system-disturbance": (SYSTEM, {}, 5),
+    "segment-disturbance": (small_telescope.STUDY, {"imaging.enabled": False}, 7),
+    "telescope-exposure": (EXPOSED, TELESCOPE, 3),
+    "lens-experiment": ("lens-experiment", LENS, 3),
+    "mirror-trace": ("mirror-trace", MIRROR, None),
+    "mirror-mor": ("mirror-mor", MOR, None),
+    "mirror-exposure": ("mirror-exposure", EXPOSURE, None),
+    "segment-mor": (small_segments.STUDY, SEGMENTS, None),
+}
+
+
+def small_study(name, folder):
+    """Load the study of a workflow, by way of a file in `folder` if it is written here."""
+    text, keys, cases = SMALL[name]
+    if "\n" in text:
+        path = folder / f"{name}.toml"
+        path.write_text(text)
+        text = path
+    return load_study(text, {**keys, **({"campaign.cases": cases} if cases else {})})
