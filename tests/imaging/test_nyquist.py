@@ -5,8 +5,8 @@ import warnings
 import numpy as np
 import pytest
 
-from wavequake.imaging.matrix_fourier import matrix_fourier
-from wavequake.imaging.nyquist import samples_for, too_coarse, zernike_samples_for
+from wavequake.imaging.matrix_fourier import matrix_fourier, samples_needed
+from wavequake.imaging.nyquist import ray_samples_for, samples_for, too_coarse, zernike_samples_for
 from wavequake.imaging.polychromatic import polychromatic_psf
 from wavequake.imaging.pupil_function import annular_pupil
 from wavequake.imaging.through_focus import through_focus
@@ -68,3 +68,19 @@ def test_images_warn_once_a_call_of_what_they_fold_back():
         zernike_images(imager, steep[:1])
         zernike_sum(imager, steep, weights * (steep[:, 3] < 1.0))
         polychromatic_psf(GRID, phase, [1.0, 0.5], [1.0, 0.0], 16, 0.5)
+
+
+def test_rays_need_two_per_period_of_their_own_pieces_phase():
+    """A tilt of each half, exact between any two rays along it; the step between halves does not count."""
+    along = (np.arange(40) - 19.5) / 20.0
+    x, y = (values.ravel() for values in np.meshgrid(along, along))
+    piece = (x > 0.0).astype(int)
+    slope = 7.0  # rad per pupil radius
+    phase = np.stack([slope * x + 400.0 * piece, np.where(piece, np.nan, 0.2 * slope * y)])
+    assert ray_samples_for((x, y, piece), phase, 16.0) == samples_needed(slope, 16.0)
+    assert ray_samples_for((x, y, piece), phase[1:], 16.0) == samples_needed(0.2 * slope, 16.0)
+    assert ray_samples_for((x, y, piece), np.full_like(phase, np.nan), 16.0) == 16
+    one = np.zeros(1)
+    assert ray_samples_for((one, one, one.astype(int)), one[None], 16.0) == 16
+    apart = ray_samples_for((x, y, np.arange(len(x))), phase, 16.0)  # each ray a piece of its own
+    assert apart == 16

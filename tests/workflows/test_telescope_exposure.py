@@ -1,5 +1,7 @@
 """Exposures of a telescope under four controllers: Störkle 2018, section 4.6, and what images are made of."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -151,6 +153,30 @@ def test_a_moving_mount_does_what_the_shortcut_says(result):
     error = result["image_error"][1, DISTURBED]
     assert error[0] < 1e-3
     assert error[1] > 20 * error[0]
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ([], None),
+        (
+            ["imaging.pixels=64"],
+            "400 rays stand 23 across the pupil, but its phase and images of 32 lambda/D",
+        ),
+        (["exposure.scale=500"], "lower imaging.pixels or exposure.scale"),
+    ],
+)
+def test_too_few_rays_for_an_image_are_named_with_the_number_needed(tmp_path, keys, words):
+    path = tmp_path / "few.toml"
+    path.write_text(STUDY)
+    said = list(workflow.notices(load_study(path, ["imaging.pixels=16", *keys]).identity_text()))
+    assert bool(said) == (words is not None)
+    if words is not None:
+        assert words in said[0]
+        enough = re.search(r"raise optics.rays to (\d+)", said[0]).group(1)
+        if int(enough) < 4000:
+            mended = load_study(path, ["imaging.pixels=16", *keys, f"optics.rays={int(1.05 * int(enough))}"])
+            assert not list(workflow.notices(mended.identity_text()))
 
 
 def test_a_case_does_not_depend_on_its_chunk(text, result):

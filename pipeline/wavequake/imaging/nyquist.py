@@ -14,6 +14,8 @@ Real = NDArray[np.float64]
 
 # Radii and azimuths at which Zernike wavefronts are sought for their steepest place.
 _RADII, _AZIMUTHS = 16, 96
+# Nearest rays to which the phase of a ray is compared.
+_NEIGHBORS = 4
 
 
 def samples_for(grid: PupilGrid, phase: Real, field: float) -> int:
@@ -45,6 +47,36 @@ def zernike_samples_for(coefficients: Real, obscuration: float, field: float) ->
         float(np.abs(finite[first : first + 64] @ gradient).max()) for first in range(0, len(finite), 64)
     )
     return samples_needed(2.0 * np.pi * steepest, field)
+
+
+def ray_samples_for(rays: tuple[Real, Real, NDArray[np.integer]], phase: Real, field: float) -> int:
+    """Return the same of a pupil of scattered rays, by the steps of the phase between neighbors.
+
+    Parameters
+    ----------
+    rays : tuple of three ndarray, shape (R,)
+        x and y in pupil radii, and the piece of the wavefront (segment) of each; steps between pieces do not
+        count.
+    phase : ndarray, shape (batch, R)
+        rad; what is not a number does not count.
+    field : float
+        Width of the image in wavelengths / diameter.
+    """
+    from scipy.spatial import cKDTree  # slow to import, and few studies need it
+
+    x, y, piece = rays
+    count = min(_NEIGHBORS, len(x) - 1) + 1
+    distance, neighbor = cKDTree(np.stack([x, y], axis=1)).query(np.stack([x, y], axis=1), k=count)
+    distance, neighbor = distance.reshape(len(x), -1), neighbor.reshape(len(x), -1)
+    one, other = np.nonzero((piece[neighbor] == piece[:, None]) & (distance > 0.0))
+    if not one.size:
+        return samples_needed(0.0, field)
+    apart, beside = distance[one, other], neighbor[one, other]
+    steepest = 0.0
+    for instant in phase:
+        slope = np.abs(instant[beside] - instant[one]) / apart
+        steepest = max(steepest, float(np.max(slope, initial=0.0, where=np.isfinite(slope))))
+    return samples_needed(steepest, field)
 
 
 def too_coarse(samples: int, needed: int, field: float) -> str:

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
 from wavequake.imaging.exposure_models import cut, full_exposure
+from wavequake.imaging.nyquist import ray_samples_for
 from wavequake.kernels.devices import Device, choose_device
 from wavequake.kernels.tiles import TILE
 from wavequake.kernels.train import Traced
@@ -26,11 +27,12 @@ from wavequake.workflows.coherent_object import LitObject, lit_object, mean_imag
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.exposed_object import check_object
 from wavequake.workflows.exposure_study import TelescopeExposureStudy
-from wavequake.workflows.exposures import FOCUS, exposed, exposure_variables, frame_coordinates
+from wavequake.workflows.exposures import CANVAS, FOCUS, exposed, exposure_variables, frame_coordinates
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segment_disturbance import CaseDraw, draw, surface_states
 from wavequake.workflows.telescope_control import (
     CONTROLLERS,
+    DISTURBED,
     STATIC,
     ControlBench,
     control_bench_of,
@@ -271,4 +273,36 @@ def check(study_text: str) -> None:
     control_bench_of(study_text)
 
 
-WORKFLOW = Workflow("telescope-exposure", template, case_table, compute, describe, check=check)
+def notices(study_text: str) -> Iterator[str]:
+    """Yield what to say of too few rays: for the images' field, their focus, or the disturbed phase.
+
+    Each disturbance is judged by the first instants of its first case.
+    """
+    control = control_bench_of(study_text)
+    imaging, prepared, device = control.study.imaging, control.prepared, choose_device("numpy")
+    still = replace(scaled_draw(control, 0), time=np.zeros(1))
+    _, traced, wavefront = next(case_blocks(control, still, device, STATIC))
+    rest = ray_phase(control, measured_opd(control, traced), wavefront, wavefront.los)[:1]
+    phases = [rest - np.array(FOCUS)[:, None] * prepared.zernike.basis[:, 3]]
+    for case in range(len(control.study.disturbance)):
+        drawn = scaled_draw(control, case)
+        count, traced, wavefront = next(case_blocks(control, drawn, device, DISTURBED))
+        phases.append(ray_phase(control, measured_opd(control, traced), wavefront, wavefront.los)[:count])
+    radius, rays = 0.5 * control.diameter, prepared.rays
+    places = rays.x / radius, rays.y / radius, rays.segment
+    field = CANVAS * imaging.pixels * imaging.sampling
+    needed = ray_samples_for(places, 2.0 * np.pi * np.concatenate(phases), field)
+    cell = control.area / control.diameter**2
+    across = np.sqrt(len(rays) / cell)
+    if needed > across:
+        yield (
+            f"{len(rays)} rays stand {across:.0f} across the pupil, but its phase and images of {field:g} "
+            f"lambda/D (twice the frame, for light that moves in) need {needed}: light is folded back into "
+            f"the image; raise optics.rays to {int(np.ceil(cell * needed**2))}, or lower imaging.pixels or "
+            "exposure.scale"
+        )
+
+
+WORKFLOW = Workflow(
+    "telescope-exposure", template, case_table, compute, describe, check=check, notices=notices
+)
