@@ -77,6 +77,16 @@ INLINE void travel(ray *r, real step, double index)
     r->path += step * (index * r->length);
 }
 
+// The same with a direction that all rays have: it is turned once.
+INLINE void rotate_together_and_shift(ray *r, __global const double *a, __global const double *d)
+{
+    r->direction.x = (real)(a[0] * d[0] + a[1] * d[1] + a[2] * d[2]);
+    r->direction.y = (real)(a[3] * d[0] + a[4] * d[1] + a[5] * d[2]);
+    r->direction.z = (real)(a[6] * d[0] + a[7] * d[1] + a[8] * d[2]);
+    r->position = rotated(a, r->position);
+    shift(r, a);
+}
+
 INLINE real plane_step(const ray *r) { return -r->position.z / r->direction.z; }
 
 // These take the step to the surface, and return where it is met.
@@ -176,16 +186,18 @@ INLINE real monomials(__global const double *a, const int degree, double inverse
     }
     #pragma unroll 16
     for (int i = degree / 2 * 2 - 1; i > 0; i -= 2) {
-        real first = TERM(i, degree - i), first_v = 0.0;
-        real second_v = TERM(i - 1, degree - i + 1), second = second_v * v + TERM(i - 1, degree - i);
         __global const double *term = &TERM(i, degree - i - 1);
+        real first_v = TERM(i, degree - i), first = first_v * v + term[0];
+        real second_v = TERM(i - 1, degree - i + 1), second = second_v * v + TERM(i - 1, degree - i);
+        second_v = second_v * v + second;
+        second = second * v + term[1 - degree];
         #pragma unroll 1
-        for (int n = degree - 1; n >= i; --n) {
+        for (int n = degree - 2; n >= i; --n) {
+            term -= n + 2;
             first_v = first_v * v + first;
             second_v = second_v * v + second;
             first = first * v + term[0];
             second = second * v + term[-n];
-            term -= n + 1;
         }
         slope_u = slope_u * u + value;
         slope_v = slope_v * u + first_v;

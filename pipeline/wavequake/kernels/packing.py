@@ -47,7 +47,8 @@ def packed_elements(
         numbers[start + 5] = reach * reach
         regions = () if ignore_apertures else _regions(element, numbers)
         plane = element.curvature == 0.0
-        shapes.append(Shape(start, element.action, plane, rotates[number], even, tuple(parts), regions))
+        turns, vacuum = rotates[number], index == 1.0
+        shapes.append(Shape(start, element.action, plane, turns, vacuum, even, tuple(parts), regions))
         if not shapes[-1].bare:
             limits.append(_limit(element, bends, len(moving.poses)))
         index = behind

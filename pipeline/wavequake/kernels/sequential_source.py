@@ -36,6 +36,7 @@ class Part:
 class Shape:
     """What of an element the kernel's text depends on; ``fixed`` is where its fixed numbers start.
 
+    ``vacuum`` tells whether light comes through an index of 1, by which nothing need be multiplied.
     ``regions`` are (kind, half planes, blocks, where the numbers start); ``even`` is the number of even
     powers and where they start.
     """
@@ -44,6 +45,7 @@ class Shape:
     action: str
     plane: bool
     rotates: bool
+    vacuum: bool
     even: tuple[int, int]
     parts: tuple[Part, ...]
     regions: tuple[tuple[str, int, bool, int], ...]
@@ -81,7 +83,7 @@ def kernel_source(
     for i in deformed:
         lines += [_height(i, shapes[i]), f"#define NUMBER {i}", meet]
     for i, shape in enumerate(shapes):
-        lines += _element(i, shape, deformed)
+        lines += _element(i, shape, deformed, one_direction and i == 0)
     lines += _start(one_direction, one_path) + _finish(outputs)
     inputs = ["fixed", "position", "direction", "path", "poses", "limits", "spheres", *names]
     arguments = [f"__global const double *{name}" for name in inputs] + _written(outputs)
@@ -104,7 +106,7 @@ def kernel_source(
         lines += [f"    ray r_{k} = start(rays, n + {k} * W, position, direction, path);"]
         lines += [f"    real loss_{k} = 0.0;"]
     for i, shape in enumerate(shapes):
-        lines += [f"    const real step_{i}_{k} = reach_{i}(t, &r_{k});" for k in range(turns)]
+        lines += [f"    const real step_{i}_{k} = reach_{i}(t, &r_{k}, direction);" for k in range(turns)]
         for k in range(0 if shape.bare else turns):
             lines += [f"    const height there_{i}_{k} = height_there_{i}(t, &r_{k}, step_{i}_{k});"]
         for k in range(turns):
@@ -170,17 +172,23 @@ def _height(i: int, shape: Shape) -> str:
     return "\n".join([*lines, "    return height;", "}"])
 
 
-def _element(i: int, shape: Shape, deformed: list[int]) -> list[str]:
+def _element(i: int, shape: Shape, deformed: list[int], together: bool) -> list[str]:
     """Return the functions of one element: the step to its conic, and all that follows.
 
-    Its fixed numbers are c, k1, index before, ratio, index, reach.
+    `together` tells whether all rays arrive in the kernel's own ``direction``. The element's fixed numbers
+    are c, k1, index before, ratio, index, reach.
     """
     c, k1, index, ratio, _, reach = (f"t.fixed[{shape.fixed + k}]" for k in range(6))
+    index = "1.0" if shape.vacuum else index
     flat = shape.bare and shape.plane
     step = "plane_step(r)" if flat else f"conic_step(r->position, r->direction, {c}, {k1})"
-    pose = f"{'rotate_and_shift' if shape.rotates else 'shift'}(r, t.poses + {12 * i});"
+    pose = f"shift(r, t.poses + {12 * i});"
+    if shape.rotates and together:
+        pose = f"rotate_together_and_{pose[:-2]}, direction);"
+    elif shape.rotates:
+        pose = f"rotate_and_{pose}"
     reaches = [
-        f"INLINE real reach_{i}(const numbers t, ray *r)",
+        f"INLINE real reach_{i}(const numbers t, ray *r, __global const double *direction)",
         "{",
         f"    {pose}",
         f"    return {step};",
