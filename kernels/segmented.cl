@@ -2,7 +2,7 @@
 //
 // Work-item (lane group, ray, tile). Compile-time constants: W instants in a vector, TURNS vectors per
 // work-item, EDGES per segment
-// (0: no edge), DEGREE and MIRROR_DEGREE of the figure polynomials of segments and of the mirrors after M1
+// (0: no edge), CONVEX (whether edges are half planes that hold all of the glass), DEGREE and MIRROR_DEGREE of the figure polynomials of segments and of the mirrors after M1
 // (-1: none), SEGMENT_RING and MIRROR_RING (whether these are evaluated by recurrences), SURFACES after M1 (the last is the image plane), PLANES (bit i: surface i is a plane), EDGED
 // (bit i: surface i has an edge).
 
@@ -10,6 +10,9 @@
 #include "rays.h"
 
 #define TERMS(degree) (((degree) + 1) * ((degree) + 2) / 2)
+
+// Of an edge.
+#define NUMBERS (CONVEX ? 3 : 5)
 
 enum { OK = 0, GAP = 1, MISS = 2 };
 
@@ -62,10 +65,21 @@ INLINE void keep_if_on_glass(sighting *s, const meeting *m, __global const doubl
                              __global const double *line)
 {
     real beyond = larger(m->lean.z, LOSS(GAP) - s->loss);
+#if CONVEX
     #pragma unroll
     for (int edge = 0; edge < EDGES; ++edge)
         beyond = larger(line[3 * edge] * m->hit.x + (line[3 * edge + 1] * m->hit.y - line[3 * edge + 2]),
                         beyond);
+#else
+    // A way to +x crosses an odd number of edges.
+    real outside = 1.0;
+    for (int edge = 0; edge < EDGES; ++edge, line += 5) {
+        const real side = line[0] * m->hit.x + (line[1] * m->hit.y - line[2]);
+        const mask beside = (m->hit.y >= line[3]) & (m->hit.y < line[4]) & (line[0] * side < 0.0);
+        outside = EITHER(beside, -outside, outside);
+    }
+    beyond = larger(outside, beyond);
+#endif
     const mask first = beyond + poison(m->step) <= 0.0;
     const triple normal = turned_back(pose, m->lean);
     s->step = EITHER(first, m->step, s->step);
@@ -165,7 +179,7 @@ __kernel void segmented(
         EACH_TURN m[k].hit = along(m[k].hit, further[k], m[k].direction);
         EACH_TURN m[k].step += further[k];
 #endif
-        EACH_TURN keep_if_on_glass(&s[k], &m[k], pose + k * W, edges + 3 * EDGES * segment);
+        EACH_TURN keep_if_on_glass(&s[k], &m[k], pose + k * W, edges + NUMBERS * EDGES * segment);
     }
     real loss[TURNS];
     EACH_TURN {

@@ -124,7 +124,8 @@ INLINE mask refract(ray *r, triple normal, double ratio)
     return NOT(radicand < 0.0);
 }
 
-// Regions of apertures: a circle (x, y, square of the radius), a convex polygon (half planes a x + b y <= c).
+// Regions of apertures: a circle (x, y, square of the radius), a convex polygon (half planes a x + b y <= c),
+// any other (half planes, lowest and highest y of their edges), of which a way to +x crosses an odd number.
 INLINE mask in_circle(triple p, __global const double *circle)
 {
     real x = p.x - circle[0], y = p.y - circle[1];
@@ -137,6 +138,16 @@ INLINE mask in_polygon(triple p, __global const double *line, const int edges)
     for (int edge = 0; edge < edges; ++edge)
         inside &= line[3 * edge] * p.x + line[3 * edge + 1] * p.y <= line[3 * edge + 2];
     return inside;
+}
+
+INLINE mask in_outline(triple p, __global const double *line, const int edges)
+{
+    real sense = -1.0;
+    for (int edge = 0; edge < edges; ++edge, line += 5) {
+        real side = line[0] * p.x + line[1] * p.y - line[2];
+        sense = EITHER((p.y >= line[3]) & (p.y < line[4]) & (line[0] * side < 0.0), -sense, sense);
+    }
+    return sense > 0.0;
 }
 
 // To the sphere of given center and radius: back along the ray, or onwards where the radius is negative.

@@ -6,6 +6,7 @@ from wavequake.imaging.outlines import annulus, blocked, disc, segments, vane
 from wavequake.imaging.polygon_transform import polygon_areas
 
 SQUARE = np.array([[0, 0], [2, 0], [2, 2], [0, 2.0]])
+CROSSING = np.array([[0, 0], [3, 0], [3, 2], [1, -1.0]])
 
 
 def area(outline):
@@ -52,8 +53,8 @@ def test_an_obstruction_elsewhere_changes_nothing():
         (lambda: vane([1, 1], [1, 1], 0.1), "length and a width"),
         (lambda: vane([0, 0], [1, 1], -0.1), "length and a width"),
         (lambda: segments(SQUARE[None, ::-1]), "counter-clockwise"),
-        (lambda: segments(np.array([[[0, 0], [2, 0], [0.2, 0.2], [0, 2.0]]])), "segment 0 is not convex"),
-        (lambda: blocked(annulus(1.0), np.array([[0, 0], [2, 0], [0.2, 0.2], [0, 2.0]])), "not convex"),
+        (lambda: segments(CROSSING[None]), "segment 0 crosses or touches itself"),
+        (lambda: blocked(annulus(1.0), CROSSING), "an obstruction crosses or touches itself"),
         (lambda: blocked(annulus(1.0), SQUARE * np.nan), "not a finite number"),
     ],
 )

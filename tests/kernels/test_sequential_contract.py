@@ -24,6 +24,7 @@ from wavequake.kernels.sequence import (
     terms,
 )
 from wavequake.kernels.sequential import trace_sequence
+from wavequake.optics.polygons import edge_spans
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 OPENCL += [Device(device.name, "gpu", device.platform, 1) for device in OPENCL if device.kind == "cpu"]
@@ -42,7 +43,7 @@ SYSTEMS = {
     ],
     "mirrors": ["conic reflect", "moving reflect polygon", "plane reflect", "moving grid reflect", "plane"],
     "high": [
-        "ring moving refract",
+        "ring moving refract outline",
         "ring grid reflect blocked",
         "moving moving grid refract",
         "conic",
@@ -78,6 +79,9 @@ def random_element(words, random, scale):
         regions = [Region("circle", (0.3, -0.2, random.uniform(4.0, 12.0)))]
     if "polygon" in words:
         regions = [Region("polygon", (1.0, 0.2, 7.0, -1.0, 0.1, 8.0, 0.0, 1.0, 8.0, 0.1, -1.0, 7.0))]
+    if "outline" in words:
+        arrow = np.array([[-8.0, -6.0], [9.0, 0.5], [-7.0, 8.0], [-2.0, 0.0]])
+        regions = [Region("outline", tuple(edge_spans(arrow[None]).ravel().tolist()))]
     if words in ("plane", ["plane"]):
         # A finite image, since a ray along the plane of an infinite one multiplies rounding without bound.
         regions = [Region("circle", (0.0, 0.0, 150.0))]

@@ -116,7 +116,7 @@ def test_rays_over_segments_cover_the_distorted_glass(system):
         ("segment,corner,dx_mm,dy_mm\n1,1,nan,0", "'nan' is not a number"),
         ("segment,corner,dx_mm,dy_mm\n1,1,0", "'' is not a number"),
         ("segment,corner,dx_mm,dy_mm\n1,1,0,0\n1,1,1,0", "line 3: corner 1 of segment 1 is displaced twice"),
-        ("segment,corner,dx_mm,dy_mm\n1,1,-9000,-9000", "segment '1' would not be convex"),
+        ("segment,corner,dx_mm,dy_mm\n1,1,-9000,-9000", "segment '1' would cross itself"),
         ("segment,corner,dx_mm,dy_mm\n1,1,0,200", "segments '1' and '.*' would overlap"),
     ],
 )

@@ -130,7 +130,11 @@ def test_openings_pass_what_geometry_says(center):
     [
         (Opening(corners=((0.0, 0.0), (1.0, 0.0))), "at least 3 corners"),
         (Opening(corners=((0.0, 0.0), (0.0, 1.0), (1.0, 0.0))), "counterclockwise"),
-        (Opening(corners=((0.0, 0.0), (4.0, 0.0), (1.0, 1.0), (0.0, 4.0))), "convex"),
+        (Opening(corners=((0.0, 0.0), (4.0, 4.0), (4.0, 0.0), (0.0, 4.0))), "counterclockwise"),
+        (
+            Opening(corners=((0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (1.0, 4.0), (2.0, -1.0), (0.0, 4.0))),
+            "its edges cross",
+        ),
         (Opening(arms=((0.0, 0.0),)), "spider arm"),
         (Opening(5.0, center=(0.0, np.nan)), "center of an opening"),
     ],

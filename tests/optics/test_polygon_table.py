@@ -84,9 +84,10 @@ def test_too_few_corners_and_no_area():
     assert "'A' has no area" in complaint("A,0,0,1,1,2,2,3,3\n")
 
 
-def test_crossing_and_dented_polygons():
-    assert "'A' crosses itself or is not convex" in complaint("A,0,0,1,0,0.2,1,1,1.5\n")
-    assert "'B' crosses itself or is not convex" in complaint(SQUARE + "B,2,0,4,0,2.5,0.5,2,2\n")
+def test_polygons_that_cross_or_touch_themselves():
+    assert "'A' crosses or touches itself" in complaint("A,0,0,1,0,0.2,1,1,-1.5\n")
+    assert "'B' crosses or touches itself" in complaint(SQUARE + "B,2,0,4,0,3,0,2,2\n")
+    assert read_polygons(StringIO(HEADER + "B,2,0,4,0,2.5,0.5,2,2\n"))[0] == ["B"]
 
 
 def test_names_must_be_there_once():

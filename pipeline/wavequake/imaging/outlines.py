@@ -1,4 +1,4 @@
-"""Outlines of pupils: signed convex polygons, and what blocks them."""
+"""Outlines of pupils: signed polygons, and what blocks them."""
 
 from dataclasses import dataclass
 
@@ -7,6 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from wavequake.errors import UserError
 from wavequake.imaging.polygon_transform import polygon_areas
+from wavequake.optics.concave import crossing, triangles
+from wavequake.optics.polygons import signed_areas
 
 Real = NDArray[np.float64]
 
@@ -16,7 +18,7 @@ _CIRCLE_CORNERS = 4096
 
 @dataclass(frozen=True)
 class Outline:
-    """Where light passes: a sum of convex polygons, of which some count as holes.
+    """Where light passes: a sum of polygons, of which some count as holes.
 
     Attributes
     ----------
@@ -66,33 +68,39 @@ def annulus(outer: float, inner: float = 0.0) -> Outline:
 
 
 def segments(corners: Real) -> Outline:
-    """Return the outline of convex segments (S, V, 2), each of which is a piece of its own.
+    """Return the outline of segments (S, V, 2), each of which is a piece of its own.
 
     Raises
     ------
     UserError
-        If a polygon is clockwise, empty, not finite or not convex.
+        If a polygon is clockwise, empty, not finite or crosses itself.
     """
     corners = np.asarray(corners, dtype=np.float64)
     polygon_areas(corners)
     for number, polygon in enumerate(corners):
-        _check_convex(polygon, f"segment {number}")
+        _is_convex(polygon, f"segment {number}")
     return Outline(corners, np.ones(len(corners)), np.arange(len(corners)))
 
 
 def blocked(outline: Outline, obstruction: Real) -> Outline:
-    """Take a convex polygon (V, 2), counter-clockwise, from an outline.
+    """Take a polygon (V, 2), counter-clockwise, from an outline.
 
     What obstructions have in common is blocked once.
 
     Raises
     ------
     UserError
-        If the obstruction is not a convex polygon.
+        If the obstruction is clockwise, empty, not finite or crosses itself.
     """
     obstruction = np.asarray(obstruction, dtype=np.float64)
     polygon_areas(obstruction[None])
-    _check_convex(obstruction, "an obstruction")
+    if not _is_convex(obstruction, "an obstruction"):
+        parts = triangles(obstruction[None])[0]
+        for part in parts[signed_areas(parts) > 0.0]:
+            outline = blocked(outline, part)
+        real = signed_areas(outline.corners) > 0.0  # what parts share is a line, but for rounding
+        return Outline(outline.corners[real], outline.sign[real], outline.piece[real])
+    # What is left of a polygon that falls apart stays one polygon, along whose cut an edge leads back.
     shadow, hit = outline.corners, np.arange(len(outline.corners))
     for start, end in zip(obstruction, np.roll(obstruction, -1, axis=0), strict=True):
         shadow, kept = _clip(shadow, start, end - start)
@@ -108,17 +116,20 @@ def blocked(outline: Outline, obstruction: Real) -> Outline:
     )
 
 
-def _check_convex(corners: Real, name: str) -> None:
+def _is_convex(corners: Real, name: str) -> bool:
+    """Return whether a polygon is convex; if not, it must not cross itself."""
     edges = np.roll(corners, -1, axis=0) - corners
     edges = edges[np.any(edges != 0.0, axis=1)]
     following = np.roll(edges, -1, axis=0)
     turns = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
-    if turns.min() < -1e-9 * float((edges**2).sum(axis=1).max()):
-        raise UserError(f"{name} is not convex: cut it into convex polygons")
+    convex = bool(turns.min() >= -1e-9 * float((edges**2).sum(axis=1).max()))
+    if not convex and crossing(corners[None])[0]:
+        raise UserError(f"{name} crosses or touches itself: list its corners in order around it")
+    return convex
 
 
 def _clip(corners: Real, point: Real, direction: Real) -> tuple[Real, NDArray[np.intp]]:
-    """Keep what lies left of a line of convex polygons (Q, V, 2); return it and which polygons have any."""
+    """Keep what lies left of a line of polygons (Q, V, 2); return it and which polygons have any."""
     height = direction[0] * (corners[..., 1] - point[1]) - direction[1] * (corners[..., 0] - point[0])
     kept = np.flatnonzero((height > 0.0).any(axis=1))
     corners, height = corners[kept], height[kept]

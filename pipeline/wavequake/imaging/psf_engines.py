@@ -49,7 +49,7 @@ _PADDED = 1 << 22
 
 @dataclass(frozen=True)
 class SegmentedPupil:
-    """A pupil of convex segments.
+    """A pupil of segments, simple polygons.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class SegmentedPupil:
     diameter : float
         Length in mm that defines wavelength / diameter and encloses the pupil.
     obstructions : tuple of ndarray, shape (V, 2)
-        Convex polygons in mm, counter-clockwise, that stand before the segments: vanes of a spider for
+        Polygons in mm, counter-clockwise, that stand before the segments: vanes of a spider for
         example (`wavequake.imaging.outlines.vane`).
     figure_terms : int
         Noll terms j = 1..K on each segment; 3 for segments that move but do not bend. They are those of the

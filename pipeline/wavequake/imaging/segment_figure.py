@@ -14,7 +14,7 @@ from numpy.typing import DTypeLike, NDArray
 from wavequake.errors import UserError
 from wavequake.imaging.outlines import Outline
 from wavequake.imaging.segment_basis import MOMENTS, SegmentBasis, segment_basis
-from wavequake.imaging.segment_moments import exponents, gauss_rule
+from wavequake.imaging.segment_moments import exponents, glass_rule
 from wavequake.imaging.segment_psf import tile_images
 from wavequake.kernels.tiles import TILE
 from wavequake.optics.zernike import annular_zernike
@@ -77,7 +77,7 @@ def segment_figure(
         If there are no terms, or as for `segment_basis`.
     """
     basis = segment_basis(corners, centers, pixels, sampling, diameter, moments, dtype, shadows)
-    points, weights = gauss_rule(np.asarray(corners, dtype=np.float64), _POINTS)
+    points, weights = glass_rule(np.asarray(corners, dtype=np.float64), _POINTS)
     local = (points - np.asarray(centers, dtype=np.float64)[:, None]) / basis.slope_scale
     x, y = local[..., 0], local[..., 1]
     modes = annular_zernike(x.ravel(), y.ravel(), terms).reshape(*x.shape, terms)

@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 from scipy.special import spherical_jn
 
 from wavequake.imaging.band_limit import waves
+from wavequake.optics.concave import triangles
+from wavequake.optics.polygons import concave
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
@@ -79,7 +81,7 @@ def largest_means(corners: Real, centers: Real, degree: int) -> Real:
     ndarray, shape (degree // 2 + 1, S)
         For n = 0, 2, ..., degree; in mm² mm^(n+1).
     """
-    points, weights = gauss_rule(corners, 6)
+    points, weights = glass_rule(corners, 6)
     angles = np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS
     unit = np.stack([np.cos(angles), np.sin(angles)])
     power = 2.0 * np.pi * np.abs((points - centers[:, None]) @ unit)
@@ -107,6 +109,15 @@ def gauss_rule(corners: Real, count: int) -> tuple[Real, Real]:
     points = middle[:, None, None] + t[:, None, None] * across[:, :, None]  # (S, V, count, count, 2)
     weights = double_areas[:, :, None, None] * np.outer(w * t, w)
     return points.reshape(len(corners), -1, 2), weights.reshape(len(corners), -1)
+
+
+def glass_rule(corners: Real, count: int) -> tuple[Real, Real]:
+    """Points and weights as of `gauss_rule`, all of them on the polygons and none negative."""
+    if not concave(corners).any():
+        return gauss_rule(corners, count)
+    parts = triangles(corners)
+    points, weights = gauss_rule(parts.reshape(-1, 3, 2), count)
+    return points.reshape(len(corners), -1, 2), np.maximum(weights.reshape(len(corners), -1), 0.0)
 
 
 def _bessel_order(z: float) -> int:

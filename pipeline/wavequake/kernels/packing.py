@@ -173,7 +173,8 @@ def _limit(element: Element, bends: list[Array], instants: int) -> Array:
 def _regions(element: Element, numbers: list[float]) -> tuple[tuple[str, int, bool, int], ...]:
     found = []
     for region in element.regions:
-        found.append((region.kind, len(region.numbers) // 3, region.blocks, len(numbers)))
+        edges = len(region.numbers) // (5 if region.kind == "outline" else 3)
+        found.append((region.kind, edges, region.blocks, len(numbers)))
         x, y, radius = region.numbers[:3]
         numbers += (x, y, radius * radius) if region.kind == "circle" else region.numbers
     return tuple(found)

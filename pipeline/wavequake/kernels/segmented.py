@@ -118,12 +118,13 @@ def _launch(
     """Run the kernel once, over the tiles of `moving` and `outputs`."""
     ray_x, ray_y, start_z, candidates = rays
     tiles, count, _ = outputs[0].shape
-    segments, edges, _ = train.edges.shape
+    segments, edges, numbers = train.edges.shape
     lanes, turns = _lanes(device)
     constants = {
         "W": lanes,
         "TURNS": turns,
         "EDGES": edges,
+        "CONVEX": int(numbers == 3),
         "DEGREE": train.figure_degree,
         "SEGMENT_RING": int(train.figure_basis != "monomial"),
         "SURFACES": train.surface_curvatures.size,

@@ -199,7 +199,12 @@ def _figure(
 
 
 def _on_glass(edges: Array, hit: Array) -> NDArray[np.bool_]:
-    """Tell which hits (3, n, 16) lie on the segments with `edges` (n, V, 3); a NaN hit lies on none."""
+    """Tell which hits (3, n, 16) lie on the segments with `edges` (n, V, 3 or 5); a NaN hit on none."""
+    if edges.shape[2] == 5:
+        odd = np.zeros(hit.shape[1:], dtype=np.bool_)
+        for a, b, c, low, high in np.moveaxis(edges, 0, -1)[..., None]:
+            odd ^= (hit[1] >= low) & (hit[1] < high) & (a * (a * hit[0] + b * hit[1] - c) < 0.0)
+        return odd
     inside = np.ones(hit.shape[1:], dtype=np.bool_)
     inside &= np.isfinite(hit).all(axis=0)
     for a, b, c in np.moveaxis(edges, 0, -1)[..., None]:

@@ -68,12 +68,13 @@ class Grid:
 class Region:
     """A closed shape in the surface's x and y: where light passes, or where it is blocked.
 
-    ``kind`` is "circle" (numbers: x, y, radius) or "polygon" (numbers: a, b, c of half planes
-    a x + b y <= c, one after the other; convex). An aperture is the intersection of its regions and of the
-    complements of the blocking ones.
+    ``kind`` is "circle" (numbers: x, y, radius), "polygon" (numbers: a, b, c of half planes
+    a x + b y <= c, one after the other; convex) or "outline" (a, b, c, lowest and highest y of each edge of
+    any simple polygon). An aperture is the intersection of its regions and of the complements of the
+    blocking ones.
     """
 
-    kind: Literal["circle", "polygon"]
+    kind: Literal["circle", "polygon", "outline"]
     numbers: tuple[float, ...]
     blocks: bool = False
 

@@ -128,6 +128,10 @@ def on_glass(regions: tuple[Region, ...], x: Array, y: Array) -> Mask:
         if region.kind == "circle":
             center_x, center_y, radius = region.numbers
             inside = np.square(x - center_x) + np.square(y - center_y) <= radius * radius
+        elif region.kind == "outline":
+            inside = np.zeros(x.shape, dtype=np.bool_)
+            for a, b, c, low, high in zip(*(region.numbers[i::5] for i in range(5)), strict=True):
+                inside ^= (y >= low) & (y < high) & (a * (a * x + b * y - c) < 0.0)
         else:
             inside = np.ones(x.shape, dtype=np.bool_)
             for a, b, c in zip(*(region.numbers[i::3] for i in range(3)), strict=True):

@@ -26,8 +26,10 @@ class SegmentedTrain:
         1/R (1/mm) and conic constant of the parent surface of M1.
     edges : ndarray, shape (S, V, 3)
         Half planes (a, b, c) of each segment: (x, y) is on its glass when ``a x + b y <= c`` for all V,
-        x and y in the
-        parent frame of the displaced segment. V = 0 is a monolithic mirror without an edge.
+        x and y in the parent frame of the displaced segment. V = 0 is a monolithic mirror without an edge.
+        Where a segment is not convex, (S, V, 5): with the lowest and highest y of each edge (low, high). A
+        point is on the glass if it lies beside an odd number of edges, ``low <= y < high`` and
+        ``a (a x + b y - c) < 0``.
     figure_frames : ndarray, shape (S, 4)
         xc, yc, ex, ey of each segment: ``u = ex (x-xc) + ey (y-yc)``, ``v = -ey (x-xc) + ex (y-yc)``.
     figure_degree : int
@@ -111,7 +113,8 @@ def check_train(train: SegmentedTrain) -> None:
     segments = train.edges.shape[0]
     if segments == 0:
         raise ValueError("the train has no segments; a monolithic mirror is one segment with V = 0 edges")
-    _require("edges", train.edges, (segments, train.edges.shape[1] if train.edges.ndim > 1 else -1, 3))
+    edges, numbers = train.edges.shape[1:] if train.edges.ndim == 3 else (-1, 3)
+    _require("edges", train.edges, (segments, edges, 5 if numbers == 5 else 3))
     _require("figure_frames", train.figure_frames, (segments, 4))
     surfaces = train.surface_curvatures.size
     _require("surface_curvatures", train.surface_curvatures, (surfaces,))

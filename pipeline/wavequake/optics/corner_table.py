@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.optics.polygons import overlapping, protrusion, signed_areas
+from wavequake.optics.concave import crossing
+from wavequake.optics.polygons import ROUNDING, concave, overlapping, signed_areas
 from wavequake.optics.segments import Segments
 
 Array = NDArray[np.float64]
 
 _COLUMNS = ("segment", "corner", "dx_mm", "dy_mm")
-_ROUNDING = 1e-3  # mm: overlaps and dents below this are no more than rounding
 
 
 def distorted(segments: Segments, source: str | Path | TextIO) -> Segments:
@@ -40,7 +40,7 @@ def distorted(segments: Segments, source: str | Path | TextIO) -> Segments:
     ------
     UserError
         If the table cannot be read or names what does not exist (says the line), or if a distorted segment
-        is not convex or overlaps another one.
+        crosses itself or overlaps another one.
     """
     if isinstance(source, str | Path):
         try:
@@ -106,11 +106,11 @@ def _length(text: str, line: str) -> float:
 
 
 def _require_glass(names: Sequence[str], corners: Array, where: str) -> None:
-    wrong = (protrusion(corners) > _ROUNDING) | (signed_areas(corners) <= 0.0)
+    wrong = (concave(corners) & crossing(corners)) | (signed_areas(corners) <= 0.0)
     if wrong.any():
         name = names[int(np.argmax(wrong))]
-        raise UserError(f"{where}: segment {name!r} would not be convex; displace its corners by less.")
-    pairs = overlapping(corners, _ROUNDING)
+        raise UserError(f"{where}: segment {name!r} would cross itself; displace its corners by less.")
+    pairs = overlapping(corners, ROUNDING)
     if len(pairs):
         first, second = (names[index] for index in pairs[0])
         raise UserError(

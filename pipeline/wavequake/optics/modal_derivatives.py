@@ -13,8 +13,10 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import Device
 from wavequake.kernels.tiles import TILE, from_tiles, padded
 from wavequake.kernels.train import OK
+from wavequake.optics.concave import signed_distance
 from wavequake.optics.kinematics import field_directions
 from wavequake.optics.modal import COMMON, RIGID, ModalModel, layout_of
+from wavequake.optics.polygons import concave
 from wavequake.optics.prepared import PreparedTrace, chief_rays, trace_states
 from wavequake.optics.states import SurfaceStates, rest
 from wavequake.optics.wavefront import los_eq339
@@ -201,8 +203,8 @@ def _assembled(
 def _clearance(prepared: PreparedTrace, field: Array) -> float:
     """Return the distance (mm) of the ray nearest to the edge of its segment; infinite without edges."""
     system, rays = prepared.system, prepared.rays
-    edges = prepared.train.edges[rays.segment]
-    if edges.shape[1] == 0:
+    corners = system.segments.corners
+    if corners.shape[1] == 0:
         return np.inf
     curvature, conic = prepared.train.primary_curvature, system.primary_conic
     square = rays.x**2 + rays.y**2
@@ -212,6 +214,9 @@ def _clearance(prepared: PreparedTrace, field: Array) -> float:
         place + part / direction[2] * (sag - system.stop_z)
         for place, part in zip((rays.x, rays.y), direction, strict=False)
     )
+    if concave(corners).any():
+        return float(-signed_distance(corners[rays.segment], x, y).max())
+    edges = prepared.train.edges[rays.segment]
     inside = edges[..., 2] - edges[..., 0] * x[:, None] - edges[..., 1] * y[:, None]
     return float(inside.min())
 

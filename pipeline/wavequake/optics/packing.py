@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.sequence import Element, Grid, Moving, Polynomial, Region, Sequence
+from wavequake.optics.concave import crossing
 from wavequake.optics.gradient_index import gradient_of, medium_index
 from wavequake.optics.kinematics import cardan
 from wavequake.optics.media import refractive_index
 from wavequake.optics.paraxial import entrance_pupil_center
+from wavequake.optics.polygons import edge_spans, signed_areas
 from wavequake.optics.shape_sag import extended_powers, require_grid
 from wavequake.optics.shapes import (
     EvenAsphere,
@@ -122,8 +124,8 @@ def opening_regions(opening: Opening) -> tuple[Region, ...]:
     Raises
     ------
     UserError
-        If the corners are not those of a convex polygon, counterclockwise, an arm has no width, or the center
-        is not finite.
+        If the corners do not go round a polygon once, counterclockwise, or it crosses itself, an arm has no
+        width, or the center is not finite.
     """
     regions = []
     x, y = opening.center
@@ -131,7 +133,7 @@ def opening_regions(opening: Opening) -> tuple[Region, ...]:
         raise UserError(f"the center of an opening is {opening.center}; it must be two finite numbers")
     if opening.corners:
         corners = np.asarray(opening.corners, dtype=np.float64)
-        regions.append(Region("polygon", _shifted(_half_planes(corners), x, y)))
+        regions.append(_polygon(corners, x, y))
     elif isfinite(opening.outer):
         regions.append(Region("circle", (x, y, opening.outer)))
     if opening.inner > 0.0:
@@ -152,20 +154,25 @@ def _shifted(half_planes: tuple[float, ...], x: float, y: float) -> tuple[float,
     return tuple(table.ravel().tolist())
 
 
-def _half_planes(corners: Array) -> tuple[float, ...]:
+def _polygon(corners: Array, x: float, y: float) -> Region:
+    """Return the region of a polygon whose origin moves to (x, y)."""
     if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
         raise UserError("a polygonal opening needs at least 3 corners, pairs of finite numbers")
     edge = np.roll(corners, -1, axis=0) - corners
     following = np.roll(edge, -1, axis=0)
     turn = edge[:, 0] * following[:, 1] - edge[:, 1] * following[:, 0]
     around = np.sum(np.arctan2(turn, np.sum(edge * following, axis=1)))
-    if (turn < 0.0).any() or not np.isclose(around, 2.0 * np.pi):
-        raise UserError(
-            "the corners of a polygonal opening must go round a convex polygon once, counterclockwise"
-        )
+    if not (signed_areas(corners[None])[0] > 0.0 and np.isclose(around, 2.0 * np.pi)):
+        raise UserError("the corners of a polygonal opening must go round it once, counterclockwise")
+    if (turn < 0.0).any():
+        if crossing(corners[None])[0]:
+            raise UserError("the corners of a polygonal opening must go round it once; its edges cross")
+        spans = edge_spans(corners[None] + np.array([x, y]))
+        return Region("outline", tuple(spans.ravel().tolist()))
     normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1)[:, None]
     offset = np.sum(normal * corners, axis=1)
-    return tuple(float(number) for number in np.column_stack([normal, offset]).ravel())
+    half_planes = tuple(float(number) for number in np.column_stack([normal, offset]).ravel())
+    return Region("polygon", _shifted(half_planes, x, y))
 
 
 def moving(system: OpticalSystem, states: SystemStates, spheres: Array | None = None) -> Moving:

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.optics.polygons import overlapping, protrusion, signed_areas
+from wavequake.optics.concave import crossing
+from wavequake.optics.polygons import ROUNDING, concave, overlapping, signed_areas
 
 Array = NDArray[np.float64]
 
 _MM_PER_M = 1e3
-_ROUNDING = 1e-3  # mm: overlaps and dents below this are the rounding of a table in m with six decimals
 
 
 def read_polygons(source: str | Path | TextIO) -> tuple[list[str], Array, Array | None]:
@@ -40,8 +40,8 @@ def read_polygons(source: str | Path | TextIO) -> tuple[list[str], Array, Array 
     ------
     UserError
         If the file cannot be read, has no rows or columns, or a number is missing or wrong (names the line);
-        if two segments have one id or overlap, or a polygon has fewer than 3 corners, no area, or is not
-        convex.
+        if two segments have one id or overlap, or a polygon has fewer than 3 corners or no area, or
+        crosses itself.
     """
     if not isinstance(source, str | Path):
         return _parsed(source, getattr(source, "name", "the table of polygons"))
@@ -75,7 +75,7 @@ def _parsed(stream: TextIO, where: str) -> tuple[list[str], Array, Array | None]
             for polygon, area in zip(polygons, signed_areas(corners), strict=True)
         ]
     )
-    _require_convex(names, corners, where)
+    _require_simple(names, corners, where)
     _require_apart(names, corners, where)
     centers = None
     if "cx_m" in header and "cy_m" in header:
@@ -143,22 +143,21 @@ def _padded(polygons: Sequence[Sequence[tuple[float, float]]]) -> Array:
 def _require_area(names: list[str], corners: Array, where: str) -> None:
     size = np.ptp(corners, axis=1).max(axis=1)
     for name, area, extent in zip(names, signed_areas(corners), size, strict=True):
-        if not abs(area) > _ROUNDING * extent:
+        if not abs(area) > ROUNDING * extent:
             raise UserError(f"{where}: polygon {name!r} has no area; list its corners in order around it.")
 
 
-def _require_convex(names: list[str], corners: Array, where: str) -> None:
-    beyond = protrusion(corners)
-    if (beyond > _ROUNDING).any():
-        name = names[int(np.argmax(beyond))]
+def _require_simple(names: list[str], corners: Array, where: str) -> None:
+    wrong = concave(corners) & crossing(corners)
+    if wrong.any():
+        name = names[int(np.argmax(wrong))]
         raise UserError(
-            f"{where}: polygon {name!r} crosses itself or is not convex; list its corners in order "
-            "around it, and split a segment that is not convex."
+            f"{where}: polygon {name!r} crosses or touches itself; list its corners in order around it."
         )
 
 
 def _require_apart(names: list[str], corners: Array, where: str) -> None:
-    pairs = overlapping(corners, _ROUNDING)
+    pairs = overlapping(corners, ROUNDING)
     if len(pairs):
         first, second = (names[index] for index in pairs[0])
         more = f" (the first of {len(pairs)} pairs)" if len(pairs) > 1 else ""

@@ -1,14 +1,19 @@
-"""Convex polygons in a plane: areas, edges, insets, overlaps, and which of them a point may lie on.
+"""Polygons in a plane: areas, edges, insets, overlaps, and which of them a point may lie on.
 
 Arrays of corners have the shape (S, V, 2), counter-clockwise; a polygon with fewer than V corners repeats its
-last one.
+last one. Polygons that are not convex cost more, see `wavequake.optics.concave`.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.optics.concave import signed_distance, triangles
+
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+# mm: dents below this are the rounding of a table in m with six decimals, and the polygon counts as convex.
+ROUNDING = 1e-3
 
 _EVERYWHERE = (
     1e9  # right side of 0 x + 0 y <= c: the edge between a repeated corner and itself excludes nothing
@@ -48,6 +53,17 @@ def edge_lines(corners: Array) -> Array:
     return np.stack([a, b, c], axis=-1)
 
 
+def edge_spans(corners: Array) -> Array:
+    """Return (S, V, 5): the half plane of each edge (`edge_lines`), its lowest and its highest y.
+
+    A point is inside a polygon, convex or not, if a way from it to +x crosses an odd number of edges: those
+    whose span, the highest y excluded, holds y, and which it passes, ``a (a x + b y - c) < 0``.
+    """
+    following = np.roll(corners, -1, axis=1)
+    low, high = (extreme(corners[..., 1], following[..., 1]) for extreme in (np.minimum, np.maximum))
+    return np.concatenate([edge_lines(corners), low[..., None], high[..., None]], axis=-1)
+
+
 def inset(corners: Array, distance: float) -> Array:
     """Move every edge inwards by `distance` and return the new corners (S, V, 2); none may be repeated."""
     a, b, c = np.moveaxis(edge_lines(corners), -1, 0)
@@ -65,7 +81,26 @@ def protrusion(corners: Array) -> Array:
     return np.asarray(excess.max(axis=1))
 
 
+def concave(corners: Array) -> NDArray[np.bool_]:
+    """Return which polygons (S,) have a dent that is more than rounding, or cross themselves."""
+    if corners.shape[1] == 0:
+        return np.zeros(len(corners), dtype=np.bool_)  # a mirror without edges
+    return np.asarray(protrusion(corners) > ROUNDING)
+
+
 def overlapping(corners: Array, tolerance: float) -> Index:
+    """Return the pairs (P, 2) of simple polygons that overlap by more than `tolerance`."""
+    if not concave(corners).any():
+        return _overlapping_convex(corners, tolerance)
+    parts = triangles(corners)
+    owner = np.repeat(np.arange(len(parts)), parts.shape[1])
+    parts = parts.reshape(-1, 3, 2)
+    real = signed_areas(parts) > 0.0
+    pairs = owner[real][_overlapping_convex(parts[real], tolerance)]
+    return np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
+
+
+def _overlapping_convex(corners: Array, tolerance: float) -> Index:
     """Return the pairs (P, 2) of convex polygons that overlap by more than `tolerance`.
 
     Two convex polygons are apart if and only if the line of an edge of one of them separates them.
@@ -84,7 +119,9 @@ def overlapping(corners: Array, tolerance: float) -> Index:
 
 
 def distance_from_origin(corners: Array) -> Array:
-    """Return the distance (S,) of the origin to each convex polygon, 0 inside."""
+    """Return the distance (S,) of the origin to each polygon, 0 inside."""
+    if concave(corners).any():
+        return np.maximum(signed_distance(corners, np.zeros(len(corners)), np.zeros(len(corners))), 0.0)
     start, along = corners, np.roll(corners, -1, axis=1) - corners
     square = np.sum(along**2, axis=-1)
     part = -np.sum(start * along, axis=-1) / np.where(square > 0.0, square, 1.0)
@@ -102,11 +139,12 @@ def polygons_at(corners: Array, x: Array, y: Array, margin: float) -> NDArray[np
     Parameters
     ----------
     corners : ndarray, shape (S, V, 2)
-        Convex polygons.
+        Simple polygons.
     x, y : ndarray, shape (N,)
         Points; one that is not finite lies on no polygon.
     margin : float
-        Every edge is moved outwards by this distance, which is at least 0.
+        Every edge is moved outwards by this distance, which is at least 0. Where a polygon is not convex, the
+        distance of points to all outlines counts.
 
     Returns
     -------
@@ -114,20 +152,21 @@ def polygons_at(corners: Array, x: Array, y: Array, margin: float) -> NDArray[np
         The polygon whose edges are farthest outside the point first, so the one that contains the point; then
         the others in the order of their distance; then -1. C is as small as possible, at least 1.
     """
-    lines, grid = edge_lines(corners), _Grid(corners, margin)
+    outlines, grid = corners if concave(corners).any() else edge_lines(corners), _Grid(corners, margin)
     found = np.full((len(x), grid.table.shape[1]), -1, dtype=np.int32)
     for first in range(0, len(x), _BLOCK):
         block = slice(first, first + _BLOCK)
-        found[block] = _among(lines, grid.at(x[block], y[block]), x[block], y[block], margin)
+        found[block] = _among(outlines, grid.at(x[block], y[block]), x[block], y[block], margin)
     columns = max(1, int((found >= 0).sum(axis=1).max(initial=0)))
     return np.ascontiguousarray(found[:, :columns])
 
 
-def _among(lines: Array, choice: Index, x: Array, y: Array, margin: float) -> Index:
+def _among(outlines: Array, choice: Index, x: Array, y: Array, margin: float) -> Index:
     """Return those polygons of `choice` (N, K) that contain the points, the nearest first and -1 last."""
     finite = np.isfinite(x) & np.isfinite(y)
     x, y = np.where(finite, x, 0.0), np.where(finite, y, 0.0)
-    excess = _excess(lines[choice], x[:, None], y[:, None])
+    distance = _excess if outlines.shape[-1] == 3 else signed_distance
+    excess = distance(outlines[choice], x[:, None], y[:, None])
     hit = (choice >= 0) & finite[:, None] & (excess <= margin)
     order = np.argsort(np.where(hit, excess, np.inf), axis=1, kind="stable")
     return np.take_along_axis(np.where(hit, choice, -1), order, axis=1)

@@ -18,7 +18,7 @@ from wavequake.optics.fits import MORE_SEGMENT_RAYS, Fit, segment_planes, weight
 from wavequake.optics.kinematics import field_directions, segment_poses, surface_poses
 from wavequake.optics.pupils import PupilRays
 from wavequake.optics.segmented_telescope import SegmentedTelescope, first_order, footprints
-from wavequake.optics.segments import candidates, half_planes
+from wavequake.optics.segments import candidates, edges_of
 from wavequake.optics.states import SurfaceStates, rest
 from wavequake.optics.surface_basis import ZernikeBasis, zernike_basis
 from wavequake.optics.zernike import annular_zernike
@@ -175,7 +175,7 @@ def _train(
     return SegmentedTrain(
         primary_curvature=1.0 / system.primary_radius,
         primary_conic=system.primary_conic,
-        edges=half_planes(segments),
+        edges=edges_of(segments),
         figure_frames=np.concatenate([segments.centers[:, :2], along], axis=1),
         figure_degree=figure.degree,
         surface_curvatures=np.array([1.0 / surface.radius for surface in system.surfaces]),

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.optics.polygons import centroids
+from wavequake.optics.concave import triangles
+from wavequake.optics.polygons import centroids, concave
 from wavequake.optics.segmented_telescope import SegmentedTelescope
 from wavequake.optics.segments import Segments, areas, candidates, is_monolithic
 
@@ -113,7 +114,8 @@ def _unassigned(x: Array, y: Array) -> PupilRays:
 def segment_rays(segments: Segments, points: int) -> PupilRays:
     """Spread rays over the glass of every segment so that integrals over the glass are sums over rays.
 
-    Each polygon is a fan of triangles about its centroid with a Gauss rule on each: a polynomial of degree 1,
+    Each polygon is a fan of triangles about its centroid (one that is not convex is cut into triangles
+    without it) with a Gauss rule on each: a polynomial of degree 1,
     2, 4 or 6 in x and y is integrated exactly by 1, 3, 6 or 12 points per triangle.
 
     Parameters
@@ -142,13 +144,15 @@ def segment_rays(segments: Segments, points: int) -> PupilRays:
         )
     corners = segments.corners
     middle = np.broadcast_to(centroids(corners)[:, None], corners.shape)
-    triangles = np.stack([middle, corners, np.roll(corners, -1, axis=1)], axis=2)
-    (u_x, u_y), (v_x, v_y) = (np.moveaxis(triangles[:, :, k] - middle, -1, 0) for k in (1, 2))
+    parts = np.stack([middle, corners, np.roll(corners, -1, axis=1)], axis=2)
+    if concave(corners).any():
+        parts = triangles(corners)
+    (u_x, u_y), (v_x, v_y) = (np.moveaxis(parts[:, :, k] - parts[:, :, 0], -1, 0) for k in (1, 2))
     share = 0.5 * (u_x * v_y - u_y * v_x) / areas(segments).sum()
     coordinates, weights = _triangle_rule(points)
-    position = np.einsum("pk,svkx->svpx", coordinates, triangles)
+    position = np.einsum("pk,svkx->svpx", coordinates, parts)
     real = np.repeat(share.ravel() > 0.0, points)  # the triangle at a repeated corner has no area
-    segment = np.repeat(np.arange(len(segments)), corners.shape[1] * points)
+    segment = np.repeat(np.arange(len(segments)), parts.shape[1] * points)
     weight = (share[..., None] * weights).ravel()[real]
     x, y = np.moveaxis(position, -1, 0).reshape(2, -1)[:, real]
     return PupilRays(x, y, weight / weight.sum(), segment[real])

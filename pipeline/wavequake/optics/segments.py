@@ -19,7 +19,15 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.kernels.surfaces import conic_path, conic_sag, conic_slopes
 from wavequake.optics.polygon_table import read_polygons
-from wavequake.optics.polygons import centroids, edge_lines, inset, polygons_at, signed_areas
+from wavequake.optics.polygons import (
+    centroids,
+    concave,
+    edge_lines,
+    edge_spans,
+    inset,
+    polygons_at,
+    signed_areas,
+)
 
 Array = NDArray[np.float64]
 
@@ -72,10 +80,15 @@ def areas(segments: Segments) -> Array:
 def half_planes(segments: Segments) -> Array:
     """Return the edges (S, V, 3) as half planes: (x, y) is on the glass where ``a x + b y <= c`` for all V.
 
-    (a, b) is a unit vector, so c is in mm; the edge between a repeated corner and itself is ``0 x + 0 y <=
-    1e9``.
+    That holds for convex segments. (a, b) is a unit vector, so c is in mm; the edge between a repeated corner
+    and itself is ``0 x + 0 y <= 1e9``.
     """
     return edge_lines(segments.corners)
+
+
+def edges_of(segments: Segments) -> Array:
+    """Return the edges as the trace takes them: `half_planes` of convex segments, else `edge_spans`."""
+    return (edge_spans if concave(segments.corners).any() else edge_lines)(segments.corners)
 
 
 def candidates(segments: Segments, x: Array, y: Array, margin: float = 0.0) -> NDArray[np.int32]:

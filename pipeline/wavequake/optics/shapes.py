@@ -101,7 +101,7 @@ Deformation = ZernikeDeformation | GridDeformation
 
 @dataclass(frozen=True)
 class Opening:
-    """Where a surface lets light through: a circle, an annulus or a convex polygon, less spider arms.
+    """Where a surface lets light through: a circle, an annulus or a simple polygon, less spider arms.
 
     ``outer`` and ``inner`` are radii (inner 0: none); ``corners`` (counterclockwise) replace the outer
     circle. Each spider arm is a strip: angle (rad) from the x axis and full width. All are about ``center``,

@@ -92,7 +92,7 @@ class SurfaceSection(FileSection):
     semi_diameter_mm: float | None = Field(default=None, gt=0, description="light passes within")
     inner_mm: float = Field(default=0.0, ge=0, description="radius of a hole or a central obscuration")
     corners_mm: tuple[Pair, ...] = Field(
-        default=(), strict=False, description="convex, counterclockwise; instead of the semi-diameter"
+        default=(), strict=False, description="of a polygon, counterclockwise; instead of the semi-diameter"
     )
     arms: tuple[Pair, ...] = Field(
         default=(), strict=False, description="spider arms: angle from x in degrees, width in mm"
