@@ -52,17 +52,17 @@ def test_a_count_that_is_no_whole_number_is_refused():
     ("cases", "chunk"),
     [
         (1, 20),
-        (200, 20),
-        (201, 21),
-        (640, 64),
-        (1000, 100),
+        (160, 20),
+        (161, 21),
+        (640, 80),
+        (1000, 125),
         (2000, 200),
         (8000, 200),
         (8001, 201),
         (10**6, 400),
     ],
 )
-def test_a_chunk_is_a_tenth_or_a_fortieth_of_the_cases_within_limits(cases, chunk):
+def test_a_chunk_is_an_eighth_or_a_fortieth_of_the_cases_within_limits(cases, chunk):
     keys = {"telescope.name": "tmt-18", "campaign.cases": cases}
     assert chunk_of(load_study("tmt-segments", keys)) == chunk
     assert chunk_of(load_study("tmt-segments", {**keys, "store.chunk_cases": 7})) == 7
@@ -95,7 +95,7 @@ def test_a_store_keeps_its_chunk_when_it_grows(tmp_path):
     keys = {name: value for name, value in SMALL.items() if name != "store__chunk_cases"}
     wq.run("tmt-segments", cases=3, store=tmp_path / "s", **keys)
     study = load_study("tmt-segments", {"campaign.cases": 640})
-    assert (chunk_of(study, tmp_path / "s"), chunk_of(study, tmp_path / "other")) == (20, 64)
+    assert (chunk_of(study, tmp_path / "s"), chunk_of(study, tmp_path / "other")) == (20, 80)
     wq.run("tmt-segments", cases=21, store=tmp_path / "s", store__chunk_cases=5, **keys)
     assert read_manifest(tmp_path / "s").chunk == 20
 

@@ -57,7 +57,7 @@ class StoreSection(Section):
         default=None,
         ge=1,
         le=100_000,
-        description="K: cases per task and per shard; by default a tenth of the cases, from 20 to 200, "
+        description="K: cases per task and per shard; by default an eighth of the cases, from 20 to 200, "
         "or a fortieth, up to 400, within 256 MB",
     )
     every: int = Field(default=1, ge=1, description="keep the numbers of every n-th instant only")
