@@ -22,7 +22,7 @@ from wavequake.mechanics.vibration_lines import VibrationLines, draw_lines
 
 Array = NDArray[np.float64]
 Names = Annotated[tuple[str, ...], Field(min_length=1, strict=False)]
-NollIndex = Annotated[int, Field(ge=4, le=231, strict=False)]
+NollIndex = Annotated[int, Field(ge=4, le=2016, strict=False)]
 
 _MICRO = 1e-6
 _NANO = 1e-9
