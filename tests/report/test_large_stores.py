@@ -2,12 +2,17 @@
 
 import subprocess
 import sys
+import tracemalloc
 
+import dask
 import numpy as np
 import pytest
 
 from wavequake.kernels.devices import choose_device
+from wavequake.report import blocks, fits_file, netcdf_file
+from wavequake.report.comparison import compare
 from wavequake.report.export import export
+from wavequake.report.tail import per_case
 from wavequake.workflows import provenance, segment_disturbance
 from wavequake.workflows.arrays import array_of, open_group, write_chunk
 from wavequake.workflows.campaign import run_study
@@ -15,6 +20,7 @@ from wavequake.workflows.contract import ChunkResult
 from wavequake.workflows.journal import Record, append
 from wavequake.workflows.store import create_store, open_store
 from wavequake.workflows.study import load_study
+from wavequake.workflows.verify import verify_store
 
 CASES, CHUNK = 8_000, 500
 MEASURED = """
@@ -38,24 +44,24 @@ print("GREW", peak(words) - before)
 """
 
 
-def random_store(path, seed, cases):
-    """Write a store of random numbers, 8 kB per case of them images, as a campaign would."""
+def random_store(path, seed, cases, chunk=CHUNK):
+    """Write a store of random numbers, 32 kB per case of them images, as a campaign would."""
     keys = {"telescope.name": "tmt-18", "optics.rays_per_segment": 6, "campaign.cases": cases}
     keys |= {"imaging.pixels": 64, "optics.wavelength_nm": 550.0 + seed}
     text = load_study("tmt-segments", keys).identity_text()
     workflow, words = segment_disturbance.WORKFLOW, provenance.collect(choose_device("numpy"))
-    manifest = create_store(path, workflow, text, cases, CHUNK, "numpy", words)
+    manifest = create_store(path, workflow, text, cases, chunk, "numpy", words)
     variables, group = workflow.template(text).per_case, open_group(path / "data.zarr")
     arrays = {name: array_of(group, name) for name in manifest.variables}
     random = np.random.default_rng(seed)
     numbers = {
-        name: (random.random((CHUNK, *one.shape)) + 0.5).astype(one.dtype) for name, one in variables.items()
+        name: (random.random((chunk, *one.shape)) + 0.5).astype(one.dtype) for name, one in variables.items()
     }
     numbers["time_s"][:] = np.arange(1, 17) * 0.01
-    for first in range(0, cases, CHUNK):
-        result = ChunkResult(numbers, np.ones(CHUNK, dtype=np.int8), ("",) * CHUNK)
-        digests = write_chunk(arrays, (first, first + CHUNK), result)
-        append(path / "done", Record(first, first + CHUNK, digests, (0, CHUNK, 0, 0, 0, 0), {}, {}))
+    for first in range(0, cases, chunk):
+        result = ChunkResult(numbers, np.ones(chunk, dtype=np.int8), ("",) * chunk)
+        digests = write_chunk(arrays, (first, first + chunk), result)
+        append(path / "done", Record(first, first + chunk, digests, (0, chunk, 0, 0, 0, 0), {}, {}))
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +85,39 @@ def test_commands_take_a_part_of_the_store_into_memory_at_a_time(stores, words, 
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert "GREW" in done.stdout, done.stderr[-2000:]
     assert float(done.stdout.split("GREW")[1]) < most, done.stdout[-80:]
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    """A store of 80 MB in 10 chunks."""
+    path = tmp_path_factory.mktemp("store") / "s"
+    random_store(path, 1, 2000, 200)
+    return path
+
+
+LOADED = (fits_file, netcdf_file)  # here, not while the memory is measured
+COMMANDS = {
+    "verify": verify_store,
+    "tail": lambda path: per_case(open_store(path), "wfe_rms_raw", "rms"),
+    "compare": lambda path: compare(open_store(path), open_store(path), "one", "two"),
+    "csv": lambda path: export(open_store(path), path / "a.csv"),
+    "nc": lambda path: export(open_store(path), path / "a.nc"),
+    "fits": lambda path: export(open_store(path), path / "a.fits"),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS.values(), ids=list(COMMANDS))
+def test_what_reads_a_whole_store_holds_a_part_of_it(store, command, monkeypatch):
+    monkeypatch.setattr(blocks, "BLOCK_BYTES", 2**22)
+    # In one thread, so that as many chunks are in memory everywhere.
+    with dask.config.set(scheduler="synchronous"):
+        tracemalloc.start()
+        found = command(store)
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    assert getattr(found, "ok", True)
+    assert open_store(store).nbytes > 80e6
+    assert peak < 35e6
 
 
 def test_a_csv_is_the_same_whatever_the_size_of_its_blocks(tmp_path, monkeypatch):

@@ -6,7 +6,7 @@ from typing import Any
 import xarray as xr
 from numpy.typing import NDArray
 
-BLOCK_BYTES = 2**25  # of numbers in memory at a time
+BLOCK_BYTES = 2**24  # of numbers in memory at a time
 _TEXT_BYTES = 64  # of a text in memory, about
 
 
