@@ -1,18 +1,16 @@
-"""What the reference's controllers leave, beside another simulation of the same experiment.
+"""What the reference's controllers leave with errors, beside another simulation of the same experiment.
 
-That one shares no code with this package: plants stepped one by one in plain Python, another bench that
-was fitted to the same published facts (its masses and springs are lost), medians of 4 to 6 plants.
+That one shares no code with this package: plants stepped one by one in plain Python, medians of 4 to 6 of
+them. The bench is fitted to what it found without errors (test_lens_bench.py); what errors do to it is not.
 """
 
-import tomllib
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.special import betaincinv
 
-from wavequake.control.bench import Bench, bench_modes, fitted_bench
+from wavequake.control.bench import fitted_bench
 from wavequake.control.camera import CameraError
 from wavequake.control.experiment import (
     CONTROLLERS,
@@ -24,7 +22,6 @@ from wavequake.control.experiment import (
     residuals,
     run_plants,
 )
-from wavequake.control.hammer import HAMMER, step_means
 from wavequake.control.linear import LinearModel, simulate
 from wavequake.control.loop import (
     late_deviation,
@@ -37,16 +34,14 @@ from wavequake.control.plant import swing
 from wavequake.control.regulator import modal_model, stage_gain
 from wavequake.control.sensor import SensorChain, read_positions
 from wavequake.control.stage import Stage
-from wavequake.control.thesis import estimator_only, feed_forward, future_integration
+from wavequake.control.thesis import feed_forward, future_integration
 
-DATA = Path(__file__).parent.parent / "data"
 DURATION, STEP, PLANTS = 7.0, 1e-3, 64
 BENCH, STAGE = fitted_bench(), Stage()
 NAMES = ("FF", "FI", "FF+FI")
 
 # Range and standard deviation after 1 s, in % of uncontrolled, of FF (2 ms), FI (8 ms, without the hammer's
 # force) and FF+FI (2 ms); where a range was told, its middle.
-PERFECT = np.array([[31.8, 25.5], [67, 25], [11.5, 10.1]])
 ROWS = {
     "stiffness 1 %": (Errors(0.01, 0, 0, 0), 0.0, [[30, 27.8], [67, 26], [12, 13]]),
     "stiffness 2 %, friction": (Errors(0.02, 0.3e-3, 0, 0), 0.0, [[30, 33.5], [68, 28], [15, 20.5]]),
@@ -76,12 +71,13 @@ def left(free, time, commands, one, stages):
 @cache
 def population(name):
     """Return ranges and deviations (controller, 2, plant) of plants with the errors of a row."""
-    errors, strip, _ = ROWS.get(name, (Errors(0, 0, 0, 0), 0.0, None))
-    instants, count = instants_of(DURATION), PLANTS if name in ROWS else 1
+    errors, strip, _ = ROWS[name]
+    instants = instants_of(DURATION)
     plants = [
-        draw_plant(np.random.default_rng(seed), BENCH, STAGE, errors, 2, instants, 0) for seed in range(count)
+        draw_plant(np.random.default_rng(seed), BENCH, STAGE, errors, 2, instants, 0)
+        for seed in range(PLANTS)
     ]
-    free = swing([one.bench for one in plants], np.ones(count), friction=errors.friction, duration=DURATION)
+    free = swing([one.bench for one in plants], np.ones(PLANTS), friction=errors.friction, duration=DURATION)
     phases, noise = np.stack([one.phases for one in plants]), np.stack([one.noise[1] for one in plants])
     seen = read_positions(SensorChain(strip_error=strip), free.measured, phases, noise)
     stages = [one.stage for one in plants]
@@ -105,17 +101,25 @@ def interval(name):
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_what_errors_add_is_what_the_other_simulation_found(name):
-    """Its medians differ from ours by no more than medians of five plants differ among each other.
-
-    The benches differ without any error already (next tests), so what is compared is what the errors add.
-    """
-    wanted = np.array(ROWS[name][2]) - PERFECT + population("perfect")[..., 0]
+def test_every_row_is_a_median_of_five_of_our_plants(name):
+    """Each told figure lies where 95 % of the medians of five of our plants lie."""
+    wanted = np.array(ROWS[name][2])
     low, high = np.moveaxis(interval(name), -1, 0)
     outside = (wanted < low) | (wanted > high)
     assert not outside.any(), [
         (NAMES[i], wanted[i, j], low[i, j], high[i, j]) for i, j in np.argwhere(outside)
     ]
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_our_medians_lie_within_bands_of_the_rows(name):
+    """Within 4 percentage points, 2 for the range under FI, which hardly depends on the plant.
+
+    Medians of five plants with the same errors lie up to 8 (FF), 2 and 5 to 8 (deviations of FF, FF+FI) apart
+    from ours, so these bands are half as wide as chance alone would explain.
+    """
+    band = np.array([[4, 4], [2, 4], [4, 4]])
+    assert (np.abs(np.median(population(name), axis=-1) - ROWS[name][2]) <= band).all()
 
 
 def test_the_experiment_runs_these_controllers():
@@ -133,11 +137,17 @@ def test_the_experiment_runs_these_controllers():
 
 
 def test_medians_of_five_tell_rows_apart():
-    """The test above could fail: FF+FI with 3 % is no median of plants with 1 %, and 1 % none of 3 %."""
-    shift = (population("perfect")[..., 0] - PERFECT)[2, 1]
-    one, three = (ROWS[f"stiffness {percent} %"][2][2][1] + shift for percent in (1, 3))
+    """The tests above could fail: FF+FI with 3 % is none of 1 %, and none without errors (10.1) of 3 %."""
+    three = ROWS["stiffness 3 %"][2][2][1]
     assert three > interval("stiffness 1 %")[2, 1, 1]
-    assert one < interval("stiffness 3 %")[2, 1, 0]
+    assert interval("stiffness 3 %")[2, 1, 0] > 10.1
+
+
+def test_the_order_is_that_of_the_reference():
+    """Störkle 2018, Fig. 5.33: FF is better at once, FI later; both in a row are better than either."""
+    (at_once, later) = np.median(population("all"), axis=-1).T
+    assert at_once[2] < at_once[0] < at_once[1] < 100
+    assert later[2] < later[1] < later[0] < 100
 
 
 @pytest.mark.parametrize("place", range(3))
@@ -171,35 +181,3 @@ def test_what_is_left_follows_from_transfer_functions(place):
         atol=1e-3 * np.abs(model.image * scale).max(),
     )
     assert np.abs(expected * scale).max() > 0.05 * np.abs(model.image * scale).max()
-
-
-def test_a_bench_of_the_same_facts_leaves_what_the_other_simulation_found():
-    """Without errors the figures depend on the bench alone, and on how the filter is told of the blow.
-
-    The bench of the other simulation is known by the facts that are checked here. It fed the filter with the
-    means of the hammer's force over each step, not with the constant force of Eq. 5.14.
-    """
-    record = tomllib.loads((DATA / "lens_bench_same_facts.toml").read_text())
-    values = {name: np.array(value) if isinstance(value, list) else value for name, value in record.items()}
-    bench = Bench(**values)
-    wanted = [20, 24, 28, 32.9, 37.9, 44, 51, 58, 65.1, 72, 80]
-    np.testing.assert_allclose(bench_modes(bench).omega, wanted, rtol=0.031)
-    passive = bench_modes(Bench(**values, active=False)).omega
-    np.testing.assert_allclose(passive[[0, -1]], [15.6, 80.3], rtol=1e-3)
-    free = swing([bench], np.ones(1), duration=DURATION)
-    image, lens = 1e3 * free.image[0], 1e3 * free.measured[0]
-    speeds = [np.abs(np.gradient(one, STEP)).max() for one in (image / 1.394, lens)]
-    np.testing.assert_allclose([image.min(), image.max(), np.abs(lens).max()], [-3, 3.99, 2.94], rtol=0.01)
-    np.testing.assert_allclose(speeds, [123, 148], rtol=0.01)  # of stage and lens 4
-
-    noise = np.random.default_rng(0).standard_normal(free.measured.shape)
-    seen = read_positions(SensorChain(strip_error=0.0), free.measured, np.zeros((1, 2)), noise)[0]
-    found = []
-    for one in (*controllers(bench), estimator_only(bench)):
-        lens = seen[:: round(one.sample_time / STEP)]
-        force = step_means(HAMMER, one.sample_time, len(lens))
-        model = LinearModel(one.a, one.b, one.c[None], one.d[None], one.sample_time)
-        commands = simulate(model, np.stack([lens, force], axis=1)).T
-        found.append(left(free.image, free.time, commands, one, [STAGE])[:, 0])
-    np.testing.assert_allclose(found[:3], PERFECT, atol=0.75)
-    np.testing.assert_allclose(found[3], [48, 39], atol=1.6)  # the filter alone, 2 ms

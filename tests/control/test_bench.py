@@ -33,9 +33,9 @@ from wavequake.errors import UserError
 def test_degrees_of_freedom_and_frequencies_are_the_published_ones():
     assert [fitted_bench(active=active).size for active in (False, True)] == [13, 11]
     omega = bench_modes(fitted_bench()).omega
-    # Störkle 2018, Fig. 5.4: between approximately 20 and 80 rad/s.
-    assert omega[0] == pytest.approx(20, abs=0.5)
-    assert omega[-1] == pytest.approx(80, abs=0.5)
+    # Störkle 2018, Fig. 5.4: between approximately 20 and 80 rad/s. More in test_lens_bench.py.
+    assert omega[0] == pytest.approx(20, rel=0.02)
+    assert omega[-1] == pytest.approx(80, rel=0.02)
 
 
 @pytest.mark.parametrize("springs", ["initial", "changed"])
@@ -94,8 +94,10 @@ def test_image_motion_after_a_blow_is_as_published():
     target = -runs.image[0] / SENSITIVITIES[4]
     assert 0.1 < np.abs(np.gradient(target, runs.time)).max() < 0.2
     assert 4e-3 < np.ptp(target) < 6e-3
-    # Section 5.4.3: smaller amplitudes with the changed springs.
-    assert np.ptp(runs.image[1]) < 0.9 * np.ptp(runs.image[0])
+    # Section 5.4.3, Fig. 5.38: about as large with the changed, softer springs.
+    assert np.ptp(runs.image[1]) == pytest.approx(np.ptp(runs.image[0]), rel=0.2)
+    slower = bench_modes(fitted_bench("changed")).omega / bench_modes(fitted_bench()).omega
+    assert ((slower > 0.85) & (slower < 1)).all()
 
 
 @pytest.mark.parametrize(
@@ -121,7 +123,7 @@ def test_other_bad_input_is_named():
         bench_modes(replace(fitted_bench(), beta=0.2))
     with pytest.raises(UserError, match="equally many"):
         swing([fitted_bench(), fitted_bench(active=False)], np.ones(2))
-    with pytest.raises(UserError, match=r"too long for a mode of 79\.8 rad/s"):
+    with pytest.raises(UserError, match=r"too long for a mode of 79\.\d rad/s"):
         swing([fitted_bench()], np.ones(1), step=0.01)
     with pytest.raises(UserError, match="must not be negative"):
         swing([fitted_bench()], np.ones(1), friction=-1.0)

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm, solve_continuous_are
 
 from wavequake.control.bench import bench_model, fitted_bench
-from wavequake.control.hammer import HAMMER, equivalent_force
+from wavequake.control.hammer import HAMMER, impulse
 from wavequake.control.loop import run_thesis, stage_motion
 from wavequake.control.stage import Stage
 from wavequake.control.thesis import feed_forward, future_integration, kalman_filter
@@ -67,8 +67,9 @@ def test_running_many_is_running_each():
     measured = np.random.default_rng(2).normal(size=(4, 50)) * 1e-3
     together = run_thesis(controller, measured)
     state, alone = np.zeros(len(controller.a)), []
+    handed = impulse(HAMMER, 0.002 * np.arange(51))  # until each step
     for k in range(50):
-        v = np.array([measured[2, k], equivalent_force(HAMMER) if k < 2 else 0.0])
+        v = np.array([measured[2, k], (handed[k + 1] - handed[k]) / 0.002])
         alone.append(controller.c @ state + controller.d @ v)
         state = controller.a @ state + controller.b @ v
     np.testing.assert_allclose(together[2], alone, rtol=1e-9, atol=1e-12)

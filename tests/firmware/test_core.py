@@ -18,7 +18,7 @@ from wavequake.control.sensor import SensorChain, dac_codes
 from wavequake.control.stage import Stage
 from wavequake.firmware.build import BOARDS, build, compiler_of
 from wavequake.firmware.devices import HostDevice
-from wavequake.firmware.gains import VARIANTS, gains_of
+from wavequake.firmware.gains import HEADROOM, STATE_BITS, VARIANTS, gains_of
 from wavequake.firmware.loop import blow, positions_of, residual
 
 BENCH, STAGE, CHAIN = fitted_bench(), Stage(), SensorChain()
@@ -57,17 +57,34 @@ def hit():
     return blow(BENCH, CHAIN, REGULATOR.sample_time, duration=4.0)
 
 
-def reference(adc):
+def rounded(variant):
+    """Return steps, gains and row as the header has them: of few bits."""
+    gains = gains_of(REGULATOR, CHAIN, variant)
+    step, gain, row = (gains.modes[:, ::2] + 1j * gains.modes[:, 1::2]).T / 2.0 ** np.array(gains.shifts)[
+        :, None
+    ]
+    command = 2 * CHAIN.reach / 4095  # m per code
+    state = 1.0 if variant == "float" else HEADROOM * CHAIN.reach / 2**STATE_BITS
+    return 1 + step, gain, row.conj() * command / state
+
+
+def reference(adc, variant):
     measured = adc * (2 * CHAIN.reach / 4095) - CHAIN.reach
-    one = (REGULATOR.step[None], REGULATOR.gain[None], REGULATOR.row[None], REGULATOR.start[None])
-    return run_regulators(*one, measured[None])[0]
+    parts = (*rounded(variant), REGULATOR.start)
+    return run_regulators(*(part[None] for part in parts), measured[None])[0]
 
 
-@pytest.mark.parametrize(("variant", "beyond"), [("float", 0.05e-6), ("q31", 0.05e-6), ("q16", 2e-6)])
+@pytest.mark.parametrize(("variant", "beyond"), [("float", 0.05e-6), ("q31", 0.05e-6), ("q16", 0.5e-6)])
 def test_commands_are_those_of_numpy_but_for_the_converter(images, hit, variant, beyond):
     codes = HostDevice(images[variant]).run(hit.adc, hit.trigger)
-    assert np.abs(positions_of(codes, CHAIN.reach) - reference(hit.adc)).max() < STEP / 2 + beyond
+    assert np.abs(positions_of(codes, CHAIN.reach) - reference(hit.adc, variant)).max() < STEP / 2 + beyond
     assert np.ptp(codes.astype(int)) > 500
+
+
+@pytest.mark.parametrize(("variant", "limit"), [("float", 1e-6), ("q31", 1e-6), ("q16", 1e-3)])
+def test_headers_have_the_design_to_the_bits_of_their_arithmetic(variant, limit):
+    for found, wanted in zip(rounded(variant), (REGULATOR.step, REGULATOR.gain, REGULATOR.row), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=limit * np.abs(wanted).max())
 
 
 def test_a_design_that_is_built_anew_in_the_same_folder_is_the_one_that_runs(tmp_path, hit):

@@ -57,7 +57,7 @@ class Errors:
     blow : float
         Of the logarithm of a blow's strength.
     trigger : float
-        Longest time from the hammer's first touch to the step that sees the trigger, s; evenly distributed.
+        Longest time from the hammer's first touch to the step that the trigger begins, s; evenly distributed.
         The identification's run is recorded with the hammer's own signal, which has no such lag.
     """
 

@@ -7,7 +7,7 @@ import numpy as np
 import scipy
 
 from wavequake.control.bench import COMPENSATOR, SENSITIVITIES
-from wavequake.control.hammer import HAMMER, Hammer, equivalent_force
+from wavequake.control.hammer import HAMMER, Hammer, step_means
 from wavequake.control.linear import Array, zero_order_hold
 from wavequake.control.sensor import quantized_command
 from wavequake.control.stage import Stage, stage_model
@@ -21,11 +21,10 @@ FINE_STEP = 1e-4
 def run_thesis(controller: SampledController, measured: Array, hammer: Hammer = HAMMER) -> Array:
     """Return commands (c, k) in m for measured positions (c, k) at the controller's instants.
 
-    The blow at the first sample is known to the controller as a constant force of equal momentum (Eq. 5.14).
+    The trigger at the first sample tells the controller of the blow, whose course is known beforehand (Eq. 5.9):
+    it takes the mean force of each step, which is what a held input has to be for no momentum to come too early.
     """
-    steps = max(1, round(0.004 / controller.sample_time))
-    force = np.zeros(measured.shape[1])
-    force[:steps] = equivalent_force(hammer, steps * controller.sample_time)
+    force = step_means(hammer, controller.sample_time, measured.shape[1])
     state = np.zeros((len(controller.a), len(measured)))
     commands = np.empty_like(measured)
     # A product and a sum over axis 1, not a matrix product: its bits do not depend on the number of columns.

@@ -57,7 +57,7 @@ class ErrorsSection(Section):
     stage_poles: float = Field(default=0.05, ge=0, le=0.5)
     blow: float = Field(default=0.01, ge=0, le=0.5, description="of the strength of each blow")
     trigger_ms: float = Field(
-        default=2.0, ge=0, le=10, description="longest time until a step sees the trigger; up to it, evenly"
+        default=0.1, ge=0, le=10, description="longest time until the trigger begins a step; up to it, evenly"
     )
     strip_um: float = Field(default=40.0, ge=0, le=1000, description="largest error of the magnetic strip")
     adc_noise: float = Field(default=0.7, ge=0, le=100, description="steps of the 12-bit converter")
