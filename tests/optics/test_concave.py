@@ -230,3 +230,5 @@ def test_openings_may_be_any_simple_polygon(name, center):
     np.testing.assert_array_equal(on_glass((region,), x, y), expected)
     np.testing.assert_array_equal(on_glass((replace(region, blocks=True),), x, y), ~expected)
     assert not on_glass((region,), np.array([np.nan]), np.array([0.5]))[0]
+    closed = np.concatenate([shape, shape[:1]])  # as files often list corners
+    assert opening_regions(Opening(corners=tuple(map(tuple, closed.tolist())), center=center)) == (region,)

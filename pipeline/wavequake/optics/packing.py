@@ -158,6 +158,7 @@ def _polygon(corners: Array, x: float, y: float) -> Region:
     """Return the region of a polygon whose origin moves to (x, y)."""
     if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
         raise UserError("a polygonal opening needs at least 3 corners, pairs of finite numbers")
+    corners = corners[(np.roll(corners, -1, axis=0) != corners).any(axis=1)]  # none twice in a row
     edge = np.roll(corners, -1, axis=0) - corners
     following = np.roll(edge, -1, axis=0)
     turn = edge[:, 0] * following[:, 1] - edge[:, 1] * following[:, 0]

@@ -152,10 +152,13 @@ def polygons_at(corners: Array, x: Array, y: Array, margin: float) -> NDArray[np
         The polygon whose edges are farthest outside the point first, so the one that contains the point; then
         the others in the order of their distance; then -1. C is as small as possible, at least 1.
     """
-    outlines, grid = corners if concave(corners).any() else edge_lines(corners), _Grid(corners, margin)
+    outlines, block_size = edge_lines(corners), _BLOCK
+    if concave(corners).any():
+        outlines, block_size = corners, _BLOCK // 8  # distances to edges take more memory
+    grid = _Grid(corners, margin)
     found = np.full((len(x), grid.table.shape[1]), -1, dtype=np.int32)
-    for first in range(0, len(x), _BLOCK):
-        block = slice(first, first + _BLOCK)
+    for first in range(0, len(x), block_size):
+        block = slice(first, first + block_size)
         found[block] = _among(outlines, grid.at(x[block], y[block]), x[block], y[block], margin)
     columns = max(1, int((found >= 0).sum(axis=1).max(initial=0)))
     return np.ascontiguousarray(found[:, :columns])
