@@ -6,25 +6,34 @@
 // of q (of p in the first stage), or W adjacent columns, whose lanes they are; none ever waits for another.
 //
 // Compile-time constants: W lanes, SINGLE, N, OTHER (rows of a column transform, or columns of a row
-// transform), INVERSE, ROWS (1: along rows), STREAM (1: outputs are aligned vectors and go past the caches).
-// The generator adds the kernels, which call the stages.
+// transform), INVERSE, ROWS (1: along rows), STREAM (1: outputs are aligned vectors and go past the caches),
+// PANEL (columns of a panel between the transforms; 0: rows lie one after the other). The generator adds the
+// kernels, which call the stages.
 
 #include "waves.h"
 
 #ifndef __has_builtin
 #define __has_builtin(name) 0
 #endif
-#if __has_builtin(__builtin_prefetch)
-#define PREFETCH(address) __builtin_prefetch(address)
-#else
-#define PREFETCH(address)
-#endif
-
 // Past the caches: what is not read soon need not be there, and memory is not read before it is written.
 #if STREAM && __has_builtin(__builtin_nontemporal_store)
 #define STORE_OUT(value, address) __builtin_nontemporal_store(value, (__global real *)(address))
 #else
 #define STORE_OUT(value, address) STORE(value, address)
+#endif
+
+// Between the transforms, panels of as many columns as one work-item takes lie one after the other: what it
+// reads is in one piece. Places are counted in real numbers.
+#if PANEL
+#define ROW(number) (2 * ((size_t)((number) / OTHER) * OTHER * N + (number) % OTHER * PANEL))
+#define IN_ROW(column) (2 * ((column) / PANEL * (size_t)PANEL * OTHER + (column) % PANEL))
+#define COLUMN(column) (2 * (size_t)(column) * N)
+#define DOWN (size_t)(2 * PANEL)
+#else
+#define ROW(number) (2 * (size_t)(number) * N)
+#define IN_ROW(column) (2 * (column))
+#define COLUMN(column) (2 * (column))
+#define DOWN ((size_t)2 * OTHER)
 #endif
 
 // Where the imaginary parts of a row start, and what lies between two copies of a row or panel.

@@ -72,7 +72,7 @@ INLINE void NAME(last)(__local const scalar *x, __global scalar *y, scalar scale
         TRANSFORM(a);
         #pragma unroll
         for (int r = 0; r < RADIX; ++r)
-            store_complex(scaled(a[r], scale), y + 2 * (q + s * r));
+            store_complex(scaled(a[r], scale), y + IN_ROW(q + s * r));
     }
 }
 
@@ -84,10 +84,7 @@ INLINE void NAME(first)(__global const scalar *x, __local wave *y, __global cons
         wave a[RADIX];
         #pragma unroll
         for (int r = 0; r < RADIX; ++r) {
-            __global const scalar *place = x + 2 * (size_t)OTHER * (p + m * r);
-            a[r] = load_complex(place);
-            PREFETCH(place + 2 * W);  // no processor foresees such long steps to the next group of columns
-            PREFETCH(place + 3 * W);
+            a[r] = load_complex(x + DOWN * (p + m * r));
         }
         TRANSFORM(a);
         y[RADIX * p] = a[0];

@@ -21,6 +21,8 @@ ENGINES = ("auto", "opencl", "scipy")
 _SMALL = 1 << 19
 # Images are transformed along rows and columns in groups of about this size, while caches still hold them.
 _TOGETHER_BYTES = 1 << 20
+# What is larger is in no cache when it is read again, and is stored past them.
+_LARGE_BYTES = 1 << 22
 _VECTOR_BYTES = 64
 # What a work-item may keep in local memory.
 _LOCAL_BYTES = {"cpu": 1 << 20, "gpu": 32 << 10}
@@ -159,23 +161,22 @@ def _plan(
         width //= 2
     image_bytes = 2 * real.itemsize * rows * columns
     together = max(1, _TOGETHER_BYTES // image_bytes)
-    several, whole = images > together, columns % width == 0
-    # Groups of columns that overlap may not write where others still read.
-    inner = "rows" if several or not whole else "out"
-    common = {"SINGLE": int(real == np.float32), "INVERSE": int(inverse)}
-    row_constants = common | {"W": row_lanes(columns, native), "N": columns, "OTHER": rows, "STREAM": 0}
+    # Where columns do not fill their last group it overlaps the one before it: then there are no panels.
+    whole, large = columns % width == 0, image_bytes >= _LARGE_BYTES
+    common = {"SINGLE": int(real == np.float32), "INVERSE": int(inverse), "PANEL": width if whole else 0}
+    row_constants = common | {"W": row_lanes(columns, native), "N": columns, "OTHER": rows}
+    row_constants["STREAM"] = int(whole and large)
     column_constants = common | {"W": width, "N": rows, "OTHER": columns}
-    column_constants["STREAM"] = int(several and whole and aligned)
+    column_constants["STREAM"] = int(whole and aligned and (large or images > together))
     along_rows = kernel_source(columns, True, native), "transform", tuple(row_constants.items())
     along_columns = kernel_source(rows, False, native), "transform", tuple(column_constants.items())
     one, scale = real.type(1.0), real.type(1.0 / (rows * columns) if inverse else 1.0)
     steps = []
     for first in range(0, images, together):
         count, groups = min(together, images - first), -(-columns // width)
-        between = 0 if inner == "rows" else first
-        places = np.array([[first * rows, between * rows, count * rows], [between, first, groups]], np.int32)
-        to_rows = (*places[0], "in", "row_factors", one, inner)
-        to_columns = (*places[1], inner, "column_factors", scale, "out")
+        places = np.array([[first * rows, 0, count * rows], [0, first, groups]], np.int32)
+        to_rows = (*places[0], "in", "row_factors", one, "between")
+        to_columns = (*places[1], "between", "column_factors", scale, "out")
         steps.append(Step(*along_rows, (1, count * rows, 1), (1, 1, 1), to_rows))
         steps.append(Step(*along_columns, (1, groups, count), (1, 1, 1), to_columns))
     table = {"row_factors": (columns, True), "column_factors": (rows, False)}
@@ -183,7 +184,7 @@ def _plan(
         name: np.append(factors(length, along, native), 0.0).astype(real)
         for name, (length, along) in table.items()
     }
-    return _Plan(tuple(steps), factors_of, {} if inner == "out" else {"rows": together * image_bytes})
+    return _Plan(tuple(steps), factors_of, {"between": min(images, together) * image_bytes})
 
 
 def _real(dtype: DTypeLike) -> np.dtype[Any]:

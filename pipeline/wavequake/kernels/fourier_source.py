@@ -85,13 +85,13 @@ def kernel_source(length: int, along_rows: bool, width: int) -> str:
         f"    __local {element} *odd = even + {room} + APART;",
     ]
     if along_rows:
-        lines += ["    x += (size_t)(from + number) * 2 * N;", "    y += (size_t)(to + number) * 2 * N;"]
+        lines += ["    x += (size_t)(from + number) * 2 * N;", "    y += ROW(to + number);"]
     else:
         lines += [
             "    // The last group of columns overlaps the one before it.",
             "    const int column = number * W + W > OTHER ? OTHER - W : number * W;",
             "    const size_t image = get_global_id(2);",
-            "    x += 2 * ((from + image) * N * OTHER + column);",
+            "    x += 2 * (from + image) * N * OTHER + COLUMN(column);",
             "    y += 2 * ((to + image) * N * OTHER + column);",
         ]
     size, stride, offset, here, there = length, 1, 0, "even", "odd"

@@ -10,8 +10,9 @@ from wavequake.kernels.devices import POCL, Device, opencl_handle
 from wavequake.kernels.pocl_source import has_wide_vectors
 from wavequake.kernels.program import _LOCK, _fetch, _input, _kernel, _output, _queue, scalar_types
 
-# Scratch memory is kept for the next call: (device, name) to buffer.
+# Scratch memory is kept for the next call, unless it is more than this: (device, name) to buffer.
 _SCRATCH: dict[tuple[Device, str], Any] = {}
+_KEPT_BYTES = 1 << 28
 
 
 @dataclass(frozen=True)
@@ -87,5 +88,7 @@ def _scratch(queue: Any, device: Device, name: str, size: int) -> Any:
 
     kept = _SCRATCH.get((device, name))
     if kept is None or kept.size < size:
-        kept = _SCRATCH[device, name] = cl.Buffer(queue.context, cl.mem_flags.READ_WRITE, max(size, 64))
+        kept = cl.Buffer(queue.context, cl.mem_flags.READ_WRITE, max(size, 64))
+        if size <= _KEPT_BYTES:
+            _SCRATCH[device, name] = kept
     return kept
