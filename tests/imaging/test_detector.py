@@ -72,6 +72,7 @@ def test_a_tilt_of_the_path_moves_all_wavelengths_alike():
     [
         (lambda: pixel_means(np.ones((4, 4)), 0.6, 0.6), "at most 0.5"),
         (lambda: pixel_means(np.ones((4, 4)), 0.4, -1.0), "width of a pixel"),
+        (lambda: pixel_means(np.ones(4), 0.4, 0.4), "rows and columns"),
         (lambda: expected_photons(np.ones((4, 4)), 0.4, 0.0, 1.0, 1.0), "above 0"),
         (lambda: expected_photons(np.ones((4, 4)), 0.4, 1.0, 1.0, -1.0), "at least 0"),
         (lambda: polychromatic_psf(GRID, np.zeros((1, 1)), [1.0], [1.0, 2.0], 8, 0.2), "as many fluxes"),

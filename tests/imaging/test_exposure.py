@@ -105,6 +105,12 @@ def test_impossible_measures_are_refused(change, message):
         encircled_energy(airy(8, 0.25), **{**arguments, **change})
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (4, 6)])
+def test_images_that_hold_no_circle_are_refused(shape):
+    with pytest.raises(UserError, match=f"at least 2 x 2 pixels, not {shape[0]} x {shape[1]}"):
+        encircled_energy(np.ones(shape), 0.25, DISC, 1.0, [0.1])
+
+
 @pytest.mark.parametrize("fraction", [0.0, 1.0, np.nan])
 def test_impossible_fractions_are_refused(fraction):
     with pytest.raises(UserError, match="between 0 and 1"):

@@ -210,6 +210,8 @@ def test_magnification_keeps_the_power(magnification, sign):
         (np.ones((0, 3)), "shape"),
         (np.ones((2, 2, 3)), "shape"),
         (1j * np.ones((2, 2)), "complex"),
+        ([["bright"]], "picture of numbers"),
+        ([[1.0], [1.0, 2.0]], "picture of numbers"),
     ],
 )
 def test_pictures_that_cannot_be_imaged(picture, words):
@@ -217,9 +219,20 @@ def test_pictures_that_cannot_be_imaged(picture, words):
         incoherent_image(picture, 0.25, PERFECT)
 
 
+@pytest.mark.parametrize("image", [coherent_image, incoherent_image])
+def test_pictures_of_one_pixel_and_without_light(image):
+    """A single pixel repeats: it is an even plane, which keeps its brightness."""
+    np.testing.assert_allclose(image([[4.0]], 0.25, PERFECT), [[16.0 if image is coherent_image else 4.0]])
+    assert not image(np.zeros((5, 3)), 0.25, PERFECT).any()
+
+
 def test_bad_input_is_named():
     with pytest.raises(UserError, match=r"at most 0\.5"):
         coherent_image(np.ones((4, 4)), 0.6, PERFECT)
+    with pytest.raises(UserError, match=r"needs as many numbers, not \(2,\)"):
+        coherent_image(np.ones((8, 8)), 0.25, PupilShape(0.0, lambda x, y: np.zeros(2)))
+    with pytest.raises(UserError, match=r"needs as many numbers, not \(3,\)"):
+        incoherent_image(np.ones((8, 8)), 0.25, PupilShape(0.0, lambda x, y: np.zeros(3)))
     with pytest.raises(UserError, match="row 1, column 1 is not finite"):
         coherent_image(np.diag([1.0, np.inf]), 0.25, PERFECT)
     with pytest.raises(UserError, match="magnification"):

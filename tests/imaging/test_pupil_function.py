@@ -90,5 +90,7 @@ def test_bad_pupils_are_refused():
     grid = annular_pupil(16)
     with pytest.raises(UserError, match="at least 0"):
         apodized(grid, -np.ones(grid.light.size))
+    with pytest.raises(UserError, match="no light passes"):
+        apodized(grid, np.zeros(grid.light.size))
     with pytest.raises(UserError, match="as many factors"):
         apodized(grid, np.ones(3))

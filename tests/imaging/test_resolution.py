@@ -126,6 +126,10 @@ def test_slits_are_symmetric():
         (lambda: rectangles((4, 0), 1.0, [[0.0, 1.0, 0.0, 1.0]]), "at least one"),
         (lambda: point(3) * slit((3, 3), np.nan, 1.0), "above 0"),
         (lambda: contrast(np.zeros(3)), "without light"),
+        (lambda: contrast(np.zeros(0)), "without light"),
+        (lambda: saddle(np.zeros((8, 8)), 0.25, 1.0), "no light at its middle"),
+        (lambda: grating((4, 4), 1.0, 1e-9), "more than 10000 slits"),
+        (lambda: rectangles((4, 4), 1.0, [0.0, 1.0, 0.0]), "four edges each"),
         (lambda: grating_image(0.0, PupilShape()), "period above 0"),
     ],
 )

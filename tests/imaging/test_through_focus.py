@@ -43,3 +43,8 @@ def test_bad_defocus(defocus):
     pupil = annular_pupil(16)
     with pytest.raises(UserError, match="finite"):
         through_focus(matrix_fourier(pupil, 8, 0.25), np.zeros(len(pupil.cells)), defocus)
+
+
+def test_a_phase_of_another_pupil_is_refused():
+    with pytest.raises(UserError, match=r"it must be \(224,\)"):
+        through_focus(matrix_fourier(annular_pupil(16), 8, 0.25), np.zeros(3), [0.0])

@@ -57,7 +57,7 @@ def test_a_picture_lies_in_the_middle_of_its_frame():
         ("a.npy", b"", "is no picture"),
         ("a.npy", b"nothing", "is no picture"),
         ("a.csv", b"", "it is empty"),
-        ("a.csv", b"1,2\n3\n", "is no picture"),
+        ("a.csv", b"1,2\n3\n", r"is no picture \(row 1 has 2 values, row 2 has 1\)"),
         ("a.csv", b"1,nan\n", "not finite"),
         ("a.csv", b"\xff\xfe\x00", "is no picture"),
         ("a.png", b"nothing", "a.png"),

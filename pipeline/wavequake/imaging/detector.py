@@ -26,12 +26,14 @@ def pixel_means(images: NDArray[np.floating], sampling: float, width: float) -> 
     Raises
     ------
     UserError
-        If the sampling or the width is impossible.
+        If the sampling or the width is impossible, or there is no image.
     """
     if not 0.0 < sampling <= 0.5:
         raise UserError(f"an image must be sampled at most 0.5 wavelengths/diameter apart, not {sampling}")
     if not (np.isfinite(width) and width >= 0.0):
         raise UserError(f"the width of a pixel must be at least 0 wavelengths/diameter, not {width}")
+    if images.ndim < 2 or not images.size:
+        raise UserError(f"images have rows and columns of pixels; these have the shape {images.shape}")
     rows, columns = images.shape[-2:]
     along_y = np.sinc(width / sampling * np.fft.fftfreq(rows))
     along_x = np.sinc(width / sampling * np.fft.rfftfreq(columns))

@@ -116,7 +116,7 @@ def encircled_energy(
     Raises
     ------
     UserError
-        If sampling, area, diameter or a radius is impossible.
+        If sampling, area, diameter or a radius is impossible, or the image not square.
     """
     if not (np.isfinite([area, diameter]).all() and area > 0.0 and diameter > 0.0):
         raise UserError(f"the pupil's area {area} mm² and diameter {diameter} mm must be above 0 and finite")
@@ -208,8 +208,8 @@ def _weighted_sums(
     if radii.ndim != 1 or not radii.size or not (np.isfinite(radii) & (radii >= 0.0)).all():
         raise UserError("the radii of circles must be a list of finite numbers of at least 0")
     *batch, height, width = image.shape
-    if height != width:
-        raise ValueError(f"an image is square, not {height} x {width}")
+    if height != width or width < 2:
+        raise UserError(f"an image is square, of at least 2 x 2 pixels, not {height} x {width}")
     images = np.asarray(image, dtype=np.float64).reshape(-1, height, width)
     dark = np.asarray(np.isnan(images).any(axis=(1, 2)))
     images = np.where(dark[:, None, None], 0.0, images)

@@ -166,10 +166,10 @@ def exposure_error(
     Raises
     ------
     UserError
-        If an image holds no light.
+        If an image holds no light, or their shapes differ.
     """
     if shortcut.shape != full.shape:
-        raise ValueError(f"the images have different shapes, {shortcut.shape} and {full.shape}")
+        raise UserError(f"the images have different shapes, {shortcut.shape} and {full.shape}")
     energies = shortcut.sum(), full.sum()
     if not all(energy > 0.0 for energy in energies):
         raise UserError("an exposure without light cannot be compared")

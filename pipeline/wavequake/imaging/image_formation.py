@@ -171,11 +171,10 @@ def checked_intensity(picture: ArrayLike) -> Real:
     UserError
         If it has not two axes, is empty, or holds a number that is negative or not finite.
     """
-    intensity = np.asarray(picture)
-    if np.iscomplexobj(intensity):
+    numbers = _numbers(picture)
+    if np.iscomplexobj(picture):
         raise UserError("the object's intensity is complex; give an amplitude to a coherent image instead")
-    intensity = intensity.astype(np.float64)
-    _check_shape(intensity)
+    intensity = np.ascontiguousarray(numbers.real)
     for bad, words in ((~np.isfinite(intensity), "not finite"), (intensity < 0.0, "negative")):
         if bad.any():
             row, column = np.argwhere(bad)[0]
@@ -185,17 +184,21 @@ def checked_intensity(picture: ArrayLike) -> Real:
 
 
 def _field(picture: ArrayLike) -> Complex:
-    field = np.asarray(picture, dtype=np.complex128)
-    _check_shape(field)
+    field = _numbers(picture)
     if not np.isfinite(field).all():
         row, column = np.argwhere(~np.isfinite(field))[0]
         raise UserError(f"the object's amplitude at row {row}, column {column} is not finite")
     return field
 
 
-def _check_shape(picture: NDArray[np.inexact]) -> None:
-    if picture.ndim != 2 or not picture.size:
-        raise UserError(f"an object is a picture of rows and columns; this one has the shape {picture.shape}")
+def _numbers(picture: ArrayLike) -> Complex:
+    try:
+        values = np.asarray(picture, dtype=np.complex128)
+    except (TypeError, ValueError) as error:
+        raise UserError(f"an object is a picture of numbers in rows and columns: {error}") from None
+    if values.ndim != 2 or not values.size:
+        raise UserError(f"an object is a picture of rows and columns; this one has the shape {values.shape}")
+    return values
 
 
 def _check_sampling(sampling: float) -> None:

@@ -101,11 +101,8 @@ def _response(pupil: PupilShape) -> tuple[Real, Real]:
     A period at two pixels per wavelength / diameter has all of the sampled irradiance.
     """
     grid = annular_pupil(_SAMPLES, pupil.obscuration)
-    waves = np.zeros(len(grid.x))
+    waves = pupil.waves(grid.x, grid.y)
     if pupil.wavefront is not None:
-        waves = np.asarray(pupil.wavefront(grid.x, grid.y), dtype=np.float64)
-        if not np.isfinite(waves).all():
-            raise UserError("the wavefront is not finite in the whole pupil, so there is no image")
         _check_steepness(grid.cells, waves)
     field = pupil_function(grid, 2.0 * np.pi * waves[None])[0]
     # The transform of exp(+2 pi i f x): +x is where falling OPDs move the image.

@@ -13,6 +13,7 @@ Real = NDArray[np.float64]
 
 # Three bars as long as five are wide, as far apart as wide: an element of the USAF 1951 chart.
 _BARS, _LENGTH = 3, 5.0
+_MOST_SLITS = 10_000
 
 
 def point(pixels: int) -> Real:
@@ -41,7 +42,10 @@ def rectangles(shape: tuple[int, int], pitch: float, edges: ArrayLike) -> Real:
         If the grid is impossible, or an edge is NaN or out of order.
     """
     _check_grid(shape, pitch)
-    box = np.asarray(edges, dtype=np.float64).reshape(-1, 4)
+    box = np.asarray(edges, dtype=np.float64)
+    if box.size % 4:
+        raise UserError(f"rectangles need four edges each, not {box.size} in all")
+    box = box.reshape(-1, 4)
     if np.isnan(box).any() or (box[:, 0] > box[:, 1]).any() or (box[:, 2] > box[:, 3]).any():
         raise UserError(
             "a rectangle needs its left edge before the right one and the lower before the upper one"
@@ -81,6 +85,11 @@ def grating(shape: tuple[int, int], pitch: float, period: float, open_share: flo
         raise UserError(
             f"a grating needs a period above 0 and an open share between 0 and 1, not {period}, {open_share}"
         )
+    if shape[1] * pitch > _MOST_SLITS * period:
+        raise UserError(
+            f"a grating of period {period:g} has more than {_MOST_SLITS} slits in a picture "
+            f"{shape[1] * pitch:g} wide; make the period longer"
+        )
     reach = int(np.ceil(shape[1] * pitch / period)) + 1
     middles = period * np.arange(-reach, reach + 1)
     half = 0.5 * open_share * period
@@ -112,8 +121,8 @@ def resolution_chart(shape: tuple[int, int], pitch: float, widths: ArrayLike) ->
     height = 2.0 * _LENGTH * wide.max() + gap
     if total > shape[1] * pitch or height > shape[0] * pitch:
         raise UserError(
-            f"the chart is {total:g} x {height:g} large, "
-            f"the picture {shape[1] * pitch:g} x {shape[0] * pitch:g}"
+            f"the chart is {total:g} x {height:g} large, the picture {shape[1] * pitch:g} x "
+            f"{shape[0] * pitch:g}: make bars narrower or fewer, or the picture larger"
         )
     edges = []
     for left, width in zip(places[:-1] - 0.5 * total, wide, strict=True):

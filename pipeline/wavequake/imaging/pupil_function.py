@@ -111,7 +111,7 @@ def apodized(grid: PupilGrid, transmission: Real) -> PupilGrid:
     Raises
     ------
     UserError
-        If a factor is negative or not finite.
+        If there is not one finite factor of at least 0 for each patch, or all are 0.
     """
     if transmission.shape != grid.light.shape:
         raise UserError(
@@ -119,6 +119,8 @@ def apodized(grid: PupilGrid, transmission: Real) -> PupilGrid:
         )
     if not (np.isfinite(transmission).all() and (transmission >= 0.0).all()):
         raise UserError("the amplitude that a pupil transmits must be finite and at least 0")
+    if not transmission.any():
+        raise UserError("no light passes the pupil: every factor is 0")
     light = grid.light * transmission
     amplitude: Real = np.bincount(grid.cells, light, grid.amplitude.size).astype(np.float64)
     return replace(grid, light=light, amplitude=amplitude.reshape(grid.amplitude.shape))

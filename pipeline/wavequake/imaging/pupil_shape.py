@@ -35,6 +35,23 @@ class PupilShape:
         if not 0.0 <= self.obscuration < 1.0:
             raise UserError(f"the obscuration is {self.obscuration}; it must lie in 0 <= obscuration < 1")
 
+    def waves(self, x: Real, y: Real) -> Real:
+        """Return the OPD (n,) in waves at x and y (n,) in pupil radii.
+
+        Raises
+        ------
+        UserError
+            If it is not finite somewhere, or the wavefront returns another shape.
+        """
+        if self.wavefront is None:
+            return np.zeros(x.shape)
+        found = np.asarray(self.wavefront(x, y), dtype=np.float64)
+        if found.shape not in ((), x.shape):
+            raise UserError(f"the wavefront at {x.shape} places needs as many numbers, not {found.shape}")
+        if not np.isfinite(found).all():
+            raise UserError("the wavefront is not finite in the whole pupil, so there is no image")
+        return np.broadcast_to(found, x.shape)
+
 
 def coherent_transfer(pupil: PupilShape, x: Real, y: Real) -> Complex:
     """Return the coherent transfer function at frequencies x and y, which broadcast, per wavelength/diameter.
@@ -45,7 +62,7 @@ def coherent_transfer(pupil: PupilShape, x: Real, y: Real) -> Complex:
     Raises
     ------
     UserError
-        If the wavefront is not finite somewhere in the pupil.
+        If the wavefront is not finite somewhere in the pupil, or has another shape than the places.
     """
     across, down = np.broadcast_arrays(2.0 * np.asarray(x), 2.0 * np.asarray(y))
     radius = np.hypot(across, down)
@@ -55,10 +72,7 @@ def coherent_transfer(pupil: PupilShape, x: Real, y: Real) -> Complex:
     transfer: Complex = np.array(passed, dtype=np.complex128)
     if pupil.wavefront is not None:
         lit = passed > 0.0
-        waves = np.asarray(pupil.wavefront(across[lit], down[lit]), dtype=np.float64)
-        if not np.isfinite(waves).all():
-            raise UserError("the wavefront is not finite in the whole pupil, so there is no image")
-        transfer[lit] *= np.exp(2j * np.pi * waves)
+        transfer[lit] *= np.exp(2j * np.pi * pupil.waves(across[lit], down[lit]))
     return transfer
 
 

@@ -35,7 +35,7 @@ def contrast(image: NDArray[np.floating]) -> float:
     UserError
         If there is no light, or not all of it is finite.
     """
-    low, high = float(np.min(image)), float(np.max(image))
+    low, high = (float(pick(image)) if image.size else 0.0 for pick in (np.min, np.max))
     if not (np.isfinite([low, high]).all() and low + high > 0.0):
         raise UserError("an image without light, or not finite, has no contrast")
     return (high - low) / (high + low)
@@ -52,6 +52,11 @@ def saddle(psf: NDArray[np.floating], sampling: float, distance: float) -> float
         Distance of its pixels, wavelengths / diameter.
     distance : float
         Of the stars along x.
+
+    Raises
+    ------
+    UserError
+        If the image has no light where the star is, or is no picture.
     """
     # The image is moved instead of the stars, so that each place of interest falls on the middle pixel.
     middle = len(psf) // 2
@@ -61,6 +66,8 @@ def saddle(psf: NDArray[np.floating], sampling: float, distance: float) -> float
         float(star_field_image(psf, pair + np.array([shift, 0.0]), np.ones(2), sampling)[middle, middle])
         for shift in (0.0, half)
     )
+    if not at_star > 0.0:
+        raise UserError("the image of a star has no light at its middle, so that there is no saddle")
     return between / at_star
 
 

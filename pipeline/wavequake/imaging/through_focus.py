@@ -33,6 +33,8 @@ def through_focus(transform: MatrixFourier, phase: Real, defocus: ArrayLike) -> 
         raise UserError("a scan through focus needs defocus coefficients, which are finite numbers")
     grid = transform.pupil
     shape = np.sqrt(3.0) * (2.0 * (grid.x**2 + grid.y**2) - 1.0)
+    if phase.shape != grid.cells.shape:
+        raise UserError(f"the phase has the shape {phase.shape}; it must be {grid.cells.shape}")
     phases = phase + 2.0 * np.pi * coefficients[:, None] * shape
     check_phase(transform, phases)
     field = 2.0 * float(np.abs(transform.axis).max())

@@ -92,4 +92,9 @@ def _csv(path: Path) -> NDArray[np.generic]:
     text = path.read_text(encoding="utf-8-sig")
     if not text.strip():
         raise ValueError("it is empty")
+    rows = [line.partition("#")[0] for line in text.splitlines()]
+    lengths = [line.count(",") + 1 for line in rows if line.strip()]
+    for number, length in enumerate(lengths, start=1):
+        if length != lengths[0]:
+            raise ValueError(f"row 1 has {lengths[0]} values, row {number} has {length}")
     return np.loadtxt(io.StringIO(text), delimiter=",", ndmin=2)
