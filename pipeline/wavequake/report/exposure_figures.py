@@ -21,7 +21,10 @@ _TRACK = "#ff4d4d"
 
 @dataclass(frozen=True)
 class Panel:
-    """An exposure (n, n), its title, and the track (instants, 2) of its line of sight in lambda/D."""
+    """An exposure (n, n), its title, and the track (instants, 2) of its line of sight in lambda/D.
+
+    Without instants there is no track to draw.
+    """
 
     title: str
     image: Array
@@ -45,7 +48,7 @@ def exposure_panels(panels: Sequence[Panel], axis: Array) -> Figure:
             np.maximum(panel.image, floor), norm=LogNorm(floor, top), origin="lower", extent=extent
         )
         place.plot(panel.track[:, 0], panel.track[:, 1], color=_TRACK, linewidth=0.8)
-        place.plot(*panel.track[-1], "o", color=_TRACK, markersize=2.0)
+        place.plot(*panel.track[-1:].T, "o", color=_TRACK, markersize=2.0)
         place.set_xlim(*extent[:2])
         place.set_ylim(*extent[2:])
         place.set_title(panel.title, fontsize=8)

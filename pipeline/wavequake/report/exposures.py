@@ -10,6 +10,7 @@ from rich.table import Table
 
 from wavequake.report import exposure_figures as draw
 from wavequake.report import exposure_tables as common
+from wavequake.report.histories import has_histories, over_time, wander, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
 from wavequake.report.psf_figures import focus_panels
@@ -43,7 +44,7 @@ _DEFINITIONS = (
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
-    return common.terminal_table(_rows(dataset), _HEADERS, 2, answer(dataset))
+    return common.terminal_table(_rows(dataset), _HEADERS, 2, answer(dataset) + what_is_kept(dataset))
 
 
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
@@ -51,7 +52,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     page = Page(
         answer=answer(dataset),
         table=_rows(dataset),
-        small_print=_SMALL_PRINT,
+        small_print=_SMALL_PRINT + what_is_kept(dataset),
         overview=[],
         sections=[
             Section(name, list(_figures(cases, name)))
@@ -104,9 +105,8 @@ def _rows(dataset: xr.Dataset) -> list[dict[str, tuple[str, str]]]:
 
 def _per_case(cases: xr.Dataset) -> xr.Dataset:
     """Reduce histories to a number per case and controller, chunk by chunk, and read what is left."""
-    los = cases["los"] - cases["los"].mean("time")
     found = cases[["peak", "ee50", "ee80", "image_error", "peak_error"]].assign(
-        wfe_rms=cases["wfe_rms"].mean("time"), los=(los**2).sum("axis").mean("time") ** 0.5
+        wfe_rms=over_time(cases["wfe_rms"], "mean"), los=wander(cases["los"])
     )
     numbers: xr.Dataset = found.drop_vars("time_s", errors="ignore").compute()
     return numbers
@@ -116,12 +116,14 @@ def _figures(cases: xr.Dataset, name: str) -> Iterator[Picture]:
     """Draw the case with the median peak of the disturbed exposure."""
     peaks = cases["peak"].sel(controller="disturbed").to_numpy()
     shown = cases.isel(case=int(np.argsort(peaks, kind="stable")[(len(peaks) - 1) // 2])).load()
-    kept = np.isfinite(shown["time_s"].to_numpy())
-    time = shown["time_s"].to_numpy()[kept] * 1e3
     controllers = [str(one) for one in shown["controller"].to_numpy()]
     axis, case = shown["x"].to_numpy(), int(shown["case"])
-    los = {one: shown["los"].sel(controller=one).to_numpy()[kept] for one in controllers}
-    wfe = {one: shown["wfe_rms"].sel(controller=one).to_numpy()[kept] for one in controllers}
+    los = dict.fromkeys(controllers, np.zeros((0, 2)))
+    if has_histories(shown):
+        kept = np.isfinite(shown["time_s"].to_numpy())
+        time = shown["time_s"].to_numpy()[kept] * 1e3
+        los = {one: shown["los"].sel(controller=one).to_numpy()[kept] for one in controllers}
+        wfe = {one: shown["wfe_rms"].sel(controller=one).to_numpy()[kept] for one in controllers}
     per_mas = 1.0 / float(shown["resolution_mas"])
     pictures = {key: shown[key].to_numpy() for key in _IMAGES}
     for key, text in (
@@ -153,4 +155,5 @@ def _figures(cases: xr.Dataset, name: str) -> Iterator[Picture]:
         seen = shown["object_image"]
         objects = dict(zip(controllers, seen.to_numpy(), strict=True))
         yield common.object_picture(name, f"case {case} exposes it", objects, seen, axis)
-    yield from common.history_pictures(name, time, los, "mas", wfe)
+    if has_histories(shown):
+        yield from common.history_pictures(name, time, los, "mas", wfe)

@@ -10,8 +10,8 @@ _SUMMARY = (
     "rerun STORE --case ID` gives the histories of a case."
 )
 _DECIMATED = (
-    "The store keeps one of every {} instants (store.every): what is said over time is of these, and "
-    "`wavequake rerun STORE --case ID` gives all instants of a case."
+    "The store keeps one of every {} instants (store.every): what is said over time is of these, and figures "
+    "that need all are left out. `wavequake rerun STORE --case ID` gives all instants of a case."
 )
 
 
@@ -38,15 +38,16 @@ def _every(dataset: xr.Dataset) -> int:
 
 
 def over_time(values: xr.DataArray, statistic: str, skipna: bool | None = None) -> xr.DataArray:
-    """Return mean, rms or max over the instants of each case, lazily; of a summary what it holds.
-
-    Lines of sight (``axis``) become distances from rest.
-    """
+    """Return the mean or max over the instants of each case, lazily; of a summary what it holds."""
     if "statistic" in values.dims:
         return values.sel(statistic=statistic, drop=True)
-    if "axis" in values.dims:
-        values = (values**2).sum("axis", skipna=False) ** 0.5
-    if statistic == "rms":
-        return (values**2).mean("time", skipna=skipna) ** 0.5
     found: xr.DataArray = getattr(values, statistic)("time", skipna=skipna)
+    return found
+
+
+def wander(sight: xr.DataArray) -> xr.DataArray:
+    """Return the rms of the line of sight about the mean of each case, lazily; of a summary about rest."""
+    if "statistic" in sight.dims:
+        return sight.sel(statistic="rms", drop=True)
+    found: xr.DataArray = ((sight - sight.mean("time")) ** 2).sum("axis").mean("time") ** 0.5
     return found

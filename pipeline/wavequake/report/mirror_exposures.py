@@ -11,6 +11,7 @@ from rich.table import Table
 
 from wavequake.report import exposure_figures as draw
 from wavequake.report import exposure_tables as common
+from wavequake.report.histories import has_histories, over_time, wander, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.psf_figures import focus_panels
 from wavequake.report.table import number
@@ -31,7 +32,7 @@ _SMALL_PRINT = (
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     rows = _rows(dataset)
-    return common.terminal_table(rows, _HEADERS, 3, answer(rows))
+    return common.terminal_table(rows, _HEADERS, 3, answer(rows) + what_is_kept(dataset))
 
 
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
@@ -40,7 +41,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     page = Page(
         answer=answer(rows),
         table=rows,
-        small_print=_SMALL_PRINT,
+        small_print=_SMALL_PRINT + what_is_kept(dataset),
         overview=[],
         sections=[
             Section(f"{model}, {excitation}", list(_figures(cases, f"{model}-{excitation}", excitation)))
@@ -89,9 +90,9 @@ def _per_case(cases: xr.Dataset, reference: str, scale: float) -> xr.Dataset:
     """Reduce histories and images of one model to numbers, chunk by chunk, and read what is left."""
     los = cases["los_mm"] * scale / cases["resolution_mm"]
     found = cases[["peak", "ee80", "image_error", "peak_error"]].assign(
-        wfe=cases["wfe_rms"].max("time"),
-        off=cases["wfe_error"].max("time"),
-        los=((los - los.mean("time")) ** 2).sum("axis").mean("time") ** 0.5,
+        wfe=over_time(cases["wfe_rms"], "max"),
+        off=over_time(cases["wfe_error"], "max"),
+        los=wander(los),
     )
     others = np.flatnonzero(cases["variant"].to_numpy() == reference)
     if len(others):
@@ -122,12 +123,11 @@ def _figures(cases: xr.Dataset, key: str, excitation: str) -> Iterator[Picture]:
     every = range(cases.sizes["case"])
     part = cases.isel(case=few(every)).sel(excitation=excitation).load()
     variants = [str(one) for one in part["variant"].to_numpy()]
-    time, axis = part["time"].to_numpy() * 1e3, part["x"].to_numpy()
-    tracks = {
-        one: part["los_mm"].isel(case=row).to_numpy() * (scale / float(part["resolution_mm"].isel(case=row)))
-        for row, one in enumerate(variants)
-    }
-    wfe = {one: part["wfe_rms"].isel(case=row).to_numpy() for row, one in enumerate(variants)}
+    axis, tracks = part["x"].to_numpy(), dict.fromkeys(variants, np.zeros((0, 2)))
+    if has_histories(part):
+        sight = (part["los_mm"] * scale / part["resolution_mm"]).transpose("case", "time", "axis")
+        tracks = dict(zip(variants, sight.to_numpy(), strict=True))
+        wfe = dict(zip(variants, part["wfe_rms"].to_numpy(), strict=True))
     images = {name: part[name].to_numpy() for name in ("exposure", "exposure_los_only", "exposure_gaussian")}
     static = draw.Panel("static", part["exposure_static"].isel(case=0).to_numpy(), np.zeros((1, 2)))
     exposed = [draw.Panel(one, images["exposure"][row], tracks[one]) for row, one in enumerate(variants[:3])]
@@ -155,4 +155,6 @@ def _figures(cases: xr.Dataset, key: str, excitation: str) -> Iterator[Picture]:
         objects = {"static": part["object_static"].isel(case=0).to_numpy()}
         objects |= dict(zip(variants[:3], seen.to_numpy(), strict=False))
         yield common.object_picture(key, f"{excitation} exposes it, scale {scale:g}", objects, seen, axis)
-    yield from common.history_pictures(key, time, tracks, "λ/D", wfe)
+    if has_histories(part):
+        time = part["time"].to_numpy() * 1e3
+        yield from common.history_pictures(key, time, tracks, "λ/D", wfe)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from wavequake.optics.zernike import annular_zernike
 from wavequake.report.deformed_body import bodies
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.histories import has_all_instants
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import number as shortened
 from wavequake.report.variants import ModelResult, VariantResult, representatives
@@ -40,6 +41,8 @@ def pictures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
         "Modes of variants on the mirror",
         modes_of_variants(dataset, shown, reference),
     )
+    if not has_all_instants(dataset):  # the worst one may be missing
+        return
     yield picture(
         f"{model.name}-peaks",
         "Wavefronts when that of the reference is worst",

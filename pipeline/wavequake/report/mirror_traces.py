@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wavequake.report import mirror_figures as draw
+from wavequake.report.histories import has_histories, over_time, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.table import MISSING, number
 from wavequake.report.variants import few, left_out
@@ -86,7 +87,7 @@ def trace_results(dataset: xr.Dataset) -> list[TraceResult]:
     found = []
     names = [str(stage) for stage in dataset["stage"].to_numpy()]
     kept = ["seconds", "resolution_mm", "missed_share"]
-    largest = {name: dataset[name].max("time", skipna=False) for name in _HISTORIES if name in dataset}
+    largest = {name: over_time(dataset[name], "max", False) for name in _HISTORIES if name in dataset}
     numbers = xr.Dataset(largest | {name: dataset[name] for name in kept if name in dataset}).compute()
     for row in np.flatnonzero(dataset["status"].to_numpy() == DONE):
         case = numbers.isel(case=int(row))
@@ -158,7 +159,8 @@ def _row(one: TraceResult) -> dict[str, str]:
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     results = trace_results(dataset)
-    table = Table(box=SIMPLE_HEAD, caption=answer(results), caption_justify="left")
+    words = answer(results) + what_is_kept(dataset)
+    table = Table(box=SIMPLE_HEAD, caption=words, caption_justify="left")
     headers = [header for header in (*_HEADERS, *_COSTS) if header not in _ONLY_ON_PAPER]
     for header in headers:
         words = header in _HEADERS[:2]
@@ -180,7 +182,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
             {"model": (one.model, ""), **{header: (value, "") for header, value in _row(one).items()}}
             for one in results
         ],
-        small_print=_SMALL_PRINT,
+        small_print=_SMALL_PRINT + what_is_kept(dataset),
         overview=[picture("cost", "Cost of each stage, as in Table 4.1", draw.costs(_costs(results)))]
         if results
         else [],
@@ -207,7 +209,7 @@ def _costs(results: Iterable[TraceResult]) -> dict[str, dict[str, float]]:
 
 
 def _figures(dataset: xr.Dataset, results: list[TraceResult]) -> Iterable[Picture]:
-    for excitation in dict.fromkeys(one.excitation for one in results):
+    for excitation in dict.fromkeys(one.excitation for one in results if has_histories(dataset)):
         mine = [one for one in results if one.excitation == excitation]
         yield picture(
             f"{mine[0].model}-{excitation}",

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from wavequake.report import mirror_figures as draw
 from wavequake.report import mirror_shapes
+from wavequake.report.histories import has_histories, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.table import MISSING, number
 from wavequake.report.variants import (
@@ -52,7 +53,7 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     models, criterion = results_of(dataset)
     headers = list(_HEADERS)
-    words = f"{answer(models, criterion)} {checked(dataset)}"
+    words = f"{answer(models, criterion)} {checked(dataset)}{what_is_kept(dataset)}"
     table = Table(box=SIMPLE_HEAD, caption=words, caption_justify="left")
     for header in headers:
         first = header in headers[:1]
@@ -76,7 +77,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
             for model in models
             for one in model.variants
         ],
-        small_print=f"{_SMALL_PRINT} {checked(dataset)}",
+        small_print=f"{_SMALL_PRINT} {checked(dataset)}{what_is_kept(dataset)}",
         overview=[
             picture(
                 "order", "Error of all variants over their order", draw.errors_over_order(models, criterion)
@@ -211,11 +212,12 @@ def excitation_pictures(
 ) -> Iterable[Picture]:
     """Draw what each excitation does: wavefront errors over time, and exposures."""
     for excitation in map(str, dataset["excitation"].to_numpy()):
-        yield picture(
-            f"{name}-{excitation}-time",
-            f"Wavefront error over time, {excitation}",
-            draw.wavefront_history(dataset, excitation, shown, reference),
-        )
+        if has_histories(dataset):
+            yield picture(
+                f"{name}-{excitation}-time",
+                f"Wavefront error over time, {excitation}",
+                draw.wavefront_history(dataset, excitation, shown, reference),
+            )
         yield picture(
             f"{name}-{excitation}-image",
             f"Exposures, {excitation}",

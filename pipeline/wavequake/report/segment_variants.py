@@ -14,6 +14,7 @@ from wavequake.report import mirror_figures as draw
 from wavequake.report import mirrors
 from wavequake.report.detail import Detail
 from wavequake.report.figures import opd_map, segment_map
+from wavequake.report.histories import has_all_instants, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.variants import ModelResult, VariantResult, left_out, representatives
 from wavequake.workflows.bench import MAS_PER_RAD, MM_PER_M, Bench
@@ -66,7 +67,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
             for model in models
             for one in model.variants
         ],
-        small_print=_SMALL_PRINT,
+        small_print=_SMALL_PRINT + what_is_kept(dataset),
         overview=[
             picture(
                 "order", "Error of all variants over their order", draw.errors_over_order(models, criterion)
@@ -109,14 +110,16 @@ def _telescope_figures(
         return
     name, reference = model.name.replace(" ", "-"), model.reference
     shown = representatives(model)
-    truth = detail(dataset, reference, study_text, device)
-    yield picture(f"{name}-segments", "Motion of the segments at the worst instant", segment_map(truth))
-    yield picture(f"{name}-wavefront", "Wavefront of the telescope at the worst instant", opd_map(truth))
+    if has_all_instants(dataset):
+        truth = detail(dataset, reference, study_text, device)
+        yield picture(f"{name}-segments", "Motion of the segments at the worst instant", segment_map(truth))
+        yield picture(f"{name}-wavefront", "Wavefront of the telescope at the worst instant", opd_map(truth))
     if not model.variants:
         return
-    one = model.enough or min(model.variants, key=lambda found: float(found.errors["wfe"].max()))
-    off = detail(dataset, reference, study_text, device, one)
-    yield picture(f"{name}-off", f"Wavefront of {one.variant} less that of the reference", opd_map(off))
+    if has_all_instants(dataset):
+        one = model.enough or min(model.variants, key=lambda found: float(found.errors["wfe"].max()))
+        off = detail(dataset, reference, study_text, device, one)
+        yield picture(f"{name}-off", f"Wavefront of {one.variant} less that of the reference", opd_map(off))
     yield from mirrors.excitation_pictures(dataset, name, shown, reference)
 
 

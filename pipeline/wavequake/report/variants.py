@@ -108,7 +108,10 @@ def largest(result: VariantResult, criterion: Criterion) -> float:
 
 
 def _numbers_per_case(dataset: xr.Dataset) -> xr.Dataset:
-    """Reduce spectra and histories to their largest values, chunk by chunk, and read what is left."""
+    """Reduce spectra and histories to their largest values, chunk by chunk, and read what is left.
+
+    Of the statistics that a summary holds of errors, the maximum is the largest.
+    """
     third = slice(max(1, dataset.sizes["frequency"] // 3))
     spectra = {name: dataset[name] for name in ("eps_mech", "eps_opt")}
     largest = {
