@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.path import Path
 from rotations import rotations
 from segmented_cases import NAMES, OPENCL, assert_close, assert_same, one_mirror, poses
 
@@ -12,6 +13,7 @@ from wavequake.kernels.devices import NUMPY
 from wavequake.kernels.example import two_mirrors
 from wavequake.kernels.segmented import trace_segmented
 from wavequake.kernels.tiles import TILE
+from wavequake.optics.polygons import edge_spans
 
 
 @pytest.mark.parametrize("device", **NAMES)
@@ -88,6 +90,26 @@ def test_a_ray_beside_the_glass_is_in_a_gap(device):
     assert (traced.status[0, 0] == 0).all()
     assert (traced.status[0, 1] == 1).all()
     assert np.isnan([traced.opd[0, 1], traced.x[0, 1], traced.y[0, 1]]).all()
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_glass_that_is_not_convex_holds_what_an_even_odd_rule_says(device):
+    """Arrowheads about each center: rays in their notches and beside their barbs meet nothing."""
+    arguments = two_mirrors(degree=2)
+    train = arguments["train"]
+    arrow = 700.0 * np.array([[-1.0, -0.9], [1.0, 0.1], [-0.8, 1.0], [-0.2, 0.0]])
+    corners = train.figure_frames[:, None, :2] + arrow
+    sharp = replace(train, edges=edge_spans(corners))
+    traced = trace_segmented(**arguments | {"train": sharp}, device=device)
+    rays = np.stack([arguments["ray_x"], arguments["ray_y"]], axis=1)
+    own = arguments["candidates"][:, 0]
+    inside = [Path(corners[segment]).contains_point(ray) for segment, ray in zip(own, rays, strict=True)]
+    hull = [Path(corners[segment][:3]).contains_point(ray) for segment, ray in zip(own, rays, strict=True)]
+    assert 5 < np.count_nonzero(inside) < np.count_nonzero(hull) < len(rays) - 5
+    np.testing.assert_array_equal((traced.status[0] == 0).all(axis=1), inside)
+    np.testing.assert_array_equal((traced.status[0] == 1).all(axis=1), ~np.array(inside))
+    whole = trace_segmented(**arguments, device=device)
+    np.testing.assert_array_equal(traced.opd[:, inside], whole.opd[:, inside])
 
 
 @pytest.mark.parametrize("device", **NAMES)
