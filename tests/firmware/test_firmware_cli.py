@@ -197,5 +197,5 @@ def test_an_arithmetic_that_cannot_hold_a_design_is_skipped_by_name(monkeypatch,
     code, said = firmware("test", *LENS, *words)
     assert code == 0
     assert "all q16 - - - - - not run" in said
-    assert "Not run: The step of mode 11 is 0.6255, beyond the range of q16, which ends at 0.5" in said
+    assert "Not run: The step of mode 11 is 0.6242, beyond the range of q16, which ends at 0.5" in said
     assert "host float" in said

@@ -113,10 +113,10 @@ def test_hash_tells_designs_apart():
         (
             {"gain": REGULATOR.gain * 1e5},
             "q31",
-            "gain of mode 5 .* beyond the range of q31, which ends at 1",
+            "gain of mode 6 .* beyond the range of q31, which ends at 1",
         ),
-        ({"gain": REGULATOR.gain * 3}, "q16", "gain of mode 5 .* beyond the range of q16, which ends at 1"),
-        ({"row": REGULATOR.row * 1e6}, "q16", "row of mode 4 .* beyond the range of q16"),
+        ({"gain": REGULATOR.gain * 3}, "q16", "gain of mode 6 .* beyond the range of q16, which ends at 1"),
+        ({"row": REGULATOR.row * 1e6}, "q16", "row of mode 5 .* beyond the range of q16"),
         ({"step": REGULATOR.step * 3}, "q31", "step of mode 1 has a magnitude of 3"),
         ({"start": REGULATOR.start * 1e3}, "q31", "full scale"),
         ({"gain": REGULATOR.gain * np.nan}, "float", "gain of mode 1 is not finite"),

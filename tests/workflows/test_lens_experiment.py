@@ -112,4 +112,4 @@ def test_bad_keys_are_named(override, words):
 def test_the_plan_names_modes_and_delay():
     lines = WORKFLOW.describe(TEXT)
     assert "8.0 ms" in lines["stage"]
-    assert "11 modes of 20.0 to 79.8 rad/s" in lines["springs initial"]
+    assert "11 modes of 19.8 to 79.7 rad/s" in lines["springs initial"]
