@@ -203,7 +203,8 @@ def test_the_report_of_a_mirror(store, dataset, tmp_path):
         store, dataset.isel(excitation=[ONE]), target, "numpy"
     ).read_text()
     assert text.count("<svg") == 7
-    for words in ("Störkle 2018, Eq. 3.79", "krylov108(200,450,700)", "circular, one300"):
+    off = f"LOS only, {float(dataset['image_error'][0, ONE, 0]):.1e} off"
+    for words in ("Störkle 2018, Eq. 3.79", "krylov108(200,450,700)", "circular, one300", off):
         assert words in text
 
 
@@ -230,6 +231,8 @@ def test_the_report_of_a_telescope(telescope_store):
     assert text.count("<svg") == 8
     for controller in ("static", "disturbed", "rigid", "elastic"):
         assert controller in text
+    off = open_store(telescope_store)["image_error"].sel(controller="disturbed").isel(shortcut=1).to_numpy()
+    assert any(f"Gaussian, {value:.1e} off" in text for value in off)
 
 
 def test_the_table_of_a_telescope_says_what_its_store_holds(telescope_store):

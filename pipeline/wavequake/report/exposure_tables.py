@@ -60,6 +60,12 @@ def shortcut_cells(one: xr.Dataset) -> Iterator[tuple[str, str]]:
         yield f"{image:.1e}", f"{number(100.0 * peak)} %"
 
 
+def shortcut_titles(one: xr.Dataset) -> tuple[str, str]:
+    """Return the titles of the shortcuts' images of one exposure, with their errors."""
+    los_only, gaussian = one["image_error"].to_numpy()
+    return f"LOS only, {los_only:.1e} off", f"Gaussian, {gaussian:.1e} off"
+
+
 def image_pictures(key: str, text: str, images: Mapping[str, Array], axis: Array) -> Iterator[Picture]:
     """Yield the MTF of images, and the first of them on a logarithmic scale."""
     first, image = next(iter(images.items()))

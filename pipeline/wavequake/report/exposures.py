@@ -138,8 +138,7 @@ def _figures(cases: xr.Dataset, name: str) -> Iterator[Picture]:
     titles = (
         "disturbed, in full",
         "of the fitted terms",
-        "image at rest along the line of sight",
-        "Gaussian",
+        *common.shortcut_titles(shown.isel(controller=row)),
     )
     panels = [
         draw.Panel(title, pictures[key][row], los["disturbed"] * per_mas)

@@ -131,12 +131,13 @@ def _figures(cases: xr.Dataset, key: str, excitation: str) -> Iterator[Picture]:
     images = {name: part[name].to_numpy() for name in ("exposure", "exposure_los_only", "exposure_gaussian")}
     static = draw.Panel("static", part["exposure_static"].isel(case=0).to_numpy(), np.zeros((1, 2)))
     exposed = [draw.Panel(one, images["exposure"][row], tracks[one]) for row, one in enumerate(variants[:3])]
+    los_only, gaussian = common.shortcut_titles(part.isel(case=0))
     shortcuts = [
         draw.Panel(title, images[name][0], tracks[variants[0]])
         for title, name in (
             (f"{variants[0]} in full", "exposure"),
-            ("image at rest along the line of sight", "exposure_los_only"),
-            ("image at rest, Gaussian jitter", "exposure_gaussian"),
+            (los_only, "exposure_los_only"),
+            (gaussian, "exposure_gaussian"),
         )
     ]
     for name, text, panels in (
