@@ -244,14 +244,11 @@ def report(
         str | None,
         typer.Option(help="Controller that is animated (disturbed), or excitation of a mirror (the first)."),
     ] = None,
-    format: Annotated[
-        str | None, typer.Option(help="Format of the animation: gif (default), or mp4, which needs ffmpeg.")
-    ] = None,
+    format: Annotated[str | None, typer.Option(help="Of the animation: gif, or mp4 (by ffmpeg).")] = None,
 ) -> None:
     """Print the table of a store and write its HTML report."""
-    for option, value in (("--controller", controller), ("--format", format)):
-        if value is not None and animate is None:
-            raise UserError(f"{option} belongs to an animation; say --animate CASE, too.")
+    if animate is None and (controller or format):
+        raise UserError("--controller and --format belong to an animation; say --animate CASE, too.")
     _write_report(store, fresh=True)
     if animate is not None:
         from wavequake.report.animation import animate_case

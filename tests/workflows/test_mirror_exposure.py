@@ -323,7 +323,7 @@ def test_an_ffmpeg_that_fails_leaves_nothing(telescope_store, tmp_path, monkeypa
 @pytest.mark.parametrize(("option", "value"), [("--controller", "elastic"), ("--format", "mp4")])
 def test_options_of_an_animation_need_one(telescope_store, option, value):
     result = CliRunner().invoke(app, ["report", str(telescope_store), option, value])
-    assert f"{option} belongs to an animation" in str(result.exception)
+    assert "belong to an animation" in str(result.exception)
 
 
 def test_a_mirror_is_animated(store):

@@ -9,6 +9,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import from_tiles
 from wavequake.optics.sensitivity import sensitivities
+from wavequake.workflows import segment_disturbance
 from wavequake.workflows import telescope_exposure as workflow
 from wavequake.workflows.contract import DONE, RAISED
 from wavequake.workflows.study import load_study
@@ -163,7 +164,7 @@ def test_a_moving_mount_does_what_the_shortcut_says(result):
             ["imaging.pixels=64"],
             "400 rays stand 23 across the pupil, but its phase and images of 32 lambda/D",
         ),
-        (["exposure.scale=500"], "lower imaging.pixels or exposure.scale"),
+        (["exposure.scale=500"], "or fewer imaging.pixels or a smaller exposure.scale"),
     ],
 )
 def test_too_few_rays_for_an_image_are_named_with_the_number_needed(tmp_path, keys, words):
@@ -173,7 +174,7 @@ def test_too_few_rays_for_an_image_are_named_with_the_number_needed(tmp_path, ke
     assert bool(said) == (words is not None)
     if words is not None:
         assert words in said[0]
-        enough = re.search(r"raise optics.rays to (\d+)", said[0]).group(1)
+        enough = re.search(r"take (\d+) rays", said[0]).group(1)
         if int(enough) < 4000:
             mended = load_study(path, ["imaging.pixels=16", *keys, f"optics.rays={int(1.05 * int(enough))}"])
             assert not list(workflow.notices(mended.identity_text()))
@@ -222,3 +223,21 @@ def test_studies_that_cannot_work(tmp_path, override, words):
     path.write_text(STUDY)
     with pytest.raises(UserError, match=words):
         load_study(path, [override])
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({}, None),
+        ({"imaging.pixels": 256}, r"1296 rays stand 46 across .* images of 128 lambda/D .* need 128"),
+        ({"imaging.pixels": 256, "imaging.enabled": False}, None),
+    ],
+)
+def test_sums_over_rays_of_figured_segments_name_the_rays_they_need(keys, words):
+    """18 segments of 72 rays each fill 0.61 of the squared diameter: 1296 / 0.61 = 46²."""
+    said = list(segment_disturbance.WORKFLOW.notices(load_study("jwst-segments", keys).identity_text()))
+    assert len(said) == (words is not None)
+    for sentence in said:
+        assert re.search(words, sentence)
+        enough = int(re.search(r"take (\d+) rays .*, or fewer imaging.pixels$", sentence).group(1))
+        assert enough == pytest.approx(128**2 * 1296 / 46.0574**2, rel=1e-3)

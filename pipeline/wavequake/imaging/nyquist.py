@@ -89,6 +89,21 @@ def too_coarse(samples: int, needed: int, field: float) -> str:
     )
 
 
+def too_few_rays(rays: int, fill: float, needed: int, field: float) -> str:
+    """Return the sentence about a pupil whose rays do not suffice; empty if they do.
+
+    ``fill`` is the pupil's area over its squared diameter.
+    """
+    across = np.sqrt(rays / fill)
+    if needed <= across:
+        return ""
+    return (
+        f"{rays} rays stand {across:.0f} across the pupil, but its phase and images of {field:g} lambda/D "
+        f"(twice the frame, for light that moves in) need {needed}: light is folded back into the image; "
+        f"take {int(np.ceil(fill * needed**2))} rays (optics.rays or rays_per_segment), or fewer imaging.pixels"
+    )
+
+
 def warn_of_coarse(samples: int, needed: int, field: float, depth: int = 3) -> None:
     """Warn of a pupil whose samples do not suffice, `depth` calls up."""
     if text := too_coarse(samples, needed, field):

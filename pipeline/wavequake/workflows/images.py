@@ -1,5 +1,6 @@
 """Exposures of a bench: every instant's own point spread function, placed at its line of sight."""
 
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any
 
@@ -7,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.imaging.matrix_fourier import samples_needed
+from wavequake.imaging.nyquist import too_few_rays
 from wavequake.imaging.placement import place
 from wavequake.imaging.segment_basis import SegmentBasis, ray_basis, segment_basis
 from wavequake.imaging.segment_psf import psf, shift_phase, truncation_error
@@ -52,6 +55,18 @@ def refuse_what_cannot_be_imaged(bench: Bench) -> None:
             f"error is {bench.static.rms_raw[0]:.3g} waves rms): bring optics.field_arcmin nearer the axis, "
             "or mend the prescription."
         ) from None
+
+
+def ray_notices(bench: Bench) -> Iterator[str]:
+    """Yield what to say of too few rays for the field of images that are sums over rays."""
+    imaging = bench.study.imaging
+    if not imaging.enabled or not by_rays(bench):
+        return
+    scale = energy_scale(bench)
+    field = _CANVAS * imaging.pixels * imaging.sampling
+    fill = scale["area"] / scale["diameter"] ** 2
+    if text := too_few_rays(len(bench.prepared.weight), fill, samples_needed(0.0, field), field):
+        yield text
 
 
 def energy_scale(bench: Bench) -> dict[str, Any]:

@@ -25,7 +25,12 @@ from wavequake.optics.wavefront import Wavefront, analyse
 from wavequake.workflows.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis, monolithic
 from wavequake.workflows.case_pattern import slots
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Workflow
-from wavequake.workflows.images import energy_scale, refuse_what_cannot_be_imaged, summed_images
+from wavequake.workflows.images import (
+    energy_scale,
+    ray_notices,
+    refuse_what_cannot_be_imaged,
+    summed_images,
+)
 from wavequake.workflows.sampling import replicate_labels
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segment_draws import draw_realization, sampling_plan
@@ -283,4 +288,9 @@ def check(study_text: str) -> None:
             draw_case(bench.study.disturbance, population, bench.layout, bench.study.study.seed, 0)
 
 
-WORKFLOW = Workflow("segment-disturbance", template, case_table, compute, describe, work, check)
+def notices(study_text: str) -> Iterator[str]:
+    """Yield what to say of too few rays for images."""
+    yield from ray_notices(bench_of(study_text))
+
+
+WORKFLOW = Workflow("segment-disturbance", template, case_table, compute, describe, work, check, notices)

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
 from wavequake.imaging.exposure_models import cut, full_exposure
-from wavequake.imaging.nyquist import ray_samples_for
+from wavequake.imaging.nyquist import ray_samples_for, too_few_rays
 from wavequake.kernels.devices import Device, choose_device
 from wavequake.kernels.tiles import TILE
 from wavequake.kernels.train import Traced
@@ -292,15 +292,9 @@ def notices(study_text: str) -> Iterator[str]:
     places = rays.x / radius, rays.y / radius, rays.segment
     field = CANVAS * imaging.pixels * imaging.sampling
     needed = ray_samples_for(places, 2.0 * np.pi * np.concatenate(phases), field)
-    cell = control.area / control.diameter**2
-    across = np.sqrt(len(rays) / cell)
-    if needed > across:
-        yield (
-            f"{len(rays)} rays stand {across:.0f} across the pupil, but its phase and images of {field:g} "
-            f"lambda/D (twice the frame, for light that moves in) need {needed}: light is folded back into "
-            f"the image; raise optics.rays to {int(np.ceil(cell * needed**2))}, or lower imaging.pixels or "
-            "exposure.scale"
-        )
+    fill = control.area / control.diameter**2
+    if text := too_few_rays(len(rays), fill, needed, field):
+        yield f"{text} or a smaller exposure.scale"
 
 
 WORKFLOW = Workflow(
