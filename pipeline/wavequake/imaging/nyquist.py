@@ -97,10 +97,11 @@ def too_few_rays(rays: int, fill: float, needed: int, field: float) -> str:
     across = np.sqrt(rays / fill)
     if needed <= across:
         return ""
+    enough = int(np.ceil(fill * needed**2))
     return (
         f"{rays} rays stand {across:.0f} across the pupil, but its phase and images of {field:g} lambda/D "
         f"(twice the frame, for light that moves in) need {needed}: light is folded back into the image; "
-        f"take {int(np.ceil(fill * needed**2))} rays (optics.rays or rays_per_segment), or fewer imaging.pixels"
+        f"take {enough} rays (optics.rays or rays_per_segment), or fewer imaging.pixels"
     )
 
 
