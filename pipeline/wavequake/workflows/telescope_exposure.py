@@ -286,6 +286,7 @@ def notices(study_text: str) -> Iterator[str]:
     phases = [rest - np.array(FOCUS)[:, None] * prepared.zernike.basis[:, 3]]
     for case in range(len(control.study.disturbance)):
         drawn = scaled_draw(control, case)
+        drawn = replace(drawn, time=drawn.time[:TILE])
         count, traced, wavefront = next(case_blocks(control, drawn, device, DISTURBED))
         phases.append(ray_phase(control, measured_opd(control, traced), wavefront, wavefront.los)[:count])
     radius, rays = 0.5 * control.diameter, prepared.rays
