@@ -2,6 +2,7 @@
 
 import io
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -9,13 +10,14 @@ from matplotlib.collections import PolyCollection
 from matplotlib.image import imread
 
 from wavequake.report import figures
+from wavequake.report.page import inline_svg
 from wavequake.report.populations import populations
 
 
-def pixels(figure):
+def pixels(figure, dpi=60):
     """Draw a figure and read it back, shape (height, width, 4)."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=60)
+    figure.savefig(buffer, format="png", dpi=dpi)
     buffer.seek(0)
     return imread(buffer)
 
@@ -62,9 +64,31 @@ def test_segments_have_the_color_of_their_displacement_at_the_worst_instant(deta
 
 
 def test_every_segment_carries_its_name(detail):
-    axes = figures.segment_map(detail).axes[0]
-    assert [text.get_text() for text in axes.texts] == [f"S{k}" for k in range(7)]
-    np.testing.assert_allclose([text.get_position() for text in axes.texts], detail.centers * 1e-3)
+    svg = ElementTree.fromstring(inline_svg(figures.segment_map(detail), "a"))
+    words = {text.text: text for text in svg.iter("{http://www.w3.org/2000/svg}text")}
+    middles = np.array([[float(words[f"S{k}"].get(axis)) for axis in "xy"] for k in range(7)])
+    assert all("text-anchor: middle" in words[f"S{k}"].get("style") for k in range(7))
+    # One scale along x, and along y from the top, places all centers; baselines are a little below them.
+    scale = (middles[1, 0] - middles[4, 0]) / (detail.centers[1, 0] - detail.centers[4, 0])
+    expected = (detail.centers - detail.centers[0]) * [scale, -scale]
+    np.testing.assert_allclose(middles - middles[0], expected, atol=1e-3)
+
+
+def test_names_are_centered_where_they_are_drawn_as_pixels(detail):
+    """The middle of the ink of each name is the center of its segment, to a pixel of 300 per inch."""
+    figure = figures.segment_map(detail)
+    axes = figure.axes[0]
+    with_names = pixels(figure, 300)
+    for artist in axes.artists:
+        artist.set_visible(False)
+    ink = (with_names != pixels(figure, 300)).any(axis=2)
+    figure.set_dpi(300)
+    centers = axes.transData.transform(detail.centers * 1e-3)
+    for x, y in centers:
+        row, column = round(len(ink) - y), round(x)
+        near = np.argwhere(ink[row - 60 : row + 60, column - 60 : column + 60])
+        middle = (near.min(axis=0) + near.max(axis=0)) / 2 - 60
+        np.testing.assert_allclose(middle, 0, atol=2.0)
 
 
 def test_opd_title_is_the_rms_without_piston_and_tilt(detail):

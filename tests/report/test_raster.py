@@ -91,3 +91,17 @@ def test_a_segment_without_rays_stays_empty(hexagons):
     picture = fill_segments(corners, centers, rays[kept], segment[kept], np.ones(kept.sum()), 2800.0, 40)
     assert np.isnan(picture[20, 20])
     assert np.isfinite(picture).any()
+
+
+def test_what_is_kept_from_the_map_before_does_not_show_in_the_next(hexagons):
+    """Each of the arguments makes another picture, also right after the one of the others."""
+    centers, corners = hexagons
+    rays, segment = rays_on(centers)
+    values = np.random.default_rng(1).normal(size=len(rays))
+    first = (corners, centers, rays, segment, values, 2800.0, 60)
+    others = [(0.9 * corners, 0), (1.1 * rays, 2), (np.roll(segment, 1), 3), (-values, 4), (2000.0, 5)]
+    one = fill_segments(*first)
+    for value, place in others:
+        other = fill_segments(*first[:place], value, *first[place + 1 :])
+        assert not np.array_equal(other, one, equal_nan=True), place
+        np.testing.assert_array_equal(fill_segments(*first), one)

@@ -17,9 +17,11 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, PathPatch
 from matplotlib.path import Path
+from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
 from wavequake.report.detail import Detail
+from wavequake.report.labels import Labels
 from wavequake.report.populations import Population
 from wavequake.report.raster import fill_segments
 from wavequake.report.statistics import case_rms, distribution
@@ -171,6 +173,12 @@ def _square(figure: Figure) -> Axes:
     return _inches(figure, 0.65, 0.5, HEIGHT - 0.95, HEIGHT - 0.95)
 
 
+def power_of_ten(value: float, place: int | None = None) -> str:
+    """Return a power of ten in plain text: parsing formulas takes longer than all the rest of a figure."""
+    exponent = f"{np.log10(value):.0f}" if value > 0 else ""
+    return "10" + exponent.translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
 def _plain(name: str) -> str:
     """Keep matplotlib from reading a name as mathematics."""
     return name.replace("$", r"\$")
@@ -179,7 +187,12 @@ def _plain(name: str) -> str:
 def _colorbar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str) -> None:
     box, (across, _) = axes.get_position(), figure.get_size_inches()
     side = figure.add_axes((box.x1 + 0.1 / across, box.y0, 0.13 / across, box.height))
-    figure.colorbar(mappable, cax=side, label=label)
+    logarithmic = isinstance(mappable.norm, LogNorm)
+    bar = figure.colorbar(
+        mappable, cax=side, label=label, format=FuncFormatter(power_of_ten) if logarithmic else None
+    )
+    if logarithmic:
+        bar.ax.yaxis.set_minor_formatter(NullFormatter())
     side.spines[:].set_visible(False)
 
 
@@ -242,16 +255,8 @@ def _number_segments(figure: Figure, axes: Axes, detail: Detail, dark: NDArray[n
     width = np.ptp(detail.corners[..., 0], axis=1).min() * 1e-3 * inches * 72
     letters = max(len(name) for name in detail.segment_names)
     size = min(9.0, 0.8 * width / (0.65 * letters))
-    for name, (x, y), on_dark in zip(detail.segment_names, detail.centers[:, :2] * 1e-3, dark, strict=True):
-        axes.text(
-            x,
-            y,
-            _plain(name),
-            size=size,
-            ha="center",
-            va="center_baseline",
-            color="white" if on_dark else "#333333",
-        )
+    colors = ["white" if on_dark else "#333333" for on_dark in dark]
+    axes.add_artist(Labels(detail.segment_names, detail.centers[:, :2] * 1e-3, colors, size))
 
 
 def _draw_opd(figure: Figure, axes: Axes, detail: Detail) -> None:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
-from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH, power_of_ten
 from wavequake.report.variants import MEASURES, Criterion, ModelResult, VariantResult, largest
 
 # Noll indices whose responses Fig. 4.29 shows: one of each pair that three-fold symmetry makes alike.
@@ -25,15 +25,9 @@ def _figure() -> tuple[Figure, Axes]:
     return figure, figure.add_subplot()
 
 
-def _power(value: float, place: int | None = None) -> str:
-    """Return a power of ten in plain text: parsing formulas takes longer than all the rest of a figure."""
-    exponent = f"{np.log10(value):.0f}" if value > 0 else ""
-    return "10" + exponent.translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-
-
 def _powers(axis: Axis) -> None:
     """Label a logarithmic axis at powers of ten."""
-    axis.set_major_formatter(FuncFormatter(_power))
+    axis.set_major_formatter(FuncFormatter(power_of_ten))
     axis.set_minor_formatter(NullFormatter())
 
 
@@ -239,7 +233,7 @@ def exposure_panels(
         panel.set_visible(False)
     figure.supxlabel("λ/D", fontsize=8)
     if image is not None:
-        figure.colorbar(image, ax=list(panels), shrink=0.8, format=FuncFormatter(_power))
+        figure.colorbar(image, ax=list(panels), shrink=0.8, format=FuncFormatter(power_of_ten))
     return figure
 
 

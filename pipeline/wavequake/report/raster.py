@@ -1,6 +1,7 @@
 """Fill the glass of a segmented aperture with values that are known at rays only."""
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,34 @@ def fill_segments(
         Along each side. Pixels up to 1.5 of them outside the glass are filled too: clip the picture to the
         polygons.
     """
+    points_of = [one.astype(np.float64).tobytes() for one in (corners, centers, rays)]
+    inside, points, owner, nearest = _nearest_rays(
+        *points_of, segment.astype(np.int64).tobytes(), corners.shape, (reach, pixels)
+    )
+    smooth, left = _fit(rays, values, segment, centers)
+    filled = smooth(points, owner) + left[nearest]
+    picture = np.full(pixels * pixels, np.nan)
+    picture[inside] = np.where(nearest >= 0, filled, np.nan)
+    return picture.reshape(pixels, pixels)
+
+
+@lru_cache(maxsize=1)
+def _nearest_rays(
+    corner_bytes: bytes,
+    center_bytes: bytes,
+    ray_bytes: bytes,
+    segment_bytes: bytes,
+    shape: tuple[int, int, int],
+    grid: tuple[float, int],
+) -> tuple[NDArray[np.intp], Array, NDArray[np.intp], NDArray[np.intp]]:
+    """Return the pixels on glass, their points, their segments and the nearest ray of each: -1 for none.
+
+    The bytes of float64 and int64 arrays, and the shape of the corners, as the maps of a report differ in
+    their values only.
+    """
+    corners, centers = np.frombuffer(corner_bytes).reshape(shape), np.frombuffer(center_bytes).reshape(-1, 2)
+    rays, segment = np.frombuffer(ray_bytes).reshape(-1, 2), np.frombuffer(segment_bytes, np.int64)
+    reach, pixels = grid
     along = ((np.arange(pixels) + 0.5) / pixels * 2.0 - 1.0) * reach
     points = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
     owner = segment_at(points, corners, centers, margin=3.0 * reach / pixels)
@@ -52,11 +81,7 @@ def fill_segments(
         )
         closer = distance < best
         best[closer], nearest[closer] = distance[closer], ray[closer]
-    smooth, left = _fit(rays, values, segment, centers)
-    filled = smooth(points, owner) + left[nearest]
-    picture = np.full(pixels * pixels, np.nan)
-    picture[inside] = np.where(nearest >= 0, filled, np.nan)
-    return picture.reshape(pixels, pixels)
+    return inside, points, owner, nearest
 
 
 def segment_at(points: Array, corners: Array, centers: Array, margin: float) -> NDArray[np.intp]:
