@@ -113,10 +113,10 @@ def test_every_row_is_a_median_of_five_of_our_plants(name):
 
 @pytest.mark.parametrize("name", ROWS)
 def test_our_medians_lie_within_bands_of_the_rows(name):
-    """Within 4 percentage points, 2 for the range under FI, which hardly depends on the plant.
+    """Within 4 percentage points; 2 for the range under FI, which hardly depends on the plant.
 
-    Medians of five plants with the same errors lie up to 8 (FF), 2 and 5 to 8 (deviations of FF, FF+FI) apart
-    from ours, so these bands are half as wide as chance alone would explain.
+    Medians of five plants with the same errors lie up to 10 (FF), 2 and 5 to 10 (deviations of FF, FF+FI) from
+    ours: the bands are less than half as wide as chance alone would explain.
     """
     band = np.array([[4, 4], [2, 4], [4, 4]])
     assert (np.abs(np.median(population(name), axis=-1) - ROWS[name][2]) <= band).all()
