@@ -11,9 +11,10 @@ from wavequake.report.tail import per_case
 from wavequake.workflows.campaign import WORKFLOWS, run_study
 from wavequake.workflows.chunks import Job, computed_alone, computed_chunk, opened_store
 from wavequake.workflows.contract import DIVERGED, DONE, Template, Variable, Workflow
-from wavequake.workflows.retention import STATISTICS, kept_template, retention_of
+from wavequake.workflows.retention import STATISTICS, kept_template, retention_of, stored_template
 from wavequake.workflows.store import create_store, open_store
 from wavequake.workflows.study import STUDIES, load_study, study_with
+from wavequake.workflows.until import goal_of, quantiles_of
 
 pytestmark = pytest.mark.usefixtures("mirror_models")
 
@@ -125,6 +126,27 @@ def test_rare_events_are_judged_alike_by_histories_and_by_summaries(small, stati
     by_hand = {"rms": np.sqrt((lengths**2).mean(0)), "last": lengths[-1], "mean": lengths.mean(0)}
     by_hand |= {"min": lengths.min(0), "max": lengths.max(0)}
     assert found[1] == pytest.approx(by_hand[statistic].max(), rel=1e-12)
+
+
+def test_a_campaign_of_an_optical_system_stops_when_its_worst_field_is_known(small):
+    study_of, dataset = small
+    for name, keys in (("none", {}), ("summary", {"reduce": "summary"})):
+        study = study_with(study_of("system-disturbance"), {"store.reduce": name})
+        text = study.identity_text()
+        goal = goal_of("wfe_rms.p50 ci<=5%", stored_template(WORKFLOWS["system-disturbance"], text))
+        found = quantiles_of(goal, dataset("system-disturbance", **keys))
+        whole = dataset("system-disturbance")
+        for case, label in ((slice(0, None, 2), "hum"), (slice(1, None, 2), "sight")):
+            mine = whole["wfe_rms"].isel(case=case).to_numpy()
+            largest = np.nanmax(mine.reshape(*mine.shape[:2], 4), axis=2, initial=0.0)
+            largest = np.where(np.isfinite(mine[:, :, 0, 0]), largest, np.nan)
+            expected = np.nanmedian(largest)
+            if keys:
+                expected = np.median(np.sqrt(np.nanmean(mine**2, axis=1)).max(axis=(1, 2)))
+            assert found[label].value == pytest.approx(expected, rel=1e-12)
+    mirror = stored_template(WORKFLOWS["mirror-mor"], study_of("mirror-mor").identity_text())
+    with pytest.raises(UserError, match="there is no 'wfe_rms' to judge; use one of order"):
+        goal_of("wfe_rms.p50 ci<=5%", mirror)
 
 
 def test_stores_that_keep_other_things_are_compared_where_they_can(small):

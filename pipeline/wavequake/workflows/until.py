@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 _FORM = re.compile(r"\s*(\w+)\.p(\d+(?:\.\d+)?)\s+ci\s*<=\s*(\d+(?:\.\d+)?)\s*%\s*")
 _FIRST, _GROWTH = 100, 1.5
+_LIGHT = ("field", "wavelength")
 
 
 @dataclass(frozen=True)
@@ -44,10 +45,14 @@ def goal_of(text: str, template: Template) -> Goal:
     valid = [
         name
         for name, variable in template.per_case.items()
-        if variable.dims in ((), ("time",), ("statistic",))
+        if {*variable.dims} <= {"time", "statistic", *_LIGHT}
         and variable.dtype.startswith("float")
         and not variable.coordinate
     ]
+    if not valid:
+        raise UserError(
+            "campaign.until: nothing in this study is one number per case or instant; leave it out."
+        )
     if match[1] not in valid:
         raise UserError(f"campaign.until: there is no {match[1]!r} to judge; use one of {', '.join(valid)}.")
     return Goal(match[1], float(match[2]) / 100.0, float(match[3]) / 100.0)
@@ -68,12 +73,17 @@ def looks(cases: int, chunk: int) -> Iterator[int]:
 def quantiles_of(goal: Goal, dataset: "xr.Dataset") -> dict[str, Quantile]:
     """Return the quantile of each population; instants of one case count as one draw.
 
-    Of a summary it is that of the cases' rms over their instants.
+    Of a summary it is that of the cases' rms over their instants; of several fields and wavelengths, of the
+    largest value.
     """
     variable = dataset[goal.variable]
     if "statistic" in variable.dims:
         variable = variable.sel(statistic="rms")
-    values = variable.to_numpy().reshape(dataset.sizes["case"], -1)
+    values = (
+        variable.max([dim for dim in _LIGHT if dim in variable.dims])
+        .to_numpy()
+        .reshape(dataset.sizes["case"], -1)
+    )
     names = (
         np.array(dataset["disturbance"].to_numpy().tolist())
         if "disturbance" in dataset.variables
