@@ -115,7 +115,7 @@ def test_every_row_is_a_median_of_five_of_our_plants(name):
 def test_our_medians_lie_within_bands_of_the_rows(name):
     """Within 4 percentage points; 2 for the range under FI, which hardly depends on the plant.
 
-    Medians of five plants with the same errors lie up to 10 (FF), 2 and 5 to 10 (deviations of FF, FF+FI) from
+    Medians of five plants with the same errors lie up to 10 (FF), 2 and 5 to 10 (deviation of FF+FI) from
     ours: the bands are less than half as wide as chance alone would explain.
     """
     band = np.array([[4, 4], [2, 4], [4, 4]])

@@ -91,7 +91,7 @@ def _check(name: str, values: Array, count: int) -> None:
 
 @lru_cache(maxsize=4)
 def fitted_bench(springs: str = "initial", active: bool = True) -> Bench:
-    """Return the synthetic bench: fitted to the frequencies and amplitudes that the reference publishes.
+    """Return the synthetic bench: fitted to what is known of the real one (see lens_bench.toml).
 
     Parameters
     ----------
