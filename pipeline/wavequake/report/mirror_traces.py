@@ -159,8 +159,8 @@ def _row(one: TraceResult) -> dict[str, str]:
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     results = trace_results(dataset)
-    words = answer(results) + what_is_kept(dataset)
-    table = Table(box=SIMPLE_HEAD, caption=words, caption_justify="left")
+    caption = answer(results) + what_is_kept(dataset)
+    table = Table(box=SIMPLE_HEAD, caption=caption, caption_justify="left")
     headers = [header for header in (*_HEADERS, *_COSTS) if header not in _ONLY_ON_PAPER]
     for header in headers:
         words = header in _HEADERS[:2]
