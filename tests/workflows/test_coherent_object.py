@@ -1,7 +1,10 @@
 """Objects in coherent and partially coherent light, against Fourier optics on a fine grid."""
 
+import itertools
+
 import numpy as np
 import pytest
+from scipy.special import j1
 
 from wavequake.errors import UserError
 from wavequake.imaging.image_formation import coherent_image, partially_coherent_image
@@ -57,6 +60,28 @@ def test_rays_and_cells_image_as_transfer_functions_do(light, of):
     first, last = BORDER * FINE + FINE // 2, (BORDER + PIXELS) * FINE
     # The pupil's rim is a staircase there, whose steps shrink as the border grows.
     np.testing.assert_allclose(found, expected[first:last:FINE, first:last:FINE], atol=0.03 * expected.max())
+
+
+@pytest.mark.parametrize("of", ["rays", "cells"])
+@pytest.mark.parametrize("sigma", [None, 0.4])
+def test_at_rest_airys_amplitudes_add(sigma, of):
+    """The closed form of a disc's transform, times the wave of each point of the source, over each pixel."""
+    light = {"light": "coherent"} if sigma is None else {"light": "partial", "sigma": sigma}
+    section = ObjectSection(double_slit=[0.75, 2.25], **light)
+    found = image(section, np.zeros((1, len(GRID.x))), of)
+    picture = double_slit((PIXELS, PIXELS), SAMPLING, 0.75, 2.25)
+    axis = (np.arange(PIXELS) - PIXELS // 2) * SAMPLING
+    y, x = (axis[index] for index in np.nonzero(picture))
+    source = source_of(section)
+    fields = np.zeros((len(source.points), PIXELS * PIXELS), dtype=complex)
+    step = 0.5 * SAMPLING / np.sqrt(3)  # Gauss points of a pixel
+    for at_x, at_y in itertools.product((x - step, x + step), (y - step, y + step)):
+        radius = np.pi * np.hypot(axis[None, :, None] - at_x, axis[:, None, None] - at_y)
+        disc = np.pi / 4 * 2 * j1(radius) / radius * 0.25 * SAMPLING**2 * picture[picture > 0.0]
+        waves_of_source = np.exp(1j * np.pi * source.points @ np.stack([at_x, at_y]))
+        fields += waves_of_source @ disc.reshape(-1, len(x)).T
+    expected = (source.weights @ np.abs(fields) ** 2).reshape(PIXELS, PIXELS)
+    np.testing.assert_allclose(found, expected, atol=5e-4 * expected.max())
 
 
 def test_a_source_larger_than_the_pupil_lights_incoherently():
