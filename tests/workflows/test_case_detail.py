@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 import xarray as xr
-from small_histories import SMALL
+from small_histories import SMALL, SYSTEM
 
 from wavequake.control.bench import bench_modes, fitted_bench
 from wavequake.report import case_detail
 from wavequake.report.rerun import rerun_stored
+from wavequake.workflows.campaign import run
+from wavequake.workflows.contract import RAISED
 from wavequake.workflows.store import open_store
 
 pytestmark = pytest.mark.usefixtures("mirror_models")
@@ -80,6 +82,29 @@ def test_motions_of_a_system_are_those_that_were_asked_for(again):
     moved = other["sight"] - other["sight"].isel(instant=0)
     expected = np.repeat(1e6 * moved.to_numpy()[:, None], 2, axis=1)
     np.testing.assert_allclose(abs(center - center.isel(traced=0)), abs(expected), rtol=1e-3, atol=1e-4)
+
+
+def test_a_case_that_loses_its_light_shows_what_was_drawn(tmp_path):
+    wild = (
+        SYSTEM[: SYSTEM.index("[[disturbance]]")]
+        + """
+[[disturbance]]
+name = "wild"
+model = "surface-random"
+of = ["mirror"]
+rms = { dz_um = 2e8 }
+"""
+    )
+    (tmp_path / "wild.toml").write_text(wild)
+    run(tmp_path / "wild.toml", cases=2, store=tmp_path / "s", store__reduce="summary")
+    found = rerun_stored(tmp_path / "s", 0, tmp_path / "case.nc")
+    assert (found.status, found.differing) == (RAISED, ())
+    assert "rays of field" in found.trouble
+    with xr.open_dataset(tmp_path / "case.nc") as detail:
+        assert abs(float(detail["drawn_motion"].sel(element="mirror", dof="dz").isel(instant=0))) > 10.0
+        assert not np.isfinite(detail["opd"]).all()
+        assert np.isnan(detail["wfe_rms"]).all()
+        assert "miss" in str(detail["message"].item())
 
 
 def test_many_rays_are_those_of_the_worst_instant(again, monkeypatch):

@@ -3,6 +3,7 @@
 import faulthandler
 import sys
 from collections.abc import Mapping
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from traceback import format_exception
@@ -18,7 +19,7 @@ from wavequake.report.case_detail import detail_of
 from wavequake.report.export import export, target_of
 from wavequake.workflows.campaign import WORKFLOWS
 from wavequake.workflows.chunks import checked
-from wavequake.workflows.contract import DIVERGED, DONE, RAISED, STATUS_MEANINGS, TODO, ChunkResult, Template
+from wavequake.workflows.contract import DONE, RAISED, STATUS_MEANINGS, TODO, ChunkResult, Template
 from wavequake.workflows.journal import digest
 from wavequake.workflows.retention import kept_result, stored_template
 from wavequake.workflows.store import open_store, read_manifest
@@ -90,7 +91,7 @@ def rerun_stored(store: Path, case: int, file: Path | None = None) -> CaseRerun:
         with threadpool_limits(1):
             result = checked(workflow.compute(manifest.study, np.array([case]), device), computed, 1)
             status, trouble = int(result.status[0]), result.messages[0]
-            if status in (DONE, DIVERGED):
+            with suppress(UserError) if status == RAISED else nullcontext():  # as far as it comes
                 detail = detail_of(manifest, case, device)
     except Exception as error:
         trouble = "".join(format_exception(error)).rstrip()
@@ -106,7 +107,7 @@ def rerun_stored(store: Path, case: int, file: Path | None = None) -> CaseRerun:
         else (),
         trouble,
         export(_merged(_dataset(stored, result, computed), detail), target, overwrite=True)
-        if result and status in (DONE, DIVERGED)
+        if result
         else None,
     )
 
