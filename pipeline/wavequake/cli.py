@@ -14,6 +14,7 @@ from rich.table import Table
 from wavequake import __version__, cli_firmware, cli_statistics
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.terminal import EXIT_INTERRUPTED, err, fail, interrupted, live_progress, out, print_pairs
+from wavequake.words import are, counted
 
 EXIT_BAD_INPUT, EXIT_QUARANTINED, EXIT_DAMAGED = 2, 3, 4
 
@@ -147,12 +148,10 @@ def run(
         )
     if summary.computed:
         rate = summary.computed / max(summary.seconds, 1e-9)
-        out.print(
-            f"{summary.computed} cases computed in {summary.seconds:.1f} s ({rate:.1f} cases/s); "
-            f"{summary.done_before} were done before."
-        )
+        spent = f"{summary.seconds:.1f} s ({rate:.1f} cases/s); {summary.done_before} done before."
+        out.print(f"{counted(summary.computed, 'case')} computed in {spent}")
     else:
-        out.print(f"All {summary.done_before} cases were done already; nothing was computed.")
+        out.print(f"All done already ({counted(summary.done_before, 'case')}); nothing was computed.")
     for line in summary.goal:
         out.print(line, markup=False, soft_wrap=True)
     if part:
@@ -165,7 +164,7 @@ def run(
     if summary.quarantined:
         words = shlex.join(["wavequake", "status", str(path)])
         err.print(
-            f"{summary.quarantined} cases are quarantined; {words} says why.", markup=False, soft_wrap=True
+            f"{are(summary.quarantined, 'case')} quarantined; {words} says why.", markup=False, soft_wrap=True
         )
         sys.exit(EXIT_QUARANTINED)
 
@@ -315,7 +314,8 @@ def retry(
             cluster=cluster,
             dashboard=_show_link if dashboard else None,
         )
-    out.print(f"{summary.chunks} chunks computed again; {summary.quarantined} cases are quarantined now.")
+    words = f"{are(summary.quarantined, 'case')} quarantined now."
+    out.print(f"{counted(summary.chunks, 'chunk')} computed again; {words}")
     if summary.quarantined:
         sys.exit(EXIT_QUARANTINED)
 

@@ -91,4 +91,4 @@ def test_the_command_line_retries(tmp_path, monkeypatch):
     assert "hosts: " in str(CliRunner().invoke(app, elsewhere).exception)
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0
-    assert "1 chunks computed again; 0 cases are quarantined now." in result.output
+    assert "1 chunk computed again; 0 cases are quarantined now." in result.output

@@ -1,6 +1,7 @@
 import dataclasses
 import errno
 import os
+import shutil
 
 import google_crc32c
 import pytest
@@ -9,6 +10,7 @@ import zarr
 
 from wavequake.errors import StoreDamageError
 from wavequake.workflows.journal import append, read_journal
+from wavequake.workflows.status import store_status
 from wavequake.workflows.verify import verify_store
 
 
@@ -185,3 +187,41 @@ def test_two_runs_with_other_numbers_are_an_alarm_everywhere(done):
         verify_store(done)
     with pytest.raises(StoreDamageError, match="strehl differ"):
         toy.run(done, {"reasons": [15]}, cases=43)
+
+
+HALF_LOST = [
+    (["realization/c.0"], ()),
+    (["zarr.json"], ()),
+    (["strehl/zarr.json"], ()),
+    (["zarr.json", "zernike/zarr.json"], ("zernike",)),
+]
+
+
+@pytest.mark.parametrize(("lost", "unchecked"), HALF_LOST, ids=["labels", "root", "array", "both"])
+def test_numbers_are_checked_while_labels_or_metadata_are_lost(done, lost, unchecked):
+    before = files_of(done / "data.zarr")
+    for name in lost:
+        delete(done / "data.zarr" / name)
+    flip(done / "data.zarr" / "strehl" / "c.2")
+    report = verify_store(done)
+    assert [(one.array, one.first, one.last) for one in report.damaged] == [("strehl", 20, 30)]
+    assert (report.checked, report.unchecked) == (5, unchecked)
+    assert str(done / "data.zarr" / lost[0]) in report.layout[0]
+    words = "\n".join(report.lines())
+    assert ("not checked, as their metadata is lost: zernike" in words) == bool(unchecked)
+    assert toy.run(done, {"reasons": [15]}, cases=43, repair=True).computed == 10
+    assert files_of(done / "data.zarr") == before
+
+
+def test_a_store_without_any_array_is_told(done):
+    shutil.rmtree(done / "data.zarr")
+    report = verify_store(done)
+    assert report.checked == 0
+    assert set(report.unchecked) >= {"strehl", "zernike", "status"}
+    assert report.lines()[0].endswith("s: 0 chunks read, 0 damaged, 0 to do")
+
+
+def test_one_of_a_kind_is_told_in_the_singular(tmp_path):
+    toy.run(tmp_path / "s", {"reasons": [0]}, cases=1)
+    assert verify_store(tmp_path / "s").lines()[0].endswith("s: 1 chunk read, 0 damaged, 0 to do")
+    assert store_status(tmp_path / "s").lines()[1].startswith("1 case in 1 chunk of ")

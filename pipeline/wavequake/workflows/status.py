@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from wavequake.words import counted
 from wavequake.workflows.contract import STATUS_MEANINGS
 from wavequake.workflows.journal import read_journal
 from wavequake.workflows.store import JOURNAL, Manifest, done_records, read_manifest
@@ -37,7 +38,8 @@ class StoreStatus:
         manifest, chunks = self.manifest, len(self.manifest.plan())
         lines = [
             f"{self.path}: {manifest.workflow}, study {manifest.identity[:12]}, device {manifest.device}",
-            f"{manifest.cases} cases in {chunks} chunks of {manifest.chunk}; {self.chunks_done} are done",
+            f"{counted(manifest.cases, 'case')} in {counted(chunks, 'chunk')} of {manifest.chunk}; "
+            f"{self.chunks_done} {'is' if self.chunks_done == 1 else 'are'} done",
             ", ".join(f"{count} {word}" for word, count in zip(meanings, self.counts, strict=True) if count),
         ]
         lines += [
@@ -48,10 +50,13 @@ class StoreStatus:
             lines.append(f"... and {len(self.failures) - most} more (open_store(...).message has them all)")
         if len(self.codes) > 1:
             lines.append("mixed: several versions computed this store (--allow-mixed)")
-            lines += [f"  {count} chunks by {code or 'an unknown one'}" for code, count in self.codes.items()]
+            lines += [
+                f"  {counted(count, 'chunk')} by {code or 'an unknown one'}"
+                for code, count in self.codes.items()
+            ]
         if self.torn:
             lines.append(
-                f"{self.torn} records of the journal were cut off by a crash and do not count (harmless)"
+                f"{counted(self.torn, 'record')} of the journal cut off by a crash, not counted (harmless)"
             )
         return lines
 

@@ -1,13 +1,16 @@
 """Check a store against its journal: read every array of every finished chunk and compare its digest."""
 
 import os
-from collections.abc import Mapping, Set
+from collections.abc import Collection, Mapping, Set
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import zarr
 
-from wavequake.workflows.arrays import Array, array_of, chunk_file, open_group
+from wavequake.words import counted
+from wavequake.workflows.arrays import Array, DurableStore, array_of, chunk_file, open_group
 from wavequake.workflows.journal import Chunk, Record, digest, read_journal
 from wavequake.workflows.store import DATA, JOURNAL, Manifest, done_records, lost_layout, read_manifest
 
@@ -35,7 +38,8 @@ class VerifyReport:
 
     ``checked`` chunks were read; ``missing`` ones are not done yet; ``damaged`` names arrays whose numbers
     changed since they were written; ``layout`` says what is wrong with metadata and labels, which a repair
-    writes anew; ``extra`` names files that belong to no array (harmless leftovers of a crash).
+    writes anew; ``extra`` names files that belong to no array (harmless leftovers of a crash);
+    ``unchecked`` names arrays that nothing describes any more, so that their numbers could not be read.
     """
 
     path: Path
@@ -45,6 +49,7 @@ class VerifyReport:
     extra: tuple[str, ...]
     torn: int
     layout: tuple[str, ...] = ()
+    unchecked: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -59,17 +64,21 @@ class VerifyReport:
     def lines(self, most: int = 20) -> list[str]:
         """Return the report in words; at most `most` damages are listed."""
         lines = [
-            f"{self.path}: {self.checked} chunks read, {len(self.chunks)} damaged, {len(self.missing)} to do"
+            f"{self.path}: {counted(self.checked, 'chunk')} read, {len(self.chunks)} damaged, "
+            f"{len(self.missing)} to do"
         ]
         lines += [f"damaged {what}" for what in self.layout]
         lines += [f"damaged {damage}" for damage in self.damaged[:most]]
         if len(self.damaged) > most:
             lines.append(f"... and {len(self.damaged) - most} more")
+        if self.unchecked:
+            lines.append(f"not checked, as their metadata is lost: {', '.join(self.unchecked)}")
         if self.torn:
-            lines.append(f"{self.torn} records of the journal were cut off by a crash (harmless)")
+            lines.append(f"{counted(self.torn, 'record')} of the journal cut off by a crash (harmless)")
         if self.extra:
             lines.append(
-                f"{len(self.extra)} leftover files of a crash (harmless), for example {self.extra[0]}"
+                f"{counted(len(self.extra), 'leftover file')} of a crash (harmless), for example "
+                f"{self.extra[0]}"
             )
         if self.damaged or self.layout:
             lines.append("To repair the store, run the study again with --repair.")
@@ -94,11 +103,11 @@ def verify_store(path: Path | str) -> VerifyReport:
     manifest = read_manifest(path)
     journal = read_journal(path / JOURNAL)
     records = done_records(manifest, journal)
-    layout = [f"{file}: it is missing, empty or changed" for file in lost_layout(path, manifest)]
-    if layout:
-        return VerifyReport(path, 0, (), (), (), journal.torn, tuple(layout))
-    group = open_group(path / DATA, read_only=True)
-    arrays = {name: array_of(group, name) for name in manifest.variables}
+    data, lost = path / DATA, lost_layout(path, manifest)
+    layout = [f"{file}: it is missing, empty or changed" for file in lost]
+    arrays = _opened(data, manifest.variables)
+    others = {folder.name for folder in data.glob("*/")} - {*manifest.variables}
+    labels = sorted(others - {file.parent.name for file in lost})
     damaged = [
         Damage(name, *record.chunk, reason, chunk_file(path / DATA, array, record.first))
         for record in records.values()
@@ -106,13 +115,28 @@ def verify_store(path: Path | str) -> VerifyReport:
         if (reason := _damage(path, array, record))
     ]
     layout += [
-        f"{path / DATA / name}: {reason}"
-        for name, array in group.arrays()
-        if name not in arrays and (reason := _unreadable(array))
+        f"{data / name}: {reason}"
+        for name, array in _opened(data, labels).items()
+        if (reason := _unreadable(array))
     ]
+    unchecked = tuple(name for name in manifest.variables if name not in arrays)
     missing = tuple(chunk for chunk in manifest.plan() if chunk not in records)
-    extra = tuple(sorted(str(file.relative_to(path)) for file in (path / DATA).rglob("*.partial")))
-    return VerifyReport(path, len(records), missing, tuple(damaged), extra, journal.torn, tuple(layout))
+    extra = tuple(sorted(str(file.relative_to(path)) for file in data.rglob("*.partial")))
+    checked = len(records) if arrays else 0
+    torn = journal.torn
+    return VerifyReport(path, checked, missing, tuple(damaged), extra, torn, tuple(layout), unchecked)
+
+
+def _opened(data: Path, names: Collection[str]) -> dict[str, Array]:
+    """Open arrays by the copy of their metadata at the root, or else by their own; without both, no array."""
+    store, found = DurableStore(data, read_only=True), {}
+    for name in names:
+        with suppress(Exception):  # zarr raises what its parsers raise
+            found[name] = zarr.open_array(store, path=name, mode="r", zarr_format=3)
+    with suppress(Exception):
+        group = zarr.open_group(store, mode="r", zarr_format=3, use_consolidated=True)
+        found |= {name: array for name, array in group.arrays() if name in {*names}}
+    return found
 
 
 def _damage(path: Path, array: Array, record: Record) -> str:
