@@ -1,15 +1,18 @@
 """`wavequake rerun` of any workflow: whole histories, and what was drawn and traced."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
 from small_histories import SMALL, SYSTEM
 
-from wavequake.control.bench import bench_modes, fitted_bench
+from wavequake.control.bench import bench_modes
 from wavequake.report import case_detail
 from wavequake.report.rerun import rerun_stored
 from wavequake.workflows.campaign import run
 from wavequake.workflows.contract import RAISED
+from wavequake.workflows.lens_experiment import bench_of
 from wavequake.workflows.store import open_store
 
 pytestmark = pytest.mark.usefixtures("mirror_models")
@@ -132,19 +135,13 @@ def test_rays_and_motions_of_an_exposure(again):
     np.testing.assert_allclose(flat.std(axis=1), expected, rtol=0.02)  # rays weigh nearly alike
 
 
-def test_the_plant_of_a_lens_experiment(again):
+def test_the_plant_of_a_lens_experiment(again, kept_stores):
     whole, detail = again("lens-experiment", 2, reduce="summary")
-    nominal = fitted_bench()
-    scatter = [detail[name].to_numpy() / getattr(nominal, name) for name in ("lens_springs", "ring_springs")]
-    errors = np.log(np.concatenate(scatter))
+    nominal = bench_of(kept_stores[0]("lens-experiment"), "initial")
+    drawn = {name: detail[name].to_numpy() for name in ("lens_springs", "ring_springs", "couplings")}
+    errors = np.concatenate([np.log(drawn[name] / getattr(nominal, name)) for name in drawn])
     assert 0.005 < errors.std() < 0.04  # 2 % of each spring
-    plant = type(nominal)(
-        nominal.lens_kg,
-        nominal.ring_kg,
-        nominal.housing_kg,
-        *(detail[name].to_numpy() for name in ("lens_springs", "ring_springs", "couplings")),
-        float(detail["housing_spring"]),
-    )
+    plant = replace(nominal, **drawn, housing_spring=float(detail["housing_spring"]))
     found = np.abs(bench_modes(plant).poles)
     np.testing.assert_allclose(found, whole["true_frequency"].isel(case=2), rtol=1e-12)
     assert 0 <= float(detail["trigger_late"]) <= 2e-3
