@@ -148,21 +148,18 @@ def test_a_constant_force_covers_for_a_part_of_the_delay():
     assert 0.0 < less[1] < 0.5
 
 
-def test_the_fit_ends_here():
-    """What docs/make_lens_bench.py minimizes is small at the bench, and grows along each parameter."""
+def test_the_fit_is_about_this_bench():
+    """What docs/make_lens_bench.py minimizes is small here, and its controllers are those of the package."""
     path = Path(__file__).parents[2] / "docs" / "make_lens_bench.py"
     script = module_from_spec(spec_from_file_location("make_lens_bench", path))
     script.__spec__.loader.exec_module(script)
     factors = script.factors_of(BENCH)
     np.testing.assert_allclose(script.bench_of(factors).couplings, BENCH.couplings, rtol=1e-12)
 
-    def cost(at):
-        return 0.5 * np.sum(script.residual(at, script.LAST) ** 2)
-
-    least = cost(factors)
-    assert least < 50
-    for place in (0, 12, 14, 27):
-        for change in (-0.02, 0.02):
-            moved = factors.copy()
-            moved[place] += change
-            assert cost(moved) > least
+    assert 0.5 * np.sum(script.residual(factors, script.LAST) ** 2) < 50
+    image, lens, _ = script.swing(BENCH).T
+    np.testing.assert_allclose(
+        script.left(script.controllers(BENCH)[2], image, lens),
+        left_by(feed_forward(BENCH, STAGE, ahead=2)),
+        atol=0.2,
+    )

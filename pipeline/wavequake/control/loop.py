@@ -21,8 +21,8 @@ FINE_STEP = 1e-4
 def run_thesis(controller: SampledController, measured: Array, hammer: Hammer = HAMMER) -> Array:
     """Return commands (c, k) in m for measured positions (c, k) at the controller's instants.
 
-    The trigger at the first sample tells the controller of the blow, whose course is known beforehand (Eq. 5.9):
-    it takes the mean force of each step, which is what a held input has to be for no momentum to come too early.
+    The trigger at the first sample tells the controller of the blow, whose course is known beforehand (Eq.
+    5.9): it takes the mean force of each step, which a held input must be for no momentum to come too early.
     """
     force = step_means(hammer, controller.sample_time, measured.shape[1])
     state = np.zeros((len(controller.a), len(measured)))
