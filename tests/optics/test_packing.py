@@ -137,6 +137,8 @@ def test_openings_pass_what_geometry_says(center):
         ),
         (Opening(arms=((0.0, 0.0),)), "spider arm"),
         (Opening(5.0, center=(0.0, np.nan)), "center of an opening"),
+        (Opening(5.0, center=(0.0, 1e200)), "center of an opening"),
+        (Opening(corners=((0.0, 0.0), (1e200, 0.0), (0.0, 1e200))), "at most 1e.12 mm"),
     ],
 )
 def test_openings_without_sense_are_refused(opening, message):

@@ -7,11 +7,13 @@ import pytest
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
+from wavequake.optics.catalog import optical_system
 from wavequake.optics.fits import fit_instants
 from wavequake.optics.media import constant
 from wavequake.optics.parent import parent_system
+from wavequake.optics.pupils import sunflower
 from wavequake.optics.shapes import Conic, Opening, ZernikeDeformation
-from wavequake.optics.system import OpticalSystem, Pupil, Surface
+from wavequake.optics.system import OpticalSystem, Pupil, Surface, SystemStates
 from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.system_wavefront import measure_system, prepare_system, trace_system
 from wavequake.optics.telescopes import telescope
@@ -159,6 +161,17 @@ def test_an_instant_does_not_depend_on_its_batch():
     together = fit_instants(prepared.fit, opd)
     alone = np.concatenate([fit_instants(prepared.fit, row[None]) for row in opd])
     assert np.array_equal(together, alone)
+
+
+def test_no_instants_give_no_numbers():
+    system = optical_system("gregorian")
+    pupil = sunflower(0.0, 1.0, 40)
+    prepared = prepare_system(system, pupil.x, pupil.y, pupil.weight, 11)
+    none = SystemStates(np.zeros((0, 4, 6)), (None,) * 4, np.zeros((0, 2)))
+    found = measure_system(prepared, none, NUMPY)
+    assert found.zernike.shape == (0, 11)
+    assert found.los.shape == found.centroid.shape == (0, 2)
+    assert found.rms.shape == found.strehl.shape == found.lost.shape == (0,)
 
 
 def test_bad_input():

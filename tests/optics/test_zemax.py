@@ -185,7 +185,7 @@ def test_the_37th_fringe_term_is_that_of_twelfth_degree():
     highest = np.polynomial.Polynomial([1, -42, 420, -1680, 3150, -2772, 924])(t)
     ours = annular_zernike(np.sqrt(t), 0 * t, len(shape.coefficients)) @ np.array(shape.coefficients)
     np.testing.assert_allclose(ours, 0.3 * (2 * t - 1) - 0.2 * highest, atol=1e-12)
-    with pytest.raises(UserError, match="38 Fringe terms, at most 37"):
+    with pytest.raises(UserError, match="38 terms; a surface of the type FZERNSAG has at most 37"):
         read("  TYPE FZERNSAG\n  STOP\n  XDAT 1 38\n  XDAT 2 2.0\n  DISZ 1")
 
 

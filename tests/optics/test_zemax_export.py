@@ -158,6 +158,11 @@ def test_annular_zernike_sag_is_written_by_circular_polynomials():
             "grid of first of simple has 4 rows and 7 columns; a lens file holds 5",
         ),
         (simple(shape=EvenAsphere(np.inf, 0.0, (0.0,) * 9)), "more than 8 terms"),
+        (
+            simple(shape=ZernikeSag(np.inf, 0.0, (0.0,) * 232, 9.0)),
+            "sag of 232 terms; .* more than 231 terms",
+        ),
+        (simple(shape=ExtendedPolynomial(np.inf, 0.0, (0.0,) * 231)), "231 terms; .* more than 230 terms"),
         (simple(deformation=ZernikeDeformation(5, 10.0)), "a deformation"),
         (simple(opening=Opening(outer=5.0, arms=((0.3, 0.1),))), "no spider of equal ones"),
         (simple(opening=Opening(arms=((0.0, 0.1), (np.pi, 0.2)))), "no spider of equal ones"),
@@ -171,6 +176,26 @@ def test_annular_zernike_sag_is_written_by_circular_polynomials():
 def test_what_the_format_cannot_hold_is_refused_by_name(system, match):
     with pytest.raises(UserError, match=match):
         zmx_text(system)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        ZernikeSag(-90.0, 0.0, tuple(1e-9 * np.arange(231.0)), 20.0),
+        ZernikeSag(-90.0, 0.0, tuple(1e-9 * np.arange(231.0)), 20.0, 0.3),
+        ExtendedPolynomial(-90.0, 0.0, tuple(1e-9 * np.arange(230.0)), 20.0),
+    ],
+)
+def test_the_longest_lists_of_coefficients_come_back_and_longer_ones_are_refused(shape):
+    text = zmx_text(simple(shape=shape))
+    again = parse_zmx(text, "lens.zmx").surfaces[0].shape
+    count = len(shape.coefficients)
+    assert len(again.coefficients) == count
+    x, y = np.random.default_rng(4).uniform(-14, 14, (2, 50))
+    np.testing.assert_allclose(shape_sag(again, x, y), shape_sag(shape, x, y), rtol=0, atol=1e-12)
+    longer = text.replace(f"XDAT 1 {count}.0 ", f"XDAT 1 {count + 1}.0 ")
+    with pytest.raises(UserError, match=f"has {count + 1} terms; .* at most {count}"):
+        parse_zmx(longer, "lens.zmx")
 
 
 @pytest.mark.parametrize("name", system_names())

@@ -121,7 +121,7 @@ def times_instants(matrix: Array, values: Array) -> Array:
     padded = np.zeros((-(-instants // _TILE) * _TILE, count))
     padded[:instants] = values
     tiles = padded.reshape(-1, _TILE, count).transpose(0, 2, 1)
-    products: Array = np.matmul(matrix, tiles).transpose(0, 2, 1).reshape(len(padded), -1)
+    products: Array = np.matmul(matrix, tiles).transpose(0, 2, 1).reshape(len(padded), len(matrix))
     return products[:instants]
 
 

@@ -26,7 +26,7 @@ from wavequake.optics.shapes import (
     ZernikeSag,
 )
 from wavequake.optics.surface_basis import spline_coefficients, zernike_basis
-from wavequake.optics.system import OpticalSystem, Surface, SystemStates, require_system
+from wavequake.optics.system import LARGEST, OpticalSystem, Surface, SystemStates, require_system
 from wavequake.optics.system_kinematics import relative_poses, require_motion, rest_poses
 
 Array = NDArray[np.float64]
@@ -129,8 +129,10 @@ def opening_regions(opening: Opening) -> tuple[Region, ...]:
     """
     regions = []
     x, y = opening.center
-    if not (isfinite(x) and isfinite(y)):
-        raise UserError(f"the center of an opening is {opening.center}; it must be two finite numbers")
+    if not (abs(x) <= LARGEST and abs(y) <= LARGEST):
+        raise UserError(
+            f"the center of an opening is {opening.center}; it must be two numbers of at most {LARGEST:g} mm"
+        )
     if opening.corners:
         corners = np.asarray(opening.corners, dtype=np.float64)
         regions.append(_polygon(corners, x, y))
@@ -156,8 +158,15 @@ def _shifted(half_planes: tuple[float, ...], x: float, y: float) -> tuple[float,
 
 def _polygon(corners: Array, x: float, y: float) -> Region:
     """Return the region of a polygon whose origin moves to (x, y)."""
-    if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
-        raise UserError("a polygonal opening needs at least 3 corners, pairs of finite numbers")
+    if (
+        corners.ndim != 2
+        or corners.shape[1] != 2
+        or len(corners) < 3
+        or not (np.abs(corners) <= LARGEST).all()
+    ):
+        raise UserError(
+            f"a polygonal opening needs at least 3 corners, pairs of numbers of at most {LARGEST:g} mm"
+        )
     corners = corners[(np.roll(corners, -1, axis=0) != corners).any(axis=1)]  # none twice in a row
     edge = np.roll(corners, -1, axis=0) - corners
     following = np.roll(edge, -1, axis=0)

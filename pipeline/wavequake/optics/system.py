@@ -18,7 +18,7 @@ from wavequake.optics.shapes import Conic, Deformation, Opening, Shape, SurfaceA
 
 Array = NDArray[np.float64]
 
-_SMALLEST, _LARGEST = 1e-9, 1e12  # apertures and distances, mm: products of some of them do not overflow
+_SMALLEST, LARGEST = 1e-9, 1e12  # apertures and distances, mm: products of some of them do not overflow
 
 
 @dataclass(frozen=True)
@@ -165,10 +165,10 @@ def require_system(system: OpticalSystem) -> None:
 
 def _require_pupil(system: OpticalSystem) -> None:
     pupil = system.pupil
-    if not _SMALLEST <= pupil.value <= _LARGEST:
+    if not _SMALLEST <= pupil.value <= LARGEST:
         raise UserError(
             f"the {pupil.kind} of {system.name} is {pupil.value}; it must be positive, from {_SMALLEST:g} to "
-            f"{_LARGEST:g}"
+            f"{LARGEST:g}"
         )
     if not 0.0 <= pupil.obscuration < 1.0:
         raise UserError(
@@ -184,8 +184,8 @@ def _require_surface(system: str, surface: Surface) -> None:
     except UserError as error:
         raise UserError(f"{where}: {error}") from error
     _require_deformation(where, surface.deformation)
-    if surface.position.shape != (3,) or not (np.abs(surface.position) <= _LARGEST).all():
-        raise UserError(f"the position of {where} must be 3 finite numbers, of at most {_LARGEST:g} mm")
+    if surface.position.shape != (3,) or not (np.abs(surface.position) <= LARGEST).all():
+        raise UserError(f"the position of {where} must be 3 finite numbers, of at most {LARGEST:g} mm")
     turn = surface.rotation
     if (
         turn.shape != (3, 3)

@@ -27,11 +27,17 @@ from wavequake.optics.zemax_gradients import gradient_lines
 from wavequake.optics.zemax_grids import grid_lines
 from wavequake.optics.zemax_media import MODEL_GLASS
 from wavequake.optics.zemax_rows import written
-from wavequake.optics.zemax_surfaces import MAX_EVEN_TERMS, cardan_angles, spider
+from wavequake.optics.zemax_surfaces import MAX_EVEN_TERMS, MAX_TERMS, cardan_angles, spider
 from wavequake.optics.zernike_transforms import transform_coefficients
 
 MAX_FIELDS = 12
 MAX_WAVELENGTHS = 24
+
+_LISTS = {  # of coefficients: the surface type, what it is, and how many it may have
+    EvenAsphere: ("EVENASPH", "an even asphere", MAX_EVEN_TERMS),
+    ExtendedPolynomial: ("XPOLYNOM", "an extended polynomial", MAX_TERMS["XPOLYNOM"]),
+    ZernikeSag: ("SZERNSAG", "a Zernike sag", MAX_TERMS["SZERNSAG"]),
+}
 
 
 def write_zmx(system: OpticalSystem, path: str | Path) -> Path:
@@ -208,19 +214,23 @@ def _shape(surface: Surface, system: str) -> list[str]:
     numbers = [f"CURV {written(1.0 / shape.radius)}", f"CONI {written(shape.conic)}"]
     if isinstance(shape, Conic):
         return ["TYPE STANDARD", *numbers]
-    if isinstance(shape, EvenAsphere) and len(shape.coefficients) <= MAX_EVEN_TERMS:
-        terms = [f"PARM {k} {written(value)}" for k, value in enumerate(shape.coefficients, start=1)]
-        return ["TYPE EVENASPH", *numbers, *terms]
-    if isinstance(shape, ExtendedPolynomial):
-        return ["TYPE XPOLYNOM", *numbers, *_extra_data(shape.coefficients, shape.normalization_radius)]
-    if isinstance(shape, ZernikeSag):
-        return ["TYPE SZERNSAG", *numbers, *_extra_data(_circular(shape), shape.pupil_radius)]
     if isinstance(shape, GridSag):
         return ["TYPE GRID_SAG", *numbers, "PARM 0 0", *grid_lines(shape, f"{surface.name} of {system}")]
-    raise UserError(
-        f"The surface {surface.name} of {system} has an even asphere of more than {MAX_EVEN_TERMS} terms, "
-        "which a lens file cannot hold."
-    )
+    kind, form, most = _LISTS[type(shape)]
+    if len(shape.coefficients) > most:
+        raise UserError(
+            f"The surface {surface.name} of {system} has {form} of {len(shape.coefficients)} terms; a lens "
+            f"file cannot hold more than {most} terms."
+        )
+    return [f"TYPE {kind}", *numbers, *_coefficients(shape)]
+
+
+def _coefficients(shape: EvenAsphere | ExtendedPolynomial | ZernikeSag) -> list[str]:
+    if isinstance(shape, EvenAsphere):
+        return [f"PARM {k} {written(value)}" for k, value in enumerate(shape.coefficients, start=1)]
+    if isinstance(shape, ExtendedPolynomial):
+        return _extra_data(shape.coefficients, shape.normalization_radius)
+    return _extra_data(_circular(shape), shape.pupil_radius)
 
 
 def _circular(shape: ZernikeSag) -> tuple[float, ...]:

@@ -11,7 +11,6 @@ from wavequake.optics.system_kinematics import Break
 from wavequake.optics.zemax_gradients import GRADIENTS
 from wavequake.optics.zemax_grids import grid_sag
 from wavequake.optics.zemax_rows import (
-    MAX_COUNT,
     OPENINGS,
     Row,
     as_count,
@@ -22,6 +21,7 @@ from wavequake.optics.zemax_rows import (
 from wavequake.optics.zernike_indices import convert_coefficients
 
 MAX_EVEN_TERMS = 8
+MAX_TERMS = {"XPOLYNOM": 230, "SZERNSAG": 231, "FZERNSAG": 37}  # both lists end with degree 20
 
 _FRINGE_TERMS = 36
 
@@ -80,8 +80,6 @@ def _zernike(row: Row, scale: float, radius: float, conic: float) -> ZernikeSag:
 
 def _from_fringe(row: Row, coefficients: tuple[float, ...]) -> tuple[float, ...]:
     """Return Noll coefficients for up to 37 Fringe ones, the last of which is term 49 of the full set."""
-    if len(coefficients) > _FRINGE_TERMS + 1:
-        fail(row.line, f"{row.label} has {len(coefficients)} Fringe terms, at most 37 are supported")
     fringe = np.array(coefficients[:_FRINGE_TERMS])
     if any(coefficients[_FRINGE_TERMS:]):
         fringe = np.concatenate([fringe, np.zeros(12), coefficients[_FRINGE_TERMS:]])
@@ -92,10 +90,16 @@ def _extra_data(row: Row, scale: float) -> tuple[tuple[float, ...], float]:
     """Return the coefficients and the normalization radius that a surface's extra data hold, in mm."""
     data = row.table("XDAT")
     count, norm = data.get(1, 0.0), data.get(2, 0.0)
-    if not (norm > 0 and count == int(count) and 0 <= count <= MAX_COUNT):
+    if not (norm > 0 and count == int(count) and count >= 0):
         fail(
             row.line,
             f"{row.label} needs a number of terms (XDAT 1) and a positive normalization radius (XDAT 2)",
+        )
+    if count > MAX_TERMS[row.type]:
+        fail(
+            row.line,
+            f"{row.label} has {count:g} terms; a surface of the type {row.type} has at most "
+            f"{MAX_TERMS[row.type]}",
         )
     return tuple(data.get(3 + k, 0.0) * scale for k in range(int(count))), norm * scale
 
