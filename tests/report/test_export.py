@@ -83,6 +83,23 @@ def test_a_single_case_without_its_dimension_is_written(dataset, tmp_path):
         np.testing.assert_array_equal(back.los, dataset.los[0])
 
 
+FEW = [(suffix, cases) for suffix in (".nc", ".fits", ".csv") for cases in (slice(0), slice(1), 0)][:-1]
+
+
+@pytest.mark.parametrize(("suffix", "cases"), FEW)
+def test_stores_of_few_cases_are_written(odd, tmp_path, suffix, cases):
+    path = export(lazily(odd).isel(case=cases), tmp_path / f"a{suffix}")
+    if suffix == ".csv":
+        assert len(path.read_text().splitlines()) == 1 + (cases == slice(1))
+    elif suffix == ".nc":
+        with xr.open_dataset(path) as back:
+            xr.testing.assert_equal(back.los.variable, odd.isel(case=cases).los.variable)
+    else:
+        with pytest.importorskip("astropy.io.fits").open(path, checksum=True) as file:
+            assert len(file["CASES"].data if cases != 0 else ()) == (cases == slice(1))
+            np.testing.assert_array_equal(file["single"].data, odd.isel(case=cases).single)
+
+
 def test_csv_has_one_row_per_case(dataset, tmp_path):
     with export(dataset, tmp_path / "a.csv").open(encoding="utf-8", newline="") as file:
         first, second, failed = csv.DictReader(file)

@@ -21,7 +21,7 @@ def blocks(arrays: Iterable[xr.Variable], share: float = 1.0) -> Iterator[slice]
     each = sum(
         one.size * (one.dtype.itemsize if one.dtype.kind in "biuf" else _TEXT_BYTES) for one in arrays
     ) / max(cases, 1)
-    chunk = max((one.chunksizes["case"][0] for one in arrays if one.chunksizes), default=1)
+    chunk = max([1, *(one.chunksizes["case"][0] for one in arrays if one.chunksizes)])
     rows = max(1, int(share * BLOCK_BYTES / max(each, 1.0)))
     rows = rows // chunk * chunk if rows >= chunk else -(-chunk // -(-chunk // rows))
     for first in range(0, cases, rows):

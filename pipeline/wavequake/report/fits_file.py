@@ -85,7 +85,7 @@ def _append_table(file: BinaryIO, columns: dict[str, xr.Variable]) -> None:
         for name, array in columns.items()
     ]
     table = fits.BinTableHDU.from_columns(empty, name="CASES")
-    table.header["NAXIS2"] = next(array.size for array in columns.values())
+    table.header["NAXIS2"] = max((array.size for array in columns.values()), default=0)
     kinds = np.dtype([(name, _KINDS.get(code, f"S{code[:-1]}")) for name, code in codes.items()])
 
     def rows(cases: slice) -> NDArray[np.uint8]:
