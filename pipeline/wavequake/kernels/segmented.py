@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.kernels.devices import Device
+from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
 from wavequake.kernels.program import aligned_empty, launch
 from wavequake.kernels.ring import ring_steps
 from wavequake.kernels.segmented_numpy import trace_chief, trace_segmented_numpy
@@ -145,6 +146,18 @@ def _launch(
     ]
     size = (TILE // (lanes * turns), count, tiles)
     launch(device, "segmented", tuple(constants.items()), size, inputs, outputs)
+
+    program = ("segmented", *constants.values())
+    if count and not is_trusted(device, program):
+
+        def twin(pick: Pick) -> list[Array]:
+            now = [None if array is None else array[:1] for array in moving]
+            chosen = (ray_x[pick], ray_y[pick], start_z, candidates[pick])
+            traced = trace_segmented_numpy(train, *chosen, *now)  # type: ignore[arg-type]
+            return [traced.opd[0], traced.x[0], traced.y[0]]
+
+        found = [values[0] for values in outputs[:3]]
+        compare_first(device, program, found, twin, abs(train.sphere_radius))
 
 
 def _steps(degree: int, basis: Basis) -> Array | None:

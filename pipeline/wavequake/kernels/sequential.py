@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.kernels.devices import Device
+from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
 from wavequake.kernels.packing import packed_elements
 from wavequake.kernels.program import aligned_empty, launch
 from wavequake.kernels.sequence import (
@@ -162,6 +163,18 @@ def _launch(
         text,
         -(-_GROUP_RAYS[device.kind] // width),
     )
+
+    if count and not is_trusted(device, text):
+        found = {name: results[name][0] for name in outputs if name != "w_sign"}
+        length = float(np.abs(moving.poses[0, :, 9:]).max(initial=0.0))
+
+        def twin(pick: Pick) -> list[Array]:
+            chosen = Rays(rays.position[:, pick], rays.direction[:, pick], rays.path[pick])
+            now = moving_part(moving, slice(0, 1))
+            traced = trace_sequence_numpy(sequence, chosen, now, ignore_apertures)
+            return [getattr(traced, name)[0] for name in found]
+
+        compare_first(device, text, list(found.values()), twin, length)
 
 
 def _lanes(device: Device) -> int:
