@@ -11,7 +11,7 @@ from wavequake.optics.system_wavefront import measure_system
 from wavequake.workflows.contract import DONE, RAISED
 from wavequake.workflows.study import load_study
 from wavequake.workflows.system_bench import failure, system_bench
-from wavequake.workflows.system_disturbance import case_table, check, compute, describe, draw, template
+from wavequake.workflows.system_disturbance import case_table, check, compute, describe, draw, template, work
 
 # A parabola of 1 m focal length and 50 mm radius: f/10, so that slopes are small.
 STUDY = """
@@ -172,6 +172,14 @@ def test_a_cases_bits_depend_on_no_other_case(text, device):
         alone = compute(text, np.array([case]), device).arrays
         for name, values in alone.items():
             np.testing.assert_array_equal(values[0], chunk[name][case])
+
+
+def test_time_and_work_are_counted_by_kind(text):
+    seconds = compute(text, np.arange(5), "numpy").timings
+    assert set(seconds) == {"draw", "trace", "wavefront"}
+    assert min(seconds.values()) > 0
+    # The cases of one turn: 1 + 3 + 3 + 1 + 3 instants, two fields, two colors, 60 rays, two surfaces.
+    assert work(text, 5) == {"trace": (11 * 2 * 2 * 60 * 2, "ray-surfaces")}
 
 
 def test_arrays_are_those_of_the_template(text, found):

@@ -290,5 +290,6 @@ def profile(path: Path | str) -> dict[str, str]:
     rates = {
         f"{name} rate": f"{count / seconds[name] / 1e6:8.1f} M {unit}/s"
         for name, (count, unit) in work.items()
+        if seconds.get(name)  # a store of an earlier version may lack it
     }
     return {**lines, "all chunks": f"{total:8.2f} s of process time", **rates}

@@ -19,13 +19,14 @@ from wavequake.mechanics.population import time_axis
 from wavequake.mechanics.streams import Streams
 from wavequake.optics.packing import moving
 from wavequake.optics.quality import meets_marechal, meets_rayleigh
-from wavequake.optics.system_wavefront import PreparedSystem, SystemWavefront, measure_system
+from wavequake.optics.system_wavefront import PreparedSystem, SystemWavefront, analyse_system, trace_system
 from wavequake.optics.zernike_transforms import known_transformed
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.sampling import Plan, plan_of, replicate_labels
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segment_disturbance import slot
 from wavequake.workflows.segment_template import wavefront_source
+from wavequake.workflows.stopwatch import Stopwatch
 from wavequake.workflows.system_bench import (
     NM_PER_MM,
     SystemBench,
@@ -77,26 +78,31 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
         name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
         for name, variable in template(study_text).per_case.items()
     }
-    messages = [""] * len(cases)
+    messages, clock = [""] * len(cases), Stopwatch()
     with threadpool_limits(1):
         for row, case in enumerate(cases):
-            population, drawn = draw(bench, int(case))
-            found, messages[row] = measured(bench, time_axis(population), drawn, device)
+            with clock("draw"):
+                population, drawn = draw(bench, int(case))
+            found, messages[row] = measured(bench, time_axis(population), drawn, device, clock)
             for name, values in found.items():
                 arrays[name][row][tuple(slice(0, size) for size in values.shape)] = values
     status = np.array([RAISED if message else DONE for message in messages], dtype=np.int8)
-    return ChunkResult(arrays, status, tuple(messages))
+    return ChunkResult(arrays, status, tuple(messages), clock.seconds)
 
 
 def measured(
-    bench: SystemBench, time: Array, drawn: ElementMotion, device: Device
+    bench: SystemBench, time: Array, drawn: ElementMotion, device: Device, clock: Stopwatch | None = None
 ) -> tuple[dict[str, Array], str]:
     """Return the numbers of a case by name, ([time], field, wavelength, ...); or none, and why."""
+    clock = clock or Stopwatch()
     states = system_states(bench, drawn)
     found: dict[str, list[Array]] = {}
     for row, still in zip(bench.prepared, bench.static, strict=True):
         for prepared, rest in zip(row, still, strict=True):
-            wavefront = measure_system(prepared, states, device)
+            with clock("trace"):
+                light = trace_system(prepared, states, device)
+            with clock("wavefront"):
+                wavefront = analyse_system(prepared, *light)
             trouble = failure(prepared, wavefront, states)
             if trouble:
                 return {}, f"at t = {time[trouble[0]]:.4g} s {trouble[1]}"
@@ -316,4 +322,13 @@ def check(study_text: str) -> None:
         moving(bench.system, system_states(bench, drawn))
 
 
-WORKFLOW = Workflow("system-disturbance", template, case_table, compute, describe, check=check)
+def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
+    """Return the number of ray-surfaces traced for `cases` cases."""
+    bench = system_bench(study_text)
+    populations, rays = bench.study.disturbance, bench.study.optics.rays
+    instants = sum(one.share * one.instants for one in populations) / sum(one.share for one in populations)
+    beams = len(bench.prepared) * len(bench.prepared[0])
+    return {"trace": (cases * instants * beams * rays * len(bench.system.surfaces), "ray-surfaces")}
+
+
+WORKFLOW = Workflow("system-disturbance", template, case_table, compute, describe, work, check=check)
