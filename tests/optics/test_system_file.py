@@ -220,6 +220,7 @@ WHOLE = {"entrance_diameter_mm": 1.0, "wavelengths_nm": [500.0], "surface": [LEN
         (WHOLE | {"surface": [LENS | {"zernike_nm": [1.0], "even_asphere": [1.0]}, IMAGE]}, "choose one"),
         (WHOLE | {"surface": [LENS | {"semi_diameter_mm": 1.0, "inner_mm": 1.0}, IMAGE]}, "passes no light"),
         (WHOLE | {"surface": [LENS | {"corners_mm": [[0.0, 1.0]]}, IMAGE]}, "at least 3 corners_mm"),
+        (WHOLE | {"surface": [LENS | {"arms": [[0.0, 0.0]]}, IMAGE]}, "arm without a positive width"),
         (WHOLE | {"surface": [LENS | {"fold": True}, IMAGE]}, "folds the axis"),
         (WHOLE | {"surface": [LENS | {"glass": -1.5}, IMAGE]}, "must be positive"),
         (WHOLE | {"surface": [LENS | {"thickness": 1.0}, IMAGE]}, "Extra inputs"),

@@ -288,6 +288,11 @@ def test_what_cannot_work_is_refused_before_a_store_is_made(tmp_path, old, new, 
         ("dy_um = 7.0", "dy_mm = 7.0", "dy_um"),
         ("{ 5 = 10.0", "{ 2 = 10.0", "greater than or equal to 4"),
         ("conic = -1.0", "conic = nan", "conic"),
+        (
+            '[[system.surface]]\nname = "image"',
+            '[[system.surface]]\nname = "M3"\nradius_mm = 0.0',
+            "surface M3 has",
+        ),
     ],
 )
 def test_keys_that_do_not_fit_are_refused_in_a_sentence(tmp_path, old, new, sentence):

@@ -113,30 +113,46 @@ class SurfaceSection(FileSection):
         if self.sag_file is not None and "sag_mm" not in shapes:
             shapes.append("sag_file")
         if len(shapes) > 1:
-            raise ValueError(f"{self.name} has {' and '.join(shapes)}; choose one")
+            raise ValueError(f"the surface {self.name} has {' and '.join(shapes)}; choose one")
         if self.sag_spacing_mm is not None and not (self.sag_mm or self.sag_file):
-            raise ValueError(f"{self.name} has sag_spacing_mm but no heights: give sag_file or sag_mm")
+            raise ValueError(
+                f"the surface {self.name} has sag_spacing_mm but no heights: give sag_file or sag_mm"
+            )
         if self.sag_mm and self.sag_spacing_mm is None:
-            raise ValueError(f"{self.name} needs sag_spacing_mm, the distances of its columns and rows")
+            raise ValueError(
+                f"the surface {self.name} needs sag_spacing_mm, the distances of its columns and rows"
+            )
         if len({len(row) for row in self.sag_mm}) > 1:
             raise ValueError(f"the rows of sag_mm of {self.name} are not equally long")
         if self.sag_spacing_mm is not None and not min(self.sag_spacing_mm) > 0.0:
             raise ValueError(f"sag_spacing_mm of {self.name} must be positive")
         if (self.gradient_radial or self.gradient_axial) and self.glass in (None, "mirror"):
-            raise ValueError(f"{self.name} needs the glass, or the index, to which its gradient adds")
+            raise ValueError(
+                f"the surface {self.name} needs the glass, or the index, to which its gradient adds"
+            )
         if self.radius_mm == 0.0:
-            raise ValueError(f"{self.name} has the radius 0; leave radius_mm out for a plane")
+            raise ValueError(f"the surface {self.name} has the radius 0; leave radius_mm out for a plane")
         needs_radius = self.polynomial_mm or self.zernike_nm or self.deformation_terms
         if needs_radius and self.normalization_radius_mm is None and self.semi_diameter_mm is None:
-            raise ValueError(f"{self.name} needs normalization_radius_mm or semi_diameter_mm for its terms")
+            raise ValueError(
+                f"the surface {self.name} needs normalization_radius_mm or semi_diameter_mm for its terms"
+            )
         if self.semi_diameter_mm is not None and self.inner_mm >= self.semi_diameter_mm:
-            raise ValueError(f"{self.name} passes no light: inner_mm must be less than semi_diameter_mm")
+            raise ValueError(
+                f"the surface {self.name} passes no light: inner_mm must be less than semi_diameter_mm"
+            )
         if self.corners_mm and (len(self.corners_mm) < 3 or self.semi_diameter_mm is not None):
-            raise ValueError(f"{self.name} needs at least 3 corners_mm, and no semi_diameter_mm beside them")
+            raise ValueError(
+                f"the surface {self.name} needs at least 3 corners_mm, and no semi_diameter_mm beside them"
+            )
+        if not all(width > 0.0 for _, width in self.arms):
+            raise ValueError(f"the surface {self.name} has a spider arm without a positive width")
         if self.fold and self.glass != "mirror":
-            raise ValueError(f'{self.name} folds the axis, so its glass must be "mirror"')
+            raise ValueError(f'the surface {self.name} folds the axis, so its glass must be "mirror"')
         if isinstance(self.glass, float) and self.glass <= 0:
-            raise ValueError(f"{self.name} has the refractive index {self.glass:g}, it must be positive")
+            raise ValueError(
+                f"the surface {self.name} has the refractive index {self.glass:g}, it must be positive"
+            )
         return self
 
 
