@@ -294,6 +294,8 @@ def test_dispersion_moves_the_focus():
             },
             "runs along the surface M",
         ),
+        ({"wavelengths": np.array([1e300])}, "positive numbers in mm, from 1e-09 to 1e.12"),
+        ({"wavelengths": np.array([1e-300])}, "positive numbers in mm, from 1e-09 to 1e.12"),
     ],
 )
 def test_bad_systems_are_refused(change, message):

@@ -133,8 +133,11 @@ def require_system(system: OpticalSystem) -> None:
             f"the stop of {name} is its image, which leaves no exit pupil; choose another surface"
         )
     wavelength_of(system)
-    if not (np.isfinite(system.wavelengths) & (np.asarray(system.wavelengths) > 0.0)).all():
-        raise UserError(f"the wavelengths of {name} must be positive numbers in mm")
+    waves = np.asarray(system.wavelengths)
+    if not ((waves >= _SMALLEST) & (waves <= LARGEST)).all():
+        raise UserError(
+            f"the wavelengths of {name} must be positive numbers in mm, from {_SMALLEST:g} to {LARGEST:g}"
+        )
     if system.fields.ndim != 2 or system.fields.shape[1] != 2 or not np.isfinite(system.fields).all():
         raise UserError(f"the fields of {name} must be an array (fields, 2) of finite numbers")
     if np.isnan(system.object_distance):
