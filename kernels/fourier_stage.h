@@ -84,7 +84,12 @@ INLINE void NAME(first)(__global const scalar *x, __local wave *y, __global cons
         wave a[RADIX];
         #pragma unroll
         for (int r = 0; r < RADIX; ++r) {
-            a[r] = load_complex(x + DOWN * (p + m * r));
+            __global const scalar *place = x + DOWN * (p + m * r);
+            a[r] = load_complex(place);
+#if !PANEL
+            PREFETCH(place + 2 * W);  // no processor foresees such long steps to the next group of columns
+            PREFETCH(place + 3 * W);
+#endif
         }
         TRANSFORM(a);
         y[RADIX * p] = a[0];

@@ -163,20 +163,24 @@ def _plan(
     together = max(1, _TOGETHER_BYTES // image_bytes)
     # Where columns do not fill their last group it overlaps the one before it: then there are no panels.
     whole, large = columns % width == 0, image_bytes >= _LARGE_BYTES
-    common = {"SINGLE": int(real == np.float32), "INVERSE": int(inverse), "PANEL": width if whole else 0}
+    # A single image that caches hold is transformed in its place.
+    panels = whole and (large or images > together)
+    between = "between" if panels or not whole else "out"
+    common = {"SINGLE": int(real == np.float32), "INVERSE": int(inverse), "PANEL": width if panels else 0}
     row_constants = common | {"W": row_lanes(columns, native), "N": columns, "OTHER": rows}
-    row_constants["STREAM"] = int(whole and large)
+    row_constants["STREAM"] = int(panels and large)
     column_constants = common | {"W": width, "N": rows, "OTHER": columns}
-    column_constants["STREAM"] = int(whole and aligned and (large or images > together))
+    column_constants["STREAM"] = int(panels and aligned)
     along_rows = kernel_source(columns, True, native), "transform", tuple(row_constants.items())
     along_columns = kernel_source(rows, False, native), "transform", tuple(column_constants.items())
     one, scale = real.type(1.0), real.type(1.0 / (rows * columns) if inverse else 1.0)
     steps = []
     for first in range(0, images, together):
         count, groups = min(together, images - first), -(-columns // width)
+        # In its place there is one group of images: where it begins is 0.
         places = np.array([[first * rows, 0, count * rows], [0, first, groups]], np.int32)
-        to_rows = (*places[0], "in", "row_factors", one, "between")
-        to_columns = (*places[1], "between", "column_factors", scale, "out")
+        to_rows = (*places[0], "in", "row_factors", one, between)
+        to_columns = (*places[1], between, "column_factors", scale, "out")
         steps.append(Step(*along_rows, (1, count * rows, 1), (1, 1, 1), to_rows))
         steps.append(Step(*along_columns, (1, groups, count), (1, 1, 1), to_columns))
     table = {"row_factors": (columns, True), "column_factors": (rows, False)}
@@ -184,7 +188,8 @@ def _plan(
         name: np.append(factors(length, along, native), 0.0).astype(real)
         for name, (length, along) in table.items()
     }
-    return _Plan(tuple(steps), factors_of, {"between": min(images, together) * image_bytes})
+    scratch = {} if between == "out" else {"between": min(images, together) * image_bytes}
+    return _Plan(tuple(steps), factors_of, scratch)
 
 
 def _real(dtype: DTypeLike) -> np.dtype[Any]:
