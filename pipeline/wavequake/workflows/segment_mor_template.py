@@ -37,7 +37,9 @@ def _per_case(study: SegmentMorStudy) -> dict[str, Variable]:
 
     return {
         "order": scalar("1", "number of coordinates of the variant"),
-        "reduce_seconds": scalar("s", "time of the reduction"),
+        "reduce_seconds": Variable(
+            (), (), {"units": "s", "long_name": "time of the reduction"}, measured=True
+        ),
         "pseudo_frequency_max": scalar("Hz", "largest eigenfrequency of the reduced model"),
         "frf_mech": spectrum("m/N", "Frobenius norm of the receptance at the supports"),
         "eps_mech": spectrum("1", "relative error of the receptance (Störkle 2018, Eq. 2.10)"),
