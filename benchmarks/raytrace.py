@@ -26,22 +26,27 @@ from benchmarks.segmented import workload
 from wavequake.kernels.devices import Device, list_devices
 from wavequake.kernels.packing import packed_elements
 from wavequake.kernels.segmented import trace_segmented
-from wavequake.kernels.sequence import Element, Moving, Rays, Sequence
+from wavequake.kernels.sequence import Rays
 from wavequake.kernels.sequential import trace_sequence
 from wavequake.kernels.tiles import TILE
+from wavequake.memory import keep_freed_memory
+from wavequake.optics.catalog import optical_system
 from wavequake.optics.fits import weighted_fit
-from wavequake.optics.surface_basis import zernike_basis
+from wavequake.optics.packing import moving, pack
+from wavequake.optics.shapes import ZernikeDeformation
+from wavequake.optics.system import OpticalSystem, SystemStates
+from wavequake.optics.system_kinematics import moved_poses
 from wavequake.optics.telescopes import telescope as bundled
 from wavequake.optics.wavefront import los_eq339
 from wavequake.optics.zernike import annular_zernike
 
 Array = NDArray[np.float64]
-REPEATS, CALLS = 7, 500
+REPEATS, CALLS = 11, 100
 RAYS, BATOID_RAYS = 1_000_000, 100_000
 BATCH, BATCH_RAYS, BATOID_INSTANTS = 1000, 2000, 3
 TILES = 4  # of the segmented trace, which flags failures and searches segments
 OUTER, INNER = 15e3, 3e3
-M1, K1, M2, K2 = -60e3, -1.00095348, -6227.68, -1.31822813
+M1, K1, M2, K2 = -60e3, -1.0009535, -6227.68, -1.31822813
 WANTED = ("path", "x", "y")
 # Multiplications, additions and multiply-adds of the algorithm per ray of four surfaces, without status and
 # choices; divisions and roots; bytes: three read, three written after they are read, two codes likewise.
@@ -60,32 +65,24 @@ DEMANDS = {
     "one instant of 2000 rays, ms": ("most", (0.3, 0.3), (0.3, 0.3)),
 }
 
-HALF = np.sqrt(0.5)
-FOLD = np.array([[HALF, 0, -HALF], [0, 1, 0], [HALF, 0, HALF]])
-IMAGE = np.array([[0, 0, 1], [0, 1, 0], [-1.0, 0, 0]])
-ORIGINS = np.array([[0, 0, 0], [0, 0, -27093.75], [0, 0, -3500.0], [-20000.0, 0, -3500.0]])
+
+def telescope(terms: int) -> OpticalSystem:
+    """Return the four surfaces of the thesis' TMT; Zernike terms of the annulus deform M1."""
+    system = optical_system("tmt-thesis")
+    primary, *others = (surface for surface in system.surfaces if surface.name != "stop")
+    deformed = replace(primary, deformation=ZernikeDeformation(terms, OUTER, INNER / OUTER))
+    return replace(system, surfaces=(deformed, *others), fields=system.fields[:1])
 
 
-def telescope(degree: int) -> Sequence:
-    primary = Element(1 / M1, K1, "reflect", deformation_degree=degree, deformation_radius=OUTER)
-    return Sequence((primary, Element(1 / M2, K2, "reflect"), Element(action="reflect"), Element()))
-
-
-def poses(shifts: Array, tilts: Array) -> Array:
-    """Relative poses (T, 4, 12) for shifts (T, 2, 3) of M1 and M2 in mm and tilts (T, 2) of both in rad."""
-    instants = len(shifts)
-    axes = np.zeros((instants, 4, 3, 3))
-    axes[:, :2] = np.eye(3)
-    axes[:, 2], axes[:, 3] = FOLD, IMAGE
-    cosine, sine = np.cos(tilts), np.sin(tilts)
-    axes[:, :2, 1, 1], axes[:, :2, 1, 2], axes[:, :2, 2, 1], axes[:, :2, 2, 2] = cosine, sine, -sine, cosine
-    origins = np.tile(ORIGINS, (instants, 1, 1))
-    origins[:, :2] += shifts
-    before = np.concatenate([np.tile(np.eye(3), (instants, 1, 1, 1)), axes[:, :-1]], axis=1)
-    start = np.concatenate([np.zeros((instants, 1, 3)), origins[:, :-1]], axis=1)
-    turn = axes @ np.swapaxes(before, 2, 3)
-    offset = (axes @ (start - origins)[..., None])[..., 0]
-    return np.concatenate([turn.reshape(instants, 4, 9), offset], axis=2)
+def disturbed(terms: int, instants: int) -> SystemStates:
+    """Return states of M1 and M2 that shift and tilt, M1 with terms of 20 nm rms from j = 4."""
+    heights = np.random.default_rng(1).normal(0.0, 2e-5, (instants, terms))
+    heights[:, :3] = 0.0
+    random = np.random.default_rng(2)
+    motion = np.zeros((instants, 4, 6))
+    motion[:, :2, :3] = random.normal(0.0, 1e-3, (instants, 2, 3))
+    motion[:, :2, 3] = random.normal(0.0, 1e-7, (instants, 2))
+    return SystemStates(motion, (heights, None, None, None), np.zeros((instants, 2)))
 
 
 def sunflower(count: int) -> Rays:
@@ -99,15 +96,7 @@ def sunflower(count: int) -> Rays:
     )
 
 
-def figures(terms: int, instants: int) -> tuple[Array, int, Array]:
-    """Return annular Noll coefficients (T, terms) of 20 nm rms each from j = 4, degree, and monomials."""
-    heights = np.random.default_rng(1).normal(0.0, 2e-5, (instants, terms))
-    heights[:, :3] = 0.0
-    basis = zernike_basis(terms, INNER / OUTER)
-    return heights, basis.degree, heights @ basis.matrix.T
-
-
-def batoid_optic(heights: Array, shifts: Array, tilts: Array) -> Any:
+def batoid_optic(system: OpticalSystem, heights: Array, motion: Array) -> Any:
     """Return the telescope in meters, for which batoid's tolerances are made."""
     import batoid
 
@@ -116,15 +105,10 @@ def batoid_optic(heights: Array, shifts: Array, tilts: Array) -> Any:
     )
     primary = batoid.Sum([batoid.Quadric(1e-3 * M1, K1), figure])
     shapes = [primary, batoid.Quadric(1e-3 * M2, K2), batoid.Plane(), batoid.Plane()]
-    turns = [FOLD.T.copy(), IMAGE.T.copy()]
-    for c, s in zip(np.cos(tilts)[::-1], np.sin(tilts)[::-1], strict=True):
-        turns.insert(0, np.array([[1, 0, 0], [0, c, -s], [0, s, c]]))
-    origins = 1e-3 * (ORIGINS + np.concatenate([shifts, np.zeros((2, 3))]))
     kinds = [batoid.Mirror, batoid.Mirror, batoid.Mirror, batoid.Detector]
-    parts = zip("1234", kinds, shapes, origins, turns, strict=True)
-    items = [
-        kind(shape, name=name, coordSys=batoid.CoordSys(o, turn)) for name, kind, shape, o, turn in parts
-    ]
+    position, rotation = moved_poses(system, motion[None])
+    parts = zip("1234", kinds, shapes, 1e-3 * position[0], rotation[0], strict=True)
+    items = [kind(shape, name=name, coordSys=batoid.CoordSys(*pose)) for name, kind, shape, *pose in parts]
     return batoid.CompoundOptic(items, name="telescope")
 
 
@@ -158,46 +142,49 @@ def successive(job: Callable[[], Any]) -> Array:
 
 def measure(device: Device, threads: int, terms: int, batoid: bool, console: Console) -> dict[str, float]:
     """Print the rates with one number of terms; return what `DEMANDS` are made on."""
-    heights, degree, monomials = figures(terms, BATCH)
-    random = np.random.default_rng(2)
-    shifts = random.normal(0.0, 1e-3, (BATCH, 2, 3))
-    tilts = random.normal(0.0, 1e-7, (BATCH, 2))
+    system, states = telescope(terms), disturbed(terms, BATCH)
+    heights, motion = states.deformations[0], states.surface_motion
     many, few, some = sunflower(RAYS), sunflower(BATCH_RAYS), sunflower(BATOID_RAYS)
-    sequence, none = telescope(degree), (None, None, None)
-    rest = Moving(poses(0 * shifts[:1], 0 * tilts[:1]), (monomials[:1], *none))
-    batch = Moving(poses(shifts, tilts), (monomials, *none))
+    sequence, batch = pack(system, WAVELENGTH), moving(system, states)
+    still = SystemStates(0 * motion[:1], (heights[:1], None, None, None), np.zeros((1, 2)))
+    rest = moving(system, still)
     large = trace_sequence(sequence, many, rest, device, outputs=WANTED)
     # Paths that count from one at rest are differences already.
     base = trace_sequence(sequence, few, rest, device).path[0, 0]
     counted = replace(few, path=np.broadcast_to(-base, BATCH_RAYS))
     batched = trace_sequence(sequence, counted, batch, device, outputs=WANTED)
     bound_jobs, amounts = limit_jobs(device)
+    small: list[float] = []
     jobs: dict[str, Callable[[], Any]] = {
         "kernel": lambda: trace_sequence(sequence, many, rest, device, outputs=WANTED, out=large),
         "batch": lambda: trace_sequence(sequence, counted, batch, device, outputs=WANTED, out=batched),
         # Before the peers, whose threads wait for more work in a loop on the second processor.
         "packing": lambda: packed_elements(sequence, batch, False),
-        "host": host_work(heights, shifts, tilts, few, batched, threads),
+        "small": lambda: small.extend(
+            successive(lambda: trace_sequence(sequence, few, rest, device, outputs=WANTED))
+        ),
+        "host": host_work(system, states, few, batched, threads),
         "492 segments": partial(trace_segmented, **workload(bundled("tmt"), TILES, 28), device=device),
     }
     rays = {"kernel": RAYS, "batch": BATCH * BATCH_RAYS, "small": BATCH_RAYS}
     rays["492 segments"] = TILES * TILE * 18 * 492
-    numba = numba_tracer(degree)
+    numba = numba_tracer(sequence.elements[0].deformation_degree)
     if numba:
         conics = np.array([[1 / M1, 1 + K1], [1 / M2, 1 + K2]])
         out = np.empty((3, RAYS))
         direction = many.direction[:, 0].copy()
-        arguments = (conics, rest.poses[0], monomials[0], OUTER, many.position, direction, *out)
+        monomials = rest.deformations[0][0]
+        arguments = (conics, rest.poses[0], monomials, OUTER, many.position, direction, *out)
         jobs["numba"], rays["numba"] = lambda: numba(*arguments), RAYS
     else:
         console.print("numba is not installed (pip install numba): that comparison is skipped")
     if batoid:
-        optic = batoid_optic(heights[0], 0 * shifts[0], 0 * tilts[0])
+        optic = batoid_optic(system, heights[0], 0 * motion[0])
         light, light_few = batoid_rays(some), batoid_rays(few)
 
         def batoid_loop() -> None:
             for i in range(BATOID_INSTANTS):
-                batoid_optic(heights[i], shifts[i], tilts[i]).trace(light_few.copy())
+                batoid_optic(system, heights[i], motion[i]).trace(light_few.copy())
 
         jobs |= {"batoid": lambda: optic.trace(light.copy()), "batoid loop": batoid_loop}
         rays |= {"batoid": BATOID_RAYS, "batoid loop": BATOID_INSTANTS * BATCH_RAYS}
@@ -207,32 +194,31 @@ def measure(device: Device, threads: int, terms: int, batoid: bool, console: Con
         worst = max(np.abs(getattr(large, name) - row).max() for name, row in zip(WANTED, out, strict=True))
         console.print(f"largest difference to numba: {worst:.1e} mm")
     seconds = interleaved(jobs | bound_jobs)
-    seconds["small"] = successive(lambda: trace_sequence(sequence, few, rest, device, outputs=WANTED))
+    seconds["small"] = np.array(small)
     return report(seconds, rays, amounts, terms, console)
 
 
 def host_work(
-    heights: Array, shifts: Array, tilts: Array, rays: Rays, traced: Any, threads: int
+    system: OpticalSystem, states: SystemStates, rays: Rays, traced: Any, threads: int
 ) -> Callable[[], Any]:
-    """Return what a batch needs besides the trace: poses, monomials, Zernike fit and line of sight."""
-    basis = zernike_basis(heights.shape[1], INNER / OUTER)
+    """Return what a batch needs besides packing and trace: poses, monomials, Zernike fit, line of sight."""
     x, y = rays.position[:2] / OUTER
     fit = weighted_fit(annular_zernike(x, y, 28, INNER / OUTER), np.full(x.size, 1.0 / x.size))
     pool = ThreadPoolExecutor(threads)
+    # Four parts; the thread that makes the poses of the next batch measures one of them less.
+    parts = [slice(k, k + BATCH // 4) for k in range(0, BATCH, BATCH // 4)]
+    others = parts[4 // threads - (threads > 1) :]
 
-    def part_work(part: slice) -> Array:
-        heights[part] @ basis.matrix.T
+    def measures(part: slice) -> Array:
         center = np.stack([traced.x[part, 0], traced.y[part, 0]], axis=1)
         zernike = (fit.matrix @ traced.path[part].T).T * (1.0 / WAVELENGTH)
         return los_eq339(center, zernike, WAVELENGTH, APERTURE)
 
-    each = BATCH // threads
-    parts = [slice(each * k, each * (k + 1)) for k in range(threads)]
-
     def work() -> list[Array]:
-        found = pool.map(part_work, parts)
-        poses(shifts, tilts)  # small arrays, whose loops hold the interpreter's lock: no gain by threads
-        return list(found)
+        started = [pool.submit(measures, part) for part in others]
+        moving(system, states)
+        found = [measures(part) for part in parts[: len(parts) - len(others)]]
+        return found + [part.result() for part in started]
 
     return work
 
@@ -299,6 +285,7 @@ def main() -> None:
 
 def measure_all(threads: str) -> None:
     console = Console(width=150)
+    keep_freed_memory()  # as campaigns do
     devices = [device for device in list_devices() if device.kind == "cpu"]
     if not devices:
         console.print("no OpenCL processor was found: there is nothing to measure")

@@ -35,8 +35,7 @@ def packed_elements(
     limits: list[Array] = []
     arrays: list[Array] = []
     index = sequence.index
-    turned = (moving.poses[:, :, :9] != _UNTURNED).any(axis=(0, 2))
-    rotates = (turned | sequence.turning).tolist()
+    rotates = [sequence.turning or _turns(poses) for poses in moving.poses.swapaxes(0, 1)]
     for number, element in enumerate(sequence.elements):
         start = len(numbers)
         behind = element.index if element.action == "refract" else index
@@ -54,6 +53,11 @@ def packed_elements(
         index = behind
     packed = np.stack(limits, axis=1) if limits else np.zeros((len(moving.poses), 0))
     return tuple(shapes), np.array(numbers), packed, arrays
+
+
+def _turns(poses: Array) -> bool:
+    """Tell whether a surface turns at any of the instants (T, 12); most that do, do so at the first."""
+    return any(bool((part[:, :9] != _UNTURNED).any()) for part in (poses[:1], poses[1:]))
 
 
 def _parts(
@@ -134,7 +138,7 @@ def _second_derivatives(degree: int, basis: Basis) -> NDArray[np.float32]:
     radii = np.array([0.6, 0.9, 1.0]) * _BEYOND
     if basis != "monomial" and basis.inner > 0.0:
         radii = np.append(radii[radii > basis.inner], basis.inner)
-    angles = np.linspace(0.0, 2.0 * np.pi, 2 * degree + 2, endpoint=False)
+    angles = np.linspace(0.0, 2.0 * np.pi, max(4, 2 * degree - 2), endpoint=False)
     points = radii[:, None] * np.stack([np.cos(angles), np.sin(angles)])[:, None]
     u, v = points.reshape(2, -1)
     if basis != "monomial":

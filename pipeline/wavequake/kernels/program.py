@@ -2,6 +2,7 @@
 
 import math
 import mmap
+import os
 import re
 import threading
 import warnings
@@ -20,6 +21,9 @@ from wavequake.kernels.pocl_source import for_pocl, has_wide_vectors
 _GROUP_RAYS = {"cpu": 125, "gpu": 8}
 # Bytes: no implementation asks for more than its widest vector, sixteen doubles.
 _ALIGNED = 128
+# Of half a microsecond each.
+_GLANCES = 400
+_YIELD = getattr(os, "sched_yield", lambda: None)
 _LOCK = threading.Lock()
 
 
@@ -68,10 +72,26 @@ def launch(
         kernel = _kernel(device, name, constants, text, scalar_types(arguments + results))
         kernel.set_args(*arguments, *results)
         padded = (lanes, -(-rays // group) * group, tiles)
-        cl.enqueue_nd_range_kernel(queue, kernel, padded, (lanes, group, 1))
+        event = cl.enqueue_nd_range_kernel(queue, kernel, padded, (lanes, group, 1))
+        if padded[1:] == (group, 1):
+            _watch(queue, event)
         for out, result in zip(outputs, results, strict=True):
             _fetch(queue, device, out, result)
         queue.finish()
+
+
+def _watch(queue: Any, event: Any) -> None:
+    """Look a while whether one group of work-items is done: waking up takes longer than they do.
+
+    A processor that is needed elsewhere is not kept busy.
+    """
+    import pyopencl as cl
+
+    queue.flush()
+    for _ in range(_GLANCES):
+        if event.command_execution_status == cl.command_execution_status.COMPLETE:
+            return
+        _YIELD()
 
 
 def aligned_empty(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:

@@ -29,9 +29,18 @@ def cardan(angles: Array) -> Array:
     ndarray, shape (..., 3, 3)
         ``R @ e_z`` is the normal of Störkle 2018, Eq. 3.10.
     """
-    w, vector = _quaternion(*np.moveaxis(angles, -1, 0))
-    difference = np.moveaxis(np.array(_rotation_minus_one(w, *vector)), 0, -1)
-    rotation: Array = difference.reshape(*angles.shape[:-1], 3, 3) + np.eye(3)
+    return np.ascontiguousarray(np.moveaxis(cardan_entries(np.moveaxis(angles, -1, 0)), (0, 1), (-2, -1)))
+
+
+def cardan_entries(angles: Array) -> Array:
+    """Return rotation matrices (3, 3, ...) of Cardan angles (3, ...), as `cardan` but with entries first.
+
+    Products of many such matrices (`numpy.einsum`) take a quarter of the time.
+    """
+    w, vector = _quaternion(*angles)
+    rotation = np.array(_rotation_minus_one(w, *vector)).reshape(3, *angles.shape)
+    for axis in range(3):
+        rotation[axis, axis] += 1.0
     return rotation
 
 

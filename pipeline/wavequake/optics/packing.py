@@ -10,7 +10,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.sequence import Element, Grid, Moving, Polynomial, Region, Sequence
 from wavequake.optics.concave import crossing
 from wavequake.optics.gradient_index import gradient_of, medium_index
-from wavequake.optics.kinematics import cardan
+from wavequake.optics.kinematics import cardan_entries
 from wavequake.optics.media import refractive_index
 from wavequake.optics.paraxial import entrance_pupil_center
 from wavequake.optics.polygons import edge_spans, signed_areas
@@ -264,18 +264,22 @@ def _poses(system: OpticalSystem, motion: Array, line_of_sight: Array) -> Array:
     a point p becomes Q^T (R^T Q' p + R^T (d' - s) - d) (Störkle 2018, Eq. 3.11 and 4.3).
     """
     step, turn = relative_poses(*rest_poses(system))
-    own = cardan(motion[..., 3:])
-    back = np.swapaxes(own, -1, -2)
-    turned = np.swapaxes(turn, -1, -2)
-    before = np.concatenate([np.broadcast_to(np.eye(3), (len(motion), 1, 3, 3)), own[:, :-1]], axis=1)
-    shift_before = np.concatenate([np.zeros((len(motion), 1, 3)), motion[:, :-1, :3]], axis=1)
-    rotation = back @ turned @ before
-    shift = back @ ((turned @ (shift_before - step)[..., None]) - motion[..., :3, None])
+    found = np.empty((*motion.shape[:2], 12))
+    unturned = np.tile(np.eye(3)[..., None], len(motion))
+    shift_before, before = np.zeros((3, len(motion))), unturned
+    for surface, moves in enumerate(motion.transpose(1, 2, 0).copy()):  # rows of instants are fast
+        shift, own = moves[:3], cardan_entries(moves[3:]) if moves[3:].any() else unturned
+        place = turn[surface].T @ (shift_before - step[surface, :, None]) - shift
+        turned = np.einsum("ji,jkt->ikt", turn[surface], before)
+        found[:, surface, :9] = np.einsum("jit,jkt->ikt", own, turned).reshape(9, -1).T
+        found[:, surface, 9:] = np.einsum("jit,jt->it", own, place).T
+        shift_before, before = shift, own
     if line_of_sight.any():
         bundle, offset = bundle_rotation(system, line_of_sight)
-        shift[:, 0] += rotation[:, 0] @ offset[..., None]
-        rotation[:, 0] = rotation[:, 0] @ bundle
-    return np.concatenate([rotation.reshape(*rotation.shape[:2], 9), shift[..., 0]], axis=2)
+        first = found[:, 0, :9].reshape(-1, 3, 3)
+        found[:, 0, 9:] += (first @ offset[..., None])[..., 0]
+        found[:, 0, :9] = (first @ bundle).reshape(-1, 9)
+    return found
 
 
 def bundle_rotation(system: OpticalSystem, line_of_sight: Array) -> tuple[Array, Array]:

@@ -16,6 +16,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from wavequake.errors import StoreDamageError, UserError
+from wavequake.memory import keep_freed_memory
 from wavequake.workflows import journal, provenance
 from wavequake.workflows.arrays import Array, array_of, open_group, write_chunk
 from wavequake.workflows.contract import DIVERGED, DONE, RAISED, ChunkResult, Template, Workflow
@@ -82,6 +83,7 @@ class Opened:
 @lru_cache(maxsize=2)
 def opened_store(workflow: Workflow, path: str, run: str) -> Opened:
     """Open the store once per process and run; a later run may have extended it."""
+    keep_freed_memory()
     manifest = patiently(lambda: read_manifest(path))
     group = patiently(lambda: open_group(Path(path) / DATA))
     arrays = {name: array_of(group, name) for name in manifest.variables}
