@@ -65,6 +65,32 @@ def test_a_killed_driver_leaves_no_workers_and_the_next_run_completes(tmp_path, 
     assert verify_store(tmp_path / "s").extra == ()
 
 
+@pytest.mark.parametrize("keys", [{"reduce": "summary"}, {"every": 3}], ids=["summary", "every third"])
+@pytest.mark.parametrize("place", [{"on": "serial"}, {"on": "local", "workers": 2}], ids=["serial", "local"])
+def test_a_killed_campaign_that_keeps_less_goes_on_with_the_same_bits(tmp_path, keys, place):
+    """Four instants: a summary of them, or the third alone; killed when three of ten chunks are recorded."""
+    options = {**SLOW, "store": keys}
+    driver = toy.driver(tmp_path / "killed", options, cases=100, **place)
+    toy.wait_for_records(tmp_path / "killed", 3)
+    driver.kill()
+    driver.communicate()
+    before = toy.records(tmp_path / "killed")
+    assert 3 <= before < 10
+    assert toy.run(tmp_path / "killed", options, cases=100, **place).done_before == 10 * before
+    toy.run(tmp_path / "whole", {"store": keys}, cases=100)
+    assert toy.digests(tmp_path / "killed") == toy.digests(tmp_path / "whole")
+    report = verify_store(tmp_path / "killed")
+    assert (report.ok, report.extra) == (True, ())
+    killed, whole = open_store(tmp_path / "killed").load(), open_store(tmp_path / "whole").load()
+    assert killed.drop_attrs().identical(whole.drop_attrs())
+    draws = np.stack([toy.numbers(case) for case in range(100)])
+    if "every" in keys:
+        np.testing.assert_array_equal(killed["zernike"], draws[:, 2:3])
+    else:
+        expected = np.sqrt((draws**2).mean(axis=1))
+        np.testing.assert_allclose(killed["zernike_rms"], expected, rtol=1e-14)
+
+
 @pytest.mark.parametrize("whole_group", [True, False], ids=["terminal", "driver"])
 def test_ctrl_c_ends_at_once_and_quietly_and_the_next_run_completes(tmp_path, reference, whole_group):
     driver = toy.driver(tmp_path / "s", SLOW, cases=100, on="local", workers=2)
