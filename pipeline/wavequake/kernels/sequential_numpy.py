@@ -150,6 +150,23 @@ def moving_part(moving: Moving, part: slice) -> Moving:
     return Moving(moving.poses[part], deformations, grids, spheres)
 
 
+def joined_moving(parts: list[Moving]) -> tuple[Moving, list[slice]]:
+    """Return the instants of parts that move the same elements, one after the other, and where each is."""
+
+    def joined(arrays: tuple[Array | None, ...]) -> Array | None:
+        known = [array for array in arrays if array is not None]
+        return np.concatenate(known) if known else None
+
+    whole = Moving(
+        np.concatenate([part.poses for part in parts]),
+        tuple(map(joined, zip(*(part.deformations for part in parts), strict=True))),
+        tuple(map(joined, zip(*(part.grids for part in parts), strict=True))),
+        joined(tuple(part.spheres for part in parts)),
+    )
+    ends = np.cumsum([len(part.poses) for part in parts]).tolist()
+    return whole, [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
+
+
 @_LOST_RAYS_ARE_DATA
 def _trace_chunk(
     sequence: Sequence, rays: Rays, moving: Moving, ignore_apertures: bool

@@ -113,7 +113,10 @@ def _meet(sequence: Sequence, chief: Rays, light: Moving, stop: int) -> Array:
 
 
 def _moved(light: Moving, chief: Rays, numbers: Array, far: bool) -> Moving:
-    """Return the moving parts with light that is shifted, or turned about the object, by numbers (T, 2)."""
+    """Return the moving parts with light that is shifted, or turned about the object, by numbers (T, 2).
+
+    Zeros leave an instant as it is, to the last bit.
+    """
     flat = np.concatenate([numbers, np.zeros((len(numbers), 1))], axis=1)
     first = light.poses[:, 0].copy()
     rotation = first[:, :9].reshape(-1, 3, 3)
@@ -125,6 +128,7 @@ def _moved(light: Moving, chief: Rays, numbers: Array, far: bool) -> Moving:
     first[:, 9:] += _product(rotation, shift[..., None])[..., 0]
     if not far:
         first[:, :9] = _product(rotation, turn).reshape(-1, 9)
+    first = np.where((numbers != 0.0).any(axis=1)[:, None], first, light.poses[:, 0])
     return replace(light, poses=np.concatenate([first[:, None], light.poses[:, 1:]], axis=1))
 
 

@@ -19,7 +19,13 @@ from wavequake.mechanics.population import time_axis
 from wavequake.mechanics.streams import Streams
 from wavequake.optics.packing import moving
 from wavequake.optics.quality import meets_marechal, meets_rayleigh
-from wavequake.optics.system_wavefront import PreparedSystem, SystemWavefront, analyse_system, trace_system
+from wavequake.optics.system_wavefront import (
+    PreparedSystem,
+    SystemWavefront,
+    analyse_system,
+    incoming_lights,
+    trace_lights,
+)
 from wavequake.optics.zernike_transforms import known_transformed
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.sampling import Plan, plan_of, replicate_labels
@@ -38,6 +44,9 @@ from wavequake.workflows.system_bench import (
 from wavequake.workflows.system_study import SystemStudy
 
 Array = NDArray[np.float64]
+
+# Of cases that are computed together.
+_INSTANTS = 4096
 
 
 def draw(bench: SystemBench, case: int) -> tuple[ElementDisturbance, ElementMotion]:
@@ -71,7 +80,7 @@ def sampling_plan(study_text: str) -> Plan:
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
     """Compute the numbers of `cases`; one in which a field's light is lost is quarantined with the reason.
 
-    Each case is traced by itself and with one BLAS thread, so that its bits depend on no other case.
+    With one BLAS thread, and matrix products case by case, so that the bits of a case depend on no other.
     """
     bench, device = system_bench(study_text), choose_device(device_name)
     arrays = {
@@ -79,37 +88,58 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
         for name, variable in template(study_text).per_case.items()
     }
     messages, clock = [""] * len(cases), Stopwatch()
+    most = max(1, _INSTANTS // max(population.instants for population in bench.study.disturbance))
     with threadpool_limits(1):
-        for row, case in enumerate(cases):
+        for first in range(0, len(cases), most):
             with clock("draw"):
-                population, drawn = draw(bench, int(case))
-            found, messages[row] = measured(bench, time_axis(population), drawn, device, clock)
-            for name, values in found.items():
-                arrays[name][row][tuple(slice(0, size) for size in values.shape)] = values
+                drawn = [draw(bench, case) for case in cases[first : first + most].tolist()]
+            motions = [(time_axis(population), motion) for population, motion in drawn]
+            found = measured_cases(bench, motions, device, clock)
+            for row, (numbers, message) in enumerate(found, first):
+                messages[row] = message
+                for name, values in numbers.items():
+                    arrays[name][row][tuple(slice(0, size) for size in values.shape)] = values
     status = np.array([RAISED if message else DONE for message in messages], dtype=np.int8)
     return ChunkResult(arrays, status, tuple(messages), clock.seconds)
 
 
 def measured(
-    bench: SystemBench, time: Array, drawn: ElementMotion, device: Device, clock: Stopwatch | None = None
+    bench: SystemBench, time: Array, drawn: ElementMotion, device: Device
 ) -> tuple[dict[str, Array], str]:
     """Return the numbers of a case by name, ([time], field, wavelength, ...); or none, and why."""
-    clock = clock or Stopwatch()
-    states = system_states(bench, drawn)
-    found: dict[str, list[Array]] = {}
+    return measured_cases(bench, [(time, drawn)], device, Stopwatch())[0]
+
+
+def measured_cases(
+    bench: SystemBench, motions: list[tuple[Array, ElementMotion]], device: Device, clock: Stopwatch
+) -> list[tuple[dict[str, Array], str]]:
+    """Return what `measured` does for each of several cases, their times and motions."""
+    states = [system_states(bench, drawn) for _, drawn in motions]
+    lights = [moving(bench.system, one) for one in states]
+    found: list[dict[str, list[Array]]] = [{} for _ in motions]
+    messages = [""] * len(motions)
     for row, still in zip(bench.prepared, bench.static, strict=True):
         for prepared, rest in zip(row, still, strict=True):
-            with clock("trace"):
-                light = trace_system(prepared, states, device)
-            with clock("wavefront"):
-                wavefront = analyse_system(prepared, *light)
-            trouble = failure(prepared, wavefront, states)
-            if trouble:
-                return {}, f"at t = {time[trouble[0]]:.4g} s {trouble[1]}"
-            numbers = _numbers(prepared, wavefront, rest, bench.study.wavefront.basis)
-            for name, values in numbers.items():
-                found.setdefault(name, []).append(values)
-    return {"time_s": time} | {name: _shaped(bench, values) for name, values in found.items()}, ""
+            with clock("aim"):
+                traces = trace_lights(prepared, incoming_lights(prepared, states, lights), device)
+            for case, (time, _) in enumerate(motions):
+                with clock("trace"):
+                    traced = next(traces)
+                with clock("wavefront"):
+                    wavefront = analyse_system(prepared, *traced)
+                trouble = failure(prepared, wavefront, states[case])
+                if trouble:
+                    messages[case] = messages[case] or f"at t = {time[trouble[0]]:.4g} s {trouble[1]}"
+                    continue
+                numbers = _numbers(prepared, wavefront, rest, bench.study.wavefront.basis)
+                for name, values in numbers.items():
+                    found[case].setdefault(name, []).append(values)
+    return [
+        ({}, message)
+        if message
+        else ({"time_s": time} | {name: _shaped(bench, values) for name, values in numbers.items()}, "")
+        for (time, _), numbers, message in zip(motions, found, messages, strict=True)
+    ]
 
 
 def worst_instant(bench: SystemBench, time: Array, drawn: ElementMotion, device: Device) -> int:
