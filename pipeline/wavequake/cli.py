@@ -346,13 +346,13 @@ def sensitivity(
     store: StoreOption = None,
     figure_terms: Annotated[
         int | None,
-        typer.Option(min=0, max=231, help="Zernike terms of each segment's figure (default: the study's)."),
+        typer.Option(min=0, max=2016, help="Zernike terms of each segment's figure (default: the study's)."),
     ] = None,
     mirror_terms: Annotated[
         int,
         typer.Option(
             min=0,
-            max=231,
+            max=2016,
             help="Zernike terms of the figure of M2 and each further mirror, or of each surface.",
         ),
     ] = 0,

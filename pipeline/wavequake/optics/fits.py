@@ -1,11 +1,13 @@
 """Weighted linear least squares over rays: once for all instants, and anew for an instant that lost rays."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.optics.zernike import annular_zernike
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -59,8 +61,49 @@ def weighted_fit(basis: Array, weight: Array, remedy: str = MORE_RAYS) -> Fit:
             normal = basis.T @ (weight[:, None] * basis)
             return Fit(basis, weight, np.linalg.solve(r, (root * q).T), normal)
     raise UserError(
-        f"{rays} rays do not determine {terms} wavefront terms; {remedy}, or lower wavefront.zernike_terms."
+        f"{rays} rays do not determine {terms} wavefront terms; {remedy}, or lower zernike_terms."
     )
+
+
+def pupil_fit(x: Array, y: Array, weight: Array, terms: int, obscuration: float) -> Fit:
+    """Return the fit of Noll Zernike polynomials to rays of a whole pupil; all its fields share one.
+
+    Parameters
+    ----------
+    x, y, weight : ndarray, shape (N,)
+        Rays in units of the pupil's radius, and positive shares of the light of any scale.
+    terms : int
+        Number of polynomials: up to 2016 as far as the rays tell them apart, for which an even spread needs
+        2 rays per term at j = 231, 3 at 496, 4 at 990 and 5 at 2016.
+    obscuration : float
+
+    Raises
+    ------
+    UserError
+        If there are too few rays, or they lie so that some combination of the polynomials nearly vanishes at
+        them: its coefficient would be noise.
+    """
+    arrays = (np.asarray(one, dtype=np.float64) for one in (x, y, weight / np.sum(weight)))
+    return _pupil_fit(*(one.tobytes() for one in arrays), terms, obscuration)
+
+
+@lru_cache(maxsize=1)
+def _pupil_fit(x: bytes, y: bytes, weight: bytes, terms: int, obscuration: float) -> Fit:
+    shares = np.frombuffer(weight)
+    fit = weighted_fit(annular_zernike(np.frombuffer(x), np.frombuffer(y), terms, obscuration), shares)
+    least = _least_rms(fit)
+    if least < _LEAST_RMS_ON_GLASS:
+        raise UserError(
+            f"{len(shares)} rays are too few for {terms} wavefront terms: a combination of them is "
+            f"{1.0 / max(least, 1e-9):.2g} times larger between the rays than at them; {MORE_RAYS}, or lower "
+            "zernike_terms."
+        )
+    return fit
+
+
+def _least_rms(fit: Fit) -> float:
+    """Return the smallest rms at the rays of combined polynomials with unit rms over the pupil."""
+    return float(np.sqrt(max(np.linalg.eigvalsh(fit.normal)[0], 0.0)))
 
 
 def well_determined(fit: Fit) -> Fit:
@@ -72,7 +115,7 @@ def well_determined(fit: Fit) -> Fit:
         If some combination of them nearly vanishes on the glass: its coefficients would be noise, and their
         sum of squares would say nothing of the wavefront.
     """
-    least = float(np.sqrt(max(np.linalg.eigvalsh(fit.normal)[0], 0.0)))
+    least = _least_rms(fit)
     if least < _LEAST_RMS_ON_GLASS:
         raise UserError(
             f"{fit.basis.shape[1]} Zernike terms are too many for the glass of this pupil: a combination of "

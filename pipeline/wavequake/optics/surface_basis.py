@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.kernels.ring import ring_order
 from wavequake.kernels.sequence import Basis, Ring
-from wavequake.optics.zernike import circular_zernike_xy, noll_to_nm
+from wavequake.optics.zernike import MOST_TERMS, circular_zernike_xy, noll_to_nm
 from wavequake.optics.zernike_transforms import expansion_matrix
 
 Array = NDArray[np.float64]
 
-_MOST_TERMS = 2016  # degree 62; such matrices take 32 MB
 # Up to here sums of monomials are traced: they take a third of the time of recurrences, lose 1e-8 at most.
 _MONOMIAL_TERMS = 231
 _MONOMIAL_SUM = 1e11  # of absolute values of one polynomial's coefficients
@@ -43,8 +42,8 @@ def zernike_basis(terms: int, obscuration: float = 0.0) -> ZernikeBasis:
     UserError
         If there is no term, there are more than 2016, or the obscuration is not in [0, 1).
     """
-    if not 1 <= terms <= _MOST_TERMS:
-        raise UserError(f"a surface has {terms} Zernike terms; it can have 1 to {_MOST_TERMS} (use a grid)")
+    if not 1 <= terms <= MOST_TERMS:
+        raise UserError(f"a surface has {terms} Zernike terms; it can have 1 to {MOST_TERMS} (use a grid)")
     if not 0.0 <= obscuration < 1.0:
         raise UserError(f"the ratio of inner to outer pupil radius is {obscuration}, it must lie in [0, 1)")
     return _zernike_basis(terms, obscuration)

@@ -16,6 +16,8 @@ from wavequake.kernels.ring import Recurrence, ring_recurrence
 
 Array = NDArray[np.float64]
 
+MOST_TERMS = 2016  # degree 62: of figures, deformations and the fits of wavefronts
+
 
 def noll_to_nm(j: int) -> tuple[int, int]:
     """Return the radial degree n and the azimuthal frequency m of a Noll index; m < 0 is the sine.

@@ -5,6 +5,7 @@ from typing import Any
 
 from pydantic import Field, model_validator
 
+from wavequake.optics.zernike import MOST_TERMS
 from wavequake.workflows.exposed_object import ObjectSection
 from wavequake.workflows.mirror_study import MirrorStudy
 from wavequake.workflows.object_picture import read_picture
@@ -25,7 +26,7 @@ class ExposureSection(Section):
     figure_terms: int | None = Field(
         default=None,
         ge=4,
-        le=231,
+        le=MOST_TERMS,
         description="Noll terms with which M2 is deformed; default: as many as wavefront.zernike_terms",
     )
 

@@ -9,6 +9,7 @@ from wavequake.errors import UserError
 from wavequake.mechanics.excitations import AnyExcitation
 from wavequake.mechanics.importers.checks import Triangle
 from wavequake.mechanics.importers.model import TRIANGLE, ZERO_ROWS, ImportedModel, Nodes
+from wavequake.optics.zernike import MOST_TERMS
 from wavequake.reduction.names import parse
 from wavequake.workflows.model_store import keep_imported
 from wavequake.workflows.schema import CampaignSection, Section, StoreSection, Study, text_of
@@ -140,7 +141,9 @@ class MirrorOpticsSection(Section):
     wavelength_nm: float = Field(default=550.0, gt=0, le=1e6)
     rays: int = Field(default=1000, ge=50, le=200_000)
     zernike_terms: int | None = Field(
-        default=None, ge=6, le=231, description="of surface and wavefront; default 231 circular, 105 annular"
+        default=None, ge=6,
+        le=MOST_TERMS,
+        description="of surface and wavefront; default 231 circular, 105 annular",
     )
     focal_length_m: float | None = Field(
         default=None, gt=0, description="default: that of the model's parabola"

@@ -7,6 +7,7 @@ from pydantic import Field, field_validator, model_validator
 
 from wavequake.mechanics.material import GLASS_CERAMIC
 from wavequake.mechanics.mirrors import SEGMENT_SUPPORT
+from wavequake.optics.zernike import MOST_TERMS
 from wavequake.workflows.mirror_study import (
     CriterionSection,
     Excitations,
@@ -94,7 +95,7 @@ class SegmentMorOpticsSection(Section):
     )
     rays: int = Field(default=2000, ge=10, le=2_000_000, description="sunflower: rays over the annulus")
     field_arcmin: tuple[float, float] = Field(default=(0.0, 0.0), strict=False, description="of the star")
-    zernike_terms: int = Field(default=45, ge=4, le=231)
+    zernike_terms: int = Field(default=45, ge=4, le=MOST_TERMS)
 
 
 class SegmentMorImagingSection(Section):

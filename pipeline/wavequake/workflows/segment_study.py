@@ -7,6 +7,7 @@ from pydantic import BaseModel, Field, field_validator, model_validator
 
 from wavequake.mechanics.disturbances import Disturbance
 from wavequake.optics.polygon_table import read_polygons
+from wavequake.optics.zernike import MOST_TERMS
 from wavequake.workflows.sampling import SampledCampaignSection, whole_sets
 from wavequake.workflows.schema import Section, StoreSection, Study, text_of
 
@@ -114,7 +115,7 @@ class OpticsSection(Section):
 class WavefrontSection(Section):
     """What is fitted to the wavefront, and to what of it."""
 
-    zernike_terms: int = Field(default=45, ge=4, le=231)
+    zernike_terms: int = Field(default=45, ge=4, le=MOST_TERMS)
     method: Literal["opd", "slopes"] = Field(
         default="opd",
         description="coefficients and line of sight from path lengths, or from ray slopes alone "

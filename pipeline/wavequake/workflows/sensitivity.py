@@ -16,6 +16,7 @@ from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.devices import Device, choose_device
 from wavequake.optics.prepared import prepare
 from wavequake.optics.sensitivity import DOFS, Sensitivities, SensitivityMatrix, sensitivities
+from wavequake.optics.zernike import MOST_TERMS
 from wavequake.workflows import arrays
 from wavequake.workflows.bench import MM_PER_M, Bench, bench_of
 from wavequake.workflows.exposure_study import TelescopeExposureStudy
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 LINE_OF_SIGHT = "direction of the best-fit plane (Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2))"
-_MOST_TERMS = 231
 
 # Dimensions, values and attributes of an array.
 _Array = tuple[tuple[str, ...], Any, dict[str, str]]
@@ -139,8 +139,8 @@ def _telescope_text(study: Study) -> str:
 def require_terms(*numbers: int) -> None:
     """Raise UserError unless the numbers of Zernike terms can be."""
     for number in numbers:
-        if not 0 <= number <= _MOST_TERMS:
-            raise UserError(f"There cannot be {number} figure terms; choose from 0 to {_MOST_TERMS}.")
+        if not 0 <= number <= MOST_TERMS:
+            raise UserError(f"There cannot be {number} figure terms; choose from 0 to {MOST_TERMS}.")
 
 
 def require_own_store(study: Study, path: Path) -> None:

@@ -9,6 +9,7 @@ from wavequake.mechanics.element_motion import ElementDisturbance
 from wavequake.mechanics.line_of_sight import LineOfSight
 from wavequake.mechanics.vibration_lines import VibrationLines
 from wavequake.optics.system_file import SystemSection, embed_file
+from wavequake.optics.zernike import MOST_TERMS
 from wavequake.workflows.sampling import SampledCampaignSection, whole_sets
 from wavequake.workflows.schema import Section, Study, text_of
 from wavequake.workflows.segment_study import require_path_lengths
@@ -39,7 +40,10 @@ class SystemWavefrontSection(Section):
     """What is fitted to the wavefronts, and to what of them."""
 
     zernike_terms: int = Field(
-        default=28, ge=4, le=231, description="by Noll index; annular where the pupil is obscured"
+        default=28,
+        ge=4,
+        le=MOST_TERMS,
+        description="by Noll index; annular where the pupil is obscured; needs 2 to 5 rays per term",
     )
     method: Literal["opd", "slopes"] = Field(
         default="opd",
