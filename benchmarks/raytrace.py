@@ -26,8 +26,9 @@ from benchmarks.segmented import workload
 from wavequake.kernels.devices import Device, list_devices
 from wavequake.kernels.packing import packed_elements
 from wavequake.kernels.segmented import trace_segmented
-from wavequake.kernels.sequence import Rays
+from wavequake.kernels.sequence import Rays, Sequence
 from wavequake.kernels.sequential import trace_sequence
+from wavequake.kernels.sequential_numpy import moving_part
 from wavequake.kernels.tiles import TILE
 from wavequake.memory import keep_freed_memory
 from wavequake.optics.catalog import optical_system
@@ -44,6 +45,7 @@ Array = NDArray[np.float64]
 REPEATS, CALLS = 11, 100
 RAYS, BATOID_RAYS = 1_000_000, 100_000
 BATCH, BATCH_RAYS, BATOID_INSTANTS = 1000, 2000, 3
+BLOCKS = 2  # in which the instants of a batch are traced
 TILES = 4  # of the segmented trace, which flags failures and searches segments
 OUTER, INNER = 15e3, 3e3
 M1, K1, M2, K2 = -60e3, -1.0009535, -6227.68, -1.31822813
@@ -145,25 +147,23 @@ def measure(device: Device, threads: int, terms: int, batoid: bool, console: Con
     system, states = telescope(terms), disturbed(terms, BATCH)
     heights, motion = states.deformations[0], states.surface_motion
     many, few, some = sunflower(RAYS), sunflower(BATCH_RAYS), sunflower(BATOID_RAYS)
-    sequence, batch = pack(system, WAVELENGTH), moving(system, states)
+    sequence = pack(system, WAVELENGTH)
     still = SystemStates(0 * motion[:1], (heights[:1], None, None, None), np.zeros((1, 2)))
     rest = moving(system, still)
     large = trace_sequence(sequence, many, rest, device, outputs=WANTED)
     # Paths that count from one at rest are differences already.
     base = trace_sequence(sequence, few, rest, device).path[0, 0]
     counted = replace(few, path=np.broadcast_to(-base, BATCH_RAYS))
-    batched = trace_sequence(sequence, counted, batch, device, outputs=WANTED)
+    batch, spent = batch_work(system, states, sequence, counted, device, threads)
     bound_jobs, amounts = limit_jobs(device)
     small: list[float] = []
     jobs: dict[str, Callable[[], Any]] = {
         "kernel": lambda: trace_sequence(sequence, many, rest, device, outputs=WANTED, out=large),
-        "batch": lambda: trace_sequence(sequence, counted, batch, device, outputs=WANTED, out=batched),
         # Before the peers, whose threads wait for more work in a loop on the second processor.
-        "packing": lambda: packed_elements(sequence, batch, False),
+        "batch": batch,
         "small": lambda: small.extend(
             successive(lambda: trace_sequence(sequence, few, rest, device, outputs=WANTED))
         ),
-        "host": host_work(system, states, few, batched, threads),
         "492 segments": partial(trace_segmented, **workload(bundled("tmt"), TILES, 28), device=device),
     }
     rays = {"kernel": RAYS, "batch": BATCH * BATCH_RAYS, "small": BATCH_RAYS}
@@ -194,33 +194,51 @@ def measure(device: Device, threads: int, terms: int, batoid: bool, console: Con
         worst = max(np.abs(getattr(large, name) - row).max() for name, row in zip(WANTED, out, strict=True))
         console.print(f"largest difference to numba: {worst:.1e} mm")
     seconds = interleaved(jobs | bound_jobs)
-    seconds["small"] = np.array(small)
+    seconds |= {name: np.array(times[1:]) for name, times in spent.items()} | {"small": np.array(small)}
     return report(seconds, rays, amounts, terms, console)
 
 
-def host_work(
-    system: OpticalSystem, states: SystemStates, rays: Rays, traced: Any, threads: int
-) -> Callable[[], Any]:
-    """Return what a batch needs besides packing and trace: poses, monomials, Zernike fit, line of sight."""
+def batch_work(
+    system: OpticalSystem, states: SystemStates, sequence: Sequence, rays: Rays, device: Device, threads: int
+) -> tuple[Callable[[], Any], dict[str, list[float]]]:
+    """Return what traces and measures a batch, and the seconds that each call takes, by what it does.
+
+    Instants are traced in blocks whose path lengths are still in the caches when they are fitted.
+    """
     x, y = rays.position[:2] / OUTER
     fit = weighted_fit(annular_zernike(x, y, 28, INNER / OUTER), np.full(x.size, 1.0 / x.size))
+    each = BATCH // BLOCKS
+    blocks = [slice(k, k + each) for k in range(0, BATCH, each)]
+    parts = [slice(each * k // threads, each * (k + 1) // threads) for k in range(threads)]
+    first = moving_part(moving(system, states), blocks[0])
+    traced = trace_sequence(sequence, rays, first, device, outputs=WANTED)
     pool = ThreadPoolExecutor(threads)
-    # Four parts; the thread that makes the poses of the next batch measures one of them less.
-    parts = [slice(k, k + BATCH // 4) for k in range(0, BATCH, BATCH // 4)]
-    others = parts[4 // threads - (threads > 1) :]
+    spent: dict[str, list[float]] = {"batch": [], "packing": [], "host": []}
 
     def measures(part: slice) -> Array:
         center = np.stack([traced.x[part, 0], traced.y[part, 0]], axis=1)
         zernike = (fit.matrix @ traced.path[part].T).T * (1.0 / WAVELENGTH)
         return los_eq339(center, zernike, WAVELENGTH, APERTURE)
 
-    def work() -> list[Array]:
-        started = [pool.submit(measures, part) for part in others]
-        moving(system, states)
-        found = [measures(part) for part in parts[: len(parts) - len(others)]]
-        return found + [part.result() for part in started]
+    def work() -> None:
+        times = [time.perf_counter()]
+        light = moving(system, states)
+        for block in blocks:
+            now = moving_part(light, block)
+            times.append(time.perf_counter())
+            packed_elements(sequence, now, False)
+            times.append(time.perf_counter())
+            trace_sequence(sequence, rays, now, device, outputs=WANTED, out=traced)
+            times.append(time.perf_counter())
+            others = [pool.submit(measures, part) for part in parts[1:]]
+            measures(parts[0])
+            for other in others:
+                other.result()
+        steps = np.diff([*times, time.perf_counter()])
+        for name, start in (("host", 0), ("packing", 1), ("batch", 2)):
+            spent[name].append(float(np.sum(steps[start::3])))
 
-    return work
+    return work, spent
 
 
 def agreement(traced: Any, light: Any, console: Console) -> None:

@@ -196,9 +196,9 @@ def require_motion(system: OpticalSystem, motion: Array) -> None:
             f"the motion of the surfaces of {system.name} has the shape {motion.shape}, it must be "
             f"(instants, {len(system.surfaces)}, 6)"
         )
-    bad = np.argwhere(~np.isfinite(motion))
-    if len(bad):
-        instant, surface, _ = bad[0]
+    known = np.isfinite(motion)
+    if not known.all():
+        instant, surface, _ = np.argwhere(~known)[0]
         name = system.surfaces[surface].name
         raise UserError(f"the motion of {name} at instant {instant} is not a finite number")
 
