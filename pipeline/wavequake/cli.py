@@ -341,7 +341,10 @@ def rerun_case(
 
 @app.command()
 def sensitivity(
-    study: StudyArgument,
+    study: Annotated[
+        str,
+        typer.Argument(help="Study by name or path, name of a bundled system or telescope, or FILE.zmx."),
+    ],
     overrides: OverridesArgument = None,
     store: StoreOption = None,
     figure_terms: Annotated[
@@ -350,21 +353,17 @@ def sensitivity(
     ] = None,
     mirror_terms: Annotated[
         int,
-        typer.Option(
-            min=0,
-            max=2016,
-            help="Zernike terms of the figure of M2 and each further mirror, or of each surface.",
-        ),
+        typer.Option(min=0, max=2016, help="The same of M2 and each further mirror, or of each surface."),
     ] = 0,
 ) -> None:
     """Show and keep how line of sight and wavefront follow motions of every surface and segment."""
     from wavequake.report import sensitivity as of_segments
     from wavequake.report import system_sensitivity as of_system
     from wavequake.workflows.sensitivity import stored_sensitivity
+    from wavequake.workflows.sensitivity_source import sensitivity_study
     from wavequake.workflows.store import SENSITIVITY
-    from wavequake.workflows.study import load_study
 
-    loaded = load_study(study, overrides or [])
+    loaded = sensitivity_study(study, overrides or [])
     path = store or Path(loaded.store.path or loaded.default_store())
     found, kept = stored_sensitivity(loaded, path, figure_terms, mirror_terms)
     words_of = of_system if loaded.study.workflow == "system-disturbance" else of_segments

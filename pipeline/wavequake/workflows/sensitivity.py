@@ -26,6 +26,7 @@ from wavequake.workflows.schema import Study
 from wavequake.workflows.segment_mor_bench import telescope_study
 from wavequake.workflows.segment_mor_study import SegmentMorStudy
 from wavequake.workflows.segment_study import SegmentStudy
+from wavequake.workflows.sensitivity_source import sensitivity_study
 from wavequake.workflows.store import (
     MANIFEST,
     SENSITIVITY,
@@ -34,7 +35,7 @@ from wavequake.workflows.store import (
     refuse_other,
     write_errors_explained,
 )
-from wavequake.workflows.study import load_study, study_with
+from wavequake.workflows.study import study_with
 from wavequake.workflows.system_study import SystemStudy
 from wavequake.workflows.telescope_control import segment_text
 
@@ -61,7 +62,8 @@ def sensitivity(
     Parameters
     ----------
     study : str, Path or Study
-        Name of a bundled study, path of a study file, or a loaded study.
+        Name of a bundled study, path of a study file, or a loaded study; name of a bundled system or
+        telescope, or a lens file (``lens.zmx``), with defaults for all else.
     store : str or Path, optional
         Folder of the store, which keeps them as ``sensitivity.zarr``; by default that of the study's runs.
     figure_terms : int, optional
@@ -83,7 +85,7 @@ def sensitivity(
         For a study, a key or a store that cannot be used.
     """
     keys = {key.replace("__", "."): value for key, value in overrides.items()}
-    loaded = study_with(study, keys) if isinstance(study, Study) else load_study(study, keys)
+    loaded = study_with(study, keys) if isinstance(study, Study) else sensitivity_study(study, keys)
     path = loaded.folder(store)
     return stored_sensitivity(loaded, path, figure_terms, mirror_terms)[0]
 

@@ -66,12 +66,19 @@ def load_study(name: str | Path, overrides: Mapping[str, Any] | Iterable[str] = 
         raise UserError(f"{path} is not a TOML file: {error}.") from None
     except OSError as error:
         raise UserError(f"The study file {path} cannot be read: {error.strerror}.") from None
-    pairs = overrides.items() if isinstance(overrides, Mapping) else [_split(text) for text in overrides]
-    model = _model(record, path.name)
+    return study_of(record, path.name, path.parent, split_overrides(overrides))
+
+
+def study_of(record: dict[str, Any], where: str, base: Path, pairs: Iterable[tuple[str, Any]]) -> Study:
+    """Return the study of a record that stands at `where`, with ``section.key`` replaced by values.
+
+    Files that it names are looked for in `base`; raises as :func:`load_study`.
+    """
+    model = _model(record, where)
     for key, value in pairs:
-        _override(record, key, _located(key, value, path.parent), model)
-    model.read_files(record, path.parent)
-    return _validated(model, record, path.name)
+        _override(record, key, _located(key, value, base), model)
+    model.read_files(record, base)
+    return _validated(model, record, where)
 
 
 def study_with(study: Study, keys: Mapping[str, Any]) -> Study:
@@ -125,6 +132,11 @@ def _find(name: str) -> Path:
         f"There is no study {name!r}: {hint}Bundled studies are {', '.join(bundled)}; "
         "a study of your own is a path to a .toml file."
     )
+
+
+def split_overrides(overrides: Mapping[str, Any] | Iterable[str]) -> list[tuple[str, Any]]:
+    """Return keys and values of overrides; UserError for text that is none."""
+    return list(overrides.items() if isinstance(overrides, Mapping) else map(_split, overrides))
 
 
 def _split(text: str) -> tuple[str, Any]:

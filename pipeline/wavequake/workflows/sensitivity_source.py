@@ -1,0 +1,69 @@
+"""What sensitivities are taken of: a study, or a bundled system, telescope or lens file by itself."""
+
+import difflib
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from wavequake.errors import UserError
+from wavequake.optics.catalog import system_names
+from wavequake.workflows.schema import Study
+from wavequake.workflows.study import bundled_studies, load_study, split_overrides, study_of
+
+# Telescopes are those of studies, with their light and rays.
+TELESCOPES: dict[str, tuple[str, dict[str, Any]]] = {
+    "jwst": ("jwst-segments", {}),
+    "tmt": ("tmt-segments", {}),
+    "tmt-18": ("tmt-segments", {"telescope.name": "tmt-18"}),
+    "tmt-thesis": ("tmt-segments", {"telescope.name": "tmt-thesis"}),
+}
+
+
+def sensitivity_study(source: str | Path, overrides: Mapping[str, Any] | Iterable[str] = ()) -> Study:
+    """Return a study for its sensitivities by what it is of.
+
+    Parameters
+    ----------
+    source : str or Path
+        A study by name or path, which goes before a system of the same name; a segmented telescope, with the
+        light and rays of the bundled study of it; any other bundled system, or ``lens.zmx``: a study of
+        nothing but that, with all defaults, its own fields and wavelengths.
+    overrides : mapping or iterable of ``"section.key=value"``
+        As `wavequake.load_study` takes them.
+
+    Raises
+    ------
+    UserError
+        If there is no such thing, or it cannot be read.
+    """
+    name = str(source)
+    is_file = name.lower().endswith(".zmx")
+    if not is_file and (name in bundled_studies() or name.endswith(".toml") or Path(name).is_file()):
+        return load_study(source, overrides)
+    keys = overrides if isinstance(overrides, Mapping) else dict(split_overrides(overrides))
+    if name in TELESCOPES:
+        study, chosen = TELESCOPES[name]
+        return load_study(study, chosen | dict(keys))
+    if not is_file and name not in system_names():
+        known = tuple(dict.fromkeys((*bundled_studies(), *TELESCOPES, *system_names())))
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise UserError(
+            f"There is no study and no optical system {name!r}: {hint}Bundled ones are {', '.join(known)}; "
+            "one of your own is a .toml or .zmx file."
+        )
+    return _bare(name, {"file": name} if is_file else {"name": name}, keys)
+
+
+def _bare(name: str, system: dict[str, Any], keys: Mapping[str, Any]) -> Study:
+    """Return a study of a system; its disturbance only completes it, as it names no surface."""
+    record = {
+        "study": {
+            "name": re.sub(r"[^A-Za-z0-9._-]+", "-", Path(name).stem).strip("-._") or "system",
+            "workflow": "system-disturbance",
+        },
+        "system": system,
+        "disturbance": [{"name": "none", "model": "line-of-sight"}],
+    }
+    return study_of(record, name, Path(), keys.items())

@@ -1,0 +1,130 @@
+"""What `wavequake sensitivity` and `wavequake.sensitivity` take beside studies."""
+
+import numpy as np
+import pytest
+
+import wavequake as wq
+from wavequake.optics.catalog import system_names
+from wavequake.optics.paraxial import paraxial
+from wavequake.workflows.sensitivity_source import TELESCOPES, sensitivity_study
+from wavequake.workflows.study import bundled_studies, load_study
+
+SMALL = {"optics.rays": 40, "wavefront.zernike_terms": 6, "campaign.device": "numpy"}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", sorted({*system_names(), *TELESCOPES}))
+def test_every_bundled_system_has_a_study(name):
+    study = sensitivity_study(name)
+    if name in bundled_studies():
+        assert study == load_study(name)
+    elif name in TELESCOPES:
+        assert study.telescope.name == name
+    else:
+        assert (study.study.name, study.system.name) == (name, name)
+
+
+def test_segmented_telescopes_are_those_of_their_studies():
+    assert sensitivity_study("jwst") == load_study("jwst-segments")
+    assert sensitivity_study("tmt-18", ["optics.rays_per_segment=6"]) == load_study(
+        "tmt-segments", {"telescope.name": "tmt-18", "optics.rays_per_segment": 6}
+    )
+
+
+def test_a_lone_mirror_moves_its_image_by_its_focal_length(folder):
+    """A turn of the mirror by a turns light by 2 a; its image follows a shift."""
+    (folder / "lone mirror.zmx").write_text(lens_file())
+    keys = {key.replace(".", "__"): value for key, value in SMALL.items()}
+    found = wq.sensitivity("lone mirror.zmx", **keys)
+    focal = abs(paraxial(wq.load_system("lone mirror.zmx")).focal_length)
+    assert focal == pytest.approx(1000.0)
+    los = found["sensitivity_los_surface"].sel(field=found["field"][0], surface="M1")
+    assert abs(los.sel(dof="rx", axis="y").item()) == pytest.approx(2.0 * focal, rel=1e-3)
+    assert los.sel(dof="dx", axis="x").item() == pytest.approx(
+        1000.0, rel=1e-3
+    )  # mm per m: the image follows
+    assert len(list((folder / "runs").glob("lone-mirror-*/sensitivity.zarr"))) == 1
+
+
+def lens_file():
+    """A paraboloid of 1 m focal length, 100 mm wide, and its image."""
+    return """VERS 190513 80 123457 L123457
+MODE SEQ
+UNIT MM X W X CM MR CPMM
+ENPD 100
+FTYP 0 0 1 1 0 0 0
+XFLN 0
+YFLN 0
+WAVM 1 0.55 1
+PWAV 1
+SURF 0
+  TYPE STANDARD
+  CURV 0.0
+  DISZ INFINITY
+SURF 1
+  STOP
+  TYPE STANDARD
+  COMM M1
+  CURV -0.0005
+  CONI -1
+  DISZ -1000
+  GLAS MIRROR 0 0 1.5 40
+SURF 2
+  TYPE STANDARD
+  COMM image
+  CURV 0.0
+  DISZ 0
+"""
+
+
+def test_the_command_takes_a_bare_name_and_says_where_it_wrote(folder, wavequake):
+    words = [f"{key}={value}" for key, value in SMALL.items()]
+    code, out, err = wavequake("sensitivity", "gregorian", *words)
+    assert code == 0, err
+    assert "Written" in out
+    (made,) = (folder / "runs").glob("gregorian-*/sensitivity.zarr")
+    assert made.is_dir()
+    code, out, _ = wavequake("sensitivity", "gregorian", *words)
+    assert (code, "nothing was computed" in out) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("name", "keys", "words"),
+    [
+        ("jwsst", [], "There is no study and no optical system 'jwsst': did you mean 'jwst'"),
+        ("", [], "There is no study and no optical system ''"),
+        ("gone.zmx", [], "The lens file gone.zmx cannot be read"),
+        ("herschel", ["optics.rais=3"], "herschel: the key 'optics.rais' is unknown"),
+        ("herschel", ["nonsense"], "'nonsense' is not an override"),
+        ("jwst", ["telescope.name=vlt"], "telescope.name"),
+        ("gone.toml", [], "There is no study 'gone.toml'"),
+    ],
+)
+def test_bad_names_and_keys_are_one_sentence(folder, name, keys, words):
+    with pytest.raises(wq.UserError, match=words):
+        sensitivity_study(name, keys)
+
+
+def test_sensitivities_of_the_bare_system_are_those_of_a_study_of_it(folder):
+    (folder / "mine.toml").write_text(
+        """[study]
+name = "mine"
+workflow = "system-disturbance"
+[system]
+name = "gregorian"
+[[disturbance]]
+name = "shake"
+model = "surface-random"
+of = ["M2"]
+rms = { dx_um = 1.0 }
+"""
+    )
+    keys = {key.replace(".", "__"): value for key, value in SMALL.items()}
+    bare, mine = (wq.sensitivity(name, **keys) for name in ("gregorian", "mine.toml"))
+    for name in mine.data_vars:
+        np.testing.assert_array_equal(bare[name].values, mine[name].values)
