@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from wavequake.errors import UserError
 from wavequake.optics.catalog import optical_system
 from wavequake.optics.media import Medium
+from wavequake.optics.packing import pack
 from wavequake.optics.shapes import Conic, EvenAsphere, Opening, ZernikeDeformation
 from wavequake.optics.system import OpticalSystem, Pupil, Surface
 from wavequake.optics.system_info import info
@@ -74,3 +77,36 @@ def test_fields_of_a_telescope_are_angles():
 def test_bad_systems_are_refused():
     with pytest.raises(UserError, match="stop of x"):
         OpticalSystem("x", (Surface("image"),), 3, Pupil("stop", 1.0)).info()
+
+
+BOW_TIE = ((0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (1.0, 4.0), (2.0, -1.0), (0.0, 4.0))
+
+
+@pytest.mark.parametrize(
+    ("shown", "words"),
+    [
+        ({"opening": Opening(corners=BOW_TIE)}, "the surface lens of x: .* its edges cross"),
+        ({"opening": Opening(corners=((0.0, 0.0), (1.0, 0.0)))}, "at least 3 corners"),
+        ({"opening": Opening(arms=((0.0, -1.0),))}, "spider arm"),
+        ({"deformation": ZernikeDeformation(3000, 5.0)}, "3000 Zernike terms; it can have 1 to 2016"),
+    ],
+)
+def test_what_cannot_be_traced_is_refused_as_the_trace_refuses_it(shown, words):
+    glass = Medium("crown", "constant", (1.5,))
+    rows = [
+        SurfaceRow("lens", Conic(100.0), 0.0, "refract", glass, **shown),
+        SurfaceRow("rear", Conic(-100.0), 100.0, "refract"),
+        SurfaceRow("image"),
+    ]
+    system = OpticalSystem("x", sequential(rows), 1, Pupil("entrance_diameter", 5.0))
+    with pytest.raises(UserError, match=words) as of_info:
+        info(system)
+    with pytest.raises(UserError) as of_trace:
+        pack(system, 550e-6)
+    assert str(of_info.value) == str(of_trace.value)
+
+
+def test_every_wavelength_must_suit_the_glasses():
+    lens = optical_system("double-gauss")
+    with pytest.raises(UserError, match="wavelength"):
+        info(replace(lens, wavelengths=np.array([587.6e-6, 20e-3])))

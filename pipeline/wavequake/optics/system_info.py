@@ -6,6 +6,7 @@ from math import isfinite
 import numpy as np
 
 from wavequake.optics.gradient_index import GradientIndex
+from wavequake.optics.packing import pack
 from wavequake.optics.paraxial import Paraxial, paraxial
 from wavequake.optics.shapes import Conic, Opening
 from wavequake.optics.system import OpticalSystem, Surface
@@ -19,11 +20,15 @@ def info(system: OpticalSystem) -> str:
     Raises
     ------
     UserError
-        As `wavequake.optics.paraxial.paraxial`.
+        As `wavequake.optics.paraxial.paraxial`, and as `wavequake.optics.packing.pack` for any wavelength:
+        what could not be traced is not described either.
     """
+    data = paraxial(system)
+    for wavelength in system.wavelengths:
+        pack(system, float(wavelength))
     parts = [
         [system.name],
-        _columns(_first_order(system, paraxial(system))),
+        _columns(_first_order(system, data)),
         _columns([("field", *_fields(system)), ("wavelength (nm)", *_wavelengths(system))]),
         _columns(_surfaces(system.surfaces, system.stop), right=(1, 2, 3)),
     ]
