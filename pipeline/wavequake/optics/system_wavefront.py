@@ -24,7 +24,7 @@ from wavequake.kernels.sequential_source import OUTPUTS
 from wavequake.optics.fits import MORE_RAYS, Fit, fit_instants, pupil_fit
 from wavequake.optics.packing import moving, pack
 from wavequake.optics.paraxial import paraxial
-from wavequake.optics.quality import peak_to_valley, spot
+from wavequake.optics.quality import centroid_and_rms, peak_to_valley
 from wavequake.optics.ray_aiming import LOSSES, pupil_rays
 from wavequake.optics.sphere_fit import sphere_basis_fit
 from wavequake.optics.stop_following import follow_stop, stays, steering
@@ -352,19 +352,19 @@ def analyse_system(prepared: PreparedSystem, opd: Array, traced: TracedRays, chi
     ok, point = np.isfinite(opd), chief
     if prepared.sphere is not None:
         tilt = fit_instants(prepared.sphere, opd)[:, 1:3]
-        opd = opd - np.sum(tilt[:, None] * prepared.sphere.basis[:, 1:3], axis=2)
+        opd = opd - tilt[:, :1] * prepared.sphere.basis[:, 1] - tilt[:, 1:] * prepared.sphere.basis[:, 2]
         point = chief + tilt * (prepared.wavelength / prepared.image_index / _aperture(prepared))
     zernike = fit_instants(prepared.fit, opd)
     weight = prepared.fit.weight
     kept = np.sum(np.where(ok, weight, 0.0), axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        flat = opd - np.sum(zernike[:, None, 1:3] * prepared.fit.basis[:, 1:3], axis=2)
+        flat = opd - zernike[:, 1:2] * prepared.fit.basis[:, 1] - zernike[:, 2:3] * prepared.fit.basis[:, 2]
         rms_raw, rms_flat = (_rms_without_piston(values, ok, weight, kept) for values in (opd, flat))
-        phasor = np.where(ok, np.exp(2j * np.pi * np.where(ok, flat, 0.0)) * weight, 0.0)
-        strehl = np.abs(np.sum(phasor, axis=1) / kept) ** 2
+        phase = 2.0 * np.pi * np.where(ok, flat, 0.0)
+        waves = [np.sum(np.where(ok, part(phase) * weight, 0.0), axis=1) / kept for part in (np.cos, np.sin)]
     if prepared.slopes is not None:
         zernike = slope_coefficients(prepared.slopes, traced, chief)
-    spots = spot(np.where(ok, traced.x, np.nan), np.where(ok, traced.y, np.nan), weight)
+    centroid, spot_rms = centroid_and_rms(np.where(ok, traced.x, np.nan), traced.y, weight)
     return SystemWavefront(
         zernike=zernike,
         rms=np.sqrt(np.sum(zernike[:, 3:] ** 2, axis=1)),
@@ -373,9 +373,9 @@ def analyse_system(prepared: PreparedSystem, opd: Array, traced: TracedRays, chi
         pv=peak_to_valley(flat),
         chief=chief,
         los=line_of_sight(prepared, point, zernike),
-        centroid=spots.centroid,
-        spot_rms=spots.rms,
-        strehl=strehl,
+        centroid=centroid,
+        spot_rms=spot_rms,
+        strehl=waves[0] ** 2 + waves[1] ** 2,
         lost=np.count_nonzero(~ok, axis=1),
         vignetted=np.count_nonzero(traced.status == VIGNETTED, axis=1),
     )
