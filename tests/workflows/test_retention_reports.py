@@ -40,11 +40,24 @@ def test_the_report_of_a_summary_has_the_same_table_and_says_what_is_left_out(ke
         assert text.count("<svg") < page.read_text().count("<svg")
 
 
-@pytest.mark.parametrize("name", sorted(set(SMALL) - NOT_HERE))
+def test_the_report_of_a_summary_of_segments_says_so(kept_stores):
+    _, store_of = kept_stores
+    (whole, page), (short, other) = (
+        report_store(store_of("segment-disturbance", **keys)) for keys in ({}, {"reduce": "summary"})
+    )
+    for text in (page.read_text(), whole.caption):
+        assert "The store keeps" not in text
+    for text in (other.read_text(), short.caption):
+        assert "statistics of each case over its instants" in text
+    assert [[*column.cells] for column in short.columns] == [[*column.cells] for column in whole.columns]
+
+
+@pytest.mark.parametrize("name", sorted(SMALL))
 def test_the_report_of_every_other_instant_says_so(kept_stores, name):
     _, store_of = kept_stores
     table, page = report_store(store_of(name, every=2))
     assert "The store keeps one of every 2 instants" in page.read_text()
+    assert name != "segment-disturbance" or "The store keeps one of every 2 instants" in table.caption
     assert "<svg" in page.read_text()
     assert table.row_count > 0
 

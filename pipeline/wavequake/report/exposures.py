@@ -117,13 +117,21 @@ def _figures(cases: xr.Dataset, name: str) -> Iterator[Picture]:
     peaks = cases["peak"].sel(controller="disturbed").to_numpy()
     shown = cases.isel(case=int(np.argsort(peaks, kind="stable")[(len(peaks) - 1) // 2])).load()
     controllers = [str(one) for one in shown["controller"].to_numpy()]
-    axis, case = shown["x"].to_numpy(), int(shown["case"])
     los = dict.fromkeys(controllers, np.zeros((0, 2)))
     if has_histories(shown):
         kept = np.isfinite(shown["time_s"].to_numpy())
         time = shown["time_s"].to_numpy()[kept] * 1e3
         los = {one: shown["los"].sel(controller=one).to_numpy()[kept] for one in controllers}
         wfe = {one: shown["wfe_rms"].sel(controller=one).to_numpy()[kept] for one in controllers}
+    if "exposure" in shown:
+        yield from _image_pictures(shown, name, los)
+    if has_histories(shown):
+        yield from common.history_pictures(name, time, los, "mas", wfe)
+
+
+def _image_pictures(shown: xr.Dataset, name: str, los: dict[str, Array]) -> Iterator[Picture]:
+    """Draw the images of a case, with lines of sight in mas by controller."""
+    controllers, axis, case = list(los), shown["x"].to_numpy(), int(shown["case"])
     per_mas = 1.0 / float(shown["resolution_mas"])
     pictures = {key: shown[key].to_numpy() for key in _IMAGES}
     for key, text in (
@@ -154,5 +162,3 @@ def _figures(cases: xr.Dataset, name: str) -> Iterator[Picture]:
         seen = shown["object_image"]
         objects = dict(zip(controllers, seen.to_numpy(), strict=True))
         yield common.object_picture(name, f"case {case} exposes it", objects, seen, axis)
-    if has_histories(shown):
-        yield from common.history_pictures(name, time, los, "mas", wfe)

@@ -1,6 +1,7 @@
-"""What reports can show of stores that keep less than all instants, and what they say of it."""
+"""What reports can show of stores that keep less than all instants or no images, and what they say of it."""
 
 import json
+from typing import Any
 
 import xarray as xr
 
@@ -12,6 +13,10 @@ _SUMMARY = (
 _DECIMATED = (
     "The store keeps one of every {} instants (store.every): what is said over time is of these, and figures "
     "that need all are left out. `wavequake rerun STORE --case ID` gives all instants of a case."
+)
+_NO_IMAGES = (
+    "The store keeps no images (store.images = 'none'), and figures of them are left out. `wavequake rerun "
+    "STORE --case ID` gives those of a case."
 )
 
 
@@ -26,15 +31,28 @@ def has_all_instants(dataset: xr.Dataset) -> bool:
 
 
 def what_is_kept(dataset: xr.Dataset) -> str:
-    """Return in words what a store keeps over time, with a space before; nothing where that is all."""
+    """Return in words what a store keeps, each sentence with a space before; nothing where that is all."""
+    words = []
     if not has_histories(dataset):
-        return f" {_SUMMARY}"
-    return "" if _every(dataset) == 1 else " " + _DECIMATED.format(_every(dataset))
+        words.append(_SUMMARY)
+    elif _every(dataset) > 1:
+        words.append(_DECIMATED.format(_every(dataset)))
+    if _kept(dataset).get("images") == "none":
+        words.append(_NO_IMAGES)
+    return "".join(f" {one}" for one in words)
 
 
 def _every(dataset: xr.Dataset) -> int:
-    study = json.loads(dataset.attrs.get("study", "{}"))
-    return int(study.get("store", {}).get("every", 1))
+    return int(_kept(dataset).get("every", 1))
+
+
+def _kept(dataset: xr.Dataset) -> dict[str, Any]:
+    try:
+        study = json.loads(dataset.attrs.get("study", "{}"))
+    except ValueError:  # a store without a study, which reports take
+        return {}
+    found: dict[str, Any] = study.get("store", {})
+    return found
 
 
 def over_time(values: xr.DataArray, statistic: str, skipna: bool | None = None) -> xr.DataArray:

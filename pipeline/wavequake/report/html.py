@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from wavequake.errors import UserError
 from wavequake.report import figures
 from wavequake.report.detail import Detail
+from wavequake.report.histories import what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import Population, Summary, excluded, populations, summarize
 from wavequake.report.table import number, rows
@@ -128,7 +129,7 @@ def render_report(
         Page(
             answer=answer(summaries),
             table=rows(summaries),
-            small_print=_SMALL_PRINT,
+            small_print=_SMALL_PRINT + what_is_kept(dataset),
             overview=[*_overview(found), *more],
             sections=[
                 _section(place, population, details, dataset) for place, population in enumerate(found)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from rich.table import Table
 
 from wavequake.report import exposure_figures as draw
@@ -14,8 +15,10 @@ from wavequake.report import exposure_tables as common
 from wavequake.report.histories import has_histories, over_time, wander, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.psf_figures import focus_panels
-from wavequake.report.table import number
+from wavequake.report.table import MISSING, number
 from wavequake.report.variants import few, left_out
+
+Array = NDArray[np.float64]
 
 _HEADERS = (
     *("model", "excitation", "variant", "WFE (nm)", "off", "LOS rms (λ/D)", "peak", "EE80 (λ/D)"),
@@ -61,9 +64,10 @@ def answer(rows: Iterable[dict[str, tuple[str, str]]]) -> str:
     for row in rows:
         cells = {header: value for header, (value, _) in row.items()}
         if cells["image off"] != "reference":
+            image = "" if cells["image off"] == MISSING else f" and {cells['image off']} in the exposed image"
             words.append(
                 f"{cells['model']}, {cells['excitation']}: {cells['variant']} is off by "
-                f"{cells['off']} in wavefront and {cells['image off']} in the exposed image."
+                f"{cells['off']} in wavefront{image}."
             )
     return " ".join(words) or "No variant is done yet."
 
@@ -95,8 +99,9 @@ def _per_case(cases: xr.Dataset, reference: str, scale: float) -> xr.Dataset:
         los=wander(los),
     )
     others = np.flatnonzero(cases["variant"].to_numpy() == reference)
-    if len(others):
-        images = cases["exposure"] / cases["exposure"].sum(["y", "x"])
+    if len(others) and "exposure" in cases:
+        images = cases["exposure"].astype(np.float64)
+        images = images / images.sum(["y", "x"])
         truth = images.isel(case=int(others[0]), drop=True).compute()
         found["image_off"] = ((images - truth) ** 2).sum(["y", "x"]) ** 0.5
     numbers: xr.Dataset = found.compute()
@@ -112,7 +117,7 @@ def _cells(one: xr.Dataset, reference: str) -> Iterator[tuple[str, str]]:
     yield number(float(one["peak"])), ""
     yield common.radius(float(one["ee80"])), ""
     if variant == reference or "image_off" not in one:
-        yield "reference" if variant == reference else "–", ""
+        yield "reference" if variant == reference else MISSING, ""
     else:
         yield f"{float(one['image_off']):.1e}", ""
     yield from common.shortcut_cells(one)
@@ -123,11 +128,23 @@ def _figures(cases: xr.Dataset, key: str, excitation: str) -> Iterator[Picture]:
     every = range(cases.sizes["case"])
     part = cases.isel(case=few(every)).sel(excitation=excitation).load()
     variants = [str(one) for one in part["variant"].to_numpy()]
-    axis, tracks = part["x"].to_numpy(), dict.fromkeys(variants, np.zeros((0, 2)))
+    tracks = dict.fromkeys(variants, np.zeros((0, 2)))
     if has_histories(part):
         sight = (part["los_mm"] * scale / part["resolution_mm"]).transpose("case", "time", "axis")
         tracks = dict(zip(variants, sight.to_numpy(), strict=True))
         wfe = dict(zip(variants, part["wfe_rms"].to_numpy(), strict=True))
+    if "exposure" in part:
+        yield from _image_pictures(part, key, excitation, scale, tracks)
+    if has_histories(part):
+        time = part["time"].to_numpy() * 1e3
+        yield from common.history_pictures(key, time, tracks, "λ/D", wfe)
+
+
+def _image_pictures(
+    part: xr.Dataset, key: str, excitation: str, scale: float, tracks: dict[str, Array]
+) -> Iterator[Picture]:
+    """Draw the images of some variants, with lines of sight in lambda/D by variant."""
+    variants, axis = list(tracks), part["x"].to_numpy()
     images = {name: part[name].to_numpy() for name in ("exposure", "exposure_los_only", "exposure_gaussian")}
     static = draw.Panel("static", part["exposure_static"].isel(case=0).to_numpy(), np.zeros((1, 2)))
     exposed = [draw.Panel(one, images["exposure"][row], tracks[one]) for row, one in enumerate(variants[:3])]
@@ -156,6 +173,3 @@ def _figures(cases: xr.Dataset, key: str, excitation: str) -> Iterator[Picture]:
         objects = {"static": part["object_static"].isel(case=0).to_numpy()}
         objects |= dict(zip(variants[:3], seen.to_numpy(), strict=False))
         yield common.object_picture(key, f"{excitation} exposes it, scale {scale:g}", objects, seen, axis)
-    if has_histories(part):
-        time = part["time"].to_numpy() * 1e3
-        yield from common.history_pictures(key, time, tracks, "λ/D", wfe)

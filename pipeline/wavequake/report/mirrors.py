@@ -218,8 +218,9 @@ def excitation_pictures(
                 f"Wavefront error over time, {excitation}",
                 draw.wavefront_history(dataset, excitation, shown, reference),
             )
-        yield picture(
-            f"{name}-{excitation}-image",
-            f"Exposures, {excitation}",
-            draw.exposure_panels(dataset, excitation, shown, reference),
-        )
+        if "exposure" in dataset:
+            yield picture(
+                f"{name}-{excitation}-image",
+                f"Exposures, {excitation}",
+                draw.exposure_panels(dataset, excitation, shown, reference),
+            )

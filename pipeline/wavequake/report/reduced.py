@@ -15,6 +15,7 @@ from rich.text import Text
 
 from wavequake.mechanics.disturbances import analytic_rms
 from wavequake.report import budget
+from wavequake.report.histories import what_is_kept
 from wavequake.report.page import Page, Picture, picture, render_page, write_page
 from wavequake.report.populations import left_out
 from wavequake.report.statistics import Quantile, case_rms, quantile
@@ -121,8 +122,8 @@ def _per_case(dataset: xr.Dataset, name: str) -> xr.DataArray:
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
-    dataset = _loaded(dataset)
-    caption = "\n\n".join([_SMALL_PRINT, *certificate(store, dataset)])
+    kept, dataset = what_is_kept(dataset), _loaded(dataset)
+    caption = "\n\n".join([_SMALL_PRINT + kept, *certificate(store, dataset)])
     table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=caption, caption_justify="left")
     table.add_column("disturbance\ncases", overflow="fold")
     table.add_column("")
@@ -194,7 +195,7 @@ def _errors(dataset: xr.Dataset, done: NDArray[np.bool_]) -> dict[str, Array]:
 
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
     """Write the HTML report: the table, distributions over cases, and those of the model's error."""
-    dataset = _loaded(dataset)
+    kept, dataset = what_is_kept(dataset), _loaded(dataset)
     found = [one for one in reduced_populations(store, dataset) if len(one.wfe)]
     done = dataset["status"].to_numpy() == DONE
     pictures: list[Picture] = []
@@ -220,7 +221,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     page = Page(
         answer=" ".join([_answer(found), *certificate(store, dataset)]),
         table=[_row(one) for one in found],
-        small_print=_SMALL_PRINT,
+        small_print=_SMALL_PRINT + kept,
         overview=[*pictures, *budget.pictures(store)],
         sections=[],
         definitions=[

@@ -12,6 +12,7 @@ from wavequake.mechanics.disturbances import analytic_rms
 from wavequake.optics.prepared import trace_states
 from wavequake.report import budget, reduced
 from wavequake.report.detail import Detail
+from wavequake.report.histories import what_is_kept
 from wavequake.report.html import write_report
 from wavequake.report.populations import Summary, populations, representatives, summarize
 from wavequake.report.table import terminal_table
@@ -24,7 +25,9 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     if reduced.is_reduced(dataset):
         return reduced.table_of(store, dataset)
-    return terminal_table(_summaries(dataset, _analytic(store)))
+    table = terminal_table(_summaries(dataset, _analytic(store)))
+    table.caption = f"{table.caption}{what_is_kept(dataset)}"
+    return table
 
 
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:

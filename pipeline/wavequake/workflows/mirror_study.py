@@ -141,7 +141,8 @@ class MirrorOpticsSection(Section):
     wavelength_nm: float = Field(default=550.0, gt=0, le=1e6)
     rays: int = Field(default=1000, ge=50, le=200_000)
     zernike_terms: int | None = Field(
-        default=None, ge=6,
+        default=None,
+        ge=6,
         le=MOST_TERMS,
         description="of surface and wavefront; default 231 circular, 105 annular",
     )
@@ -278,6 +279,11 @@ class MirrorStudy(AnyMirrorStudy):
         """The variants of each model, the reference first."""
         reference = self.reduction.reference
         return (reference, *(name for name in self.reduction.variants if name != reference))
+
+    @property
+    def stores_images(self) -> bool:
+        """Whether images are computed of a case."""
+        return True
 
 
 class TraceStudy(AnyMirrorStudy):

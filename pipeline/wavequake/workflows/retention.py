@@ -1,11 +1,11 @@
-"""What of the numbers over time a store keeps: all of them, every n-th instant, or statistics per case.
+"""What a store keeps: every instant, every n-th or statistics per case; images, also rounded, or none.
 
 A workflow computes histories and knows nothing of this: its template and its results pass through here on
 their way to the store.
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -23,17 +23,21 @@ STATISTICS = ("mean", "rms", "min", "max", "p95", "last")
 
 @dataclass(frozen=True)
 class Retention:
-    """Keep every n-th instant, or with ``reduce = "summary"`` statistics over the instants of a case."""
+    """Keep every n-th instant, or with ``reduce = "summary"`` statistics over the instants of a case.
+
+    Images are kept in double or single precision, or not at all ("none").
+    """
 
     every: int = 1
     reduce: str = "none"
+    images: str = "double"
 
 
 @lru_cache(maxsize=8)
 def retention_of(study: str) -> Retention:
     """Return what the study with this identity text keeps."""
     section = json.loads(study).get("store", {})
-    return Retention(section.get("every", 1), section.get("reduce", "none"))
+    return Retention(section.get("every", 1), section.get("reduce", "none"), section.get("images", "double"))
 
 
 def stored_template(workflow: Workflow, study: str) -> Template:
@@ -45,7 +49,8 @@ def kept_template(retention: Retention, computed: Template) -> Template:
     """Return what is kept of a template.
 
     In a summary the dimension ``statistic`` takes the place of ``time``, vectors (lines of sight, centroids)
-    become their lengths, that is distances from rest, and coefficients their rms, as ``zernike_rms``.
+    become their lengths, that is distances from rest, and coefficients their rms, as ``zernike_rms``. Without
+    images the labels of their dimensions go, too.
     """
     if retention == Retention():
         return computed
@@ -53,8 +58,11 @@ def kept_template(retention: Retention, computed: Template) -> Template:
     for name, variable in computed.per_case.items():
         per_case |= _kept_variable(retention, name, variable)
     fixed = dict(computed.fixed)
+    if retention.images == "none":
+        gone = _dims(filter(_is_image, computed.per_case.values())) - _dims(per_case.values())
+        fixed = {name: entry for name, entry in fixed.items() if not gone & {*entry[0]}}
     for name, (dims, values, attrs) in computed.fixed.items():
-        if "time" not in dims:
+        if name not in fixed or "time" not in dims:
             continue
         if retention.reduce == "none":
             fixed[name] = (dims, _decimated(values, dims.index("time"), retention.every), attrs)
@@ -66,8 +74,21 @@ def kept_template(retention: Retention, computed: Template) -> Template:
     return Template(per_case, fixed, max(computed.working_bytes, stored_bytes(computed)))
 
 
+def _dims(variables: Iterable[Variable]) -> set[str]:
+    return {dim for variable in variables for dim in variable.dims}
+
+
+def _is_image(variable: Variable) -> bool:
+    return {"y", "x"} <= {*variable.dims}
+
+
 def _kept_variable(retention: Retention, name: str, variable: Variable) -> dict[str, Variable]:
     """Return what is kept of a variable, under its name; nothing of the time axis of a summary."""
+    if _is_image(variable):
+        if retention.images == "none":
+            return {}
+        if retention.images == "single":
+            variable = replace(variable, dtype="float32")
     sizes = dict(zip(variable.dims, variable.shape, strict=True))
     if "time" not in sizes:
         return {name: variable}
@@ -97,8 +118,9 @@ def kept_result(study: str, computed: Template, result: ChunkResult) -> ChunkRes
     instants = _instants(computed, result.arrays, len(result.status))
     arrays: dict[str, NDArray[Any]] = {}
     for name, variable in computed.per_case.items():
-        for kept in _kept_variable(retention, name, variable):
-            arrays[kept] = _kept_array(retention, variable, result.arrays[name], instants)
+        for kept, stored in _kept_variable(retention, name, variable).items():
+            values = _kept_array(retention, variable, result.arrays[name], instants)
+            arrays[kept] = values.astype(stored.dtype, copy=False)
     return replace(result, arrays=arrays)
 
 

@@ -66,6 +66,11 @@ class StoreSection(Section):
         description="summary: of each series over the instants of a case, keep mean, rms, min, max, 95 % "
         "quantile and last value, and of coefficients their rms",
     )
+    images: Literal["double", "single", "none"] = Field(
+        default="double",
+        description="precision of stored images; none: keep only the numbers that are made of them, as radii "
+        "of encircled energy",
+    )
 
     def identity_record(self) -> dict[str, object]:
         """Return the keys of this section that say what is kept, where that is not everything."""
@@ -89,6 +94,11 @@ class Study(Section):
         """Number of instants of the shortest case; 0 if nothing is stored over time."""
         return 0
 
+    @property
+    def stores_images(self) -> bool:
+        """Whether images are computed of a case."""
+        return False
+
     @model_validator(mode="after")
     def _what_is_kept_is_there(self) -> Self:
         store, fewest = self.store, self.fewest_instants
@@ -100,6 +110,8 @@ class Study(Section):
             raise ValueError("store.reduce = 'summary' keeps nothing over time; leave store.every out")
         if store.every > max(fewest, 1):
             raise ValueError(f"store.every is {store.every}, but there are cases of {fewest} instants")
+        if store.images != "double" and not self.stores_images:
+            raise ValueError("this study makes no images; leave store.images out")
         return self
 
     @classmethod

@@ -162,6 +162,11 @@ class SegmentMorStudy(Study):
         """Number of traced instants of each case."""
         return min(self.time.traced, self.time.instants - 1)
 
+    @property
+    def stores_images(self) -> bool:
+        """Whether images are computed of a case."""
+        return True
+
     @classmethod
     def read_files(cls, record: dict[str, Any], base: Path) -> None:
         """Read the tables of the telescope and the records of the excitations."""

@@ -162,7 +162,8 @@ class SegmentStoreSection(StoreSection):
 
     def identity_record(self) -> dict[str, object]:
         """Return all keys that say what is kept: stores of segmented telescopes always had them."""
-        return self.model_dump(mode="json", exclude={"path", "chunk_cases"})
+        always = self.model_dump(mode="json", exclude={"path", "chunk_cases", "images"})
+        return always | super().identity_record()
 
 
 class SegmentStudy(Study):
@@ -225,6 +226,11 @@ class SegmentStudy(Study):
     def fewest_instants(self) -> int:
         """Number of instants of the shortest case."""
         return min(entry.instants for entry in self.disturbance if entry.share)
+
+    @property
+    def stores_images(self) -> bool:
+        """Whether images are computed of a case."""
+        return self.imaging.enabled
 
     @classmethod
     def read_files(cls, record: dict[str, Any], base: Path) -> None:
