@@ -71,8 +71,10 @@ def test_a_tail_is_that_of_the_values_of_the_store(swings):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--variable", "strel"), "There is no 'strel' to judge in this store; use one of wfe_rms"),
-        (("--variable", "zernike_rms"), "There is no 'zernike_rms' to judge"),
+        (("--variable", "strel"), "There is no 'strel' to judge; use one of wfe_rms"),
+        (("--variable", "zernike_rms"), "a number for each noll; choose one, as zernike_rms[noll=1]."),
+        (("--variable", "wfe_rms[controller=FF]"), "wfe_rms has no 'controller'; it has no labels"),
+        (("--variable", "wfe rms"), "'wfe rms' names nothing to judge"),
         (("--statistic", "median"), "There is no statistic 'median'; use one of mean, rms"),
         (("--probability", "0"), "The probability 0 is not rare"),
         (("--probability", "nan"), "The probability nan is not rare"),

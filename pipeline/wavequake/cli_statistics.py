@@ -42,7 +42,9 @@ def budget(
 
 def tail(
     store: Annotated[Path, typer.Argument(help="Folder of the store.")],
-    variable: Annotated[str, typer.Option(help="What is judged: a variable of the store.")] = "wfe_rms_raw",
+    variable: Annotated[
+        str, typer.Option(help="What is judged: a variable, or as 'peak[controller=rigid]'.")
+    ] = "wfe_rms_raw",
     limit: Annotated[float | None, typer.Option(help="How often is it exceeded? In the unit stored.")] = None,
     probability: Annotated[float, typer.Option(help="What is exceeded so rarely?")] = 1e-4,
     statistic: Annotated[

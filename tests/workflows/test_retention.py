@@ -11,6 +11,7 @@ from wavequake.report.tail import per_case
 from wavequake.workflows.campaign import WORKFLOWS, run_study
 from wavequake.workflows.chunks import Job, computed_alone, computed_chunk, opened_store
 from wavequake.workflows.contract import DIVERGED, DONE, Template, Variable, Workflow
+from wavequake.workflows.judged import judged_in
 from wavequake.workflows.retention import STATISTICS, kept_template, retention_of, stored_template
 from wavequake.workflows.store import create_store, open_store
 from wavequake.workflows.study import STUDIES, load_study, study_with
@@ -119,8 +120,10 @@ def test_the_identity_changes_with_what_is_kept_only(small):
 def test_rare_events_are_judged_alike_by_histories_and_by_summaries(small, statistic):
     _, dataset = small
     whole, short = dataset("system-disturbance"), dataset("system-disturbance", reduce="summary")
-    found = per_case(whole.chunk(case=2), "los_mm", statistic)
-    np.testing.assert_allclose(per_case(short, "los_mm", statistic), found, rtol=1e-12)
+    judged = judged_in("los_mm", whole)
+    assert judged == judged_in("los_mm", short)
+    (found,) = per_case(whole.chunk(case=2), judged, statistic).values()
+    np.testing.assert_allclose(per_case(short, judged, statistic)[""], found, rtol=1e-12)
     one = whole["los_mm"].isel(case=1).to_numpy()[:3]  # the second population has three instants
     lengths = np.hypot(one[..., 0], one[..., 1])
     by_hand = {"rms": np.sqrt((lengths**2).mean(0)), "last": lengths[-1], "mean": lengths.mean(0)}
@@ -145,8 +148,8 @@ def test_a_campaign_of_an_optical_system_stops_when_its_worst_field_is_known(sma
                 expected = np.median(np.sqrt(np.nanmean(mine**2, axis=1)).max(axis=(1, 2)))
             assert found[label].value == pytest.approx(expected, rel=1e-12)
     mirror = stored_template(WORKFLOWS["mirror-mor"], study_of("mirror-mor").identity_text())
-    with pytest.raises(UserError, match="there is no 'wfe_rms' to judge; use one of order"):
-        goal_of("wfe_rms.p50 ci<=5%", mirror)
+    with pytest.raises(UserError, match="There is no 'wfe' to judge; use one of order"):
+        goal_of("wfe.p50 ci<=5%", mirror)
 
 
 def test_stores_that_keep_other_things_are_compared_where_they_can(small):

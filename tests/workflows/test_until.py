@@ -28,9 +28,11 @@ def test_what_is_no_goal_is_refused_with_an_example(text):
         goal_of(text, TEMPLATE)
 
 
-@pytest.mark.parametrize("name", ["zernike", "count", "time_s", "strel"])
+@pytest.mark.parametrize("name", ["names", "count", "time_s", "strel"])
 def test_a_variable_without_one_number_per_case_or_instant_is_refused(name):
-    with pytest.raises(UserError, match=f"there is no {name!r} to judge; use one of strehl"):
+    with pytest.raises(
+        UserError, match=f"^campaign.until: There is no {name!r} to judge; use one of zernike, strehl"
+    ):
         goal_of(f"{name}.p50 ci<=2%", TEMPLATE)
 
 

@@ -9,10 +9,12 @@ import xarray as xr
 from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
+from rich.text import Text
 
 from wavequake.errors import UserError
 from wavequake.report.table import MISSING, number
 from wavequake.workflows.contract import DONE
+from wavequake.workflows.judged import Judged, judged_in, populations_of, selected, title
 from wavequake.workflows.quantiles import Quantile
 from wavequake.workflows.store import open_store
 from wavequake.workflows.tail import Tail, exceedance, fit_tail, rare_value, steadiness
@@ -20,7 +22,6 @@ from wavequake.workflows.tail import Tail, exceedance, fit_tail, rare_value, ste
 Array = NDArray[np.float64]
 
 _OVER_TIME = {"mean": "mean", "rms": "rms", "min": "min", "max": "max", "last": "last"}
-_WORST_OF = {"field", "wavelength"}
 
 
 @dataclass(frozen=True)
@@ -51,12 +52,12 @@ class RareQuestion:
 
 
 def rare_events(store: Path | str, question: RareQuestion) -> tuple[list[RareEvents], str]:
-    """Return the tails of all populations of a store, and the unit.
+    """Return the tails of all populations of a store, at each label that was not chosen, and the unit.
 
     Raises
     ------
     UserError
-        If there is no such variable or statistic, it is not one number per case, or a tail has too few cases.
+        If there is no such variable, label or statistic, or a tail has too few cases.
     """
     if not 0.0 < question.probability < 0.5:
         raise UserError(
@@ -67,20 +68,17 @@ def rare_events(store: Path | str, question: RareQuestion) -> tuple[list[RareEve
         if value is not None and not np.isfinite(value):
             raise UserError(f"The {name} {value} is no number that a tail can be compared with.")
     dataset = open_store(store)
-    values = per_case(dataset, question.variable, question.statistic)
-    done = dataset["status"].to_numpy() == DONE
-    names = (
-        np.array([str(name) for name in dataset["disturbance"].to_numpy()])
-        if "disturbance" in dataset.variables
-        else np.full(len(values), "all cases")
-    )
+    judged = judged_in(question.variable, dataset)
+    done, names = dataset["status"].to_numpy() == DONE, populations_of(dataset)
+    numbers = per_case(dataset, judged, question.statistic)
     stratified = "replicate" in dataset.variables
     sign = -1.0 if question.below else 1.0
     found = []
     for name in dict.fromkeys(names.tolist()):
-        mine = values[(names == name) & done]
-        found.append(_one(name, sign * mine, question, sign, stratified))
-    return found, str(dataset[question.variable].attrs.get("units", "1"))
+        for label, values in numbers.items():
+            mine = sign * values[(names == name) & done]
+            found.append(_one(title(name, label), mine, question, sign, stratified))
+    return found, str(dataset[judged.variable].attrs.get("units", "1"))
 
 
 def _one(name: str, values: Array, question: RareQuestion, sign: float, stratified: bool) -> RareEvents:
@@ -97,31 +95,23 @@ def _one(name: str, values: Array, question: RareQuestion, sign: float, stratifi
     return RareEvents(name, tail, value, steady, odds)
 
 
-def per_case(dataset: xr.Dataset, variable: str, statistic: str) -> Array:
-    """Return one number per case: a statistic over its instants, the worst of fields and wavelengths.
+def per_case(dataset: xr.Dataset, judged: Judged, statistic: str) -> dict[str, Array]:
+    """Return a number per case, by label: a statistic over instants, the worst of fields and wavelengths.
 
     Of a line of sight it is the distance from rest. Raises as :func:`rare_events`.
     """
-    valid = [str(name) for name in dataset.data_vars if _is_judged(dataset[name])]
-    if variable not in valid:
-        raise UserError(f"There is no {variable!r} to judge in this store; use one of {', '.join(valid)}.")
     if statistic not in _OVER_TIME:
         raise UserError(f"There is no statistic {statistic!r}; use one of {', '.join(_OVER_TIME)}.")
-    values = dataset[variable]
-    if "axis" in values.dims:
-        values = (values**2).sum("axis", skipna=False) ** 0.5
+    return {label: _number(values, statistic) for label, values in selected(judged, dataset[judged.variable])}
+
+
+def _number(values: xr.DataArray, statistic: str) -> Array:
     if "statistic" in values.dims:
         values = values.sel(statistic=statistic)
     elif "time" in values.dims:
         values = _over_time(values, statistic)
     others = [dim for dim in values.dims if dim != "case"]
     return np.asarray(values.max(others).to_numpy() if others else values.to_numpy(), dtype=np.float64)
-
-
-def _is_judged(values: xr.DataArray) -> bool:
-    dims = {str(dim) for dim in values.dims}
-    known = {"case", "time", "statistic", "axis"} | _WORST_OF
-    return values.dtype.kind == "f" and "case" in dims and dims <= known
 
 
 def _over_time(values: xr.DataArray, statistic: str) -> xr.DataArray:
@@ -145,21 +135,19 @@ def rare_table(found: list[RareEvents], unit: str, question: RareQuestion) -> Ta
     table.add_column(f"threshold\n({unit})", justify="right")
     table.add_column(f"cases\n{side} it", justify="right")
     table.add_column("shape", justify="right")
-    table.add_column(
-        f"{question.variable} ({unit}),\n{side} it: {question.probability:g}", justify="right", no_wrap=True
-    )
+    wanted = Text(f"{question.variable} ({unit}),\n{side} it: {question.probability:g}")
+    table.add_column(wanted, justify="right", no_wrap=True)
     if question.limit is not None:
         table.add_column(f"share {side}\n{question.limit:g} {unit}", justify="right", no_wrap=True)
     for one in found:
         cells = [
-            one.name,
             str(len(one.tail.values)),
             number(sign * one.tail.threshold),
             str(len(one.tail.excesses)),
             f"{one.tail.shape:.2f}",
             _interval(one.value, sign),
         ]
-        table.add_row(*cells, *([_interval(one.odds)] if one.odds else []))
+        table.add_row(Text(one.name), *cells, *([_interval(one.odds)] if one.odds else []))
     return table
 
 

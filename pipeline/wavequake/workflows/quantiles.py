@@ -1,5 +1,6 @@
 """Quantiles with confidence intervals: distribution-free of independent draws, else of replicated sets."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -76,20 +77,32 @@ def quantile(
     ordered = np.sort(np.asarray(values, dtype=np.float64), axis=None)
     if not ordered.size:
         return Quantile(np.nan, np.nan, np.nan)
-    draws = ordered.size if draws is None else draws
-    value = _interpolated(ordered, probability)
-    if sets is not None:
+    value = interpolated(ordered, ordered.size, probability)
+    if sets is None:
+        low, high = bounds(ordered.size, ordered.size if draws is None else draws, probability)
+    else:
         half = float(share_error(np.asarray(values), sets, np.array([value]))[0])
-        half = max(half, 1.0 / ordered.size)  # nothing is known better than to one value
-        below, above = ordered.size * (probability - half), ordered.size * (probability + half)
-        low = ordered[int(np.ceil(below)) - 1] if below > 0.0 else -np.inf
-        high = ordered[int(np.floor(above))] if above < ordered.size else np.inf
-        return Quantile(value, float(low), float(high))
-    share = ordered.size / draws
+        low, high = bounds_of_share(ordered.size, probability, half)
+    return Quantile(
+        value,
+        -np.inf if low is None else float(ordered[low]),
+        np.inf if high is None else float(ordered[high]),
+    )
+
+
+def bounds(count: int, draws: int, probability: float) -> tuple[int | None, int | None]:
+    """Return the places of the interval's ends among `count` sorted values of independent draws, from 0."""
+    share = count / draws
     lower, upper = quantile_ranks(draws, probability)
-    low = ordered[int(np.floor((lower - 1) * share))] if lower >= 1 else -np.inf
-    high = ordered[int(np.ceil(upper * share)) - 1] if upper <= draws else np.inf
-    return Quantile(value, float(low), float(high))
+    low = int(np.floor((lower - 1) * share)) if lower >= 1 else None
+    return low, int(np.ceil(upper * share)) - 1 if upper <= draws else None
+
+
+def bounds_of_share(count: int, probability: float, half: float) -> tuple[int | None, int | None]:
+    """Return the places of the interval's ends where a share of `count` sorted values is known to +- half."""
+    half = max(half, 1.0 / count)  # nothing is known better than to one value
+    below, above = count * (probability - half), count * (probability + half)
+    return int(np.ceil(below)) - 1 if below > 0.0 else None, int(np.floor(above)) if above < count else None
 
 
 def share_error(
@@ -119,15 +132,29 @@ def share_error(
     if len(parts) < 2:
         return np.full(len(levels), np.inf)
     counts = np.array([np.searchsorted(part, levels, side="right") for part in parts])
-    sizes = np.array([part.size for part in parts])[:, None]
+    return error_of_shares(counts, np.array([part.size for part in parts]), confidence)
+
+
+def error_of_shares(
+    counts: NDArray[np.int64], sizes: NDArray[np.int64], confidence: float = CONFIDENCE
+) -> NDArray[np.float64]:
+    """Return what :func:`share_error` does, of counts (sets, n) up to levels; there are two sets or more."""
+    sizes = sizes[:, None]
     # Sets may differ in size by failed cases: the error of a ratio of two sums, to first order.
     apart = counts - counts.sum(axis=0) * (sizes / sizes.sum())
-    error = apart.std(axis=0, ddof=1) * np.sqrt(len(parts)) / sizes.sum()
-    return np.asarray(stdtrit(len(parts) - 1, 0.5 + confidence / 2.0) * error)
+    error = apart.std(axis=0, ddof=1) * np.sqrt(len(counts)) / sizes.sum()
+    return np.asarray(stdtrit(len(counts) - 1, 0.5 + confidence / 2.0) * error)
 
 
-def _interpolated(ordered: NDArray[np.float64], probability: float) -> float:
-    position = (ordered.size - 1) * probability
-    below, above = ordered[int(np.floor(position))], ordered[int(np.ceil(position))]
+def neighbors(count: int, probability: float) -> tuple[int, int]:
+    """Return the places among `count` sorted values between which a quantile lies, from 0."""
+    position = (count - 1) * probability
+    return int(np.floor(position)), int(np.ceil(position))
+
+
+def interpolated(ordered: NDArray[np.float64] | Mapping[int, float], count: int, probability: float) -> float:
+    """Return a quantile of `count` sorted values, of which at least its neighbors are given by place."""
+    position = (count - 1) * probability
+    below, above = (ordered[place] for place in neighbors(count, probability))
     # Equal neighbors first: two infinite ones must not give inf - inf.
     return float(below if below == above else below + (position % 1.0) * (above - below))

@@ -41,7 +41,11 @@ class CampaignSection(Section):
 
     cases: int = Field(default=1000, ge=1, le=100_000_000)
     device: str = Field(default="auto", min_length=1)
-    until: str | None = Field(default=None, description="goal of statistics at which to stop before `cases`")
+    until: str | None = Field(
+        default=None,
+        description="goal of statistics at which to stop before `cases`, as wfe_rms.p95 ci<=2% or "
+        "peak[controller=rigid].p5 ci<=1%",
+    )
     timeout_s: float | None = Field(default=None, gt=0.0, description="longest time of a chunk on a worker")
 
     def identity_record(self) -> dict[str, object]:

@@ -6,17 +6,27 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.workflows.blocks import blocks
 from wavequake.workflows.contract import DONE, Template
-from wavequake.workflows.quantiles import Quantile, quantile
+from wavequake.workflows.judged import (
+    WORST_OF,
+    judged_in,
+    judged_of_template,
+    populations_of,
+    selected,
+    title,
+)
+from wavequake.workflows.pooled import Part, pooled_quantiles
+from wavequake.workflows.quantiles import Quantile
 
 if TYPE_CHECKING:
     import xarray as xr
 
-_FORM = re.compile(r"\s*(\w+)\.p(\d+(?:\.\d+)?)\s+ci\s*<=\s*(\d+(?:\.\d+)?)\s*%\s*")
+_FORM = re.compile(r"\s*(\w+(?:\[.*\])?)\.p(\d+(?:\.\d+)?)\s+ci\s*<=\s*(\d+(?:\.\d+)?)\s*%\s*")
 _FIRST, _GROWTH = 100, 1.5
-_LIGHT = ("field", "wavelength")
 
 
 @dataclass(frozen=True)
@@ -34,7 +44,7 @@ def goal_of(text: str, template: Template) -> Goal:
     Raises
     ------
     UserError
-        If the text has another form, or the variable is none with one number per case or instant.
+        If the text has another form, or names nothing that can be judged.
     """
     match = _FORM.fullmatch(text)
     if not match or not 0.0 < float(match[2]) < 100.0 or not float(match[3]) > 0.0:
@@ -42,19 +52,10 @@ def goal_of(text: str, template: Template) -> Goal:
             f"campaign.until: {text!r} is no goal; write VARIABLE.pPERCENT ci<=WIDTH%, such as "
             "'wfe_rms.p95 ci<=2%'."
         )
-    valid = [
-        name
-        for name, variable in template.per_case.items()
-        if {*variable.dims} <= {"time", "statistic", *_LIGHT}
-        and variable.dtype.startswith("float")
-        and not variable.coordinate
-    ]
-    if not valid:
-        raise UserError(
-            "campaign.until: nothing in this study is one number per case or instant; leave it out."
-        )
-    if match[1] not in valid:
-        raise UserError(f"campaign.until: there is no {match[1]!r} to judge; use one of {', '.join(valid)}.")
+    try:
+        judged_of_template(match[1], template)
+    except UserError as error:
+        raise UserError(f"campaign.until: {error}") from None
     return Goal(match[1], float(match[2]) / 100.0, float(match[3]) / 100.0)
 
 
@@ -74,33 +75,34 @@ def quantiles_of(goal: Goal, dataset: "xr.Dataset") -> dict[str, Quantile]:
     """Return the quantile of each population; instants of one case count as one draw.
 
     Of a summary it is that of the cases' rms over their instants; of several fields and wavelengths, of the
-    largest value.
+    largest value; and of other labels that were not chosen (controllers) there is one each.
     """
-    variable = dataset[goal.variable]
+    judged = judged_in(goal.variable, dataset)
+    variable, names = dataset[judged.variable], populations_of(dataset)
     if "statistic" in variable.dims:
         variable = variable.sel(statistic="rms")
-    values = (
-        variable.max([dim for dim in _LIGHT if dim in variable.dims])
-        .to_numpy()
-        .reshape(dataset.sizes["case"], -1)
-    )
-    names = (
-        np.array(dataset["disturbance"].to_numpy().tolist())
-        if "disturbance" in dataset.variables
-        else np.full(len(values), "all cases")
-    )
     done = dataset["status"].to_numpy() == DONE
-    found = {}
-    for name in sorted(set(names.tolist())):
-        rows = values[(names == name) & done]
-        there = ~np.isnan(rows)
-        sets = None
-        if "replicate" in dataset.variables:
-            labels = dataset["replicate"].to_numpy()[(names == name) & done]
-            sets = np.broadcast_to(labels[:, None], rows.shape)[there]
-        draws = min(len(rows), int(there.sum())) if sets is None else None
-        found[name] = quantile(rows[there], goal.probability, draws, sets)
-    return found
+    replicates = dataset["replicate"].to_numpy() if "replicate" in dataset.variables else None
+
+    def parts() -> Iterator[Part]:
+        for cases in blocks([variable.variable]):
+            found = [
+                (label, _largest(values))
+                for label, values in selected(judged, variable.isel(case=cases).load())
+            ]
+            for name in sorted(set(names.tolist())):
+                mine = (names[cases] == name) & done[cases]
+                sets = None if replicates is None else replicates[cases][mine]
+                for label, values in found:
+                    yield title(name, label), values[mine], sets
+
+    return pooled_quantiles(parts, goal.probability)
+
+
+def _largest(values: "xr.DataArray") -> NDArray[np.float64]:
+    """Return values (case, instant), the largest of fields and wavelengths."""
+    largest = values.max([dim for dim in WORST_OF if dim in values.dims])
+    return np.asarray(largest.to_numpy().reshape(values.sizes["case"], -1), dtype=np.float64)
 
 
 def is_met(goal: Goal, quantiles: Mapping[str, Quantile]) -> bool:

@@ -1,16 +1,18 @@
 """Blocks of cases: what is larger than memory is read, reduced or written one after the other."""
 
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import xarray as xr
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 BLOCK_BYTES = 2**24  # of numbers in memory at a time
 _TEXT_BYTES = 64  # of a text in memory, about
 
 
-def blocks(arrays: Iterable[xr.Variable], share: float = 1.0) -> Iterator[slice]:
+def blocks(arrays: "Iterable[xr.Variable]", share: float = 1.0) -> Iterator[slice]:
     """Yield all cases, in order, by slices for which the arrays together take that share of BLOCK_BYTES.
 
     A slice holds whole chunks of the store, or where a chunk is too large an even part of it; one case is the
@@ -28,7 +30,7 @@ def blocks(arrays: Iterable[xr.Variable], share: float = 1.0) -> Iterator[slice]
         yield slice(first, min(first + rows, cases))
 
 
-def pieces(array: xr.Variable) -> Iterator[tuple[slice, NDArray[Any]]]:
+def pieces(array: "xr.Variable") -> Iterator[tuple[slice, NDArray[Any]]]:
     """Yield an array by :func:`blocks`: which rows, and their values; in one piece if it is not by case."""
     if array.dims[:1] != ("case",):
         yield slice(None), array.to_numpy()
