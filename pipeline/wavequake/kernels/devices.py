@@ -124,6 +124,8 @@ def choose_device(request: str = "auto") -> Device:
         If there is no OpenCL device, or none that fits the request, PoCL has no linker to build kernels with,
         or the device fails or computes something else than NumPy (`self_test`, once per process).
     """
+    if not isinstance(request, str):
+        raise UserError(f"the device is {request!r}; it must be text, such as 'auto' or 'numpy'")
     if request == "numpy":
         return NUMPY
     devices = [device for device, _ in _found()]

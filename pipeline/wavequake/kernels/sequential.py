@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.errors import UserError
 from wavequake.kernels.devices import Device
 from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
 from wavequake.kernels.packing import packed_elements
@@ -71,10 +72,12 @@ def trace_sequence(
     Raises
     ------
     UserError
-        If a surface has coefficients that are not finite.
+        If a surface has coefficients that are not finite, or the device is none.
     ValueError
         If shapes do not fit together, or an output is unknown.
     """
+    if not isinstance(device, Device):
+        raise UserError(f"the device is {device!r}; choose_device('auto') returns one")
     check_sequence(sequence, rays, moving)
     if not set(outputs) <= set(OUTPUTS):
         raise ValueError(f"outputs are {outputs}; they must be among {OUTPUTS}")

@@ -11,6 +11,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
 from wavequake.kernels.sequence import Moving
 from wavequake.kernels.sequential import trace_sequence
+from wavequake.optics.checks import array
 from wavequake.optics.kinematics import cardan
 from wavequake.optics.packing import moving, pack
 from wavequake.optics.ray_aiming import pupil_rays
@@ -65,8 +66,10 @@ def rigid_body(
     Raises
     ------
     UserError
-        If a surface does not exist or is named twice.
+        If a surface does not exist or is named twice, there is none, or the point is not 3 finite numbers.
     """
+    if isinstance(surfaces, str) or not surfaces:
+        raise UserError(f"The body {name!r} has the surfaces {surfaces!r}; give a list of at least one name.")
     try:
         chosen = tuple(surface_index(system, one) for one in surfaces)
     except UserError as error:
@@ -75,7 +78,9 @@ def rigid_body(
         raise UserError(f"The body {name!r} names a surface twice; name each one once.")
     first, last = (system.surfaces[index] for index in (min(chosen), max(chosen)))
     middle = (first.position + last.position) / 2.0
-    at = middle if point is None else np.array(point, dtype=np.float64)
+    at = middle if point is None else array(point, f"the point of the body {name!r}").copy()
+    if at.shape != (3,) or not np.isfinite(at).all():
+        raise UserError(f"The body {name!r} turns about {point!r}; that must be 3 finite numbers, mm.")
     return Body(name, chosen, at, np.asarray(first.rotation, dtype=np.float64))
 
 

@@ -37,9 +37,9 @@ def optical_system(name: str) -> OpticalSystem:
     UserError
         If there is no such system; the message names the nearest.
     """
-    builder = _BUILDERS.get(name)
+    builder = _BUILDERS.get(name) if isinstance(name, str) else None
     if builder is None:
-        near = difflib.get_close_matches(name, _BUILDERS, n=1, cutoff=0.4)
+        near = difflib.get_close_matches(str(name), _BUILDERS, n=1, cutoff=0.4)
         hint = f"did you mean {near[0]!r}?" if near else f"choose one of {', '.join(_BUILDERS)}."
         raise UserError(f"There is no optical system {name!r}; {hint}")
     return builder()

@@ -13,6 +13,7 @@ import numpy as np
 
 from wavequake.errors import UserError
 from wavequake.kernels.sequence import Gradient
+from wavequake.optics.checks import alike, number
 from wavequake.optics.media import Medium, constant, refractive_index
 
 _SHORTEST = 1e-2  # step, relative to the default
@@ -47,20 +48,44 @@ def selfoc(
         h4, h6, ...
     step : float, optional
         mm.
+
+    Raises
+    ------
+    UserError
+        If something is no number.
     """
-    shares = (-1.0, *higher)
+    index, constant_per_mm = (number(one, "a number of the rod") for one in (index, constant_per_mm))
+    shares = (-1.0, *alike("the higher terms of the rod", higher)[0].tolist())
     radial = tuple(share * index**2 * constant_per_mm ** (2 * k) for k, share in enumerate(shares, start=1))
     return GradientIndex("SELFOC", constant(index), radial, (), step)
 
 
 def axial(coefficients: tuple[float, ...], step: float | None = None) -> GradientIndex:
-    """Return a medium with the index n = a0 + a1 z + a2 z² + ..., z in mm from the vertex."""
-    squared = np.polynomial.Polynomial(coefficients) ** 2
-    return GradientIndex("axial gradient", constant(coefficients[0]), (), tuple(squared.coef[1:]), step)
+    """Return a medium with the index n = a0 + a1 z + a2 z² + ..., z in mm from the vertex.
+
+    Raises
+    ------
+    UserError
+        If there are no numbers.
+    """
+    (powers,) = alike("the coefficients of the index", coefficients)
+    if not len(powers):
+        raise UserError("an axial gradient needs at least the index at its vertex")
+    squared = np.polynomial.Polynomial(powers) ** 2
+    rest = tuple(squared.coef[1:].tolist())
+    return GradientIndex("axial gradient", constant(float(powers[0])), (), rest, step)
 
 
 def luneburg(radius: float, step: float | None = None) -> GradientIndex:
-    """Return a Luneburg lens, n² = 2 - (r² + (z - R)²) / R², whose front vertex is at z = 0."""
+    """Return a Luneburg lens, n² = 2 - (r² + (z - R)²) / R², whose front vertex is at z = 0.
+
+    Raises
+    ------
+    UserError
+        If the radius is not positive.
+    """
+    if not number(radius, "the radius of a Luneburg lens") > 0.0:
+        raise UserError(f"the radius of a Luneburg lens is {radius} mm; it must be positive")
     square = radius**-2
     return GradientIndex("Luneburg lens", constant(1.0), (-square,), (2.0 / radius, -square), step)
 

@@ -14,6 +14,7 @@ from importlib.resources import files
 from typing import Literal
 
 from wavequake.errors import UserError
+from wavequake.optics.checks import number, require_kind
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ ALIASES = {
 
 def constant(index: float) -> Medium:
     """Return a medium whose index is the same at all wavelengths, named by it."""
-    return Medium(f"n={index!r}", "constant", (index,))
+    return Medium(f"n={number(index, 'the refractive index')!r}", "constant", (index,))
 
 
 def refractive_index(medium: Medium, wavelength_mm: float) -> float:
@@ -68,7 +69,8 @@ def refractive_index(medium: Medium, wavelength_mm: float) -> float:
     UserError
         Outside ``range_nm``, or if the coefficients give no real positive index.
     """
-    nm = 1e6 * wavelength_mm
+    require_kind(medium, Medium, "the medium", ", such as glass('N-BK7') or constant(1.5)")
+    nm = 1e6 * number(wavelength_mm, "the wavelength")
     low, high = medium.range_nm
     if not (nm > 0 and low * (1 - 1e-12) <= nm <= high * (1 + 1e-12)):
         raise UserError(
@@ -86,7 +88,12 @@ def refractive_index(medium: Medium, wavelength_mm: float) -> float:
 
 def _squared_index(medium: Medium, w2: float) -> float:
     numbers = medium.coefficients
-    expected = {"constant": 1, "sellmeier": 6, "schott": 6}[medium.formula]
+    counts = {"constant": 1, "sellmeier": 6, "schott": 6}
+    expected = counts.get(medium.formula)
+    if expected is None:
+        raise UserError(
+            f"The formula {medium.formula!r} of {medium.name} is unknown; choose one of {', '.join(counts)}."
+        )
     if len(numbers) != expected:
         raise UserError(
             f"The formula {medium.formula!r} of {medium.name} takes {expected} coefficients, "
@@ -108,6 +115,7 @@ def glass(name: str) -> Medium:
     UserError
         If the catalogue does not hold it; the message names the nearest that it does.
     """
+    require_kind(name, str, "the name of a glass")
     catalogue = glasses()
     key = ALIASES.get(name.upper(), name.upper())
     if key in catalogue:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.optics.checks import number, whole
 from wavequake.optics.concave import triangles
 from wavequake.optics.polygons import centroids, concave
 from wavequake.optics.segmented_telescope import SegmentedTelescope
@@ -29,6 +30,9 @@ _ORBITS: dict[int, list[tuple[float, tuple[float, float, float]]]] = {
         (0.082851075618373575194, (0.053145049844816947353, 0.31035245103378440542, 0.63650249912139864723)),
     ],
 }
+
+
+_MOST_RAYS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -75,14 +79,15 @@ def sunflower(inner: float, outer: float, count: int) -> PupilRays:
     Raises
     ------
     UserError
-        If the radii or the number do not make an annulus with rays.
+        If the radii or the number do not make an annulus with rays, of which a billion is the most.
     """
+    inner, outer = (number(one, "the radius of the pupil") for one in (inner, outer))
     if not (isfinite(outer) and 0.0 <= inner < outer):
         raise UserError(
             f"The pupil reaches from radius {inner:g} to {outer:g} mm; it needs 0 <= inner < outer."
         )
-    if count < 1:
-        raise UserError(f"The number of rays is {count}; it must be at least 1.")
+    if not 1 <= whole(count, "the number of rays") <= _MOST_RAYS:
+        raise UserError(f"The number of rays is {count}; it must be from 1 to {_MOST_RAYS}.")
     index = np.arange(count)
     radius = np.sqrt(inner**2 + (index + 0.5) / count * (outer**2 - inner**2))
     azimuth = index * (pi * (3.0 - sqrt(5.0)))

@@ -10,6 +10,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from wavequake.errors import UserError
 from wavequake.kernels.surfaces import conic_sag, conic_slopes
+from wavequake.optics.checks import array
 from wavequake.optics.shapes import (
     Conic,
     Deformation,
@@ -48,8 +49,14 @@ def shape_sag(shape: Shape, x: ArrayLike, y: ArrayLike) -> SagAndSlopes:
     UserError
         If a number of the shape is not finite, or a grid has fewer than 4 rows or columns.
     """
+    if not isinstance(shape, Shape):
+        raise UserError(f"the shape is {shape!r}; it must be that of a surface, such as Conic(100.0)")
     require_shape(shape)
-    x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
+    x, y = (array(one, "the position") for one in (x, y))
+    try:
+        x, y = np.broadcast_arrays(x, y)
+    except ValueError:
+        raise UserError(f"the positions have the shapes {x.shape} and {y.shape}, which do not fit") from None
     curvature = 1.0 / shape.radius
     base = conic_sag(x, y, curvature, shape.conic)
     slopes = conic_slopes(x, y, curvature, shape.conic)

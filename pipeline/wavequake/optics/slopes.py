@@ -110,6 +110,8 @@ def offset_fit(slopes: Array, derivatives: Array, scale: Array, weight: Array, r
     UserError
         If the rays do not determine the coefficients.
     """
+    if slopes.shape[2] < 2:
+        raise UserError("slopes do not know piston; ask for at least 2 Zernike terms")
     offsets = np.linalg.solve(derivatives, slopes[:, :, 1:]) * scale[:, None, None]
     return weighted_fit(np.concatenate([offsets[:, 0], offsets[:, 1]]), np.tile(weight, 2), remedy)
 

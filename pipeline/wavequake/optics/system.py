@@ -6,11 +6,13 @@ The z axis runs along the incoming light and keeps its sense after a reflection,
 
 from dataclasses import dataclass, field
 from typing import Literal
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.optics.checks import number, require_fields, require_kind
 from wavequake.optics.gradient_index import GradientIndex, require_gradient
 from wavequake.optics.media import AIR, Medium
 from wavequake.optics.shape_sag import require_shape
@@ -104,7 +106,7 @@ def wavelength_of(system: OpticalSystem, wavelength: float | None = None) -> flo
         If the system has no such wavelength.
     """
     if wavelength is not None:
-        return wavelength
+        return number(wavelength, "the wavelength")
     if not 0 <= system.primary_wavelength < len(system.wavelengths):
         raise UserError(
             f"the primary wavelength of {system.name} is number {system.primary_wavelength}, counted from 0; "
@@ -113,14 +115,23 @@ def wavelength_of(system: OpticalSystem, wavelength: float | None = None) -> flo
     return float(system.wavelengths[system.primary_wavelength])
 
 
+# Systems whose fields are known to hold what they should: looking takes as long as a small trace.
+_OF_RIGHT_KIND: WeakValueDictionary[int, OpticalSystem] = WeakValueDictionary()
+
+
 def require_system(system: OpticalSystem) -> None:
     """Check a system before anything is computed from it.
 
     Raises
     ------
     UserError
-        If an index, shape or number is out of range; the message names the surface.
+        If an index, shape or number is out of range or of another kind; the message names the surface.
     """
+    if id(system) not in _OF_RIGHT_KIND:
+        hint = ", such as load_system('double-gauss') returns"
+        require_kind(system, OpticalSystem, "the system", hint)
+        require_fields(system, f"the system {system.name}")
+        _OF_RIGHT_KIND[id(system)] = system
     count, name = len(system.surfaces), system.name
     if count == 0:
         raise UserError(f"the system {name} has no surfaces; it needs at least an image plane")
@@ -138,8 +149,10 @@ def require_system(system: OpticalSystem) -> None:
         raise UserError(
             f"the wavelengths of {name} must be positive numbers in mm, from {_SMALLEST:g} to {LARGEST:g}"
         )
-    if system.fields.ndim != 2 or system.fields.shape[1] != 2 or not np.isfinite(system.fields).all():
+    if system.fields.ndim != 2 or system.fields.shape[1:] != (2,) or not np.isfinite(system.fields).all():
         raise UserError(f"the fields of {name} must be an array (fields, 2) of finite numbers")
+    if not len(system.fields):
+        raise UserError(f"{name} has no field; the axis is the field (0, 0)")
     if np.isnan(system.object_distance):
         raise UserError(f"the object distance of {name} is not a number; a star's is infinite")
     if np.isinf(system.object_distance) and system.telecentric:

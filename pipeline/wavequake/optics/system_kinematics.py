@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.optics.checks import array, require_fields, require_kind, whole
 from wavequake.optics.gradient_index import GradientIndex
 from wavequake.optics.kinematics import cardan
 from wavequake.optics.media import AIR, Medium
@@ -65,6 +66,8 @@ def sequential(rows: Sequence[SurfaceRow | Break]) -> tuple[Surface, ...]:
     position, rotation = np.zeros(3), np.eye(3)
     surfaces = []
     for number, row in enumerate(rows, start=1):
+        require_kind(row, SurfaceRow | Break, f"row {number} of the prescription")
+        require_fields(row, f"row {number} of the prescription")
         if isinstance(row, Break):
             if not np.isfinite([*row.decenter, *row.tilt]).all():
                 raise UserError(f"row {number} of the prescription moves the frame by a number not finite")
@@ -191,6 +194,7 @@ def motion_about(point: Array, rotation: Array) -> Array:
 
 def require_motion(system: OpticalSystem, motion: Array) -> None:
     """Raise UserError unless the motion is an array of finite numbers (T, L, 6)."""
+    motion = array(motion, f"the motion of the surfaces of {system.name}")
     if motion.ndim != 3 or motion.shape[1:] != (len(system.surfaces), 6):
         raise UserError(
             f"the motion of the surfaces of {system.name} has the shape {motion.shape}, it must be "
@@ -204,7 +208,16 @@ def require_motion(system: OpticalSystem, motion: Array) -> None:
 
 
 def rest_states(system: OpticalSystem, instants: int = 1) -> SystemStates:
-    """Return the states of a system in which nothing moves or deforms, writable arrays of zeros."""
+    """Return the states of a system in which nothing moves or deforms, writable arrays of zeros.
+
+    Raises
+    ------
+    UserError
+        If the instants are no number from 0.
+    """
+    require_kind(system, OpticalSystem, "the system")
+    if whole(instants, "the number of instants") < 0:
+        raise UserError(f"the number of instants is {instants}; it must be at least 0")
     return SystemStates(
         surface_motion=np.zeros((instants, len(system.surfaces), 6)),
         deformations=tuple(_no_deformation(surface.deformation, instants) for surface in system.surfaces),

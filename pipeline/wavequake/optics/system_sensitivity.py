@@ -109,7 +109,13 @@ def figure_sensitivity(
     """
     steps = _checked(steps, prepared.system)
     system = prepared.system
+    if not surfaces:
+        raise UserError(f"no surface of {system.name} is named whose figure could act; give at least one")
     for index in surfaces:
+        if not 0 <= index < len(system.surfaces):
+            raise UserError(
+                f"{system.name} has no surface {index}; it has {len(system.surfaces)}, counted from 0"
+            )
         form = system.surfaces[index].deformation
         if not isinstance(form, ZernikeDeformation) or form.terms < terms:
             raise UserError(

@@ -21,6 +21,7 @@ from wavequake.kernels.sequence import OK, VIGNETTED, Moving, Rays, Sequence, Tr
 from wavequake.kernels.sequential import trace_sequence
 from wavequake.kernels.sequential_numpy import joined_moving, moving_part
 from wavequake.kernels.sequential_source import OUTPUTS
+from wavequake.optics.checks import alike, whole
 from wavequake.optics.fits import MORE_RAYS, Fit, fit_instants, pupil_fit
 from wavequake.optics.packing import moving, pack
 from wavequake.optics.paraxial import paraxial
@@ -161,14 +162,13 @@ def prepare_system(
         If the field does not exist, a weight is not positive, the rays do not determine the polynomials, the
         chief ray or a rim ray does not arrive at the image, or the rays arrive there parallel to each other.
     """
-    if not 0 <= field < len(system.fields):
-        raise UserError(
-            f"the system {system.name} has {len(system.fields)} fields; there is no field {field}"
-        )
+    x, y, weight = alike("the rays in the pupil and their weights", x, y, weight)
     if not (np.isfinite(weight) & (weight > 0.0)).all():
         raise UserError("the weights of the rays must all be positive numbers")
-    wavelength = wavelength_of(system, wavelength)
-    sequence, first_order = pack(system, wavelength), paraxial(system, wavelength)
+    first_order, wavelength = paraxial(system, wavelength), wavelength_of(system, wavelength)
+    sequence = pack(system, wavelength)
+    if not 0 <= whole(field, "the index of the field") < len(system.fields):
+        raise UserError(f"{system.name} has {len(system.fields)} fields; there is no field {field}")
     point = system.fields[field]
     chief = pupil_rays(system, point, wavelength, np.zeros(1), np.zeros(1))
     traced = _arrive(system, sequence, pupil_rays(system, point, wavelength, *_RIM))

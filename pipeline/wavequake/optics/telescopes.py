@@ -9,6 +9,7 @@ from typing import Any, TextIO
 
 from wavequake.errors import UserError
 from wavequake.kernels.surfaces import conic_sag
+from wavequake.optics.checks import number
 from wavequake.optics.polygons import distance_from_origin
 from wavequake.optics.segmented_telescope import Row, SegmentedTelescope, sequential_surfaces
 from wavequake.optics.segments import (
@@ -46,9 +47,9 @@ def telescope(name: str, **options: Any) -> SegmentedTelescope:
     UserError
         If the name or an option is unknown (names the nearest valid one), or an option is out of range.
     """
-    builder = _BUILDERS.get(name)
+    builder = _BUILDERS.get(name) if isinstance(name, str) else None
     if builder is None:
-        raise UserError(f"There is no telescope {name!r}; {_nearest(name, list(_BUILDERS))}.")
+        raise UserError(f"There is no telescope {name!r}; {_nearest(str(name), list(_BUILDERS))}.")
     signature = inspect.signature(builder)
     for option in options:
         if option not in signature.parameters:
@@ -57,6 +58,8 @@ def telescope(name: str, **options: Any) -> SegmentedTelescope:
     for option, parameter in signature.parameters.items():
         if parameter.default is parameter.empty and option not in options:
             raise UserError(f"The telescope {name} needs the option {option!r}.")
+        if parameter.annotation is float and option in options:
+            number(options[option], f"the option {option} of the telescope {name}")
     return builder(**options)
 
 

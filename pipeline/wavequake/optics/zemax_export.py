@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from wavequake.errors import UserError
+from wavequake.optics.checks import require_fields, require_kind
 from wavequake.optics.gradient_index import GradientIndex
 from wavequake.optics.media import AIR, Medium, glasses
 from wavequake.optics.paraxial import paraxial
@@ -52,7 +53,9 @@ def write_zmx(system: OpticalSystem, path: str | Path) -> Path:
     UserError
         If the folder is missing, or the system has something that the format cannot hold: names it.
     """
-    target = Path(path)
+    target = Path(path) if isinstance(path, str | Path) else Path()
+    if not target.name:
+        raise UserError(f"The path {path!r} of the lens file is no name of a file, such as 'lens.zmx'.")
     text = zmx_text(system)
     partial = target.with_name(f".{target.name}.partial-{uuid.uuid4().hex}")
     try:
@@ -67,6 +70,8 @@ def write_zmx(system: OpticalSystem, path: str | Path) -> Path:
 
 def zmx_text(system: OpticalSystem) -> str:
     """Return the text of a .zmx file; the origin moves along z to the first surface."""
+    require_kind(system, OpticalSystem, "what is written", ", such as load_system('double-gauss') returns")
+    require_fields(system, f"the system {system.name}")
     _require_one_line(system.name, "the system")
     lines = ["MODE SEQ", f"NAME {system.name}", "UNIT MM X W X CM MR CPMM", *_pupil(system), *_fields(system)]
     lines += _wavelengths(system)

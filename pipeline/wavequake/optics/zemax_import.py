@@ -58,6 +58,8 @@ def read_zmx(path: str | Path) -> OpticalSystem:
 
 def read_text(path: str | Path) -> str:
     """Return the text of a .zmx file, whose encoding is told by its first bytes."""
+    if not isinstance(path, str | Path):
+        raise UserError(f"The lens file is {path!r}; it must be the path of a file, as text.")
     try:
         data = Path(path).read_bytes()
     except OSError as error:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.ring import Recurrence, ring_recurrence
+from wavequake.optics.checks import alike, number, whole
 
 Array = NDArray[np.float64]
 
@@ -32,6 +33,7 @@ def noll_to_nm(j: int) -> tuple[int, int]:
     UserError
         If `j` is less than 1.
     """
+    j = whole(j, "the Noll index")
     if j < 1:
         raise UserError(f"the Noll index {j} does not exist, the first one is 1 (piston)")
     n = 0
@@ -67,9 +69,10 @@ def annular_zernike(
     Raises
     ------
     UserError
-        If there is no term, or the obscuration is not in [0, 1).
+        If there is no term, the obscuration is not in [0, 1), or the points are not arrays of equal length.
     """
     orders, degree = _orders(terms, obscuration)
+    x, y = alike("the points of the pupil", x, y)
     t = x**2 + y**2
     radial = {}
     for m in range(degree + 1):
@@ -105,9 +108,10 @@ def annular_zernike_gradient(
     Raises
     ------
     UserError
-        If there is no term, or the obscuration is not in [0, 1).
+        If there is no term, the obscuration is not in [0, 1), or the points are not arrays of equal length.
     """
     orders, degree = _orders(terms, obscuration)
+    x, y = alike("the points of the pupil", x, y)
     t = x**2 + y**2
     radial = {}
     for m in range(degree + 1):
@@ -135,6 +139,7 @@ def annular_zernike_gradient(
 
 def _orders(terms: int, obscuration: float) -> tuple[list[tuple[int, int]], int]:
     """Return n and m of the Noll indices 1..terms and the highest degree."""
+    terms, obscuration = whole(terms, "the number of Zernike terms"), number(obscuration, "the obscuration")
     if terms < 1:
         raise UserError(f"{terms} Zernike terms were asked for, at least 1 is needed")
     if not 0.0 <= obscuration < 1.0:

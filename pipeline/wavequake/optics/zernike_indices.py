@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.optics.checks import whole
 from wavequake.optics.zernike import noll_to_nm
 
 Scheme = Literal["noll", "ansi", "fringe"]
@@ -173,6 +174,7 @@ def convert_coefficients(
 
 
 def _require_nm(n: int, m: int) -> None:
+    whole(n, "the degree of a Zernike polynomial"), whole(m, "the frequency of a Zernike polynomial")
     if n < 0 or abs(m) > n or (n - m) % 2:
         raise UserError(
             f"there is no Zernike polynomial (n, m) = ({n}, {m}); it needs |m| <= n and n - m even"

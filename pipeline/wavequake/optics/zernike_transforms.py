@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.optics.checks import array, number, whole
 from wavequake.optics.zernike import annular_zernike, noll_to_nm
 from wavequake.optics.zernike_indices import nm_to_noll
 
@@ -38,9 +39,10 @@ def expansion_matrix(terms: int, source: float, target: float) -> Array:
     UserError
         If there is no term, or an obscuration is not in [0, 1).
     """
+    source, target = (number(one, "the obscuration") for one in (source, target))
     if not 0.0 <= target < 1.0:
         raise UserError(f"the ratio of inner to outer pupil radius is {target}, it must lie in [0, 1)")
-    if terms < 1:
+    if whole(terms, "the number of Zernike terms") < 1:
         raise UserError(f"{terms} Zernike terms were asked for, at least 1 is needed")
     n, m = np.array([noll_to_nm(j) for j in range(1, terms + 1)]).T
     # Gauss-Legendre in rho^2 along the x axis, where every cosine has its crest, integrates the products of
@@ -77,6 +79,7 @@ def transform_coefficients(coefficients: Array, source: float, target: float) ->
     UserError
         As `expansion_matrix`.
     """
+    coefficients = np.atleast_1d(array(coefficients, "the coefficients"))
     transformed: Array = coefficients @ expansion_matrix(coefficients.shape[-1], source, target)
     return transformed
 

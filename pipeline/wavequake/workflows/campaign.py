@@ -211,8 +211,9 @@ def run(
     return open_store(path)
 
 
-def plan(study: Study) -> dict[str, str]:
+def plan(study: str | Path | Study) -> dict[str, str]:
     """Describe what running `study` would take: a pilot of a few cases gives the time; nothing is stored."""
+    study = study if isinstance(study, Study) else load_study(study)
     workflow, text = workflow_of(study), study.identity_text()
     cases, chunk = study.cases, chunk_of(study)
     workflow.check(text)

@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.devices import Device, choose_device
+from wavequake.optics.checks import whole
 from wavequake.optics.prepared import prepare
 from wavequake.optics.sensitivity import DOFS, Sensitivities, SensitivityMatrix, sensitivities
 from wavequake.optics.zernike import MOST_TERMS
@@ -141,7 +142,7 @@ def _telescope_text(study: Study) -> str:
 def require_terms(*numbers: int) -> None:
     """Raise UserError unless the numbers of Zernike terms can be."""
     for number in numbers:
-        if not 0 <= number <= MOST_TERMS:
+        if not 0 <= whole(number, "the number of figure terms") <= MOST_TERMS:
             raise UserError(f"There cannot be {number} figure terms; choose from 0 to {MOST_TERMS}.")
 
 

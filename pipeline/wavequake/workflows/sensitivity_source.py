@@ -37,6 +37,11 @@ def sensitivity_study(source: str | Path, overrides: Mapping[str, Any] | Iterabl
     UserError
         If there is no such thing, or it cannot be read.
     """
+    if not isinstance(source, str | Path):
+        raise UserError(
+            f"Sensitivities are taken of a study or system by name or path, not of {type(source).__name__}; "
+            "write_zmx makes a file of a system."
+        )
     name = str(source)
     is_file = name.lower().endswith(".zmx")
     if not is_file and (name in bundled_studies() or name.endswith(".toml") or Path(name).is_file()):

@@ -376,6 +376,8 @@ def open_store(path: Path | str) -> "xr.Dataset":
     """
     import xarray as xr
 
+    if not isinstance(path, str | Path):
+        raise UserError(f"The store is {path!r}; it must be the path of a folder, as text.")
     path = Path(path)
     manifest = read_manifest(path)
     group = arrays.open_group(path / DATA, read_only=True)

@@ -59,6 +59,8 @@ def load_study(name: str | Path, overrides: Mapping[str, Any] | Iterable[str] = 
         If the study is unknown, is no TOML, or does not fit the schema; names the file, the key and the
         nearest valid one.
     """
+    if not isinstance(name, str | Path):
+        raise UserError(f"A study is loaded by name or path, not by {type(name).__name__}.")
     path = _find(str(name))
     try:
         record = tomllib.loads(path.read_text(encoding="utf-8-sig"))
@@ -136,11 +138,19 @@ def _find(name: str) -> Path:
 
 def split_overrides(overrides: Mapping[str, Any] | Iterable[str]) -> list[tuple[str, Any]]:
     """Return keys and values of overrides; UserError for text that is none."""
-    return list(overrides.items() if isinstance(overrides, Mapping) else map(_split, overrides))
+    if isinstance(overrides, str):
+        return [_split(overrides)]
+    if not isinstance(overrides, Iterable):
+        raise UserError(f"The overrides are {overrides!r}; give a mapping or a list of 'section.key=value'.")
+    pairs = list(overrides.items() if isinstance(overrides, Mapping) else map(_split, overrides))
+    for key, _ in pairs:
+        if not isinstance(key, str):
+            raise UserError(f"The key {key!r} is no text; write section.key.")
+    return pairs
 
 
 def _split(text: str) -> tuple[str, Any]:
-    key, separator, value = text.partition("=")
+    key, separator, value = str(text).partition("=")
     if not separator or not key:
         raise UserError(
             f"{text!r} is not an override; write section.key=value, for example campaign.cases=40."

@@ -16,7 +16,7 @@ from wavequake.optics.system_file import build
 from wavequake.optics.zemax_import import read_zmx
 from wavequake.workflows.bench import bench_of
 from wavequake.workflows.segment_study import SegmentStudy
-from wavequake.workflows.study import bundled_studies, load_study
+from wavequake.workflows.study import bundled_studies, load_study, split_overrides
 from wavequake.workflows.system_study import SystemStudy
 
 MM_PER_NM = 1e-6
@@ -38,7 +38,9 @@ def load_system(source: str | Path, overrides: Mapping[str, Any] | Iterable[str]
     UserError
         If there is no such thing, it cannot be read, or its workflow has no optical system.
     """
-    name, keys = str(source), overrides if isinstance(overrides, Mapping) else list(overrides)
+    if not isinstance(source, str | Path):
+        raise UserError(f"An optical system is loaded by name or path, not by {type(source).__name__}.")
+    name, keys = str(source), dict(split_overrides(overrides))
     is_file, is_system = name.lower().endswith(".zmx"), name in system_names()
     is_study = name in bundled_studies() or name.endswith(".toml") or Path(name).is_file()
     if is_file or (is_system and not (keys and is_study)):

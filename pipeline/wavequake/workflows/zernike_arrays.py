@@ -51,6 +51,9 @@ def convert_zernike(
 
     if index not in _FIRST:
         raise UserError(f"The Zernike index {index!r} is unknown; choose one of {', '.join(_FIRST)}.")
+    if not hasattr(coefficients, "dims"):
+        kind = type(coefficients).__name__
+        raise UserError(f"The coefficients are of the kind {kind}; give an xarray.DataArray over 'noll'.")
     if "noll" not in coefficients.dims:
         raise UserError(f"The array has no dimension 'noll', only {', '.join(map(str, coefficients.dims))}.")
     last = coefficients.transpose(..., "noll")

@@ -1,0 +1,141 @@
+"""Whether what a user gives is of the kind that a function takes; if not, one sentence says what would be."""
+
+import operator
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
+from functools import cache
+from numbers import Integral, Real
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wavequake.errors import UserError
+
+Array = NDArray[np.float64]
+
+_WORDS = {float: "a number", int: "a whole number", str: "text", bool: "True or False", NoneType: "None"}
+
+
+def number(value: Any, what: str) -> float:
+    """Return a number, which may be NaN or infinite; UserError for anything else."""
+    if _is_number(value):
+        return float(value)
+    raise UserError(f"{what} is {_shown(value)}; it must be a number")
+
+
+def whole(value: Any, what: str) -> int:
+    """Return an integer, UserError for anything else."""
+    if not isinstance(value, bool) and isinstance(value, Integral):
+        return operator.index(value)
+    raise UserError(f"{what} is {_shown(value)}; it must be a whole number")
+
+
+def array(values: ArrayLike, what: str) -> Array:
+    """Return an array of numbers; UserError if the values are none, or rows of different lengths."""
+    try:
+        found = np.asarray(values)
+        if found.dtype.kind in "fiu":
+            return np.asarray(found, dtype=np.float64)
+    except ValueError:  # rows of different lengths
+        pass
+    raise UserError(f"{what} must be an array of numbers, not {_shown(values)}")
+
+
+def alike(what: str, *columns: ArrayLike) -> tuple[Array, ...]:
+    """Return arrays of numbers (N,), UserError unless all have the same N."""
+    found = tuple(array(one, what) for one in columns)
+    if any(one.ndim != 1 or one.shape != found[0].shape for one in found):
+        shapes = ", ".join(str(one.shape) for one in found)
+        raise UserError(f"{what} have the shapes {shapes}; each must be (N,)")
+    return found
+
+
+def require_kind(value: Any, kind: Any, what: str, hint: str = "") -> None:
+    """Raise UserError unless the value is of a class, or of one of a union; `hint` ends the sentence."""
+    if not isinstance(value, kind):
+        raise UserError(f"{what} is {_shown(value)}; it must be {_words(kind)}{hint}")
+
+
+def require_fields(record: Any, what: str) -> None:
+    """Raise UserError unless all fields of a dataclass, and of those in it, are of their declared kinds."""
+    found = _wrong(record, type(record))
+    if found is not None:
+        path, value, words = found
+        raise UserError(f"{what}: {path.removeprefix('.')} is {_shown(value)}; it must be {words}")
+
+
+@cache
+def _hints(kind: type) -> dict[str, Any]:
+    return {entry.name: hint for entry in fields(kind) for hint in [get_type_hints(kind)[entry.name]]}
+
+
+def _wrong(value: Any, kind: Any) -> tuple[str, Any, str] | None:
+    """Return where in a value there is what, and what would be right; None if all is."""
+    origin = get_origin(kind)
+    if origin in (Union, UnionType):
+        own = [one for one in get_args(kind) if is_dataclass(one) and type(value) is one]
+        if not own and all(_wrong(value, one) for one in get_args(kind)):
+            return "", value, _words(kind)
+        return _wrong(value, own[0]) if own else None
+    if isinstance(kind, type) and is_dataclass(kind):
+        if not isinstance(value, kind):
+            return "", value, _words(kind)
+        parts = [(f".{name}", getattr(value, name), hint) for name, hint in _hints(kind).items()]
+    elif origin is tuple:
+        parts, entries = [], get_args(kind)
+        if isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind in "fiu":
+            value = value.tolist()
+        if isinstance(value, str) or not isinstance(value, Sequence):
+            return "", value, _words(kind)
+        entries = entries[:1] * len(value) if entries[1:] == (...,) else entries
+        if len(value) != len(entries):
+            return "", value, _words(kind)
+        parts = [(f"[{i}]", value[i], entry) for i, entry in enumerate(entries)]
+    else:
+        return None if _fits(value, kind, origin) else ("", value, _words(kind))
+    for name, one, entry in parts:
+        found = _wrong(one, entry)
+        if found is not None:
+            return name + found[0], *found[1:]
+    return None
+
+
+def _fits(value: Any, kind: Any, origin: Any) -> bool:
+    if kind is float:
+        return _is_number(value)
+    if kind is int:
+        return not isinstance(value, bool) and isinstance(value, Integral)
+    if origin is Literal:  # who uses it says which words there are
+        return isinstance(value, str)
+    if origin is np.ndarray:
+        return isinstance(value, np.ndarray) and value.dtype.kind in "fiu"
+    return kind is Any or isinstance(value, kind)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _words(kind: Any) -> str:
+    origin, entries = get_origin(kind), get_args(kind)
+    if origin in (Union, UnionType):
+        return " or ".join(dict.fromkeys(map(_words, entries)))
+    if origin is Literal:
+        return "text"
+    if origin is tuple:
+        many = entries[1:] == (...,)
+        return f"a tuple, each entry {_words(entries[0])}" if many else f"a tuple of {len(entries)} numbers"
+    if origin is np.ndarray:
+        return "a NumPy array of numbers"
+    return _WORDS.get(kind) or _article(kind.__name__)
+
+
+def _article(name: str) -> str:
+    return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"
+
+
+def _shown(value: Any) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else text[:57] + "..."
