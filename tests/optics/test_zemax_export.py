@@ -150,6 +150,39 @@ def test_annular_zernike_sag_is_written_by_circular_polynomials():
     assert parse_zmx(zmx_text(simple(shape=empty)), "lens.zmx").surfaces[0].shape.coefficients == ()
 
 
+@settings(max_examples=30)
+@given(
+    st.integers(1, 231),
+    st.floats(0.05, 0.68),
+    st.integers(0, 99),
+    st.sampled_from([-900.0, np.inf]),
+    st.data(),
+)
+def test_annular_sags_are_the_same_surface_after_a_round_trip(terms, obscuration, seed, radius, data):
+    """Sag and slopes over the glass, to what the size of the circular coefficients leaves of 16 digits."""
+    coefficients = np.random.default_rng(seed).normal(0, 1e-4, terms)
+    shape = ZernikeSag(radius, -0.7, tuple(coefficients.tolist()), 20.0, obscuration)
+    text = zmx_text(simple(shape=shape))
+    assert "NOTE 0 Annular Zernike polynomials of first are written as the equal sums of circular" in text
+    again = parse_zmx(text, "lens.zmx").surfaces[0].shape
+    assert again.obscuration == 0.0
+    rho = 20.0 * np.linspace(obscuration, 1.0, 12)
+    theta = data.draw(st.floats(0, 6)) + np.arange(12.0)
+    before, after = (shape_sag(one, rho * np.cos(theta), rho * np.sin(theta)) for one in (shape, again))
+    size = np.abs(again.coefficients).sum()
+    np.testing.assert_allclose(after[0], before[0], rtol=0, atol=1e-13 * size + 1e-14)
+    np.testing.assert_allclose(after[1:], before[1:], rtol=0, atol=1e-12 * size + 1e-14)
+
+
+def test_rings_too_narrow_for_circular_polynomials_are_refused():
+    ones = tuple([1e-4] * 153)
+    with pytest.raises(
+        UserError, match=r"first of simple .* 153 terms over .* of obscuration 0.9: .* rounding"
+    ):
+        zmx_text(simple(shape=ZernikeSag(-900.0, 0.0, ones, 20.0, 0.9)))
+    assert "NOTE" not in zmx_text(simple(shape=ZernikeSag(-900.0, 0.0, ones, 20.0)))
+
+
 @pytest.mark.parametrize(
     ("system", "match"),
     [

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
+from typing import TypeGuard
 
 import numpy as np
 
@@ -22,7 +23,15 @@ from wavequake.optics.checks import require_fields, require_kind
 from wavequake.optics.gradient_index import GradientIndex
 from wavequake.optics.media import AIR, Medium, glasses
 from wavequake.optics.paraxial import paraxial
-from wavequake.optics.shapes import Conic, EvenAsphere, ExtendedPolynomial, GridSag, Opening, ZernikeSag
+from wavequake.optics.shapes import (
+    Conic,
+    EvenAsphere,
+    ExtendedPolynomial,
+    GridSag,
+    Opening,
+    Shape,
+    ZernikeSag,
+)
 from wavequake.optics.system import OpticalSystem, Surface, wavelength_of
 from wavequake.optics.zemax_gradients import gradient_lines
 from wavequake.optics.zemax_grids import grid_lines
@@ -34,6 +43,8 @@ from wavequake.optics.zernike_transforms import transform_coefficients
 MAX_FIELDS = 12
 MAX_WAVELENGTHS = 24
 
+# Circular over annular coefficients: beyond, a surface would lose more than 1e-8 of its heights.
+_MOST_GROWTH = 1e7
 _LISTS = {  # of coefficients: the surface type, what it is, and how many it may have
     EvenAsphere: ("EVENASPH", "an even asphere", MAX_EVEN_TERMS),
     ExtendedPolynomial: ("XPOLYNOM", "an extended polynomial", MAX_TERMS["XPOLYNOM"]),
@@ -74,7 +85,7 @@ def zmx_text(system: OpticalSystem) -> str:
     require_fields(system, f"the system {system.name}")
     _require_one_line(system.name, "the system")
     lines = ["MODE SEQ", f"NAME {system.name}", "UNIT MM X W X CM MR CPMM", *_pupil(system), *_fields(system)]
-    lines += _wavelengths(system)
+    lines += [*_wavelengths(system), *_note(system)]
     infinite = math.isinf(system.object_distance)
     distance = "INFINITY" if infinite else written(system.object_distance)
     rows = [["TYPE STANDARD", "CURV 0.0", f"DISZ {distance}", *_glass(system.medium, system.name)]]
@@ -227,23 +238,42 @@ def _shape(surface: Surface, system: str) -> list[str]:
             f"The surface {surface.name} of {system} has {form} of {len(shape.coefficients)} terms; a lens "
             f"file cannot hold more than {most} terms."
         )
-    return [f"TYPE {kind}", *numbers, *_coefficients(shape)]
+    return [f"TYPE {kind}", *numbers, *_coefficients(shape, f"{surface.name} of {system}")]
 
 
-def _coefficients(shape: EvenAsphere | ExtendedPolynomial | ZernikeSag) -> list[str]:
+def _coefficients(shape: EvenAsphere | ExtendedPolynomial | ZernikeSag, where: str) -> list[str]:
     if isinstance(shape, EvenAsphere):
         return [f"PARM {k} {written(value)}" for k, value in enumerate(shape.coefficients, start=1)]
     if isinstance(shape, ExtendedPolynomial):
         return _extra_data(shape.coefficients, shape.normalization_radius)
-    return _extra_data(_circular(shape), shape.pupil_radius)
+    return _extra_data(_circular(shape, where), shape.pupil_radius)
 
 
-def _circular(shape: ZernikeSag) -> tuple[float, ...]:
+def _is_annular(shape: Shape) -> TypeGuard[ZernikeSag]:
+    return isinstance(shape, ZernikeSag) and shape.obscuration > 0.0 and bool(shape.coefficients)
+
+
+def _circular(shape: ZernikeSag, where: str) -> tuple[float, ...]:
     """Return the coefficients over the full circle: annular polynomials are finite sums of circular ones."""
-    if not (shape.obscuration and shape.coefficients):
+    if not _is_annular(shape):
         return shape.coefficients
     circular = transform_coefficients(np.array(shape.coefficients), shape.obscuration, 0.0)
+    if np.abs(circular).max() > _MOST_GROWTH * np.abs(shape.coefficients).max():
+        raise UserError(
+            f"The surface {where} has a Zernike sag of {len(shape.coefficients)} terms over the narrow ring "
+            f"of obscuration {shape.obscuration:g}: a lens file holds circular polynomials only, with "
+            f"coefficients over {_MOST_GROWTH:.0e} times larger, in whose rounding its heights would drown."
+        )
     return tuple(circular.tolist())
+
+
+def _note(system: OpticalSystem) -> list[str]:
+    """Return the line that says which surfaces had annular polynomials, if any had."""
+    rings = [one for one in system.surfaces if _is_annular(one.shape)]
+    if not rings:
+        return []
+    names = ", ".join(one.name for one in rings)
+    return [f"NOTE 0 Annular Zernike polynomials of {names} are written as the equal sums of circular ones."]
 
 
 def _extra_data(coefficients: tuple[float, ...], radius: float) -> list[str]:
