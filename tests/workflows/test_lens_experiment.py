@@ -7,7 +7,7 @@ from wavequake.control.bench import bench_modes, fitted_bench
 from wavequake.control.experiment import CONTROLLERS
 from wavequake.errors import UserError
 from wavequake.workflows import lens_experiment
-from wavequake.workflows.campaign import run
+from wavequake.workflows.campaign import chunk_of, run
 from wavequake.workflows.contract import DONE, RAISED
 from wavequake.workflows.lens_experiment import WORKFLOW, case_table, compute, template
 from wavequake.workflows.study import load_study
@@ -26,6 +26,12 @@ def test_bits_of_a_case_do_not_depend_on_its_chunk(chunk):
     assert set(alone.arrays) == set(template(TEXT).per_case)
     for name, values in alone.arrays.items():
         np.testing.assert_array_equal(values[0], chunk.arrays[name][3], err_msg=name)
+
+
+def test_chunks_are_those_of_any_workflow():
+    keys = {"campaign.cases": 1000}
+    assert [chunk_of(load_study(name, keys)) for name in ("lens-experiment", "tmt-segments")] == [125, 125]
+    assert chunk_of(load_study("lens-experiment", {"store.chunk_cases": 16})) == 16
 
 
 def test_cases_are_paired_between_springs(chunk):

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from wavequake.workflows.schema import CampaignSection, Section, StoreSection, Study
+from wavequake.workflows.schema import CampaignSection, Section, Study
 
 Six = tuple[float, float, float, float, float, float]
 Five = tuple[float, float, float, float, float]
@@ -110,12 +110,6 @@ class LensCampaignSection(CampaignSection):
     cases: int = Field(default=40, ge=1, le=100_000_000)
 
 
-class LensStoreSection(StoreSection):
-    """Where the results go, and what of them is kept."""
-
-    chunk_cases: int = Field(default=16, ge=1, le=100_000, description="K: cases per task and per shard")
-
-
 class LensStudy(Study):
     """A validated study file of ``lens-experiment``: a case is a plant with one configuration of springs."""
 
@@ -126,7 +120,6 @@ class LensStudy(Study):
     firmware: FirmwareSection = FirmwareSection()
     time: LensTimeSection = LensTimeSection()
     campaign: LensCampaignSection = LensCampaignSection()
-    store: LensStoreSection = LensStoreSection()
 
     @property
     def fewest_instants(self) -> int:
