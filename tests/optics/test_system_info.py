@@ -7,10 +7,12 @@ from wavequake.errors import UserError
 from wavequake.optics.catalog import optical_system
 from wavequake.optics.media import Medium
 from wavequake.optics.packing import pack
+from wavequake.optics.parent import parent_system
 from wavequake.optics.shapes import Conic, EvenAsphere, Opening, ZernikeDeformation
 from wavequake.optics.system import OpticalSystem, Pupil, Surface
 from wavequake.optics.system_info import info
 from wavequake.optics.system_kinematics import SurfaceRow, sequential
+from wavequake.optics.telescopes import telescope
 
 
 def line_of(text, start):
@@ -110,3 +112,23 @@ def test_every_wavelength_must_suit_the_glasses():
     lens = optical_system("double-gauss")
     with pytest.raises(UserError, match="wavelength"):
         info(replace(lens, wavelengths=np.array([587.6e-6, 20e-3])))
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("jwst", ["Assumed", "M3 (radius, conic) and all spacings", "131.4 m"]),
+        ("herschel", ["assumed", "M2, both conics"]),
+        ("double-gauss", ["assumed are lead-free glasses"]),
+        ("six-lens", ["assumed are spacings, glass and shapes"]),
+        ("euv", ["A design of our own"]),
+    ],
+)
+def test_what_is_assumed_of_bundled_systems_is_said(name, words):
+    *_, last = info(replace(optical_system(name), name="mine")).split("\n\n")
+    assert all(word in last for word in words), last
+
+
+def test_the_segmented_jwst_says_that_it_is_an_equivalent():
+    assert parent_system(telescope("jwst")).info().endswith("a stigmatic axis.")
+    assert "assumed" not in optical_system("tmt").info()  # as published

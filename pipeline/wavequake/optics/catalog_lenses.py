@@ -50,6 +50,7 @@ def double_gauss() -> OpticalSystem:
         fields=np.array([[0.0, 0.0], [0.0, radians(10.0)], [0.0, radians(14.0)]]),
         wavelengths=np.array([_F_LINE, _D_LINE, _C_LINE]),
         primary_wavelength=1,
+        note="Radii and thicknesses are published; assumed are lead-free glasses of the same index.",
     )
 
 
@@ -88,4 +89,6 @@ def six_lens() -> OpticalSystem:
         object_distance=float(object_distance - principal[0]),
         fields=np.array([[0.0, 0.0], [0.0, 5.0]]),
         wavelengths=np.array([_D_LINE]),
+        note="Published are its sensitivities (Störkle 2018, Table 5.1); assumed are spacings, glass and "
+        "shapes that have them.",
     )

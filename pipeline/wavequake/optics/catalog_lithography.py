@@ -113,4 +113,5 @@ def euv() -> OpticalSystem:
         object_distance=589.325266,
         fields=np.array([[0.0, 117.0], [0.0, 120.0], [0.0, 123.0]]),
         wavelengths=np.array([13.5e-6]),
+        note="A design of our own, not that of any machine.",
     )

@@ -54,6 +54,9 @@ def jwst() -> OpticalSystem:
         pupil=Pupil("entrance_diameter", 6603.464, 0.2),
         fields=np.array([[0.0, 0.0023]]),
         wavelengths=np.array([2000e-6]),
+        note="M1 and M2 are published. Assumed, as commonly given but not confirmed in print: M3 (radius, "
+        "conic) and all spacings; the published focal length is 131.4 m. The flat "
+        "fine-steering mirror is left out.",
     )
 
 
@@ -82,6 +85,8 @@ def herschel() -> OpticalSystem:
         pupil=Pupil("f_number", 8.68, 0.1),
         fields=np.array([[0.0, 0.0], [0.0, 5.0 * _ARCMIN]]),
         wavelengths=np.array([0.1]),
+        note="Published are diameter, focal lengths and focus; assumed is a classical Cassegrain telescope, "
+        "from which M2, both conics and an obscuration of 0.1 follow.",
     )
 
 

@@ -38,4 +38,5 @@ def parent_system(telescope: SegmentedTelescope, wavelength: float = 550e-6) -> 
         stop=0,
         pupil=Pupil("entrance_diameter", 2.0 * outer, inner / outer),
         wavelengths=np.array([wavelength]),
+        note=telescope.note,
     )

@@ -41,7 +41,7 @@ class SegmentedTelescope:
     ``primary_radius``/``primary_conic`` describe the parent surface of M1 (vertex at the origin),
     ``segments`` its glass, ``surfaces`` M2, M3, ... and last the image plane. ``pupil_inner``/``pupil_outer``
     are the radii of the annulus that normalizes the Zernike polynomials; ``stop_z`` is the plane in which
-    rays start (that of M1's rim).
+    rays start (that of M1's rim). ``note`` says which of its numbers are assumed or approximate.
     """
 
     name: str
@@ -52,6 +52,7 @@ class SegmentedTelescope:
     stop_z: float
     pupil_inner: float
     pupil_outer: float
+    note: str = ""
 
 
 @dataclass(frozen=True)

@@ -77,6 +77,8 @@ class OpticalSystem:
         The entrance pupil is at infinity: chief rays leave a finite object parallel to the axis.
     medium : Medium
         Before the first surface.
+    note : str
+        Which of its numbers are assumed or approximate, in a sentence; `info` shows it.
     """
 
     name: str
@@ -89,6 +91,7 @@ class OpticalSystem:
     primary_wavelength: int = 0
     telecentric: bool = False
     medium: Medium = AIR
+    note: str = ""
 
     def info(self) -> str:
         """Return a table of first-order data, fields, wavelengths and surfaces as plain text."""

@@ -3,6 +3,7 @@
 import difflib
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from math import hypot, inf, isfinite, pi, sqrt
 from pathlib import Path
 from typing import Any, TextIO
@@ -119,7 +120,12 @@ def jwst() -> SegmentedTelescope:
         Row("M2", m2_radius, m2_conic, distance),
         Row("image", inf, 0.0, magnification * (f1 - distance)),
     ]
-    return _around_its_glass("jwst", jwst_segments(), JWST_RADIUS, JWST_CONIC, rows)
+    note = (
+        "Published are the radii of M1 and M2 and the focal length; assumed is a Cassegrain equivalent "
+        "without M3: the place of M2 and both conics follow from f = 131.4 m and a stigmatic axis."
+    )
+    made = _around_its_glass("jwst", jwst_segments(), JWST_RADIUS, JWST_CONIC, rows)
+    return replace(made, note=note)
 
 
 def custom(
