@@ -61,10 +61,11 @@ def test_a_tail_is_that_of_the_values_of_the_store(swings):
     from wavequake.workflows.tail import fit_tail, rare_value
 
     values = open_store(swings)["wfe_rms_raw"].sel(statistic="rms").to_numpy()
-    (found,), unit = rare_events(swings, RareQuestion("wfe_rms_raw", "rms", 1e-4))
+    answer = rare_events(swings, RareQuestion("wfe_rms_raw", "rms", 1e-4))
+    (found,), unit = answer.found, answer.unit
     assert found.value == rare_value(fit_tail(values), 1e-4)
     assert unit == "nm"
-    (small,), _ = rare_events(swings, RareQuestion("wfe_rms_raw", "rms", 1e-4, below=True))
+    (small,) = rare_events(swings, RareQuestion("wfe_rms_raw", "rms", 1e-4, below=True)).found
     assert small.value == rare_value(fit_tail(-values), 1e-4)
 
 

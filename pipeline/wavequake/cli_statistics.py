@@ -60,7 +60,7 @@ def tail(
     from wavequake.report.tail import RareQuestion, rare_events, rare_notes, rare_table
 
     question = RareQuestion(variable, statistic, probability, limit, threshold, below)
-    found, unit = rare_events(store, question)
-    out.print(rare_table(found, unit, question))
-    for line in rare_notes(found, question):
+    answer = rare_events(store, question)
+    out.print(rare_table(answer, question))
+    for line in rare_notes(answer, question):
         out.print(line, markup=False)

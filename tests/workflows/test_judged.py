@@ -166,9 +166,9 @@ def many(tmp_path_factory):
 def test_tails_are_judged_per_controller(many, monkeypatch, wavequake):
     monkeypatch.setattr("wavequake.report.tail.open_store", lambda path: many)
     question = RareQuestion("x", "max", 1e-3)
-    found, _ = rare_events("s", question)
+    found = rare_events("s", question).found
     assert [tail.name for tail in found] == ["all cases, off", "all cases, FF+FI"]
-    (chosen,), _ = rare_events("s", RareQuestion("x[controller=FF+FI]", "max", 1e-3))
+    (chosen,) = rare_events("s", RareQuestion("x[controller=FF+FI]", "max", 1e-3)).found
     assert (chosen.name, chosen.value) == ("all cases", found[1].value)
     np.testing.assert_array_equal(chosen.tail.values, np.sort(many["x"].to_numpy()[:, 1].max(axis=(1, 2))))
     code, out, _ = wavequake("tail", "s", "--variable", "x[controller=FF+FI]", "--statistic", "max")
@@ -176,6 +176,21 @@ def test_tails_are_judged_per_controller(many, monkeypatch, wavequake):
     assert "x[controller=FF+FI] (1)," in out
     code, _, err = wavequake("tail", "s", "--variable", "x[controller=F]")
     assert (code, "there is no controller 'F'; use one of off, FF+FI." in err) == (2, True)
+
+
+def test_what_has_no_tail_keeps_others_from_nothing(many, monkeypatch, wavequake):
+    constant = many.assign(x=many["x"].where(many["controller"] != "off", 7.0))
+    monkeypatch.setattr("wavequake.report.tail.open_store", lambda path: constant)
+    answer = rare_events("s", RareQuestion("x", "max", 1e-3))
+    assert [tail.name for tail in answer.found] == ["all cases, FF+FI"]
+    assert answer.reasons == ("all cases, off: Only 0 of 400 cases exceed 7, and a tail needs at least 50; "
+                              "take more cases or a lower threshold.",)  # fmt: skip
+    code, out, _ = wavequake("tail", "s", "--variable", "x")
+    assert code == 0
+    assert "Not judged: all cases, off: Only 0 of 400 cases exceed 7" in out
+    code, _, err = wavequake("tail", "s", "--variable", "x[controller=off]")
+    assert code == 2
+    assert "Error: all cases: Only 0 of 400 cases exceed 7" in err
 
 
 STREAMED = {
@@ -236,7 +251,7 @@ def test_goals_are_judged_by_blocks_with_the_same_answer(lens, monkeypatch):
     dataset, goal = open_store(path), Goal("image", 0.9, 0.1)
     whole = quantiles_of(goal, dataset)
     monkeypatch.setattr("wavequake.workflows.blocks.BLOCK_BYTES", 20_000)
-    assert len(list(blocks([dataset["image"].variable]))) == 3
+    assert len(list(blocks([dataset["image"].variable]))) >= 3
     assert quantiles_of(goal, dataset) == whole
     monkeypatch.setattr(pooled, "HELD", 1000)
     assert quantiles_of(goal, dataset) == whole

@@ -148,10 +148,10 @@ def test_what_is_kept_of_images_is_part_of_the_identity_only_where_it_is_less(tm
 
 @pytest.mark.parametrize("name", ["system-disturbance", "lens-experiment", "mirror-trace"])
 def test_a_study_without_images_has_none_to_leave_out(tmp_path, name):
-    with pytest.raises(UserError, match=r"this study makes no images; leave store\.images out"):
+    with pytest.raises(UserError, match=r"there are no images to keep; leave store\.images out"):
         study_with(small_study(name, tmp_path), {"store.images": "none"})
     segments = small_study("segment-disturbance", tmp_path)  # which has imaging.enabled = false
-    with pytest.raises(UserError, match=r"this study makes no images; leave store\.images out"):
+    with pytest.raises(UserError, match=r"there are no images to keep; leave store\.images out"):
         study_with(segments, {"store.images": "single"})
     with pytest.raises(UserError, match=r"store.images: .*'double', 'single' or 'none'"):
         study_with(segments, {"store.images": "some"})

@@ -51,13 +51,22 @@ class RareQuestion:
     below: bool = False
 
 
-def rare_events(store: Path | str, question: RareQuestion) -> tuple[list[RareEvents], str]:
-    """Return the tails of all populations of a store, at each label that was not chosen, and the unit.
+@dataclass(frozen=True)
+class RareAnswer:
+    """The tails of populations, in sentences why others have none, and the unit of the values."""
+
+    found: tuple[RareEvents, ...]
+    reasons: tuple[str, ...]
+    unit: str
+
+
+def rare_events(store: Path | str, question: RareQuestion) -> RareAnswer:
+    """Return the tails of all populations of a store, at each label that was not chosen.
 
     Raises
     ------
     UserError
-        If there is no such variable, label or statistic, or a tail has too few cases.
+        If there is no such variable, label or statistic, or no population has a tail, as of too few cases.
     """
     if not 0.0 < question.probability < 0.5:
         raise UserError(
@@ -73,12 +82,17 @@ def rare_events(store: Path | str, question: RareQuestion) -> tuple[list[RareEve
     numbers = per_case(dataset, judged, question.statistic)
     stratified = "replicate" in dataset.variables
     sign = -1.0 if question.below else 1.0
-    found = []
+    found, reasons = list[RareEvents](), list[str]()
     for name in dict.fromkeys(names.tolist()):
         for label, values in numbers.items():
             mine = sign * values[(names == name) & done]
-            found.append(_one(title(name, label), mine, question, sign, stratified))
-    return found, str(dataset[judged.variable].attrs.get("units", "1"))
+            try:
+                found.append(_one(title(name, label), mine, question, sign, stratified))
+            except UserError as error:
+                reasons.append(str(error))
+    if not found:
+        raise UserError(reasons[0])
+    return RareAnswer(tuple(found), tuple(reasons), str(dataset[judged.variable].attrs.get("units", "1")))
 
 
 def _one(name: str, values: Array, question: RareQuestion, sign: float, stratified: bool) -> RareEvents:
@@ -125,8 +139,9 @@ def _over_time(values: xr.DataArray, statistic: str) -> xr.DataArray:
     return reduced
 
 
-def rare_table(found: list[RareEvents], unit: str, question: RareQuestion) -> Table:
+def rare_table(answer: RareAnswer, question: RareQuestion) -> Table:
     """Return the tails as a table for the terminal."""
+    unit = answer.unit
     side = "below" if question.below else "above"
     sign = -1.0 if question.below else 1.0
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
@@ -139,7 +154,7 @@ def rare_table(found: list[RareEvents], unit: str, question: RareQuestion) -> Ta
     table.add_column(wanted, justify="right", no_wrap=True)
     if question.limit is not None:
         table.add_column(f"share {side}\n{question.limit:g} {unit}", justify="right", no_wrap=True)
-    for one in found:
+    for one in answer.found:
         cells = [
             str(len(one.tail.values)),
             number(sign * one.tail.threshold),
@@ -159,7 +174,7 @@ def _interval(found: Quantile, sign: float = 1.0) -> str:
     return f"{number(sign * found.value)} ({ends[0]}–{ends[1]})"
 
 
-def rare_notes(found: list[RareEvents], question: RareQuestion) -> Iterator[str]:
+def rare_notes(answer: RareAnswer, question: RareQuestion) -> Iterator[str]:
     """Yield what the numbers mean and where they are not to be trusted, in lines."""
     over = f"the {question.statistic} over the instants of a case"
     yield (
@@ -167,7 +182,8 @@ def rare_notes(found: list[RareEvents], question: RareQuestion) -> Iterator[str]
         "brackets 95 % confidence intervals of the profile likelihood. It holds as far as the tail goes on "
         "as it is."
     )
-    for one in found:
+    yield from (f"Not judged: {reason}" for reason in answer.reasons)
+    for one in answer.found:
         if np.isnan(one.value.low):
             yield f"{one.name}: no interval, as stratified cases are not independent (docs/statistics.md)."
         elif one.steady and not one.value.low <= one.steady.value <= one.value.high:

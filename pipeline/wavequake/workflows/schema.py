@@ -115,7 +115,7 @@ class Study(Section):
         if store.every > max(fewest, 1):
             raise ValueError(f"store.every is {store.every}, but there are cases of {fewest} instants")
         if store.images != "double" and not self.stores_images:
-            raise ValueError("this study makes no images; leave store.images out")
+            raise ValueError("there are no images to keep; leave store.images out")
         return self
 
     @classmethod
