@@ -165,7 +165,7 @@ def test_a_sphere_about_another_point_is_found(along):
     system = replace(ellipsoid(), fields=np.array([[0.0, 0.0], [15.0, -9.0]]))
     for field in (0, 1):
         prepared = with_fitted_sphere(prepare_system(system, *quadrature(0.0), 45, field))
-        opd, traced, chief = trace_system(prepared, rest_states(system), NUMPY)
+        _, traced, chief = trace_system(with_slopes(prepared), rest_states(system), NUMPY)  # has directions
         points = sphere_points(prepared, traced, chief)
         shift = np.array([2e-3, -1e-3, along])
         opd = INDEX * np.linalg.norm(points - shift, axis=1)[None] / prepared.wavelength
@@ -200,7 +200,7 @@ def test_the_sphere_is_that_through_the_points_of_the_wavefront(name):
     )
     states = rest_states(system)
     states.surface_motion[0, 1] = [1e-3, -2e-3, 1e-3, 1e-5, 2e-5, 0.0]
-    opd, traced, chief = trace_system(prepared, states, NUMPY)
+    opd, traced, chief = trace_system(with_slopes(prepared), states, NUMPY)  # has directions, too
     points, radius = sphere_points(prepared, traced, chief), prepared.sphere_radius
     points -= points / radius * (opd[0] * prepared.wavelength / prepared.image_index)[:, None]
     center = fit_sphere(points[None], prepared.fit.weight).center[0]
