@@ -29,6 +29,12 @@ def test_every_bundled_system_has_a_study(name):
         assert (study.study.name, study.system.name) == (name, name)
 
 
+def test_a_file_in_the_way_changes_nothing(folder):
+    for name in ("jwst", "gregorian"):
+        (folder / name).touch()
+        assert sensitivity_study(name).study.name.startswith(name)
+
+
 def test_segmented_telescopes_are_those_of_their_studies():
     assert sensitivity_study("jwst") == load_study("jwst-segments")
     assert sensitivity_study("tmt-18", ["optics.rays_per_segment=6"]) == load_study(
@@ -102,7 +108,7 @@ def test_the_command_takes_a_bare_name_and_says_where_it_wrote(folder, wavequake
         ("herschel", ["optics.rais=3"], "herschel: the key 'optics.rais' is unknown"),
         ("herschel", ["nonsense"], "'nonsense' is not an override"),
         ("jwst", ["telescope.name=vlt"], "telescope.name"),
-        ("gone.toml", [], "There is no study 'gone.toml'"),
+        ("gone.toml", [], "There is no study and no optical system 'gone.toml'"),
     ],
 )
 def test_bad_names_and_keys_are_one_sentence(folder, name, keys, words):

@@ -43,14 +43,14 @@ def sensitivity_study(source: str | Path, overrides: Mapping[str, Any] | Iterabl
             "write_zmx makes a file of a system."
         )
     name = str(source)
-    is_file = name.lower().endswith(".zmx")
-    if not is_file and (name in bundled_studies() or name.endswith(".toml") or Path(name).is_file()):
+    is_file, is_system = name.lower().endswith(".zmx"), name in TELESCOPES or name in system_names()
+    if name in bundled_studies() or not (is_file or is_system) and Path(name).is_file():
         return load_study(source, overrides)
     keys = overrides if isinstance(overrides, Mapping) else dict(split_overrides(overrides))
     if name in TELESCOPES:
         study, chosen = TELESCOPES[name]
         return load_study(study, chosen | dict(keys))
-    if not is_file and name not in system_names():
+    if not (is_file or is_system):
         known = tuple(dict.fromkeys((*bundled_studies(), *TELESCOPES, *system_names())))
         near = difflib.get_close_matches(name, known, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
