@@ -20,6 +20,7 @@ from wavequake.optics.shape_sag import shape_sag
 from wavequake.optics.shapes import (
     Conic,
     EvenAsphere,
+    ExtendedPolynomial,
     GridDeformation,
     GridSag,
     Opening,
@@ -232,3 +233,19 @@ def test_numbers_of_any_kind_are_kept(value):
 def test_rows_of_different_lengths_are_no_array():
     with pytest.raises(UserError, match="they must be an array of numbers"):
         array([[1.0], [1.0, 2.0]], "they")
+
+
+@pytest.mark.parametrize(
+    ("shape", "words"),
+    [
+        (EvenAsphere(-1000.0, 0.0, (1e308, 1e308)), "the surface M1 of one has the curvature inf / mm"),
+        (ExtendedPolynomial(-1000.0, 0.0, (0.0, 0.0, 1e300), 1e-3), "has the curvature 1e.306 / mm"),
+        (ExtendedPolynomial(-1000.0, 0.0, (0.0, 0.0, 1.0), 1e-200), "normalization radius .* 1e-09 mm at"),
+        (ZernikeSag(-1000.0, 0.0, (0.0, 0.0, 0.0, 1e308), 5.0), "has the curvature"),
+        (ZernikeSag(-1000.0, 0.0, (0.0, 0.0, 0.0, 1.0), 1e-200), "pupil radius .* 1e-09 mm at"),
+        (GridSag(-1000.0, 0.0, np.full((5, 5), 1e308), 1e-3, 1e-3), "has the curvature"),
+    ],
+)
+def test_shapes_beyond_all_bounds_are_told_without_warnings(shape, words):
+    with pytest.raises(UserError, match=words):
+        mirror(shape=shape).info()

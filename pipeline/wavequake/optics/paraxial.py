@@ -21,6 +21,7 @@ from wavequake.optics.system import OpticalSystem, Surface, require_system, wave
 
 Array = NDArray[np.float64]
 
+_STEEPEST = 1e9  # curvature at a vertex, 1/mm: products of larger ones overflow
 _DECENTERED = 0.05  # largest slope of a surface where the axis ray meets it that counts as centered
 _GRAZING = 1e-6  # smallest cosine of incidence of the axis ray
 _INFINITE = 1e12  # what lies further away than so many times the system's size is at infinity
@@ -214,6 +215,11 @@ def _unfolded(system: OpticalSystem, wavelength: float) -> Iterator[_Step]:
             index, transfer = _through_gradient(begins, wavelength, point, way, direction)
         point = point + way * direction
         curvature = vertex_curvature(surface.shape)
+        if not abs(curvature) <= _STEEPEST:
+            raise UserError(
+                f"the surface {surface.name} of {system.name} has the curvature {curvature:g} / mm at its "
+                f"vertex; it must be at most {_STEEPEST:g} / mm"
+            )
         last = number == len(system.surfaces) - 1
         acts = surface.action != "pass" and not last
         beside = float(np.linalg.norm(point - surface.position))

@@ -123,9 +123,10 @@ def vertex_curvature(shape: Shape) -> float:
         return curvature + (square[2] + square[4]) / shape.normalization_radius**2
     step = 1e-4 * shape.pupil_radius if isinstance(shape, ZernikeSag) else 1e-3 * min(shape.dx, shape.dy)
     ends = np.array([step, -step])
-    _, along_x, _ = _extra(shape, ends, np.zeros(2))
-    _, _, along_y = _extra(shape, np.zeros(2), ends)
-    return curvature + float(along_x[0] - along_x[1] + along_y[0] - along_y[1]) / (4.0 * step)
+    with np.errstate(over="ignore", invalid="ignore"):  # infinite curvatures are told where they matter
+        _, along_x, _ = _extra(shape, ends, np.zeros(2))
+        _, _, along_y = _extra(shape, np.zeros(2), ends)
+        return curvature + float(along_x[0] - along_x[1] + along_y[0] - along_y[1]) / (4.0 * step)
 
 
 def require_shape(shape: Shape) -> None:
@@ -143,11 +144,15 @@ def require_shape(shape: Shape) -> None:
         if not np.isfinite(numbers).all():
             bad = int(np.flatnonzero(~np.isfinite(numbers))[0])
             raise UserError(f"coefficient {bad} of a {what} is {numbers[bad]}; it must be a finite number")
-    if isinstance(shape, ZernikeSag) and not (shape.pupil_radius > 0.0 and np.isfinite(shape.pupil_radius)):
-        raise UserError(f"the pupil radius of a {what} is {shape.pupil_radius}; it must be positive")
-    if isinstance(shape, ExtendedPolynomial) and not shape.normalization_radius > 0.0:
+    if isinstance(shape, ZernikeSag) and not _SMALLEST_RADIUS <= shape.pupil_radius < np.inf:
         raise UserError(
-            f"the normalization radius of a {what} is {shape.normalization_radius}; it must be positive"
+            f"the pupil radius of a {what} is {shape.pupil_radius}; it must be positive, {_SMALLEST_RADIUS:g} "
+            "mm at least"
+        )
+    if isinstance(shape, ExtendedPolynomial) and not shape.normalization_radius >= _SMALLEST_RADIUS:
+        raise UserError(
+            f"the normalization radius of a {what} is {shape.normalization_radius}; it must be positive, "
+            f"{_SMALLEST_RADIUS:g} mm at least"
         )
     if isinstance(shape, GridSag):
         require_grid(shape.heights, shape.dx, shape.dy)

@@ -44,7 +44,7 @@ def sensitivity_study(source: str | Path, overrides: Mapping[str, Any] | Iterabl
         )
     name = str(source)
     is_file, is_system = name.lower().endswith(".zmx"), name in TELESCOPES or name in system_names()
-    if name in bundled_studies() or not (is_file or is_system) and Path(name).is_file():
+    if name in bundled_studies() or (not (is_file or is_system) and Path(name).is_file()):
         return load_study(source, overrides)
     keys = overrides if isinstance(overrides, Mapping) else dict(split_overrides(overrides))
     if name in TELESCOPES:
