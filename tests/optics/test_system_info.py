@@ -132,3 +132,11 @@ def test_what_is_assumed_of_bundled_systems_is_said(name, words):
 def test_the_segmented_jwst_says_that_it_is_an_equivalent():
     assert parent_system(telescope("jwst")).info().endswith("a stigmatic axis.")
     assert "assumed" not in optical_system("tmt").info()  # as published
+
+
+def test_light_from_behind_the_first_surface_is_refused_as_in_a_trace():
+    lens = replace(optical_system("six-lens"), object_distance=-50.0)
+    with pytest.raises(
+        UserError, match="stands -50 mm before the first surface; the distance must be positive"
+    ):
+        info(lens)

@@ -181,6 +181,15 @@ def _recovered(aim: _Aim, good: Array, numbers: Array) -> Array:
     return numbers
 
 
+def require_real_object(system: OpticalSystem) -> None:
+    """Raise UserError unless the object stands before the first surface, from where its light can come."""
+    if not system.object_distance > 0.0:
+        raise UserError(
+            f"the object of {system.name} stands {system.object_distance:g} mm before the first surface; "
+            "the distance must be positive"
+        )
+
+
 def _bundle(system: OpticalSystem, data: Paraxial, field: Array, wavelength: float) -> tuple[_Bundle, Array]:
     """Return the bundle of a field point and the numbers of its paraxial chief ray."""
     index = refractive_index(system.medium, wavelength)
@@ -195,11 +204,7 @@ def _bundle(system: OpticalSystem, data: Paraxial, field: Array, wavelength: flo
         chief = center + (first - center[2]) * direction
         direction /= np.linalg.norm(direction)
         return _Bundle(np.array([0.0, 0.0, first]), direction, center, index), chief[:2]
-    if not system.object_distance > 0.0:
-        raise UserError(
-            f"the object of {system.name} stands {system.object_distance:g} mm before the first surface; "
-            "the distance must be positive"
-        )
+    require_real_object(system)
     origin = np.array([*field, first - system.object_distance])
     if system.telecentric or not isfinite(data.entrance_pupil):
         if abs(data.entrance_pupil) < _TELECENTRIC * system.object_distance:

@@ -146,7 +146,7 @@ def require_shape(shape: Shape) -> None:
             raise UserError(f"coefficient {bad} of a {what} is {numbers[bad]}; it must be a finite number")
     if isinstance(shape, ZernikeSag) and not _SMALLEST_RADIUS <= shape.pupil_radius < np.inf:
         raise UserError(
-            f"the pupil radius of a {what} is {shape.pupil_radius}; it must be positive, {_SMALLEST_RADIUS:g} "
+            f"the pupil radius of a {what} is {shape.pupil_radius}; it must be {_SMALLEST_RADIUS:g} "
             "mm at least"
         )
     if isinstance(shape, ExtendedPolynomial) and not shape.normalization_radius >= _SMALLEST_RADIUS:

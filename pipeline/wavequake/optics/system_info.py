@@ -8,6 +8,7 @@ import numpy as np
 from wavequake.optics.gradient_index import GradientIndex
 from wavequake.optics.packing import pack
 from wavequake.optics.paraxial import Paraxial, paraxial
+from wavequake.optics.ray_aiming import require_real_object
 from wavequake.optics.shapes import Conic, Opening
 from wavequake.optics.system import OpticalSystem, Surface
 
@@ -24,6 +25,7 @@ def info(system: OpticalSystem) -> str:
         what could not be traced is not described either.
     """
     data = paraxial(system)
+    require_real_object(system)
     for wavelength in system.wavelengths:
         pack(system, float(wavelength))
     parts = [
