@@ -134,3 +134,16 @@ rms = { dx_um = 1.0 }
     bare, mine = (wq.sensitivity(name, **keys) for name in ("gregorian", "mine.toml"))
     for name in mine.data_vars:
         np.testing.assert_array_equal(bare[name].values, mine[name].values)
+
+
+def test_rays_that_openings_stop_are_counted(folder, wavequake):
+    """A ring of the rim is stopped at the lone mirror: as many of even rays as the share of its area."""
+    (folder / "stopped.zmx").write_text(lens_file().replace("SURF 2", "  CLAP 0 40 0\nSURF 2"))
+    words = ["optics.rays=100", "wavefront.zernike_terms=6", "campaign.device=numpy"]
+    code, out, err = wavequake("sensitivity", "stopped.zmx", *words)
+    assert code == 0, err
+    assert "At rest openings stop 36 of 100 rays of (0, 0) deg; the numbers are those" in " ".join(
+        out.split()
+    )
+    code, out, _ = wavequake("sensitivity", "gregorian", *words)
+    assert (code, "openings stop" in out) == (0, False)

@@ -97,6 +97,8 @@ def explanations(found: "xr.Dataset") -> list[str]:
         f"Central differences, steps {steps[0]:g} m and {steps[3]:.2g} rad. Steps twice as large agree to "
         f"(worst, relative): {errors}.",
     ]
+    if "vignetted" in attrs:
+        lines.append(f"At rest openings stop {attrs['vignetted']}; the numbers are those of the others.")
     if not attrs["steps_agree"]:
         lines.append(
             f"Not to be trusted: the columns whose step_error is above {attrs['step_tolerance']:g}. A ray "

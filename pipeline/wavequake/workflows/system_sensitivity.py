@@ -23,6 +23,7 @@ from wavequake.workflows.sensitivity import (
 from wavequake.workflows.system_bench import (
     MM_PER_M,
     NM_PER_MM,
+    SystemBench,
     deformable,
     field_name,
     prepared_fields,
@@ -124,10 +125,22 @@ def system_dataset(study: SystemStudy, device: Device, terms: int = 0) -> "xr.Da
         "step_tolerance": rigid[0].tolerance,
         "steps_agree": int(all(one.agrees for _, _, found in matrices.values() for one in found)),
         **worst,
+        **_vignetted(bench),
         "device": f"{device.name} ({device.kind})",
         **collect(device),
     }
     return xr.Dataset(variables, coordinates, attrs)
+
+
+def _vignetted(bench: SystemBench) -> dict[str, str]:
+    """Return how many rays openings stop at rest, field by field, if they stop any."""
+    counts = [int(row[bench.system.primary_wavelength].vignetted[0]) for row in bench.static]
+    stopped = [
+        f"{count} of {bench.study.optics.rays} rays of {field_name(bench.system, field)}"
+        for field, count in enumerate(counts)
+        if count
+    ]
+    return {"vignetted": "; ".join(stopped)} if stopped else {}
 
 
 def _part(matrix: SensitivityMatrix, part: slice) -> SensitivityMatrix:
