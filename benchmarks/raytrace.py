@@ -28,7 +28,6 @@ from wavequake.kernels.packing import packed_elements
 from wavequake.kernels.segmented import trace_segmented
 from wavequake.kernels.sequence import Rays, Sequence
 from wavequake.kernels.sequential import trace_sequence
-from wavequake.kernels.sequential_numpy import moving_part
 from wavequake.kernels.tiles import TILE
 from wavequake.memory import keep_freed_memory
 from wavequake.optics.catalog import optical_system
@@ -45,7 +44,6 @@ Array = NDArray[np.float64]
 REPEATS, CALLS = 11, 100
 RAYS, BATOID_RAYS = 1_000_000, 100_000
 BATCH, BATCH_RAYS, BATOID_INSTANTS = 1000, 2000, 3
-BLOCKS = 2  # in which the instants of a batch are traced
 TILES = 4  # of the segmented trace, which flags failures and searches segments
 OUTER, INNER = 15e3, 3e3
 M1, K1, M2, K2 = -60e3, -1.0009535, -6227.68, -1.31822813
@@ -201,17 +199,11 @@ def measure(device: Device, threads: int, terms: int, batoid: bool, console: Con
 def batch_work(
     system: OpticalSystem, states: SystemStates, sequence: Sequence, rays: Rays, device: Device, threads: int
 ) -> tuple[Callable[[], Any], dict[str, list[float]]]:
-    """Return what traces and measures a batch, and the seconds that each call takes, by what it does.
-
-    Instants are traced in blocks whose path lengths are still in the caches when they are fitted.
-    """
+    """Return what traces and measures a batch, and the seconds that each call takes, by what it does."""
     x, y = rays.position[:2] / OUTER
     fit = weighted_fit(annular_zernike(x, y, 28, INNER / OUTER), np.full(x.size, 1.0 / x.size))
-    each = BATCH // BLOCKS
-    blocks = [slice(k, k + each) for k in range(0, BATCH, each)]
-    parts = [slice(each * k // threads, each * (k + 1) // threads) for k in range(threads)]
-    first = moving_part(moving(system, states), blocks[0])
-    traced = trace_sequence(sequence, rays, first, device, outputs=WANTED)
+    parts = [slice(BATCH * k // threads, BATCH * (k + 1) // threads) for k in range(threads)]
+    traced = trace_sequence(sequence, rays, moving(system, states), device, outputs=WANTED)
     pool = ThreadPoolExecutor(threads)
     spent: dict[str, list[float]] = {"batch": [], "packing": [], "host": []}
 
@@ -223,20 +215,18 @@ def batch_work(
     def work() -> None:
         times = [time.perf_counter()]
         light = moving(system, states)
-        for block in blocks:
-            now = moving_part(light, block)
-            times.append(time.perf_counter())
-            packed_elements(sequence, now, False)
-            times.append(time.perf_counter())
-            trace_sequence(sequence, rays, now, device, outputs=WANTED, out=traced)
-            times.append(time.perf_counter())
-            others = [pool.submit(measures, part) for part in parts[1:]]
-            measures(parts[0])
-            for other in others:
-                other.result()
-        steps = np.diff([*times, time.perf_counter()])
-        for name, start in (("host", 0), ("packing", 1), ("batch", 2)):
-            spent[name].append(float(np.sum(steps[start::3])))
+        times.append(time.perf_counter())
+        packed_elements(sequence, light, False)  # as the trace does once more
+        times.append(time.perf_counter())
+        trace_sequence(sequence, rays, light, device, outputs=WANTED, out=traced)
+        times.append(time.perf_counter())
+        others = [pool.submit(measures, part) for part in parts[1:]]
+        measures(parts[0])
+        for other in others:
+            other.result()
+        poses, packing, batch, fits = np.diff([*times, time.perf_counter()]).tolist()
+        for name, seconds in (("host", poses + fits), ("packing", packing), ("batch", batch)):
+            spent[name].append(seconds)
 
     return work, spent
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from wavequake.kernels.devices import POCL, Device, opencl_handle
 from wavequake.kernels.pocl_source import has_wide_vectors
-from wavequake.kernels.program import _LOCK, _fetch, _input, _kernel, _output, _queue, scalar_types
+from wavequake.kernels.program import _LOCK, _fetch, _input, _kernel, _output, _queue, scalar_types, watch
 
 # Scratch memory is kept for the next call, unless it is more than this: (device, name) to buffer.
 _SCRATCH: dict[tuple[Device, str], Any] = {}
@@ -64,7 +64,9 @@ def run_steps(
             kernel = _kernel(device, step.kernel, step.constants, step.text, scalar_types(step.arguments))
             kernel.set_args(*(buffers[a] if isinstance(a, str) else a for a in step.arguments))
             size = tuple(-(-n // g) * g for n, g in zip(step.size, step.group, strict=True))
-            cl.enqueue_nd_range_kernel(queue, kernel, size, step.group)
+            last = cl.enqueue_nd_range_kernel(queue, kernel, size, step.group)
+        if steps:
+            watch(queue, device, last)
         for name, out in outputs.items():
             _fetch(queue, device, out, buffers[name])
         queue.finish()
