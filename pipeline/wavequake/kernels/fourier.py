@@ -16,9 +16,9 @@ from wavequake.kernels.steps import Step, run_steps, vector_width
 Complex = NDArray[np.complex64] | NDArray[np.complex128]
 
 ENGINES = ("auto", "opencl", "scipy")
-# Below this many numbers (two images of 512 x 512) handing the work to the device's own thread can take
-# longer than the kernels gain, on a busy processor at least.
-_SMALL = 1 << 19
+# Below this many numbers (an image of 256 x 256) handing the work to the device's own thread can take longer
+# than the kernels gain.
+_SMALL = 1 << 16
 # Images are transformed along rows and columns in groups of about this size, while caches still hold them.
 _TOGETHER_BYTES = 1 << 20
 # What is larger is in no cache when it is read again, and is stored past them.
