@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+from wavequake.memory import keep_freed_memory
+
 ARRAYS, PAGES = 200, 244  # 10^6 bytes each
 
 COUNTED = f"""
@@ -33,3 +35,12 @@ def faults(*arguments):
 def test_freed_arrays_are_used_again():
     assert faults() > 0.9 * ARRAYS * PAGES
     assert faults("keep") < 2 * PAGES
+
+
+@pytest.mark.parametrize("error", [AttributeError, OSError, TypeError])
+def test_systems_without_glibc_are_left_as_they_are(monkeypatch, error):
+    def missing(name):
+        raise error
+
+    monkeypatch.setattr("ctypes.CDLL", missing)
+    keep_freed_memory.__wrapped__()

@@ -17,7 +17,7 @@ def keep_freed_memory() -> None:
     or more to the system, so that it must find and clear new pages for the next array: on virtual machines
     that takes longer than computing it.
     """
-    with suppress(AttributeError, OSError):
+    with suppress(AttributeError, OSError, TypeError):  # what systems without glibc raise
         library = ctypes.CDLL(None)
         library.mallopt(_MMAP_THRESHOLD, _LARGEST_ARRAY)
         library.mallopt(_TRIM_THRESHOLD, _KEPT)

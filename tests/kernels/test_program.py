@@ -1,9 +1,13 @@
 import re
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from wavequake.files import folder
-from wavequake.kernels.program import aligned_empty, source
+from wavequake.kernels.devices import NUMPY
+from wavequake.kernels.program import aligned_empty, source, watch
 
 
 def test_headers_are_pasted_into_the_source_that_binaries_are_cached_by():
@@ -27,3 +31,21 @@ def test_new_arrays_begin_with_a_page():
         assert (array.shape, array.dtype) == (shape, dtype)
         assert array.ctypes.data % 4096 == 0 or array.size == 0
         assert array.flags.c_contiguous
+
+
+@pytest.mark.parametrize(
+    ("kind", "statuses", "glances"),
+    [("cpu", [3, 2, 1, 0], 4), ("cpu", [2, -36], 2), ("cpu", [1] * 2000, 1000), ("gpu", [3], 0)],
+)
+def test_short_work_is_watched_until_it_ends_or_fails_or_lasts(kind, statuses, glances):
+    pytest.importorskip("pyopencl")
+    seen = []
+
+    class Event:
+        @property
+        def command_execution_status(self):
+            seen.append(statuses[len(seen)])
+            return seen[-1]
+
+    watch(SimpleNamespace(flush=lambda: None), replace(NUMPY, kind=kind), Event())
+    assert len(seen) == glances

@@ -89,7 +89,7 @@ def watch(queue: Any, device: Device, event: Any) -> None:
 
     queue.flush()
     for _ in range(_GLANCES if device.kind == "cpu" else 0):
-        if event.command_execution_status == cl.command_execution_status.COMPLETE:
+        if event.command_execution_status <= cl.command_execution_status.COMPLETE:  # below: it failed
             return
         _YIELD()
 

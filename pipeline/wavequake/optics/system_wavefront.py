@@ -40,6 +40,7 @@ from wavequake.optics.system_slopes import (
 )
 
 Array = NDArray[np.float64]
+Traced = tuple[Array, TracedRays, Array]  # see `trace_light`
 
 # Radius of the reference sphere where the exit pupil is at infinity, mm.
 _TELECENTRIC_RADIUS = 1e5
@@ -294,14 +295,12 @@ def chief_points(prepared: PreparedSystem, light: Moving) -> tuple[Array, Array]
     return np.stack([traced.x[:, 0], traced.y[:, 0]], axis=1), path
 
 
-def trace_system(
-    prepared: PreparedSystem, states: SystemStates, device: Device
-) -> tuple[Array, TracedRays, Array]:
+def trace_system(prepared: PreparedSystem, states: SystemStates, device: Device) -> Traced:
     """Trace all rays at all instants; returns as `trace_light`."""
     return trace_light(prepared, incoming_light(prepared, states), device)
 
 
-def trace_light(prepared: PreparedSystem, light: Moving, device: Device) -> tuple[Array, TracedRays, Array]:
+def trace_light(prepared: PreparedSystem, light: Moving, device: Device) -> Traced:
     """Trace all rays at all instants of what moves.
 
     Returns
@@ -315,25 +314,25 @@ def trace_light(prepared: PreparedSystem, light: Moving, device: Device) -> tupl
     return next(trace_lights(prepared, [light], device))
 
 
-def trace_lights(
-    prepared: PreparedSystem, lights: list[Moving], device: Device
-) -> Iterator[tuple[Array, TracedRays, Array]]:
-    """Yield of several cases what `trace_light` returns.
+def trace_lights(prepared: PreparedSystem, lights: list[Moving], device: Device) -> Iterator[Traced]:
+    """Return for each of several cases what `trace_light` does, traced as it is asked for.
 
     Their chief rays are traced at once: the bits of a case do not depend on the others.
     """
     joined, parts = joined_moving(lights)
-    outputs = OUTPUTS if prepared.slopes is not None else OUTPUTS[:3]  # directions take a tenth of the time
     chiefs, paths = chief_points(prepared, joined)
-    for light, part in zip(lights, parts, strict=True):
-        chief, path = chiefs[part], paths[part]
-        radius = np.full((len(chief), 1), prepared.sphere_radius)
-        # Without a chief ray there is no sphere: the instant's rays are lost, and say so.
-        center = np.where(np.isfinite(chief), chief, 0.0)
-        spheres = np.concatenate([center, np.zeros_like(radius), radius], axis=1)
-        about = replace(light, spheres=spheres)
-        traced = trace_sequence(prepared.sequence, prepared.rays, about, device, outputs=outputs)
-        yield (path[:, None] - traced.path) / prepared.wavelength, traced, chief
+    cases = zip(lights, parts, strict=True)
+    return (_about(prepared, light, chiefs[part], paths[part], device) for light, part in cases)
+
+
+def _about(prepared: PreparedSystem, light: Moving, chief: Array, path: Array, device: Device) -> Traced:
+    outputs = OUTPUTS if prepared.slopes is not None else OUTPUTS[:3]  # directions take a tenth of the time
+    radius = np.full((len(chief), 1), prepared.sphere_radius)
+    # Without a chief ray there is no sphere: the instant's rays are lost, and say so.
+    center = np.where(np.isfinite(chief), chief, 0.0)
+    about = replace(light, spheres=np.concatenate([center, np.zeros_like(radius), radius], axis=1))
+    traced = trace_sequence(prepared.sequence, prepared.rays, about, device, outputs=outputs)
+    return (path[:, None] - traced.path) / prepared.wavelength, traced, chief
 
 
 def measure_system(prepared: PreparedSystem, states: SystemStates, device: Device) -> SystemWavefront:

@@ -19,6 +19,7 @@ from wavequake.mechanics.population import time_axis
 from wavequake.mechanics.streams import Streams
 from wavequake.optics.packing import moving
 from wavequake.optics.quality import meets_marechal, meets_rayleigh
+from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.system_wavefront import (
     PreparedSystem,
     SystemWavefront,
@@ -45,8 +46,8 @@ from wavequake.workflows.system_study import SystemStudy
 
 Array = NDArray[np.float64]
 
-# Of cases that are computed together.
-_INSTANTS = 4096
+# Of the states of cases that are computed together; they are copied a few times.
+_NUMBERS = 1 << 20
 
 
 def draw(bench: SystemBench, case: int) -> tuple[ElementDisturbance, ElementMotion]:
@@ -88,7 +89,7 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
         for name, variable in template(study_text).per_case.items()
     }
     messages, clock = [""] * len(cases), Stopwatch()
-    most = max(1, _INSTANTS // max(population.instants for population in bench.study.disturbance))
+    most = max(1, _NUMBERS // _numbers_of_a_case(bench))
     with threadpool_limits(1):
         for first in range(0, len(cases), most):
             with clock("draw"):
@@ -101,6 +102,13 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
                     arrays[name][row][tuple(slice(0, size) for size in values.shape)] = values
     status = np.array([RAISED if message else DONE for message in messages], dtype=np.int8)
     return ChunkResult(arrays, status, tuple(messages), clock.seconds)
+
+
+def _numbers_of_a_case(bench: SystemBench) -> int:
+    """Return how many numbers describe the motion of a case, at most."""
+    still = rest_states(bench.system)
+    instant = still.surface_motion.size + sum(form.size for form in still.deformations if form is not None)
+    return instant * max(population.instants for population in bench.study.disturbance)
 
 
 def measured(
