@@ -102,18 +102,40 @@ def test_the_command_takes_a_bare_name_and_says_where_it_wrote(folder, wavequake
 @pytest.mark.parametrize(
     ("name", "keys", "words"),
     [
-        ("jwsst", [], "There is no study and no optical system 'jwsst': did you mean 'jwst'"),
-        ("", [], "There is no study and no optical system ''"),
+        ("jwsst", [], "There is no study and no optical system 'jwsst': did you mean 'jwst'[?] Bundled"),
+        ("", [], "There is no study and no optical system ''[.] Bundled ones are"),
+        ("nosuch", [], "There is no study and no optical system 'nosuch'[.] Bundled ones are"),
         ("gone.zmx", [], "The lens file gone.zmx cannot be read"),
         ("herschel", ["optics.rais=3"], "herschel: the key 'optics.rais' is unknown"),
         ("herschel", ["nonsense"], "'nonsense' is not an override"),
         ("jwst", ["telescope.name=vlt"], "telescope.name"),
+        ("jwst", ["telescope.name=tmt"], "'telescope.name' puts another system in the place of jwst; give"),
+        (
+            "tmt-18",
+            {"telescope.name": "tmt-18"},
+            "'telescope.name' puts another system in the place of tmt-18",
+        ),
+        ("gregorian", {"system.name": "euv"}, "'system.name' puts another system in the place of gregorian"),
+        ("gregorian", {"system.file": "a.zmx"}, "'system.file' puts another system in the place"),
+        ("gregorian", {"system.surface": []}, "'system.surface' puts another system in the place"),
+        ("lens.zmx", ["system.name=euv"], "'system.name' puts another system in the place of lens.zmx"),
+        ("gregorian", {1: 2}, "The key 1 is no text"),
+        ("jwst", {None: 2}, "The key None is no text"),
         ("gone.toml", [], "There is no study and no optical system 'gone.toml'"),
     ],
 )
 def test_bad_names_and_keys_are_one_sentence(folder, name, keys, words):
     with pytest.raises(wq.UserError, match=words):
         sensitivity_study(name, keys)
+
+
+def test_a_study_may_be_given_another_system_or_telescope(folder):
+    """It is named after itself, not after its system; what a named system keeps may be changed, too."""
+    study = sensitivity_study("tmt-segments", {"telescope.name": "tmt-18"})
+    assert (study.study.name, study.telescope.name) == ("tmt-segments", "tmt-18")
+    assert sensitivity_study("euv", ["system.name=gregorian"]).system.name == "gregorian"  # the study euv
+    bare = sensitivity_study("gregorian", {"system.entrance_diameter_mm": 50.0})
+    assert (bare.system.name, bare.system.entrance_diameter_mm) == ("gregorian", 50.0)
 
 
 def test_sensitivities_of_the_bare_system_are_those_of_a_study_of_it(folder):

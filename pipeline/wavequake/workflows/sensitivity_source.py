@@ -18,6 +18,8 @@ TELESCOPES: dict[str, tuple[str, dict[str, Any]]] = {
     "tmt-18": ("tmt-segments", {"telescope.name": "tmt-18"}),
     "tmt-thesis": ("tmt-segments", {"telescope.name": "tmt-thesis"}),
 }
+# Keys that say what the system is: with one of them, the name would be that of something else.
+_WHOLE = ("telescope.name", "system.name", "system.file", "system.file_text", "system.surface")
 
 
 def sensitivity_study(source: str | Path, overrides: Mapping[str, Any] | Iterable[str] = ()) -> Study:
@@ -30,12 +32,12 @@ def sensitivity_study(source: str | Path, overrides: Mapping[str, Any] | Iterabl
         light and rays of the bundled study of it; any other bundled system, or ``lens.zmx``: a study of
         nothing but that, with all defaults, its own fields and wavelengths.
     overrides : mapping or iterable of ``"section.key=value"``
-        As `wavequake.load_study` takes them.
+        As `wavequake.load_study` takes them; not another system or telescope in the place of a named one.
 
     Raises
     ------
     UserError
-        If there is no such thing, or it cannot be read.
+        If there is no such thing, it cannot be read, or overrides put another in its place.
     """
     if not isinstance(source, str | Path):
         raise UserError(
@@ -46,16 +48,23 @@ def sensitivity_study(source: str | Path, overrides: Mapping[str, Any] | Iterabl
     is_file, is_system = name.lower().endswith(".zmx"), name in TELESCOPES or name in system_names()
     if name in bundled_studies() or (not (is_file or is_system) and Path(name).is_file()):
         return load_study(source, overrides)
-    keys = overrides if isinstance(overrides, Mapping) else dict(split_overrides(overrides))
+    keys = dict(split_overrides(overrides))
+    if is_system or is_file:
+        other = next((key for key in keys if key in _WHOLE), None)
+        if other is not None:
+            raise UserError(
+                f"The key {other!r} puts another system in the place of {name}; give that one by its name or "
+                "file, or a study of your own."
+            )
     if name in TELESCOPES:
         study, chosen = TELESCOPES[name]
         return load_study(study, chosen | dict(keys))
     if not (is_file or is_system):
         known = tuple(dict.fromkeys((*bundled_studies(), *TELESCOPES, *system_names())))
         near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
+        hint = f": did you mean {near[0]!r}?" if near else "."
         raise UserError(
-            f"There is no study and no optical system {name!r}: {hint}Bundled ones are {', '.join(known)}; "
+            f"There is no study and no optical system {name!r}{hint} Bundled ones are {', '.join(known)}; "
             "one of your own is a .toml or .zmx file."
         )
     return _bare(name, {"file": name} if is_file else {"name": name}, keys)
