@@ -157,6 +157,23 @@ def test_a_lens_campaign_stops_when_one_controller_is_known(tmp_path):
     assert summary.goal[1].startswith("deviation[controller=uncontrolled].p50 of initial: ")
 
 
+def test_the_worst_field_is_the_smallest_where_small_values_are_judged(monkeypatch):
+    random = np.random.default_rng(9)
+    strehl = 1.0 - random.exponential([0.01, 0.1], (400, 3, 2))  # of two fields, the second is the worse one
+    data = xr.Dataset(
+        {"strehl": (("case", "time", "field"), strehl), "status": ("case", np.ones(400, dtype=np.int8))}
+    )
+    poor, good = strehl.min(axis=-1), strehl.max(axis=-1)
+    for probability, worst in ((0.05, poor), (0.49, poor), (0.5, good), (0.95, good)):
+        found = quantiles_of(Goal("strehl", probability, 0.01), data)["all cases"]
+        np.testing.assert_allclose(found.value, np.quantile(worst, probability), rtol=1e-12)
+    monkeypatch.setattr("wavequake.report.tail.open_store", lambda path: data)
+    (low,) = rare_events("s", RareQuestion("strehl", "mean", 1e-3, below=True)).found
+    np.testing.assert_allclose(low.tail.values, np.sort(-strehl.mean(axis=1).min(axis=-1)), rtol=1e-14)
+    (high,) = rare_events("s", RareQuestion("strehl", "mean", 1e-3)).found
+    np.testing.assert_allclose(high.tail.values, np.sort(strehl.mean(axis=1).max(axis=-1)), rtol=1e-14)
+
+
 @pytest.fixture(scope="module")
 def many(tmp_path_factory):
     """A dataset of a store of 400 cases under two controllers."""

@@ -79,7 +79,7 @@ def rare_events(store: Path | str, question: RareQuestion) -> RareAnswer:
     dataset = open_store(store)
     judged = judged_in(question.variable, dataset)
     done, names = dataset["status"].to_numpy() == DONE, populations_of(dataset)
-    numbers = per_case(dataset, judged, question.statistic)
+    numbers = per_case(dataset, judged, question.statistic, question.below)
     stratified = "replicate" in dataset.variables
     sign = -1.0 if question.below else 1.0
     found, reasons = list[RareEvents](), list[str]()
@@ -109,23 +109,29 @@ def _one(name: str, values: Array, question: RareQuestion, sign: float, stratifi
     return RareEvents(name, tail, value, steady, odds)
 
 
-def per_case(dataset: xr.Dataset, judged: Judged, statistic: str) -> dict[str, Array]:
+def per_case(dataset: xr.Dataset, judged: Judged, statistic: str, below: bool = False) -> dict[str, Array]:
     """Return a number per case, by label: a statistic over instants, the worst of fields and wavelengths.
 
-    Of a line of sight it is the distance from rest. Raises as :func:`rare_events`.
+    The worst is the largest, or the smallest where small values are judged (`below`). Of a line of sight it
+    is the distance from rest. Raises as :func:`rare_events`.
     """
     if statistic not in _OVER_TIME:
         raise UserError(f"There is no statistic {statistic!r}; use one of {', '.join(_OVER_TIME)}.")
-    return {label: _number(values, statistic) for label, values in selected(judged, dataset[judged.variable])}
+    return {
+        label: _number(values, statistic, below)
+        for label, values in selected(judged, dataset[judged.variable])
+    }
 
 
-def _number(values: xr.DataArray, statistic: str) -> Array:
+def _number(values: xr.DataArray, statistic: str, below: bool) -> Array:
     if "statistic" in values.dims:
         values = values.sel(statistic=statistic)
     elif "time" in values.dims:
         values = _over_time(values, statistic)
     others = [dim for dim in values.dims if dim != "case"]
-    return np.asarray(values.max(others).to_numpy() if others else values.to_numpy(), dtype=np.float64)
+    if others:
+        values = values.min(others) if below else values.max(others)
+    return np.asarray(values.to_numpy(), dtype=np.float64)
 
 
 def _over_time(values: xr.DataArray, statistic: str) -> xr.DataArray:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Dims = tuple[str, ...]
 Labels = Mapping[str, NDArray[Any]]
 
-WORST_OF = ("field", "wavelength")  # of these the largest value counts, unless one is chosen
+WORST_OF = ("field", "wavelength")  # of these the worst value counts, unless one is chosen
 _OVER_TIME = ("time", "statistic")
 _IMAGE = {"y", "x"}
 _POPULATIONS = ("disturbance", "springs")  # labels of cases that are drawn from different distributions

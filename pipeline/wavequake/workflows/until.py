@@ -75,7 +75,8 @@ def quantiles_of(goal: Goal, dataset: "xr.Dataset") -> dict[str, Quantile]:
     """Return the quantile of each population; instants of one case count as one draw.
 
     Of a summary it is that of the cases' rms over their instants; of several fields and wavelengths, of the
-    largest value; and of other labels that were not chosen (controllers) there is one each.
+    worst value, that is of the smallest for probabilities below 0.5 (Strehl ratios) and otherwise of the
+    largest; and of other labels that were not chosen (controllers) there is one each.
     """
     judged = judged_in(goal.variable, dataset)
     variable, names = dataset[judged.variable], populations_of(dataset)
@@ -87,7 +88,7 @@ def quantiles_of(goal: Goal, dataset: "xr.Dataset") -> dict[str, Quantile]:
     def parts() -> Iterator[Part]:
         for cases in blocks([variable.variable]):
             found = [
-                (label, _largest(values))
+                (label, _worst(values, goal.probability))
                 for label, values in selected(judged, variable.isel(case=cases).load())
             ]
             for name in sorted(set(names.tolist())):
@@ -99,10 +100,11 @@ def quantiles_of(goal: Goal, dataset: "xr.Dataset") -> dict[str, Quantile]:
     return pooled_quantiles(parts, goal.probability)
 
 
-def _largest(values: "xr.DataArray") -> NDArray[np.float64]:
-    """Return values (case, instant), the largest of fields and wavelengths."""
-    largest = values.max([dim for dim in WORST_OF if dim in values.dims])
-    return np.asarray(largest.to_numpy().reshape(values.sizes["case"], -1), dtype=np.float64)
+def _worst(values: "xr.DataArray", probability: float) -> NDArray[np.float64]:
+    """Return values (case, instant), of fields and wavelengths the one on the side that is asked for."""
+    dims = [dim for dim in WORST_OF if dim in values.dims]
+    worst = values.min(dims) if probability < 0.5 else values.max(dims)
+    return np.asarray(worst.to_numpy().reshape(values.sizes["case"], -1), dtype=np.float64)
 
 
 def is_met(goal: Goal, quantiles: Mapping[str, Quantile]) -> bool:
