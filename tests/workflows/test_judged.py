@@ -1,5 +1,7 @@
 """Labels at which campaigns are judged: by `campaign.until` and by `wavequake tail`."""
 
+import re
+
 import numpy as np
 import pytest
 import toy
@@ -79,7 +81,11 @@ def test_labels_are_chosen_or_judged_one_by_one():
         ("x[time=3]", "x has no 'time'; it has controller, field"),
         ("x[controller]", r"'controller' is no choice; write dimension=label\.$"),
         ("x[controller=]", "'controller=' is no choice"),
-        ("x[]", "'' is no choice"),
+        ("power[ ]", r"^power\[\]: there is no choice in the brackets; choose one, as power\[noll=4\]\.$"),
+        (
+            "x[controller=off] [field=(0, 0) deg]",
+            r"all choices stand in one pair of brackets; write x\[controller=off, field=\(0, 0\) deg\]\.$",
+        ),
         ("x[controller=off, controller=off]", "controller is chosen twice; give one label"),
         ("power", r"'power' has a number for each noll; choose one, as power\[noll=4\]\.$"),
         ("power[noll=5]", "there is no noll '5'; use one of 4, 11"),
@@ -95,6 +101,29 @@ def test_what_names_nothing_is_refused_in_one_sentence(text, message):
         judged_in(text, labelled(VALUES))
     with pytest.raises(UserError, match="Nothing here is one number per case"):
         judged_in("x", labelled(VALUES)[["image"]])
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_every_label_that_is_offered_is_taken(dtype):
+    random = np.random.default_rng(3)
+    lines = [486.1327, 587.5618, 656.2725, 1 / 3, 1e-7 / 3, 2e9 / 3, 0.0, -1.5, *random.random(4)]
+    names = ["(0, 0) deg", "(0, 0.1) deg", "(0, 1/3) deg"]
+    data = xr.Dataset(
+        {"x": (("case", "wavelength", "field", "mode"), np.zeros((1, 12, 3, 2)))},
+        {"wavelength": np.array(lines, dtype=dtype), "field": np.array(names, dtype=object)},
+    ).assign_coords(mode=np.array([1234567.25, 2.0], dtype=dtype))
+    with pytest.raises(UserError) as refused:
+        judged_in("x", data)
+    (example,) = re.findall(r"as (x\[mode=.*\])\.$", str(refused.value))
+    assert judged_in(example, data).chosen == {"mode": 0}
+    for dim, separator, count in (("wavelength", ", ", 12), ("field", r", (?=\()", 3)):
+        with pytest.raises(UserError) as refused:
+            judged_in(f"x[mode=2, {dim}=nothing]", data)
+        (offered,) = re.findall(r"use one of (.*)\.$", str(refused.value))
+        chosen = [
+            judged_in(f"x[mode=2, {dim}={label}]", data).chosen[dim] for label in re.split(separator, offered)
+        ]
+        assert chosen == list(range(count))
 
 
 def test_a_goal_may_choose_and_is_met_by_every_label_that_it_leaves():

@@ -87,15 +87,27 @@ def _judged(text: str, variables: Mapping[str, Dims], labels: Labels) -> Judged:
     for dim, values in left.items():
         if not _is_text(values):
             raise UserError(
-                f"{match[1]!r} has a number for each {dim}; choose one, as {match[1]}[{dim}={values[0]:g}]."
+                f"{match[1]!r} has a number for each {dim}; choose one, as "
+                f"{match[1]}[{dim}={_written(values[0])}]."
             )
     return Judged(match[1], chosen, {dim: tuple(map(str, values)) for dim, values in left.items()})
 
 
 def _chosen(variable: str, text: str | None, among: Labels) -> dict[str, int]:
     """Return the place along each dimension that ``dimension=label, ...`` chooses."""
+    if text is None:
+        return {}
+    if not text.strip():
+        last = [f"{variable}[{dim}={_written(values[0])}]" for dim, values in among.items()][-1:]
+        right = f"choose one, as {last[0]}" if last else f"write {variable} alone"
+        raise UserError(f"{variable}[]: there is no choice in the brackets; {right}.")
+    if re.search(r"\]\s*\[", text):
+        joined = re.sub(r"\]\s*\[", ", ", text)
+        raise UserError(
+            f"{variable}[{text}]: all choices stand in one pair of brackets; write {variable}[{joined}]."
+        )
     found: dict[str, int] = {}
-    for part in re.split(r",\s*(?=\w+\s*=)", text) if text is not None else ():
+    for part in re.split(r",\s*(?=\w+\s*=)", text):
         dim, equals, label = (piece.strip() for piece in part.partition("="))
         if not equals or not dim or not label:
             raise UserError(f"{variable}[{text}]: {part.strip()!r} is no choice; write dimension=label.")
@@ -127,8 +139,13 @@ def _is(one: object, label: str) -> bool:
         return False
 
 
+def _written(one: object) -> str:
+    """Return a label as it can be given: of a number enough digits for :func:`_is`."""
+    return f"{one:.10g}" if isinstance(one, int | float | np.number) else str(one)
+
+
 def _shown(values: Sequence[Any] | NDArray[Any]) -> str:
-    words = [f"{one:g}" if isinstance(one, int | float | np.number) else str(one) for one in values]
+    words = [_written(one) for one in values]
     return ", ".join(words[:_SHOWN]) + (f", ... {words[-1]}" if len(words) > _SHOWN else "")
 
 
