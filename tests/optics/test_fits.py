@@ -6,6 +6,8 @@ from math import sqrt
 import numpy as np
 import pytest
 from gram_schmidt import gram_schmidt
+from hypothesis import given
+from hypothesis import strategies as st
 
 from wavequake.errors import UserError
 from wavequake.optics.fits import fit_instants, pupil_fit
@@ -14,6 +16,7 @@ from wavequake.optics.zernike import annular_zernike_gradient, noll_to_nm
 from wavequake.optics.zernike_indices import nm_to_noll
 from wavequake.optics.zernike_transforms import transform_coefficients
 
+PUPIL = sunflower(0.0, 1.0, 60)
 EXACT = 120  # digits: the moments' matrix of 32 powers costs 50
 
 
@@ -105,6 +108,45 @@ def test_too_few_rays_are_said(rays, terms, words):
     pupil = sunflower(0.0, 1.0, rays)
     with pytest.raises(UserError, match=words):
         pupil_fit(pupil.x, pupil.y, pupil.weight, terms, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"weight": np.ones(59)}, r"have the shapes \(60,\), \(60,\), \(59,\); each must be \(N,\)"),
+        ({"x": np.zeros((60, 1))}, "each must be"),
+        ({"weight": "a"}, "must be an array of numbers, not 'a'"),
+        ({"weight": np.zeros(60)}, "weights of the rays must all be positive"),
+        ({"weight": -np.ones(60)}, "weights of the rays must all be positive"),
+        ({"weight": np.where(np.arange(60) == 7, np.nan, 1.0)}, "weights of the rays must all be positive"),
+        ({"weight": np.where(np.arange(60) == 7, np.inf, 1.0)}, "weights of the rays must all be positive"),
+        ({"x": np.where(np.arange(60) == 7, np.nan, 0.1)}, "rays must lie in the pupil, .* NaN"),
+        ({"y": np.full(60, -np.inf)}, "rays must lie in the pupil"),
+        ({"y": np.linspace(-700.0, 700.0, 60)}, "units of its radius .not mm"),
+        ({"x": np.full(60, 0.3), "y": np.full(60, 0.3)}, "60 rays .* terms; they lie on each"),
+        ({"x": np.linspace(-1, 1, 60), "y": np.linspace(-0.5, 0.5, 60)}, "; they .* on a line: spread"),
+        (
+            {"x": np.repeat(PUPIL.x[:4], 15), "y": np.repeat(PUPIL.y[:4], 15)},
+            "; they lie on each other .*: spread them over the",
+        ),
+        ({"terms": "6"}, "Zernike terms is '6'; it must be a whole number"),
+        ({"obscuration": [0.1]}, "the obscuration is .0.1.; it must be a number"),
+        ({"x": [], "y": [], "weight": []}, "0 rays do not determine 6 wavefront terms; raise optics.rays"),
+    ],
+)
+def test_rays_that_no_fit_takes_are_told(changes, words):
+    rays = {"x": PUPIL.x, "y": PUPIL.y, "weight": PUPIL.weight, "terms": 6, "obscuration": 0.0} | changes
+    with pytest.raises(UserError, match=words):
+        pupil_fit(**rays)
+
+
+@given(st.integers(-1060, 1023))
+def test_weights_count_by_their_ratios_only(power):
+    """Factors of two change no bits, however large or small the weights become."""
+    fit = pupil_fit(PUPIL.x, PUPIL.y, np.ones(60), 6, 0.0)
+    scaled = pupil_fit(PUPIL.x.tolist(), PUPIL.y, np.full(60, 2.0**power), 6, 0.0)
+    np.testing.assert_array_equal(scaled.matrix, fit.matrix)
+    assert fit.weight.sum() == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(("terms", "per_term"), [(28, 2), (231, 2), (496, 3)])

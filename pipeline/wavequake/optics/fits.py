@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.optics.checks import alike, number, whole
 from wavequake.optics.zernike import annular_zernike
 
 Array = NDArray[np.float64]
@@ -16,6 +17,7 @@ Mask = NDArray[np.bool_]
 _LEAST_RMS_ON_GLASS = 0.03
 # Instants per matrix product: a constant shape, so that the bits of an instant do not depend on its batch.
 _TILE = 16
+_FARTHEST = 2.0  # places of rays in units of the pupil's radius; beyond, they are most likely in mm
 _SINGULAR = 1e-10  # smallest eigenvalue of a normal matrix, relative to its size, that is still solved
 
 
@@ -41,6 +43,7 @@ class Fit:
 
 
 MORE_RAYS = "raise optics.rays"
+_SPREAD_RAYS = "they lie on each other or on a line: spread them over the whole pupil"
 MORE_SEGMENT_RAYS = "raise optics.rays_per_segment (or, for a sunflower, optics.rays)"
 
 
@@ -80,25 +83,41 @@ def pupil_fit(x: Array, y: Array, weight: Array, terms: int, obscuration: float)
     Raises
     ------
     UserError
-        If there are too few rays, or they lie so that some combination of the polynomials nearly vanishes at
-        them: its coefficient would be noise.
+        If the arrays are not alike, a weight is not positive or a ray far from the pupil, there are too few
+        rays, or they lie so that some combination of the polynomials nearly vanishes at them: its coefficient
+        would be noise.
     """
-    arrays = (np.asarray(one, dtype=np.float64) for one in (x, y, weight / np.sum(weight)))
-    return _pupil_fit(*(one.tobytes() for one in arrays), terms, obscuration)
+    x, y, weight = alike("the rays in the pupil and their weights", x, y, weight)
+    if not (np.isfinite(weight) & (weight > 0.0)).all():
+        raise UserError("the weights of the rays must all be positive numbers")
+    if not ((np.abs(x) <= _FARTHEST) & (np.abs(y) <= _FARTHEST)).all():
+        raise UserError("the rays must lie in the pupil, at places in units of its radius (not mm, not NaN)")
+    terms, obscuration = whole(terms, "the number of Zernike terms"), number(obscuration, "the obscuration")
+    # A power of two changes no bits, and keeps the sum from overflowing.
+    scaled = np.ldexp(weight, -np.frexp(np.max(weight, initial=0.0))[1])
+    return _pupil_fit(x.tobytes(), y.tobytes(), (scaled / np.sum(scaled)).tobytes(), terms, obscuration)
 
 
 @lru_cache(maxsize=1)
 def _pupil_fit(x: bytes, y: bytes, weight: bytes, terms: int, obscuration: float) -> Fit:
-    shares = np.frombuffer(weight)
-    fit = weighted_fit(annular_zernike(np.frombuffer(x), np.frombuffer(y), terms, obscuration), shares)
+    places, shares = np.stack([np.frombuffer(x), np.frombuffer(y)]), np.frombuffer(weight)
+    basis = annular_zernike(places[0], places[1], terms, obscuration)
+    remedy = MORE_RAYS if len(shares) < terms or _apart(places) else _SPREAD_RAYS
+    fit = weighted_fit(basis, shares, remedy)
     least = _least_rms(fit)
     if least < _LEAST_RMS_ON_GLASS:
         raise UserError(
             f"{len(shares)} rays are too few for {terms} wavefront terms: a combination of them is "
-            f"{1.0 / max(least, 1e-9):.2g} times larger between the rays than at them; {MORE_RAYS}, or lower "
+            f"{1.0 / max(least, 1e-9):.2g} times larger between the rays than at them; {remedy}, or lower "
             "zernike_terms."
         )
     return fit
+
+
+def _apart(places: Array) -> bool:
+    """Return whether rays at `places` (2, N) are all at different ones, and not all on one line."""
+    across = np.linalg.svd(places - places.mean(axis=1, keepdims=True), compute_uv=False)[-1]
+    return bool(across > np.sqrt(_SINGULAR)) and np.unique(places, axis=1).shape == places.shape
 
 
 def _least_rms(fit: Fit) -> float:

@@ -160,16 +160,15 @@ def prepare_system(
     Raises
     ------
     UserError
-        If the field does not exist, a weight is not positive, the rays do not determine the polynomials, the
-        chief ray or a rim ray does not arrive at the image, or the rays arrive there parallel to each other.
+        If the field does not exist, `pupil_fit` refuses the rays, the chief ray or a rim ray does not arrive
+        at the image, or the rays arrive there parallel to each other.
     """
     x, y, weight = alike("the rays in the pupil and their weights", x, y, weight)
-    if not (np.isfinite(weight) & (weight > 0.0)).all():
-        raise UserError("the weights of the rays must all be positive numbers")
     first_order, wavelength = paraxial(system, wavelength), wavelength_of(system, wavelength)
     sequence = pack(system, wavelength)
     if not 0 <= whole(field, "the index of the field") < len(system.fields):
         raise UserError(f"{system.name} has {len(system.fields)} fields; there is no field {field}")
+    fit = pupil_fit(x, y, weight, terms, system.pupil.obscuration)
     point = system.fields[field]
     chief = pupil_rays(system, point, wavelength, np.zeros(1), np.zeros(1))
     traced = _arrive(system, sequence, pupil_rays(system, point, wavelength, *_RIM))
@@ -188,7 +187,7 @@ def prepare_system(
         rays=pupil_rays(system, point, wavelength, x, y),
         chief=chief,
         pupil=np.stack([x, y], axis=1),
-        fit=pupil_fit(x, y, weight, terms, system.pupil.obscuration),
+        fit=fit,
         wavelength=wavelength,
         sphere_radius=radius,
         image_index=refracting[-1] if refracting else sequence.index,
