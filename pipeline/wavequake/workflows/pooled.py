@@ -28,8 +28,9 @@ _DIGIT = 16  # bits of a number that one reading finds
 def pooled_quantiles(parts: Parts, probability: float) -> dict[str, Quantile]:
     """Return the quantile of each population, and its 95 % confidence interval.
 
-    The values of a case count as one draw; NaN are no values. Up to `HELD` values are read once; of more, all
-    are read five times, or eleven times if they are stratified, and the quantiles have the same bits.
+    The values of a case count as one draw; NaN are no values, and -0.0 is 0.0. Up to `HELD` values are read
+    once; of more, all are read five times, or ten times if they are stratified, and the quantiles have the
+    same bits.
 
     Parameters
     ----------
@@ -51,15 +52,16 @@ def pooled_quantiles(parts: Parts, probability: float) -> dict[str, Quantile]:
     if sum(counts.values()) <= HELD:
         return {name: _held(found, probability) for name, found in kept.items()}
     some = {name: count for name, count in counts.items() if count}
-    found = order_statistics(parts, {name: neighbors(count, probability) for name, count in some.items()})
+    ends: dict[str, tuple[int | None, int | None]] = dict.fromkeys(some, (None, None))
+    if not stratified:
+        ends = {name: bounds(count, min(cases[name], count), probability) for name, count in some.items()}
+    places = {name: {*neighbors(count, probability), *_given(ends[name])} for name, count in some.items()}
+    found = order_statistics(parts, places)
     value = {name: interpolated(found[name], count, probability) for name, count in some.items()}
     if stratified:
         half = _errors(parts, value)
         ends = {name: bounds_of_share(count, probability, half[name]) for name, count in some.items()}
-    else:
-        ends = {name: bounds(count, min(cases[name], count), probability) for name, count in some.items()}
-    wanted = {name: [place for place in pair if place is not None] for name, pair in ends.items()}
-    found = order_statistics(parts, wanted)
+        found = order_statistics(parts, {name: _given(pair) for name, pair in ends.items()})
     quantiles = {name: Quantile(np.nan, np.nan, np.nan) for name in counts}
     for name, (low, high) in ends.items():
         quantiles[name] = Quantile(
@@ -70,8 +72,12 @@ def pooled_quantiles(parts: Parts, probability: float) -> dict[str, Quantile]:
     return quantiles
 
 
+def _given(pair: tuple[int | None, int | None]) -> set[int]:
+    return {place for place in pair if place is not None}
+
+
 def _held(parts: list[Part], probability: float) -> Quantile:
-    values = np.concatenate([values for _, values, _ in parts])
+    values = np.concatenate([values for _, values, _ in parts]) + 0.0  # -0.0 becomes 0.0, as in _keys
     there = ~np.isnan(values)
     labels = [sets for _, _, sets in parts if sets is not None]
     if not labels:
@@ -114,7 +120,8 @@ def _keys(parts: Parts, names: set[str]) -> Iterator[tuple[str, NDArray[np.uint6
     """Yield unsigned integers that sort as the values of some populations do."""
     for name, values, _ in parts():
         if name in names:
-            bits = np.asarray(values[~np.isnan(values)], dtype=np.float64).view(np.uint64)
+            # The bits of -0.0 are others than those of 0.0, which equals it: the sum makes it 0.0.
+            bits = (np.asarray(values[~np.isnan(values)], dtype=np.float64) + 0.0).view(np.uint64)
             yield name, np.where(bits >> 63, ~bits, bits | np.uint64(1 << 63))
 
 
@@ -131,6 +138,7 @@ def _errors(parts: Parts, level: Mapping[str, float]) -> dict[str, float]:
             pair[1] += int(np.count_nonzero(~np.isnan(mine)))
     found = {}
     for name, by_set in counts.items():
-        pairs = np.array([pair for pair in by_set.values() if pair[1]], dtype=np.int64)
+        # In the order of the sets, as `share_error` sums them, not in that of their first cases.
+        pairs = np.array([by_set[one] for one in sorted(by_set) if by_set[one][1]], dtype=np.int64)
         found[name] = float(error_of_shares(pairs[:, :1], pairs[:, 1])[0]) if len(pairs) > 1 else np.inf
     return found

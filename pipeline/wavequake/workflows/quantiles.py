@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from math import isinf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,8 +154,15 @@ def neighbors(count: int, probability: float) -> tuple[int, int]:
 
 
 def interpolated(ordered: NDArray[np.float64] | Mapping[int, float], count: int, probability: float) -> float:
-    """Return a quantile of `count` sorted values, of which at least its neighbors are given by place."""
-    position = (count - 1) * probability
-    below, above = (ordered[place] for place in neighbors(count, probability))
-    # Equal neighbors first: two infinite ones must not give inf - inf.
-    return float(below if below == above else below + (position % 1.0) * (above - below))
+    """Return a quantile of `count` sorted values, of which at least its neighbors are given by place.
+
+    It is NaN between -inf and inf.
+    """
+    share = (count - 1) * probability % 1.0
+    # Python's floats: NumPy's warn where infinities cancel.
+    below, above = (float(ordered[place]) for place in neighbors(count, probability))
+    if below == above:  # two infinite ones must not give inf - inf
+        return below
+    if isinf(above - below):  # one is infinite, or their difference overflows
+        return (1.0 - share) * below + share * above
+    return below + share * (above - below)
