@@ -1,6 +1,7 @@
 """What users plausibly give wrongly in Python: text for numbers, lists for arrays, names for systems."""
 
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -233,6 +234,52 @@ def test_numbers_of_any_kind_are_kept(value):
 def test_rows_of_different_lengths_are_no_array():
     with pytest.raises(UserError, match="they must be an array of numbers"):
         array([[1.0], [1.0, 2.0]], "they")
+
+
+BEYOND = "it must be a number of 1.8e308 at most"
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: number(10**400, "it"), "it is 1000.*; " + BEYOND),
+        (lambda: number(-(10**5000), "it"), "it is too long to be written; " + BEYOND),
+        (lambda: number(Fraction(10**400), "it"), BEYOND),
+        (lambda: array([10**400], "they"), "they are .1000.*; each must be a number of 1.8e308 at most"),
+        (lambda: array([1.0, 10**5000], "they"), "they are too long to be written; each must be"),
+        (lambda: array([10**30, True], "they"), "they must be an array of numbers"),
+        (lambda: array([10**30, "1"], "they"), "they must be an array of numbers"),
+        (lambda: array([10**30, None], "they"), "they must be an array of numbers"),
+        (lambda: array(np.ma.masked_array([1.0, 2.0], [0, 1]), "they"), "they must be .* not a masked one"),
+        (lambda: array([[1.0, np.ma.masked]], "they"), "they must be a plain array, not a masked one"),
+        (lambda: alike("they", [1.0], np.ma.masked_array([1.0])), "not a masked one"),
+        (lambda: mirror(shape=Conic(10**400)).info(), r"shape.radius is 1000.*; it must be a number"),
+        (lambda: constant(10**400), "refractive index is 1000.*; " + BEYOND),
+    ],
+)
+def test_numbers_too_large_and_masked_arrays_are_told(call, words):
+    with pytest.raises(UserError, match=words) as told:
+        call()
+    assert "\n" not in str(told.value)
+
+
+@given(st.lists(st.integers(-(10**308), 10**308)))
+def test_whole_numbers_beyond_64_bits_are_numbers(values):
+    np.testing.assert_array_equal(array(values, "they"), [float(one) for one in values])
+    assert [number(one, "it") for one in values] == [float(one) for one in values]
+    pair = array([values, values], "they")
+    assert (pair.dtype, pair.shape) == (np.float64, (2, len(values)))
+
+
+def test_long_doubles_beyond_floats_are_told():
+    if np.finfo(np.longdouble).max <= np.finfo(np.float64).max:
+        pytest.skip("long doubles are doubles on this machine")
+    large = np.longdouble("1e4000")
+    with pytest.raises(UserError, match=BEYOND):
+        number(large, "it")
+    with pytest.raises(UserError, match=BEYOND.removeprefix("it ")):
+        array([large], "they")
+    assert number(np.longdouble("inf"), "it") == array([np.longdouble("inf")], "they")[0] == np.inf
 
 
 @pytest.mark.parametrize(

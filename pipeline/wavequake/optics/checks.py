@@ -15,13 +15,16 @@ from wavequake.errors import UserError
 
 Array = NDArray[np.float64]
 
+_TO_LARGEST = "a number of 1.8e308 at most"
 _WORDS = {float: "a number", int: "a whole number", str: "text", bool: "True or False", NoneType: "None"}
 
 
 def number(value: Any, what: str) -> float:
     """Return a number, which may be NaN or infinite; UserError for anything else."""
     if _is_number(value):
-        return float(value)
+        if _fits_a_float(value):
+            return float(value)
+        raise UserError(f"{what} is {_shown(value)}; it must be {_TO_LARGEST}")
     raise UserError(f"{what} is {_shown(value)}; it must be a number")
 
 
@@ -33,13 +36,19 @@ def whole(value: Any, what: str) -> int:
 
 
 def array(values: ArrayLike, what: str) -> Array:
-    """Return an array of numbers; UserError if the values are none, or rows of different lengths."""
+    """Return an array of numbers; UserError if the values are none, masked, or rows of different lengths."""
+    if _is_masked(values):
+        raise UserError(f"{what} must be a plain array, not a masked one, whose mask would be lost")
     try:
         found = np.asarray(values)
-        if found.dtype.kind in "fiu":
-            return np.asarray(found, dtype=np.float64)
+        # Whole numbers beyond 64 bits are numbers, too, but objects to NumPy.
+        if found.dtype.kind in "fiu" or (found.dtype.kind == "O" and all(map(_is_number, found.flat))):
+            with np.errstate(over="raise"):  # of long doubles
+                return np.asarray(found, dtype=np.float64)
     except ValueError:  # rows of different lengths
         pass
+    except (OverflowError, FloatingPointError):
+        raise UserError(f"{what} are {_shown(values)}; each must be {_TO_LARGEST}") from None
     raise UserError(f"{what} must be an array of numbers, not {_shown(values)}")
 
 
@@ -104,7 +113,7 @@ def _wrong(value: Any, kind: Any) -> tuple[str, Any, str] | None:
 
 def _fits(value: Any, kind: Any, origin: Any) -> bool:
     if kind is float:
-        return _is_number(value)
+        return _is_number(value) and _fits_a_float(value)
     if kind is int:
         return not isinstance(value, bool) and isinstance(value, Integral)
     if origin is Literal:  # who uses it says which words there are
@@ -116,6 +125,21 @@ def _fits(value: Any, kind: Any, origin: Any) -> bool:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _fits_a_float(value: Any) -> bool:
+    """Return whether a number becomes no infinite one as a float; 10**400 is none."""
+    try:
+        return abs(float(value)) < np.inf or not abs(value) < np.inf
+    except OverflowError:
+        return False
+
+
+def _is_masked(values: Any) -> bool:
+    """Return whether an array, or one in lists, is masked."""
+    return isinstance(values, np.ma.MaskedArray) or (
+        isinstance(values, list | tuple) and any(map(_is_masked, values))
+    )
 
 
 def _words(kind: Any) -> str:
@@ -137,5 +161,8 @@ def _article(name: str) -> str:
 
 
 def _shown(value: Any) -> str:
-    text = " ".join(repr(value).split())
+    try:
+        text = " ".join(repr(value).split())
+    except ValueError:  # whole numbers of more than 4300 digits are not written
+        return "too long to be written"
     return text if len(text) <= 60 else text[:57] + "..."
