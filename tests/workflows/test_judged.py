@@ -1,14 +1,17 @@
 """Labels at which campaigns are judged: by `campaign.until` and by `wavequake tail`."""
 
 import re
+import tracemalloc
 
+import dask
+import dask.array as da
 import numpy as np
 import pytest
 import toy
 import xarray as xr
 
 from wavequake.errors import UserError
-from wavequake.report.tail import RareQuestion, rare_events
+from wavequake.report.tail import RareQuestion, per_case, rare_events
 from wavequake.workflows import pooled
 from wavequake.workflows.blocks import blocks
 from wavequake.workflows.campaign import WORKFLOWS, run_study
@@ -58,7 +61,9 @@ VALUES = np.random.default_rng(4).standard_normal((300, 2, 5, 2))
 
 def one(text, dataset):
     judged = judged_in(text, dataset)
-    return {label: values.to_numpy() for label, values in selected(judged, dataset[judged.variable])}
+    ((cases, found),) = selected(judged, dataset[judged.variable])
+    assert cases == slice(0, 300)
+    return {label: values.to_numpy() for label, values in found.items()}
 
 
 def test_labels_are_chosen_or_judged_one_by_one():
@@ -237,6 +242,55 @@ def test_what_has_no_tail_keeps_others_from_nothing(many, monkeypatch, wavequake
     code, _, err = wavequake("tail", "s", "--variable", "x[controller=off]")
     assert code == 2
     assert "Error: all cases: Only 0 of 400 cases exceed 7" in err
+
+
+def lazily(reads):
+    """A store's dataset of 38 MB in chunks of 150 cases, which notes what is read of it."""
+
+    def part(block_info):
+        (case, *_), (_, controller, *_) = (
+            block_info[None][key] for key in ("array-location", "chunk-location")
+        )
+        reads.append((case[0], controller))
+        shape = block_info[None]["chunk-shape"]
+        return np.random.default_rng((case[0], controller)).standard_exponential(shape)
+
+    chunks = ((150,) * 16, (1, 1), (500,), (2,))
+    values = da.map_blocks(part, chunks=chunks, dtype=float, meta=np.empty((0,) * 4))
+    return xr.Dataset(
+        {
+            "x": (("case", "controller", "time", "field"), values),
+            "status": ("case", np.ones(2400, dtype=np.int8)),
+        },
+        {"controller": np.array(["off", "FF"], dtype=object)},
+    )
+
+
+@pytest.mark.parametrize(("text", "asked"), [("x", ["off", "FF"]), ("x[controller=FF]", ["FF"])])
+def test_what_is_judged_is_read_once_and_a_part_of_it_held(monkeypatch, text, asked):
+    reads = []
+    data = lazily(reads)
+    whole = data["x"].to_numpy()[:, -len(asked) :]
+    monkeypatch.setattr("wavequake.workflows.blocks.BLOCK_BYTES", 2**22)
+    reads.clear()
+    with dask.config.set(scheduler="synchronous"):
+        tracemalloc.start()
+        found = per_case(data, judged_in(text, data), "rms")
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    places = range(2 - len(asked), 2)
+    once = [(150 * block, place) for block in range(16) for place in places]
+    assert sorted(reads) == once
+    assert data["x"].nbytes == 38_400_000
+    assert peak < 15e6
+    rms = np.sqrt((whole**2).mean(axis=2)).max(axis=-1)
+    np.testing.assert_allclose(np.stack([*found.values()], axis=1), rms, rtol=1e-13)
+    reads.clear()
+    known = quantiles_of(Goal(text, 0.05, 0.1), data)
+    assert sorted(reads) == once
+    assert [*known.values()] == [
+        quantile(whole[:, place].min(axis=-1), 0.05, 2400) for place in range(len(asked))
+    ]
 
 
 STREAMED = {

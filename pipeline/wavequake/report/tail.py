@@ -1,5 +1,6 @@
 """Rare events in a store: what is hardly ever exceeded, and how often a limit is."""
 
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -117,16 +118,17 @@ def per_case(dataset: xr.Dataset, judged: Judged, statistic: str, below: bool = 
     """
     if statistic not in _OVER_TIME:
         raise UserError(f"There is no statistic {statistic!r}; use one of {', '.join(_OVER_TIME)}.")
-    return {
-        label: _number(values, statistic, below)
-        for label, values in selected(judged, dataset[judged.variable])
-    }
+    variable, numbers = dataset[judged.variable], defaultdict[str, list[Array]](list)
+    if "statistic" in variable.dims:
+        variable = variable.sel(statistic=statistic)
+    for _, found in selected(judged, variable):
+        for label, values in found.items():
+            numbers[label].append(_number(values, statistic, below))
+    return {label: np.concatenate(parts) for label, parts in numbers.items()}
 
 
 def _number(values: xr.DataArray, statistic: str, below: bool) -> Array:
-    if "statistic" in values.dims:
-        values = values.sel(statistic=statistic)
-    elif "time" in values.dims:
+    if "time" in values.dims:
         values = _over_time(values, statistic)
     others = [dim for dim in values.dims if dim != "case"]
     if others:

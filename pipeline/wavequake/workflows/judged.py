@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.workflows.blocks import blocks
 from wavequake.workflows.contract import Template
 
 if TYPE_CHECKING:
@@ -149,17 +150,22 @@ def _shown(values: Sequence[Any] | NDArray[Any]) -> str:
     return ", ".join(words[:_SHOWN]) + (f", ... {words[-1]}" if len(words) > _SHOWN else "")
 
 
-def selected(judged: Judged, values: "xr.DataArray") -> "Iterator[tuple[str, xr.DataArray]]":
-    """Yield values (case, ...) by label, lazily; of a vector (``axis``) without choice the length.
+def selected(judged: Judged, values: "xr.DataArray") -> "Iterator[tuple[slice, dict[str, xr.DataArray]]]":
+    """Yield block by block which cases, and by label their values (case, ...), in memory.
 
-    What is left of the dimensions are those over time, and fields and wavelengths.
+    Of a vector (``axis``) without choice they are the length. Of what was not chosen nothing is read. What is
+    left of the dimensions are those over time, and fields and wavelengths.
     """
     values = values.isel(dict(judged.chosen))
-    if "axis" in values.dims:
-        values = (values**2).sum("axis", skipna=False) ** 0.5
-    for places in product(*(range(len(labels)) for labels in judged.each.values())):
-        words = [labels[place] for labels, place in zip(judged.each.values(), places, strict=True)]
-        yield ", ".join(words), values.isel(dict(zip(judged.each, places, strict=True)))
+    for cases in blocks([values.variable]):
+        block = values.isel(case=cases).compute()
+        if "axis" in block.dims:
+            block = (block**2).sum("axis", skipna=False) ** 0.5
+        found = {}
+        for places in product(*(range(len(labels)) for labels in judged.each.values())):
+            words = [labels[place] for labels, place in zip(judged.each.values(), places, strict=True)]
+            found[", ".join(words)] = block.isel(dict(zip(judged.each, places, strict=True)))
+        yield cases, found
 
 
 def populations_of(dataset: "xr.Dataset") -> NDArray[np.str_]:

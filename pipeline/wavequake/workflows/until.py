@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.workflows.blocks import blocks
 from wavequake.workflows.contract import DONE, Template
 from wavequake.workflows.judged import (
     WORST_OF,
@@ -86,15 +85,12 @@ def quantiles_of(goal: Goal, dataset: "xr.Dataset") -> dict[str, Quantile]:
     replicates = dataset["replicate"].to_numpy() if "replicate" in dataset.variables else None
 
     def parts() -> Iterator[Part]:
-        for cases in blocks([variable.variable]):
-            found = [
-                (label, _worst(values, goal.probability))
-                for label, values in selected(judged, variable.isel(case=cases).load())
-            ]
+        for cases, found in selected(judged, variable):
+            worst = {label: _worst(values, goal.probability) for label, values in found.items()}
             for name in sorted(set(names.tolist())):
                 mine = (names[cases] == name) & done[cases]
                 sets = None if replicates is None else replicates[cases][mine]
-                for label, values in found:
+                for label, values in worst.items():
                     yield title(name, label), values[mine], sets
 
     return pooled_quantiles(parts, goal.probability)
