@@ -2,9 +2,9 @@
 
 Square complex images, float32 and float64, one thread: the OpenCL kernels against SciPy, and against MKL
 (mkl_fft) and FFTW (pyfftw, planned by measuring) if they are installed. All but SciPy, which cannot, write to
-an array that is there already. Measurements are interleaved, each some 50 ms long; medians of same-run
-ratios are what to compare between machines. Run it with POCL_MAX_PTHREAD_COUNT=1. Errors are the largest
-differences from SciPy's float64 transform, relative to its largest number.
+an array that is there already. Measurements are interleaved, each some 50 ms long after 30 ms of the same;
+medians of same-run ratios are what to compare between machines. Run it with POCL_MAX_PTHREAD_COUNT=1. Errors
+are the largest differences from SciPy's float64 transform, relative to its largest number.
 """
 
 import os
@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks._verdict import Row, verdict
+from benchmarks._warm import warm
 from wavequake.kernels.devices import choose_device
 from wavequake.kernels.fourier import choose_fourier, fourier_2d
 from wavequake.kernels.program import aligned_empty
@@ -79,6 +80,7 @@ def compare(console: Console) -> tuple[Table, list[Row]]:
             times = {name: [] for name in jobs}
             for _ in range(REPEATS):
                 for name, job in jobs.items():
+                    warm(job)
                     times[name].append(seconds_of(job, counts[name]))
             ours = np.array(times["opencl"])
             operations = 5.0 * np.prod(shape) * np.log2(shape[1] * shape[2])

@@ -49,6 +49,7 @@ from benchmarks._image_peers import (
     round_images,
 )
 from benchmarks._verdict import Row, verdict
+from benchmarks._warm import warm
 from wavequake.imaging.exposure_models import full_exposure
 from wavequake.imaging.matrix_fourier import matrix_fourier, psf_sum
 from wavequake.imaging.matrix_fourier import psf as matrix_psf
@@ -174,6 +175,7 @@ def table(candidates: dict[str, Imager], errors: dict[str, float], phase: Real) 
                 start = time.perf_counter()
                 image(phase)
                 calls[name] = max(1, int(LEAST_SECONDS / (time.perf_counter() - start)))
+            warm(partial(image, phase))
             start = time.perf_counter()
             for _ in range(calls[name]):
                 image(phase)

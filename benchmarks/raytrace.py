@@ -22,6 +22,7 @@ from rich.table import Table
 
 from benchmarks._limits import limit_jobs, limits
 from benchmarks._numba_trace import numba_tracer
+from benchmarks._warm import warm
 from benchmarks.segmented import workload
 from wavequake.kernels.devices import Device, list_devices
 from wavequake.kernels.packing import packed_elements
@@ -125,6 +126,7 @@ def interleaved(jobs: dict[str, Callable[[], Any]]) -> dict[str, Array]:
     seconds: dict[str, list[float]] = {name: [] for name in jobs}
     for _ in range(REPEATS):
         for name, job in jobs.items():
+            warm(job)
             start = time.perf_counter()
             job()
             seconds[name].append(time.perf_counter() - start)
@@ -256,7 +258,7 @@ def report(
     names, found = list(DEMANDS), {}
     for (own, peer), place in ratios.items():
         if peer in rates:
-            found[names[place]] = float(np.median(rates[own] / rates[peer]))
+            found[names[place]] = float(np.median(rates[own]) / np.median(rates[peer]))
     launched = seconds["batch"] - seconds["packing"]
     found[names[3]] = float(np.median(rates["kernel"])) / min(bounds.values())
     found[names[4]] = float(np.median(rates["492 segments"] / rates["kernel"]))
