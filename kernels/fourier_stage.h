@@ -15,8 +15,12 @@ INLINE void NAME(first)(__global const scalar *x, __local scalar *y, __global co
         const int p = place + W > m ? m - W : place;  // the last group overlaps the one before it
         wave a[RADIX];
         #pragma unroll
-        for (int r = 0; r < RADIX; ++r)
-            a[r] = load_complex(x + 2 * (p + m * r));
+        for (int r = 0; r < RADIX; ++r) {
+            __global const scalar *place = x + 2 * (p + m * r);
+            a[r] = load_complex(place);
+            PREFETCH(place + 2 * N);  // the next row: whole rows are too short for what foresees steps
+            PREFETCH(place + 2 * N + W);
+        }
         TRANSFORM(a);
         #pragma unroll
         for (int r = 1; r < RADIX; ++r)
