@@ -10,8 +10,8 @@
 // read, ACROSS = QUARTER padded to whole vectors, COLUMNS in whole groups of WIDE vectors, PACK and LINE
 // columns that lie together in the table along x and in the transformed rows, TERMS and FIELD (what the pupil
 // comes as: TERMS > 0: TERMS x TERMS Chebyshev coefficients of the phase, rows are y, and phases of cells on
-// the rim; else FIELD 1: complex numbers, 0: phases), SHARED (1: other work-items fold the pupil, into global
-// memory; 0: each folds the row that it needs).
+// the rim; else FIELD 1: complex numbers, 0: phases), SIZE numbers of a pupil, SHARED (1: other work-items fold
+// the pupil, into global memory; 0: each folds the row that it needs).
 //
 // The eight parts of a folded pupil are (even x, even y), (even x, odd y), (odd x, even y), (odd x, odd y),
 // each real and imaginary.
@@ -70,27 +70,29 @@ INLINE quadrants light(__global const scalar *amplitude, __global const scalar *
 
 #else
 
-INLINE wave cell_light(__global const scalar *pupil, __global const scalar *amplitude,
-                       __global const scalar *ramp, int row, int column)
+// starts: (N rows, left and right half), to which a column is added.
+INLINE wave cell_light(__global const scalar *pupil, __global const int *starts,
+                       __global const scalar *amplitude, __global const scalar *ramp, int row, int column,
+                       int is_right)
 {
-    const size_t place = (size_t)row * N + column;
+    __global const scalar *place = pupil + (starts[2 * row + is_right] + column);
 #if FIELD
-    return (wave){LOAD(pupil + place), LOAD(pupil + place + N * N)};
+    return (wave){LOAD(place), LOAD(place + N * N)};
 #else
-    return lit(LOAD(pupil + place) + (LOAD(ramp + column) + ramp[row]), LOAD(amplitude + place));
+    return lit(LOAD(place) + (LOAD(ramp + column) + ramp[row]), LOAD(amplitude + row * N + column));
 #endif
 }
 
 INLINE wave reversed(wave a) { return (wave){REVERSED(a.re), REVERSED(a.im)}; }
 
-INLINE quadrants light(__global const scalar *pupil, __global const scalar *amplitude,
-                       __global const scalar *ramp, int row, int column)
+INLINE quadrants light(__global const scalar *pupil, __global const int *starts,
+                       __global const scalar *amplitude, __global const scalar *ramp, int row, int column)
 {
     const int right = N / 2 + column, left = N - W - right, up = N / 2 + row, down = N - 1 - up;
-    return (quadrants){cell_light(pupil, amplitude, ramp, up, right),
-                       reversed(cell_light(pupil, amplitude, ramp, up, left)),
-                       cell_light(pupil, amplitude, ramp, down, right),
-                       reversed(cell_light(pupil, amplitude, ramp, down, left))};
+    return (quadrants){cell_light(pupil, starts, amplitude, ramp, up, right, 1),
+                       reversed(cell_light(pupil, starts, amplitude, ramp, up, left, 0)),
+                       cell_light(pupil, starts, amplitude, ramp, down, right, 1),
+                       reversed(cell_light(pupil, starts, amplitude, ramp, down, left, 0))};
 }
 
 #endif
@@ -119,7 +121,6 @@ INLINE quadrants light(__global const scalar *pupil, __global const scalar *ampl
 #endif
 
 #if TERMS
-#define PUPIL_SIZE (TERMS * TERMS)
 #define PREPARE(row) \
     scalar phase[2][TERMS]; \
     row_phase(pupil, chebyshev, row, phase)
@@ -144,9 +145,8 @@ INLINE void add_rim(__global const scalar *rim_phase, __global const int *rim, _
     }
 }
 #else
-#define PUPIL_SIZE ((FIELD + 1) * N * N)
 #define PREPARE(row)
-#define LIGHT(row, column) light(pupil, amplitude, ramp, row, column)
+#define LIGHT(row, column) light(pupil, starts, amplitude, ramp, row, column)
 #endif
 
 #if SHARED
@@ -155,7 +155,7 @@ __kernel void fold(__global const scalar *pupil, __global const scalar *amplitud
                    __global const scalar *chebyshev, __global const scalar *rim_phase,
                    __global const int *rim, __global const scalar *rim_light,
 #else
-                   __global const scalar *ramp,
+                   __global const scalar *ramp, __global const int *starts,
 #endif
                    __global scalar *folded)
 {
@@ -163,7 +163,7 @@ __kernel void fold(__global const scalar *pupil, __global const scalar *amplitud
     const size_t image = get_global_id(2);
     if (column >= HALF)
         return;
-    pupil += image * PUPIL_SIZE;
+    pupil += image * SIZE;
     PREPARE(row);
     FOLD(LIGHT(row, column), folded + (image * HALF + row) * (8 * HALF) + column);
 }
@@ -186,7 +186,7 @@ __kernel void transform_rows(__global const scalar *pupil, __global const scalar
                              __global const scalar *chebyshev, __global const scalar *rim_phase,
                              __global const int *rim, __global const scalar *rim_light, const int cells,
 #else
-                             __global const scalar *ramp,
+                             __global const scalar *ramp, __global const int *starts,
 #endif
                              __global const int *range, __global const scalar *along_x,
 #if SHARED
@@ -204,7 +204,7 @@ __kernel void transform_rows(__global const scalar *pupil, __global const scalar
         return;
 #else
     __local scalar folded[8 * HALF];
-    pupil += image * PUPIL_SIZE;
+    pupil += image * SIZE;
     PREPARE(row);
     for (int column = low; column < high; column += W) {
         // The last group overlaps the one before it, so that all lanes are columns.

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.kernels.devices import Device, list_devices
-from wavequake.kernels.folded_transform import folded_images, folded_sum, folded_transform
+from wavequake.kernels.folded_transform import LitPhase, folded_images, folded_sum, folded_transform
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 OPENCL += [Device(device.name, "gpu", device.platform, 1) for device in OPENCL if device.kind == "cpu"]
@@ -100,6 +100,32 @@ def test_what_is_no_number_counts_only_where_there_is_light(device):
     broken = folded_images(transform, phase)
     assert np.isnan(broken[1]).all()
     assert np.array_equal(broken[[0, 2]], images[[0, 2]])
+
+
+@pytest.mark.parametrize("device", **NAMES)
+@pytest.mark.parametrize("samples", [24, 33, 9])
+def test_phases_of_lit_cells_alone_make_the_same_images(device, samples):
+    random = np.random.default_rng(7)
+    across = np.abs(np.arange(samples) - 0.5 * (samples - 1))
+    radius = np.hypot(across, across[:, None])
+    amplitude = np.where((radius < 0.5 * samples) & (radius > 0.2 * samples), 0.5, 0.0)
+    amplitude[samples // 3] = 0.0  # dark rows and half rows, lit ones to the very corners
+    amplitude[-2, : samples // 2] = 0.0
+    amplitude[[0, -1]] = 1.0
+    row, column = np.nonzero(amplitude)
+    starts = np.zeros((samples, 2), np.int32)
+    for patch in range(row.size):
+        for side in (0, 1):
+            if (column[patch] < (samples + 1) // 2, column[patch] >= samples // 2)[side]:
+                starts[row[patch], side] = patch - column[patch]
+    lit = random.normal(0.0, 3.0, (19, row.size))
+    lit[4] = np.nan
+    full = np.zeros((19, samples, samples))
+    full[:, row, column] = lit
+    transform = folded_transform(amplitude, 6, 0.5, 1.0, device)
+    images = folded_images(transform, LitPhase(lit, starts))
+    assert np.array_equal(images, folded_images(transform, full), equal_nan=True)
+    assert np.isnan(images).all(axis=(1, 2)).tolist() == [i == 4 for i in range(19)]
 
 
 @pytest.mark.parametrize("device", **NAMES)

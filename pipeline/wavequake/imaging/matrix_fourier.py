@@ -1,7 +1,6 @@
 """Point spread functions by two matrix products: the Fourier transform at just the pixels that are wanted."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -9,7 +8,14 @@ from numpy.typing import DTypeLike, NDArray
 from wavequake.errors import UserError
 from wavequake.imaging.pupil_function import PupilGrid, pupil_field, pupil_function, single_patches
 from wavequake.kernels.devices import NUMPY, Device
-from wavequake.kernels.folded_transform import FoldedTransform, folded_images, folded_sum, folded_transform
+from wavequake.kernels.folded_transform import (
+    FoldedTransform,
+    LitPhase,
+    Pupils,
+    folded_images,
+    folded_sum,
+    folded_transform,
+)
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -35,8 +41,12 @@ class MatrixFourier:
         Irradiance of the unaberrated pupil at the origin.
     folded : FoldedTransform, optional
         The same transform on an OpenCL device.
+    starts : ndarray of int32, shape (n, 2), optional
+        Of the left and right half of each row, where the patches of each are one piece in each: what is
+        added to a column gives the patch.
     gather : ndarray of int, shape (n * n,), optional
-        Patch of each cell, where no cell holds several; any for a dark cell, whose phase does not matter.
+        Else, where no cell holds several patches, the patch of each cell; any for a dark cell, whose phase
+        does not matter.
     """
 
     pupil: PupilGrid
@@ -44,6 +54,7 @@ class MatrixFourier:
     axis: Real
     peak: float
     folded: FoldedTransform | None = None
+    starts: NDArray[np.int32] | None = None
     gather: NDArray[np.intp] | None = None
 
 
@@ -82,11 +93,27 @@ def matrix_fourier(
     if device.kind == "numpy":
         return MatrixFourier(pupil, kernel, axis, peak)
     folded = folded_transform(pupil.amplitude, pixels, sampling, 1.0 / peak, device, dtype)
-    gather = None
+    starts, gather = None, None
     if single_patches(pupil):
-        gather = np.zeros(samples * samples, dtype=np.intp)
-        gather[pupil.cells] = np.arange(pupil.cells.size)
-    return MatrixFourier(pupil, kernel, axis, peak, folded, gather)
+        starts = _starts(pupil)
+        if starts is None:
+            gather = np.zeros(samples * samples, dtype=np.intp)
+            gather[pupil.cells] = np.arange(pupil.cells.size)
+    return MatrixFourier(pupil, kernel, axis, peak, folded, starts, gather)
+
+
+def _starts(pupil: PupilGrid) -> NDArray[np.int32] | None:
+    """Return where half rows start in patches that are sorted by cells, or None if one is in pieces."""
+    samples = len(pupil.axis)
+    row, column = np.divmod(pupil.cells, samples)
+    place = np.arange(row.size) - column
+    # Of a dark half: anywhere near the patches of its row.
+    starts = np.repeat(np.searchsorted(row, np.arange(samples))[:, None] - samples // 2, 2, axis=1)
+    for side, lit in enumerate((column < (samples + 1) // 2, column >= samples // 2)):
+        starts[row[lit], side] = place[lit]
+        if not np.array_equal(starts[row[lit], side], place[lit]):
+            return None
+    return starts.astype(np.int32)
 
 
 def psf(transform: MatrixFourier, phase: Real) -> Real:
@@ -202,9 +229,11 @@ def check_phase(transform: MatrixFourier, phase: Real | Complex) -> None:
         )
 
 
-def _pupils(transform: MatrixFourier, phase: Real) -> NDArray[Any]:
-    """Return phases (batch, n, n), or complex amplitudes if cells hold several patches."""
+def _pupils(transform: MatrixFourier, phase: Real) -> Pupils:
+    """Return phases, or complex amplitudes (batch, n, n) if cells hold several patches."""
     pupil, gather = transform.pupil, transform.gather
+    if transform.starts is not None:
+        return LitPhase(phase, transform.starts)
     if gather is None:
         return pupil_function(pupil, phase)
     assert transform.folded is not None

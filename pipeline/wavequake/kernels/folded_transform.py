@@ -57,7 +57,23 @@ class SmoothPhase:
     rim: Real
 
 
-Pupils = NDArray[Any] | SmoothPhase
+@dataclass(frozen=True)
+class LitPhase:
+    """Phases (rad) of pupils where light falls, which in each half of a row are one piece.
+
+    Attributes
+    ----------
+    values : ndarray, shape (batch, m)
+        Row after row.
+    starts : ndarray of int32, shape (n, 2)
+        Of the left and the right half of each row: what is added to a column gives the place in `values`.
+    """
+
+    values: Real
+    starts: NDArray[np.int32]
+
+
+Pupils = NDArray[Any] | LitPhase | SmoothPhase
 
 
 @dataclass(frozen=True)
@@ -192,12 +208,12 @@ def folded_images(transform: FoldedTransform, pupils: Pupils) -> Floating:
     Parameters
     ----------
     transform : FoldedTransform
-    pupils : ndarray, shape (batch, n, n), or SmoothPhase
+    pupils : ndarray, shape (batch, n, n), LitPhase or SmoothPhase
         Phases in rad, or complex amplitudes (which replace the transform's own). Smooth phases are made on
         the device; only with them does the rim count.
     """
     pixels = transform.pixels
-    count = len(pupils.coefficients) if isinstance(pupils, SmoothPhase) else len(pupils)
+    count = _count(pupils)
     images = np.empty((count, pixels, pixels), transform.amplitude.dtype)
     for first in range(0, count, _BATCH):
         out = images[first : first + _BATCH]
@@ -227,11 +243,19 @@ def folded_sum(transform: FoldedTransform, pupils: Pupils, weights: Real, total:
     return total
 
 
+def _count(pupils: Pupils) -> int:
+    if isinstance(pupils, LitPhase):
+        return len(pupils.values)
+    return len(pupils.coefficients) if isinstance(pupils, SmoothPhase) else len(pupils)
+
+
 def _part(pupils: Pupils, first: int) -> Pupils:
     """Return the pupils of one launch."""
     part = slice(first, first + _BATCH)
     if isinstance(pupils, SmoothPhase):
         return SmoothPhase(pupils.coefficients[part], pupils.rim[part])
+    if isinstance(pupils, LitPhase):
+        return LitPhase(pupils.values[part], pupils.starts)
     return pupils[part]
 
 
@@ -241,8 +265,11 @@ def _image_steps(
     """Return the launches that make images, what they read, and the memory they need."""
     t, dtype = transform, transform.amplitude.dtype
     half, quarter = (len(t.amplitude) + 1) // 2, (t.pixels + 1) // 2
-    inputs, form = _smooth(t, pupils) if isinstance(pupils, SmoothPhase) else _cellular(t, pupils)
-    batch, terms = len(inputs["pupil"]), form["TERMS"]
+    if isinstance(pupils, SmoothPhase):
+        inputs, form = _smooth(t, pupils)
+    else:
+        inputs, form = _lit(t, pupils) if isinstance(pupils, LitPhase) else _cellular(t, pupils)
+    batch, terms = _count(pupils), form["TERMS"]
     gpu = t.device.kind == "gpu"
     tall, wide = _TALL[t.device.kind], _WIDE[t.device.kind, dtype.name]
     pack, line = (t.columns, t.columns) if gpu else (wide * t.width, t.width)
@@ -255,7 +282,7 @@ def _image_steps(
     def step(kernel: str, size: tuple[int, int, int], *arguments: Any) -> Step:
         return Step(_text(), kernel, names, size, along, arguments)
 
-    tables = ("chebyshev", "rim_phase", "rim", "rim_light") if terms else ("ramp",)
+    tables = ("chebyshev", "rim_phase", "rim", "rim_light") if terms else ("ramp", "starts")
     pupil = ("pupil", "amplitude", *tables)
     cells = (np.int32(inputs["rim_phase"].shape[1]),) if terms else ()
     steps = [step("fold", (half, half, batch), *pupil, "folded")] if gpu else []
@@ -290,13 +317,25 @@ def _image_steps(
 
 def _cellular(t: FoldedTransform, pupils: NDArray[Any]) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:
     """Return what kernels read of pupils that are given cell by cell, and the constants that say so."""
-    field = np.iscomplexobj(pupils)
+    samples, field = len(t.amplitude), np.iscomplexobj(pupils)
     if field:
         ramp = t.ramp.astype(np.float64)
         pupils = pupils * np.exp(1j * (ramp + ramp[:, None]))
         pupils = np.stack([pupils.real, pupils.imag], axis=1)
-    inputs = {"pupil": np.asarray(pupils, t.amplitude.dtype), "ramp": t.ramp}
-    return inputs, {"TERMS": 0, "FIELD": int(field)}
+    starts = np.repeat(samples * np.arange(samples, dtype=np.int32)[:, None], 2, axis=1)
+    inputs = {"pupil": np.asarray(pupils, t.amplitude.dtype), "ramp": t.ramp, "starts": starts}
+    return inputs, {"TERMS": 0, "FIELD": int(field), "SIZE": (1 + field) * samples * samples}
+
+
+def _lit(t: FoldedTransform, pupils: LitPhase) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:
+    """Return what kernels read of pupils that are given where light falls, and the constants that say so."""
+    samples, (batch, size) = len(t.amplitude), pupils.values.shape
+    # Vectors hold dark cells, too: up to half a row of them before the first lit one and after the last.
+    padded = np.empty(batch * size + 2 * samples, t.amplitude.dtype)
+    padded[:samples] = padded[-samples:] = 0.0
+    padded[samples:-samples].reshape(batch, size)[...] = pupils.values
+    inputs = {"pupil": padded, "ramp": t.ramp, "starts": pupils.starts + np.int32(samples)}
+    return inputs, {"TERMS": 0, "FIELD": 0, "SIZE": size}
 
 
 def _smooth(t: FoldedTransform, pupils: SmoothPhase) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:
@@ -316,7 +355,7 @@ def _smooth(t: FoldedTransform, pupils: SmoothPhase) -> tuple[dict[str, NDArray[
     inputs = {"pupil": coefficients.astype(dtype), "chebyshev": chebyshev.astype(dtype)}
     inputs["rim_phase"] = np.pad(rim, ((0, 0), (0, t.width))).astype(dtype)
     inputs |= {"rim": t.rim_places, "rim_light": t.rim_light if t.rim_light.size else np.zeros(4, dtype)}
-    return inputs, {"TERMS": terms, "FIELD": 0}
+    return inputs, {"TERMS": terms, "FIELD": 0, "SIZE": terms * terms}
 
 
 def _ramp_slope(pixels: int, sampling: float) -> float:
