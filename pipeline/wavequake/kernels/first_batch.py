@@ -34,6 +34,7 @@ def compare_first(
     found: Sequence[Array],
     twin: Callable[[Pick], Sequence[Array]],
     length: float = 0.0,
+    kind: str = "rays",
 ) -> None:
     """Compare some rays of a program's batch with NumPy; from then on it is trusted in this process.
 
@@ -48,6 +49,8 @@ def compare_first(
         Returns the same for rays of given numbers.
     length : float
         Of the way of the light, mm, where it is more than the largest of the numbers.
+    kind : str
+        What there are N of, if not rays.
 
     Raises
     ------
@@ -68,9 +71,10 @@ def compare_first(
     wrong = int(np.count_nonzero(apart > allowed))
     lost = int(np.count_nonzero(arrives & ~both))  # few: where light meets the edge of an opening
     if wrong > _GRAZING * np.count_nonzero(both) or (arrives.sum() >= 8 and 2 * lost > arrives.sum()):
+        unit = " mm" if kind == "rays" else ""
         raise UserError(
-            f"the OpenCL device {device.label!r} computes wrong numbers: of {arrives.sum()} rays of the "
-            f"first batch {wrong} differ from those of NumPy, by up to {apart.max():.1e} mm, and {lost} are "
-            "lost; update its driver, or choose another device (campaign.device=numpy always works)"
+            f"the OpenCL device {device.label!r} computes wrong numbers: of {arrives.sum()} {kind} of the "
+            f"first batch {wrong} differ from those of NumPy, by up to {apart.max():.1e}{unit}, and {lost} "
+            "are lost; update its driver, or choose another device (campaign.device=numpy always works)"
         )
     _TRUSTED.add((device, program))

@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.kernels.devices import NUMPY, Device
+from wavequake.kernels.ray_sums import ray_coefficients
 from wavequake.optics.checks import alike, number, whole
 from wavequake.optics.zernike import annular_zernike
 
@@ -15,8 +17,6 @@ Mask = NDArray[np.bool_]
 
 # Smallest rms on the glass of combined polynomials with unit rms over the pupil (TMT: 0.59, JWST: 0.15).
 _LEAST_RMS_ON_GLASS = 0.03
-# Instants per matrix product: a constant shape, so that the bits of an instant do not depend on its batch.
-_TILE = 16
 _FARTHEST = 2.0  # places of rays in units of the pupil's radius; beyond, they are most likely in mm
 _SINGULAR = 1e-10  # smallest eigenvalue of a normal matrix, relative to its size, that is still solved
 
@@ -167,24 +167,13 @@ def refit(fit: Fit, kept: Mask, values: Array) -> Array:
     return np.asarray(np.linalg.solve(normal, fit.basis.T @ (fit.weight * values)), dtype=np.float64)
 
 
-def fit_instants(fit: Fit, values: Array) -> Array:
+def fit_instants(fit: Fit, values: Array, device: Device = NUMPY) -> Array:
     """Return coefficients (T, J) of values (T, N); lost rays (NaN) are left out of an instant's fit."""
-    ok = np.isfinite(values)
-    known = np.where(ok, values, 0.0)
-    coefficients = times_instants(fit.matrix, known)
-    for instant in np.flatnonzero(~ok.all(axis=1)):
-        coefficients[instant] = refit(fit, ok[instant], known[instant])
+    coefficients, lost = ray_coefficients(fit.matrix, values, device)
+    for instant in np.flatnonzero(lost):
+        ok = np.isfinite(values[instant])
+        coefficients[instant] = refit(fit, ok, np.where(ok, values[instant], 0.0))
     return coefficients
-
-
-def times_instants(matrix: Array, values: Array) -> Array:
-    """Return the products (T, J) of a matrix (J, N) and values (T, N); the bits do not depend on T."""
-    instants, count = values.shape
-    padded = np.zeros((-(-instants // _TILE) * _TILE, count))
-    padded[:instants] = values
-    tiles = padded.reshape(-1, _TILE, count).transpose(0, 2, 1)
-    products: Array = np.matmul(matrix, tiles).transpose(0, 2, 1).reshape(len(padded), len(matrix))
-    return products[:instants]
 
 
 def segment_planes(

@@ -95,7 +95,12 @@ def spot(x: Array, y: Array, weight: Array, fraction: float = 0.8) -> Spot:
     if not (np.isfinite(weight) & (weight > 0.0)).all():
         raise UserError("the weights of a spot's rays must all be positive numbers")
     known = np.isfinite(x) & np.isfinite(y)
-    light, centroid, square = _moments(x, y, weight, known)
+    light = np.where(known, weight, 0.0)
+    total = np.sum(light, axis=1)
+    light /= np.where(total > 0.0, total, np.nan)[:, None]
+    x, y = np.where(known, x, 0.0), np.where(known, y, 0.0)
+    centroid = np.stack([np.sum(light * x, axis=1), np.sum(light * y, axis=1)], axis=1)
+    square = np.square(x - centroid[:, :1]) + np.square(y - centroid[:, 1:])
     distance = np.sqrt(square)
     order = np.argsort(np.where(known, distance, np.inf), axis=1)
     enclosed = np.cumsum(np.take_along_axis(light, order, axis=1), axis=1)
@@ -104,19 +109,3 @@ def spot(x: Array, y: Array, weight: Array, fraction: float = 0.8) -> Spot:
         :, 0
     ]
     return Spot(centroid=centroid, rms=np.sqrt(np.sum(light * square, axis=1)), enclosing=enclosing)
-
-
-def centroid_and_rms(x: Array, y: Array, weight: Array) -> tuple[Array, Array]:
-    """Return what `spot` does but for the enclosing radius, which takes half of its time."""
-    light, centroid, square = _moments(x, y, weight, np.isfinite(x) & np.isfinite(y))
-    return centroid, np.sqrt(np.sum(light * square, axis=1))
-
-
-def _moments(x: Array, y: Array, weight: Array, known: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-    """Return each ray's share of the light, the centroids, and squared distances from them."""
-    light = np.where(known, weight, 0.0)
-    total = np.sum(light, axis=1)
-    light /= np.where(total > 0.0, total, np.nan)[:, None]
-    x, y = np.where(known, x, 0.0), np.where(known, y, 0.0)
-    centroid = np.stack([np.sum(light * x, axis=1), np.sum(light * y, axis=1)], axis=1)
-    return light, centroid, np.square(x - centroid[:, :1]) + np.square(y - centroid[:, 1:])

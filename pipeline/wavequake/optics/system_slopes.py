@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.kernels.ray_sums_numpy import times_instants
 from wavequake.kernels.sequence import TracedRays
-from wavequake.optics.fits import MORE_RAYS, Fit, fit_instants, times_instants
+from wavequake.optics.fits import MORE_RAYS, Fit, fit_instants
 from wavequake.optics.slopes import SHIFTS, STEP, offset_fit, to_sphere
 from wavequake.optics.zernike import annular_zernike_gradient
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY, Device
+from wavequake.kernels.ray_sums import ray_moments
 from wavequake.kernels.sequence import OK, VIGNETTED, Moving, Rays, Sequence, TracedRays
 from wavequake.kernels.sequential import trace_sequence
 from wavequake.kernels.sequential_numpy import joined_moving, moving_part
@@ -25,7 +26,6 @@ from wavequake.optics.checks import alike, whole
 from wavequake.optics.fits import MORE_RAYS, Fit, fit_instants, pupil_fit
 from wavequake.optics.packing import moving, pack
 from wavequake.optics.paraxial import paraxial
-from wavequake.optics.quality import centroid_and_rms, peak_to_valley
 from wavequake.optics.ray_aiming import LOSSES, pupil_rays
 from wavequake.optics.sphere_fit import sphere_basis_fit
 from wavequake.optics.stop_following import follow_stop, stays, steering
@@ -342,48 +342,37 @@ def measure_system(prepared: PreparedSystem, states: SystemStates, device: Devic
     UserError
         If the states do not fit the system.
     """
-    return analyse_system(prepared, *trace_system(prepared, states, device))
+    return analyse_system(prepared, *trace_system(prepared, states, device), device)
 
 
-def analyse_system(prepared: PreparedSystem, opd: Array, traced: TracedRays, chief: Array) -> SystemWavefront:
+def analyse_system(
+    prepared: PreparedSystem, opd: Array, traced: TracedRays, chief: Array, device: Device = NUMPY
+) -> SystemWavefront:
     """Reduce what `trace_system` returns to the numbers of its wavefronts."""
-    ok, point = np.isfinite(opd), chief
+    point, weight = chief, prepared.fit.weight
     if prepared.sphere is not None:
-        tilt = fit_instants(prepared.sphere, opd)[:, 1:3]
+        tilt = fit_instants(prepared.sphere, opd, device)[:, 1:3]
         opd = opd - tilt[:, :1] * prepared.sphere.basis[:, 1] - tilt[:, 1:] * prepared.sphere.basis[:, 2]
         point = chief + tilt * (prepared.wavelength / prepared.image_index / _aperture(prepared))
-    zernike = fit_instants(prepared.fit, opd)
-    weight = prepared.fit.weight
-    kept = np.sum(np.where(ok, weight, 0.0), axis=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        flat = opd - zernike[:, 1:2] * prepared.fit.basis[:, 1] - zernike[:, 2:3] * prepared.fit.basis[:, 2]
-        rms_raw, rms_flat = (_rms_without_piston(values, ok, weight, kept) for values in (opd, flat))
-        phase = 2.0 * np.pi * np.where(ok, flat, 0.0)
-        waves = [np.sum(np.where(ok, part(phase) * weight, 0.0), axis=1) / kept for part in (np.cos, np.sin)]
+    zernike = fit_instants(prepared.fit, opd, device)
+    slopes = np.ascontiguousarray(prepared.fit.basis[:, 1:3].T)
+    found = ray_moments(opd, traced.x, traced.y, weight, slopes, zernike[:, 1:3], device)
     if prepared.slopes is not None:
         zernike = slope_coefficients(prepared.slopes, traced, chief)
-    centroid, spot_rms = centroid_and_rms(np.where(ok, traced.x, np.nan), traced.y, weight)
     return SystemWavefront(
         zernike=zernike,
         rms=np.sqrt(np.sum(zernike[:, 3:] ** 2, axis=1)),
-        rms_raw=rms_raw,
-        rms_flat=rms_flat,
-        pv=peak_to_valley(flat),
+        rms_raw=found.rms_raw,
+        rms_flat=found.rms_flat,
+        pv=found.pv,
         chief=chief,
         los=line_of_sight(prepared, point, zernike),
-        centroid=centroid,
-        spot_rms=spot_rms,
-        strehl=waves[0] ** 2 + waves[1] ** 2,
-        lost=np.count_nonzero(~ok, axis=1),
+        centroid=found.centroid,
+        spot_rms=found.spot_rms,
+        strehl=found.strehl,
+        lost=weight.size - found.arrived,
         vignetted=np.count_nonzero(traced.status == VIGNETTED, axis=1),
     )
-
-
-def _rms_without_piston(values: Array, ok: NDArray[np.bool_], weight: Array, kept: Array) -> Array:
-    """Return the rms (T,) of values (T, N) about their means over the rays that are `ok`."""
-    mean = np.sum(np.where(ok, values * weight, 0.0), axis=1) / kept
-    square = np.sum(np.where(ok, (values - mean[:, None]) ** 2 * weight, 0.0), axis=1) / kept
-    return np.asarray(np.sqrt(square))
 
 
 def line_of_sight(prepared: PreparedSystem, chief: Array, zernike: Array) -> Array:

@@ -146,7 +146,7 @@ def residual_of(optics: Optics, left: Left, device: Device) -> Residual:
     opd, _, chief = trace_light(prepared, light, device)
     per_unit = (largest / (2.0 * _STEP))[:, None]
     opd, chief = ((values[: len(steps)] - values[len(steps) :]) * per_unit for values in (opd, chief))
-    zernike = fit_instants(prepared.fit, opd)
+    zernike = fit_instants(prepared.fit, opd, device)
     to_nm = prepared.wavelength * NM_PER_MM
     root = np.sqrt(prepared.fit.weight / prepared.fit.weight.sum())
     rough, whole = (

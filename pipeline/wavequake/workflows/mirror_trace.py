@@ -250,14 +250,16 @@ def trace_figures(
         with clock("ray trace"):
             light = deformed_light(optics, fitted[part], splines)
             opd, _, chief = trace_light(prepared, light, device)
-        parts.append(_wavefronts(prepared, opd, chief, clock))
+        parts.append(_wavefronts(prepared, opd, chief, device, clock))
     return Wavefronts(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
-def _wavefronts(prepared: PreparedSystem, opd: Array, chief: Array, clock: Clock) -> tuple[Array, Array]:
+def _wavefronts(
+    prepared: PreparedSystem, opd: Array, chief: Array, device: Device, clock: Clock
+) -> tuple[Array, Array]:
     """Return aberrations and raw rms of `Wavefronts` from traced rays."""
     with clock("wavefront fit"):
-        zernike = fit_instants(prepared.fit, opd)
+        zernike = fit_instants(prepared.fit, opd, device)
         to_nm = prepared.wavelength * NM_PER_MM
         aberrations = np.hstack([line_of_sight(prepared, chief, zernike), to_nm * zernike])
     flat = opd - zernike[:, :3] @ prepared.fit.basis[:, :3].T

@@ -134,7 +134,7 @@ def measured_cases(
                 with clock("trace"):
                     traced = next(traces)
                 with clock("wavefront"):
-                    wavefront = analyse_system(prepared, *traced)
+                    wavefront = analyse_system(prepared, *traced, device)
                 trouble = failure(prepared, wavefront, states[case])
                 if trouble:
                     messages[case] = messages[case] or f"at t = {time[trouble[0]]:.4g} s {trouble[1]}"

@@ -1,0 +1,177 @@
+// Sums over the rays of wavefronts: coefficients of a fit, and moments of wavefront and spot.
+//
+// Compile-time constants: W lanes, SINGLE (0), TALL instants and WIDE vectors of functions that share what is
+// read: as many sums as registers hold, SHARED (1: other work-items sum other functions of the same instants,
+// and each looks at the rays itself; 0: a work-item copies CHUNK rays at a time, whole vectors of them).
+
+#include "waves.h"
+
+// What is not a number, or infinite, marks a lost ray.
+#define FINITE(value) LIT((value) - (value) == 0)
+#define WHERE(mask, value) TO_REAL(TO_WHOLE(value) & (mask))
+
+// Sum rays' values (instants, rays) times functions (rays, terms) at them, and count (instants) the lost rays,
+// which add nothing.
+__kernel void coefficients(const int instants, const int rays, const int terms,
+                           __global const scalar *functions, __global const scalar *values,
+                           __global scalar *sums, __global int *lost)
+{
+    const int term = get_global_id(0) * WIDE * W, first = get_global_id(1) * TALL;
+    if (term >= terms || first >= instants)
+        return;
+    __global const scalar *row[TALL];
+    #pragma unroll
+    for (int i = 0; i < TALL; ++i)  // beyond the last instant comes the last one again
+        row[i] = values + (size_t)(first + i < instants ? first + i : instants - 1) * rays;
+    functions += term;
+    real total[TALL][WIDE];
+    int missing[TALL];
+    #pragma unroll
+    for (int i = 0; i < TALL; ++i) {
+        missing[i] = 0;
+        #pragma unroll
+        for (int wide = 0; wide < WIDE; ++wide)
+            total[i][wide] = 0.0f;
+    }
+#if SHARED
+    for (int ray = 0; ray < rays; ++ray, functions += terms)
+        for (int i = 0; i < TALL; ++i) {
+            const scalar value = row[i][ray];
+            const int is_lost = value - value != 0;
+            const scalar known = is_lost ? 0 : value;
+            missing[i] += is_lost;
+            for (int wide = 0; wide < WIDE; ++wide)
+                total[i][wide] += known * LOAD(functions + wide * W);
+        }
+#else
+    __local scalar known[TALL * CHUNK];
+    for (int start = 0; start < rays; start += CHUNK) {
+        const int count = rays - start < CHUNK ? rays - start : CHUNK, whole_vectors = count / W * W;
+        #pragma unroll
+        for (int i = 0; i < TALL; ++i) {
+            whole not_lost = 0;
+            for (int k = 0; k < whole_vectors; k += W) {
+                const real value = LOAD(row[i] + start + k);
+                const whole is_known = FINITE(value);
+                not_lost += is_known;
+                STORE_LOCAL(WHERE(is_known, value), known + i * CHUNK + k);
+            }
+            missing[i] += whole_vectors;
+            for (int lane = 0; lane < W; ++lane)
+                missing[i] += LANE(not_lost, lane);  // whose lanes are -1 for each ray
+            for (int k = whole_vectors; k < count; ++k) {
+                const scalar value = row[i][start + k];
+                const int is_lost = value - value != 0;
+                missing[i] += is_lost;
+                known[i * CHUNK + k] = is_lost ? 0 : value;
+            }
+        }
+        for (int k = 0; k < count; ++k, functions += terms) {
+            real function[WIDE];
+            #pragma unroll
+            for (int wide = 0; wide < WIDE; ++wide)
+                function[wide] = LOAD(functions + wide * W);
+            #pragma unroll
+            for (int i = 0; i < TALL; ++i)
+                #pragma unroll
+                for (int wide = 0; wide < WIDE; ++wide)
+                    total[i][wide] += known[i * CHUNK + k] * function[wide];
+        }
+    }
+#endif
+    #pragma unroll
+    for (int i = 0; i < TALL; ++i)
+        if (first + i < instants) {
+            #pragma unroll
+            for (int wide = 0; wide < WIDE; ++wide)
+                STORE(total[i][wide], sums + (size_t)(first + i) * terms + term + wide * W);
+            if (term == 0)
+                lost[first + i] = missing[i];
+        }
+}
+
+INLINE scalar sum_of(real value)
+{
+    scalar sum = 0;
+    for (int lane = 0; lane < W; ++lane)
+        sum += LANE(value, lane);
+    return sum;
+}
+
+typedef struct { real opd, flat, x, y, weight; whole known; } ray_lanes;
+
+// W rays: a wavefront, that without its best-fit plane, and where they meet the image; lost ones weigh nothing.
+INLINE ray_lanes rays_at(__global const scalar *opd, __global const scalar *x, __global const scalar *y,
+                         __global const scalar *weight, __global const scalar *slopes, int group, int rays,
+                         scalar slope_x, scalar slope_y)
+{
+    // The last group overlaps the one before it; what came already has no weight.
+    const int ray = group + W > rays ? rays - W : group;
+    ray_lanes a = {LOAD(opd + ray), 0.0f, LOAD(x + ray), LOAD(y + ray), LOAD(weight + group), 0};
+    a.known = FINITE(a.opd) & FINITE(a.x) & FINITE(a.y);
+    a.opd = WHERE(a.known, a.opd);
+    a.x = WHERE(a.known, a.x);
+    a.y = WHERE(a.known, a.y);
+    a.weight = WHERE(a.known, a.weight);
+    a.flat = a.opd - WHERE(a.known, slope_x * LOAD(slopes + ray) + slope_y * LOAD(slopes + rays + ray));
+    return a;
+}
+
+// Moments (instants, 8) of wavefronts and spots: number of rays that arrive, rms of the wavefront without
+// piston, rms and peak to valley without plane, Strehl ratio, centroid x and y, rms distance from it.
+// slopes (2, rays): the functions that make the plane; planes (instants, 2): how much of each.
+__kernel void moments(const int instants, const int rays, __global const scalar *opd,
+                      __global const scalar *x, __global const scalar *y, __global const scalar *weight,
+                      __global const scalar *slopes, __global const scalar *planes, __global scalar *found)
+{
+    const size_t instant = get_global_id(1);
+    if (instant >= instants)
+        return;
+    opd += instant * rays;
+    x += instant * rays;
+    y += instant * rays;
+    const scalar slope_x = planes[2 * instant], slope_y = planes[2 * instant + 1];
+    const scalar turn = 6.28318530717958647693;
+    real light = 0.0f, arrived = 0.0f, mean = 0.0f, mean_flat = 0.0f, re = 0.0f, im = 0.0f;
+    real at_x = 0.0f, at_y = 0.0f, largest = -INFINITY, smallest = INFINITY;
+    for (int group = 0; group < rays; group += W) {
+        const ray_lanes a = rays_at(opd, x, y, weight, slopes, group, rays, slope_x, slope_y);
+        const wave phase = wave_of(a.flat * turn);
+        light += a.weight;
+        arrived += LIT(a.weight > 0) ? (real)1.0f : (real)0.0f;
+        mean += a.weight * a.opd;
+        mean_flat += a.weight * a.flat;
+        re += a.weight * phase.re;
+        im += a.weight * phase.im;
+        at_x += a.weight * a.x;
+        at_y += a.weight * a.y;
+        largest = a.known & LIT(a.flat > largest) ? a.flat : largest;
+        smallest = a.known & LIT(a.flat < smallest) ? a.flat : smallest;
+    }
+    const scalar per_light = 1 / sum_of(light);  // infinite, and all that follows no number, if all are lost
+    const scalar middle = sum_of(mean) * per_light, middle_flat = sum_of(mean_flat) * per_light;
+    const scalar center_x = sum_of(at_x) * per_light, center_y = sum_of(at_y) * per_light;
+    real square = 0.0f, square_flat = 0.0f, spread = 0.0f;
+    for (int group = 0; group < rays; group += W) {
+        const ray_lanes a = rays_at(opd, x, y, weight, slopes, group, rays, slope_x, slope_y);
+        const real raw = a.opd - middle, flat = a.flat - middle_flat, dx = a.x - center_x, dy = a.y - center_y;
+        square += a.weight * raw * raw;
+        square_flat += a.weight * flat * flat;
+        spread += a.weight * (dx * dx + dy * dy);
+    }
+    scalar most = -INFINITY, least = INFINITY;
+    for (int lane = 0; lane < W; ++lane) {
+        most = LANE(largest, lane) > most ? LANE(largest, lane) : most;
+        least = LANE(smallest, lane) < least ? LANE(smallest, lane) : least;
+    }
+    const scalar real_part = sum_of(re) * per_light, imaginary = sum_of(im) * per_light;
+    found += 8 * instant;
+    found[0] = sum_of(arrived);
+    found[1] = sqrt(sum_of(square) * per_light);
+    found[2] = sqrt(sum_of(square_flat) * per_light);
+    found[3] = most < least ? NAN : most - least;
+    found[4] = real_part * real_part + imaginary * imaginary;
+    found[5] = center_x;
+    found[6] = center_y;
+    found[7] = sqrt(sum_of(spread) * per_light);
+}

@@ -1,0 +1,164 @@
+"""Sums over the rays of many wavefronts: coefficients of fits, rms, peak to valley, Strehl ratio, spot."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.kernels.devices import NUMPY, Device
+from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
+from wavequake.kernels.program import source
+from wavequake.kernels.ray_sums_numpy import coefficients_numpy, moments_numpy
+from wavequake.kernels.steps import Step, run_steps, vector_width
+
+Array = NDArray[np.float64]
+
+# Rays that a work-item copies at a time; their values stay in the innermost cache.
+_CHUNK = 128
+# Instants and vectors of functions that share what is read, by the lanes of a vector: as registers allow.
+_SHAPES = {8: (6, 4), 4: (4, 2), 2: (4, 2), 1: (4, 1)}
+_GROUP = {"cpu": 1, "gpu": 64}
+
+
+@dataclass(frozen=True)
+class RayMoments:
+    """Numbers of T wavefronts and spots; NaN where all rays are lost.
+
+    Attributes
+    ----------
+    arrived : ndarray of int, shape (T,)
+        Rays that are not lost.
+    rms_raw, rms_flat, pv : ndarray, shape (T,)
+        Rms without piston, and rms and peak to valley without the plane, in the unit of the wavefront.
+    strehl : ndarray, shape (T,)
+        Squared modulus of the mean of exp(2 pi i OPD) without the plane.
+    centroid : ndarray, shape (T, 2)
+    spot_rms : ndarray, shape (T,)
+        Rms distance of the image points from their centroid.
+    """
+
+    arrived: NDArray[np.int64]
+    rms_raw: Array
+    rms_flat: Array
+    pv: Array
+    strehl: Array
+    centroid: Array
+    spot_rms: Array
+
+
+def ray_coefficients(
+    matrix: Array, values: Array, device: Device = NUMPY
+) -> tuple[Array, NDArray[np.integer[Any]]]:
+    """Return the products (T, J) of a matrix (J, N) and values (T, N) at rays, and how many are lost (T,).
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (J, N)
+    values : ndarray, shape (T, N)
+        What is not finite counts as 0, and its ray as lost.
+    device : Device
+        Where to run. The bits of an instant do not depend on the others.
+    """
+    if device.kind == "numpy" or 0 in (*matrix.shape, len(values)):
+        return coefficients_numpy(matrix, values)
+    lanes, tall, wide = _shape(device)
+    (count, rays), block = matrix.shape, lanes * wide
+    terms = -(-count // block) * block
+    functions = np.zeros((rays, terms))
+    functions[:, :count] = matrix.T
+    sums, lost = np.empty((len(values), terms)), np.empty(len(values), np.int32)
+    numbers = (np.int32(number) for number in (len(values), rays, terms))
+    size, group = (terms // block, -(-len(values) // tall), 1), _GROUP[device.kind]
+    arguments = (*numbers, "functions", "values", "sums", "lost")
+    step = Step(_text(), "coefficients", _constants(device), size, (group, 1, 1), arguments)
+    inputs = {"functions": functions, "values": values}
+    run_steps(device, [step], inputs, {"sums": sums, "lost": lost}, {})
+    found = sums[:, :count]
+    if not is_trusted(device, step.kernel):
+
+        def twin(pick: Pick) -> list[Array]:
+            products, missing = coefficients_numpy(matrix, values[pick])
+            return [*products.T, missing.astype(np.float64)]
+
+        compare_first(device, step.kernel, [*found.T, lost.astype(np.float64)], twin, kind="wavefronts")
+    return found, lost
+
+
+def ray_moments(
+    opd: Array, x: Array, y: Array, weight: Array, slopes: Array, planes: Array, device: Device = NUMPY
+) -> RayMoments:
+    """Return what wavefronts and spots are like.
+
+    Parameters
+    ----------
+    opd : ndarray, shape (T, N)
+        Waves. A ray is lost where this or its image point is not finite.
+    x, y : ndarray, shape (T, N)
+        Image points.
+    weight : ndarray, shape (N,)
+        Light of each ray; positive.
+    slopes : ndarray, shape (2, N)
+        Two functions at the rays, of which planes are made.
+    planes : ndarray, shape (T, 2)
+        The plane of each instant, in multiples of the functions.
+    device : Device
+        Where to run. The bits of an instant do not depend on the others.
+    """
+    instants, rays = opd.shape
+    if device.kind == "numpy" or not opd.size:
+        found = moments_numpy(opd, x, y, weight, slopes, planes)
+    else:
+        lanes = _shape(device)[0]
+        while lanes > rays:
+            lanes //= 2
+        found = np.empty((instants, 8))
+        inputs: dict[str, NDArray[Any]] = {"opd": opd, "x": x, "y": y, "slopes": slopes, "planes": planes}
+        inputs["weight"] = _last_in_whole_vectors(weight, lanes)
+        names = ("opd", "x", "y", "weight", "slopes", "planes", "found")
+        arguments = (np.int32(instants), np.int32(rays), *names)
+        group = (1, _GROUP[device.kind], 1)
+        step = Step(_text(), "moments", _constants(device, lanes), (1, instants, 1), group, arguments)
+        run_steps(device, [step], inputs, {"found": found}, {})
+        if not is_trusted(device, step.kernel):
+
+            def twin(pick: Pick) -> list[Array]:
+                return list(moments_numpy(opd[pick], x[pick], y[pick], weight, slopes, planes[pick]).T)
+
+            compare_first(device, step.kernel, list(found.T), twin, kind="wavefronts")
+    return RayMoments(
+        arrived=found[:, 0].astype(np.int64),
+        rms_raw=found[:, 1],
+        rms_flat=found[:, 2],
+        pv=found[:, 3],
+        strehl=found[:, 4],
+        centroid=found[:, 5:7],
+        spot_rms=found[:, 7],
+    )
+
+
+def _last_in_whole_vectors(weight: Array, lanes: int) -> Array:
+    """Return weights for groups of lanes; the last ends with the last ray: what is in two weighs once."""
+    rest = len(weight) % lanes
+    if not rest:
+        return weight
+    whole = len(weight) - rest
+    return np.concatenate([weight[:whole], np.zeros(lanes - rest), weight[whole:]])
+
+
+def _shape(device: Device) -> tuple[int, int, int]:
+    """Return lanes, instants and vectors of functions of a work-item."""
+    lanes = min(8, vector_width(device, np.dtype(np.float64), long=True))
+    return lanes, *_SHAPES[lanes]
+
+
+def _constants(device: Device, lanes: int = 0) -> tuple[tuple[str, int], ...]:
+    own, tall, wide = _shape(device)
+    numbers = {"W": lanes or own, "SINGLE": 0, "TALL": tall, "WIDE": wide, "CHUNK": _CHUNK}
+    return tuple((numbers | {"SHARED": int(device.kind == "gpu")}).items())
+
+
+@lru_cache(maxsize=1)
+def _text() -> str:
+    return source("ray_sums.cl")

@@ -1,0 +1,127 @@
+"""Sums over rays on every device against sums written out, and against those of spots and wavefronts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wavequake.errors import UserError
+from wavequake.kernels import ray_sums
+from wavequake.kernels.devices import NUMPY, Device, list_devices
+from wavequake.kernels.ray_sums import ray_coefficients, ray_moments
+from wavequake.optics.quality import peak_to_valley, spot
+
+OPENCL = [device for device in list_devices() if device.kind != "numpy"]
+OPENCL += [Device(device.name, "gpu", device.platform, 1) for device in OPENCL if device.kind == "cpu"]
+NAMES = {"argvalues": [NUMPY, *OPENCL], "ids": lambda device: f"{device.kind}-{device.vector_width}"}
+
+
+def light(seed, instants, rays):
+    random = np.random.default_rng(seed)
+    opd, x, y = random.normal(0.0, 0.3, (3, instants, rays)) + np.array([[[0.1]], [[5.0]], [[-3.0]]])
+    return opd, x, y, random.uniform(0.1, 1.0, rays), random.normal(size=(2, rays))
+
+
+@pytest.mark.parametrize("device", **NAMES)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    instants=st.integers(1, 20),
+    rays=st.sampled_from([1, 2, 7, 128, 129, 300]),
+    terms=st.sampled_from([1, 3, 31, 32, 33, 70]),
+)
+def test_coefficients_are_sums_of_products(device, seed, instants, rays, terms):
+    random = np.random.default_rng(seed)
+    matrix, values = random.normal(size=(terms, rays)), random.normal(size=(instants, rays))
+    gone = random.random((instants, rays)) < random.choice([0.0, 0.2])
+    values[gone] = random.choice([np.nan, np.inf, -np.inf], gone.sum())
+    sums, lost = ray_coefficients(matrix, values, device)
+    assert np.array_equal(lost, gone.sum(axis=1))
+    known = np.where(gone, 0.0, values).astype(np.longdouble)
+    expected = known @ matrix.T.astype(np.longdouble)
+    assert sums.shape == (instants, terms)
+    assert np.abs(sums - expected).max() < 1e-15 * rays * 5
+
+
+@pytest.mark.parametrize("device", **NAMES)
+@given(seed=st.integers(0, 2**32 - 1), rays=st.sampled_from([1, 5, 8, 13, 400]))
+def test_moments_are_those_of_the_rays_that_arrive(device, seed, rays):
+    opd, x, y, weight, slopes = light(seed, 9, rays)
+    random = np.random.default_rng(seed)
+    planes = random.normal(0.0, 0.2, (9, 2))
+    gone = random.random((9, rays)) < np.array([0.0, 0.3, 1.0])[random.integers(0, 3, 9)][:, None]
+    for values in (opd, x, y):  # whichever of the three says so
+        here = gone & (random.random((9, rays)) < 0.5)
+        values[here] = np.nan
+    gone = ~(np.isfinite(opd) & np.isfinite(x) & np.isfinite(y))
+    found = ray_moments(opd, x, y, weight, slopes, planes, device)
+    assert np.array_equal(found.arrived, rays - gone.sum(axis=1))
+    flat = np.where(gone, np.nan, opd - planes @ slopes)
+    expected = spot(np.where(gone, np.nan, x), y, weight)
+    np.testing.assert_allclose(found.centroid, expected.centroid, atol=1e-14)
+    np.testing.assert_allclose(found.spot_rms, expected.rms, atol=1e-14)
+    np.testing.assert_allclose(found.pv, peak_to_valley(flat), atol=1e-14)
+    for i in range(9):
+        kept = ~gone[i]
+        names = (found.rms_raw, found.rms_flat, found.strehl)
+        if not kept.any():
+            assert all(np.isnan(values[i]) for values in names)
+            continue
+        for values, of in zip(names[:2], (opd, flat), strict=True):
+            mean = np.average(of[i, kept], weights=weight[kept])
+            variance = np.average((of[i, kept] - mean) ** 2, weights=weight[kept])
+            assert values[i] == pytest.approx(np.sqrt(variance), abs=1e-14)
+        wave = np.average(np.exp(2j * np.pi * flat[i, kept]), weights=weight[kept])
+        assert names[2][i] == pytest.approx(abs(wave) ** 2, abs=2e-14)
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_an_instant_does_not_depend_on_its_batch(device):
+    opd, x, y, weight, slopes = light(1, 23, 150)
+    opd[3, 7] = np.nan
+    matrix, planes = np.random.default_rng(2).normal(size=(28, 150)), np.full((23, 2), 0.1)
+    together = ray_moments(opd, x, y, weight, slopes, planes, device)
+    sums, _ = ray_coefficients(matrix, opd, device)
+    for i in range(23):
+        one = slice(i, i + 1)
+        alone = ray_moments(opd[one], x[one], y[one], weight, slopes, planes[one], device)
+        assert all(np.array_equal(getattr(together, name)[one], value) for name, value in vars(alone).items())
+        assert np.array_equal(ray_coefficients(matrix, opd[one], device)[0], sums[one])
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_a_plane_that_is_not_known_leaves_what_needs_none(device):
+    opd, x, y, weight, slopes = light(3, 2, 40)
+    planes = np.array([[0.0, 0.0], [np.nan, np.nan]])
+    found = ray_moments(opd, x, y, weight, slopes, planes, device)
+    assert np.isnan([found.rms_flat[1], found.pv[1], found.strehl[1]]).all()
+    known = (found.rms_raw, found.centroid, found.spot_rms, found.arrived)
+    assert all(np.isfinite(values).all() for values in known)
+    assert np.isfinite([found.rms_flat[0], found.pv[0], found.strehl[0]]).all()
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_nothing_has_no_sums(device):
+    none, weight = np.zeros((0, 30)), np.ones(30)
+    assert ray_coefficients(np.ones((4, 30)), none, device)[0].shape == (0, 4)
+    found = ray_moments(none, none, none, weight, np.ones((2, 30)), np.zeros((0, 2)), device)
+    assert found.centroid.shape == (0, 2)
+
+
+@pytest.mark.parametrize("device", OPENCL, ids=lambda device: device.kind)
+def test_a_device_that_sums_wrong_is_refused(device, monkeypatch):
+    monkeypatch.setattr("wavequake.kernels.first_batch._TRUSTED", set())
+    real = ray_sums.run_steps
+
+    def wrong(device, steps, inputs, outputs, scratch):
+        real(device, steps, inputs, outputs, scratch)
+        next(iter(outputs.values()))[:] += 1e-6
+
+    monkeypatch.setattr(ray_sums, "run_steps", wrong)
+    device = replace(device)
+    opd, x, y, weight, slopes = light(4, 30, 50)
+    with pytest.raises(UserError, match="of 16 wavefronts of the first batch 16 differ"):
+        ray_coefficients(np.ones((4, 50)), opd, device)
+    with pytest.raises(UserError, match="computes wrong numbers"):
+        ray_moments(opd, x, y, weight, slopes, np.zeros((30, 2)), device)
