@@ -10,7 +10,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -32,7 +31,7 @@ from wavequake.kernels.sequential import trace_sequence
 from wavequake.kernels.tiles import TILE
 from wavequake.memory import keep_freed_memory
 from wavequake.optics.catalog import optical_system
-from wavequake.optics.fits import weighted_fit
+from wavequake.optics.fits import fit_instants, weighted_fit
 from wavequake.optics.packing import moving, pack
 from wavequake.optics.shapes import ZernikeDeformation
 from wavequake.optics.system import OpticalSystem, SystemStates
@@ -142,7 +141,7 @@ def successive(job: Callable[[], Any]) -> Array:
     return np.diff(times)
 
 
-def measure(device: Device, threads: int, terms: int, batoid: bool, console: Console) -> dict[str, float]:
+def measure(device: Device, terms: int, batoid: bool, console: Console) -> dict[str, float]:
     """Print the rates with one number of terms; return what `DEMANDS` are made on."""
     system, states = telescope(terms), disturbed(terms, BATCH)
     heights, motion = states.deformations[0], states.surface_motion
@@ -154,7 +153,7 @@ def measure(device: Device, threads: int, terms: int, batoid: bool, console: Con
     # Paths that count from one at rest are differences already.
     base = trace_sequence(sequence, few, rest, device).path[0, 0]
     counted = replace(few, path=np.broadcast_to(-base, BATCH_RAYS))
-    batch, spent = batch_work(system, states, sequence, counted, device, threads)
+    batch, spent = batch_work(system, states, sequence, counted, device)
     bound_jobs, amounts = limit_jobs(device)
     small: list[float] = []
     jobs: dict[str, Callable[[], Any]] = {
@@ -199,19 +198,17 @@ def measure(device: Device, threads: int, terms: int, batoid: bool, console: Con
 
 
 def batch_work(
-    system: OpticalSystem, states: SystemStates, sequence: Sequence, rays: Rays, device: Device, threads: int
+    system: OpticalSystem, states: SystemStates, sequence: Sequence, rays: Rays, device: Device
 ) -> tuple[Callable[[], Any], dict[str, list[float]]]:
     """Return what traces and measures a batch, and the seconds that each call takes, by what it does."""
     x, y = rays.position[:2] / OUTER
     fit = weighted_fit(annular_zernike(x, y, 28, INNER / OUTER), np.full(x.size, 1.0 / x.size))
-    parts = [slice(BATCH * k // threads, BATCH * (k + 1) // threads) for k in range(threads)]
     traced = trace_sequence(sequence, rays, moving(system, states), device, outputs=WANTED)
-    pool = ThreadPoolExecutor(threads)
     spent: dict[str, list[float]] = {"batch": [], "packing": [], "host": []}
 
-    def measures(part: slice) -> Array:
-        center = np.stack([traced.x[part, 0], traced.y[part, 0]], axis=1)
-        zernike = (fit.matrix @ traced.path[part].T).T * (1.0 / WAVELENGTH)
+    def measures() -> Array:
+        center = np.stack([traced.x[:, 0], traced.y[:, 0]], axis=1)
+        zernike = fit_instants(fit, traced.path, device) * (1.0 / WAVELENGTH)
         return los_eq339(center, zernike, WAVELENGTH, APERTURE)
 
     def work() -> None:
@@ -222,10 +219,7 @@ def batch_work(
         times.append(time.perf_counter())
         trace_sequence(sequence, rays, light, device, outputs=WANTED, out=traced)
         times.append(time.perf_counter())
-        others = [pool.submit(measures, part) for part in parts[1:]]
-        measures(parts[0])
-        for other in others:
-            other.result()
+        measures()
         poses, packing, batch, fits = np.diff([*times, time.perf_counter()]).tolist()
         for name, seconds in (("host", poses + fits), ("packing", packing), ("batch", batch)):
             spent[name].append(seconds)
@@ -288,7 +282,7 @@ def main() -> None:
     """Measure with one and with two threads, each in a process of its own."""
     for threads in ("1", "2"):
         names = ("POCL_MAX_PTHREAD_COUNT", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
-        # OpenBLAS' own threads wait for one another in loops: `host_work` splits batches itself.
+        # OpenBLAS' own threads wait for one another in loops; its products are small here.
         environment = os.environ | dict.fromkeys(names, threads) | {"OPENBLAS_NUM_THREADS": "1"}
         subprocess.run([sys.executable, "-m", "benchmarks.raytrace", threads], env=environment, check=True)
 
@@ -308,7 +302,7 @@ def measure_all(threads: str) -> None:
     found = {}
     for terms in (28, 105):
         console.print(f"{devices[0].name}, {threads} thread(s), {terms} terms, {RAYS} rays")
-        found[terms] = measure(devices[0], int(threads), terms, batoid is not None, console)
+        found[terms] = measure(devices[0], terms, batoid is not None, console)
     verdict(found, console)
 
 

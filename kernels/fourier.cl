@@ -12,15 +12,6 @@
 
 #include "waves.h"
 
-#ifndef __has_builtin
-#define __has_builtin(name) 0
-#endif
-#if __has_builtin(__builtin_prefetch)
-#define PREFETCH(address) __builtin_prefetch(address)
-#else
-#define PREFETCH(address)
-#endif
-
 // Past the caches: what is not read soon need not be there, and memory is not read before it is written.
 #if STREAM && __has_builtin(__builtin_nontemporal_store)
 #define STORE_OUT(value, address) __builtin_nontemporal_store(value, (__global real *)(address))

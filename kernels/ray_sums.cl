@@ -68,6 +68,7 @@ __kernel void coefficients(const int instants, const int rays, const int terms,
         }
         for (int k = 0; k < count; ++k, functions += terms) {
             real function[WIDE];
+            PREFETCH(row[k % 8 % TALL] + start + CHUNK + k / 8 * 8);
             #pragma unroll
             for (int wide = 0; wide < WIDE; ++wide)
                 function[wide] = LOAD(functions + wide * W);

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from wavequake.kernels.devices import NUMPY, Device
 from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
-from wavequake.kernels.program import source
+from wavequake.kernels.program import aligned_empty, source
 from wavequake.kernels.ray_sums_numpy import coefficients_numpy, moments_numpy
 from wavequake.kernels.steps import Step, run_steps, vector_width
 
@@ -66,8 +66,9 @@ def ray_coefficients(
     lanes, tall, wide = _shape(device)
     (count, rays), block = matrix.shape, lanes * wide
     terms = -(-count // block) * block
-    functions = np.zeros((rays, terms))
+    functions = aligned_empty((rays, terms))  # no vector of it crosses a cache line
     functions[:, :count] = matrix.T
+    functions[:, count:] = 0.0
     sums, lost = np.empty((len(values), terms)), np.empty(len(values), np.int32)
     numbers = (np.int32(number) for number in (len(values), rays, terms))
     size, group = (terms // block, -(-len(values) // tall), 1), _GROUP[device.kind]
