@@ -213,7 +213,7 @@ def batch_work(
 
     def work() -> None:
         times = [time.perf_counter()]
-        light = moving(system, states)
+        light = moving(system, states, device=device)
         times.append(time.perf_counter())
         packed_elements(sequence, light, False)  # as the trace does once more
         times.append(time.perf_counter())

@@ -47,6 +47,12 @@ LARGEST_DIFFERENCE = 1e-9
 NUMPY = Device("numpy", "numpy", "NumPy", TILE)
 
 
+def require_device(device: Device) -> None:
+    """Raise UserError unless it is a device."""
+    if not isinstance(device, Device):
+        raise UserError(f"the device is {device!r}; choose_device('auto') returns one")
+
+
 @lru_cache(maxsize=1)
 def _seen() -> tuple[tuple[tuple[Device, Any], ...], tuple[tuple[Device, str], ...]]:
     """Return every OpenCL device with float64 and its pyopencl handle, and what of OpenCL is broken and why.

@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.errors import UserError
-from wavequake.kernels.devices import Device
+from wavequake.kernels.devices import Device, require_device
 from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
 from wavequake.kernels.packing import packed_elements
 from wavequake.kernels.program import aligned_empty, launch
@@ -76,8 +75,7 @@ def trace_sequence(
     ValueError
         If shapes do not fit together, or an output is unknown.
     """
-    if not isinstance(device, Device):
-        raise UserError(f"the device is {device!r}; choose_device('auto') returns one")
+    require_device(device)
     check_sequence(sequence, rays, moving)
     if not set(outputs) <= set(OUTPUTS):
         raise ValueError(f"outputs are {outputs}; they must be among {OUTPUTS}")

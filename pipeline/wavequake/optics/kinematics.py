@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.kernels.poses_numpy import cardan_entries, quaternion, rotation_minus_one
 from wavequake.kernels.tiles import TILE, to_tiles
 from wavequake.optics.segmented_telescope import SegmentedTelescope
 from wavequake.optics.segments import Segments
@@ -32,48 +33,12 @@ def cardan(angles: Array) -> Array:
     return np.ascontiguousarray(np.moveaxis(cardan_entries(np.moveaxis(angles, -1, 0)), (0, 1), (-2, -1)))
 
 
-def cardan_entries(angles: Array) -> Array:
-    """Return rotation matrices (3, 3, ...) of Cardan angles (3, ...), as `cardan` but with entries first.
-
-    Products of many such matrices (`numpy.einsum`) take a quarter of the time.
-    """
-    w, vector = _quaternion(*angles)
-    rotation = np.array(_rotation_minus_one(w, *vector)).reshape(3, *angles.shape)
-    for axis in range(3):
-        rotation[axis, axis] += 1.0
-    return rotation
-
-
 def _require_motions(what: str, motion: Array, count: int) -> None:
     if motion.ndim != 3 or motion.shape[1:] != (count, 6) or len(motion) % TILE:
         raise UserError(
             f"the array of {what} motions has the shape {motion.shape}, "
             f"it must be (whole number of tiles of {TILE}, {count}, 6)"
         )
-
-
-def _quaternion(alpha: Array, beta: Array, gamma: Array) -> tuple[Array, tuple[Array, Array, Array]]:
-    """Return the unit quaternion (scalar, vector) of Cardan angles, from half angles: nothing cancels."""
-    (sin_a, sin_b, sin_c), (cos_a, cos_b, cos_c) = (
-        [f(angle / 2) for angle in (alpha, beta, gamma)] for f in (np.sin, np.cos)
-    )
-    both_cos, both_sin = cos_a * cos_b, sin_a * sin_b
-    only_a, only_b = sin_a * cos_b, cos_a * sin_b
-    vector = (
-        only_a * cos_c + only_b * sin_c,
-        only_b * cos_c - only_a * sin_c,
-        both_cos * sin_c + both_sin * cos_c,
-    )
-    return both_cos * cos_c - both_sin * sin_c, vector
-
-
-def _rotation_minus_one(w: Array, x: Array, y: Array, z: Array) -> list[Array]:
-    """Return the nine entries (by rows) of R - I for a unit quaternion, small numbers for small rotations."""
-    x2, y2, z2, w2 = 2 * x, 2 * y, 2 * z, 2 * w
-    xx, yy, zz = x2 * x, y2 * y, z2 * z
-    xy, xz, yz = x2 * y, x2 * z, y2 * z
-    wx, wy, wz = w2 * x, w2 * y, w2 * z
-    return [-(yy + zz), xy - wz, xz + wy, xy + wz, -(xx + zz), yz - wx, xz - wy, yz + wx, -(xx + yy)]
 
 
 def segment_poses(segments: Segments, motion: Array, frame: str = "local") -> Array:
@@ -116,11 +81,11 @@ def _write_poses(out: Array, motion: Array, centers: Array, to_optics: Array | N
     """Write the transforms (S, 12, 16) of a tile of motions (6, S, 16) in the axes `to_optics` (S, 3, 3)."""
     shift_x, shift_y, shift_z, *angles = motion
     shift: tuple[Array, ...] = (shift_x, shift_y, shift_z)
-    w, vector = _quaternion(*angles)
+    w, vector = quaternion(*angles)
     if to_optics is not None:
         # A reflection (z to the sky -> z along the light): a rotation vector, being axial, changes its sign.
         shift, vector = _turn(to_optics, shift), _turn(-to_optics, vector)
-    entries = _rotation_minus_one(w, *vector)
+    entries = rotation_minus_one(w, *vector)
     x, y, z = (centers[:, axis, None] + shift[axis] for axis in range(3))
     for row in range(3):
         for column in range(3):

@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.kernels.devices import NUMPY, Device, require_device
+from wavequake.kernels.poses import surface_poses
 from wavequake.kernels.sequence import Element, Grid, Moving, Polynomial, Region, Sequence
 from wavequake.optics.concave import crossing
 from wavequake.optics.gradient_index import gradient_of, medium_index
-from wavequake.optics.kinematics import cardan_entries
 from wavequake.optics.media import refractive_index
 from wavequake.optics.paraxial import entrance_pupil_center
 from wavequake.optics.polygons import edge_spans, signed_areas
@@ -185,7 +186,9 @@ def _polygon(corners: Array, x: float, y: float) -> Region:
     return Region("polygon", _shifted(half_planes, x, y))
 
 
-def moving(system: OpticalSystem, states: SystemStates, spheres: Array | None = None) -> Moving:
+def moving(
+    system: OpticalSystem, states: SystemStates, spheres: Array | None = None, device: Device = NUMPY
+) -> Moving:
     """Return what changes from instant to instant as the trace takes it.
 
     The line of sight turns the whole incoming bundle, as a rigid body, about the center of the entrance
@@ -198,14 +201,17 @@ def moving(system: OpticalSystem, states: SystemStates, spheres: Array | None = 
         T instants.
     spheres : ndarray, shape (T, 4), or None
         Reference spheres in the image's frame, see `wavequake.kernels.sequence.Moving`.
+    device : Device
+        Where to compute the poses.
 
     Raises
     ------
     UserError
-        If the arrays of the states do not fit the system or are not finite, or the line of sight moves and
-        the entrance pupil is at infinity.
+        If the arrays of the states do not fit the system or are not finite, the device is none, or the line
+        of sight moves and the entrance pupil is at infinity.
     """
     motion = states.surface_motion
+    require_device(device)
     require_motion(system, motion)
     instants = len(motion)
     if len(states.deformations) != len(system.surfaces):
@@ -220,7 +226,7 @@ def moving(system: OpticalSystem, states: SystemStates, spheres: Array | None = 
         for surface, coefficients in zip(system.surfaces, states.deformations, strict=True)
     ]
     return Moving(
-        _poses(system, motion, states.line_of_sight),
+        _poses(system, motion, states.line_of_sight, device),
         tuple(polynomial for polynomial, _ in forms),
         tuple(grid for _, grid in forms),
         spheres,
@@ -257,23 +263,9 @@ def _deformation(
     return np.ascontiguousarray(coefficients @ matrix.T), grid
 
 
-def _poses(system: OpticalSystem, motion: Array, line_of_sight: Array) -> Array:
-    """Return the transforms (T, L, 12), from small motions and poses at rest so that nothing cancels.
-
-    With the relative pose (s, R) at rest, the own motions (d, Q) of a surface and (d', Q') of its predecessor
-    a point p becomes Q^T (R^T Q' p + R^T (d' - s) - d) (Störkle 2018, Eq. 3.11 and 4.3).
-    """
-    step, turn = relative_poses(*rest_poses(system))
-    found = np.empty((*motion.shape[:2], 12))
-    unturned = np.tile(np.eye(3)[..., None], len(motion))
-    shift_before, before = np.zeros((3, len(motion))), unturned
-    for surface, moves in enumerate(motion.transpose(1, 2, 0).copy()):  # rows of instants are fast
-        shift, own = moves[:3], cardan_entries(moves[3:]) if moves[3:].any() else unturned
-        place = turn[surface].T @ (shift_before - step[surface, :, None]) - shift
-        turned = np.einsum("ji,jkt->ikt", turn[surface], before)
-        found[:, surface, :9] = np.einsum("jit,jkt->ikt", own, turned).reshape(9, -1).T
-        found[:, surface, 9:] = np.einsum("jit,jt->it", own, place).T
-        shift_before, before = shift, own
+def _poses(system: OpticalSystem, motion: Array, line_of_sight: Array, device: Device) -> Array:
+    """Return the transforms (T, L, 12) of `surface_poses`, with the incoming bundle turned."""
+    found = surface_poses(*relative_poses(*rest_poses(system)), motion, device)
     if line_of_sight.any():
         bundle, offset = bundle_rotation(system, line_of_sight)
         first = found[:, 0, :9].reshape(-1, 3, 3)

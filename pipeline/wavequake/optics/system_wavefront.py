@@ -268,9 +268,9 @@ def _arrive(system: OpticalSystem, sequence: Sequence, rays: Rays) -> TracedRays
     return traced
 
 
-def incoming_light(prepared: PreparedSystem, states: SystemStates) -> Moving:
+def incoming_light(prepared: PreparedSystem, states: SystemStates, device: Device = NUMPY) -> Moving:
     """Return what moves, with light that fills the stop where it stands at each instant."""
-    return incoming_lights(prepared, [states], [moving(prepared.system, states)])[0]
+    return incoming_lights(prepared, [states], [moving(prepared.system, states, device=device)])[0]
 
 
 def incoming_lights(
@@ -296,7 +296,7 @@ def chief_points(prepared: PreparedSystem, light: Moving) -> tuple[Array, Array]
 
 def trace_system(prepared: PreparedSystem, states: SystemStates, device: Device) -> Traced:
     """Trace all rays at all instants; returns as `trace_light`."""
-    return trace_light(prepared, incoming_light(prepared, states), device)
+    return trace_light(prepared, incoming_light(prepared, states, device), device)
 
 
 def trace_light(prepared: PreparedSystem, light: Moving, device: Device) -> Traced:

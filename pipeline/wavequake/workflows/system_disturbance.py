@@ -123,7 +123,7 @@ def measured_cases(
 ) -> list[tuple[dict[str, Array], str]]:
     """Return what `measured` does for each of several cases, their times and motions."""
     states = [system_states(bench, drawn) for _, drawn in motions]
-    lights = [moving(bench.system, one) for one in states]
+    lights = [moving(bench.system, one, device=device) for one in states]
     found: list[dict[str, list[Array]]] = [{} for _ in motions]
     messages = [""] * len(motions)
     for row, still in zip(bench.prepared, bench.static, strict=True):
