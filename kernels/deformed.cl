@@ -17,7 +17,7 @@ INLINE height JOIN(height_there_, NUMBER)(numbers t, const ray *r, real bare)
 }
 
 // Takes the step to the bare conic and the height there.
-INLINE real JOIN(meet_, NUMBER)(numbers t, ray *r, real bare, height there, double c, double k1, double index,
+INLINE real JOIN(meet_, NUMBER)(numbers t, ray *r, real bare, height there, double c, double k1, real index,
                                 double limit, double reach, triple *normal)
 {
     const triple d = r->direction;

@@ -6,7 +6,8 @@
 // + k1 z^2) - 2 z.
 
 typedef struct { real x, y, z; } triple;
-typedef struct { triple position, direction; real length, path; } ray;
+// `index` is that of a medium in which it varies, where the ray is.
+typedef struct { triple position, direction; real length, path, index; } ray;
 
 INLINE real dot3(triple a, triple b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 

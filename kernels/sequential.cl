@@ -71,7 +71,7 @@ INLINE void rotate_and_shift(ray *r, __global const double *pose)
     shift(r, pose);
 }
 
-INLINE void travel(ray *r, real step, double index)
+INLINE void travel(ray *r, real step, real index)
 {
     r->position = along(r->position, step, r->direction);
     r->path += step * (index * r->length);
@@ -90,7 +90,7 @@ INLINE void rotate_together_and_shift(ray *r, __global const double *a, __global
 INLINE real plane_step(const ray *r) { return -r->position.z / r->direction.z; }
 
 // These take the step to the surface, and return where it is met.
-INLINE mask meet_plane(ray *r, real step, double index, triple *normal)
+INLINE mask meet_plane(ray *r, real step, real index, triple *normal)
 {
     normal->x = 0.0;
     normal->y = 0.0;
@@ -99,7 +99,7 @@ INLINE mask meet_plane(ray *r, real step, double index, triple *normal)
     return finite(step);
 }
 
-INLINE mask meet_conic(ray *r, real step, double c, double k1, double index, triple *normal)
+INLINE mask meet_conic(ray *r, real step, double c, double k1, real index, triple *normal)
 {
     travel(r, step, index);
     *normal = conic_normal(r->position, c, k1);
@@ -110,7 +110,7 @@ INLINE void reflect_at_plane(ray *r) { r->direction.z = -r->direction.z; }
 
 // Stoerkle 2018, Eq. 3.32 with its signs corrected, times the normal's square; `ratio` is the index before
 // over that behind. True where light is refracted and not totally reflected.
-INLINE mask refract(ray *r, triple normal, double ratio)
+INLINE mask refract(ray *r, triple normal, real ratio)
 {
     real square = dot3(normal, normal);
     real incident = ratio * dot3(normal, r->direction);
@@ -151,7 +151,7 @@ INLINE mask in_outline(triple p, __global const double *line, const int edges)
 }
 
 // To the sphere of given center and radius: back along the ray, or onwards where the radius is negative.
-INLINE mask to_sphere(ray *r, __global const double *sphere, double index)
+INLINE mask to_sphere(ray *r, __global const double *sphere, real index)
 {
     triple offset = {r->position.x - sphere[0], r->position.y - sphere[1], r->position.z - sphere[2]};
     real projection = dot3(offset, r->direction);

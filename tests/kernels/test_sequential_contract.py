@@ -14,6 +14,7 @@ from wavequake.kernels.sequence import (
     TOTAL_REFLECTION,
     VIGNETTED,
     Element,
+    Gradient,
     Grid,
     Moving,
     Polynomial,
@@ -48,6 +49,15 @@ SYSTEMS = {
         "moving moving grid refract",
         "conic",
     ],
+    "rods": [
+        "conic refract varying circle",
+        "plane",
+        "moving reflect circle",
+        "even polynomial refract varying circle",
+        "moving grid refract circle",
+        "plane",
+    ],
+    "image in a rod": ["ring refract varying", "moving grid pass polygon"],
 }
 
 
@@ -89,6 +99,9 @@ def random_element(words, random, scale):
         regions = [Region("circle", (1.0, 0.0, 1.5), blocks=True)]
     parts["action"] = next((word for word in ("reflect", "refract") if word in words), "pass")
     parts["index"] = random.choice([1.0, 1.4, 3.0])
+    if "varying" in words:
+        radial, axial = random.normal(size=2) * [3e-4, 1e-6], random.normal(size=1) * 3e-3
+        parts["gradient"] = Gradient(tuple(radial.tolist()), tuple(axial.tolist()), random.uniform(1.0, 4.0))
     return Element(**parts, regions=tuple(regions)), deformation, heights
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from wavequake.kernels.ring import ring_second_derivatives, ring_steps
 from wavequake.kernels.sequence import Basis, Element, Grid, Moving, Sequence, terms
-from wavequake.kernels.sequential_source import Part, Shape
+from wavequake.kernels.sequential_source import Medium, Part, Shape
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ def packed_elements(
     numbers: list[float] = []
     limits: list[Array] = []
     arrays: list[Array] = []
-    index = sequence.index
+    index, medium = sequence.index, None
     rotates = [sequence.turning or _turns(poses) for poses in moving.poses.swapaxes(0, 1)]
     for number, element in enumerate(sequence.elements):
         start = len(numbers)
@@ -47,12 +47,26 @@ def packed_elements(
         regions = () if ignore_apertures else _regions(element, numbers)
         plane = element.curvature == 0.0
         turns, vacuum = rotates[number], index == 1.0
-        shapes.append(Shape(start, element.action, plane, turns, vacuum, even, tuple(parts), regions))
+        before = medium
+        if element.action == "refract":
+            medium = _medium(number, element, numbers)
+        media = before, medium
+        shapes.append(Shape(start, element.action, plane, turns, vacuum, even, tuple(parts), regions, *media))
         if not shapes[-1].bare:
             limits.append(_limit(element, bends, len(moving.poses)))
         index = behind
     packed = np.stack(limits, axis=1) if limits else np.zeros((len(moving.poses), 0))
     return tuple(shapes), np.array(numbers), packed, arrays
+
+
+def _medium(number: int, element: Element, numbers: list[float]) -> Medium | None:
+    """Add the numbers of the medium that an element begins, if its index varies."""
+    gradient = element.gradient
+    if gradient is None:
+        return None
+    place = len(numbers)
+    numbers += [element.index**2, gradient.step, *gradient.radial, *gradient.axial]
+    return Medium(number, len(gradient.radial), len(gradient.axial), place)
 
 
 def _turns(poses: Array) -> bool:

@@ -252,7 +252,7 @@ def check_surfaces(sequence: Sequence) -> None:
 
 
 def bends(sequence: Sequence) -> bool:
-    """Return whether rays bend between surfaces: NumPy traces such a sequence on every device."""
+    """Return whether rays bend between surfaces, where the index varies."""
     return any(element.gradient is not None for element in sequence.elements)
 
 

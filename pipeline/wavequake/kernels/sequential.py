@@ -14,7 +14,6 @@ from wavequake.kernels.sequence import (
     Rays,
     Sequence,
     TracedRays,
-    bends,
     check_sequence,
     count_vignetted,
 )
@@ -53,7 +52,7 @@ def trace_sequence(
     moving : Moving
         Poses, deformations and reference spheres of every instant.
     device : Device
-        Where to run (see `wavequake.kernels.devices`); a medium with a gradient is traced by NumPy anyway.
+        Where to run (see `wavequake.kernels.devices`).
     ignore_apertures : bool
         Whether rays pass outside the openings too, as a virtual chief ray does.
     outputs : tuple of str
@@ -80,7 +79,7 @@ def trace_sequence(
     if not set(outputs) <= set(OUTPUTS):
         raise ValueError(f"outputs are {outputs}; they must be among {OUTPUTS}")
     outputs = tuple(name for name in OUTPUTS if name in outputs)
-    if device.kind == "numpy" or bends(sequence):
+    if device.kind == "numpy":
         traced = trace_sequence_numpy(sequence, rays, moving, ignore_apertures)
         chosen = {name: getattr(traced, name) for name in outputs}
         return _traced(chosen, traced.status, traced.surface, traced.vignetted)

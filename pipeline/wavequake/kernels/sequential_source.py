@@ -33,12 +33,22 @@ class Part:
 
 
 @dataclass(frozen=True)
+class Medium:
+    """A medium whose index varies: the element that begins it, its powers, and where its numbers start."""
+
+    first: int
+    radial: int
+    axial: int
+    place: int
+
+
+@dataclass(frozen=True)
 class Shape:
     """What of an element the kernel's text depends on; ``fixed`` is where its fixed numbers start.
 
     ``vacuum`` tells whether light comes through an index of 1, by which nothing need be multiplied.
     ``regions`` are (kind, half planes, blocks, where the numbers start); ``even`` is the number of even
-    powers and where they start.
+    powers and where they start. ``before`` and ``behind`` are media whose index varies.
     """
 
     fixed: int
@@ -49,6 +59,8 @@ class Shape:
     even: tuple[int, int]
     parts: tuple[Part, ...]
     regions: tuple[tuple[str, int, bool, int], ...]
+    before: Medium | None = None
+    behind: Medium | None = None
 
     @property
     def bare(self) -> bool:
@@ -82,6 +94,9 @@ def kernel_source(
     meet = source("deformed.cl") if deformed else ""
     for i in deformed:
         lines += [_height(i, shapes[i]), f"#define NUMBER {i}", meet]
+    lines += [source("gradient.h")] if any(shape.before for shape in shapes) else []
+    for i, shape in enumerate(shapes):
+        lines += _follow(i, shape, shape.before) if shape.before else []
     for i, shape in enumerate(shapes):
         lines += _element(i, shape, deformed, one_direction and i == 0)
     lines += _start(one_direction, one_path) + _finish(outputs)
@@ -113,7 +128,8 @@ def kernel_source(
             there = "" if shape.bare else f", there_{i}_{k}"
             lines += [f"    loss_{k} = leave_{i}(t, &r_{k}, loss_{k}, step_{i}_{k}{there});"]
     for k in range(turns if sphere else 0):
-        met = f"to_sphere(&r_{k}, t.spheres, fixed[{shapes[-1].fixed + 4}])"
+        index = f"r_{k}.index" if shapes[-1].behind else f"(real)fixed[{shapes[-1].fixed + 4}]"
+        met = f"to_sphere(&r_{k}, t.spheres, {index})"
         lines += [f"    loss_{k} = lose_unless({met}, loss_{k}, LOSS(MISS, {len(shapes)}));"]
     results = ", ".join(f"out_{name}" for name in (*outputs, "status", "surface"))
     lines += [f"    finish(r_{k}, loss_{k}, out + {k} * W, {results});" for k in range(turns)]
@@ -157,6 +173,15 @@ def _given(name: str, row: int, single: bool) -> str:
     return f"{name}[{row}]" if single else f"LOAD({name} + {row} * rays + n)"
 
 
+def _ratio(shape: Shape, index: str, ratio: str) -> str:
+    """Return the index before an element that refracts over that behind."""
+    medium = shape.behind
+    if medium:
+        place = f"t.fixed + {medium.place}, {medium.radial}, {medium.axial}, r->position"
+        return f"{index} / root(squared_index({place}))"
+    return f"r->index / t.fixed[{shape.fixed + 4}]" if shape.before else f"(real){ratio}"
+
+
 def _height(i: int, shape: Shape) -> str:
     """Return the function of an element's height over its conic, with slopes."""
     calls = (
@@ -172,6 +197,32 @@ def _height(i: int, shape: Shape) -> str:
     return "\n".join([*lines, "    return height;", "}"])
 
 
+def _follow(i: int, shape: Shape, medium: Medium) -> list[str]:
+    """Return the functions that follow rays to an element through a medium whose index varies."""
+    lines = [f"INLINE real sag_{i}(numbers t, real x, real y, real *sx, real *sy)", "{"]
+    if shape.plane:
+        lines += ["    real sag = 0.0;", "    *sx = *sy = 0.0;"]
+    else:
+        c, k1 = (f"t.fixed[{shape.fixed + k}]" for k in range(2))
+        lines += [
+            f"    const real square = x * x + y * y, edge = root(1.0 - ({c} * {c} * {k1}) * square);",
+            f"    real sag = {c} * square / (1.0 + edge);",
+            f"    *sx = {c} * x / edge;",
+            f"    *sy = {c} * y / edge;",
+        ]
+    if not shape.bare:
+        lines += [
+            "    real steep_x, steep_y;",
+            f"    sag += height_{i}(t, x, y, &steep_x, &steep_y);",
+            "    *sx += steep_x;",
+            "    *sy += steep_y;",
+        ]
+    numbers = {"NUMBER": i, "FIRST": medium.first, "MEDIUM": medium.place}
+    numbers |= {"RADIAL": medium.radial, "AXIAL": medium.axial}
+    defines = [f"#define {name} {value}" for name, value in numbers.items()]
+    return [*lines, "    return sag;", "}", *defines, source("gradient.cl")]
+
+
 def _element(i: int, shape: Shape, deformed: list[int], together: bool) -> list[str]:
     """Return the functions of one element: the step to its conic, and all that follows.
 
@@ -179,7 +230,7 @@ def _element(i: int, shape: Shape, deformed: list[int], together: bool) -> list[
     are c, k1, index before, ratio, index, reach.
     """
     c, k1, index, ratio, _, reach = (f"t.fixed[{shape.fixed + k}]" for k in range(6))
-    index = "1.0" if shape.vacuum else index
+    index = "r->index" if shape.before else "(real)1.0" if shape.vacuum else f"(real){index}"
     flat = shape.bare and shape.plane
     step = "plane_step(r)" if flat else f"conic_step(r->position, r->direction, {c}, {k1})"
     pose = f"shift(r, t.poses + {12 * i});"
@@ -191,6 +242,7 @@ def _element(i: int, shape: Shape, deformed: list[int], together: bool) -> list[
         f"INLINE real reach_{i}(const numbers t, ray *r, __global const double *direction)",
         "{",
         f"    {pose}",
+        *([f"    follow_{i}(t, r);"] if shape.before else []),
         f"    return {step};",
         "}",
     ]
@@ -211,7 +263,7 @@ def _element(i: int, shape: Shape, deformed: list[int], together: bool) -> list[
         lines += ["reflect_at_plane(r);" if flat else "reflect(r, normal);"]
     elif shape.action == "refract":
         lines += [
-            f"met = refract(r, normal, {ratio});",
+            f"met = refract(r, normal, {_ratio(shape, index, ratio)});",
             f"loss = lose_unless(met, loss, LOSS(TOTAL_REFLECTION, {i}));",
         ]
     there = "" if shape.bare else ", const height there"

@@ -36,7 +36,7 @@ def info(system: OpticalSystem) -> str:
     ]
     bent = [one for one in system.surfaces if isinstance(one.medium, GradientIndex)]
     if bent:
-        parts.append([f"The index varies behind {bent[0].name}: rays are traced by NumPy on every device."])
+        parts.append([f"The index varies behind {bent[0].name}, and rays bend."])
     parts += [[system.note]] if system.note else []
     return "\n\n".join("\n".join(lines) for lines in parts)
 

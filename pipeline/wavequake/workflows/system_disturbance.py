@@ -344,7 +344,7 @@ def describe(study_text: str) -> dict[str, str]:
     }
     return {
         "rays": f"{rays} per field and wavelength"
-        + (", traced by NumPy: the index varies" if bends(bench.prepared[0][0].sequence) else ""),
+        + (", which bend where the index varies" if bends(bench.prepared[0][0].sequence) else ""),
         **sampling_plan(study_text).words(),
         **lines,
         "system": system.info(),
