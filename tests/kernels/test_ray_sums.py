@@ -125,3 +125,33 @@ def test_a_device_that_sums_wrong_is_refused(device, monkeypatch):
         ray_coefficients(np.ones((4, 50)), opd, device)
     with pytest.raises(UserError, match="computes wrong numbers"):
         ray_moments(opd, x, y, weight, slopes, np.zeros((30, 2)), device)
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_numbers_of_any_kind_and_order_are_taken(device):
+    opd, x, y, weight, slopes = light(5, 3, 20)
+    matrix, planes = np.ones((4, 20)), np.zeros((3, 2))
+    rounded = np.round(10 * opd)
+    expected = ray_coefficients(matrix, rounded)[0]
+    forms = (rounded.astype(np.float32), rounded.astype(int), np.asfortranarray(rounded), rounded.tolist())
+    for values in forms:
+        np.testing.assert_allclose(ray_coefficients(matrix, values, device)[0], expected, atol=1e-12)
+        found = ray_moments(values, x, y, weight, slopes, planes, device)
+        np.testing.assert_allclose(found.rms_raw, ray_moments(rounded, x, y, weight, slopes, planes).rms_raw)
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_arrays_that_do_not_fit_together_are_refused(device):
+    opd, x, y, weight, slopes = light(6, 3, 20)
+    planes = np.zeros((3, 2))
+    for values in (opd[:, :10], opd[0], np.zeros((0, 0)), np.zeros((3, 0))):
+        with pytest.raises(UserError, match="values of the rays have the shape"):
+            ray_coefficients(np.ones((4, 20)), values, device)
+        with pytest.raises(UserError, match="wavefronts of the rays have the shape"):
+            ray_moments(values, x, y, weight, slopes, planes, device)
+        with pytest.raises(UserError, match="places y of the rays have the shape"):
+            ray_moments(opd, x, values, weight, slopes, planes, device)
+    with pytest.raises(UserError, match="planes"):
+        ray_moments(opd, x, y, weight, slopes, planes[:2], device)
+    with pytest.raises(UserError, match="the device is 'cpu'"):
+        ray_coefficients(np.ones((4, 20)), opd, "cpu")

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.kernels.devices import NUMPY, Device
+from wavequake.errors import UserError
+from wavequake.kernels.devices import NUMPY, Device, require_device
 from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
 from wavequake.kernels.program import aligned_empty, source
 from wavequake.kernels.ray_sums_numpy import coefficients_numpy, moments_numpy
@@ -60,7 +61,15 @@ def ray_coefficients(
         What is not finite counts as 0, and its ray as lost.
     device : Device
         Where to run. The bits of an instant do not depend on the others.
+
+    Raises
+    ------
+    UserError
+        If matrix and values are not of the same rays, or the device is none.
     """
+    require_device(device)
+    matrix, values = (np.asarray(one, dtype=np.float64) for one in (matrix, values))
+    _require("values", values, (len(values), matrix.shape[1]))
     if device.kind == "numpy" or 0 in (*matrix.shape, len(values)):
         return coefficients_numpy(matrix, values)
     lanes, tall, wide = _shape(device)
@@ -106,8 +115,24 @@ def ray_moments(
         The plane of each instant, in multiples of the functions.
     device : Device
         Where to run. The bits of an instant do not depend on the others.
+
+    Raises
+    ------
+    UserError
+        If the arrays are not of the same rays and instants, or the device is none.
     """
-    instants, rays = opd.shape
+    require_device(device)
+    given = (opd, x, y, weight, slopes, planes)
+    opd, x, y, weight, slopes, planes = (np.asarray(one, dtype=np.float64) for one in given)
+    instants, rays = len(opd), len(weight)
+    for name, values, shape in (
+        ("wavefronts", opd, (instants, rays)),
+        ("places x", x, (instants, rays)),
+        ("places y", y, (instants, rays)),
+        ("slopes", slopes, (2, rays)),
+        ("planes", planes, (instants, 2)),
+    ):
+        _require(name, values, shape)
     if device.kind == "numpy" or not opd.size:
         found = moments_numpy(opd, x, y, weight, slopes, planes)
     else:
@@ -137,6 +162,12 @@ def ray_moments(
         centroid=found[:, 5:7],
         spot_rms=found[:, 7],
     )
+
+
+def _require(name: str, values: Array, shape: tuple[int, int]) -> None:
+    """Raise UserError unless values have the shape: a kernel would read beyond them."""
+    if values.shape != shape:
+        raise UserError(f"{name} of the rays have the shape {values.shape}; it must be {shape}")
 
 
 def _last_in_whole_vectors(weight: Array, lanes: int) -> Array:
