@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.kernels.devices import Device, list_devices
-from wavequake.kernels.folded_transform import LitPhase, folded_images, folded_sum, folded_transform
+from wavequake.kernels.folded_pupils import LitPhase
+from wavequake.kernels.folded_transform import folded_images, folded_sum, folded_transform
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 OPENCL += [Device(device.name, "gpu", device.platform, 1) for device in OPENCL if device.kind == "cpu"]

@@ -8,14 +8,8 @@ from numpy.typing import DTypeLike, NDArray
 from wavequake.errors import UserError
 from wavequake.imaging.pupil_function import PupilGrid, pupil_field, pupil_function, single_patches
 from wavequake.kernels.devices import NUMPY, Device
-from wavequake.kernels.folded_transform import (
-    FoldedTransform,
-    LitPhase,
-    Pupils,
-    folded_images,
-    folded_sum,
-    folded_transform,
-)
+from wavequake.kernels.folded_pupils import LitPhase, Pupils
+from wavequake.kernels.folded_transform import FoldedTransform, folded_images, folded_sum, folded_transform
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -15,14 +15,8 @@ from wavequake.imaging.matrix_fourier import MatrixFourier, matrix_fourier, psf,
 from wavequake.imaging.nyquist import warn_of_coarse, zernike_samples_for
 from wavequake.imaging.pupil_function import PupilGrid
 from wavequake.kernels.devices import NUMPY, Device
-from wavequake.kernels.folded_transform import (
-    FoldedTransform,
-    Rim,
-    SmoothPhase,
-    folded_images,
-    folded_sum,
-    folded_transform,
-)
+from wavequake.kernels.folded_pupils import Rim, SmoothPhase
+from wavequake.kernels.folded_transform import FoldedTransform, folded_images, folded_sum, folded_transform
 from wavequake.optics.zernike import annular_zernike, noll_to_nm
 
 Real = NDArray[np.float64]

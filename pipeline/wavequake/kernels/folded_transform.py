@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from wavequake.kernels.devices import Device
+from wavequake.kernels.folded_pupils import LitPhase, Pupils, Rim, SmoothPhase, count_of, part_of
 from wavequake.kernels.program import source
 from wavequake.kernels.steps import Step, run_steps, vector_width
 
@@ -23,57 +24,6 @@ _WIDE = {("cpu", "float64"): 2, ("cpu", "float32"): 3, ("gpu", "float64"): 1, ("
 _NEGLIGIBLE = {"float64": 1e-15, "float32": 1e-7}
 # Work-items in a group on a GPU.
 _GROUP = 64
-
-
-@dataclass(frozen=True)
-class Rim:
-    """Light that is not centered in its cell, so that it has a phase of its own.
-
-    Attributes
-    ----------
-    cells : ndarray of int, shape (R,)
-        Index in the flat grid; a cell may come several times.
-    light : ndarray, shape (R,)
-        Amplitudes.
-    """
-
-    cells: NDArray[np.intp]
-    light: Real
-
-
-@dataclass(frozen=True)
-class SmoothPhase:
-    """Phases (rad) of pupils as polynomials.
-
-    Attributes
-    ----------
-    coefficients : ndarray, shape (batch, K, K)
-        Of the Chebyshev polynomials T_l(y) T_k(x); x and y run from -1 to 1 between the edges of the grid.
-    rim : ndarray, shape (batch, R)
-        At the light of a `Rim`.
-    """
-
-    coefficients: Real
-    rim: Real
-
-
-@dataclass(frozen=True)
-class LitPhase:
-    """Phases (rad) of pupils where light falls, which in each half of a row are one piece.
-
-    Attributes
-    ----------
-    values : ndarray, shape (batch, m)
-        Row after row.
-    starts : ndarray of int32, shape (n, 2)
-        Of the left and the right half of each row: what is added to a column gives the place in `values`.
-    """
-
-    values: Real
-    starts: NDArray[np.int32]
-
-
-Pupils = NDArray[Any] | LitPhase | SmoothPhase
 
 
 @dataclass(frozen=True)
@@ -213,11 +163,11 @@ def folded_images(transform: FoldedTransform, pupils: Pupils) -> Floating:
         the device; only with them does the rim count.
     """
     pixels = transform.pixels
-    count = _count(pupils)
+    count = count_of(pupils)
     images = np.empty((count, pixels, pixels), transform.amplitude.dtype)
     for first in range(0, count, _BATCH):
         out = images[first : first + _BATCH]
-        steps, inputs, scratch = _image_steps(transform, _part(pupils, first))
+        steps, inputs, scratch = _image_steps(transform, part_of(pupils, slice(first, first + _BATCH)))
         run_steps(transform.device, steps, inputs, {"images": out}, scratch)
     return images
 
@@ -229,7 +179,7 @@ def folded_sum(transform: FoldedTransform, pupils: Pupils, weights: Real, total:
     """
     pixels = transform.pixels
     for first in range(0, len(weights), _BATCH):
-        steps, inputs, scratch = _image_steps(transform, _part(pupils, first))
+        steps, inputs, scratch = _image_steps(transform, part_of(pupils, slice(first, first + _BATCH)))
         part = np.asarray(weights[first : first + _BATCH], np.float64)
         scratch["images"] = len(part) * pixels * pixels * transform.amplitude.itemsize
         inputs |= {"weights": part, "before": total}
@@ -243,22 +193,6 @@ def folded_sum(transform: FoldedTransform, pupils: Pupils, weights: Real, total:
     return total
 
 
-def _count(pupils: Pupils) -> int:
-    if isinstance(pupils, LitPhase):
-        return len(pupils.values)
-    return len(pupils.coefficients) if isinstance(pupils, SmoothPhase) else len(pupils)
-
-
-def _part(pupils: Pupils, first: int) -> Pupils:
-    """Return the pupils of one launch."""
-    part = slice(first, first + _BATCH)
-    if isinstance(pupils, SmoothPhase):
-        return SmoothPhase(pupils.coefficients[part], pupils.rim[part])
-    if isinstance(pupils, LitPhase):
-        return LitPhase(pupils.values[part], pupils.starts)
-    return pupils[part]
-
-
 def _image_steps(
     transform: FoldedTransform, pupils: Pupils
 ) -> tuple[list[Step], dict[str, NDArray[Any]], dict[str, int]]:
@@ -269,7 +203,7 @@ def _image_steps(
         inputs, form = _smooth(t, pupils)
     else:
         inputs, form = _lit(t, pupils) if isinstance(pupils, LitPhase) else _cellular(t, pupils)
-    batch, terms = _count(pupils), form["TERMS"]
+    batch, terms = count_of(pupils), form["TERMS"]
     gpu = t.device.kind == "gpu"
     tall, wide = _TALL[t.device.kind], _WIDE[t.device.kind, dtype.name]
     pack, line = (t.columns, t.columns) if gpu else (wide * t.width, t.width)
