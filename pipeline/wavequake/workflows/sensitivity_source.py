@@ -19,7 +19,14 @@ TELESCOPES: dict[str, tuple[str, dict[str, Any]]] = {
     "tmt-thesis": ("tmt-segments", {"telescope.name": "tmt-thesis"}),
 }
 # Keys that say what the system is: with one of them, the name would be that of something else.
-_WHOLE = ("telescope.name", "system.name", "system.file", "system.file_text", "system.surface")
+_WHOLE = (
+    "study.workflow",
+    "telescope.name",
+    "system.name",
+    "system.file",
+    "system.file_text",
+    "system.surface",
+)
 
 
 def sensitivity_study(source: str | Path, overrides: Mapping[str, Any] | Iterable[str] = ()) -> Study:
@@ -53,8 +60,8 @@ def sensitivity_study(source: str | Path, overrides: Mapping[str, Any] | Iterabl
         other = next((key for key in keys if key in _WHOLE), None)
         if other is not None:
             raise UserError(
-                f"The key {other!r} puts another system in the place of {name}; give that one by its name or "
-                "file, or a study of your own."
+                f"The key {other!r} puts something else in the place of {name}; give that by its name or file, "
+                "or a study of your own."
             )
     if name in TELESCOPES:
         study, chosen = TELESCOPES[name]

@@ -108,9 +108,9 @@ def _model(record: Mapping[str, Any], where: str) -> type[Study]:
     if name in STUDIES:
         return STUDIES[name]
     near = difflib.get_close_matches(str(name), STUDIES, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
+    hint = f": did you mean {near[0]!r}?" if near else "."
     raise UserError(
-        f"{where}: study.workflow: there is no workflow {name!r}; {hint}Choose one of {', '.join(STUDIES)}."
+        f"{where}: study.workflow: there is no workflow {name!r}{hint} Choose one of {', '.join(STUDIES)}."
     )
 
 
@@ -129,9 +129,9 @@ def _find(name: str) -> Path:
     if path.is_file():
         return path
     near = difflib.get_close_matches(name, bundled, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
+    hint = f": did you mean {near[0]!r}?" if near else "."
     raise UserError(
-        f"There is no study {name!r}: {hint}Bundled studies are {', '.join(bundled)}; "
+        f"There is no study {name!r}{hint} Bundled studies are {', '.join(bundled)}; "
         "a study of your own is a path to a .toml file."
     )
 
@@ -196,5 +196,5 @@ def _entry(entries: list[Any], name: str, where: str) -> Any:
             return entry
     names = [str(entry.get("name")) for entry in entries if isinstance(entry, dict)]
     near = difflib.get_close_matches(name, names, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    raise UserError(f"There is no {where} called {name!r}; {hint}There are {', '.join(names)}.")
+    hint = f": did you mean {near[0]!r}?" if near else "."
+    raise UserError(f"There is no {where} called {name!r}{hint} There are {', '.join(names)}.")

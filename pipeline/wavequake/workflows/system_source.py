@@ -50,9 +50,9 @@ def load_system(source: str | Path, overrides: Mapping[str, Any] | Iterable[str]
     if not is_study:
         known = (*system_names(), *bundled_studies())
         near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
+        hint = f": did you mean {near[0]!r}?" if near else "."
         raise UserError(
-            f"There is no optical system {name!r}: {hint}Bundled ones are {', '.join(dict.fromkeys(known))}; "
+            f"There is no optical system {name!r}{hint} Bundled ones are {', '.join(dict.fromkeys(known))}; "
             "a system of your own is a .zmx or .toml file."
         )
     study = load_study(source, keys)
