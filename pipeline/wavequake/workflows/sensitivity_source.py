@@ -60,8 +60,8 @@ def sensitivity_study(source: str | Path, overrides: Mapping[str, Any] | Iterabl
         other = next((key for key in keys if key in _WHOLE), None)
         if other is not None:
             raise UserError(
-                f"The key {other!r} puts something else in the place of {name}; give that by its name or file, "
-                "or a study of your own."
+                f"The key {other!r} puts something else in the place of {name}; give that by its name or "
+                "file, or a study of your own."
             )
     if name in TELESCOPES:
         study, chosen = TELESCOPES[name]
