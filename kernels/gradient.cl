@@ -1,13 +1,16 @@
 // Follow rays to surface NUMBER through the medium that surface FIRST begins; MEDIUM is where its numbers are,
 // RADIAL and AXIAL are their counts (see gradient.h). They come in the frame of surface NUMBER, in which they
-// stay; the index where they arrive is kept, and a ray that does not arrive is no number.
+// stay; the index where they arrive is kept, and a ray that does not arrive is no number. A surface that
+// touches or crosses the one before it may lie behind a ray, which then goes back.
 
-INLINE real JOIN(beyond_, NUMBER)(const numbers t, const double *pose, triple place)
+// Height above the surface, and how fast it grows along the ray.
+INLINE real JOIN(beyond_, NUMBER)(const numbers t, const double *pose, bent r, real *rise)
 {
     real slope_x, slope_y;
-    const triple p = turned_by(pose, place);
-    const real x = p.x + pose[9], y = p.y + pose[10];
-    return p.z + pose[11] - JOIN(sag_, NUMBER)(t, x, y, &slope_x, &slope_y);
+    const triple p = turned_by(pose, r.place), v = turned_by(pose, r.vector);
+    const real sag = JOIN(sag_, NUMBER)(t, p.x + pose[9], p.y + pose[10], &slope_x, &slope_y);
+    *rise = v.z - slope_x * v.x - slope_y * v.y;
+    return p.z + pose[11] - sag;
 }
 
 INLINE void JOIN(follow_, NUMBER)(const numbers t, ray *r)
@@ -21,18 +24,23 @@ INLINE void JOIN(follow_, NUMBER)(const numbers t, ray *r)
     now.vector.x *= unit;
     now.vector.y *= unit;
     now.vector.z *= unit;
-    real step = m[1] / index;
+    real rise, step = m[1] / index;
     const real way = DETOUR * size_of(r->position.z) / m[1];
     const real enough = EITHER(way > LEAST_STEPS, way, (real)LEAST_STEPS);
     const real allowed = EITHER(enough < MOST_STEPS, enough, (real)MOST_STEPS);
-    mask going = finite(step) & finite(way), arrived = going & NOT(going);
-    real before = JOIN(beyond_, NUMBER)(t, pose, now.place);
+    mask going = finite(step) & finite(way);
+    real before = JOIN(beyond_, NUMBER)(t, pose, now, &rise);
+    mask arrived = going & (before == 0.0);
+    going &= NOT(arrived);
+    const double from = t.poses[12 * NUMBER + 11];
+    const real passed = EITHER(r->direction.z < 0.0, (real)-from, (real)from);
+    const mask is_behind = (before * rise > 0.0) & (passed < m[1]);
+    step = EITHER(arrived, (real)0.0, EITHER(is_behind, -step, step));
     #pragma unroll 1
     for (int count = 1; any_lane(going); ++count) {
         const bent ahead = bent_step(m, RADIAL, AXIAL, now, step);
-        const real after = JOIN(beyond_, NUMBER)(t, pose, ahead.place);
-        // A ray that starts on the end surface itself has no side yet.
-        const mask crossed = going & ((before * after < 0.0) | ((after == 0.0) & (before != 0.0)));
+        const real after = JOIN(beyond_, NUMBER)(t, pose, ahead, &rise);
+        const mask crossed = going & ((before * after < 0.0) | (after == 0.0));
         arrived |= crossed;
         going &= NOT(crossed) & finite(ahead.path) & (squared_index(m, RADIAL, AXIAL, ahead.place) > 0.0);
         going &= (real)(double)count < allowed;
@@ -47,18 +55,15 @@ INLINE void JOIN(follow_, NUMBER)(const numbers t, ray *r)
     #pragma unroll 1
     for (int cut = 0; cut < MOST_CUTS; ++cut) {
         const bent ahead = bent_step(m, RADIAL, AXIAL, now, guess);
-        const triple p = turned_by(pose, ahead.place), v = turned_by(pose, ahead.vector);
-        real slope_x, slope_y;
-        const real sag = JOIN(sag_, NUMBER)(t, p.x + pose[9], p.y + pose[10], &slope_x, &slope_y);
-        const real height = p.z + pose[11] - sag;
+        const real height = JOIN(beyond_, NUMBER)(t, pose, ahead, &rise);
         const mask apart = arrived & (size_of(height) > near);
         if (!any_lane(apart))
             break;
         const mask same = height * before > 0.0;
         low = EITHER(same, guess, low);
         high = EITHER(same, high, guess);
-        const real newton = guess - height / (v.z - slope_x * v.x - slope_y * v.y);
-        const real better = EITHER((newton > low) & (newton < high), newton, 0.5 * (low + high));
+        const real newton = guess - height / rise;
+        const real better = EITHER((newton - low) * (newton - high) < 0.0, newton, 0.5 * (low + high));
         guess = EITHER(apart, better, guess);  // a ray that is there does not wait for its neighbors
     }
     now = bent_step(m, RADIAL, AXIAL, now, guess);

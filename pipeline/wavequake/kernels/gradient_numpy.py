@@ -65,7 +65,7 @@ def local_index(space: Space, position: Array) -> Array:
 
 
 def follow(
-    space: Space, sag: Sag, position: Array, direction: Array, going: Mask
+    space: Space, sag: Sag, position: Array, direction: Array, going: Mask, former: Array
 ) -> tuple[Array, Array, Array]:
     """Follow rays inside a medium to a surface.
 
@@ -79,6 +79,9 @@ def follow(
         Where the rays start, with their unit directions inside the medium.
     going : ndarray of bool, shape (T, N)
         Which rays to follow.
+    former : ndarray, shape (T,)
+        z of the former surface's vertex. Where it is not a step beyond this one, as where both touch or
+        cross, a ray goes back to a surface that lies behind it.
 
     Returns
     -------
@@ -93,14 +96,18 @@ def follow(
     allowed = np.ceil(_DETOUR * np.abs(position[2]) / space.gradient.step)
     allowed = np.clip(allowed, _LEAST_STEPS, _MOST_STEPS)
     going = going & np.isfinite(step) & np.isfinite(allowed)
-    arrived, before = np.zeros_like(going), _height(space, sag, ray.place)
+    before, rise = _height(space, sag, ray)
+    arrived = going & (before == 0.0)
+    going &= ~arrived
+    passed = np.where(direction[2] < 0.0, -former[:, None], former[:, None])
+    is_behind = (before * rise > 0.0) & (passed < space.gradient.step)
+    step = np.where(arrived, 0.0, np.where(is_behind, -step, step))
     count = 0
     while going.any():
         count += 1
         ahead = _step(space, ray, step)
-        after = _height(space, sag, ahead.place)
-        # A ray that starts on the end surface itself has no side yet.
-        crossed = going & ((before * after < 0.0) | ((after == 0.0) & (before != 0.0)))
+        after, _ = _height(space, sag, ahead)
+        crossed = going & ((before * after < 0.0) | (after == 0.0))
         arrived |= crossed
         real = np.isfinite(ahead.path) & (_squared(space, ahead.place) > 0.0)
         going &= ~crossed & real & (count < allowed)
@@ -174,10 +181,15 @@ def _step(space: Space, ray: _Ray, h: Array) -> _Ray:
     return _Ray(place, vector, ray.path + h * (mean + h * bend / 6.0))
 
 
-def _height(space: Space, sag: Sag, place: Array) -> Array:
-    """Return how far points are beyond the surface along its z; NaN where it does not reach out so far."""
-    x, y, z = space.outside(place)
-    return np.asarray(z - sag(x, y)[0])
+def _height(space: Space, sag: Sag, ray: _Ray) -> tuple[Array, Array]:
+    """Return how far rays are beyond the surface along its z, and how fast that grows along the ray.
+
+    NaN where the surface does not reach out so far.
+    """
+    x, y, z = space.outside(ray.place)
+    vector = _turned(np.swapaxes(space.rotation, 1, 2), ray.vector)
+    value, slope_x, slope_y = sag(x, y)
+    return z - value, vector[2] - slope_x * vector[0] - slope_y * vector[1]
 
 
 def _cut(space: Space, sag: Sag, ray: _Ray, h: Array, before: Array, arrived: Mask) -> Array:
@@ -186,18 +198,14 @@ def _cut(space: Space, sag: Sag, ray: _Ray, h: Array, before: Array, arrived: Ma
     side = np.sign(before)
     scale = np.abs(ray.place).max(axis=0) + np.abs(h * ray.vector).max(axis=0)
     for _ in range(_MAX_CUTS):
-        ahead = _step(space, ray, guess)
-        x, y, z = space.outside(ahead.place)
-        vector = _turned(np.swapaxes(space.rotation, 1, 2), ahead.vector)
-        value, slope_x, slope_y = sag(x, y)
-        height = z - value
+        height, rise = _height(space, sag, _step(space, ray, guess))
         apart = arrived & (np.abs(height) > _ON_SURFACE * scale)
         if not apart.any():
             break
         same = np.sign(height) == side
         low, high = np.where(same, guess, low), np.where(same, high, guess)
-        newton = guess - height / (vector[2] - slope_x * vector[0] - slope_y * vector[1])
-        better = np.where((newton > low) & (newton < high), newton, (low + high) / 2.0)
+        newton = guess - height / rise
+        better = np.where((newton - low) * (newton - high) < 0.0, newton, (low + high) / 2.0)
         guess = np.where(apart, better, guess)  # a ray that is there does not wait for its neighbors
     return guess
 

@@ -188,7 +188,8 @@ def _trace_chunk(
         _into(moving.poses[:, number], state)
         if space is not None:
             space = space.beyond(moving.poses[:, number])
-            index = _bend(space, element, number, deformations[number], grids[number], state)
+            former = moving.poses[:, number, 11]
+            index = _bend(space, element, number, deformations[number], grids[number], state, former)
         slopes = _meet(element, number, deformations[number], grids[number], index, state)
         if element.regions and not ignore_apertures:
             state.lose(~on_glass(element.regions, *state.position[:2]), VIGNETTED, number)
@@ -220,6 +221,7 @@ def _bend(
     deformation: Array | None,
     grid: Array | None,
     state: _State,
+    former: Array,
 ) -> Array:
     """Follow the rays through a medium with a gradient to the element; return the index (t, N) there."""
 
@@ -227,7 +229,7 @@ def _bend(
         return sag_and_slopes(element, x, y, deformation, grid)
 
     going = state.status == OK
-    state.position, state.direction, path = follow(space, sag, state.position, state.direction, going)
+    state.position, state.direction, path = follow(space, sag, state.position, state.direction, going, former)
     state.path = state.path + path
     state.lose(~np.isfinite(path), MISS, number)
     return local_index(space, state.position)
