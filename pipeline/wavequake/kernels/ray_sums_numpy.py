@@ -16,7 +16,7 @@ def times_instants(matrix: Array, values: Array) -> Array:
     padded[:instants] = values
     tiles = padded.reshape(-1, _TILE, count).transpose(0, 2, 1)
     products: Array = np.matmul(matrix, tiles).transpose(0, 2, 1).reshape(len(padded), len(matrix))
-    return products[:instants]
+    return np.ascontiguousarray(products[:instants])  # of one tile it is a view, whose rows sum to other bits
 
 
 def coefficients_numpy(matrix: Array, values: Array) -> tuple[Array, NDArray[np.intp]]:
