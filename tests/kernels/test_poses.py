@@ -79,6 +79,15 @@ def test_an_instant_does_not_depend_on_its_batch(device):
     assert surface_poses(position, rotation, motion[:0], device).shape == (0, 4, 12)
 
 
+@pytest.mark.parametrize("device", **NAMES)
+def test_numbers_of_any_kind_are_taken_as_double_precision(device, monkeypatch):
+    monkeypatch.setattr("wavequake.kernels.first_batch._TRUSTED", set())
+    position, rotation, motion = case(7, 9, 3, 1e-3)
+    for taken in (motion.astype(np.float32), np.ones(motion.shape, int), motion.tolist()):
+        expected = surface_poses(position, rotation, np.array(taken, np.float64))
+        np.testing.assert_allclose(surface_poses(position, rotation, taken, device), expected, atol=1e-12)
+
+
 @pytest.mark.parametrize("device", OPENCL, ids=lambda device: device.kind)
 def test_a_device_that_turns_wrong_is_refused(device, monkeypatch):
     monkeypatch.setattr("wavequake.kernels.first_batch._TRUSTED", set())

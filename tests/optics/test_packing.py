@@ -232,6 +232,11 @@ def test_states_that_do_not_fit_are_refused():
         with pytest.raises(UserError, match=message):
             moving(system, type(good)(**{**fields, **change}))
 
+    def far(angle):
+        motion = np.zeros((2, 5, 6))
+        motion[1, 0, 4] = angle
+        return motion
+
     none = (None,) * 5
     refused("hold 4 deformations", deformations=none[:4])
     refused("M1 can deform", deformations=none)
@@ -240,6 +245,9 @@ def test_states_that_do_not_fit_are_refused():
     refused("M1 holds numbers", deformations=(None, None, np.full((2, 15), np.nan), None, None))
     refused("line of sight", line_of_sight=np.full((2, 2), np.inf))
     refused("motion", surface_motion=np.zeros((2, 6)))
+    refused("front at instant 1 is 1e.17; it must be at most 1e.12 mm or rad", surface_motion=far(1e17))
+    refused("front at instant 1 is 1e.300", surface_motion=far(-1e300))
+    refused("front at instant 1 is not a finite number", surface_motion=far(np.inf))
 
 
 def test_light_at_a_telecentric_system_cannot_turn_about_its_pupil():

@@ -36,6 +36,7 @@ def surface_poses(position: Array, rotation: Array, motion: Array, device: Devic
     ndarray, shape (T, L, 12)
         What a point is multiplied by, by rows, then what is added.
     """
+    motion = np.asarray(motion, dtype=np.float64)
     instants, surfaces, _ = motion.shape
     if device.kind == "numpy" or not motion.size:
         return surface_poses_numpy(position, rotation, motion)
@@ -43,7 +44,7 @@ def surface_poses(position: Array, rotation: Array, motion: Array, device: Devic
     found = np.empty((instants, surfaces, 12))
     turned = np.swapaxes(rotation, 1, 2).reshape(-1, 9)
     rest = np.concatenate([turned, position], axis=1)
-    inputs = {"rest": rest, "motion": np.asarray(motion, dtype=np.float64)}
+    inputs = {"rest": rest, "motion": motion}
     size, group = (1, -(-instants // lanes), 1), (1, _GROUP[device.kind], 1)
     arguments = (np.int32(instants), np.int32(surfaces), "rest", "motion", "found")
     step = Step(_text(), "poses", (("W", lanes), ("SINGLE", 0)), size, group, arguments)

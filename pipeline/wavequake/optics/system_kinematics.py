@@ -16,7 +16,7 @@ from wavequake.optics.gradient_index import GradientIndex
 from wavequake.optics.kinematics import cardan
 from wavequake.optics.media import AIR, Medium
 from wavequake.optics.shapes import Conic, Deformation, Opening, Shape, SurfaceAction, ZernikeDeformation
-from wavequake.optics.system import OpticalSystem, Surface, SystemStates
+from wavequake.optics.system import LARGEST, OpticalSystem, Surface, SystemStates
 
 Array = NDArray[np.float64]
 
@@ -193,7 +193,7 @@ def motion_about(point: Array, rotation: Array) -> Array:
 
 
 def require_motion(system: OpticalSystem, motion: Array) -> None:
-    """Raise UserError unless the motion is an array of finite numbers (T, L, 6)."""
+    """Raise UserError unless the motion is an array (T, L, 6) of numbers that can be traced."""
     motion = array(motion, f"the motion of the surfaces of {system.name}")
     if motion.ndim != 3 or motion.shape[1:] != (len(system.surfaces), 6):
         raise UserError(
@@ -205,6 +205,13 @@ def require_motion(system: OpticalSystem, motion: Array) -> None:
         instant, surface, _ = np.argwhere(~known)[0]
         name = system.surfaces[surface].name
         raise UserError(f"the motion of {name} at instant {instant} is not a finite number")
+    if motion.size and np.abs(motion).max() > LARGEST:
+        instant, surface, _ = np.unravel_index(np.argmax(np.abs(motion)), motion.shape)
+        name, largest = system.surfaces[surface].name, np.abs(motion).max()
+        raise UserError(
+            f"the motion of {name} at instant {instant} is {largest:.3g}; it must be at most {LARGEST:g} mm "
+            "or rad"
+        )
 
 
 def rest_states(system: OpticalSystem, instants: int = 1) -> SystemStates:
