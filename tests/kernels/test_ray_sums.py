@@ -128,6 +128,12 @@ def test_a_device_that_sums_wrong_is_refused(device, monkeypatch):
         ray_coefficients(np.ones((4, 50)), opd, device)
     with pytest.raises(UserError, match="computes wrong numbers"):
         ray_moments(opd, x, y, weight, slopes, np.zeros((30, 2)), device)
+    monkeypatch.setattr(ray_sums, "run_steps", real)
+    ray_moments(opd, x, y, weight, slopes, np.zeros((30, 2)), device)
+    monkeypatch.setattr(ray_sums, "run_steps", wrong)
+    if device.kind == "cpu":  # a ray alone is another program than vectors of them
+        with pytest.raises(UserError, match="computes wrong numbers"):
+            ray_moments(opd[:, :1], x[:, :1], y[:, :1], weight[:1], slopes[:, :1], np.zeros((30, 2)), device)
 
 
 @pytest.mark.parametrize("device", **NAMES)

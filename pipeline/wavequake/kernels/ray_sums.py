@@ -86,13 +86,14 @@ def ray_coefficients(
     inputs = {"functions": functions, "values": values}
     run_steps(device, [step], inputs, {"sums": sums, "lost": lost}, {})
     found = sums[:, :count]
-    if not is_trusted(device, step.kernel):
+    program = step.kernel, step.constants
+    if not is_trusted(device, program):
 
         def twin(pick: Pick) -> list[Array]:
             products, missing = coefficients_numpy(matrix, values[pick])
             return [*products.T, missing.astype(np.float64)]
 
-        compare_first(device, step.kernel, [*found.T, lost.astype(np.float64)], twin, kind="wavefronts")
+        compare_first(device, program, [*found.T, lost.astype(np.float64)], twin, kind="wavefronts")
     return found, lost
 
 
@@ -147,12 +148,13 @@ def ray_moments(
         group = (1, _GROUP[device.kind], 1)
         step = Step(_text(), "moments", _constants(device, lanes), (1, instants, 1), group, arguments)
         run_steps(device, [step], inputs, {"found": found}, {})
-        if not is_trusted(device, step.kernel):
+        program = step.kernel, step.constants
+        if not is_trusted(device, program):
 
             def twin(pick: Pick) -> list[Array]:
                 return list(moments_numpy(opd[pick], x[pick], y[pick], weight, slopes, planes[pick]).T)
 
-            compare_first(device, step.kernel, list(found.T), twin, kind="wavefronts")
+            compare_first(device, program, list(found.T), twin, kind="wavefronts")
     return RayMoments(
         arrived=found[:, 0].astype(np.int64),
         rms_raw=found[:, 1],
