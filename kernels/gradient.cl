@@ -34,7 +34,8 @@ INLINE void JOIN(follow_, NUMBER)(const numbers t, ray *r)
     going &= NOT(arrived);
     const double from = t.poses[12 * NUMBER + 11];
     const real passed = EITHER(r->direction.z < 0.0, (real)-from, (real)from);
-    const mask is_behind = (before * rise > 0.0) & (passed < m[1]);
+    // Beyond a surface that it crosses in the sense in which it crosses the vertex plane.
+    const mask is_behind = (before * rise > 0.0) & (rise * r->direction.z > 0.0) & (passed < m[1]);
     step = EITHER(arrived, (real)0.0, EITHER(is_behind, -step, step));
     #pragma unroll 1
     for (int count = 1; any_lane(going); ++count) {

@@ -305,44 +305,6 @@ def test_a_ray_does_not_depend_on_its_neighbors(trace):
         assert (single.x[0, 0], single.path[0, 0]) == (whole.x[0, one], whole.path[0, one])
 
 
-@pytest.mark.parametrize(
-    ("before", "curved"), [(0.0, 0.0), (0.0, 30.0), (0.0, -30.0), (20.0, 30.0), (20.0, -30.0)]
-)
-def test_a_stop_on_a_face_changes_nothing(trace_all, before, curved):
-    """It lies behind some of the rays that come from the face: homogeneous glass takes such steps, too."""
-    face = Conic(curved) if curved else PLANE
-    rod = system(selfoc(N0, G), 20.0, (face, face))
-    rows = [
-        SurfaceRow("front", face, before, "refract", selfoc(N0, G)),
-        SurfaceRow("stop", thickness=20.0 - before),
-    ]
-    rows += [SurfaceRow("rear", face, 0.0, "refract", AIR), SurfaceRow("image")]
-    stopped = replace(rod, surfaces=sequential(rows))
-    rays = bundle([0.0, 1.0, -2.0, 6.0], [0.5, 0.0, 1.0, -4.0], slopes=(0.1, -0.05), z=-2.0)
-    states = rest_states(stopped, 20)
-    random = np.random.default_rng(3)
-    states.surface_motion[1:, 1] = random.normal(0.0, 1e-2, (19, 6))
-    found = trace_all(pack(stopped, WAVE), rays, moving(stopped, states))
-    expected = trace_all(pack(rod, WAVE), rays, moving(rod, rest_states(rod)))
-    assert (found.status == OK).all()
-    for name in ("path", "x", "y", "u", "v"):
-        there = np.broadcast_to(getattr(expected, name), found.path.shape)
-        np.testing.assert_allclose(getattr(found, name), there, rtol=0, atol=1e-9)
-
-
-def test_a_stop_on_a_face_can_be_aimed_at():
-    rows = [
-        SurfaceRow("front", Conic(60.0), 0.0, "refract", selfoc(N0, G)),
-        SurfaceRow("stop", thickness=20.0),
-    ]
-    rows += [SurfaceRow("rear", PLANE, 8.0, "refract", AIR), SurfaceRow("image")]
-    rod = OpticalSystem("rod", sequential(rows), 1, Pupil("entrance_diameter", 2.0))
-    points = sunflower(0.0, 1.0, 100)
-    prepared = prepare_system(rod, points.x, points.y, points.weight, 6)
-    found = measure_system(prepared, rest_states(rod), NUMPY)
-    assert (found.lost == 0).all()
-
-
 def test_lost_rays_are_data(trace):
     rays = bundle([0.0, 50.0, np.nan])  # n² < 0 beyond r = 20
     traced = trace(system(selfoc(N0, G), 5.0), rays)

@@ -100,7 +100,8 @@ def follow(
     arrived = going & (before == 0.0)
     going &= ~arrived
     passed = np.where(direction[2] < 0.0, -former[:, None], former[:, None])
-    is_behind = (before * rise > 0.0) & (passed < space.gradient.step)
+    # Beyond a surface that it crosses in the sense in which it crosses the vertex plane.
+    is_behind = (before * rise > 0.0) & (rise * direction[2] > 0.0) & (passed < space.gradient.step)
     step = np.where(arrived, 0.0, np.where(is_behind, -step, step))
     count = 0
     while going.any():
