@@ -200,18 +200,18 @@ def require_motion(system: OpticalSystem, motion: Array) -> None:
             f"the motion of the surfaces of {system.name} has the shape {motion.shape}, it must be "
             f"(instants, {len(system.surfaces)}, 6)"
         )
+    size = np.abs(motion)
+    if size.max(initial=0.0) <= LARGEST:  # not, if one is not a number
+        return
     known = np.isfinite(motion)
+    instant, surface, _ = np.argwhere(size > LARGEST if known.all() else ~known)[0]
+    name = system.surfaces[surface].name
     if not known.all():
-        instant, surface, _ = np.argwhere(~known)[0]
-        name = system.surfaces[surface].name
         raise UserError(f"the motion of {name} at instant {instant} is not a finite number")
-    if motion.size and np.abs(motion).max() > LARGEST:
-        instant, surface, _ = np.unravel_index(np.argmax(np.abs(motion)), motion.shape)
-        name, largest = system.surfaces[surface].name, np.abs(motion).max()
-        raise UserError(
-            f"the motion of {name} at instant {instant} is {largest:.3g}; it must be at most {LARGEST:g} mm "
-            "or rad"
-        )
+    raise UserError(
+        f"the motion of {name} at instant {instant} is {size[instant, surface].max():.3g}; it must be at "
+        f"most {LARGEST:g} mm or rad"
+    )
 
 
 def rest_states(system: OpticalSystem, instants: int = 1) -> SystemStates:
