@@ -2,7 +2,7 @@
 
 Square complex images, float32 and float64, one thread: the OpenCL kernels against SciPy, and against MKL
 (mkl_fft) and FFTW (pyfftw, planned by measuring) if they are installed. All but SciPy, which cannot, write to
-an array that is there already. Measurements are interleaved, each some 50 ms long after 30 ms of the same;
+an array that is there already. Measurements are interleaved, each some 50 ms long after 0.1 s of the same;
 medians of same-run ratios are what to compare between machines. Run it with POCL_MAX_PTHREAD_COUNT=1. Errors
 are the largest differences from SciPy's float64 transform, relative to its largest number.
 """
