@@ -21,24 +21,31 @@ INLINE real JOIN(meet_, NUMBER)(numbers t, ray *r, real bare, height there, doub
                                 double limit, double reach, triple *normal)
 {
     const triple d = r->direction;
+    const double ck1 = c * k1;
     triple hit = along(r->position, bare, d);
-    const real beyond = (c * k1) * hit.z - 1.0;
+    const real beyond = ck1 * hit.z - 1.0;
 
+    // F is 0 where the height is.
     real value = there.value, slope_x = there.slope_x, slope_y = there.slope_y;
-    real q = hit.z - value;
-    real f = c * (hit.x * hit.x + hit.y * hit.y + k1 * (q * q)) - 2.0 * q;
-    *normal = conic_plus(hit, q, slope_x, slope_y, c, k1);
-    real inverse = -0.5 / dot3(*normal, d);
-    real step = f * inverse;
-    hit = along(hit, step, d);
+    real q = hit.z - value, h = 1.0 - ck1 * q;
+    const real climb = d.z - slope_x * d.x - slope_y * d.y;
+    const real inverse = 0.5 / (h * climb - c * (hit.x * d.x + hit.y * d.y));
+    real step = value * (h - beyond) * inverse;
+    hit.x += step * d.x;
+    hit.y += step * d.y;
 
-    q = hit.z - (value + (slope_x * d.x + slope_y * d.y) * step);
+    q += step * climb;
+    h = 1.0 - ck1 * q;
     real square = hit.x * hit.x + hit.y * hit.y;
-    f = c * (square + k1 * (q * q)) - 2.0 * q;
-    *normal = conic_plus(hit, q, slope_x, slope_y, c, k1);
+    real f = c * square - (1.0 + h) * q;
+    normal->x = c * hit.x + h * slope_x;
+    normal->y = c * hit.y + h * slope_y;
+    normal->z = -h;
     const real lateral = (d.x * d.x + d.y * d.y) * (step * step) - limit;
+    hit.x += f * inverse * d.x;
+    hit.y += f * inverse * d.y;
     step += f * inverse;
-    hit = along(hit, f * inverse, d);
+    hit.z += step * d.z;
     real way = bare + step;
     mask met = larger(larger(lateral, square - reach), beyond) + poison(way) <= 0.0;
     real loss = LOSS(DIVERGED, NUMBER);

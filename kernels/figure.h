@@ -1,9 +1,6 @@
 // The figure of a conic: a polynomial of total degree ORDER in u and v, heights along z; if RING, one whose
 // recurrences take `steps`. FIGURE(part) names the functions; a program includes this once for each kind.
 
-#undef TERM
-#define TERM(i, j) LOAD(figure + 16 * (((i) + (j)) * ((i) + (j) + 1) / 2 + (j)))
-
 #if RING
 INLINE real FIGURE(slopes)(__global const double *figure, __global const double *steps, real u, real v,
                           real *along_u, real *along_v)
@@ -17,42 +14,28 @@ INLINE real FIGURE(value)(__global const double *figure, __global const double *
     return FIGURE(slopes)(figure, steps, u, v, &along_u, &along_v);
 }
 #else
-// The figure polynomial, sum of TERM(i, j) u^i v^j, by Horner's rule in v, then in u.
-INLINE real FIGURE(value)(__global const double *figure, __global const double *steps, real u, real v)
-{
-    real value = 0.0;
-    #pragma unroll
-    for (int i = ORDER; i >= 0; --i) {
-        real inner = TERM(i, ORDER - i);
-        #pragma unroll
-        for (int j = ORDER - i - 1; j >= 0; --j)
-            inner = inner * v + TERM(i, j);
-        value = value * u + inner;
-    }
-    return value;
-}
-
 INLINE real FIGURE(slopes)(__global const double *figure, __global const double *steps, real u, real v,
                           real *along_u, real *along_v)
 {
-    real value = 0.0, slope_u = 0.0, slope_v = 0.0;
-    #pragma unroll
-    for (int i = ORDER; i >= 0; --i) {
-        real inner = TERM(i, ORDER - i), inner_v = 0.0;
-        #pragma unroll
-        for (int j = ORDER - i - 1; j >= 0; --j) {
-            inner_v = inner_v * v + inner;
-            inner = inner * v + TERM(i, j);
-        }
-        slope_u = slope_u * u + value;
-        slope_v = slope_v * u + inner_v;
-        value = value * u + inner;
-    }
-    *along_u = slope_u;
-    *along_v = slope_v;
-    return value;
+    return monomial_sum(figure, ORDER, u, v, along_u, along_v);
+}
+
+INLINE real FIGURE(value)(__global const double *figure, __global const double *steps, real u, real v)
+{
+    return monomial_value(figure, ORDER, u, v);
 }
 #endif
+
+// Where u and v are, by the frame's origin and the direction of u.
+INLINE real FIGURE(u)(__global const double *frame, triple p)
+{
+    return frame[2] * p.x + (frame[3] * p.y - (frame[2] * frame[0] + frame[3] * frame[1]));
+}
+
+INLINE real FIGURE(v)(__global const double *frame, triple p)
+{
+    return frame[2] * p.y - (frame[3] * p.x + (frame[2] * frame[1] - frame[3] * frame[0]));
+}
 
 // From a hit of the bare conic to the conic plus figure in two steps: F takes z less the figure for z. The
 // first step uses the figure's value alone, which leaves less than the figure times its slope; the second, a
@@ -60,33 +43,29 @@ INLINE real FIGURE(slopes)(__global const double *figure, __global const double 
 INLINE real FIGURE(first)(__global const double *figure, __global const double *steps,
                          __global const double *frame, triple hit, triple d, triple bare)
 {
-    double ex = frame[2], ey = frame[3];
-    real u = ex * (hit.x - frame[0]) + ey * (hit.y - frame[1]);
-    real v = ex * (hit.y - frame[1]) - ey * (hit.x - frame[0]);
-    return FIGURE(value)(figure, steps, u, v) * bare.z / dot3(bare, d);
+    const real value = FIGURE(value)(figure, steps, FIGURE(u)(frame, hit), FIGURE(v)(frame, hit));
+    return value * bare.z / dot3(bare, d);
 }
 
-// Takes the first step and returns the second, with the normal where it leads.
-INLINE real FIGURE(second)(__global const double *figure, __global const double *steps,
-                          __global const double *frame, triple hit, triple d, real first, double c, double k1,
+// Takes the first step, then the second: moves the hit, adds to the step and gives the normal.
+INLINE void FIGURE(second)(__global const double *figure, __global const double *steps,
+                          __global const double *frame, triple d, double c, double k1, triple *hit, real *step,
                           triple *normal)
 {
-    double ex = frame[2], ey = frame[3];
-    hit = along(hit, first, d);
-    real u = ex * (hit.x - frame[0]) + ey * (hit.y - frame[1]);
-    real v = ex * (hit.y - frame[1]) - ey * (hit.x - frame[0]);
+    const double ex = frame[2], ey = frame[3], ck1 = c * k1;
     real slope_u, slope_v;
-    real deformation = FIGURE(slopes)(figure, steps, u, v, &slope_u, &slope_v);
-    real slope_x = ex * slope_u - ey * slope_v, slope_y = ey * slope_u + ex * slope_v;
-    triple flat = {hit.x, hit.y, hit.z - deformation};
-    triple direction = {d.x, d.y, d.z - slope_x * d.x - slope_y * d.y};
-    triple lean = conic_normal(flat, c, k1);
-    real f = c * (flat.x * flat.x + flat.y * flat.y + k1 * (flat.z * flat.z)) - 2.0 * flat.z;
-    real second = -0.5 * f / dot3(lean, direction);
+    real q = hit->z - FIGURE(slopes)(figure, steps, FIGURE(u)(frame, *hit), FIGURE(v)(frame, *hit), &slope_u,
+                                     &slope_v);
+    const real slope_x = ex * slope_u - ey * slope_v, slope_y = ey * slope_u + ex * slope_v;
+    const real climb = d.z - slope_x * d.x - slope_y * d.y;
+    real h = 1.0 - ck1 * q;
+    const real f = c * (hit->x * hit->x + hit->y * hit->y) - (1.0 + h) * q;
+    const real second = 0.5 * f / (h * climb - c * (hit->x * d.x + hit->y * d.y));
 
-    lean = conic_normal(along(flat, second, direction), c, k1);
-    normal->x = lean.x - slope_x * lean.z;
-    normal->y = lean.y - slope_y * lean.z;
-    normal->z = lean.z;
-    return second;
+    *hit = along(*hit, second, d);
+    *step += second;
+    h -= ck1 * climb * second;
+    normal->x = c * hit->x + h * slope_x;
+    normal->y = c * hit->y + h * slope_y;
+    normal->z = -h;
 }

@@ -30,9 +30,9 @@ INLINE triple turned(__global const double *pose, triple a)
 
 INLINE triple moved(__global const double *pose, triple a)
 {
-    triple b = {POSE(0) * a.x + POSE(1) * a.y + POSE(2) * a.z + POSE(9),
-                POSE(3) * a.x + POSE(4) * a.y + POSE(5) * a.z + POSE(10),
-                POSE(6) * a.x + POSE(7) * a.y + POSE(8) * a.z + POSE(11)};
+    triple b = {POSE(9) + POSE(0) * a.x + POSE(1) * a.y + POSE(2) * a.z,
+                POSE(10) + POSE(3) * a.x + POSE(4) * a.y + POSE(5) * a.z,
+                POSE(11) + POSE(6) * a.x + POSE(7) * a.y + POSE(8) * a.z};
     return b;
 }
 
@@ -57,9 +57,11 @@ INLINE triple conic_normal(triple p, double c, double k1)
 // cancel. NaN or infinite without an intersection.
 INLINE real conic_step(triple p, triple d, double c, double k1)
 {
-    real f = c * (p.x * p.x + p.y * p.y + k1 * (p.z * p.z)) - 2.0 * p.z;
-    real b = c * (p.x * d.x + p.y * d.y + k1 * (p.z * d.z)) - d.z;
-    real a = c * (d.x * d.x + d.y * d.y + k1 * (d.z * d.z));
+    const double ck1 = c * k1;
+    real high = ck1 * p.z;
+    real f = c * (p.x * p.x + p.y * p.y) + (high - 2.0) * p.z;
+    real b = c * (p.x * d.x + p.y * d.y) + (high - 1.0) * d.z;
+    real a = c * (d.x * d.x + d.y * d.y) + ck1 * (d.z * d.z);
     real r = root(b * b - a * f);
     r = EITHER(d.z < 0.0, -r, r);
     mask cancels = b * r > 0.0;

@@ -1,7 +1,7 @@
 // Traces rays through a segmented telescope: segments of M1, further mirrors, image plane, reference sphere.
 //
-// Work-item (lane group, ray, tile). Compile-time constants: W instants in a vector, TURNS vectors per
-// work-item, EDGES per segment
+// Work-item (lane group, group of RAYS, tile). Compile-time constants: W instants in a vector, TURNS vectors of
+// each of RAYS in a work-item, EDGES per segment
 // (0: no edge), CONVEX (whether edges are half planes that hold all of the glass), DEGREE and MIRROR_DEGREE of the figure polynomials of segments and of the mirrors after M1
 // (-1: none), SEGMENT_RING and MIRROR_RING (whether these are evaluated by recurrences), SURFACES after M1 (the last is the image plane), PLANES (bit i: surface i is a plane), EDGED
 // (bit i: surface i has an edge).
@@ -16,11 +16,10 @@
 
 enum { OK = 0, GAP = 1, MISS = 2 };
 
-#if SEGMENT_RING || MIRROR_RING
 #define EACH 16
 #define READ(place) LOAD(place)
+#include "monomials.h"
 #include "ring.h"
-#endif
 #if DEGREE >= 0
 #define FIGURE(part) segment_figure_##part
 #define ORDER DEGREE
@@ -42,7 +41,10 @@ enum { OK = 0, GAP = 1, MISS = 2 };
 #define LOSS(status) (256.0 - (status))
 
 // The vectors of a work-item take turns at every step, so that one hides the other's waiting.
-#define EACH_TURN _Pragma("unroll") for (int k = 0; k < TURNS; ++k)
+#define VECTORS (RAYS * TURNS)
+#define EACH_TURN _Pragma("unroll") for (int k = 0; k < VECTORS; ++k)
+#define RAY(k) ((k) / TURNS)
+#define LANE(k) ((k) % TURNS * W)
 
 // Where a ray meets a segment's conic, in the segment's displaced frame.
 typedef struct { real step; triple hit, direction, lean; } meeting;
@@ -89,6 +91,42 @@ INLINE void keep_if_on_glass(sighting *s, const meeting *m, __global const doubl
     s->loss = EITHER(first, (real)0.0, s->loss);
 }
 
+// What belongs to segments at the instants of a vector.
+typedef struct {
+    __global const double *poses, *figures, *frames, *edges, *steps;
+    double c, k1;
+} mirror;
+
+// Rays of `vectors` try one segment. The search runs in its displaced frame; the ray itself stays in the optics
+// frame, where the step is the same and only the normal has to be turned back.
+INLINE void try_segment(const ray *r, sighting *s, const int vectors, mirror glass, int segment)
+{
+    __global const double *pose = glass.poses + (size_t)segment * 12 * 16;
+    meeting m[VECTORS];
+    #pragma unroll
+    for (int k = 0; k < vectors; ++k)
+        m[k] = meet_conic(&r[k], pose + LANE(k), glass.c, glass.k1);
+#if DEGREE >= 0
+    __global const double *figure = glass.figures + (size_t)segment * TERMS(DEGREE) * 16;
+    __global const double *frame = glass.frames + 4 * segment;
+    real first[VECTORS];
+    #pragma unroll
+    for (int k = 0; k < vectors; ++k)
+        first[k] = segment_figure_first(figure + LANE(k), glass.steps, frame, m[k].hit, m[k].direction,
+                                        m[k].lean);
+    #pragma unroll
+    for (int k = 0; k < vectors; ++k) {
+        m[k].hit = along(m[k].hit, first[k], m[k].direction);
+        m[k].step += first[k];
+        segment_figure_second(figure + LANE(k), glass.steps, frame, m[k].direction, glass.c, glass.k1, &m[k].hit,
+                              &m[k].step, &m[k].lean);
+    }
+#endif
+    #pragma unroll
+    for (int k = 0; k < vectors; ++k)
+        keep_if_on_glass(&s[k], &m[k], pose + LANE(k), glass.edges + NUMBERS * EDGES * segment);
+}
+
 // Rays come segment by segment: while the last ray of one is traced, what belongs to the next can be fetched.
 INLINE void fetch(__global const double *first, int numbers)
 {
@@ -118,9 +156,11 @@ __kernel void segmented(
     __global double *out_opd, __global double *out_x, __global double *out_y, __global char *out_status)
 {
     ALIGN_STACK;
-    const size_t lane = get_global_id(0) * (TURNS * W), n = get_global_id(1), tile = get_global_id(2);
-    if (n >= rays)
+    const size_t lane = get_global_id(0) * (TURNS * W), group = get_global_id(1) * RAYS, tile = get_global_id(2);
+    if (group >= rays)
         return;
+    // The last group overlaps the one before it.
+    const size_t n = group + RAYS > rays ? rays - RAYS : group;
     directions += tile * 3 * 16 + lane;
     chief += tile * 3 * 16 + lane;
     segment_poses += tile * segments * 12 * 16 + lane;
@@ -132,8 +172,8 @@ __kernel void segmented(
     mirror_figures += tile * (SURFACES - 1) * TERMS(MIRROR_DEGREE) * 16 + lane;
 #endif
 
-    if (candidates > 0 && n + 1 < rays) {
-        const int now = candidate[n * candidates], next = candidate[(n + 1) * candidates];
+    if (candidates > 0 && n + RAYS < rays) {
+        const int now = candidate[n * candidates], next = candidate[(n + RAYS) * candidates];
         if (next >= 0 && next != now) {
             fetch(segment_poses + (size_t)next * 12 * 16, 12 * 16);
 #if DEGREE >= 0
@@ -142,13 +182,13 @@ __kernel void segmented(
         }
     }
 
-    ray r[TURNS];
-    sighting s[TURNS];
+    ray r[VECTORS];
+    sighting s[VECTORS];
     EACH_TURN {
-        const triple light = {LOAD(directions + k * W), LOAD(directions + 16 + k * W),
-                              LOAD(directions + 32 + k * W)};
-        r[k].position.x = ray_x[n];
-        r[k].position.y = ray_y[n];
+        const triple light = {LOAD(directions + LANE(k)), LOAD(directions + 16 + LANE(k)),
+                              LOAD(directions + 32 + LANE(k))};
+        r[k].position.x = ray_x[n + RAY(k)];
+        r[k].position.y = ray_y[n + RAY(k)];
         r[k].position.z = start_z;
         r[k].direction = light;
         r[k].length = 1.0;
@@ -159,29 +199,22 @@ __kernel void segmented(
         s[k].normal.y = 0.0;
         s[k].normal.z = -1.0;
     }
-    // The search runs in each segment's displaced frame; the ray itself stays in the optics frame, where the
-    // step is the same and only the normal has to be turned back.
+    const mirror glass = {segment_poses, figures, frames, edges, segment_steps, c, k1};
     for (int i = 0; i < candidates; ++i) {
-        const int segment = candidate[n * candidates + i];
-        if (segment < 0)
-            continue;
-        __global const double *pose = segment_poses + (size_t)segment * 12 * 16;
-        meeting m[TURNS];
-        EACH_TURN m[k] = meet_conic(&r[k], pose + k * W, c, k1);
-#if DEGREE >= 0
-        __global const double *figure = figures + (size_t)segment * TERMS(DEGREE) * 16;
-        real further[TURNS];
-        EACH_TURN further[k] = segment_figure_first(figure + k * W, segment_steps, frames + 4 * segment,
-                                                    m[k].hit, m[k].direction, m[k].lean);
-        EACH_TURN further[k] += segment_figure_second(figure + k * W, segment_steps, frames + 4 * segment,
-                                                      m[k].hit, m[k].direction, further[k], c, k1,
-                                                      &m[k].lean);
-        EACH_TURN m[k].hit = along(m[k].hit, further[k], m[k].direction);
-        EACH_TURN m[k].step += further[k];
-#endif
-        EACH_TURN keep_if_on_glass(&s[k], &m[k], pose + k * W, edges + NUMBERS * EDGES * segment);
+        __global const int *tried = candidate + n * candidates + i;
+        int same = 1;
+        #pragma unroll
+        for (int k = 1; k < RAYS; ++k)
+            same &= tried[k * candidates] == tried[0];
+        if (!same) {
+            #pragma unroll
+            for (int k = 0; k < RAYS; ++k)
+                if (tried[k * candidates] >= 0)
+                    try_segment(r + k * TURNS, s + k * TURNS, TURNS, glass, tried[k * candidates]);
+        } else if (tried[0] >= 0)
+            try_segment(r, s, VECTORS, glass, tried[0]);
     }
-    real loss[TURNS];
+    real loss[VECTORS];
     EACH_TURN {
         advance(&r[k], s[k].step);
         reflect(&r[k], s[k].normal);
@@ -191,55 +224,62 @@ __kernel void segmented(
     #pragma unroll
     for (int i = 0; i < SURFACES; ++i) {
         __global const double *pose = surface_poses + i * 12 * 16;
+        const int plane = (PLANES >> i & 1) && (MIRROR_DEGREE < 0 || i == SURFACES - 1);
+        real step[VECTORS];
+        triple normal[VECTORS];
         EACH_TURN {
-            r[k].position = moved(pose + k * W, r[k].position);
-            r[k].direction = turned(pose + k * W, r[k].direction);
+            r[k].position = moved(pose + LANE(k), r[k].position);
+            r[k].direction = turned(pose + LANE(k), r[k].direction);
+            step[k] = plane ? -r[k].position.z / r[k].direction.z
+                            : conic_step(r[k].position, r[k].direction, curvatures[i], conics_plus_1[i]);
         }
-        if ((PLANES >> i & 1) && (MIRROR_DEGREE < 0 || i == SURFACES - 1)) {
-            EACH_TURN {
-                const real step = -r[k].position.z / r[k].direction.z;
-                advance(&r[k], step);
-                loss[k] = lose_unless(finite(step), loss[k], LOSS(MISS + i));
-                if (EDGED >> i & 1)
-                    loss[k] = lose_beyond(&r[k], clear_squares[i], loss[k], LOSS(MISS + i));
-                if (i < SURFACES - 1)
-                    r[k].direction.z = -r[k].direction.z;
-            }
-            continue;
-        }
-        real step[TURNS];
-        triple normal[TURNS];
-        EACH_TURN step[k] = conic_step(r[k].position, r[k].direction, curvatures[i], conics_plus_1[i]);
-        EACH_TURN advance(&r[k], step[k]);
-        EACH_TURN normal[k] = conic_normal(r[k].position, curvatures[i], conics_plus_1[i]);
 #if MIRROR_DEGREE >= 0
-        __global const double *figure = mirror_figures + i * TERMS(MIRROR_DEGREE) * 16;
-        real further[TURNS];
-        EACH_TURN further[k] = mirror_figure_first(figure + k * W, mirror_steps, mirror_frames + i * 4,
-                                                   r[k].position, r[k].direction, normal[k]);
-        EACH_TURN further[k] += mirror_figure_second(figure + k * W, mirror_steps, mirror_frames + i * 4,
-                                                     r[k].position, r[k].direction, further[k],
-                                                     curvatures[i], conics_plus_1[i], &normal[k]);
-        EACH_TURN advance(&r[k], further[k]);
-        EACH_TURN step[k] += further[k];
+        if (!plane) {
+            EACH_TURN {
+                advance(&r[k], step[k]);
+                normal[k] = conic_normal(r[k].position, curvatures[i], conics_plus_1[i]);
+            }
+            __global const double *figure = mirror_figures + i * TERMS(MIRROR_DEGREE) * 16;
+            real first[VECTORS];
+            EACH_TURN first[k] = mirror_figure_first(figure + LANE(k), mirror_steps, mirror_frames + i * 4,
+                                                     r[k].position, r[k].direction, normal[k]);
+            EACH_TURN {
+                real further = first[k];
+                r[k].position = along(r[k].position, further, r[k].direction);
+                mirror_figure_second(figure + LANE(k), mirror_steps, mirror_frames + i * 4, r[k].direction,
+                                     curvatures[i], conics_plus_1[i], &r[k].position, &further, &normal[k]);
+                r[k].path += further * r[k].length;
+                step[k] += further;
+            }
+        }
 #endif
         EACH_TURN {
-            loss[k] = lose_unless(normal[k].z + poison(step[k]) < 0.0, loss[k], LOSS(MISS + i));
+            if (plane || MIRROR_DEGREE < 0)
+                advance(&r[k], step[k]);
+            if (plane) {
+                loss[k] = lose_unless(finite(step[k]), loss[k], LOSS(MISS + i));
+                if (i < SURFACES - 1)
+                    r[k].direction.z = -r[k].direction.z;
+            } else {
+                if (MIRROR_DEGREE < 0)
+                    normal[k] = conic_normal(r[k].position, curvatures[i], conics_plus_1[i]);
+                loss[k] = lose_unless(normal[k].z + poison(step[k]) < 0.0, loss[k], LOSS(MISS + i));
+                reflect(&r[k], normal[k]);
+            }
             if (EDGED >> i & 1)
                 loss[k] = lose_beyond(&r[k], clear_squares[i], loss[k], LOSS(MISS + i));
-            reflect(&r[k], normal[k]);
         }
     }
 
-    const size_t out = (tile * rays + n) * 16 + lane;
     EACH_TURN {
-        const real back = back_to_sphere(&r[k], LOAD(chief + k * W), LOAD(chief + 16 + k * W), sphere_square);
-        const real opd = LOAD(chief + 32 + k * W) - (r[k].path - back);
+        const size_t out = (tile * rays + n + RAY(k)) * 16 + lane + LANE(k);
+        const real back = back_to_sphere(&r[k], LOAD(chief + LANE(k)), LOAD(chief + 16 + LANE(k)), sphere_square);
+        const real opd = LOAD(chief + 32 + LANE(k)) - (r[k].path - back);
         loss[k] = lose_unless(finite(opd), loss[k], LOSS(MISS + SURFACES));
         const mask lost = loss[k] > 0.0;
-        STORE(EITHER(lost, (real)NAN, opd), out_opd + out + k * W);
-        STORE(EITHER(lost, (real)NAN, r[k].position.x), out_x + out + k * W);
-        STORE(EITHER(lost, (real)NAN, r[k].position.y), out_y + out + k * W);
-        STORE_STATUS(to_integers(EITHER(lost, LOSS(loss[k]), (real)OK)), out_status + out + k * W);
+        STORE(EITHER(lost, (real)NAN, opd), out_opd + out);
+        STORE(EITHER(lost, (real)NAN, r[k].position.x), out_x + out);
+        STORE(EITHER(lost, (real)NAN, r[k].position.y), out_y + out);
+        STORE_STATUS(to_integers(EITHER(lost, LOSS(loss[k]), (real)OK)), out_status + out);
     }
 }

@@ -57,6 +57,13 @@ INLINE void shift(ray *r, __global const double *pose)
     r->position.z += pose[11];
 }
 
+INLINE triple moved_by(__global const double *a, triple p)
+{
+    triple b = {a[9] + a[0] * p.x + a[1] * p.y + a[2] * p.z, a[10] + a[3] * p.x + a[4] * p.y + a[5] * p.z,
+                a[11] + a[6] * p.x + a[7] * p.y + a[8] * p.z};
+    return b;
+}
+
 INLINE triple rotated(__global const double *a, triple p)
 {
     triple b = {a[0] * p.x + a[1] * p.y + a[2] * p.z, a[3] * p.x + a[4] * p.y + a[5] * p.z,
@@ -67,8 +74,7 @@ INLINE triple rotated(__global const double *a, triple p)
 INLINE void rotate_and_shift(ray *r, __global const double *pose)
 {
     r->direction = rotated(pose, r->direction);
-    r->position = rotated(pose, r->position);
-    shift(r, pose);
+    r->position = moved_by(pose, r->position);
 }
 
 INLINE void travel(ray *r, real step, real index)
@@ -83,8 +89,7 @@ INLINE void rotate_together_and_shift(ray *r, __global const double *a, __global
     r->direction.x = (real)(a[0] * d[0] + a[1] * d[1] + a[2] * d[2]);
     r->direction.y = (real)(a[3] * d[0] + a[4] * d[1] + a[5] * d[2]);
     r->direction.z = (real)(a[6] * d[0] + a[7] * d[1] + a[8] * d[2]);
-    r->position = rotated(a, r->position);
-    shift(r, a);
+    r->position = moved_by(a, r->position);
 }
 
 INLINE real plane_step(const ray *r) { return -r->position.z / r->direction.z; }
@@ -182,49 +187,20 @@ INLINE real even_powers(__global const double *a, const int count, real x, real 
     return value;
 }
 
-#define TERM(i, j) a[((i) + (j)) * ((i) + (j) + 1) / 2 + (j)]
+#define EACH 1
+#define READ(place) (*(place))
+#include "monomials.h"
+#include "ring.h"
 
-// Horner's rule in v, then in u; rows of equal powers of u go in pairs, so that there is enough to do at once.
 INLINE real monomials(__global const double *a, const int degree, double inverse_radius, real x, real y,
                       real *slope_x, real *slope_y)
 {
-    real u = inverse_radius * x, v = inverse_radius * y;
-    real value = TERM(degree, 0), slope_u = 0.0, slope_v = 0.0;
-    if (degree % 2) {
-        slope_u = value;
-        slope_v = TERM(degree - 1, 1);
-        value = value * u + (slope_v * v + TERM(degree - 1, 0));
-    }
-    #pragma unroll 16
-    for (int i = degree / 2 * 2 - 1; i > 0; i -= 2) {
-        __global const double *term = &TERM(i, degree - i - 1);
-        real first_v = TERM(i, degree - i), first = first_v * v + term[0];
-        real second_v = TERM(i - 1, degree - i + 1), second = second_v * v + TERM(i - 1, degree - i);
-        second_v = second_v * v + second;
-        second = second * v + term[1 - degree];
-        #pragma unroll 1
-        for (int n = degree - 2; n >= i; --n) {
-            term -= n + 2;
-            first_v = first_v * v + first;
-            second_v = second_v * v + second;
-            first = first * v + term[0];
-            second = second * v + term[-n];
-        }
-        slope_u = slope_u * u + value;
-        slope_v = slope_v * u + first_v;
-        value = value * u + first;
-        slope_u = slope_u * u + value;
-        slope_v = slope_v * u + second_v;
-        value = value * u + second;
-    }
-    *slope_x += inverse_radius * slope_u;
-    *slope_y += inverse_radius * slope_v;
+    real along_u, along_v;
+    real value = monomial_sum(a, degree, inverse_radius * x, inverse_radius * y, &along_u, &along_v);
+    *slope_x += inverse_radius * along_u;
+    *slope_y += inverse_radius * along_v;
     return value;
 }
-
-#define EACH 1
-#define READ(place) (*(place))
-#include "ring.h"
 
 // The first of `step` is 1 / radius; the others follow.
 INLINE real ring(__global const double *a, const int degree, __global const double *step, real x, real y,

@@ -225,6 +225,25 @@ def test_a_tile_alone_has_the_bits_of_the_tile_in_a_batch(device, monkeypatch):
 
 
 @pytest.mark.parametrize("device", OPENCL, ids=NAMES["ids"])
+@pytest.mark.parametrize("degree", [-1, 6])
+def test_a_ray_alone_has_the_bits_of_the_ray_among_others(device, degree):
+    """Whatever its neighbors try: segments of their own, others, or none."""
+    arguments = two_mirrors(degree=degree)
+    own = arguments["candidates"][:, 0]
+    second = np.where(np.arange(own.size) % 3 == 0, (own + 1) % 6, -1)
+    random = np.random.default_rng(5).permutation(own.size)[:35]
+    rays = {"ray_x": arguments["ray_x"][random], "ray_y": arguments["ray_y"][random]}
+    rays["candidates"] = np.stack([second, own], axis=1).astype(np.int32)[random]
+    among = trace_segmented(**arguments | rays, device=device)
+    assert (among.status == 0).all()
+    for ray in (0, 1, 17, 33, 34):
+        one = {name: np.ascontiguousarray(values[ray : ray + 1]) for name, values in rays.items()}
+        alone = trace_segmented(**arguments | one, device=device)
+        for name in ("opd", "x", "y", "status"):
+            np.testing.assert_array_equal(getattr(alone, name)[:, 0], getattr(among, name)[:, ray])
+
+
+@pytest.mark.parametrize("device", OPENCL, ids=NAMES["ids"])
 @pytest.mark.parametrize("degree", [-1, 0, 1, 6])
 def test_opencl_agrees_with_the_twin(device, degree):
     arguments = two_mirrors(tiles=2, degree=degree)

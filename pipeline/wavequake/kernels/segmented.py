@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 
 # What one launch may write: it bounds the memory that is taken on a GPU.
 _LAUNCH_BYTES = 128 << 20
+# Rays of a work-item where a vector holds a tile: one hides the other's waiting, and rays that try the same
+# segment share what belongs to it.
+_RAYS = 2
 
 
 def trace_segmented(
@@ -121,9 +124,11 @@ def _launch(
     tiles, count, _ = outputs[0].shape
     segments, edges, numbers = train.edges.shape
     lanes, turns = _lanes(device)
+    group = max(1, min(count, _RAYS)) if lanes == TILE else 1
     constants = {
         "W": lanes,
         "TURNS": turns,
+        "RAYS": group,
         "EDGES": edges,
         "CONVEX": int(numbers == 3),
         "DEGREE": train.figure_degree,
@@ -144,7 +149,7 @@ def _launch(
         _steps(train.mirror_degree, train.mirror_basis),
         *moving,
     ]
-    size = (TILE // (lanes * turns), count, tiles)
+    size = (TILE // (lanes * turns), -(-count // group), tiles)
     launch(device, "segmented", tuple(constants.items()), size, inputs, outputs)
 
     program = ("segmented", *constants.values())
