@@ -50,7 +50,7 @@ M1, K1, M2, K2 = -60e3, -1.0009535, -6227.68, -1.31822813
 WANTED = ("path", "x", "y")
 # Multiplications, additions and multiply-adds of the algorithm per ray of four surfaces, without status and
 # choices; divisions and roots; bytes: three read, three written after they are read, two codes likewise.
-ARITHMETIC, DIVISIONS, ROOTS, BYTES = {28: 223, 105: 384}, 5, 2, 76
+ARITHMETIC, DIVISIONS, ROOTS, BYTES = {28: 205, 105: 366}, 5, 2, 76
 
 WAVELENGTH, APERTURE = 550e-6, 1.0 / 30.0
 

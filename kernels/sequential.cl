@@ -192,13 +192,12 @@ INLINE real even_powers(__global const double *a, const int count, real x, real 
 #include "monomials.h"
 #include "ring.h"
 
-INLINE real monomials(__global const double *a, const int degree, double inverse_radius, real x, real y,
-                      real *slope_x, real *slope_y)
+INLINE real monomials(__global const double *a, const int degree, real x, real y, real *slope_x, real *slope_y)
 {
-    real along_u, along_v;
-    real value = monomial_sum(a, degree, inverse_radius * x, inverse_radius * y, &along_u, &along_v);
-    *slope_x += inverse_radius * along_u;
-    *slope_y += inverse_radius * along_v;
+    real along_x, along_y;
+    real value = monomial_sum(a, degree, x, y, &along_x, &along_y);
+    *slope_x += along_x;
+    *slope_y += along_y;
     return value;
 }
 

@@ -45,6 +45,30 @@ def test_coefficients_are_sums_of_products(device, seed, instants, rays, terms):
 
 
 @pytest.mark.parametrize("device", **NAMES)
+def test_a_matrix_that_is_kept_on_the_device_is_still_the_callers(device):
+    """One that cannot be written is laid out once: also if another comes to lie in its place."""
+    random = np.random.default_rng(8)
+    values, before = random.normal(size=(3, 50)), set(ray_sums._FUNCTIONS)
+    for _ in range(20):
+        matrix = random.normal(size=(4, 50))
+        matrix.flags.writeable = False
+        for _ in range(2):
+            np.testing.assert_allclose(
+                ray_coefficients(matrix, values, device)[0], values @ matrix.T, atol=1e-13
+            )
+        del matrix
+    assert set(ray_sums._FUNCTIONS) == before
+    # One that can, or that shows another's numbers, is looked at each time.
+    writable = random.normal(size=(4, 50))
+    shown = writable[:]
+    shown.flags.writeable = False
+    for matrix in (writable, shown):
+        ray_coefficients(matrix, values, device)
+        writable *= 2.0
+        np.testing.assert_allclose(ray_coefficients(matrix, values, device)[0], values @ matrix.T, atol=1e-13)
+
+
+@pytest.mark.parametrize("device", **NAMES)
 @given(seed=st.integers(0, 2**32 - 1), rays=st.sampled_from([1, 5, 8, 13, 400]))
 def test_moments_are_those_of_the_rays_that_arrive(device, seed, rays):
     opd, x, y, weight, slopes = light(seed, 9, rays)

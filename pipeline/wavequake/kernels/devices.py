@@ -12,6 +12,7 @@ import numpy as np
 
 from wavequake.errors import UserError
 from wavequake.kernels.linker import ensure_linker
+from wavequake.kernels.threads import pin_each, running_threads
 from wavequake.kernels.tiles import TILE
 
 _NO_OPENCL = (
@@ -70,7 +71,11 @@ def _seen() -> tuple[tuple[tuple[Device, Any], ...], tuple[tuple[Device, str], .
         name = "unnamed"
         try:
             name = platform.name.strip()
-            for handle in platform.get_devices():
+            before = running_threads()
+            handles = platform.get_devices()
+            if name == POCL:
+                pin_each(running_threads() - before)
+            for handle in handles:
                 if handle.double_fp_config and handle.available:
                     gpu = bool(handle.type & cl.device_type.GPU)
                     kind, width = ("gpu", 1) if gpu else ("cpu", TILE)

@@ -1,6 +1,7 @@
 """Pack a sequence for its kernel: what its text depends on, and the numbers that the text reads."""
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,7 @@ def packed_elements(
     limits: list[Array] = []
     arrays: list[Array] = []
     index, medium = sequence.index, None
-    rotates = [sequence.turning or _turns(poses) for poses in moving.poses.swapaxes(0, 1)]
+    rotates = np.ones(len(sequence.elements), bool) if sequence.turning else _turns(moving.poses)
     for number, element in enumerate(sequence.elements):
         start = len(numbers)
         behind = element.index if element.action == "refract" else index
@@ -46,7 +47,7 @@ def packed_elements(
         numbers[start + 5] = reach * reach
         regions = () if ignore_apertures else _regions(element, numbers)
         plane = element.curvature == 0.0
-        turns, vacuum = rotates[number], index == 1.0
+        turns, vacuum = bool(rotates[number]), index == 1.0
         before = medium
         if element.action == "refract":
             medium = _medium(number, element, numbers)
@@ -69,9 +70,12 @@ def _medium(number: int, element: Element, numbers: list[float]) -> Medium | Non
     return Medium(number, len(gradient.radial), len(gradient.axial), place)
 
 
-def _turns(poses: Array) -> bool:
-    """Tell whether a surface turns at any of the instants (T, 12); most that do, do so at the first."""
-    return any(bool((part[:, :9] != _UNTURNED).any()) for part in (poses[:1], poses[1:]))
+def _turns(poses: Array) -> NDArray[np.bool_]:
+    """Tell which surfaces turn at any of the instants (T, L, 12); most that do, do so at the first."""
+    turning = (poses[:1, :, :9] != _UNTURNED).any(axis=(0, 2))
+    still = np.flatnonzero(~turning)
+    turning[still] = (poses[1:, still, :9] != _UNTURNED).any(axis=(0, 2))
+    return np.asarray(turning)
 
 
 def _parts(
@@ -83,12 +87,19 @@ def _parts(
     """
     parts, bends, reach = [], [], np.inf
     for degree, radius, basis, coefficients in _polynomials(number, element, moving):
-        name = "monomials" if basis == "monomial" else "ring"
-        place = "({place})[0]" if basis == "monomial" else "{place}"
-        call = f"{name}({{array}}, {degree}, {place}, x, y, sx, sy)"
-        parts.append(Part(call, terms(degree), coefficients.ndim == 2, len(numbers)))
-        numbers += [1.0 / radius, *(() if basis == "monomial" else ring_steps(degree, basis.inner))]
-        arrays.append(coefficients)
+        if basis == "monomial":
+            call = f"monomials({{array}}, {degree}, x, y, sx, sy)"
+            place, steps, packed = 0, [], coefficients * _powers(degree, radius)
+        else:
+            call = f"ring({{array}}, {degree}, {{place}}, x, y, sx, sy)"
+            place, steps, packed = (
+                len(numbers),
+                [1.0 / radius, *ring_steps(degree, basis.inner)],
+                coefficients,
+            )
+        parts.append(Part(call, terms(degree), coefficients.ndim == 2, place))
+        numbers += steps
+        arrays.append(packed)
         bends.append(_bend(coefficients, degree, basis) / radius**2)
         reach = min(reach, radius * _BEYOND)
     for grid, heights in _grids(number, element, moving):
@@ -133,12 +144,23 @@ def _grids(number: int, element: Element, moving: Moving) -> list[tuple[Grid, Ar
     )
 
 
+@lru_cache(maxsize=64)
+def _powers(degree: int, radius: float) -> Array:
+    """Return what makes of the coefficients of u^i v^j those of x^i y^j: the kernel need not divide."""
+    powers = [radius ** -float(order) for order in range(degree + 1) for _ in range(order + 1)]
+    return np.array(powers)
+
+
 def _bend(coefficients: Array, degree: int, basis: Basis) -> Array:
     """Return the largest second derivative of polynomials (T or nothing, terms) on their disk or ring.
 
     A bound needs no double precision: what underflows bends nothing, what overflows is steep indeed.
     """
-    second = _second_derivatives(degree, basis) @ coefficients.T.astype(np.float32)
+    single = np.ascontiguousarray(coefficients.T, dtype=np.float32)
+    parts = [derivatives @ single[chosen] for chosen, derivatives in _second_derivatives(degree, basis)]
+    second = np.abs(parts[0], out=parts[0])
+    for part in parts[1:]:
+        second += np.abs(part, out=part)
     np.square(second, out=second)
     square, mixed, last = second.reshape(3, -1, *second.shape[1:])
     square += mixed
@@ -147,25 +169,30 @@ def _bend(coefficients: Array, degree: int, basis: Basis) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _second_derivatives(degree: int, basis: Basis) -> NDArray[np.float32]:
-    """Return the second derivatives uu, sqrt(2) uv and vv at points of a disk or ring, by term."""
-    radii = np.array([0.6, 0.9, 1.0]) * _BEYOND
+def _second_derivatives(degree: int, basis: Basis) -> tuple[tuple[Any, NDArray[np.float32]], ...]:
+    """Return the second derivatives uu, sqrt(2) uv and vv at points of a disk or ring, by some of the terms.
+
+    Monomials come in four parts, even or odd in u and in v: the absolute values of the sums over each, at
+    points of one quadrant, bound what the polynomial has in the other three, too.
+    """
+    radii = np.array([0.6, 1.0]) * _BEYOND
     if basis != "monomial" and basis.inner > 0.0:
         radii = np.append(radii[radii > basis.inner], basis.inner)
-    angles = np.linspace(0.0, 2.0 * np.pi, max(4, 2 * degree - 2), endpoint=False)
-    points = radii[:, None] * np.stack([np.cos(angles), np.sin(angles)])[:, None]
-    u, v = points.reshape(2, -1)
     if basis != "monomial":
+        angles = np.linspace(0.0, 2.0 * np.pi, max(4, 2 * degree - 2), endpoint=False)
+        u, v = (radii[:, None] * np.stack([np.cos(angles), np.sin(angles)])[:, None]).reshape(2, -1)
         second = ring_second_derivatives(degree, basis.inner, u, v) * [[[1.0]], [[np.sqrt(2.0)]], [[1.0]]]
-        return np.asarray(second.reshape(-1, second.shape[-1]), dtype=np.float32)
+        return ((slice(None), np.asarray(second.reshape(-1, second.shape[-1]), dtype=np.float32)),)
+    angles = np.linspace(0.0, 0.5 * np.pi, max(1, -(-(degree - 1) // 2)) + 1)
+    u, v = (radii[:, None] * np.stack([np.cos(angles), np.sin(angles)])[:, None]).reshape(2, -1)
     kind = np.polynomial.Polynomial
     orders = [
         [kind.basis(k).deriv(order) if order else kind.basis(k) for order in range(3)]
         for k in range(degree + 1)
     ]
     at_u, at_v = ([[term(t) for term in row] for row in orders] for t in (u, v))
-    pairs = [(total - j, j) for total in range(degree + 1) for j in range(total + 1)]
-    return np.stack(
+    pairs = np.array([(total - j, j) for total in range(degree + 1) for j in range(total + 1)])
+    second = np.stack(
         [
             np.concatenate(
                 [at_u[i][2] * at_v[j][0], np.sqrt(2.0) * at_u[i][1] * at_v[j][1], at_u[i][0] * at_v[j][2]]
@@ -175,6 +202,9 @@ def _second_derivatives(degree: int, basis: Basis) -> NDArray[np.float32]:
         axis=1,
         dtype=np.float32,
     )
+    odd = pairs % 2
+    parts = [np.flatnonzero((odd == parity).all(axis=1)) for parity in ((0, 0), (0, 1), (1, 0), (1, 1))]
+    return tuple((part, np.ascontiguousarray(second[:, part])) for part in parts if part.size)
 
 
 def _limit(element: Element, bends: list[Array], instants: int) -> Array:

@@ -1,5 +1,6 @@
 """Sums over the rays of many wavefronts: coefficients of fits, rms, peak to valley, Strehl ratio, spot."""
 
+import weakref
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -21,6 +22,7 @@ _CHUNK = 128
 # Instants and vectors of functions that share what is read, by the lanes of a vector: as registers allow.
 _SHAPES = {8: (6, 4), 4: (4, 2), 2: (4, 2), 1: (4, 1)}
 _GROUP = {"cpu": 1, "gpu": 64}
+_FUNCTIONS: dict[tuple[int, int], tuple[weakref.ref[Array], Array]] = {}
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,7 @@ def ray_coefficients(
     Parameters
     ----------
     matrix : ndarray, shape (J, N)
+        One that cannot be written is laid out for the device only once.
     values : ndarray, shape (T, N)
         What is not finite counts as 0, and its ray as lost.
     device : Device
@@ -74,10 +77,8 @@ def ray_coefficients(
         return coefficients_numpy(matrix, values)
     lanes, tall, wide = _shape(device)
     (count, rays), block = matrix.shape, lanes * wide
-    terms = -(-count // block) * block
-    functions = aligned_empty((rays, terms))  # no vector of it crosses a cache line
-    functions[:, :count] = matrix.T
-    functions[:, count:] = 0.0
+    functions = _functions(matrix, block)
+    terms = functions.shape[1]
     sums, lost = np.empty((len(values), terms)), np.empty(len(values), np.int32)
     numbers = (np.int32(number) for number in (len(values), rays, terms))
     size, group = (terms // block, -(-len(values) // tall), 1), _GROUP[device.kind]
@@ -164,6 +165,23 @@ def ray_moments(
         centroid=found[:, 5:7],
         spot_rms=found[:, 7],
     )
+
+
+def _functions(matrix: Array, block: int) -> Array:
+    """Return a matrix by rays, with zeros up to whole blocks of functions.
+
+    That of a matrix which cannot be written is kept: making it takes a tenth of the time of a batch's fit.
+    """
+    key, constant = (id(matrix), block), matrix.base is None and not matrix.flags.writeable
+    if constant and key in _FUNCTIONS and _FUNCTIONS[key][0]() is matrix:
+        return _FUNCTIONS[key][1]
+    count, rays = matrix.shape
+    functions = aligned_empty((rays, -(-count // block) * block))  # no vector of it crosses a cache line
+    functions[:, :count] = matrix.T
+    functions[:, count:] = 0.0
+    if constant:
+        _FUNCTIONS[key] = weakref.ref(matrix, lambda _: _FUNCTIONS.pop(key, None)), functions
+    return functions
 
 
 def _require(name: str, values: Array, shape: tuple[int, int]) -> None:

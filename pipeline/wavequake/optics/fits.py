@@ -31,7 +31,7 @@ class Fit:
         The functions at the rays.
     weight : ndarray, shape (N,)
     matrix : ndarray, shape (J, N)
-        Values to coefficients.
+        Values to coefficients; cannot be written.
     normal : ndarray, shape (J, J)
         basis^T W basis, from which an instant that lost rays subtracts theirs.
     """
@@ -62,7 +62,9 @@ def weighted_fit(basis: Array, weight: Array, remedy: str = MORE_RAYS) -> Fit:
         diagonal = np.abs(np.diag(r))
         if diagonal.min() > np.sqrt(_SINGULAR) * diagonal.max():
             normal = basis.T @ (weight[:, None] * basis)
-            return Fit(basis, weight, np.linalg.solve(r, (root * q).T), normal)
+            matrix = np.linalg.solve(r, (root * q).T)
+            matrix.flags.writeable = False
+            return Fit(basis, weight, matrix, normal)
     raise UserError(
         f"{rays} rays do not determine {terms} wavefront terms; {remedy}, or lower zernike_terms."
     )

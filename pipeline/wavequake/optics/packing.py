@@ -1,6 +1,7 @@
 """From an optical system and its states to what the sequential trace takes."""
 
 from dataclasses import replace
+from functools import lru_cache
 from math import cos, isfinite, sin
 
 import numpy as np
@@ -265,13 +266,20 @@ def _deformation(
 
 def _poses(system: OpticalSystem, motion: Array, line_of_sight: Array, device: Device) -> Array:
     """Return the transforms (T, L, 12) of `surface_poses`, with the incoming bundle turned."""
-    found = surface_poses(*relative_poses(*rest_poses(system)), motion, device)
+    position, rotation = rest_poses(system)
+    found = surface_poses(*_steps_at_rest(position.tobytes(), rotation.tobytes()), motion, device)
     if line_of_sight.any():
         bundle, offset = bundle_rotation(system, line_of_sight)
         first = found[:, 0, :9].reshape(-1, 3, 3)
         found[:, 0, 9:] += (first @ offset[..., None])[..., 0]
         found[:, 0, :9] = (first @ bundle).reshape(-1, 9)
     return found
+
+
+@lru_cache(maxsize=64)
+def _steps_at_rest(position: bytes, rotation: bytes) -> tuple[Array, Array]:
+    """Return `relative_poses`, which are asked for again with every batch of one system."""
+    return relative_poses(np.frombuffer(position).reshape(-1, 3), np.frombuffer(rotation).reshape(-1, 3, 3))
 
 
 def bundle_rotation(system: OpticalSystem, line_of_sight: Array) -> tuple[Array, Array]:
