@@ -13,7 +13,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY, choose_device
 from wavequake.optics.bodies import rigid_body
 from wavequake.optics.catalog import optical_system, system_names
-from wavequake.optics.checks import alike, array, number, require_fields, whole
+from wavequake.optics.checks import alike, all_within, array, number, require_fields, whole
 from wavequake.optics.gradient_index import axial, luneburg, selfoc
 from wavequake.optics.media import Medium, constant, glass, refractive_index
 from wavequake.optics.pupils import sunflower
@@ -296,3 +296,12 @@ def test_long_doubles_beyond_floats_are_told():
 def test_shapes_beyond_all_bounds_are_told_without_warnings(shape, words):
     with pytest.raises(UserError, match=words):
         mirror(shape=shape).info()
+
+
+@given(
+    values=st.lists(st.floats(allow_nan=True, allow_infinity=True), max_size=6),
+    limit=st.sampled_from([0.0, 1.0, 1e12, 1.7976931348623157e308]),
+)
+def test_numbers_within_a_limit_are_told_from_those_beyond(values, limit):
+    expected = all(abs(value) <= limit for value in values)
+    assert all_within(np.array(values, dtype=float).reshape(-1, 1), limit) is expected

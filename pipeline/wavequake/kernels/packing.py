@@ -1,7 +1,6 @@
 """Pack a sequence for its kernel: what its text depends on, and the numbers that the text reads."""
 
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,21 +155,21 @@ def _bend(coefficients: Array, degree: int, basis: Basis) -> Array:
 
     A bound needs no double precision: what underflows bends nothing, what overflows is steep indeed.
     """
-    single = np.ascontiguousarray(coefficients.T, dtype=np.float32)
-    parts = [derivatives @ single[chosen] for chosen, derivatives in _second_derivatives(degree, basis)]
-    second = np.abs(parts[0], out=parts[0])
-    for part in parts[1:]:
-        second += np.abs(part, out=part)
+    chosen, derivatives = _second_derivatives(degree, basis)
+    single = np.ascontiguousarray(np.atleast_2d(coefficients).T, dtype=np.float32)
+    second = derivatives @ single[chosen]
+    second = np.abs(second, out=second).sum(axis=0)
     np.square(second, out=second)
-    square, mixed, last = second.reshape(3, -1, *second.shape[1:])
+    square, mixed, last = second.reshape(3, -1, second.shape[-1])
     square += mixed
     square += last
-    return np.asarray(_MARGIN * np.sqrt(square.max(axis=0)), dtype=np.float64)
+    bend = _MARGIN * np.sqrt(square.max(axis=0)).astype(np.float64)
+    return np.asarray(bend.reshape(coefficients.shape[:-1]))
 
 
 @lru_cache(maxsize=64)
-def _second_derivatives(degree: int, basis: Basis) -> tuple[tuple[Any, NDArray[np.float32]], ...]:
-    """Return the second derivatives uu, sqrt(2) uv and vv at points of a disk or ring, by some of the terms.
+def _second_derivatives(degree: int, basis: Basis) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+    """Return parts (C, K) of the terms, and their second derivatives uu, sqrt(2) uv, vv (C, points, K).
 
     Monomials come in four parts, even or odd in u and in v: the absolute values of the sums over each, at
     points of one quadrant, bound what the polynomial has in the other three, too.
@@ -182,7 +181,8 @@ def _second_derivatives(degree: int, basis: Basis) -> tuple[tuple[Any, NDArray[n
         angles = np.linspace(0.0, 2.0 * np.pi, max(4, 2 * degree - 2), endpoint=False)
         u, v = (radii[:, None] * np.stack([np.cos(angles), np.sin(angles)])[:, None]).reshape(2, -1)
         second = ring_second_derivatives(degree, basis.inner, u, v) * [[[1.0]], [[np.sqrt(2.0)]], [[1.0]]]
-        return ((slice(None), np.asarray(second.reshape(-1, second.shape[-1]), dtype=np.float32)),)
+        flat = second.reshape(1, -1, second.shape[-1])
+        return np.arange(flat.shape[-1])[None], np.asarray(flat, dtype=np.float32)
     angles = np.linspace(0.0, 0.5 * np.pi, max(1, -(-(degree - 1) // 2)) + 1)
     u, v = (radii[:, None] * np.stack([np.cos(angles), np.sin(angles)])[:, None]).reshape(2, -1)
     kind = np.polynomial.Polynomial
@@ -204,7 +204,13 @@ def _second_derivatives(degree: int, basis: Basis) -> tuple[tuple[Any, NDArray[n
     )
     odd = pairs % 2
     parts = [np.flatnonzero((odd == parity).all(axis=1)) for parity in ((0, 0), (0, 1), (1, 0), (1, 1))]
-    return tuple((part, np.ascontiguousarray(second[:, part])) for part in parts if part.size)
+    # All are as long as the longest; what is added counts nothing.
+    chosen = np.zeros((4, max(map(len, parts))), dtype=np.intp)
+    derivatives = np.zeros((4, len(second), chosen.shape[1]), dtype=np.float32)
+    for k, part in enumerate(parts):
+        chosen[k, : len(part)] = part
+        derivatives[k, :, : len(part)] = second[:, part]
+    return chosen, derivatives
 
 
 def _limit(element: Element, bends: list[Array], instants: int) -> Array:

@@ -20,7 +20,8 @@ Array = NDArray[np.float64]
 # Rays that a work-item copies at a time; their values stay in the innermost cache.
 _CHUNK = 128
 # Instants and vectors of functions that share what is read, by the lanes of a vector: as registers allow.
-_SHAPES = {8: (6, 4), 4: (4, 2), 2: (4, 2), 1: (4, 1)}
+_SHAPES = {8: ((12, 1), (12, 2), (8, 3), (6, 4), (5, 5), (4, 6)), 4: ((4, 2),), 2: ((4, 2),), 1: ((4, 1),)}
+_LOOK = 1.4  # What reading a ray takes, as so many vectors more.
 _GROUP = {"cpu": 1, "gpu": 64}
 _FUNCTIONS: dict[tuple[int, int], tuple[weakref.ref[Array], Array]] = {}
 
@@ -75,15 +76,18 @@ def ray_coefficients(
     _require("values", values, (len(values), matrix.shape[1]))
     if device.kind == "numpy" or 0 in (*matrix.shape, len(values)):
         return coefficients_numpy(matrix, values)
-    lanes, tall, wide = _shape(device)
-    (count, rays), block = matrix.shape, lanes * wide
+    count, rays = matrix.shape
+    lanes, tall, wide = _shape(device, count)
+    block = lanes * wide
     functions = _functions(matrix, block)
     terms = functions.shape[1]
     sums, lost = np.empty((len(values), terms)), np.empty(len(values), np.int32)
     numbers = (np.int32(number) for number in (len(values), rays, terms))
     size, group = (terms // block, -(-len(values) // tall), 1), _GROUP[device.kind]
     arguments = (*numbers, "functions", "values", "sums", "lost")
-    step = Step(_text(), "coefficients", _constants(device), size, (group, 1, 1), arguments)
+    step = Step(
+        _text(), "coefficients", _constants(device, lanes, tall, wide), size, (group, 1, 1), arguments
+    )
     inputs = {"functions": functions, "values": values}
     run_steps(device, [step], inputs, {"sums": sums, "lost": lost}, {})
     found = sums[:, :count]
@@ -138,7 +142,7 @@ def ray_moments(
     if device.kind == "numpy" or not opd.size:
         found = moments_numpy(opd, x, y, weight, slopes, planes)
     else:
-        lanes = _shape(device)[0]
+        lanes, tall, wide = _shape(device)
         while lanes > rays:
             lanes //= 2
         found = np.empty((instants, 8))
@@ -147,7 +151,9 @@ def ray_moments(
         names = ("opd", "x", "y", "weight", "slopes", "planes", "found")
         arguments = (np.int32(instants), np.int32(rays), *names)
         group = (1, _GROUP[device.kind], 1)
-        step = Step(_text(), "moments", _constants(device, lanes), (1, instants, 1), group, arguments)
+        step = Step(
+            _text(), "moments", _constants(device, lanes, tall, wide), (1, instants, 1), group, arguments
+        )
         run_steps(device, [step], inputs, {"found": found}, {})
         program = step.kernel, step.constants
         if not is_trusted(device, program):
@@ -199,15 +205,15 @@ def _last_in_whole_vectors(weight: Array, lanes: int) -> Array:
     return np.concatenate([weight[:whole], np.zeros(lanes - rest), weight[whole:]])
 
 
-def _shape(device: Device) -> tuple[int, int, int]:
-    """Return lanes, instants and vectors of functions of a work-item."""
+def _shape(device: Device, functions: int = 1) -> tuple[int, int, int]:
+    """Return lanes, instants and vectors of functions of a work-item, as suits this many functions."""
     lanes = min(8, vector_width(device, np.dtype(np.float64), long=True))
-    return lanes, *_SHAPES[lanes]
+    vectors = -(-functions // lanes)
+    return lanes, *min(_SHAPES[lanes], key=lambda shape: -(-vectors // shape[1]) * (shape[1] + _LOOK))
 
 
-def _constants(device: Device, lanes: int = 0) -> tuple[tuple[str, int], ...]:
-    own, tall, wide = _shape(device)
-    numbers = {"W": lanes or own, "SINGLE": 0, "TALL": tall, "WIDE": wide, "CHUNK": _CHUNK}
+def _constants(device: Device, lanes: int, tall: int, wide: int) -> tuple[tuple[str, int], ...]:
+    numbers = {"W": lanes, "SINGLE": 0, "TALL": tall, "WIDE": wide, "CHUNK": _CHUNK}
     return tuple((numbers | {"SHARED": int(device.kind == "gpu")}).items())
 
 

@@ -37,6 +37,8 @@ def whole(value: Any, what: str) -> int:
 
 def array(values: ArrayLike, what: str) -> Array:
     """Return an array of numbers; UserError if the values are none, masked, or rows of different lengths."""
+    if type(values) is np.ndarray and values.dtype == np.float64:
+        return values
     if _is_masked(values):
         raise UserError(f"{what} must be a plain array, not a masked one, whose mask would be lost")
     try:
@@ -59,6 +61,13 @@ def alike(what: str, *columns: ArrayLike) -> tuple[Array, ...]:
         shapes = ", ".join(str(one.shape) for one in found)
         raise UserError(f"{what} have the shapes {shapes}; each must be (N,)")
     return found
+
+
+def all_within(values: Array, limit: float) -> bool:
+    """Tell whether all numbers are at most this large; what is not a number is not."""
+    flat = values.ravel()
+    # The sum of squares takes one pass, and nearly always suffices.
+    return bool(flat @ flat < limit * limit or (np.abs(values) <= limit).all())
 
 
 def require_kind(value: Any, kind: Any, what: str, hint: str = "") -> None:

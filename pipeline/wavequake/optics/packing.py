@@ -1,5 +1,6 @@
 """From an optical system and its states to what the sequential trace takes."""
 
+import sys
 from dataclasses import replace
 from functools import lru_cache
 from math import cos, isfinite, sin
@@ -11,6 +12,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY, Device, require_device
 from wavequake.kernels.poses import surface_poses
 from wavequake.kernels.sequence import Element, Grid, Moving, Polynomial, Region, Sequence
+from wavequake.optics.checks import all_within
 from wavequake.optics.concave import crossing
 from wavequake.optics.gradient_index import gradient_of, medium_index
 from wavequake.optics.media import refractive_index
@@ -254,7 +256,7 @@ def _deformation(
     if isinstance(form, GridDeformation):
         require_grid(coefficients, form.dx, form.dy)
         return None, spline_coefficients(coefficients)
-    if not np.isfinite(coefficients).all():
+    if not all_within(coefficients, sys.float_info.max):
         raise UserError(f"the deformation of {surface.name} holds numbers that are not finite")
     grid, rest = None, form.residual
     if rest is not None:

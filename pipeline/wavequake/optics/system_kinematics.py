@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.optics.checks import array, require_fields, require_kind, whole
+from wavequake.optics.checks import all_within, array, require_fields, require_kind, whole
 from wavequake.optics.gradient_index import GradientIndex
 from wavequake.optics.kinematics import cardan
 from wavequake.optics.media import AIR, Medium
@@ -200,10 +200,9 @@ def require_motion(system: OpticalSystem, motion: Array) -> None:
             f"the motion of the surfaces of {system.name} has the shape {motion.shape}, it must be "
             f"(instants, {len(system.surfaces)}, 6)"
         )
-    size = np.abs(motion)
-    if size.max(initial=0.0) <= LARGEST:  # not, if one is not a number
+    if all_within(motion, LARGEST):
         return
-    known = np.isfinite(motion)
+    size, known = np.abs(motion), np.isfinite(motion)
     instant, surface, _ = np.argwhere(size > LARGEST if known.all() else ~known)[0]
     name = system.surfaces[surface].name
     if not known.all():
