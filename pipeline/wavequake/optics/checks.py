@@ -63,10 +63,11 @@ def alike(what: str, *columns: ArrayLike) -> tuple[Array, ...]:
     return found
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def all_within(values: Array, limit: float) -> bool:
     """Tell whether all numbers are at most this large; what is not a number is not."""
     flat = values.ravel()
-    # The sum of squares takes one pass, and nearly always suffices.
+    # The sum of squares takes one pass, and suffices nearly always.
     return bool(flat @ flat < limit * limit or (np.abs(values) <= limit).all())
 
 
