@@ -10,6 +10,14 @@
 #define FINITE(value) LIT((value) - (value) == 0)
 #define WHERE(mask, value) TO_REAL(TO_WHOLE(value) & (mask))
 
+INLINE scalar sum_of(real value)
+{
+    scalar sum = 0;
+    for (int lane = 0; lane < W; ++lane)
+        sum += LANE(value, lane);
+    return sum;
+}
+
 // Sum rays' values (instants, rays) times functions (rays, terms) at them, and count (instants) the lost rays,
 // which add nothing.
 __kernel void coefficients(const int instants, const int rays, const int terms,
@@ -45,7 +53,35 @@ __kernel void coefficients(const int instants, const int rays, const int terms,
         }
 #else
     __local scalar known[TALL * CHUNK];
-    for (int start = 0; start < rays; start += CHUNK) {
+    // Sums that stay finite need not look at each ray, which would take a seventh more; those that do not begin anew.
+    int none_lost = 1;
+    __global const scalar *of_ray = functions;
+    for (int start = 0; start < rays && none_lost; start += CHUNK) {
+        const int end = start + CHUNK < rays ? start + CHUNK : rays;
+        for (int ray = start; ray < end; ++ray, of_ray += terms) {
+            real function[WIDE];
+            PREFETCH(row[ray % 8 % TALL] + CHUNK + ray / 8 * 8);
+            #pragma unroll
+            for (int wide = 0; wide < WIDE; ++wide)
+                function[wide] = LOAD(of_ray + wide * W);
+            #pragma unroll
+            for (int i = 0; i < TALL; ++i)
+                #pragma unroll
+                for (int wide = 0; wide < WIDE; ++wide)
+                    total[i][wide] += row[i][ray] * function[wide];
+        }
+        real beyond = 0.0f;
+        #pragma unroll
+        for (int i = 0; i < TALL; ++i)
+            beyond += total[i][0] - total[i][0];
+        none_lost = sum_of(beyond) == 0;
+    }
+    #pragma unroll
+    for (int i = 0; i < TALL; ++i)
+        #pragma unroll
+        for (int wide = 0; wide < WIDE; ++wide)
+            total[i][wide] = none_lost ? total[i][wide] : (real)0.0f;
+    for (int start = none_lost ? rays : 0; start < rays; start += CHUNK) {
         const int count = rays - start < CHUNK ? rays - start : CHUNK, whole_vectors = count / W * W;
         #pragma unroll
         for (int i = 0; i < TALL; ++i) {
@@ -89,14 +125,6 @@ __kernel void coefficients(const int instants, const int rays, const int terms,
             if (term == 0)
                 lost[first + i] = missing[i];
         }
-}
-
-INLINE scalar sum_of(real value)
-{
-    scalar sum = 0;
-    for (int lane = 0; lane < W; ++lane)
-        sum += LANE(value, lane);
-    return sum;
 }
 
 typedef struct { real opd, flat, x, y, weight; whole known; } ray_lanes;
