@@ -2,7 +2,8 @@
 //
 // Compile-time constants: W lanes, SINGLE (0), TALL instants and WIDE vectors of functions that share what is
 // read: as many sums as registers hold, SHARED (1: other work-items sum other functions of the same instants,
-// and each looks at the rays itself; 0: a work-item copies CHUNK rays at a time, whole vectors of them).
+// and each looks at the rays itself; 0: a work-item copies CHUNK rays at a time, whole vectors of them), TILED
+// (see below).
 
 #include "waves.h"
 
@@ -127,28 +128,58 @@ __kernel void coefficients(const int instants, const int rays, const int terms,
         }
 }
 
+// Lanes are rays, of which sums are taken; if TILED, instants of a tile of 16, ray by ray.
+#if TILED
+typedef real number;
+#define TOTAL(value) (value)
+#define FOUND(place, value) STORE(value, found + 16 * (place))
+#else
+typedef scalar number;
+#define TOTAL(value) sum_of(value)
+#define FOUND(place, value) found[place] = (value)
+#endif
+
+INLINE number root_of(number value)
+{
+#if TILED
+    for (int lane = 0; lane < W; ++lane)  // the built-in function of vectors is a call
+        LANE(value, lane) = sqrt(LANE(value, lane));
+    return value;
+#else
+    return sqrt(value);
+#endif
+}
+
 typedef struct { real opd, flat, x, y, weight; whole known; } ray_lanes;
 
 // W rays: a wavefront, that without its best-fit plane, and where they meet the image; lost ones weigh nothing.
 INLINE ray_lanes rays_at(__global const scalar *opd, __global const scalar *x, __global const scalar *y,
                          __global const scalar *weight, __global const scalar *slopes, int group, int rays,
-                         scalar slope_x, scalar slope_y)
+                         number slope_x, number slope_y)
 {
+#if TILED
+    const size_t place = 16 * (size_t)group;
+    ray_lanes a = {LOAD(opd + place), 0.0f, LOAD(x + place), LOAD(y + place), (real)weight[group], 0};
+    const real plane = slope_x * slopes[group] + slope_y * slopes[rays + group];
+#else
     // The last group overlaps the one before it; what came already has no weight.
     const int ray = group + W > rays ? rays - W : group;
     ray_lanes a = {LOAD(opd + ray), 0.0f, LOAD(x + ray), LOAD(y + ray), LOAD(weight + group), 0};
+    const real plane = slope_x * LOAD(slopes + ray) + slope_y * LOAD(slopes + rays + ray);
+#endif
     a.known = FINITE(a.opd) & FINITE(a.x) & FINITE(a.y);
     a.opd = WHERE(a.known, a.opd);
     a.x = WHERE(a.known, a.x);
     a.y = WHERE(a.known, a.y);
     a.weight = WHERE(a.known, a.weight);
-    a.flat = a.opd - WHERE(a.known, slope_x * LOAD(slopes + ray) + slope_y * LOAD(slopes + rays + ray));
+    a.flat = a.opd - WHERE(a.known, plane);
     return a;
 }
 
 // Moments (instants, 8) of wavefronts and spots: number of rays that arrive, rms of the wavefront without
 // piston, rms and peak to valley without plane, Strehl ratio, centroid x and y, rms distance from it.
-// slopes (2, rays): the functions that make the plane; planes (instants, 2): how much of each.
+// slopes (2, rays): the functions that make the plane; planes (instants, 2): how much of each. If TILED, arrays
+// of instants are (tiles, ..., 16) instead.
 __kernel void moments(const int instants, const int rays, __global const scalar *opd,
                       __global const scalar *x, __global const scalar *y, __global const scalar *weight,
                       __global const scalar *slopes, __global const scalar *planes, __global scalar *found)
@@ -156,14 +187,26 @@ __kernel void moments(const int instants, const int rays, __global const scalar 
     const size_t instant = get_global_id(1);
     if (instant >= instants)
         return;
-    opd += instant * rays;
-    x += instant * rays;
-    y += instant * rays;
-    const scalar slope_x = planes[2 * instant], slope_y = planes[2 * instant + 1];
+#if TILED
+    const size_t first = instant * rays * 16 + get_global_id(0) * W;
+    planes += instant * 32 + get_global_id(0) * W;
+    found += instant * 128 + get_global_id(0) * W;
+    const real slope_x = LOAD(planes), slope_y = LOAD(planes + 16);
+    const int step = 1;
+#else
+    const size_t first = instant * rays;
+    planes += 2 * instant;
+    found += 8 * instant;
+    const scalar slope_x = planes[0], slope_y = planes[1];
+    const int step = W;
+#endif
+    opd += first;
+    x += first;
+    y += first;
     const scalar turn = 6.28318530717958647693;
     real light = 0.0f, arrived = 0.0f, mean = 0.0f, mean_flat = 0.0f, re = 0.0f, im = 0.0f;
     real at_x = 0.0f, at_y = 0.0f, largest = -INFINITY, smallest = INFINITY;
-    for (int group = 0; group < rays; group += W) {
+    for (int group = 0; group < rays; group += step) {
         const ray_lanes a = rays_at(opd, x, y, weight, slopes, group, rays, slope_x, slope_y);
         const wave phase = wave_of(a.flat * turn);
         light += a.weight;
@@ -177,30 +220,33 @@ __kernel void moments(const int instants, const int rays, __global const scalar 
         largest = a.known & LIT(a.flat > largest) ? a.flat : largest;
         smallest = a.known & LIT(a.flat < smallest) ? a.flat : smallest;
     }
-    const scalar per_light = 1 / sum_of(light);  // infinite, and all that follows no number, if all are lost
-    const scalar middle = sum_of(mean) * per_light, middle_flat = sum_of(mean_flat) * per_light;
-    const scalar center_x = sum_of(at_x) * per_light, center_y = sum_of(at_y) * per_light;
+    const number per_light = 1 / TOTAL(light);  // infinite, and all that follows no number, if all are lost
+    const number middle = TOTAL(mean) * per_light, middle_flat = TOTAL(mean_flat) * per_light;
+    const number center_x = TOTAL(at_x) * per_light, center_y = TOTAL(at_y) * per_light;
     real square = 0.0f, square_flat = 0.0f, spread = 0.0f;
-    for (int group = 0; group < rays; group += W) {
+    for (int group = 0; group < rays; group += step) {
         const ray_lanes a = rays_at(opd, x, y, weight, slopes, group, rays, slope_x, slope_y);
         const real raw = a.opd - middle, flat = a.flat - middle_flat, dx = a.x - center_x, dy = a.y - center_y;
         square += a.weight * raw * raw;
         square_flat += a.weight * flat * flat;
         spread += a.weight * (dx * dx + dy * dy);
     }
+#if TILED
+    const real most = largest, least = smallest;
+#else
     scalar most = -INFINITY, least = INFINITY;
     for (int lane = 0; lane < W; ++lane) {
         most = LANE(largest, lane) > most ? LANE(largest, lane) : most;
         least = LANE(smallest, lane) < least ? LANE(smallest, lane) : least;
     }
-    const scalar real_part = sum_of(re) * per_light, imaginary = sum_of(im) * per_light;
-    found += 8 * instant;
-    found[0] = sum_of(arrived);
-    found[1] = sqrt(sum_of(square) * per_light);
-    found[2] = sqrt(sum_of(square_flat) * per_light);
-    found[3] = most < least ? NAN : most - least;
-    found[4] = real_part * real_part + imaginary * imaginary;
-    found[5] = center_x;
-    found[6] = center_y;
-    found[7] = sqrt(sum_of(spread) * per_light);
+#endif
+    const number real_part = TOTAL(re) * per_light, imaginary = TOTAL(im) * per_light;
+    FOUND(0, TOTAL(arrived));
+    FOUND(1, root_of(TOTAL(square) * per_light));
+    FOUND(2, root_of(TOTAL(square_flat) * per_light));
+    FOUND(3, most < least ? (number)NAN : most - least);
+    FOUND(4, real_part * real_part + imaginary * imaginary);
+    FOUND(5, center_x);
+    FOUND(6, center_y);
+    FOUND(7, root_of(TOTAL(spread) * per_light));
 }

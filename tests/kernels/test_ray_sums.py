@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.kernels import ray_sums
+from wavequake.kernels import first_batch, ray_sums
 from wavequake.kernels.devices import NUMPY, Device, list_devices
-from wavequake.kernels.ray_sums import ray_coefficients, ray_moments
+from wavequake.kernels.ray_sums import ray_coefficients, ray_moments, tile_moments
+from wavequake.kernels.tiles import TILE
 from wavequake.optics.quality import peak_to_valley, spot
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
@@ -98,6 +99,61 @@ def test_moments_are_those_of_the_rays_that_arrive(device, seed, rays):
             assert values[i] == pytest.approx(np.sqrt(variance), abs=1e-14)
         wave = np.average(np.exp(2j * np.pi * flat[i, kept]), weights=weight[kept])
         assert names[2][i] == pytest.approx(abs(wave) ** 2, abs=2e-14)
+
+
+def in_tiles(values):
+    """Rows of instants (16 T, ...) as tiles (T, ..., 16)."""
+    return np.ascontiguousarray(np.moveaxis(values.reshape(-1, TILE, values.shape[1]), 1, 2))
+
+
+@pytest.mark.parametrize("device", **NAMES)
+@given(seed=st.integers(0, 2**32 - 1), rays=st.sampled_from([1, 5, 400]), tiles=st.integers(1, 3))
+def test_instants_in_tiles_have_the_same_moments(device, seed, rays, tiles):
+    opd, x, y, weight, slopes = light(seed, tiles * TILE, rays)
+    random = np.random.default_rng(seed)
+    gone = random.random(opd.shape) < random.choice([0.0, 0.3, 1.0], size=(len(opd), 1))
+    for values in (opd, x, y):
+        values[gone & (random.random(opd.shape) < 0.5)] = np.nan
+    planes = random.normal(0.0, 0.2, (len(opd), 2))
+    planes[0] = np.nan
+    expected = ray_moments(opd, x, y, weight, slopes, planes)
+    given_tiles = [in_tiles(values) for values in (opd, x, y)]
+    found = tile_moments(*given_tiles, weight, slopes, in_tiles(planes), device)
+    assert np.array_equal(found.arrived, expected.arrived)
+    for name in ("rms_raw", "rms_flat", "pv", "strehl", "centroid", "spot_rms"):
+        one, other = getattr(found, name), getattr(expected, name)
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=2e-14 * max(1, rays / 20), err_msg=name)
+    last = [values[-1:] for values in given_tiles]
+    alone = tile_moments(*last, weight, slopes, in_tiles(planes)[-1:], device)
+    for name, values in vars(alone).items():
+        np.testing.assert_array_equal(values, getattr(found, name)[-TILE:])
+
+
+@pytest.mark.parametrize("device", OPENCL, ids=lambda device: device.kind)
+def test_a_device_that_sums_tiles_wrong_is_refused(device, monkeypatch):
+    text = ray_sums._text().replace("arrived += LIT", "arrived -= LIT")
+    monkeypatch.setattr(ray_sums, "_text", lambda: text)
+    monkeypatch.setattr(first_batch, "_TRUSTED", set())
+    opd, x, y, weight, slopes = light(3, TILE, 50)
+    with pytest.raises(UserError, match="computes wrong numbers: of 16 wavefronts"):
+        tile_moments(*map(in_tiles, (opd, x, y)), weight, slopes, np.zeros((1, 2, TILE)), device)
+
+
+@pytest.mark.parametrize("device", **NAMES)
+def test_tiles_that_do_not_fit_together_are_refused(device):
+    fitting = {"opd": (2, 30, TILE), "x": (2, 30, TILE), "y": (2, 30, TILE), "weight": (30,)}
+    fitting |= {"slopes": (2, 30), "planes": (2, 2, TILE)}
+    none = tile_moments(**{k: np.zeros((0, *v[1:]) if len(v) == 3 else v) for k, v in fitting.items()})
+    assert none.rms_raw.shape == (0,)
+    for name, wrong in (
+        ("opd", (2, 30, 8)),
+        ("x", (2, 29, TILE)),
+        ("slopes", (30, 2)),
+        ("planes", (2, TILE, 2)),
+    ):
+        arrays = {key: np.ones(shape) for key, shape in (fitting | {name: wrong}).items()}
+        with pytest.raises(UserError, match="must be"):
+            tile_moments(**arrays, device=device)
 
 
 @pytest.mark.parametrize("device", **NAMES)

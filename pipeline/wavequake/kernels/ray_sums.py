@@ -14,6 +14,7 @@ from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
 from wavequake.kernels.program import aligned_empty, source
 from wavequake.kernels.ray_sums_numpy import coefficients_numpy, moments_numpy
 from wavequake.kernels.steps import Step, run_steps, vector_width
+from wavequake.kernels.tiles import TILE
 
 Array = NDArray[np.float64]
 
@@ -162,6 +163,72 @@ def ray_moments(
                 return list(moments_numpy(opd[pick], x[pick], y[pick], weight, slopes, planes[pick]).T)
 
             compare_first(device, program, list(found.T), twin, kind="wavefronts")
+    return _moments(found)
+
+
+def tile_moments(
+    opd: Array, x: Array, y: Array, weight: Array, slopes: Array, planes: Array, device: Device = NUMPY
+) -> RayMoments:
+    """Return `ray_moments` of instants that come in T tiles of 16, ray by ray.
+
+    Parameters
+    ----------
+    opd, x, y : ndarray, shape (T, N, 16)
+    weight : ndarray, shape (N,)
+    slopes : ndarray, shape (2, N)
+    planes : ndarray, shape (T, 2, 16)
+    device : Device
+        Where to run. The bits of an instant do not depend on the others.
+
+    Returns
+    -------
+    RayMoments
+        Of 16 T instants.
+
+    Raises
+    ------
+    UserError
+        If the arrays are not of the same rays and tiles, or the device is none.
+    """
+    require_device(device)
+    given = (opd, x, y, weight, slopes, planes)
+    opd, x, y, weight, slopes, planes = (np.asarray(one, dtype=np.float64) for one in given)
+    tiles, rays = len(opd), len(weight)
+    for name, values in (("wavefronts", opd), ("places x", x), ("places y", y)):
+        _require(name, values, (tiles, rays, TILE))
+    _require("slopes", slopes, (2, rays))
+    _require("planes", planes, (tiles, 2, TILE))
+
+    def twin(pick: Pick) -> Array:
+        light, at_x, at_y, plane = (
+            np.ascontiguousarray(values[pick // TILE, :, pick % TILE]) for values in (opd, x, y, planes)
+        )
+        return moments_numpy(light, at_x, at_y, weight, slopes, plane)
+
+    if device.kind == "numpy" or not opd.size:
+        parts = [twin(np.arange(first, first + TILE)) for first in range(0, tiles * TILE, TILE)]
+        return _moments(np.concatenate([np.empty((0, 8)), *parts]))
+    found = np.empty((tiles, 8, TILE))
+    lanes, tall, wide = _shape(device)
+    constants = (*_constants(device, lanes, tall, wide), ("TILED", 1))
+    names = ("opd", "x", "y", "weight", "slopes", "planes")
+    arguments = (np.int32(tiles), np.int32(rays), *names, "found")
+    step = Step(_text(), "moments", constants, (TILE // lanes, tiles, 1), (1, 1, 1), arguments)
+    run_steps(
+        device,
+        [step],
+        dict(zip(names, (opd, x, y, weight, slopes, planes), strict=True)),
+        {"found": found},
+        {},
+    )
+    instants = found.transpose(0, 2, 1).reshape(-1, 8)
+    program = step.kernel, step.constants
+    if not is_trusted(device, program):
+        compare_first(device, program, list(instants.T), lambda pick: list(twin(pick).T), kind="wavefronts")
+    return _moments(instants)
+
+
+def _moments(found: Array) -> RayMoments:
     return RayMoments(
         arrived=found[:, 0].astype(np.int64),
         rms_raw=found[:, 1],
@@ -190,7 +257,7 @@ def _functions(matrix: Array, block: int) -> Array:
     return functions
 
 
-def _require(name: str, values: Array, shape: tuple[int, int]) -> None:
+def _require(name: str, values: Array, shape: tuple[int, ...]) -> None:
     """Raise UserError unless values have the shape: a kernel would read beyond them."""
     if values.shape != shape:
         raise UserError(f"{name} of the rays have the shape {values.shape}; it must be {shape}")

@@ -227,7 +227,7 @@ def _pair_differences(
 ) -> tuple[NDArray[Any], ...]:
     """Trace a batch of pairs of instants: differences of Zernikes, LOS and centroid, their rms, intact."""
     traced = trace_states(prepared, states, device)
-    wavefront = analyse(prepared, traced, chief_rays(prepared, states))
+    wavefront = analyse(prepared, traced, chief_rays(prepared, states), device)
     change = [tile[:, 0::2] - tile[:, 1::2] for tile in traced.opd]
     rms = np.concatenate([_weighted_rms(prepared.weight, one) for one in change]) / prepared.wavelength
     intact = (wavefront.lost[0::2] == lost) & (wavefront.lost[1::2] == lost)

@@ -8,12 +8,12 @@ A lost ray is data: an instant that has one is fitted without it and says so in 
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.kernels.devices import Device
+from wavequake.kernels.devices import NUMPY, Device
+from wavequake.kernels.ray_sums import tile_moments
 from wavequake.kernels.segmented import Traced
 from wavequake.kernels.tiles import TILE, from_tiles
 from wavequake.kernels.train import OK, vignetted
@@ -24,7 +24,7 @@ from wavequake.optics.states import SurfaceStates
 
 Array = NDArray[np.float64]
 
-_FOLD = 64  # rows of 16 instants that are reduced side by side
+_TILES = 16  # that are reduced at a time: their waves take memory beside the traced rays
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def los_eq339(
     return chief - (2.0 * wavelength / numerical_aperture * factor) * zernike[:, 1:3]
 
 
-def analyse(prepared: PreparedTrace, traced: Traced, chief: Array) -> Wavefront:
+def analyse(prepared: PreparedTrace, traced: Traced, chief: Array, device: Device = NUMPY) -> Wavefront:
     """Reduce traced rays to the numbers of the wavefront.
 
     Parameters
@@ -116,21 +116,28 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array) -> Wavefront:
         Of T tiles of 16 instants.
     chief : ndarray, shape (T, 3, 16)
         From `chief_rays`.
+    device : Device
+        Where to take the sums over rays that are not fits.
 
     Returns
     -------
     Wavefront
         With batch = 16 T.
     """
-    parts = [
-        _analyse_tile(prepared, opd / prepared.wavelength, x, y, status == OK, center)
-        for opd, x, y, status, center in zip(
-            traced.opd, traced.x, traced.y, traced.status, chief, strict=True
-        )
-    ]
-    zernike, rms, rms_raw, rms_flat, pv, shift, centroid, spot_rms, strehl, phase, lost, lost_segments = (
-        np.concatenate(values) for values in zip(*parts, strict=True)
-    )
+    fits, sums = [], []
+    slopes = prepared.plane.basis[:, 1:3].T
+    for first in range(0, len(traced.opd), _TILES):
+        tiles = slice(first, first + _TILES)
+        waves, x, y = traced.opd[tiles] / prepared.wavelength, traced.x[tiles], traced.y[tiles]
+        ok = traced.status[tiles] == OK
+        waves[~ok] = np.nan
+        found = [_fit_tile(prepared, *tile) for tile in zip(waves, x, y, ok, chief[tiles], strict=True)]
+        planes = np.stack([tile[-1] for tile in found])
+        sums.append(vars(tile_moments(waves, x, y, prepared.weight, slopes, planes, device)))
+        fits += found
+    zernike, phase, lost_segments, shift = (np.concatenate([tile[k] for tile in fits]) for k in range(4))
+    moments = {name: np.concatenate([part[name] for part in sums]) for name in sums[0]}
+    lost = np.count_nonzero(traced.status != OK, axis=1).ravel()
     image_point = from_tiles(chief)[:, :2]
     passed_by = np.zeros(len(lost), dtype=np.int64)
     for tile in np.flatnonzero(lost.reshape(-1, TILE).any(axis=1)):
@@ -139,15 +146,15 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array) -> Wavefront:
     factor = float(np.copysign(1.0 / np.sqrt(1.0 + prepared.obscuration**2), prepared.focal_length))
     return Wavefront(
         zernike=zernike,
-        rms=rms,
-        rms_raw=rms_raw,
-        rms_flat=rms_flat,
-        pv=pv,
+        rms=np.sqrt(np.sum(np.ascontiguousarray(zernike[:, 3:].T) ** 2, axis=0)),
+        rms_raw=moments["rms_raw"],
+        rms_flat=moments["rms_flat"],
+        pv=moments["pv"],
         chief=image_point,
         los=los_eq339(image_point + shift, zernike, prepared.wavelength, prepared.numerical_aperture, factor),
-        centroid=centroid,
-        spot_rms=spot_rms,
-        strehl=strehl,
+        centroid=moments["centroid"],
+        spot_rms=moments["spot_rms"],
+        strehl=moments["strehl"],
         segment_phase=phase,
         lost=lost,
         vignetted=passed_by,
@@ -155,76 +162,39 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array) -> Wavefront:
     )
 
 
-def _analyse_tile(
+def _fit_tile(
     prepared: PreparedTrace, waves: Array, x: Array, y: Array, ok: NDArray[np.bool_], center: Array
-) -> tuple[NDArray[Any], ...]:
-    """Reduce one tile (N, 16) to arrays with its 16 instants first; lost rays count as nothing."""
-    weight, segments = prepared.weight, len(prepared.system.segments)
-    complete = bool(ok.all())
-    if not complete:
-        waves, x, y = (np.where(ok, values, 0.0) for values in (waves, x, y))
+) -> tuple[Array, Array, NDArray[np.bool_], Array, Array]:
+    """Fit one tile (N, 16), from whose waves the tilt to the fitted sphere is taken.
+
+    Return Zernike coefficients, phases of segments, lost segments and shift of the sphere's center with the
+    16 instants first, and the plane's slopes (2, 16).
+    """
+    complete, segments = bool(ok.all()), len(prepared.system.segments)
+    known = waves if complete else np.where(ok, waves, 0.0)
     incomplete = () if complete else np.flatnonzero(~ok.all(axis=0))
 
     def fitted(fit: Fit) -> Array:
-        coefficients = fit.matrix @ waves
+        coefficients = fit.matrix @ known
         for lane in incomplete:
-            coefficients[:, lane] = refit(fit, ok[:, lane], waves[:, lane])
+            coefficients[:, lane] = refit(fit, ok[:, lane], known[:, lane])
         return coefficients
 
-    phase = (prepared.segment_fit @ waves).reshape(segments, 3, TILE)
+    phase = (prepared.segment_fit @ known).reshape(segments, 3, TILE)
     lost_segments = np.zeros((TILE, segments), dtype=np.bool_)
-    remaining = np.ones(TILE)
     for lane in incomplete:
-        kept = ok[:, lane]
-        phase[..., lane], lost_segments[lane] = _refit_segments(prepared, kept, waves[:, lane])
-        remaining[lane] = np.sum(weight[kept]) if kept.any() else np.nan
+        phase[..., lane], lost_segments[lane] = _refit_segments(prepared, ok[:, lane], known[:, lane])
     shift = np.zeros((2, TILE))
     if prepared.sphere is not None:
         tilt = fitted(prepared.sphere)[1:3]
-        waves = waves - prepared.sphere.basis[:, 1:3] @ tilt
-        if not complete:
-            waves = np.where(ok, waves, 0.0)
+        waves -= prepared.sphere.basis[:, 1:3] @ tilt
+        known = waves if complete else np.where(ok, waves, 0.0)
         shift = tilt * (prepared.wavelength / prepared.numerical_aperture)
-    zernike, plane = fitted(prepared.zernike), fitted(prepared.plane)
+    zernike, plane = fitted(prepared.zernike).T, fitted(prepared.plane)[1:3]
     if prepared.slopes is not None:
-        zernike = coefficients_of_tile(prepared.slopes, x - center[0], y - center[1], ok).T
-
-    def mean(values: Array) -> Array:
-        total: Array = weight @ (values if complete else values * ok)
-        return total / remaining
-
-    centroid = np.stack([mean(x), mean(y)], axis=1)
-    axes = ((x, centroid[:, 0]), (y, centroid[:, 1]))
-    angle = prepared.plane.basis @ (-2.0 * np.pi * plane)
-    angle += 2.0 * np.pi * waves
-    pv = _peak_to_valley(angle if complete else np.where(ok, angle, np.nan)) / (2.0 * np.pi)
-    real = np.cos(angle)
-    strehl = mean(real) ** 2
-    rms_flat = np.sqrt(mean(np.square(angle, out=real))) / (2.0 * np.pi)
-    strehl += mean(np.sin(angle, out=angle)) ** 2
-    spread = [mean(np.square(np.subtract(x, middle, out=angle), out=angle)) for x, middle in axes]
-    spot_rms = np.sqrt(spread[0] + spread[1])
-    waves -= mean(waves)
-    rms_raw = np.sqrt(mean(np.square(waves, out=waves)))
-    rms = np.sqrt(np.sum(zernike[3:] ** 2, axis=0))
-    lost = np.zeros(TILE, dtype=np.int64) if complete else np.count_nonzero(~ok, axis=0)
-    phase = phase.transpose(2, 0, 1)
-    return (
-        *(zernike.T, rms, rms_raw, rms_flat, pv, shift.T, centroid, spot_rms),
-        *(strehl, phase, lost, lost_segments),
-    )
-
-
-def _peak_to_valley(values: Array) -> Array:
-    """Return the largest minus the smallest of values (N, 16), folded to long rows: 16 are slow to reduce."""
-    whole = len(values) // _FOLD * _FOLD
-    wide = values[:whole].reshape(-1, _FOLD * TILE)
-    extremes = []
-    for extreme, start in ((np.fmax, -np.inf), (np.fmin, np.inf)):
-        folded = extreme.reduce(wide, axis=0, initial=start).reshape(_FOLD, TILE)
-        rest = extreme.reduce(values[whole:], axis=0, initial=start)
-        extremes.append(extreme(extreme.reduce(folded, axis=0), rest))
-    return np.where(np.isfinite(extremes[0]), extremes[0] - extremes[1], np.nan)
+        image = [np.where(ok, values, 0.0) for values in (x, y)]
+        zernike = coefficients_of_tile(prepared.slopes, image[0] - center[0], image[1] - center[1], ok)
+    return zernike, phase.transpose(2, 0, 1), lost_segments, shift.T, plane
 
 
 def _refit_segments(
@@ -239,4 +209,4 @@ def _refit_segments(
 
 def measure(prepared: PreparedTrace, states: SurfaceStates, device: Device) -> Wavefront:
     """Trace a batch of instants and reduce it to its wavefronts: `trace_states`, then `analyse`."""
-    return analyse(prepared, trace_states(prepared, states, device), chief_rays(prepared, states))
+    return analyse(prepared, trace_states(prepared, states, device), chief_rays(prepared, states), device)

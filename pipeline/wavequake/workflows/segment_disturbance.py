@@ -156,7 +156,7 @@ def trace_draws(
         with clock("trace"):
             rays = trace_states(bench.prepared, joined, device)
         with clock("wavefront"):
-            wavefront = analyse(bench.prepared, rays, chief_rays(bench.prepared, joined))
+            wavefront = analyse(bench.prepared, rays, chief_rays(bench.prepared, joined), device)
         tile = 0
         for (row, first, last), state in zip(launch, states, strict=True):
             tiles = slice(tile, tile + len(state) // TILE)

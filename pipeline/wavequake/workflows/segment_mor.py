@@ -211,7 +211,7 @@ def launches(
         last = min(first + size, len(history))
         states = surface_states(bench, which, history[first:last])
         rays = trace_states(bench.prepared, states, device)
-        yield first, last, rays, analyse(bench.prepared, rays, chief_rays(bench.prepared, states))
+        yield first, last, rays, analyse(bench.prepared, rays, chief_rays(bench.prepared, states), device)
 
 
 @lru_cache(maxsize=2)

@@ -151,7 +151,7 @@ def control_bench_of(study_text: str) -> ControlBench:
 def trace(prepared: PreparedTrace, states: SurfaceStates, device: Device) -> tuple[Traced, Wavefront]:
     """Trace a batch of instants and measure its wavefronts."""
     traced = trace_states(prepared, states, device)
-    return traced, analyse(prepared, traced, chief_rays(prepared, states))
+    return traced, analyse(prepared, traced, chief_rays(prepared, states), device)
 
 
 def controlled(
