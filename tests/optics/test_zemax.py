@@ -189,6 +189,19 @@ def test_the_37th_fringe_term_is_that_of_twelfth_degree():
         read("  TYPE FZERNSAG\n  STOP\n  XDAT 1 38\n  XDAT 2 2.0\n  DISZ 1")
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        *("MAZH 0 0", "PZUP 1 -1 0 0", "PPAR 1 1 1 0 0", "PKUP 1 1 1 0 0"),
+        *("VDSZ 1 -1 0 0", "VPAR 1", "VCON"),
+    ],
+)
+def test_a_solve_a_pickup_or_a_variable_leaves_the_lens_as_the_file_has_it(line):
+    surfaces = ["  STOP\n  CURV 0.02\n  CONI -0.5\n  DISZ 4\n  GLAS N-BK7", "  CURV -0.02\n  DISZ 48"]
+    marked = [surfaces[0], f"{surfaces[1]}\n  {line}"]
+    assert zmx_text(read(*marked)) == zmx_text(read(*surfaces))
+
+
 STOP = "  STOP\n  DISZ 1"
 
 

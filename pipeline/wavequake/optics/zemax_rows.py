@@ -15,7 +15,7 @@ _OF_TYPE = {"GRID_SAG": ("GDAT", "GARR")}
 # pickups whose results are in the file.
 _HARMLESS = (
     *("HIDE", "MIRR", "SLAB", "POPS", "COAT", "MEMA", "FIMP", "EDGE", "TCED"),
-    *("MAZH", "PZUP", "PPAR", "PKUP", "VPAR", "VCON"),
+    *("MAZH", "PZUP", "PPAR", "PKUP", "VDSZ", "VPAR", "VCON"),
 )
 _KNOWN = frozenset((*_USED, *_HARMLESS, *OPENINGS))
 
