@@ -47,7 +47,7 @@ def test_values_and_derivatives_equal_60_digit_gram_schmidt(eps):
         expected = value * wave, cos * outward - sin * around, sin * outward + cos * around
         sizes = np.abs(expected[0]).max(), *[np.hypot(outward, around).max()] * 2
         for column, truth, size in zip(columns, expected, sizes, strict=True):
-            np.testing.assert_allclose(column, truth, atol=1e-11 * size, rtol=0, err_msg=f"j = {j}")
+            np.testing.assert_allclose(column, truth, atol=1e-12 * size, rtol=0, err_msg=f"j = {j}")
 
 
 @given(st.floats(-1, 1), st.floats(-1, 1), st.floats(0, 0.9), st.integers(1, 66))
