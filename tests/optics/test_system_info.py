@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import jn_zeros
 
 from wavequake.errors import UserError
 from wavequake.optics.catalog import optical_system
@@ -69,7 +70,21 @@ def test_what_is_infinite_is_called_so():
     )
     text = info(afocal)
     assert line_of(text, "focal length").endswith("infinite")
+    assert line_of(text, "resolution").endswith("infinite")
     assert line_of(text, "object").endswith("infinity")
+
+
+@pytest.mark.parametrize(
+    ("name", "wavelength", "f_number"),
+    [("tmt", 500e-6, 15.0), ("euv", 13.5e-6, 2.0), ("herschel", 0.1, 8.68)],  # published
+)
+def test_resolution_is_the_radius_of_the_airy_disk(name, wavelength, f_number):
+    """The first zero of J1(pi r / (wavelength N)), or 0.61 wavelength / NA, at the primary wavelength."""
+    waves = np.array([2.0 * wavelength, wavelength])
+    text = info(replace(optical_system(name), wavelengths=waves, primary_wavelength=1))
+    words = line_of(text, "resolution (Airy radius)").split()
+    assert words[4:8] == ["um", "at", f"{1e6 * wavelength:g}", "nm,"]
+    assert float(words[3]) == pytest.approx(1e3 * jn_zeros(1, 1)[0] / np.pi * wavelength * f_number, rel=5e-5)
 
 
 def test_fields_of_a_telescope_are_angles():

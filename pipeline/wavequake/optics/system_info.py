@@ -10,9 +10,10 @@ from wavequake.optics.packing import pack
 from wavequake.optics.paraxial import Paraxial, paraxial
 from wavequake.optics.ray_aiming import require_real_object
 from wavequake.optics.shapes import Conic, Opening
-from wavequake.optics.system import OpticalSystem, Surface
+from wavequake.optics.system import OpticalSystem, Surface, wavelength_of
 
 _ARCMIN = 180.0 * 60.0 / np.pi
+_FIRST_DARK_RING = 3.8317059702075123 / np.pi  # first zero of J1: 1.22 wavelength times f-number
 
 
 def info(system: OpticalSystem) -> str:
@@ -52,6 +53,7 @@ def _first_order(system: OpticalSystem, data: Paraxial) -> list[tuple[str, ...]]
         ("image beyond paraxial focus", _length(data.defocus)),
         ("f-number", _number(data.f_number)),
         ("NA in image", _number(data.image_na)),
+        ("resolution (Airy radius)", _resolution(system, data.f_number)),
         ("entrance pupil", _pupil(data.entrance_pupil, data.entrance_pupil_diameter, "from first surface")),
         ("exit pupil", _pupil(data.exit_pupil, data.exit_pupil_diameter, "from image")),
         ("stop", f"{system.surfaces[system.stop].name}, radius {_length(data.stop_radius)}"),
@@ -64,6 +66,15 @@ def _first_order(system: OpticalSystem, data: Paraxial) -> list[tuple[str, ...]]
             ("NA in object", _number(data.object_na)),
         ]
     return rows
+
+
+def _resolution(system: OpticalSystem, f_number: float) -> str:
+    """Say how far apart two points are that perfect optics just resolve (Störkle 2018, Eq. 3.76)."""
+    wavelength = wavelength_of(system)
+    radius = 1e3 * _FIRST_DARK_RING * wavelength * f_number
+    if not isfinite(radius):
+        return "infinite"
+    return f"{radius:.5g} um at {_number(1e6 * wavelength)} nm, of perfect optics without obscuration"
 
 
 def _pupil(position: float, diameter: float, origin: str) -> str:
