@@ -35,6 +35,7 @@ def compare_first(
     twin: Callable[[Pick], Sequence[Array]],
     length: float = 0.0,
     kind: str = "rays",
+    tolerance: float = _TOLERANCE,
 ) -> None:
     """Compare some rays of a program's batch with NumPy; from then on it is trusted in this process.
 
@@ -51,6 +52,8 @@ def compare_first(
         Of the way of the light, mm, where it is more than the largest of the numbers.
     kind : str
         What there are N of, if not rays.
+    tolerance : float
+        Of the largest number or length; single precision needs more than the default.
 
     Raises
     ------
@@ -66,7 +69,7 @@ def compare_first(
     if not arrives.any():
         return  # nothing to compare yet
     both = arrives & np.isfinite(one).all(axis=0)
-    allowed = _TOLERANCE * max(length, 1.0, float(np.abs(other[:, arrives]).max()))
+    allowed = tolerance * max(length, 1.0, float(np.abs(other[:, arrives]).max()))
     apart = np.abs(np.where(both, one - other, 0.0)).max(axis=0)
     wrong = int(np.count_nonzero(apart > allowed))
     lost = int(np.count_nonzero(arrives & ~both))  # few: where light meets the edge of an opening

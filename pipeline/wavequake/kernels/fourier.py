@@ -10,6 +10,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY, Device
+from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
 from wavequake.kernels.fourier_source import factors, kernel_source, radices, row_lanes
 from wavequake.kernels.steps import Step, run_steps, vector_width
 
@@ -24,6 +25,10 @@ _TOGETHER_BYTES = 1 << 20
 # What is larger is in no cache when it is read again, and is stored past them.
 _LARGE_BYTES = 1 << 22
 _VECTOR_BYTES = 64
+# Rows of a program's first image that are compared with NumPy, and by how much they may differ: a hundred
+# times their rounding or more.
+_COMPARED_ROWS = 16
+_TOLERANCE = {"complex64": 1e-4, "complex128": 1e-11}
 # What a work-item may keep in local memory.
 _LOCAL_BYTES = {"cpu": 1 << 20, "gpu": 32 << 10}
 
@@ -139,6 +144,40 @@ def _opencl(values: NDArray[Any], inverse: bool, device: Device, out: Complex) -
     plan = _plan(device, images.shape, real, inverse, out.ctypes.data % _VECTOR_BYTES == 0)
     inputs = {"in": images.view(real), **plan.factors}
     run_steps(device, plan.steps, inputs, {"out": results.view(real)}, plan.scratch)
+    if not is_trusted(device, plan.program):
+        _compare(device, plan.program, images, results, inverse)
+
+
+def _compare(
+    device: Device, program: Any, images: NDArray[Any], results: NDArray[Any], inverse: bool
+) -> None:
+    """Compare rows of the first image that is finite, and not dark, with sums over the image.
+
+    A row is measured by its own largest number or the root mean square of all, whichever is more: where an
+    image is smooth a few numbers are far larger than the others, which are to count, too.
+    """
+    squares = ((number, np.vdot(image, image).real) for number, image in enumerate(images))
+    with np.errstate(invalid="ignore", over="ignore"):  # the input may be anything
+        number, square = next((pair for pair in squares if 0.0 < pair[1] < np.inf), (0, 0.0))
+    if not square:
+        return
+    image, (count, columns) = images[number], images.shape[1:]
+    rows = np.unique(np.linspace(0, count - 1, _COMPARED_ROWS).astype(np.intp))
+    turns = np.outer(rows, np.arange(count)) % count / count
+    waves = np.exp((2j if inverse else -2j) * np.pi * turns).astype(image.dtype)
+    along = scipy.fft.ifft if inverse else scipy.fft.fft
+    expected = along(waves @ image, axis=1).astype(np.complex128) / (count if inverse else 1)
+    norm = np.sqrt(np.float64(square)) / (count * columns if inverse else 1)
+    size = np.maximum(norm, np.abs(expected).max(axis=1, keepdims=True))
+    one, other = (
+        np.ascontiguousarray(part / size).view(np.float64) for part in (results[number, rows], expected)
+    )
+
+    def twin(pick: Pick) -> list[NDArray[np.float64]]:
+        return list(other[pick].T)
+
+    tolerance = _TOLERANCE[image.dtype.name]
+    compare_first(device, program, list(one.T), twin, kind="rows of the image", tolerance=tolerance)
 
 
 @dataclass(frozen=True)
@@ -148,6 +187,7 @@ class _Plan:
     steps: tuple[Step, ...]
     factors: dict[str, NDArray[Any]]
     scratch: dict[str, int]
+    program: tuple[Any, ...]
 
 
 @lru_cache(maxsize=64)
@@ -189,7 +229,7 @@ def _plan(
         for name, (length, along) in table.items()
     }
     scratch = {} if between == "out" else {"between": min(images, together) * image_bytes}
-    return _Plan(tuple(steps), factors_of, scratch)
+    return _Plan(tuple(steps), factors_of, scratch, (along_rows, along_columns))
 
 
 def _real(dtype: DTypeLike) -> np.dtype[Any]:
