@@ -29,6 +29,8 @@ def test_it_prints_and_keeps_the_matrices(sensitivity, tmp_path):
     assert "M2  dx" in out
     assert "coma y (c7)" in out
     assert "M1, 18 segments" in out
+    assert "Figures of mirrors" in out
+    assert "M2  Z1" in out
     words = " ".join(out.split())
     assert "Eq. 3.39, annular tilt / sqrt(1 + eps^2)" in words
     assert "steps 1e-06 m and 1e-06 rad" in words

@@ -189,7 +189,7 @@ def plan(
 @app.command()
 def info(
     system: Annotated[
-        str, typer.Argument(help="Name of a bundled optical system, FILE.zmx, or a study by name or path.")
+        str, typer.Argument(help="Optical system or telescope by name, FILE.zmx, or a study by name or path.")
     ],
     overrides: OverridesArgument = None,
 ) -> None:
@@ -352,9 +352,9 @@ def sensitivity(
         typer.Option(min=0, max=2016, help="Zernike terms of each segment's figure (default: the study's)."),
     ] = None,
     mirror_terms: Annotated[
-        int,
-        typer.Option(min=0, max=2016, help="The same of M2 and each further mirror, or of each surface."),
-    ] = 0,
+        int | None,
+        typer.Option(min=0, max=2016, help="The same of M2 and further mirrors, or any surface (default: 11)."),
+    ] = None,
 ) -> None:
     """Show and keep how line of sight and wavefront follow motions of every surface and segment."""
     from wavequake.report import sensitivity as of_segments

@@ -1,4 +1,5 @@
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -57,9 +58,30 @@ def test_figures_of_mirrors_are_stored_with_their_units(study, tmp_path):
     assert ds.steps_agree
     _, kept = stored_sensitivity(study, tmp_path, mirror_terms=3)
     assert kept
-    without, kept = stored_sensitivity(study, tmp_path)
+    without, kept = stored_sensitivity(study, tmp_path, mirror_terms=0)
     assert not kept
     assert "mirror" not in without.coords
+
+
+def test_figures_of_mirrors_are_there_without_being_asked_for(study, tmp_path):
+    """Störkle 2018, Eq. 4.26, by default with 11 terms, the same numbers as if they were asked for."""
+    ds = wq.sensitivity(study, store=tmp_path / "one")
+    assert ds.mirror_term.values.tolist() == list(range(1, 12))
+    assert stored_sensitivity(study, tmp_path / "one", mirror_terms=11)[1]
+    # A figure on M2 is worth twice its height: the footprint of the axial beam is the pupil.
+    found = ds.sensitivity_zernike_mirror.sel(mirror="M2", mirror_term=6, noll=6).item() * 1e-9
+    assert abs(found) == pytest.approx(2.0, rel=0.1)
+
+
+def test_a_telescope_without_further_mirrors_has_no_figures_of_them(study, tmp_path, monkeypatch):
+    bench = bench_of(study.identity_text())
+    lone = replace(bench.system, surfaces=bench.system.surfaces[-1:])
+    monkeypatch.setattr(module, "bench_of", lambda text: replace(bench, system=lone))
+    monkeypatch.setattr(module, "kept_or_made", lambda study, path, terms, make: (terms, False))
+    asked, _ = stored_sensitivity(study, tmp_path)
+    assert asked["mirror_terms"] == 0
+    with pytest.raises(UserError, match="no mirror after M1"):
+        stored_sensitivity(study, tmp_path, mirror_terms=3)
 
 
 def test_the_thesis_telescope_has_the_printed_tilt_of_m2(study, tmp_path):
@@ -77,7 +99,7 @@ def test_the_thesis_telescope_has_the_printed_tilt_of_m2(study, tmp_path):
 
 
 def test_units_and_labels(study, tmp_path):
-    ds = wq.sensitivity(study, store=tmp_path / "store")
+    ds = wq.sensitivity(study, store=tmp_path / "store", mirror_terms=0)  # those of the bench
     found = sensitivities(bench_of(study.identity_text()).prepared, NUMPY)
     scale = np.repeat([1e3, 1.0], 3)
     for name, matrix in (("surface", found.surfaces), ("segment", found.segments)):

@@ -58,6 +58,7 @@ def test_what_is_stored_is_what_the_optics_say_in_si_units(study):
     assert found["sensitivity_los_body"].dims == ("field", "body", "dof", "axis")
     assert found["sensitivity_los_body"].attrs["units"] == "mm per m or rad"
     assert found["body"].values.tolist() == ["L3"]
+    assert found["term"].values.tolist() == list(range(1, 12))  # figures, without being asked for
     assert found["surface"].values.tolist() == [surface.name for surface in system.surfaces]
     # Störkle 2018, Table 5.1: 1.303 mm of image per mm of lens.
     assert found["sensitivity_los_body"].values[0, 0, 0, 0] == pytest.approx(1303.0, abs=2.0)
@@ -68,6 +69,8 @@ def test_it_is_computed_once_and_prints_its_tables(study, wavequake):
     def run(*words):
         return wavequake("sensitivity", study, "--store", "here", *words)
 
+    code, out, err = run("--mirror-terms", "0")
+    assert (code, "Figures of surfaces" in out) == (0, False), err
     code, out, err = run("--mirror-terms", "3")
     assert code == 0, err
     for words in ("L3 front", "Bodies", "Figures of surfaces", "1.30", "Written"):

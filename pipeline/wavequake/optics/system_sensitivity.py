@@ -146,10 +146,12 @@ def figure_sensitivity(
 def default_steps(system: OpticalSystem) -> Steps:
     """Return steps that move a rim of the stop's size about as far by a turn as by a shift.
 
-    The thesis' 1e-6 rad suits a telescope; a lens of a few millimeters turned by it drowns in rounding.
+    The thesis' 1e-6 rad suits a telescope; a lens of a few millimeters turned by it drowns in rounding, and
+    10 nm of figure on it are so steep that they act nonlinearly.
     """
-    turn = Steps.translation / paraxial(system).stop_radius
-    return Steps(rotation=min(max(turn, Steps.rotation), 1e-4))
+    radius = paraxial(system).stop_radius
+    turn = min(max(Steps.translation / radius, Steps.rotation), 1e-4)
+    return Steps(rotation=turn, figure=min(max(1e-6 * radius, 1e-6), Steps.figure))
 
 
 def _checked(steps: Steps | None, system: OpticalSystem) -> Steps:

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 SCHEMA = 1
+MIRROR_TERMS = 11  # of figures by default: up to primary spherical aberration
 LINE_OF_SIGHT = "direction of the best-fit plane (Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2))"
 
 # Dimensions, values and attributes of an array.
@@ -55,7 +56,7 @@ def sensitivity(
     *,
     store: str | Path | None = None,
     figure_terms: int | None = None,
-    mirror_terms: int = 0,
+    mirror_terms: int | None = None,
     **overrides: Any,
 ) -> "xr.Dataset":
     """Return the kinematic-optical sensitivities of a study's telescope or optical system.
@@ -69,9 +70,9 @@ def sensitivity(
         Folder of the store, which keeps them as ``sensitivity.zarr``; by default that of the study's runs.
     figure_terms : int, optional
         Circular Noll Zernike terms of the figure of each segment; by default those of the study.
-    mirror_terms : int
+    mirror_terms : int, optional
         The same of each mirror after M1 (Störkle 2018, Eq. 4.26), over the axial beam's footprint; of each
-        surface of any other optical system.
+        surface that reflects or refracts of any other optical system. By default 11, 0 leaves them out.
     **overrides
         Further keys with double underscores for dots, e.g. ``optics__wavelength_nm=1000.0``.
 
@@ -92,7 +93,7 @@ def sensitivity(
 
 
 def stored_sensitivity(
-    study: Study, path: Path, figure_terms: int | None = None, mirror_terms: int = 0
+    study: Study, path: Path, figure_terms: int | None = None, mirror_terms: int | None = None
 ) -> tuple["xr.Dataset", bool]:
     """Return the sensitivities that the store at `path` keeps, and whether they were there already.
 
@@ -114,8 +115,11 @@ def stored_sensitivity(
     device = choose_device(study.campaign.device)
     bench = bench_of(text)
     terms = bench.figure_terms if figure_terms is None else figure_terms
+    has_mirrors = len(bench.system.surfaces) > 1
+    if mirror_terms is None:
+        mirror_terms = MIRROR_TERMS if has_mirrors else 0
     require_terms(terms, mirror_terms)
-    if mirror_terms and len(bench.system.surfaces) < 2:
+    if mirror_terms and not has_mirrors:
         raise UserError(f"The telescope {bench.system.name} has no mirror after M1 that could have a figure.")
     return kept_or_made(
         study,

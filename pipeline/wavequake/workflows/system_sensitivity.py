@@ -15,6 +15,7 @@ from wavequake.optics.system_sensitivity import figure_sensitivity, rigid_sensit
 from wavequake.workflows.provenance import collect
 from wavequake.workflows.sensitivity import (
     LINE_OF_SIGHT,
+    MIRROR_TERMS,
     SCHEMA,
     kept_or_made,
     require_own_store,
@@ -45,7 +46,7 @@ _FRAMES = {
 
 
 def stored_system_sensitivity(
-    study: SystemStudy, path: Path, figure_terms: int | None, terms: int
+    study: SystemStudy, path: Path, figure_terms: int | None = None, terms: int | None = None
 ) -> tuple["xr.Dataset", bool]:
     """Return the sensitivities that the store at `path` keeps, and whether they were there already.
 
@@ -56,6 +57,8 @@ def stored_system_sensitivity(
     """
     if figure_terms:
         raise UserError("The system has no segments with figures; --mirror-terms are those of its surfaces.")
+    if terms is None:
+        terms = MIRROR_TERMS
     require_terms(terms)
     require_own_store(study, path)
     device = choose_device(study.campaign.device)
