@@ -25,12 +25,11 @@ INLINE real JOIN(meet_, NUMBER)(numbers t, ray *r, real bare, height there, doub
     triple hit = along(r->position, bare, d);
     const real beyond = ck1 * hit.z - 1.0;
 
-    // F is 0 where the height is.
     real value = there.value, slope_x = there.slope_x, slope_y = there.slope_y;
     real q = hit.z - value, h = 1.0 - ck1 * q;
     const real climb = d.z - slope_x * d.x - slope_y * d.y;
     const real inverse = 0.5 / (h * climb - c * (hit.x * d.x + hit.y * d.y));
-    real step = value * (h - beyond) * inverse;
+    real step = (c * (hit.x * hit.x + hit.y * hit.y) - (1.0 + h) * q) * inverse;
     hit.x += step * d.x;
     hit.y += step * d.y;
 
@@ -38,12 +37,13 @@ INLINE real JOIN(meet_, NUMBER)(numbers t, ray *r, real bare, height there, doub
     h = 1.0 - ck1 * q;
     real square = hit.x * hit.x + hit.y * hit.y;
     real f = c * square - (1.0 + h) * q;
-    normal->x = c * hit.x + h * slope_x;
-    normal->y = c * hit.y + h * slope_y;
-    normal->z = -h;
     const real lateral = (d.x * d.x + d.y * d.y) * (step * step) - limit;
     hit.x += f * inverse * d.x;
     hit.y += f * inverse * d.y;
+    h -= ck1 * climb * (f * inverse);
+    normal->x = c * hit.x + h * slope_x;
+    normal->y = c * hit.y + h * slope_y;
+    normal->z = -h;
     step += f * inverse;
     hit.z += step * d.z;
     real way = bare + step;

@@ -54,7 +54,7 @@ __kernel void coefficients(const int instants, const int rays, const int terms,
         }
 #else
     __local scalar known[TALL * CHUNK];
-    // Sums that stay finite need not look at each ray, which would take a seventh more; those that do not begin anew.
+    // Sums that stay finite need not look at each ray, which takes a seventh more; those that do not begin anew.
     int none_lost = 1;
     __global const scalar *of_ray = functions;
     for (int start = 0; start < rays && none_lost; start += CHUNK) {

@@ -1,10 +1,10 @@
 // Traces rays through a segmented telescope: segments of M1, further mirrors, image plane, reference sphere.
 //
 // Work-item (lane group, group of RAYS, tile). Compile-time constants: W instants in a vector, TURNS vectors of
-// each of RAYS in a work-item, EDGES per segment
-// (0: no edge), CONVEX (whether edges are half planes that hold all of the glass), DEGREE and MIRROR_DEGREE of the figure polynomials of segments and of the mirrors after M1
-// (-1: none), SEGMENT_RING and MIRROR_RING (whether these are evaluated by recurrences), SURFACES after M1 (the last is the image plane), PLANES (bit i: surface i is a plane), EDGED
-// (bit i: surface i has an edge).
+// each of RAYS in a work-item, EDGES per segment (0: no edge), CONVEX (whether edges are half planes that hold
+// all of the glass), DEGREE and MIRROR_DEGREE of the figure polynomials of segments and of the mirrors after M1
+// (-1: none), SEGMENT_RING and MIRROR_RING (whether these are evaluated by recurrences), SURFACES after M1 (the
+// last is the image plane), PLANES (bit i: surface i is a plane), EDGED (bit i: surface i has an edge).
 
 #include "lanes.h"
 #include "rays.h"

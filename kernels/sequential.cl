@@ -277,11 +277,3 @@ INLINE real spline_grid(__global const double *a, const int rows, const int colu
     *slope_y += along_y * place[3];
     return value;
 }
-
-// Half the gradient of F for a conic plus heights with these slopes, q being z less the height.
-INLINE triple conic_plus(triple p, real q, real slope_x, real slope_y, double c, double k1)
-{
-    real h = 1.0 - (c * k1) * q;
-    triple normal = {c * p.x + h * slope_x, c * p.y + h * slope_y, -h};
-    return normal;
-}

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from wavequake.errors import UserError
 from wavequake.kernels import packing
 from wavequake.kernels.polynomial_numpy import polynomial
 from wavequake.kernels.sequence import Element, Grid, Moving, Polynomial, Ring, Sequence, terms
@@ -43,6 +44,29 @@ def test_no_polynomial_bends_more_than_the_host_says(degree, basis):
         assert true <= bend + 1e-8
         # Not so cautious that weak surfaces would seem strong.
         assert bend <= 6.0 * true + 1e-8
+
+
+@pytest.mark.parametrize("degree", [6, 13, 20])
+def test_bumps_do_not_bend_more_than_the_host_says(degree):
+    """Bumps at the center are steepest where random polynomials are not."""
+    i = np.arange(3000) + 0.5
+    u, v = np.sqrt(i / 3000) * np.stack([np.cos(i * 2.39996), np.sin(i * 2.39996)])
+    basis = np.stack([u ** (n - j) * v**j for n in range(degree + 1) for j in range(n + 1)], axis=1)
+    for width, place in ((0.2, 0.0), (0.4, 0.0), (0.3, 0.3), (0.3, 0.7)):
+        bump = np.exp(-((u - place) ** 2 + v**2) / width**2)
+        coefficients = np.linalg.lstsq(basis, bump, rcond=None)[0]
+        bend, reach = bend_of(Element(polynomial=Polynomial(degree, 40.0, coefficients)))
+        true = strongest_bend(
+            lambda x, y, c=coefficients: polynomial(degree, 40.0, "monomial", c, x, y)[1:], reach, 121
+        )
+        assert true <= bend <= 6.0 * true
+
+
+def test_powers_beyond_the_range_of_numbers_are_refused():
+    for radius in (1e-15, 1e15):
+        element = Element(polynomial=Polynomial(20, radius, np.ones(terms(20))))
+        with pytest.raises(UserError, match="a polynomial of degree 20 over a radius of 1e"):
+            bend_of(element)
 
 
 def test_no_grid_bends_more_than_the_host_says():

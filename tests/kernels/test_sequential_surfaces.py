@@ -89,6 +89,29 @@ def test_an_intersection_lies_on_the_surface_and_its_normal_turns_the_light(kind
 
 
 @pytest.mark.parametrize("device", **NAMES)
+@pytest.mark.parametrize("away", [10.0, 1e5])
+@pytest.mark.parametrize("incidence", [0.0, 30.0, 60.0])
+def test_a_piston_of_a_sphere_is_the_sphere_elsewhere(device, incidence, away):
+    """Also far along the light, whose lateral steps are as long as the piston."""
+    angle, piston = np.radians(incidence), 1e-3
+    direction = np.array([np.sin(angle), 0.0, np.cos(angle)])
+    position = np.array([[-3.0, 0.0, 4.0], [0.0, 2.0, -5.0], [0.0, 0.0, 0.0]]) - away * direction[:, None]
+    rays = Rays(position, np.repeat(direction[:, None], 3, axis=1), np.zeros(3))
+    sphere = Element(1.0 / 100.0, 0.0, "refract", 1.5)
+    poses = np.zeros((1, 2, 12))
+    poses[..., [0, 4, 8]], poses[:, 1, 11] = 1.0, -150.0
+    lifted = replace(sphere, deformation_degree=0, deformation_radius=100.0)
+    heights = (np.full((1, 1), piston), None)
+    found = trace_sequence(Sequence((lifted, Element())), rays, Moving(poses, heights), device)
+    poses[:, :, 11] += [-piston, piston]
+    expected = trace_sequence(Sequence((sphere, Element())), rays, Moving(poses), NUMPY)
+    assert (found.status == OK).all()
+    for name in ("path", "x", "y", "u"):
+        difference = np.abs(getattr(found, name) - getattr(expected, name)).max()
+        assert difference < 2e-14 * max(away, 1e3), name
+
+
+@pytest.mark.parametrize("device", **NAMES)
 def test_a_grid_continues_with_a_constant_beyond_its_edge(device):
     nodes = np.full((6, 6), 2.5)
     element = Element(grid=Grid(-5.0, -5.0, 2.0, 2.0, nodes))

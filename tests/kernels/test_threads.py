@@ -18,7 +18,7 @@ before = running_threads()
 from wavequake.kernels.devices import list_devices
 list_devices()
 new = running_threads() - before
-print(json.dumps([[sorted(os.sched_getaffinity(t)) for t in some] for some in (before, new)]))
+print(json.dumps([[sorted(os.sched_getaffinity(t)) for t in some] for some in ([0, *before], new)]))
 """
 
 

@@ -305,3 +305,8 @@ def test_shapes_beyond_all_bounds_are_told_without_warnings(shape, words):
 def test_numbers_within_a_limit_are_told_from_those_beyond(values, limit):
     expected = all(abs(value) <= limit for value in values)
     assert all_within(np.array(values, dtype=float).reshape(-1, 1), limit) is expected
+    with np.errstate(over="ignore"):
+        rounded = np.array([float(np.float32(value)) for value in values])
+        assert all_within(rounded.astype(np.float32), limit) is all(abs(value) <= limit for value in rounded)
+    assert not all_within(np.array([2**32]), 1e5)
+    assert not all_within(np.array([100], dtype=np.int8), 10)

@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.errors import UserError
 from wavequake.kernels.ring import ring_second_derivatives, ring_steps
 from wavequake.kernels.sequence import Basis, Element, Grid, Moving, Sequence, terms
 from wavequake.kernels.sequential_source import Medium, Part, Shape
@@ -17,8 +18,9 @@ _HEIGHT, _SLOPE, _LEAN = 1e-12, 1e-13, 1e-7
 # Polynomials are sampled a little beyond their radius, since rays may fall there.
 _BEYOND = 1.02
 _UNTURNED = np.eye(3).ravel()
-# A polynomial may bend more strongly between samples, but no random one came near that many times.
+# A polynomial may bend more strongly between samples, but no random one came near that many times, nor bumps.
 _MARGIN = 2.0
+_LARGEST_POWER = 280.0  # of ten
 
 
 @np.errstate(divide="ignore", over="ignore", invalid="ignore")
@@ -145,7 +147,19 @@ def _grids(number: int, element: Element, moving: Moving) -> list[tuple[Grid, Ar
 
 @lru_cache(maxsize=64)
 def _powers(degree: int, radius: float) -> Array:
-    """Return what makes of the coefficients of u^i v^j those of x^i y^j: the kernel need not divide."""
+    """Return what makes of the coefficients of u^i v^j those of x^i y^j: the kernel need not divide.
+
+    Raises
+    ------
+    UserError
+        If these are out of the range of numbers.
+    """
+    if not degree * abs(np.log10(radius)) <= _LARGEST_POWER:
+        raise UserError(
+            f"a polynomial of degree {degree} over a radius of {radius:g} mm cannot be traced by OpenCL: its "
+            "powers are out of the range of numbers; choose a radius nearer to that of the surface, or "
+            "campaign.device=numpy"
+        )
     powers = [radius ** -float(order) for order in range(degree + 1) for _ in range(order + 1)]
     return np.array(powers)
 
@@ -180,11 +194,14 @@ def _second_derivatives(degree: int, basis: Basis) -> tuple[NDArray[np.intp], ND
     if basis != "monomial":
         angles = np.linspace(0.0, 2.0 * np.pi, max(4, 2 * degree - 2), endpoint=False)
         u, v = (radii[:, None] * np.stack([np.cos(angles), np.sin(angles)])[:, None]).reshape(2, -1)
+        if basis.inner == 0.0:
+            u, v = np.append(u, 0.0), np.append(v, 0.0)
         second = ring_second_derivatives(degree, basis.inner, u, v) * [[[1.0]], [[np.sqrt(2.0)]], [[1.0]]]
         flat = second.reshape(1, -1, second.shape[-1])
         return np.arange(flat.shape[-1])[None], np.asarray(flat, dtype=np.float32)
     angles = np.linspace(0.0, 0.5 * np.pi, max(1, -(-(degree - 1) // 2)) + 1)
     u, v = (radii[:, None] * np.stack([np.cos(angles), np.sin(angles)])[:, None]).reshape(2, -1)
+    u, v = np.append(u, 0.0), np.append(v, 0.0)
     kind = np.polynomial.Polynomial
     orders = [
         [kind.basis(k).deriv(order) if order else kind.basis(k) for order in range(3)]

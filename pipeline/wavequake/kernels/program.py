@@ -15,9 +15,10 @@ from numpy.typing import DTypeLike, NDArray
 
 from wavequake.files import folder
 from wavequake.kernels.devices import POCL, Device, opencl_handle
+from wavequake.kernels.launches import count_launch
 from wavequake.kernels.pocl_source import for_pocl, has_wide_vectors
 
-# Rays in a work-group. One size for all launches, because PoCL compiles a kernel again for each new size.
+# Rays, or groups of them, in a work-group. One size for all launches: PoCL compiles a kernel for each size.
 _GROUP_RAYS = {"cpu": 125, "gpu": 8}
 # Bytes: no implementation asks for more than its widest vector, sixteen doubles.
 _ALIGNED = 128
@@ -48,7 +49,8 @@ def launch(
     constants : tuple of (str, int)
         Compile-time constants.
     size : tuple of int
-        Lane groups, rays, tiles. Rays are padded to whole work-groups; the kernel must ignore those beyond.
+        Lane groups, rays (or groups of them), tiles. Rays are padded to whole work-groups; the kernel must
+        ignore those beyond.
     inputs : sequence
         The kernel's first arguments: NumPy scalars and arrays; an empty array or None becomes a null pointer.
     outputs : sequence of ndarray
@@ -56,7 +58,7 @@ def launch(
     text : str, optional
         The kernel's source where it is generated; ``kernels/NAME.cl`` by default.
     group : int, optional
-        Rays in a work-group.
+        Rays (or groups of them) in a work-group.
     """
     import pyopencl as cl
 
@@ -78,6 +80,7 @@ def launch(
         for out, result in zip(outputs, results, strict=True):
             _fetch(queue, device, out, result)
         queue.finish()
+        count_launch(name, event)
 
 
 def watch(queue: Any, device: Device, event: Any) -> None:
@@ -148,7 +151,7 @@ def _context(device: Device) -> Any:
 def _queue(device: Device) -> Any:
     import pyopencl as cl
 
-    return cl.CommandQueue(_context(device))
+    return cl.CommandQueue(_context(device), properties=cl.command_queue_properties.PROFILING_ENABLE)
 
 
 def scalar_types(arguments: Sequence[Any]) -> tuple[np.dtype[Any] | None, ...]:

@@ -24,7 +24,7 @@ _CHUNK = 128
 _SHAPES = {8: ((12, 1), (12, 2), (8, 3), (6, 4), (5, 5), (4, 6)), 4: ((4, 2),), 2: ((4, 2),), 1: ((4, 1),)}
 _LOOK = 1.4  # What reading a ray takes, as so many vectors more.
 _GROUP = {"cpu": 1, "gpu": 64}
-_FUNCTIONS: dict[tuple[int, int], tuple[weakref.ref[Array], Array]] = {}
+_FUNCTIONS: dict[tuple[Any, ...], tuple[weakref.ref[Array], Array]] = {}
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,8 @@ def ray_coefficients(
     Parameters
     ----------
     matrix : ndarray, shape (J, N)
-        One that cannot be written is laid out for the device only once.
+        One that owns its numbers and cannot be written is laid out for the device only once: then it must
+        never be written again, also not through views made before.
     values : ndarray, shape (T, N)
         What is not finite counts as 0, and its ray as lost.
     device : Device
@@ -245,7 +246,8 @@ def _functions(matrix: Array, block: int) -> Array:
 
     That of a matrix which cannot be written is kept: making it takes a tenth of the time of a batch's fit.
     """
-    key, constant = (id(matrix), block), matrix.base is None and not matrix.flags.writeable
+    key = (id(matrix), matrix.ctypes.data, matrix.shape, matrix.strides, block)
+    constant = matrix.base is None and not matrix.flags.writeable
     if constant and key in _FUNCTIONS and _FUNCTIONS[key][0]() is matrix:
         return _FUNCTIONS[key][1]
     count, rays = matrix.shape

@@ -23,7 +23,7 @@ class Part:
     """A polynomial or grid that adds to a surface's height.
 
     ``call`` is the function of ``sequential.cl`` with its sizes, ``size`` counts the coefficients, ``moves``
-    tells whether every instant has its own, and ``place`` is where its fixed numbers start.
+    tells whether every instant has its own, and ``place`` is where its fixed numbers start, if it has any.
     """
 
     call: str

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from wavequake.kernels.devices import POCL, Device, opencl_handle
+from wavequake.kernels.launches import count_launch
 from wavequake.kernels.pocl_source import has_wide_vectors
 from wavequake.kernels.program import _LOCK, _fetch, _input, _kernel, _output, _queue, scalar_types, watch
 
@@ -60,16 +61,19 @@ def run_steps(
         buffers = {name: _input(queue, device, array) for name, array in arrays.items()}
         buffers |= {name: _output(queue, device, array) for name, array in outputs.items()}
         buffers |= {name: _scratch(queue, device, name, size) for name, size in scratch.items()}
+        events = []
         for step in steps:
             kernel = _kernel(device, step.kernel, step.constants, step.text, scalar_types(step.arguments))
             kernel.set_args(*(buffers[a] if isinstance(a, str) else a for a in step.arguments))
             size = tuple(-(-n // g) * g for n, g in zip(step.size, step.group, strict=True))
-            last = cl.enqueue_nd_range_kernel(queue, kernel, size, step.group)
-        if steps:
-            watch(queue, device, last)
+            events.append(cl.enqueue_nd_range_kernel(queue, kernel, size, step.group))
+        if events:
+            watch(queue, device, events[-1])
         for name, out in outputs.items():
             _fetch(queue, device, out, buffers[name])
         queue.finish()
+        for step, event in zip(steps, events, strict=True):
+            count_launch(step.kernel, event)
 
 
 def vector_width(device: Device, dtype: np.dtype[Any], long: bool = False) -> int:

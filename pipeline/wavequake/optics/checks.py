@@ -66,9 +66,9 @@ def alike(what: str, *columns: ArrayLike) -> tuple[Array, ...]:
 @np.errstate(over="ignore", invalid="ignore")
 def all_within(values: Array, limit: float) -> bool:
     """Tell whether all numbers are at most this large; what is not a number is not."""
-    flat = values.ravel()
+    flat = np.asarray(values, dtype=np.float64).ravel()
     # The sum of squares takes one pass, and suffices nearly always.
-    return bool(flat @ flat < limit * limit or (np.abs(values) <= limit).all())
+    return bool(flat @ flat < limit * limit or (np.abs(flat) <= limit).all())
 
 
 def require_kind(value: Any, kind: Any, what: str, hint: str = "") -> None:

@@ -268,7 +268,10 @@ def _peak_memory_mb() -> float:
 
 
 def profile(path: Path | str) -> dict[str, str]:
-    """Say where the time of a store's chunks went, from its journal: share of each kind of work, and rates.
+    """Say where the time of a store's chunks went, from its journal.
+
+    That is the share of each kind of work, rates, and the time and launches of every OpenCL kernel by the
+    device's clock.
 
     Raises
     ------
@@ -285,6 +288,10 @@ def profile(path: Path | str) -> dict[str, str]:
     if not total:
         return {"profile": "nothing was computed yet"}
     seconds["write"] = seconds.pop("write_s", 0.0)
+    kernels, launches = (
+        {name.removeprefix(kind): seconds.pop(name) for name in sorted(seconds) if name.startswith(kind)}
+        for kind in ("kernel ", "launches ")
+    )
     seconds["rest"] = total - sum(seconds.values())
     lines = {name: f"{value:8.2f} s  {value / total:6.1%}" for name, value in seconds.items()}
     work = WORKFLOWS[manifest.workflow].work(manifest.study, sum(last - first for first, last in records))
@@ -293,4 +300,9 @@ def profile(path: Path | str) -> dict[str, str]:
         for name, (count, unit) in work.items()
         if seconds.get(name)  # a store of an earlier version may lack it
     }
-    return {**lines, "all chunks": f"{total:8.2f} s of process time", **rates}
+    ran = {
+        f"kernel {name}": f"{value:8.2f} s  {value / total:6.1%}  {launches[name]:.0f} x "
+        f"{1e3 * value / launches[name]:.3g} ms"
+        for name, value in sorted(kernels.items(), key=lambda item: -item[1])
+    }
+    return {**lines, "all chunks": f"{total:8.2f} s of process time", **rates, **ran}

@@ -7,7 +7,7 @@ computed in :mod:`wavequake.workflows.isolation`. Only a few scalars travel back
 import errno
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
@@ -16,6 +16,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from wavequake.errors import StoreDamageError, UserError
+from wavequake.kernels.launches import kernel_launches, launches_since
 from wavequake.memory import keep_freed_memory
 from wavequake.workflows import journal, provenance
 from wavequake.workflows.arrays import Array, array_of, open_group, write_chunk
@@ -129,7 +130,7 @@ def computed_chunk(job: Job, first: int, last: int) -> tuple[ChunkResult, float]
     ones are quarantined, with their message. Numbers do not depend on the number of threads: there is one.
     """
     opened = opened_store(job.workflow, job.path, job.run)
-    start = time.perf_counter()
+    start, launches = time.perf_counter(), kernel_launches()
     with threadpool_limits(1):
         try:
             result = _computed(job, opened, first, last)
@@ -137,7 +138,8 @@ def computed_chunk(job: Job, first: int, last: int) -> tuple[ChunkResult, float]
             raise
         except Exception:
             result = joined([computed_alone(job, opened, case) for case in range(first, last)])
-    return result, time.perf_counter() - start
+    timings = {**result.timings, **launches_since(launches)}
+    return replace(result, timings=timings), time.perf_counter() - start
 
 
 def _computed(job: Job, opened: Opened, first: int, last: int) -> ChunkResult:

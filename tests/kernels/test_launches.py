@@ -1,0 +1,40 @@
+"""What the device's clock says of kernels."""
+
+import time
+
+import pytest
+
+from wavequake.kernels.devices import list_devices
+from wavequake.kernels.example import two_mirrors
+from wavequake.kernels.launches import count_launch, kernel_launches, launches_since
+from wavequake.kernels.segmented import trace_segmented
+
+OPENCL = [device for device in list_devices() if device.kind != "numpy"]
+
+
+@pytest.mark.parametrize("device", OPENCL, ids=lambda device: device.kind)
+def test_every_launch_is_counted_with_its_time(device):
+    arguments = two_mirrors(tiles=40)
+    trace_segmented(**arguments, device=device)
+    before, start = kernel_launches(), time.perf_counter()
+    for _ in range(3):
+        trace_segmented(**arguments, device=device)
+    clock = time.perf_counter() - start
+    timings = launches_since(before)
+    assert timings.keys() == {"kernel segmented", "launches segmented"}
+    assert timings["launches segmented"] == 3
+    assert 0.0 < timings["kernel segmented"] < clock
+    assert launches_since(kernel_launches()) == {}
+
+
+def test_a_driver_that_keeps_no_times_is_not_counted():
+    import pyopencl as cl
+
+    class Event:
+        @property
+        def profile(self):
+            raise cl.RuntimeError("CL_PROFILING_INFO_NOT_AVAILABLE")
+
+    before = kernel_launches()
+    count_launch("nothing", Event())
+    assert kernel_launches() == before
