@@ -128,6 +128,22 @@ def test_info_of_a_system_a_lens_file_and_studies(wavequake, newton, tmp_path, m
     assert "450000 mm" in wavequake("info", "tmt-segments")[1]
 
 
+def test_info_takes_the_names_of_telescopes_as_sensitivity_does(wavequake):
+    by_name = wavequake("info", "tmt-18", "optics.wavelength_nm=1000")
+    by_study = wavequake("info", "tmt-segments", "telescope.name=tmt-18", "optics.wavelength_nm=1000")
+    assert by_name == by_study
+    assert "1000 nm" in by_name[1]
+    assert wavequake("info", "tmt-thesis")[1] != by_name[1]
+
+
+def test_info_takes_every_name_that_it_offers(wavequake):
+    _, _, err = wavequake("info", "nonsense")
+    names = " ".join(err.split()).split("Bundled ones are ")[1].split(";")[0].split(", ")
+    assert {"tmt-18", "tmt-segments", "tmt-exposure", "euv"} < set(names)
+    for name in names:
+        assert wq.load_system(name).surfaces
+
+
 def test_a_study_takes_a_lens_file_beside_it(wavequake, tmp_path):
     wq.write_zmx(wq.load_system("double-gauss"), tmp_path / "lens.zmx")
     path = tmp_path / "study.toml"
@@ -179,6 +195,9 @@ def test_bad_input_ends_with_one_sentence(wavequake, newton, tmp_path, old, new,
     ("words", "sentence"),
     [
         (["dubble-gauss"], "did you mean 'double-gauss'"),
+        (["tmt-19"], "did you mean 'tmt-18'"),
+        (["mirror-mo"], "'mirror-mo'. Bundled ones are"),  # mirror-mor has no optical system
+        (["tmt-18", "telescope.name=tmt"], "puts something else in the place of tmt-18"),
         (["nowhere.zmx"], "nowhere.zmx cannot be read"),
         (["tmt", "system.f_number=3"], "tmt is no study"),
         (["mirror-mor"], "has no optical system"),
