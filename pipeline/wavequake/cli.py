@@ -353,7 +353,7 @@ def sensitivity(
     ] = None,
     mirror_terms: Annotated[
         int | None,
-        typer.Option(min=0, max=2016, help="The same of M2 and further mirrors, or any surface (default: 11)."),
+        typer.Option(min=0, max=2016, help="The same of M2 and further mirrors or surfaces (default: 11)."),
     ] = None,
 ) -> None:
     """Show and keep how line of sight and wavefront follow motions of every surface and segment."""
