@@ -7,11 +7,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
+from wavequake.kernels.devices import NUMPY
 from wavequake.optics.media import Medium, constant, glass
 from wavequake.optics.paraxial import entrance_pupil_center, paraxial
+from wavequake.optics.pupils import sunflower
 from wavequake.optics.shapes import Conic, EvenAsphere, GridDeformation, ZernikeDeformation
 from wavequake.optics.system import OpticalSystem, Pupil, Surface
-from wavequake.optics.system_kinematics import Break, SurfaceRow, sequential
+from wavequake.optics.system_kinematics import Break, SurfaceRow, rest_states, sequential
+from wavequake.optics.system_wavefront import measure_system, prepare_system
 
 GLASS = Medium("glass", "constant", (1.5,))
 WATER = Medium("water", "constant", (1.33,))
@@ -224,6 +227,26 @@ def test_entrance_pupil_follows_a_decentered_stop():
     ]
     system = OpticalSystem("off axis", sequential(rows), 0, Pupil("entrance_diameter", 500.0))
     np.testing.assert_allclose(entrance_pupil_center(system), [700.0, 0.0, 0.0], atol=1e-12)
+
+
+def test_an_off_axis_mirror_is_given_about_its_parent_s_axis_as_the_refusal_says():
+    stop, mirror = SurfaceRow("stop"), SurfaceRow("M1", Conic(-2000.0, -1.0), -1000.0, "reflect")
+    pupil = Pupil("entrance_diameter", 100.0)
+    beside = [stop, Break((0.0, -191.0, 900.0)), mirror, Break((0.0, 191.0, 0.0)), SurfaceRow("image")]
+    with pytest.raises(UserError, match="about its parent's axis, and decenter the stop"):
+        paraxial(OpticalSystem("x", sequential(beside), 0, pupil))
+    about = [Break((0.0, 191.0, 0.0)), stop, Break((0.0, -191.0, 900.0)), mirror, SurfaceRow("image")]
+    system = OpticalSystem("x", sequential(about), 0, pupil)
+    assert paraxial(system).focal_length == pytest.approx(1000.0)
+    rays = sunflower(0.0, 1.0, 60)
+    prepared = prepare_system(system, rays.x, rays.y, rays.weight, terms=10)
+    # Parallel light fills the disk about (0, 191), and all of it meets in the focus.
+    about_stop = prepared.rays.position[:2].T - [0.0, 191.0]
+    np.testing.assert_allclose(about_stop, 50.0 * np.stack([rays.x, rays.y], axis=1), atol=1e-6)
+    at_rest = measure_system(prepared, rest_states(system), NUMPY)
+    np.testing.assert_allclose(at_rest.chief, 0.0, atol=1e-9)
+    assert at_rest.spot_rms[0] < 1e-9
+    assert at_rest.rms_raw[0] < 1e-8
 
 
 def test_dispersion_moves_the_focus():

@@ -227,7 +227,8 @@ def _unfolded(system: OpticalSystem, wavelength: float) -> Iterator[_Step]:
             raise UserError(
                 f"the axis ray of {system.name} misses the vertex of the surface {surface.name} by "
                 f"{beside:.3g} mm; first-order data need surfaces nearly centered on the z axis (and "
-                "its folds by plane mirrors)"
+                "its folds by plane mirrors): give an off-axis part of a surface about its parent's axis, "
+                "and decenter the stop instead"
             )
         sense = float(np.sign(cosine))
         after = index
