@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.kernels import first_batch, fourier
+from wavequake.kernels import first_batch, folded_transform, fourier
 from wavequake.kernels.devices import list_devices
+from wavequake.kernels.folded_pupils import LitPhase, Rim, SmoothPhase
 
 CPUS = [device for device in list_devices() if device.kind == "cpu"]
 DEVICES = pytest.mark.parametrize("device", CPUS, ids=lambda device: device.name)
@@ -94,3 +95,76 @@ def test_a_transform_of_another_sign_is_refused(device, monkeypatch):
     assert not first_batch._TRUSTED  # nothing to compare yet
     fourier.fourier_2d(values, device=device, engine="opencl")
     assert first_batch._TRUSTED
+
+
+def pupil_kinds():
+    """Amplitude, pupils and rim of each kind; the first pupil has a phase that is not known."""
+    amplitude = (np.hypot(*np.mgrid[-1:1:24j, -1:1:24j]) < 0.9) * 1.0
+    phase = RANDOM.normal(0.0, 1.0, (4, 24, 24))
+    phase[0, 12, 12] = np.nan
+    rim = Rim(np.array([30, 400, 30]), np.array([0.5, 0.2, 0.3]))
+    smooth = SmoothPhase(RANDOM.normal(0.0, 1.0, (4, 5, 5)), RANDOM.normal(0.0, 1.0, (4, 3)))
+    smooth.rim[0, 1] = np.nan
+    starts = 24 * np.repeat(np.arange(24, dtype=np.int32)[:, None], 2, axis=1)
+    dark = np.where(amplitude != 0.0, phase, np.inf)
+    return {
+        "phases": (amplitude, phase, None),
+        "dark": (amplitude, dark[1:], None),
+        "fields": (amplitude, amplitude * np.exp(1j * phase), None),
+        "lit": (amplitude, LitPhase(phase.reshape(4, -1), starts), None),
+        "smooth": (amplitude, smooth, rim),
+    }
+
+
+KINDS = pytest.mark.parametrize("kind", pupil_kinds())
+
+
+@DEVICES
+@KINDS
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_folded_images(device, monkeypatch, dtype, kind):
+    amplitude, pupils, rim = pupil_kinds()[kind]
+    transform = folded_transform.folded_transform(amplitude, 21, 0.4, 1e-9, device, dtype, rim)
+    ways = (larger, dark, lost, mirrored)
+    check(monkeypatch, folded_transform, lambda: folded_transform.folded_images(transform, pupils), ways)
+
+
+@DEVICES
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_folded_sums(device, monkeypatch, dtype):
+    amplitude, pupils, rim = pupil_kinds()["smooth"]
+    transform = folded_transform.folded_transform(amplitude, 21, 0.4, 1e-9, device, dtype, rim)
+    weights, none = np.array([0.0, 1e-3, 2e-3, 3e-3]), np.zeros((21, 21))
+    folded_transform.folded_sum(transform, pupils, 0.0 * weights, none)
+    assert not first_batch._TRUSTED  # nothing to compare yet
+    real = folded_transform.run_steps
+
+    def spoiled(how):
+        def only_sums(device, steps, inputs, outputs, scratch):
+            real(device, steps, inputs, outputs, scratch)
+            if "after" in outputs:
+                outputs["after"][...] = how(outputs["after"])
+
+        return only_sums
+
+    for how in (lambda sums: 1.5 * sums, lambda sums: 0.0 * sums, lambda sums: sums[::-1].copy()):
+        monkeypatch.setattr(folded_transform, "run_steps", spoiled(how))
+        with pytest.raises(UserError, match="rows of the image of the first batch"):
+            folded_transform.folded_sum(transform, pupils, weights, none)
+        monkeypatch.setattr(folded_transform, "run_steps", real)
+        assert len(first_batch._TRUSTED) == 1  # the images
+    folded_transform.folded_sum(transform, pupils, weights, none + 1.0)
+    assert len(first_batch._TRUSTED) == 2
+
+
+@DEVICES
+@KINDS
+def test_a_program_of_another_sign_is_refused(device, monkeypatch, kind):
+    amplitude, pupils, rim = pupil_kinds()[kind]
+    transform = folded_transform.folded_transform(amplitude, 20, 0.4, 1e-9, device, "float32", rim)
+    right = folded_transform._text()
+    text = right.replace("part[0] - part[6]", "part[0] + part[6]")
+    assert text != right
+    monkeypatch.setattr(folded_transform, "_text", lambda: text)
+    with pytest.raises(UserError, match="of 16 rows of the image of the first batch 16 differ"):
+        folded_transform.folded_images(transform, pupils)

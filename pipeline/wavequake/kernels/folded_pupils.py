@@ -74,3 +74,20 @@ def part_of(pupils: Pupils, part: slice) -> Pupils:
     if isinstance(pupils, LitPhase):
         return LitPhase(pupils.values[part], pupils.starts)
     return pupils[part]
+
+
+def rim_places(rim: Rim, samples: int) -> tuple[NDArray[np.intp], NDArray[np.int32], Real]:
+    """Return the order of a rim's light, its places, and what it adds to the parts of folded rows."""
+    row, column = np.divmod(rim.cells, samples)
+    below, left = row < samples // 2, column < samples // 2
+    rows = np.where(below, samples - 1 - row, row) - samples // 2
+    columns = np.where(left, samples - 1 - column, column) - samples // 2
+    # The middle of an odd number of cells is its own mirror image: it comes twice, or not at all.
+    middle_x, middle_y = (samples % 2 * (place == samples // 2) for place in (column, row))
+    even_x, even_y = 1.0 + middle_x, 1.0 + middle_y
+    odd_x, odd_y = (1.0 - middle_x) * np.where(left, -1, 1), (1.0 - middle_y) * np.where(below, -1, 1)
+    shares = rim.light * np.array([even_x * even_y, even_x * odd_y, odd_x * even_y, odd_x * odd_y])
+    order = np.lexsort((columns, rows))
+    starts = np.searchsorted(rows[order], np.arange((samples + 1) // 2 + 1))
+    places = np.concatenate([starts, columns[order]]).astype(np.int32)
+    return order, places, np.ascontiguousarray(shares.T[order])

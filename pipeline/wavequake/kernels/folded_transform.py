@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from wavequake.kernels.devices import Device
-from wavequake.kernels.folded_pupils import LitPhase, Pupils, Rim, SmoothPhase, count_of, part_of
+from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
+from wavequake.kernels.folded_numpy import field_numpy, first_finite, rows_numpy
+from wavequake.kernels.folded_pupils import LitPhase, Pupils, Rim, SmoothPhase, count_of, part_of, rim_places
 from wavequake.kernels.program import source
 from wavequake.kernels.steps import Step, run_steps, vector_width
 
@@ -23,6 +25,8 @@ _TALL = {"cpu": 3, "gpu": 4}
 _WIDE = {("cpu", "float64"): 2, ("cpu", "float32"): 3, ("gpu", "float64"): 1, ("gpu", "float32"): 1}
 # Singular values of the transform that are left out, relative to the largest.
 _NEGLIGIBLE = {"float64": 1e-15, "float32": 1e-7}
+# By how much amplitudes of images may differ from NumPy's, relative to the light and to phases above 1 rad.
+_TOLERANCE = {"float64": 1e-11, "float32": 1e-4}
 # Phases of lit cells of a launch whose memory is kept for the next one.
 _KEPT_BYTES = 1 << 26
 # Work-items in a group on a GPU.
@@ -132,7 +136,7 @@ def folded_transform(
     pack = columns if device.kind == "gpu" else wide * width
     axis = (2.0 * np.arange(samples) + 1.0) / samples - 1.0
     ramp = _ramp_slope(pixels, sampling) * axis
-    order, places, shares = _rim_places(rim, samples)
+    order, places, shares = rim_places(rim, samples)
     return FoldedTransform(
         device=device,
         pixels=pixels,
@@ -169,10 +173,30 @@ def folded_images(transform: FoldedTransform, pupils: Pupils) -> Floating:
     count = count_of(pupils)
     images = np.empty((count, pixels, pixels), transform.amplitude.dtype)
     for first in range(0, count, _BATCH):
-        out = images[first : first + _BATCH]
-        steps, inputs, scratch = _image_steps(transform, part_of(pupils, slice(first, first + _BATCH)))
+        out, part = images[first : first + _BATCH], part_of(pupils, slice(first, first + _BATCH))
+        steps, inputs, scratch = _image_steps(transform, part)
         run_steps(transform.device, steps, inputs, {"images": out}, scratch)
+        program = "images", steps[0].constants
+        if not is_trusted(transform.device, program):
+            _compare_image(transform, program, part, out)
     return images
+
+
+def _compare_image(t: FoldedTransform, program: Any, pupils: Pupils, images: Floating) -> None:
+    """Compare rows of an image with NumPy: their amplitudes, whose errors do not depend on the irradiance."""
+    number = first_finite(pupils)
+    with np.errstate(all="ignore"):  # phases may be anything
+        field, phase = field_numpy(pupils, number, t.amplitude, t.rim)
+        light = float(np.abs(field).sum())
+        if not (0.0 < light < np.inf):
+            return  # nothing to compare yet
+        found = np.sqrt(np.maximum(images[number].astype(np.float64) / t.scale, 0.0)) / light
+
+    def twin(pick: Pick) -> list[Real]:
+        return list(np.abs(rows_numpy(field, t.pixels, t.sampling, pick)).T / light)
+
+    tolerance = _TOLERANCE[t.amplitude.dtype.name]
+    compare_first(t.device, program, list(found.T), twin, phase, "rows of the image", tolerance)
 
 
 def folded_sum(transform: FoldedTransform, pupils: Pupils, weights: Real, total: Real) -> Real:
@@ -182,7 +206,8 @@ def folded_sum(transform: FoldedTransform, pupils: Pupils, weights: Real, total:
     """
     pixels = transform.pixels
     for first in range(0, len(weights), _BATCH):
-        steps, inputs, scratch = _image_steps(transform, part_of(pupils, slice(first, first + _BATCH)))
+        some = part_of(pupils, slice(first, first + _BATCH))
+        steps, inputs, scratch = _image_steps(transform, some)
         part = np.asarray(weights[first : first + _BATCH], np.float64)
         scratch["images"] = len(part) * pixels * pixels * transform.amplitude.itemsize
         inputs |= {"weights": part, "before": total}
@@ -191,9 +216,28 @@ def folded_sum(transform: FoldedTransform, pupils: Pupils, weights: Real, total:
         steps.append(
             Step(_text(), "accumulate", steps[0].constants, (1, pixels * pixels, 1), (1, group, 1), arguments)
         )
-        total = np.empty((pixels, pixels))
+        before, total = total, np.empty((pixels, pixels))
         run_steps(transform.device, steps, inputs, {"after": total}, scratch)
+        program = "accumulate", steps[0].constants
+        if not is_trusted(transform.device, program) and part.any() and np.isfinite(before).all():
+            _compare_sum(transform, program, some, part, before, total)
     return total
+
+
+def _compare_sum(
+    t: FoldedTransform, program: Any, pupils: Pupils, weights: Real, before: Real, found: Real
+) -> None:
+    """Compare a sum with that of the images, which are compared themselves."""
+    counts = weights != 0.0
+    images = folded_images(t, pupils)[counts]
+    with np.errstate(all="ignore"):  # images may be NaN
+        expected = before + np.tensordot(weights[counts], images, axes=1)
+        size = float(np.abs(expected).max()) or 1.0
+
+    def twin(pick: Pick) -> list[Real]:
+        return list(expected[pick].T / size)
+
+    compare_first(t.device, program, list(found.T / size), twin, kind="rows of the image")
 
 
 def _image_steps(
@@ -305,23 +349,6 @@ def _smooth(t: FoldedTransform, pupils: SmoothPhase) -> tuple[dict[str, NDArray[
 def _ramp_slope(pixels: int, sampling: float) -> float:
     """Return the phase per pupil radius that puts an even number of pixels symmetric about 0."""
     return 0.5 * np.pi * sampling * (1 - pixels % 2)
-
-
-def _rim_places(rim: Rim, samples: int) -> tuple[NDArray[np.intp], NDArray[np.int32], Real]:
-    """Return the order of a rim's light, its places, and what it adds to the parts of folded rows."""
-    row, column = np.divmod(rim.cells, samples)
-    below, left = row < samples // 2, column < samples // 2
-    rows = np.where(below, samples - 1 - row, row) - samples // 2
-    columns = np.where(left, samples - 1 - column, column) - samples // 2
-    # The middle of an odd number of cells is its own mirror image: it comes twice, or not at all.
-    middle_x, middle_y = (samples % 2 * (place == samples // 2) for place in (column, row))
-    even_x, even_y = 1.0 + middle_x, 1.0 + middle_y
-    odd_x, odd_y = (1.0 - middle_x) * np.where(left, -1, 1), (1.0 - middle_y) * np.where(below, -1, 1)
-    shares = rim.light * np.array([even_x * even_y, even_x * odd_y, odd_x * even_y, odd_x * odd_y])
-    order = np.lexsort((columns, rows))
-    starts = np.searchsorted(rows[order], np.arange((samples + 1) // 2 + 1))
-    places = np.concatenate([starts, columns[order]]).astype(np.int32)
-    return order, places, np.ascontiguousarray(shares.T[order])
 
 
 @lru_cache(maxsize=1)

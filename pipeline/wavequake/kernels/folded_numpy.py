@@ -1,0 +1,62 @@
+"""Rows of images by the definition, which the first images of a device are compared with."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.kernels.folded_pupils import LitPhase, Pupils, Rim, SmoothPhase, count_of
+
+Complex = NDArray[np.complex128]
+
+
+def first_finite(pupils: Pupils) -> int:
+    """Return the number of the first pupil without NaN or infinity, or 0."""
+    parts: tuple[NDArray[Any], ...]
+    if isinstance(pupils, SmoothPhase):
+        parts = pupils.coefficients, pupils.rim
+    else:
+        parts = (pupils.values if isinstance(pupils, LitPhase) else pupils,)
+    whole = (
+        number for number in range(count_of(pupils)) if all(np.isfinite(one[number]).all() for one in parts)
+    )
+    return next(whole, 0)
+
+
+def field_numpy(pupils: Pupils, number: int, amplitude: NDArray[Any], rim: Rim) -> tuple[Complex, float]:
+    """Return the field (n, n) of one pupil, and a phase in rad that none of its parts exceeds."""
+    samples = len(amplitude)
+    if not isinstance(pupils, LitPhase | SmoothPhase) and np.iscomplexobj(pupils):
+        return np.asarray(pupils[number], np.complex128), 0.0
+    phase = np.zeros(amplitude.shape)
+    if isinstance(pupils, SmoothPhase):
+        axis = (2.0 * np.arange(samples) + 1.0) / samples - 1.0
+        phase = np.polynomial.chebyshev.chebgrid2d(axis, axis, pupils.coefficients[number])
+    elif not isinstance(pupils, LitPhase):
+        phase = np.asarray(pupils[number], np.float64)
+    elif pupils.values.size:
+        column = np.arange(samples)
+        places = pupils.starts[:, (column >= samples // 2).astype(np.intp)] + column
+        phase = pupils.values[number].take(places, mode="clip")
+    phase = np.where(amplitude != 0.0, phase, 0.0)  # it may be anything where it is dark
+    field, largest = amplitude * _wave(phase), float(np.abs(phase).max())
+    if isinstance(pupils, SmoothPhase):
+        on_rim = pupils.rim[number]
+        np.add.at(field.reshape(-1), rim.cells, rim.light * _wave(on_rim))
+        largest = float(np.abs(pupils.coefficients[number]).sum() + np.abs(on_rim).max(initial=0.0))
+    return field, largest
+
+
+def rows_numpy(field: Complex, pixels: int, sampling: float, rows: NDArray[np.intp]) -> Complex:
+    """Return rows (len(rows), pixels) of the transform of a field, see `folded_transform`."""
+    place = (np.arange(len(field)) + 0.5) / len(field) - 0.5
+    frequency = (np.arange(pixels) - pixels // 2) * sampling
+    along_x = _wave(-2.0 * np.pi * np.outer(place, frequency))
+    along_y = _wave(-2.0 * np.pi * np.outer(frequency[rows], place))
+    return np.asarray(along_y @ field @ along_x)
+
+
+def _wave(phase: NDArray[np.float64]) -> Complex:
+    wave = np.empty(phase.shape, np.complex128)  # twice as fast as the exponential of complex numbers
+    wave.real, wave.imag = np.cos(phase), np.sin(phase)
+    return wave
