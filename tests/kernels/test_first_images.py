@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.kernels import first_batch, folded_transform, fourier
+from wavequake.kernels import first_batch, folded_transform, fourier, strehl
 from wavequake.kernels.devices import list_devices
 from wavequake.kernels.folded_pupils import LitPhase, Rim, SmoothPhase
 
@@ -35,7 +35,7 @@ def dark(outputs):
 
 def mirrored(outputs):
     for out in outputs.values():
-        out[...] = out[:, ::-1].copy()
+        out[...] = np.flip(out, min(1, out.ndim - 1)).copy()
 
 
 def spoil(monkeypatch, module, how):
@@ -168,3 +168,25 @@ def test_a_program_of_another_sign_is_refused(device, monkeypatch, kind):
     monkeypatch.setattr(folded_transform, "_text", lambda: text)
     with pytest.raises(UserError, match="of 16 rows of the image of the first batch 16 differ"):
         folded_transform.folded_images(transform, pupils)
+
+
+@DEVICES
+@pytest.mark.parametrize("patches", [1, 37, 200])
+def test_strehl_ratios(device, monkeypatch, patches):
+    phase = RANDOM.normal(0.0, 1.0, (40, patches))
+    phase[:3, 0] = np.nan
+    ways = (larger, dark, lost, mirrored) if patches > 1 else (larger, dark, lost)
+    check(monkeypatch, strehl, lambda: strehl.strehl_ratios(phase, np.ones(patches), device), ways)
+
+
+@DEVICES
+def test_strehl_ratios_of_another_sign_are_refused(device, monkeypatch):
+    phase = RANDOM.normal(0.0, 1.0, (3, 37))
+    strehl.strehl_ratios(np.full((3, 37), np.nan), np.ones(37), device)
+    strehl.strehl_ratios(phase[:0], np.ones(37), device)
+    assert not first_batch._TRUSTED
+    right = strehl._text()
+    monkeypatch.setattr(strehl, "_text", lambda: right.replace("re + total_im", "re - total_im"))
+    assert strehl._text() != right
+    with pytest.raises(UserError, match="of 3 instants of the first batch 3 differ"):
+        strehl.strehl_ratios(phase, np.ones(37), device)

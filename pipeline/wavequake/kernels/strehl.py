@@ -1,12 +1,14 @@
 """Strehl ratios of many instants from the phases of a pupil's patches, without an image."""
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY, Device
+from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
 from wavequake.kernels.program import source
 from wavequake.kernels.steps import Step, run_steps, vector_width
 
@@ -50,9 +52,7 @@ def strehl_ratios(phase: Real, weight: Real, device: Device = NUMPY) -> Real:
     ratios = np.empty(len(phase))
     if device.kind == "numpy":
         for first in range(0, len(phase), _BATCH):
-            waves = np.exp(1j * phase[first : first + _BATCH])
-            field = (waves[:, None, :] @ share[:, None])[:, 0, 0]  # bits do not depend on the batch
-            ratios[first : first + _BATCH] = field.real**2 + field.imag**2
+            ratios[first : first + _BATCH] = _ratios_numpy(phase[first : first + _BATCH], share)
         return ratios
     width = vector_width(device, np.dtype(np.float64), long=True)
     while width > weight.size:
@@ -67,7 +67,30 @@ def strehl_ratios(phase: Real, weight: Real, device: Device = NUMPY) -> Real:
     if len(phase):
         inputs = {"phase": phase, "weight": np.concatenate([share[:whole], last])}
         run_steps(device, [step], inputs, {"ratio": ratios}, {})
+        if not is_trusted(device, ("strehl", constants)):
+            _compare(device, ("strehl", constants), phase, share, ratios)
     return ratios
+
+
+def _ratios_numpy(phase: Real, share: Real) -> Real:
+    waves = np.exp(1j * phase)
+    field = (waves[:, None, :] @ share[:, None])[:, 0, 0]  # bits do not depend on the batch
+    return np.asarray(field.real**2 + field.imag**2)
+
+
+def _compare(device: Device, program: Any, phase: Real, share: Real, ratios: Real) -> None:
+    """Compare amplitudes with NumPy; their errors do not depend on the ratios."""
+    some = np.arange(0, len(phase), -(-len(phase) // _BATCH))
+    known = some[np.isfinite(phase[some]).all(axis=1)]
+    if not known.size:
+        return
+    light = float(np.abs(share).sum())
+
+    def twin(pick: Pick) -> list[Real]:
+        return [np.sqrt(_ratios_numpy(phase[known[pick]], share)) / light]
+
+    found = np.sqrt(np.maximum(ratios[known], 0.0)) / light
+    compare_first(device, program, [found], twin, float(np.abs(phase[known]).max()), "instants")
 
 
 @lru_cache(maxsize=1)
