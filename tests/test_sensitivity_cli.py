@@ -36,9 +36,12 @@ def test_it_prints_and_keeps_the_matrices(sensitivity, tmp_path):
     assert "steps 1e-06 m and 1e-06 rad" in words
     assert "Written" in out
     found = xr.open_zarr(tmp_path / "here" / "sensitivity.zarr")
-    tilt = float(found.sensitivity_los_surface.sel(surface="M2", dof="rx", axis="y"))
-    (row,) = (line for line in out.splitlines() if line.split()[:1] == ["rx"] and "coma" in line)
-    assert float(row.split()[2]) == pytest.approx(tilt, rel=1e-4)
+    assert "M1  dx" in out
+    assert "M1 among the surfaces: all its segments as one rigid body" in words
+    tilts = found.sensitivity_los_surface.sel(surface=["M1", "M2"], dof="rx", axis="y").values
+    rows = [line.split() for line in out.splitlines() if line.split()[:1] == ["rx"] and "coma" in line]
+    assert [float(row[2]) for row in rows] == pytest.approx(tilts.tolist(), rel=1e-4)
+    assert abs(tilts[0]) == pytest.approx(2 * 450e3, rel=0.03)  # twice the focal length
     code, again, _ = sensitivity(*WORDS, "--store", "here")
     assert code == 0
     assert "nothing was computed" in again

@@ -13,6 +13,7 @@ from wavequake.optics.prepared import prepare
 from wavequake.optics.pupils import PupilRays, on_glass, sunflower
 from wavequake.optics.segmented_telescope import ConicSurface
 from wavequake.optics.sensitivity import DOFS, Steps, sensitivities
+from wavequake.optics.sphere_fit import reference_fit
 from wavequake.optics.states import rest
 from wavequake.optics.telescopes import telescope
 from wavequake.optics.wavefront import measure
@@ -165,6 +166,61 @@ def test_two_of_492_segments_against_an_independent_trace():
         ):
             spot = expected[dof]["spot_shift_of_segment_m_per_unit"]
             np.testing.assert_allclose(centroid / share[k], spot, rtol=1e-6, atol=1e-5, err_msg=name + dof)
+
+
+def carried(system, primary, surfaces, values):
+    """The sum of columns (6, ...) by which M1 and all that follows move as one body about M1's vertex."""
+    own, after = getattr(primary, values)[0], getattr(surfaces, values)
+    total = own + after.sum(axis=0)
+    for surface, columns in zip(system.surfaces, after, strict=True):
+        total[3:] += np.cross(np.eye(3), surface.position) @ columns[:3]
+    return total
+
+
+@pytest.mark.parametrize("name", ["thesis", "tmt18"])
+def test_a_telescope_that_moves_as_a_whole_only_looks_elsewhere(name, request):
+    """Shifts change nothing; a turn by a about x (y) is light that comes from a (-a) along y (x).
+
+    Reference spheres are those that fit best: the virtual chief ray follows the field, but not M1. Piston
+    (the first column of 45) is the whole telescope's way along the light.
+    """
+    prepared = request.getfixturevalue(name)
+    prepared = replace(prepared, sphere=reference_fit(prepared))
+    found = sensitivities(prepared, NUMPY)
+    states, step = rest(TILE, len(prepared.system.segments), 3), 1e-6
+    states.field[:4] = step * np.array([[0, 1], [0, -1], [-1, 0], [1, 0]])
+    wavefront = measure(prepared, states, NUMPY)
+    for values, part in (("centroid", slice(None)), ("los", slice(None)), ("zernike", slice(1, None))):
+        actual = getattr(wavefront, values)
+        expected = np.zeros((6, actual.shape[1]))
+        expected[3:5] = (actual[[0, 2]] - actual[[1, 3]]) / (2 * step)
+        total = carried(prepared.system, found.primary, found.surfaces, values)
+        for motions in (slice(0, 3), slice(3, 6)):
+            size = np.abs(getattr(found.primary, values)[0, motions, part]).max()
+            error = np.abs(total - expected)[motions, part].max()
+            assert error < 1e-6 * size, (values, motions, error / size)
+    assert found.primary.agrees
+
+
+def test_the_m1_of_one_piece_moves_as_its_only_segment(of_thesis):
+    """Its center is the vertex; there z is to the sky, which turns the sense of rx and ry, too."""
+    one, segment = of_thesis.primary, of_thesis.segments
+    assert one.elements == ("M1",)
+    sign = np.array([1.0, 1.0, -1.0, -1.0, -1.0, 1.0])
+    for values in ("zernike", "los", "centroid"):
+        actual, expected = getattr(one, values)[0], sign[:, None] * getattr(segment, values)[0]
+        scale = np.repeat([np.abs(expected[:3]).max(), np.abs(expected[3:]).max()], 3)[:, None]
+        np.testing.assert_allclose(actual / scale, expected / scale, atol=1e-9, err_msg=values)
+    # A mirror that turns by a turns the image by 2 a f, less what it is shifted on M2.
+    assert abs(one.los[0, RX, 1]) == pytest.approx(882085.0, abs=1.0)
+    assert one.los[0, RX, 1] * of_thesis.surfaces.los[0, RX, 1] < 0  # M2 turns the image the other way
+
+
+def test_m1_and_the_surfaces_after_it_are_one_matrix(of_thesis):
+    everything = of_thesis.all_surfaces
+    assert everything.elements == ("M1", "M2", "M3", "image")
+    np.testing.assert_array_equal(everything.los[0], of_thesis.primary.los[0])
+    np.testing.assert_array_equal(everything.disagreement[1:], of_thesis.surfaces.disagreement)
 
 
 def test_small_motions_are_the_matrix_product_to_second_order(tmt18, of_tmt18):

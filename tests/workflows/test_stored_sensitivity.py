@@ -102,7 +102,7 @@ def test_units_and_labels(study, tmp_path):
     ds = wq.sensitivity(study, store=tmp_path / "store", mirror_terms=0)  # those of the bench
     found = sensitivities(bench_of(study.identity_text()).prepared, NUMPY)
     scale = np.repeat([1e3, 1.0], 3)
-    for name, matrix in (("surface", found.surfaces), ("segment", found.segments)):
+    for name, matrix in (("surface", found.all_surfaces), ("segment", found.segments)):
         rms = ds[f"sensitivity_wfe_rms_raw_{name}"]
         assert rms.dims == (name, "dof")
         assert rms[name].values.tolist() == list(matrix.elements)
@@ -122,6 +122,24 @@ def test_units_and_labels(study, tmp_path):
     assert ds.step_error_segment.max() < 1e-6
     assert ds.attrs["steps_agree"] == 1
     assert all("units" in ds[name].attrs and "long_name" in ds[name].attrs for name in ds.data_vars)
+
+
+def test_what_was_stored_without_m1_as_a_whole_is_computed_again(study, tmp_path, monkeypatch):
+    ds, _ = stored_sensitivity(study, tmp_path)
+    assert ds.surface.values.tolist() == ["M1", "M2", "M3", "image"]
+    assert ds.attrs["surfaces"] == 4
+    write = module.write_dataset
+
+    def earlier(made, target):
+        write(made.isel(surface=slice(1, None)).assign_attrs(surfaces=3), target)
+
+    monkeypatch.setattr(module, "write_dataset", earlier)
+    stored_sensitivity(study, tmp_path, mirror_terms=0)
+    without, kept = stored_sensitivity(study, tmp_path)
+    assert (without.sizes["surface"], kept) == (3, False)
+    monkeypatch.undo()
+    again, kept = stored_sensitivity(study, tmp_path)
+    assert (again.sizes["surface"], kept) == (4, False)
 
 
 def test_a_meter_of_piston_figure_is_a_meter_along_the_normal(study, tmp_path):

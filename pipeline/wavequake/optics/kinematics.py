@@ -77,6 +77,29 @@ def segment_poses(segments: Segments, motion: Array, frame: str = "local") -> Ar
     return poses
 
 
+def carried_segments(segments: Segments) -> Array:
+    """Return how segments move, in their own axes, with M1 as one rigid body, per unit of its motion.
+
+    Parameters
+    ----------
+    segments : Segments
+
+    Returns
+    -------
+    ndarray, shape (6, S, 6)
+        Of shifts along and turns about the axes of the optics frame, whose origin is M1's vertex, the motions
+        that `segment_poses` takes, to first order; mm and rad, per mm or rad.
+    """
+    to_optics = segments.axes * np.array([1.0, 1.0, -1.0])[:, None]
+    local = np.moveaxis(to_optics, 1, 0)  # components of the axes of the optics frame, (3, S, 3)
+    swept = np.cross(np.eye(3)[:, None], segments.centers)  # of the centers, by turns
+    found = np.zeros((6, len(segments), 6))
+    found[:3, :, :3] = local
+    found[3:, :, :3] = np.einsum("isa,sad->isd", swept, to_optics)
+    found[3:, :, 3:] = -local  # a rotation vector is axial, and the local frame a reflection
+    return found
+
+
 def _write_poses(out: Array, motion: Array, centers: Array, to_optics: Array | None) -> None:
     """Write the transforms (S, 12, 16) of a tile of motions (6, S, 16) in the axes `to_optics` (S, 3, 3)."""
     shift_x, shift_y, shift_z, *angles = motion

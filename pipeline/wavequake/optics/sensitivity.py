@@ -8,7 +8,7 @@ Every column is computed with two steps. Where the two disagree, neither is a de
 edge, rounding is too large, or the motion acts nonlinearly.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -18,11 +18,15 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.kernels.devices import Device
 from wavequake.kernels.tiles import TILE, padded
+from wavequake.optics.kinematics import carried_segments
 from wavequake.optics.prepared import PreparedTrace, chief_rays, trace_states
 from wavequake.optics.states import SurfaceStates, rest
 from wavequake.optics.wavefront import analyse, measure
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+# Writes into states at instants (K,) how far (K,) elements (K,) move in their degrees of freedom (K,).
+_Move = Callable[[SurfaceStates, Indices, Indices, Indices, Array], None]
 
 DOFS = ("dx", "dy", "dz", "rx", "ry", "rz")
 TOLERANCE = 1e-5
@@ -93,12 +97,23 @@ class SensitivityMatrix:
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """The matrices of a telescope: surfaces after M1, segments of M1, figures of segments and of mirrors."""
+    """The matrices of a telescope: M1 as one rigid body, surfaces after it, its segments, figures of both."""
 
+    primary: SensitivityMatrix
     surfaces: SensitivityMatrix
     segments: SensitivityMatrix
     figures: SensitivityMatrix | None
     mirrors: SensitivityMatrix | None
+
+    @property
+    def all_surfaces(self) -> SensitivityMatrix:
+        """M1 as one rigid body and the surfaces after it."""
+        both = (self.primary, self.surfaces)
+        joined: dict[str, Any] = {
+            name: np.concatenate([getattr(one, name) for one in both])
+            for name in ("zernike", "los", "centroid", "rms_raw", "disagreement")
+        }
+        return replace(self.surfaces, elements=self.primary.elements + self.surfaces.elements, **joined)
 
 
 def sensitivities(
@@ -110,8 +125,9 @@ def sensitivities(
 ) -> Sensitivities:
     """Return the kinematic-optical sensitivities about the reference configuration.
 
-    Surfaces move about their vertices in the axes of the optics frame, segments about their centers in their
-    local frames (see `SurfaceStates`). Nothing is inverted here; rows of piston and tilt never should be.
+    Surfaces move about their vertices in the axes of the optics frame, M1 with all its segments, too;
+    segments by themselves about their centers in their local frames (see `SurfaceStates`). Nothing is
+    inverted here; rows of piston and tilt never should be.
 
     Parameters
     ----------
@@ -144,8 +160,12 @@ def sensitivities(
     segment_names = tuple(prepared.system.segments.names)
     figure_names = tuple(f"Z{j}" for j in range(1, max(terms, mirror_terms) + 1))
 
-    def matrix(moved: str, elements: Sequence[str], dofs: tuple[str, ...], sizes: Array) -> SensitivityMatrix:
-        fine, wide = (_derivatives(prepared, device, moved, factor * sizes, at, lost) for factor in (1, 2))
+    def matrix(
+        move: _Move, elements: Sequence[str], dofs: tuple[str, ...], sizes: Array
+    ) -> SensitivityMatrix:
+        fine, wide = (
+            _derivatives(prepared, device, move, len(elements), factor * sizes, at, lost) for factor in (1, 2)
+        )
         return SensitivityMatrix(
             elements=tuple(elements),
             dofs=dofs,
@@ -159,13 +179,16 @@ def sensitivities(
         )
 
     return Sensitivities(
-        surfaces=matrix("surface_motion", surface_names, DOFS, rigid),
-        segments=matrix("segment_motion", segment_names, DOFS, rigid),
-        figures=matrix("segment_figure", segment_names, figure_names[:terms], np.full(terms, steps.figure))
+        primary=matrix(_together(prepared), ("M1",), DOFS, rigid),
+        surfaces=matrix(_one_by_one("surface_motion"), surface_names, DOFS, rigid),
+        segments=matrix(_one_by_one("segment_motion"), segment_names, DOFS, rigid),
+        figures=matrix(
+            _one_by_one("segment_figure"), segment_names, figure_names[:terms], np.full(terms, steps.figure)
+        )
         if terms
         else None,
         mirrors=matrix(
-            "mirror_figure",
+            _one_by_one("mirror_figure"),
             surface_names[:-1],
             figure_names[:mirror_terms],
             np.full(mirror_terms, steps.figure),
@@ -180,6 +203,28 @@ def _rest(prepared: PreparedTrace, batch: int) -> SurfaceStates:
     return rest(batch, segments, len(prepared.system.surfaces), terms, prepared.mirror_matrix.shape[1])
 
 
+def _one_by_one(name: str) -> _Move:
+    """Return how entries (element, dof) of an array of `SurfaceStates` move by themselves."""
+
+    def move(states: SurfaceStates, instant: Indices, element: Indices, dof: Indices, size: Array) -> None:
+        getattr(states, name)[instant, element, dof] = size
+
+    return move
+
+
+def _together(prepared: PreparedTrace) -> _Move:
+    """Return how all segments move as one rigid body.
+
+    Along the derivative of their motions: what is of second order has no part in a central difference.
+    """
+    carried = carried_segments(prepared.system.segments)
+
+    def move(states: SurfaceStates, instant: Indices, element: Indices, dof: Indices, size: Array) -> None:
+        states.segment_motion[instant] = size[:, None, None] * carried[dof]
+
+    return move
+
+
 class _Derivatives(NamedTuple):
     """Of E elements by D degrees of freedom, (E, D, ...); a column is intact if its motions lose no rays."""
 
@@ -191,15 +236,16 @@ class _Derivatives(NamedTuple):
 
 
 def _derivatives(
-    prepared: PreparedTrace, device: Device, moved: str, sizes: Array, field: Array, lost: int
+    prepared: PreparedTrace,
+    device: Device,
+    move: _Move,
+    elements: int,
+    sizes: Array,
+    field: Array,
+    lost: int,
 ) -> _Derivatives:
-    """Return central differences of half widths `sizes` (D,).
-
-    `moved` is the array of SurfaceStates, (batch, E, D), whose entries move one by one; `lost` is the number
-    of rays that are lost at rest.
-    """
-    segments, _, terms = prepared.figure_matrix.shape
-    elements, dofs = getattr(_rest(prepared, TILE), moved).shape[1:]
+    """Return central differences of half widths `sizes` (D,); `lost` is how many rays are lost at rest."""
+    (segments, _, terms), dofs = prepared.figure_matrix.shape, len(sizes)
     tiles = min(max(_LAUNCH_NUMBERS // (TILE * segments * (terms + 20)), 1), _LAUNCH_TILES)
     pairs = tiles * TILE // 2
     parts = []
@@ -208,8 +254,8 @@ def _derivatives(
         plus = 2 * np.arange(len(element))
         states = _rest(prepared, padded(2 * len(element)))
         states.field[:] = field
-        getattr(states, moved)[plus, element, dof] = sizes[dof]
-        getattr(states, moved)[plus + 1, element, dof] = -sizes[dof]
+        move(states, plus, element, dof, sizes[dof])
+        move(states, plus + 1, element, dof, -sizes[dof])
         parts.append([values[: len(element)] for values in _pair_differences(prepared, device, states, lost)])
     zernike, los, centroid, rms_raw, intact = (np.concatenate(part) for part in zip(*parts, strict=True))
     shape, widths = (elements, dofs), 2.0 * sizes

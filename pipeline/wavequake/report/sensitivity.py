@@ -49,7 +49,7 @@ def tables(found: "xr.Dataset") -> Iterator[Table]:
 
 
 def surface_table(found: "xr.Dataset") -> Table:
-    """Return the table of the surfaces after M1: line of sight and the largest Zernike terms, j >= 4."""
+    """Return the table of M1 as a whole and the surfaces after it: line of sight, largest Zernike terms."""
     table = Table(
         box=SIMPLE_HEAD,
         pad_edge=False,
@@ -166,6 +166,7 @@ def explanations(found: "xr.Dataset") -> list[str]:
     )
     figure = f", {found.step_figure.values[0]:g} m of figure" if "step_figure" in found else ""
     lines = [
+        "M1 among the surfaces: all its segments as one rigid body, about its vertex.",
         f"LOS: {attrs['line_of_sight']}, in the image plane; it is neither the chief ray nor the centroid.",
         "WFE rms on glass: over the rays, piston removed; j ≥ 4: of the fitted Zernike terms.",
         f"Central differences, steps {steps['dx']:g} m and {steps['rx']:g} rad{figure}. Steps twice as large "

@@ -124,7 +124,7 @@ def stored_sensitivity(
     return kept_or_made(
         study,
         path,
-        {"figure_terms": terms, "mirror_terms": mirror_terms},
+        {"figure_terms": terms, "mirror_terms": mirror_terms, "surfaces": len(bench.system.surfaces) + 1},
         lambda: dataset(bench, _of_bench(bench, device, terms, mirror_terms), device),
     )
 
@@ -215,7 +215,8 @@ def dataset(bench: Bench, found: Sensitivities, device: Device) -> "xr.Dataset":
     """
     import xarray as xr
 
-    matrices = {"surface": ("surface", found.surfaces), "segment": ("segment", found.segments)}
+    surfaces = found.all_surfaces
+    matrices = {"surface": ("surface", surfaces), "segment": ("segment", found.segments)}
     if found.figures is not None:
         matrices["figure"] = ("segment", found.figures)
     if found.mirrors is not None:
@@ -225,10 +226,10 @@ def dataset(bench: Bench, found: Sensitivities, device: Device) -> "xr.Dataset":
         variables |= _variables(name, element, matrix, bench.study.optics.wavelength_nm)
         variables[f"sensitivity_zernike_{name}"][2]["obscuration"] = repr(bench.prepared.obscuration)
     coordinates: dict[str, _Array] = {
-        "surface": (("surface",), _text(found.surfaces.elements), {"long_name": "surface after M1"}),
+        "surface": (("surface",), _text(surfaces.elements), {"long_name": "surface; M1 is all its segments"}),
         "segment": (("segment",), _text(found.segments.elements), {"long_name": "segment of M1"}),
         "dof": (("dof",), _text(DOFS), {"long_name": "motion"}),
-        "noll": (("noll",), np.arange(1, found.surfaces.zernike.shape[2] + 1), {"long_name": "Noll index"}),
+        "noll": (("noll",), np.arange(1, surfaces.zernike.shape[2] + 1), {"long_name": "Noll index"}),
         "axis": (("axis",), _text(("x", "y")), {"long_name": "axis of the image plane"}),
     }
     if found.figures is not None:
@@ -252,7 +253,7 @@ def dataset(bench: Bench, found: Sensitivities, device: Device) -> "xr.Dataset":
         "study_sha256": bench.study.identity(),
         "line_of_sight": LINE_OF_SIGHT,
         "method": "central differences of full traces about the reference configuration",
-        "step_tolerance": found.surfaces.tolerance,
+        "step_tolerance": surfaces.tolerance,
         "steps_agree": int(all(matrix.agrees for _, matrix in matrices.values())),
         **{
             f"worst_step_error_{name}": f"{error:.1e} ({element} {dof})"
