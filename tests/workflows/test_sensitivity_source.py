@@ -6,6 +6,8 @@ import pytest
 import wavequake as wq
 from wavequake.optics.catalog import system_names
 from wavequake.optics.paraxial import paraxial
+from wavequake.optics.telescopes import telescope
+from wavequake.workflows.sensitivity import open_sensitivity
 from wavequake.workflows.sensitivity_source import TELESCOPES, sensitivity_study
 from wavequake.workflows.study import bundled_studies, load_study
 
@@ -161,6 +163,22 @@ rms = { dx_um = 1.0 }
     bare, mine = (wq.sensitivity(name, **keys) for name in ("gregorian", "mine.toml"))
     for name in mine.data_vars:
         np.testing.assert_array_equal(bare[name].values, mine[name].values)
+
+
+@pytest.mark.parametrize("name", ["gregorian", "herschel", "jwst", "tmt-18"])
+def test_what_is_assumed_of_a_system_is_printed_and_kept(folder, wavequake, name):
+    of_study = name in TELESCOPES
+    note = (telescope(name) if of_study else wq.load_system(name)).note
+    assert ("assumed" in note) == (name in ("herschel", "jwst"))
+    words = ["optics.rays_per_segment=6"] if of_study else ["optics.rays=100", "--mirror-terms", "0"]
+    for _ in range(2):  # made, and read again
+        code, out, err = wavequake(
+            "sensitivity", name, "wavefront.zernike_terms=6", "campaign.device=numpy", *words
+        )
+        assert code == 0, err
+        assert note in " ".join(out.split())
+    (made,) = (folder / "runs").glob("*/sensitivity.zarr")
+    assert open_sensitivity(made.parent).attrs.get("note", "") == note
 
 
 def test_rays_that_openings_stop_are_counted(folder, wavequake):

@@ -104,4 +104,4 @@ def explanations(found: "xr.Dataset") -> list[str]:
             f"Not to be trusted: the columns whose step_error is above {attrs['step_tolerance']:g}. A ray "
             "crosses an edge there or the system acts nonlinearly."
         )
-    return lines
+    return [*lines, attrs["note"]] if "note" in attrs else lines

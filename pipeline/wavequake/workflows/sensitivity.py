@@ -259,6 +259,7 @@ def dataset(bench: Bench, found: Sensitivities, device: Device) -> "xr.Dataset":
             f"worst_step_error_{name}": f"{error:.1e} ({element} {dof})"
             for name, (element, dof, error) in worst.items()
         },
+        **({"note": bench.system.note} if bench.system.note else {}),
         "device": f"{device.name} ({device.kind})",
         **collect(device),
     }

@@ -129,6 +129,7 @@ def system_dataset(study: SystemStudy, device: Device, terms: int = 0) -> "xr.Da
         "steps_agree": int(all(one.agrees for _, _, found in matrices.values() for one in found)),
         **worst,
         **_vignetted(bench),
+        **({"note": bench.system.note} if bench.system.note else {}),
         "device": f"{device.name} ({device.kind})",
         **collect(device),
     }
