@@ -4,13 +4,17 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.kernels import first_batch, folded_transform, fourier, strehl
+from wavequake.imaging.segment_lattice import lattice_psf, segment_lattice
+from wavequake.kernels import first_batch, folded_transform, fourier, lattice, strehl
 from wavequake.kernels.devices import list_devices
 from wavequake.kernels.folded_pupils import LitPhase, Rim, SmoothPhase
+from wavequake.kernels.program import source
+from wavequake.optics.segments import hexagon_ring_segments
 
 CPUS = [device for device in list_devices() if device.kind == "cpu"]
 DEVICES = pytest.mark.parametrize("device", CPUS, ids=lambda device: device.name)
 RANDOM = np.random.default_rng(7)
+_RING = hexagon_ring_segments(700.0, 2, 5.0)
 
 
 @pytest.fixture(autouse=True)
@@ -190,3 +194,52 @@ def test_strehl_ratios_of_another_sign_are_refused(device, monkeypatch):
     assert strehl._text() != right
     with pytest.raises(UserError, match="of 3 instants of the first batch 3 differ"):
         strehl.strehl_ratios(phase, np.ones(37), device)
+
+
+@DEVICES
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("moments", [1, 6])
+def test_lattices(device, monkeypatch, dtype, moments):
+    corners, centers = _RING.corners, _RING.centers[:, :2]
+    prepared = segment_lattice(corners, centers, 21, 0.3, 9000.0, dtype, device, moments)
+    motion = RANDOM.normal(0.0, 1.0, (3, len(centers), 3)) * [0.2, 6e-5, 6e-5]
+    motion[0, 2, 0] = np.nan
+    if moments == 1:
+        motion[2, :, 1:] = motion[1, :, 1:] = np.nan  # does not count
+    lattice_psf(prepared, motion[:1])
+    lattice_psf(prepared, motion[:0])
+    assert not first_batch._TRUSTED  # nothing to compare yet
+    real = lattice.launch
+
+    def spoiled(how):
+        def launch(device, name, constants, size, inputs, outputs, **more):
+            real(device, name, constants, size, inputs, outputs, **more)
+            how({"images": outputs[0]})
+
+        return launch
+
+    for how in (larger, dark, lost, mirrored):
+        monkeypatch.setattr(lattice, "launch", spoiled(how))
+        with pytest.raises(UserError, match="of 16 rows of the image of the first batch"):
+            lattice_psf(prepared, motion)
+        assert not first_batch._TRUSTED
+    monkeypatch.setattr(lattice, "launch", real)
+    if moments > 1:
+        lattice_psf(prepared, 1e20 * motion[1:])
+        assert not first_batch._TRUSTED  # beyond any series
+    lattice_psf(prepared, motion)
+    assert first_batch._TRUSTED
+    monkeypatch.setattr(lattice, "launch", spoiled(larger))
+    lattice_psf(prepared, motion)  # later batches are not compared
+
+
+@DEVICES
+def test_a_lattice_of_another_sign_is_refused(device, monkeypatch):
+    right = source("lattice.cl")
+    text = right.replace("sums[0] - sums[6], b", "sums[0] + sums[6], b")
+    assert text != right
+    real = lattice.launch
+    monkeypatch.setattr(lattice, "launch", lambda *given, **more: real(*given, text=text, **more))
+    prepared = segment_lattice(_RING.corners, _RING.centers[:, :2], 21, 0.3, 9000.0, device=device)
+    with pytest.raises(UserError, match="of 16 rows of the image of the first batch"):
+        lattice_psf(prepared, RANDOM.normal(0.0, 0.2, (2, len(_RING.centers))))
