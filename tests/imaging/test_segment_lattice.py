@@ -112,8 +112,19 @@ def test_instants_do_not_depend_on_each_other(device):
 def test_images_too_large_for_a_work_item_s_memory_are_left_to_numpy(monkeypatch):
     grid = 16, 0.25, DIAMETER, np.float32, DEVICES[0]
     assert (segment_lattice(CORNERS, CENTERS, *grid).kernel is None) == (DEVICES[0].kind != "cpu")
-    monkeypatch.setattr(lattice, "_LOCAL_NUMBERS", 500)
+    monkeypatch.setattr(lattice, "_LOCAL_SPARE", 1 << 40)
     assert segment_lattice(CORNERS, CENTERS, *grid).kernel is None
+
+
+@pytest.mark.parametrize("device", DEVICES, ids=lambda device: device.kind)
+def test_local_memory_holds_what_a_device_takes(device):
+    """In PoCL a kernel that asks for more ends the process."""
+    hexagons = hexagon_ring_segments(700.0, 13, 5.0)
+    centers = hexagons.centers[:, :2]
+    given = 128, 0.3, 4e4, np.float64, device, 15
+    prepared = segment_lattice(hexagons.corners, centers, *given)
+    if prepared is not None:  # there is room for 2 MB
+        assert np.isfinite(lattice_psf(prepared, np.zeros((1, len(centers), 3)))).all()
 
 
 def test_what_is_no_lattice_of_equals_is_left_to_others():

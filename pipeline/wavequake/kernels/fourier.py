@@ -9,7 +9,7 @@ import scipy.fft
 from numpy.typing import DTypeLike, NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY, Device
+from wavequake.kernels.devices import NUMPY, Device, opencl_handle
 from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
 from wavequake.kernels.fourier_source import factors, kernel_source, radices, row_lanes
 from wavequake.kernels.steps import Step, run_steps, vector_width
@@ -131,7 +131,10 @@ def _unable(shape: tuple[int, ...], dtype: np.dtype[Any], device: Device) -> str
             return f"{length} has a prime factor above 5"
     width = vector_width(device, _real(dtype), long=True)
     need = max(2 * dtype.itemsize * shape[1], 2 * dtype.itemsize * shape[0] * width)
-    if need > _LOCAL_BYTES[device.kind]:
+    most = _LOCAL_BYTES[device.kind]
+    if device.kind == "cpu":
+        most = min(most, opencl_handle(device).local_mem_size)  # PoCL does not notice, and crashes
+    if need > most:
         return f"a panel of {need >> 10} KiB does not fit into local memory"
     return ""
 

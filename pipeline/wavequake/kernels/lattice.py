@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from wavequake.kernels.devices import Device
+from wavequake.kernels.devices import Device, opencl_handle
 from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
 from wavequake.kernels.program import launch
 from wavequake.kernels.steps import vector_width
@@ -15,8 +15,8 @@ from wavequake.kernels.steps import vector_width
 Floating = NDArray[np.float32] | NDArray[np.float64]
 Real = NDArray[np.float64]
 
-# What a work-item may keep in local memory, as numbers.
-_LOCAL_NUMBERS = 1 << 18
+# Bytes of local memory that are left to the compiler.
+_LOCAL_SPARE = 1 << 12
 # By how much amplitudes of an image may differ from NumPy's, relative to the peak or to what adds up to it.
 # Slopes that let more than the last number add up are beyond any series.
 _TOLERANCE = {"float64": 1e-11, "float32": 1e-4}
@@ -99,8 +99,9 @@ def lattice_kernel(
     quarter = (pixels + 1) // 2
     padded = -(-quarter // (wide * width)) * wide * width
     columns, rows = ((len(line) + 1) // 2 for line in lines)
-    if len(moments) * 8 * columns * (rows + padded) > _LOCAL_NUMBERS:
-        return None
+    numbers_kept = len(moments) * 8 * columns * (rows + padded) + 8 * padded
+    if numbers_kept * dtype.itemsize + _LOCAL_SPARE > opencl_handle(device).local_mem_size:
+        return None  # PoCL does not notice, and crashes
     frequency = np.asarray((np.arange(padded) + 0.5 * (1 - pixels % 2)) * step, np.float64)
     (column, even_x, odd_x), (row, even_y, odd_y) = (
         _folded(number, len(line)) for number, line in zip(numbers, lines, strict=True)
