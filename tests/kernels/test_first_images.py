@@ -141,6 +141,10 @@ def test_folded_sums(device, monkeypatch, dtype):
     weights, none = np.array([0.0, 1e-3, 2e-3, 3e-3]), np.zeros((21, 21))
     folded_transform.folded_sum(transform, pupils, 0.0 * weights, none)
     assert not first_batch._TRUSTED  # nothing to compare yet
+    for unknown in (np.nan, np.inf):
+        folded_transform.folded_sum(transform, pupils, unknown + weights, none)
+    assert len(first_batch._TRUSTED) == 1  # images alone
+    first_batch._TRUSTED.clear()
     real = folded_transform.run_steps
 
     def spoiled(how):

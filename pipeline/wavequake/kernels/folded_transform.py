@@ -233,6 +233,8 @@ def _compare_sum(
     with np.errstate(all="ignore"):  # images may be NaN
         expected = before + np.tensordot(weights[counts], images, axes=1)
         size = float(np.abs(expected).max()) or 1.0
+    if not np.isfinite(size):
+        return  # nothing to compare yet
 
     def twin(pick: Pick) -> list[Real]:
         return list(expected[pick].T / size)
