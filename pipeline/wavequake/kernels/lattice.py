@@ -195,7 +195,8 @@ def _waves_of_moments(kernel: LatticeKernel, motion: Real) -> NDArray[np.complex
             for n in range(kernel.degree + 1)
             for b in range(n + 1)
         ]
-        return np.asarray(np.array(series) * np.exp(2j * np.pi * motion[:, 0]))
+        turns = motion[:, 0] - np.rint(motion[:, 0])
+        return np.asarray(np.array(series) * np.exp(2j * np.pi * turns))
 
 
 def _folded(number: NDArray[np.intp], length: int) -> tuple[NDArray[np.intp], Real, Real]:
