@@ -178,6 +178,7 @@ def test_what_is_left_follows_from_transfer_functions(place):
     np.testing.assert_allclose(
         (found[:11] + 1j * found[11:]) * scale,
         expected * scale,
+        rtol=0,
         atol=1e-3 * np.abs(model.image * scale).max(),
     )
     assert np.abs(expected * scale).max() > 0.05 * np.abs(model.image * scale).max()

@@ -73,7 +73,7 @@ def test_poles_are_placed():
         CHAIN.a - placed_observer(CHAIN, wanted) @ CHAIN.c,
     ):
         np.testing.assert_allclose(
-            np.sort_complex(np.linalg.eigvals(closed)), np.sort_complex(wanted), atol=1e-6
+            np.sort_complex(np.linalg.eigvals(closed)), np.sort_complex(wanted), rtol=0, atol=1e-6
         )
 
 

@@ -15,10 +15,10 @@ def test_signals_are_read_at_their_own_instants():
         image = f"{-0.5 * ms}" if ms in frames else ""
         rows.append(f"{image},{ms / 1000},{0.25 * ms if ms in lens else ''},0")
     record = read_recorded("\n".join(rows), "run.csv")
-    np.testing.assert_allclose(record.time, lens / 1e3, atol=1e-15)
-    np.testing.assert_allclose(record.measured, 0.25e-3 * lens, atol=1e-18)
-    np.testing.assert_allclose(record.frame_time, frames / 1e3, atol=1e-15)
-    np.testing.assert_allclose(record.image, -0.5e-3 * frames, atol=1e-18)
+    np.testing.assert_allclose(record.time, lens / 1e3, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(record.measured, 0.25e-3 * lens, rtol=0, atol=1e-18)
+    np.testing.assert_allclose(record.frame_time, frames / 1e3, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(record.image, -0.5e-3 * frames, rtol=0, atol=1e-18)
 
 
 @pytest.mark.parametrize(

@@ -85,7 +85,9 @@ def test_numbers_of_any_kind_are_taken_as_double_precision(device, monkeypatch):
     position, rotation, motion = case(7, 9, 3, 1e-3)
     for taken in (motion.astype(np.float32), np.ones(motion.shape, int), motion.tolist()):
         expected = surface_poses(position, rotation, np.array(taken, np.float64))
-        np.testing.assert_allclose(surface_poses(position, rotation, taken, device), expected, atol=1e-12)
+        np.testing.assert_allclose(
+            surface_poses(position, rotation, taken, device), expected, rtol=0, atol=1e-12
+        )
 
 
 @pytest.mark.parametrize("device", OPENCL, ids=lambda device: device.kind)

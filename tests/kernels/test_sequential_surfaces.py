@@ -60,8 +60,9 @@ def test_slopes_are_the_derivatives_of_the_sag(kind):
         sag_and_slopes(element, x + h * a, y + h * b, deformation, grid)[0]
         for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1))
     )
-    np.testing.assert_allclose(slope_x, (right - left) / (2 * h), atol=2e-8)
-    np.testing.assert_allclose(slope_y, (up - down) / (2 * h), atol=2e-8)
+    # Beyond its ring a polynomial of high degree is steep, and differences err with it.
+    np.testing.assert_allclose(slope_x, (right - left) / (2 * h), rtol=1e-7, atol=2e-8)
+    np.testing.assert_allclose(slope_y, (up - down) / (2 * h), rtol=1e-7, atol=2e-8)
 
 
 @pytest.mark.parametrize("device", **NAMES)
@@ -75,17 +76,17 @@ def test_an_intersection_lies_on_the_surface_and_its_normal_turns_the_light(kind
     traced = trace_sequence(Sequence((replace(element, action="reflect"),)), rays, moving, device)
     assert (traced.status == OK).all()
     hit = rays.position[:, None] + traced.path * rays.direction[:, None]
-    np.testing.assert_allclose(hit[0], traced.x, atol=1e-12)
-    np.testing.assert_allclose(hit[1], traced.y, atol=1e-12)
+    np.testing.assert_allclose(hit[0], traced.x, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(hit[1], traced.y, rtol=0, atol=1e-12)
     sag, slope_x, slope_y = sag_and_slopes(element, traced.x, traced.y, deformation, grid)
-    np.testing.assert_allclose(hit[2], sag, atol=3e-12)
+    np.testing.assert_allclose(hit[2], sag, rtol=0, atol=3e-12)
     # The change of direction is along the normal, and the light's component along it turns around.
     w = traced.w_sign * np.sqrt(1.0 - traced.u**2 - traced.v**2)
     change = np.stack([traced.u, traced.v, w]) - rays.direction[:, None]
     normal = np.stack([-slope_x, -slope_y, np.ones_like(sag)]) / np.sqrt(1.0 + slope_x**2 + slope_y**2)
-    np.testing.assert_allclose(np.cross(change, normal, axis=0), 0.0, atol=1e-13)
+    np.testing.assert_allclose(np.cross(change, normal, axis=0), 0.0, rtol=0, atol=1e-13)
     before = np.sum(rays.direction[:, None] * normal, axis=0)
-    np.testing.assert_allclose(np.sum(change * normal, axis=0), -2.0 * before, atol=1e-13)
+    np.testing.assert_allclose(np.sum(change * normal, axis=0), -2.0 * before, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("device", **NAMES)
@@ -116,7 +117,7 @@ def test_a_grid_continues_with_a_constant_beyond_its_edge(device):
     nodes = np.full((6, 6), 2.5)
     element = Element(grid=Grid(-5.0, -5.0, 2.0, 2.0, nodes))
     traced = trace_sequence(Sequence((element,)), collimated(), Moving(shifts(0.0)), device)
-    np.testing.assert_allclose(traced.path, 22.5, atol=1e-13)
+    np.testing.assert_allclose(traced.path, 22.5, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("device", **NAMES)

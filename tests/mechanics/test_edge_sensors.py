@@ -71,7 +71,7 @@ def test_rigid_motion_of_the_whole_mirror_is_unseen_and_focus_is_seen_with_an_ar
         for height, slope in ((1.0, (0.0, 0.0)), (0.0, (1.0, 0.0)), (0.3, (-0.2, 0.7))):
             slopes = np.tile(slope, (7, 1))
             motion = np.column_stack([height + centers @ slope, slopes * sensors.radius[:, None]])
-            np.testing.assert_allclose(sensors.matrix @ motion.ravel(), 0, atol=1e-12)
+            np.testing.assert_allclose(sensors.matrix @ motion.ravel(), 0, rtol=0, atol=1e-12)
         # Segments tangent to z = r^2 at their centers meet at the middle of every edge, at an angle.
         motion = np.column_stack([np.sum(centers**2, axis=1), 2 * centers * sensors.radius[:, None]])
         assert (np.abs(sensors.matrix @ motion.ravel()).max() > 1e-3) == seen
@@ -97,9 +97,13 @@ def test_the_shaped_noise_is_the_dense_pseudo_inverse_of_the_noise(ring):
     noise = np.random.default_rng(4).standard_normal((5, 24)) * 2e-9
     sensors = sensor_matrix(ring, 0.05, OFFSET)
     solution = (np.linalg.pinv(sensors.matrix.toarray(), rcond=1e-9) @ noise.T).T.reshape(5, 7, 3)
-    np.testing.assert_allclose(motion.segment_motion[..., 2], solution[..., 0], atol=1e-19)
-    np.testing.assert_allclose(motion.segment_motion[..., 3], solution[..., 2] / sensors.radius, atol=1e-18)
-    np.testing.assert_allclose(motion.segment_motion[..., 4], -solution[..., 1] / sensors.radius, atol=1e-18)
+    np.testing.assert_allclose(motion.segment_motion[..., 2], solution[..., 0], rtol=0, atol=1e-19)
+    np.testing.assert_allclose(
+        motion.segment_motion[..., 3], solution[..., 2] / sensors.radius, rtol=0, atol=1e-18
+    )
+    np.testing.assert_allclose(
+        motion.segment_motion[..., 4], -solution[..., 1] / sensors.radius, rtol=0, atol=1e-18
+    )
     assert not motion.segment_motion[..., [0, 1, 5]].any()
 
 
@@ -128,8 +132,8 @@ def test_rotations_follow_the_local_axes(ring):
     entry = EdgeSensorNoise(name="edge")
     motion, local = (draw_case([entry], entry, layout, 1, 0).segment_motion for layout in (ring, turned))
     rotation = np.einsum("ij,nsj->nsi", turn, local[..., 3:])
-    np.testing.assert_allclose(rotation, motion[..., 3:], atol=1e-18)
-    np.testing.assert_allclose(local[..., 2], motion[..., 2], atol=1e-18)
+    np.testing.assert_allclose(rotation, motion[..., 3:], rtol=0, atol=1e-18)
+    np.testing.assert_allclose(local[..., 2], motion[..., 2], rtol=0, atol=1e-18)
 
 
 def test_second_moments_are_those_of_a_hexagon_and_of_a_triangle(ring):

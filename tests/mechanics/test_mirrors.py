@@ -56,7 +56,7 @@ def test_inertia_of_a_flat_disc_and_ring():
         axial = total * (0.5**2 + inner**2) / 2
         diametral = axial / 2 + total * 0.02**2 / 12
         np.testing.assert_allclose(np.diag(gram)[3:], [diametral, diametral, axial], rtol=1e-5)
-        np.testing.assert_allclose(gram - np.diag(np.diag(gram)), 0, atol=1e-10)
+        np.testing.assert_allclose(gram - np.diag(np.diag(gram)), 0, rtol=0, atol=1e-10)
 
 
 def test_center_of_mass_of_a_meniscus():
@@ -74,7 +74,7 @@ def test_front_follows_the_parabola(mirror):
     model = build(mirror)
     focal_length = getattr(mirror, "focal_length", 30.0)
     x, y, z = model.nodes[model.surface_nodes].T
-    np.testing.assert_allclose(z, (x**2 + y**2) / (4 * focal_length), atol=1e-15)
+    np.testing.assert_allclose(z, (x**2 + y**2) / (4 * focal_length), rtol=0, atol=1e-15)
     assert len(model.surface_nodes) >= 900
 
 
@@ -90,7 +90,7 @@ def test_weights_are_shares_of_the_area(mirror):
         moment = (mirror.diameter**2 + getattr(mirror, "inner_diameter", 0.0) ** 2) / 8
     # Lumping shares out an element's area; it moves second moments by some (size / radius)^2.
     assert weights @ (nodes[:, 0] ** 2 + nodes[:, 1] ** 2) == pytest.approx(moment, rel=0.02)
-    np.testing.assert_allclose(weights @ nodes[:, :2], 0, atol=1e-14)
+    np.testing.assert_allclose(weights @ nodes[:, :2], 0, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("mirror", DEFAULTS, ids=NAMES)
@@ -101,7 +101,7 @@ def test_meshes_have_threefold_symmetry(mirror, layers):
     turned = nodes @ np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]]).T
     both = np.round(np.stack([nodes, turned]), 9) + 0.0
     first, second = (points[np.lexsort(points.T)] for points in both)
-    np.testing.assert_allclose(first, second, atol=2e-9)
+    np.testing.assert_allclose(first, second, rtol=0, atol=2e-9)
 
 
 @pytest.mark.parametrize("mirror", DEFAULTS, ids=NAMES)
@@ -109,8 +109,8 @@ def test_mounts_are_nodes_of_the_rear_face(mirror):
     model = build(mirror)
     x, y, z = model.nodes[model.interfaces].T
     angles = np.radians([0, 120, 240])
-    np.testing.assert_allclose(x, mirror.mount_radius * np.cos(angles), atol=1e-15)
-    np.testing.assert_allclose(y, mirror.mount_radius * np.sin(angles), atol=1e-15)
+    np.testing.assert_allclose(x, mirror.mount_radius * np.cos(angles), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(y, mirror.mount_radius * np.sin(angles), rtol=0, atol=1e-15)
     focal_length = getattr(mirror, "focal_length", 30.0)
     np.testing.assert_allclose(z, mirror.mount_radius**2 / (4 * focal_length) - mirror.thickness)
 
@@ -133,8 +133,8 @@ def test_mounts_lie_at_any_angle_and_radius(angles, radius, mirror):
     radius = max(radius, getattr(mirror, "inner_diameter", 0.0) / 2)
     mesh = mirror_mesh(replace(mirror, mount_radius=radius, mount_angles=angles))
     x, y, _ = mesh.nodes[mesh.mounts].T
-    np.testing.assert_allclose(x, radius * np.cos(np.radians(angles)), atol=1e-12)
-    np.testing.assert_allclose(y, radius * np.sin(np.radians(angles)), atol=1e-12)
+    np.testing.assert_allclose(x, radius * np.cos(np.radians(angles)), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(y, radius * np.sin(np.radians(angles)), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("mirror", [CircularMirror(core=3, rings=4), AnnularMirror(around=18, rings=4)])

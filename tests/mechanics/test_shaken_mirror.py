@@ -75,9 +75,9 @@ def test_slow_motion_carries_the_whole_surface_along():
     moved = displacements(respond(modal, [drive], 1e-2 * np.arange(401)), body.surface)[0]
     z = displacements(respond(modal, [drive], 1e-2 * np.arange(401)), body.inputs.T)[0, :, 2]
     up = rigid_modes(mirror().nodes[mirror().surface_nodes], np.zeros(3))[:, 2]
-    np.testing.assert_allclose(moved, np.outer(z, up), atol=1e-3 * 1e-4 * 10)
+    np.testing.assert_allclose(moved, np.outer(z, up), rtol=0, atol=1e-3 * 1e-4 * 10)
 
 
 def test_displacements_grow_with_the_amplitude():
     one, two = (rim_motion("craigb36", 100.0, amplitude=a) for a in (1e-6, 2e-6))
-    np.testing.assert_allclose(two, 2 * one, atol=1e-9 * np.abs(two).max())
+    np.testing.assert_allclose(two, 2 * one, rtol=0, atol=1e-9 * np.abs(two).max())

@@ -164,7 +164,7 @@ def test_the_euv_objective_is_diffraction_limited_in_its_ring(height):
         image = spot_of(system, field)
         airy = 0.61 * 13.5e-6 / 0.25
         assert image.rms[0] < 0.25 * airy
-        np.testing.assert_allclose(image.centroid[0], field / 4.0, atol=1.1e-5)  # 11 nm of distortion
+        np.testing.assert_allclose(image.centroid[0], field / 4.0, rtol=0, atol=1.1e-5)  # 11 nm of distortion
         points = sunflower(0.0, 1.0, 400)
         rays = pupil_rays(system, field, 13.5e-6, points.x, points.y)
         sphere = np.array([[*image.centroid[0], 0.0, 500.0]])
@@ -225,7 +225,7 @@ def test_the_six_lenses_have_the_sensitivities_of_table_5_1():
             states.surface_motion[2 * number + side, surfaces, 1] = sign * step
     y = chief_of(system, [0.0, 0.0], states)[:, 1]
     sensitivity = (y[::2] - y[1::2]) / (2 * step)
-    np.testing.assert_allclose(sensitivity, [0.071, -0.366, 1.303, -0.913, 1.394, 0.145], atol=2e-3)
+    np.testing.assert_allclose(sensitivity, [0.071, -0.366, 1.303, -0.913, 1.394, 0.145], rtol=0, atol=2e-3)
 
 
 def test_the_double_gauss_images_its_field_without_much_distortion():

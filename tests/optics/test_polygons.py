@@ -50,7 +50,7 @@ def test_a_repeated_corner_changes_nothing():
     assert signed_areas(padded) == pytest.approx([4.0])
     np.testing.assert_allclose(centroids(padded), [[1.0, 1.0]])
     expected = [[0, -1, 0], [1, 0, 2], [0, 1, 2], [0, 0, 1e9], [0, 0, 1e9], [-1, 0, 0]]
-    np.testing.assert_allclose(edge_lines(padded)[0], expected, atol=1e-15)
+    np.testing.assert_allclose(edge_lines(padded)[0], expected, rtol=0, atol=1e-15)
     assert protrusion(padded)[0] <= 0.0
     assert polygons_at(padded, np.array([1.0]), np.array([1.9]), 0.0).tolist() == [[0]]
 
@@ -59,7 +59,7 @@ def test_a_repeated_corner_changes_nothing():
 def test_inset_of_a_regular_polygon_is_a_smaller_one(count, part):
     polygon, inradius = regular(count, 2.0), 2.0 * np.cos(np.pi / count)
     smaller = inset(polygon[None], part * inradius)[0]
-    np.testing.assert_allclose(smaller, (1.0 - part) * polygon, atol=1e-13)
+    np.testing.assert_allclose(smaller, (1.0 - part) * polygon, rtol=0, atol=1e-13)
 
 
 def test_protrusion_finds_dents_and_crossings():

@@ -37,7 +37,7 @@ def test_sunflower(inner, outer, count):
     i = np.arange(count)
     r = np.sqrt(inner**2 + (i + 0.5) / count * (outer**2 - inner**2))
     np.testing.assert_allclose(
-        rays.x + 1j * rays.y, r * np.exp(1j * i * np.pi * (3 - np.sqrt(5))), atol=1e-11
+        rays.x + 1j * rays.y, r * np.exp(1j * i * np.pi * (3 - np.sqrt(5))), rtol=0, atol=1e-11
     )
     assert len(rays) == count
     assert rays.weight.sum() == pytest.approx(1.0)

@@ -59,9 +59,11 @@ def test_a_far_object_sends_a_plane_wave_through_the_pupil_s_center():
     field = np.array([0.1, -0.2])
     rays = pupil_rays(system, field, 587.5618e-6, X, Y)
     expected = np.array([*np.tan(field), 1.0]) / np.sqrt(1.0 + np.sum(np.tan(field) ** 2))
-    np.testing.assert_allclose(rays.direction, np.broadcast_to(expected[:, None], (3, 30)), atol=1e-15)
+    np.testing.assert_allclose(
+        rays.direction, np.broadcast_to(expected[:, None], (3, 30)), rtol=0, atol=1e-15
+    )
     center = np.array([0.0, 0.0, paraxial(system).entrance_pupil])
-    np.testing.assert_allclose(rays.path, expected @ (rays.position - center[:, None]), atol=1e-12)
+    np.testing.assert_allclose(rays.path, expected @ (rays.position - center[:, None]), rtol=0, atol=1e-12)
 
 
 def test_a_near_object_sends_rays_from_its_point():
@@ -89,7 +91,7 @@ def test_telecentric_chief_rays_are_parallel_to_the_axis():
     # A paraboloid sends every ray parallel to its axis through its focus, where the stop is.
     for height in (0.0, 3.0, 20.0):
         rays = pupil_rays(system, np.array([height, 0.0]), 550e-6, np.zeros(1), np.zeros(1))
-        np.testing.assert_allclose(rays.direction[:2], 0.0, atol=1e-12)
+        np.testing.assert_allclose(rays.direction[:2], 0.0, rtol=0, atol=1e-12)
     moved = OpticalSystem(
         "wrong",
         sequential([rows[0], SurfaceRow("x", thickness=-50.0), *rows[1:]]),

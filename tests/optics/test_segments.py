@@ -81,12 +81,12 @@ def test_segments_stand_on_their_parent(segments, radius, conic):
     assert z.max() < 0.0
     # The conic as an implicit surface: r^2 - 2 R z + (1 + k) z^2 = 0, with its gradient as the normal.
     residual = x**2 + y**2 - 2.0 * radius * z + (1.0 + conic) * z**2
-    np.testing.assert_allclose(residual / (2.0 * radius), 0.0, atol=1e-11)
+    np.testing.assert_allclose(residual / (2.0 * radius), 0.0, rtol=0, atol=1e-11)
     gradient = np.stack([x, y, -radius + (1.0 + conic) * z], axis=1)
     to_sky = gradient / np.linalg.norm(gradient, axis=1, keepdims=True) * -TO_OPTICS
-    np.testing.assert_allclose(segments.axes[:, :, 2], to_sky * np.sign(to_sky[:, 2:]), atol=1e-14)
+    np.testing.assert_allclose(segments.axes[:, :, 2], to_sky * np.sign(to_sky[:, 2:]), rtol=0, atol=1e-14)
     product = np.swapaxes(segments.axes, 1, 2) @ segments.axes
-    np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-14)
+    np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), rtol=0, atol=1e-14)
     np.testing.assert_allclose(np.linalg.det(segments.axes), 1.0)
     assert (segments.axes[:, 2, 2] > 0.0).all()
 
@@ -154,10 +154,12 @@ def test_the_jwst_has_its_published_polygons():
 def test_local_x_axes_point_along_the_global_one():
     axes = jwst_segments().axes
     np.testing.assert_allclose(
-        axes[:, 1, 0], -axes[:, 0, 2] * axes[:, 1, 2] / np.hypot(*axes[:, 1:, 2].T), atol=1e-15
+        axes[:, 1, 0], -axes[:, 0, 2] * axes[:, 1, 2] / np.hypot(*axes[:, 1:, 2].T), rtol=0, atol=1e-15
     )
     assert (axes[:, 0, 0] > 0.9).all()
-    np.testing.assert_allclose(axes[:, 0, 1], 0.0, atol=1e-16)  # y has no component along the global x axis
+    np.testing.assert_allclose(
+        axes[:, 0, 1], 0.0, rtol=0, atol=1e-16
+    )  # y has no component along the global x axis
 
 
 def test_a_users_table_with_pivots():

@@ -62,10 +62,12 @@ media = st.one_of(st.sampled_from(sorted(glasses())).map(glass), st.floats(1.1, 
 @st.composite
 def systems(draw):
     count = draw(st.integers(1, 5))
+    medium = draw(st.one_of(st.just(AIR), media))
     before, z, surfaces = AIR, 0.0, []
     for index in range(count + 1):
         image = index == count
         action = "pass" if image else draw(st.sampled_from(["reflect", "refract", "pass"]))
+        before = medium if index == 0 and action == "reflect" else before
         # A file cannot tell a surface between equal media from one that does nothing.
         after = draw(media.filter(lambda one, old=before: one != old)) if action == "refract" else AIR
         before = after if action == "refract" else before
@@ -97,7 +99,7 @@ def systems(draw):
         wavelengths=np.array(waves),
         primary_wavelength=draw(st.integers(0, len(waves) - 1)),
         telecentric=not infinite and draw(st.booleans()),
-        medium=draw(st.one_of(st.just(AIR), media)) if surfaces[0].action == "reflect" else AIR,
+        medium=medium if surfaces[0].action == "reflect" else AIR,
     )
 
 
@@ -114,7 +116,7 @@ def test_what_is_written_is_read_back(system):
     for ours, theirs in zip(system.surfaces, again.surfaces, strict=True):
         assert same_shape(ours.shape, theirs.shape)
         np.testing.assert_allclose(theirs.position, ours.position, rtol=1e-12, atol=1e-11)
-        np.testing.assert_allclose(theirs.rotation, ours.rotation, atol=1e-14)
+        np.testing.assert_allclose(theirs.rotation, ours.rotation, rtol=0, atol=1e-14)
         # The opening of the stop loses nothing to the beam's radius.
         for name in ("name", "action", "medium", "opening", "deformation"):
             assert getattr(theirs, name) == getattr(ours, name)
@@ -145,7 +147,7 @@ def test_annular_zernike_sag_is_written_by_circular_polynomials():
     again = parse_zmx(zmx_text(simple(shape=shape)), "lens.zmx").surfaces[0].shape
     assert (again.obscuration, again.pupil_radius, again.conic) == (0.0, 20.0, -1.2)
     x, y = rng.uniform(-14, 14, (2, 200))
-    np.testing.assert_allclose(shape_sag(again, x, y), shape_sag(shape, x, y), atol=1e-13)
+    np.testing.assert_allclose(shape_sag(again, x, y), shape_sag(shape, x, y), rtol=0, atol=1e-13)
     empty = ZernikeSag(np.inf, 0.0, (), 20.0, 0.4)
     assert parse_zmx(zmx_text(simple(shape=empty)), "lens.zmx").surfaces[0].shape.coefficients == ()
 
