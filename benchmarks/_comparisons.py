@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 REPORT = "WAVEQUAKE_COMPARISONS"
-_SCALAR = re.compile(r"np\.\w+\(([^()]*)\)")
+_SCALAR = re.compile(r"np\.\w+\('?([^()']*)'?\)")
 _BELOW = re.compile(r"^([-+*/().e\d ]+) <=? ([-+*/().e\d ]+)$")
 _TESTS = str(Path(__file__).parents[1] / "tests")
 # By file, test and line: tolerance, largest difference, largest share of the tolerance, source.

@@ -3,9 +3,12 @@
 import importlib.util
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from benchmarks.measured import named_tests
 
 from wavequake.workflows.study import load_study
 
@@ -82,3 +85,23 @@ def test_the_tests_that_the_page_on_validation_names_exist():
         path = ROOT / "tests" / file
         assert path.is_file(), file
         assert f"def {test}" in path.read_text(), f"{file}::{test}"
+
+
+def test_validation_names_tests_that_there_are_and_a_figure_in_every_row():
+    text = (ROOT / "docs" / "validation.md").read_text(encoding="utf-8")
+    for name in named_tests():
+        file, _, function = name.partition("::")
+        assert (ROOT / file).exists(), name
+        assert not function or f"def {function}(" in (ROOT / file).read_text(encoding="utf-8"), name
+    table = text.partition("## Quantities")[2].partition("\n\n")[0]
+    rows = [line.split(" | ") for line in table.splitlines()[3:]]
+    assert len(rows) > 80
+    assert not [row[0] for row in rows if len(row) != 5 or not re.search(r"\d|equal|all|none|every", row[3])]
+
+
+def test_what_tests_compare_is_measured():
+    """The index of silica is off by 3.7e-6 of the 1e-5 that are allowed."""
+    test = "tests/optics/test_media.py::test_silica_against_measured_indices"
+    command = [sys.executable, "-m", "benchmarks.measured", test]
+    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert re.search(r"3\.7e-06 of +1\.0e-05 = 36\.9%", said), said

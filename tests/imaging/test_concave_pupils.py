@@ -101,7 +101,7 @@ def test_the_image_of_an_l_is_exact_at_any_pixel():
     f = (np.arange(24) - 12) * 0.3 / 6.0
     fx, fy = (axis.ravel() for axis in np.meshgrid(f, f))
     field = rectangle(BASE, fx, fy) + rectangle(POST, fx, fy)
-    np.testing.assert_allclose(image.ravel(), np.abs(field / 4.0) ** 2, rtol=0, atol=3e-7)  # single precision
+    np.testing.assert_allclose(image.ravel(), np.abs(field / 4.0) ** 2, rtol=0, atol=1e-14)
 
 
 def test_engines_agree_on_concave_segments(pupil):
