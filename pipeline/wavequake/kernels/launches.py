@@ -1,8 +1,8 @@
-"""How often kernels ran in this process, and how long by the device's own clock."""
+"""How often kernels ran in this process, how long by the device's own clock, and what was copied for them."""
 
-from typing import Any
+from typing import Any, Literal
 
-_LAUNCHES: dict[str, tuple[int, float]] = {}
+_COUNTED: dict[str, float] = {}
 
 
 def count_launch(name: str, event: Any) -> None:
@@ -13,21 +13,29 @@ def count_launch(name: str, event: Any) -> None:
         seconds = 1e-9 * (event.profile.end - event.profile.start)
     except cl.Error:  # a driver that keeps none
         return
-    launches, before = _LAUNCHES.get(name, (0, 0.0))
-    _LAUNCHES[name] = launches + 1, before + seconds
+    _count(f"kernel {name}", seconds)
+    _count(f"launches {name}", 1)
 
 
-def kernel_launches() -> dict[str, tuple[int, float]]:
-    """Return launches and seconds of every kernel by name, since the process began."""
-    return dict(_LAUNCHES)
+def count_bytes(way: Literal["to", "from"], size: int) -> None:
+    """Add bytes that are copied to or from a device; one that works in the host's memory copies none."""
+    _count(f"bytes {way} device", size)
 
 
-def launches_since(before: dict[str, tuple[int, float]]) -> dict[str, float]:
-    """Return what came since `kernel_launches` gave `before`: "kernel NAME" in s, "launches NAME"."""
-    timings: dict[str, float] = {}
-    for name, (launches, seconds) in _LAUNCHES.items():
-        earlier, spent = before.get(name, (0, 0.0))
-        if launches > earlier:
-            timings[f"kernel {name}"] = seconds - spent
-            timings[f"launches {name}"] = launches - earlier
-    return timings
+def kernel_launches() -> dict[str, float]:
+    """Return what was counted since the process began.
+
+    That is "kernel NAME" in s, "launches NAME", "bytes to device" and "bytes from device".
+    """
+    return dict(_COUNTED)
+
+
+def launches_since(before: dict[str, float]) -> dict[str, float]:
+    """Return what came since `kernel_launches` gave `before`, by the same names."""
+    return {
+        name: count - before.get(name, 0.0) for name, count in _COUNTED.items() if count != before.get(name)
+    }
+
+
+def _count(name: str, more: float) -> None:
+    _COUNTED[name] = _COUNTED.get(name, 0) + more

@@ -4,19 +4,19 @@ import math
 import mmap
 import os
 import re
-import threading
 import warnings
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from wavequake.files import folder
 from wavequake.kernels.devices import POCL, Device, opencl_handle
-from wavequake.kernels.launches import count_launch
+from wavequake.kernels.launches import count_bytes, count_launch
 from wavequake.kernels.pocl_source import for_pocl, has_wide_vectors
+from wavequake.kernels.resident import Resident, exclusive, settled
 
 # Rays, or groups of them, in a work-group. One size for all launches: PoCL compiles a kernel for each size.
 _GROUP_RAYS = {"cpu": 125, "gpu": 8}
@@ -25,7 +25,6 @@ _ALIGNED = 128
 # Of half a microsecond each.
 _GLANCES = 1000
 _YIELD = getattr(os, "sched_yield", lambda: None)
-_LOCK = threading.Lock()
 
 
 def launch(
@@ -54,11 +53,17 @@ def launch(
     inputs : sequence
         The kernel's first arguments: NumPy scalars and arrays; an empty array or None becomes a null pointer.
     outputs : sequence of ndarray
-        Its last arguments: contiguous arrays, which the kernel fills. A CPU works in the arrays' own memory.
+        Its last arguments: contiguous arrays, which the kernel fills. A CPU works in the arrays' own memory;
+        in another device stay those that `device_empty` makes.
     text : str, optional
         The kernel's source where it is generated; ``kernels/NAME.cl`` by default.
     group : int, optional
         Rays (or groups of them) in a work-group.
+
+    Raises
+    ------
+    UserError
+        If the device has not enough memory.
     """
     import pyopencl as cl
 
@@ -67,7 +72,8 @@ def launch(
     lanes, rays, tiles = size
     group = group or _GROUP_RAYS[device.kind]
     arrays = [np.ascontiguousarray(item) if isinstance(item, np.ndarray) else item for item in inputs]
-    with _LOCK:  # a kernel object holds one set of arguments, and does not keep their buffers alive
+    # A kernel object holds one set of arguments, and does not keep their buffers alive.
+    with exclusive(device):
         queue = _queue(device)
         arguments = [_input(queue, device, item) for item in arrays]
         results = [_output(queue, device, out) for out in outputs]
@@ -105,33 +111,68 @@ def aligned_empty(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDAr
     return np.ndarray(shape, dtype, memory, first)
 
 
+def device_empty(device: Device, shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Return a new array for launches to fill, which stays on a device that has memory of its own."""
+    if device.kind == "cpu" or 0 in shape:
+        return aligned_empty(shape, dtype)
+    return cast(NDArray[Any], Resident(device, shape, dtype))
+
+
+def device_copy(device: Device, array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array for many launches to read, which stays on a device that has memory of its own."""
+    import pyopencl as cl
+
+    if device.kind == "cpu" or not array.size:
+        return array
+    kept = Resident(device, array.shape, array.dtype)
+    with exclusive(device):
+        queue = _queue(device)
+        cl.enqueue_copy(queue, kept.place(queue, device), array)
+        count_bytes("to", array.nbytes)
+    return cast(NDArray[Any], kept)
+
+
 def _input(queue: Any, device: Device, item: Any) -> Any:
     """Return what the kernel takes for `item`: a scalar, a buffer, or None for an array without elements."""
     import pyopencl as cl
 
+    item = settled(queue, device, item)
     if not isinstance(item, np.ndarray):
         return item
     if device.kind == "cpu" and device.platform != POCL and item.ctypes.data % _ALIGNED:
         given, item = item, aligned_empty(item.shape, item.dtype)  # Intel's copies at a tenth of the speed
         item[...] = given
-    share = cl.mem_flags.USE_HOST_PTR if device.kind == "cpu" else cl.mem_flags.COPY_HOST_PTR
-    return cl.Buffer(queue.context, cl.mem_flags.READ_ONLY | share, hostbuf=item) if item.size else None
+    if not item.size:
+        return None
+    share = cl.mem_flags.USE_HOST_PTR
+    if device.kind != "cpu":
+        share = cl.mem_flags.COPY_HOST_PTR
+        count_bytes("to", item.nbytes)
+    return cl.Buffer(queue.context, cl.mem_flags.READ_ONLY | share, hostbuf=item)
 
 
-def _output(queue: Any, device: Device, out: np.ndarray[Any, Any]) -> Any:
+def _output(queue: Any, device: Device, out: Any) -> Any:
+    """Return the buffer that a kernel fills."""
     import pyopencl as cl
 
+    out = settled(queue, device, out)
+    if not isinstance(out, np.ndarray):
+        return out
     if device.kind == "cpu":
         return cl.Buffer(queue.context, cl.mem_flags.WRITE_ONLY | cl.mem_flags.USE_HOST_PTR, hostbuf=out)
     return cl.Buffer(queue.context, cl.mem_flags.WRITE_ONLY, out.nbytes)
 
 
-def _fetch(queue: Any, device: Device, out: np.ndarray[Any, Any], result: Any) -> None:
+def _fetch(queue: Any, device: Device, out: Any, result: Any) -> None:
     """Queue what brings a result to its array; PoCL's processors write there, and waking them takes long."""
     import pyopencl as cl
 
+    out = settled(queue, device, out)
+    if out is result:  # it stays
+        return
     if device.kind != "cpu":
         cl.enqueue_copy(queue, out, result, is_blocking=False)
+        count_bytes("from", out.nbytes)
     elif device.platform != POCL:
         mapped, _ = cl.enqueue_map_buffer(
             queue, result, cl.map_flags.READ, 0, out.shape, out.dtype, is_blocking=False

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY, Device, require_device
 from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
-from wavequake.kernels.program import aligned_empty, source
+from wavequake.kernels.program import aligned_empty, device_copy, source
 from wavequake.kernels.ray_sums_numpy import coefficients_numpy, moments_numpy
+from wavequake.kernels.resident import floats_for
 from wavequake.kernels.steps import Step, run_steps, vector_width
 from wavequake.kernels.tiles import TILE
 
@@ -74,14 +75,14 @@ def ray_coefficients(
         If matrix and values are not of the same rays, or the device is none.
     """
     require_device(device)
-    matrix, values = (np.asarray(one, dtype=np.float64) for one in (matrix, values))
+    matrix, values = np.asarray(matrix, dtype=np.float64), floats_for(device, values)
     _require("values", values, (len(values), matrix.shape[1]))
     if device.kind == "numpy" or 0 in (*matrix.shape, len(values)):
         return coefficients_numpy(matrix, values)
     count, rays = matrix.shape
     lanes, tall, wide = _shape(device, count)
     block = lanes * wide
-    functions = _functions(matrix, block)
+    functions = _functions(matrix, block, device)
     terms = functions.shape[1]
     sums, lost = np.empty((len(values), terms)), np.empty(len(values), np.int32)
     numbers = (np.int32(number) for number in (len(values), rays, terms))
@@ -130,8 +131,8 @@ def ray_moments(
         If the arrays are not of the same rays and instants, or the device is none.
     """
     require_device(device)
-    given = (opd, x, y, weight, slopes, planes)
-    opd, x, y, weight, slopes, planes = (np.asarray(one, dtype=np.float64) for one in given)
+    opd, x, y = floats_for(device, opd), floats_for(device, x), floats_for(device, y)
+    weight, slopes, planes = (np.asarray(one, dtype=np.float64) for one in (weight, slopes, planes))
     instants, rays = len(opd), len(weight)
     for name, values, shape in (
         ("wavefronts", opd, (instants, rays)),
@@ -192,8 +193,8 @@ def tile_moments(
         If the arrays are not of the same rays and tiles, or the device is none.
     """
     require_device(device)
-    given = (opd, x, y, weight, slopes, planes)
-    opd, x, y, weight, slopes, planes = (np.asarray(one, dtype=np.float64) for one in given)
+    opd, x, y = floats_for(device, opd), floats_for(device, x), floats_for(device, y)
+    weight, slopes, planes = (np.asarray(one, dtype=np.float64) for one in (weight, slopes, planes))
     tiles, rays = len(opd), len(weight)
     for name, values in (("wavefronts", opd), ("places x", x), ("places y", y)):
         _require(name, values, (tiles, rays, TILE))
@@ -241,12 +242,13 @@ def _moments(found: Array) -> RayMoments:
     )
 
 
-def _functions(matrix: Array, block: int) -> Array:
+def _functions(matrix: Array, block: int, device: Device) -> Array:
     """Return a matrix by rays, with zeros up to whole blocks of functions.
 
-    That of a matrix which cannot be written is kept: making it takes a tenth of the time of a batch's fit.
+    That of a matrix which cannot be written is kept, on a GPU in its memory: making it takes a tenth of the
+    time of a batch's fit.
     """
-    key = (id(matrix), matrix.ctypes.data, matrix.shape, matrix.strides, block)
+    key = (id(matrix), matrix.ctypes.data, matrix.shape, matrix.strides, block, device)
     constant = matrix.base is None and not matrix.flags.writeable
     if constant and key in _FUNCTIONS and _FUNCTIONS[key][0]() is matrix:
         return _FUNCTIONS[key][1]
@@ -255,6 +257,7 @@ def _functions(matrix: Array, block: int) -> Array:
     functions[:, :count] = matrix.T
     functions[:, count:] = 0.0
     if constant:
+        functions = device_copy(device, functions)
         _FUNCTIONS[key] = weakref.ref(matrix, lambda _: _FUNCTIONS.pop(key, None)), functions
     return functions
 

@@ -6,7 +6,7 @@ each part may be absent.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -176,7 +176,8 @@ class TracedRays:
 
     ``path`` is the optical path length to the reference sphere (to the image without one), ``u`` and ``v``
     are x and y of the unit direction, whose z has the sign ``w_sign`` (T, N). ``status`` is 0 or says why a
-    ray is lost, ``surface`` at which element (-1: none; L: it misses the reference sphere).
+    ray is lost, ``surface`` at which element (-1: none; L: it misses the reference sphere). A device with
+    memory of its own keeps what it traced until NumPy asks for it, see `wavequake.kernels.resident`.
     """
 
     path: Array
@@ -187,13 +188,13 @@ class TracedRays:
     w_sign: NDArray[np.int8]
     status: NDArray[np.int8]
     surface: NDArray[np.int8]
-    vignetted: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    """Rays that each element's aperture stops, summed over the instants, shape (L,)."""
+    elements: int = 0
 
-
-def count_vignetted(status: NDArray[np.int8], surface: NDArray[np.int8], elements: int) -> NDArray[np.int64]:
-    """Return how many rays each element's aperture stops, shape (L,)."""
-    return np.bincount(surface[status == VIGNETTED], minlength=elements).astype(np.int64)
+    @property
+    def vignetted(self) -> NDArray[np.int64]:
+        """Rays that the aperture of each of ``elements`` stops, summed over the instants, shape (L,)."""
+        stopped = self.surface[self.status == VIGNETTED]
+        return np.bincount(stopped, minlength=self.elements).astype(np.int64)
 
 
 def check_sequence(sequence: Sequence, rays: Rays, moving: Moving) -> None:

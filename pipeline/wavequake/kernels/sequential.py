@@ -8,22 +8,15 @@ from numpy.typing import NDArray
 from wavequake.kernels.devices import Device, require_device
 from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
 from wavequake.kernels.packing import packed_elements
-from wavequake.kernels.program import aligned_empty, launch
-from wavequake.kernels.sequence import (
-    Moving,
-    Rays,
-    Sequence,
-    TracedRays,
-    check_sequence,
-    count_vignetted,
-)
+from wavequake.kernels.program import aligned_empty, device_empty, launch
+from wavequake.kernels.sequence import Moving, Rays, Sequence, TracedRays, check_sequence
 from wavequake.kernels.sequential_numpy import moving_part, trace_sequence_numpy
 from wavequake.kernels.sequential_source import OUTPUTS, kernel_source
 from wavequake.kernels.steps import vector_width
 
 Array = NDArray[np.float64]
 
-# What one launch may write: it bounds the memory that is taken on a GPU.
+# What one launch may write: it bounds the memory that is taken on a GPU, where a trace of no more stays.
 _LAUNCH_BYTES = 256 << 20
 # Rays of a group of work-items. One size for all launches: PoCL compiles a kernel again for each new one.
 _GROUP_RAYS = {"cpu": 2000, "gpu": 64}
@@ -82,8 +75,18 @@ def trace_sequence(
     if device.kind == "numpy":
         traced = trace_sequence_numpy(sequence, rays, moving, ignore_apertures)
         chosen = {name: getattr(traced, name) for name in outputs}
-        return _traced(chosen, traced.status, traced.surface, traced.vignetted)
+        return _traced(chosen | {"status": traced.status, "surface": traced.surface}, traced.elements)
     return _trace_opencl(sequence, rays, moving, device, ignore_apertures, outputs, out)
+
+
+def launches_of(rays: Rays, moving: Moving, outputs: tuple[str, ...]) -> list[tuple[slice, Moving]]:
+    """Return which instants are traced at once; what more than one launch writes does not stay on a GPU."""
+    each = max(1, _LAUNCH_BYTES // (max(1, rays.path.size) * (8 * len(outputs) + 2)))
+    instants = len(moving.poses)
+    if instants <= each:
+        return [(slice(0, instants), moving)]
+    parts = [slice(first, first + each) for first in range(0, instants, each)]
+    return [(part, moving_part(moving, part)) for part in parts]
 
 
 def _trace_opencl(
@@ -100,31 +103,24 @@ def _trace_opencl(
         whole = _trace_opencl(
             sequence, _repeated(rays, width), moving, device, ignore_apertures, outputs, None
         )
-        kept = {name: getattr(whole, name)[:, :count].copy() for name in outputs}
-        status, surface = whole.status[:, :count].copy(), whole.surface[:, :count].copy()
-        return _traced(kept, status, surface, count_vignetted(status, surface, len(sequence.elements)))
+        names = (*outputs, "status", "surface")
+        return _traced({name: getattr(whole, name)[:, :count].copy() for name in names}, whole.elements)
     shape = (len(moving.poses), count)
     if out is not None and any(getattr(out, name).shape != shape for name in (*outputs, "status", "surface")):
         raise ValueError(f"out must hold {', '.join(outputs)}, status and surface of the shape {shape}")
-    results: dict[str, NDArray[Any]] = {
-        name: aligned_empty(shape, np.float64 if name in OUTPUTS[:5] else np.int8)
-        if out is None
-        else getattr(out, name)
-        for name in (*outputs, "status", "surface")
-    }
-    each = max(1, _LAUNCH_BYTES // (max(1, count) * (8 * len(outputs) + 2)))
-    for first in range(0, shape[0], each):
-        part = slice(first, first + each)
-        now = moving if each >= shape[0] else moving_part(moving, part)
-        _launch(sequence, rays, now, device, ignore_apertures, {k: a[part] for k, a in results.items()})
-    status, surface = results.pop("status"), results.pop("surface")
-    apertures = any(element.regions for element in sequence.elements) and not ignore_apertures
-    vignetted = (
-        count_vignetted(status, surface, len(sequence.elements))
-        if apertures
-        else np.zeros(len(sequence.elements), dtype=np.int64)
-    )
-    return _traced(results, status, surface, vignetted)
+    parts = launches_of(rays, moving, outputs)
+    stays = len(parts) == 1
+
+    def new(name: str) -> NDArray[Any]:
+        dtype = np.float64 if name in OUTPUTS[:5] else np.int8
+        return device_empty(device, shape, dtype) if stays else aligned_empty(shape, dtype)
+
+    names = (*outputs, "status", "surface")
+    results = {name: new(name) if out is None else getattr(out, name) for name in names}
+    for part, now in parts:
+        there = results if stays else {name: np.asarray(array)[part] for name, array in results.items()}
+        _launch(sequence, rays, now, device, ignore_apertures, there)
+    return _traced(results, len(sequence.elements))
 
 
 def _launch(
@@ -164,7 +160,7 @@ def _launch(
         -(-_GROUP_RAYS[device.kind] // width),
     )
 
-    if count and not is_trusted(device, text):
+    if count and len(moving.poses) and not is_trusted(device, text):
         found = {name: results[name][0] for name in outputs if name != "w_sign"}
         length = float(np.abs(moving.poses[0, :, 9:]).max(initial=0.0))
 
@@ -198,11 +194,6 @@ def _repeated(rays: Rays, width: int) -> Rays:
     return Rays(rays.position[:, pick], rays.direction[:, pick], rays.path[pick])
 
 
-def _traced(
-    chosen: dict[str, NDArray[Any]],
-    status: NDArray[np.int8],
-    surface: NDArray[np.int8],
-    vignetted: NDArray[np.int64],
-) -> TracedRays:
-    none: dict[str, NDArray[Any]] = {name: np.zeros((0, 0)) for name in OUTPUTS if name not in chosen}
-    return TracedRays(**none | chosen, status=status, surface=surface, vignetted=vignetted)
+def _traced(results: dict[str, NDArray[Any]], elements: int) -> TracedRays:
+    none: dict[str, NDArray[Any]] = {name: np.zeros((0, 0)) for name in OUTPUTS if name not in results}
+    return TracedRays(**none | results, elements=elements)

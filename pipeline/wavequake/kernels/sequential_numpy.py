@@ -25,7 +25,6 @@ from wavequake.kernels.sequence import (
     Region,
     Sequence,
     TracedRays,
-    count_vignetted,
 )
 from wavequake.kernels.surfaces import conic_path, conic_sag, conic_slopes, even_sag_and_slopes
 
@@ -71,8 +70,7 @@ def trace_sequence_numpy(
         for whole, values in zip(out, traced, strict=True):
             whole[part] = values
     path, x, y, u, v, w_sign, status, surface = out
-    vignetted = count_vignetted(status, surface, len(sequence.elements))
-    return TracedRays(path, x, y, u, v, w_sign, status, surface, vignetted)
+    return TracedRays(path, x, y, u, v, w_sign, status, surface, len(sequence.elements))
 
 
 @_LOST_RAYS_ARE_DATA

@@ -9,7 +9,8 @@ import numpy as np
 from wavequake.kernels.devices import POCL, Device, opencl_handle
 from wavequake.kernels.launches import count_launch
 from wavequake.kernels.pocl_source import has_wide_vectors
-from wavequake.kernels.program import _LOCK, _fetch, _input, _kernel, _output, _queue, scalar_types, watch
+from wavequake.kernels.program import _fetch, _input, _kernel, _output, _queue, scalar_types, watch
+from wavequake.kernels.resident import exclusive
 
 # Scratch memory is kept for the next call, unless it is more than this: (device, name) to buffer.
 _SCRATCH: dict[tuple[Device, str], Any] = {}
@@ -34,7 +35,7 @@ class Step:
 def run_steps(
     device: Device,
     steps: Sequence[Step],
-    inputs: Mapping[str, np.ndarray[Any, Any]],
+    inputs: Mapping[str, Any],
     outputs: Mapping[str, np.ndarray[Any, Any]],
     scratch: Mapping[str, int],
 ) -> None:
@@ -49,14 +50,23 @@ def run_steps(
     inputs : mapping of name to ndarray
         What kernels read.
     outputs : mapping of name to contiguous ndarray
-        What kernels write; a CPU works in the arrays' own memory.
+        What kernels write; a CPU works in the arrays' own memory, in another device stay those that
+        `device_empty` makes.
     scratch : mapping of name to int
         Sizes in bytes of buffers that stay on the device; their memory is used again by later calls.
+
+    Raises
+    ------
+    UserError
+        If the device has not enough memory.
     """
     import pyopencl as cl
 
-    arrays = {name: np.ascontiguousarray(array) for name, array in inputs.items()}
-    with _LOCK:
+    arrays = {
+        name: np.ascontiguousarray(array) if isinstance(array, np.ndarray) else array
+        for name, array in inputs.items()
+    }
+    with exclusive(device):
         queue = _queue(device)
         buffers = {name: _input(queue, device, array) for name, array in arrays.items()}
         buffers |= {name: _output(queue, device, array) for name, array in outputs.items()}

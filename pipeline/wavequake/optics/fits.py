@@ -173,8 +173,9 @@ def fit_instants(fit: Fit, values: Array, device: Device = NUMPY) -> Array:
     """Return coefficients (T, J) of values (T, N); lost rays (NaN) are left out of an instant's fit."""
     coefficients, lost = ray_coefficients(fit.matrix, values, device)
     for instant in np.flatnonzero(lost):
-        ok = np.isfinite(values[instant])
-        coefficients[instant] = refit(fit, ok, np.where(ok, values[instant], 0.0))
+        at_rays = values[instant]  # which may lie on a device
+        ok = np.isfinite(at_rays)
+        coefficients[instant] = refit(fit, ok, np.where(ok, at_rays, 0.0))
     return coefficients
 
 

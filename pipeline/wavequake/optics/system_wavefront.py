@@ -5,7 +5,8 @@ of the stop, wherever that has moved, and virtually where it is obscured; its im
 reference sphere, whose radius is the distance of the paraxial exit pupil. Lengths in mm, wavefronts in waves.
 
 Coefficients come from path lengths, or with `with_slopes` from where the rays meet the image. With
-`with_fitted_sphere` the reference sphere is centered on the image point of the one that fits best.
+`with_fitted_sphere` the reference sphere is centered on the image point of the one that fits best. Of rays
+that a GPU traced no more than these numbers come from it, see `wavequake.kernels.resident`.
 """
 
 from collections.abc import Iterator
@@ -17,9 +18,10 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY, Device
+from wavequake.kernels.opd import count_status, path_differences, without_planes
 from wavequake.kernels.ray_sums import ray_moments
 from wavequake.kernels.sequence import OK, VIGNETTED, Moving, Rays, Sequence, TracedRays
-from wavequake.kernels.sequential import trace_sequence
+from wavequake.kernels.sequential import launches_of, trace_sequence
 from wavequake.kernels.sequential_numpy import joined_moving, moving_part
 from wavequake.kernels.sequential_source import OUTPUTS
 from wavequake.optics.checks import alike, whole
@@ -325,24 +327,32 @@ def trace_lights(prepared: PreparedSystem, lights: list[Moving], device: Device)
 
 
 def _about(prepared: PreparedSystem, light: Moving, chief: Array, path: Array, device: Device) -> Traced:
-    outputs = OUTPUTS if prepared.slopes is not None else OUTPUTS[:3]  # directions take a tenth of the time
     radius = np.full((len(chief), 1), prepared.sphere_radius)
     # Without a chief ray there is no sphere: the instant's rays are lost, and say so.
     center = np.where(np.isfinite(chief), chief, 0.0)
     about = replace(light, spheres=np.concatenate([center, np.zeros_like(radius), radius], axis=1))
-    traced = trace_sequence(prepared.sequence, prepared.rays, about, device, outputs=outputs)
-    return (path[:, None] - traced.path) / prepared.wavelength, traced, chief
+    traced = trace_sequence(prepared.sequence, prepared.rays, about, device, outputs=_outputs(prepared))
+    return path_differences(traced.path, path, prepared.wavelength), traced, chief
+
+
+def _outputs(prepared: PreparedSystem) -> tuple[str, ...]:
+    return OUTPUTS if prepared.slopes is not None else OUTPUTS[:3]  # directions take a tenth of the time
 
 
 def measure_system(prepared: PreparedSystem, states: SystemStates, device: Device) -> SystemWavefront:
-    """Trace a batch of instants and reduce it to its wavefronts.
+    """Trace a batch of instants and reduce it to its wavefronts, those of one launch at a time.
 
     Raises
     ------
     UserError
         If the states do not fit the system.
     """
-    return analyse_system(prepared, *trace_system(prepared, states, device), device)
+    light = incoming_light(prepared, states, device)
+    lights = [part for _, part in launches_of(prepared.rays, light, _outputs(prepared))]
+    found = [analyse_system(prepared, *traced, device) for traced in trace_lights(prepared, lights, device)]
+    if len(found) == 1:
+        return found[0]
+    return SystemWavefront(*map(np.concatenate, zip(*(vars(one).values() for one in found), strict=True)))
 
 
 def analyse_system(
@@ -352,7 +362,7 @@ def analyse_system(
     point, weight = chief, prepared.fit.weight
     if prepared.sphere is not None:
         tilt = fit_instants(prepared.sphere, opd, device)[:, 1:3]
-        opd = opd - tilt[:, :1] * prepared.sphere.basis[:, 1] - tilt[:, 1:] * prepared.sphere.basis[:, 2]
+        opd = without_planes(opd, np.ascontiguousarray(prepared.sphere.basis[:, 1:3].T), tilt)
         point = chief + tilt * (prepared.wavelength / prepared.image_index / _aperture(prepared))
     zernike = fit_instants(prepared.fit, opd, device)
     slopes = np.ascontiguousarray(prepared.fit.basis[:, 1:3].T)
@@ -371,7 +381,7 @@ def analyse_system(
         spot_rms=found.spot_rms,
         strehl=found.strehl,
         lost=weight.size - found.arrived,
-        vignetted=np.count_nonzero(traced.status == VIGNETTED, axis=1),
+        vignetted=count_status(traced.status, VIGNETTED),
     )
 
 
