@@ -2,10 +2,12 @@
 
 import re
 
+import numpy as np
 import pytest
 
 import wavequake as wq
-from wavequake.kernels.devices import list_devices
+from wavequake.kernels import devices
+from wavequake.kernels.devices import Device, list_devices, opencl_handle
 from wavequake.workflows.campaign import profile
 
 SMALL = {"optics.rays": 40, "store.chunk_cases": 2}
@@ -33,3 +35,25 @@ def test_numpy_launches_no_kernels(tmp_path):
     store = tmp_path / "store"
     wq.run("double-gauss", cases=2, store=store, on="serial", **{"campaign.device": "numpy"} | SMALL)
     assert not [name for name in profile(store) if name.startswith("kernel ")]
+
+
+def test_a_device_with_memory_of_its_own_gives_no_rays_away(tmp_path, monkeypatch):
+    """A processor that poses as one, with a campaign's numbers and how much was copied for them."""
+    cpu = next((device for device in list_devices() if device.kind == "cpu"), None)
+    if cpu is None:
+        pytest.skip("needs an OpenCL processor")
+    found, options = {}, {"on": "serial", "optics.rays": 400, "store.chunk_cases": 2}
+    for kind in ("cpu", "gpu"):
+        device = Device(cpu.name, kind, cpu.platform, 1 if kind == "gpu" else cpu.vector_width)
+        handle = opencl_handle(cpu)
+        monkeypatch.setattr(devices, "_found", lambda pair=(device, handle): (pair,))
+        found[kind] = wq.run("double-gauss", cases=4, store=tmp_path / kind, **options)
+    told = {kind: profile(tmp_path / kind) for kind in found}
+    assert not [name for name in told["cpu"] if name.startswith("copied")]
+    to, back = (float(told["gpu"][f"copied {way} device"].removesuffix(" MB")) for way in ("to", "from"))
+    instants, rays = found["gpu"]["wfe_rms"][..., 0, 0].size, 400
+    assert 0.1 < back < 0.25e-6 * 9 * instants * rays * 26
+    assert to > 0.1
+    for name in ("wfe_rms", "zernike", "los_mm", "strehl", "spot_rms"):
+        one, other = (found[kind][name].values for kind in ("gpu", "cpu"))
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-6 * np.nanmax(np.abs(other)), err_msg=name)

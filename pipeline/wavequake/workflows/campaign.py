@@ -270,8 +270,8 @@ def _peak_memory_mb() -> float:
 def profile(path: Path | str) -> dict[str, str]:
     """Say where the time of a store's chunks went, from its journal.
 
-    That is the share of each kind of work, rates, and the time and launches of every OpenCL kernel by the
-    device's clock.
+    That is the share of each kind of work, rates, the time and launches of every OpenCL kernel by the
+    device's clock, and what was copied to and from a device that has memory of its own.
 
     Raises
     ------
@@ -288,9 +288,9 @@ def profile(path: Path | str) -> dict[str, str]:
     if not total:
         return {"profile": "nothing was computed yet"}
     seconds["write"] = seconds.pop("write_s", 0.0)
-    kernels, launches = (
+    kernels, launches, copied = (
         {name.removeprefix(kind): seconds.pop(name) for name in sorted(seconds) if name.startswith(kind)}
-        for kind in ("kernel ", "launches ")
+        for kind in ("kernel ", "launches ", "bytes ")
     )
     seconds["rest"] = total - sum(seconds.values())
     lines = {name: f"{value:8.2f} s  {value / total:6.1%}" for name, value in seconds.items()}
@@ -305,4 +305,5 @@ def profile(path: Path | str) -> dict[str, str]:
         f"{1e3 * value / launches[name]:.3g} ms"
         for name, value in sorted(kernels.items(), key=lambda item: -item[1])
     }
-    return {**lines, "all chunks": f"{total:8.2f} s of process time", **rates, **ran}
+    moved = {f"copied {way}": f"{1e-6 * count:8.1f} MB" for way, count in copied.items()}
+    return {**lines, "all chunks": f"{total:8.2f} s of process time", **rates, **ran, **moved}
