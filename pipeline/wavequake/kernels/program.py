@@ -136,7 +136,8 @@ def _input(queue: Any, device: Device, item: Any) -> Any:
     """Return what the kernel takes for `item`: a scalar, a buffer, or None for an array without elements."""
     import pyopencl as cl
 
-    item = settled(queue, device, item)
+    if not isinstance(item, np.ndarray):
+        item = settled(queue, device, item)
     if not isinstance(item, np.ndarray):
         return item
     if device.kind == "cpu" and device.platform != POCL and item.ctypes.data % _ALIGNED:
@@ -155,11 +156,12 @@ def _output(queue: Any, device: Device, out: Any) -> Any:
     """Return the buffer that a kernel fills."""
     import pyopencl as cl
 
+    if device.kind == "cpu":
+        there = np.asarray(out)
+        return cl.Buffer(queue.context, cl.mem_flags.WRITE_ONLY | cl.mem_flags.USE_HOST_PTR, hostbuf=there)
     out = settled(queue, device, out)
     if not isinstance(out, np.ndarray):
         return out
-    if device.kind == "cpu":
-        return cl.Buffer(queue.context, cl.mem_flags.WRITE_ONLY | cl.mem_flags.USE_HOST_PTR, hostbuf=out)
     return cl.Buffer(queue.context, cl.mem_flags.WRITE_ONLY, out.nbytes)
 
 
@@ -167,12 +169,11 @@ def _fetch(queue: Any, device: Device, out: Any, result: Any) -> None:
     """Queue what brings a result to its array; PoCL's processors write there, and waking them takes long."""
     import pyopencl as cl
 
-    out = settled(queue, device, out)
-    if out is result:  # it stays
-        return
     if device.kind != "cpu":
-        cl.enqueue_copy(queue, out, result, is_blocking=False)
-        count_bytes("from", out.nbytes)
+        out = settled(queue, device, out)
+        if out is not result:  # else it stays
+            cl.enqueue_copy(queue, out, result, is_blocking=False)
+            count_bytes("from", out.nbytes)
     elif device.platform != POCL:
         mapped, _ = cl.enqueue_map_buffer(
             queue, result, cl.map_flags.READ, 0, out.shape, out.dtype, is_blocking=False

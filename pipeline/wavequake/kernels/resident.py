@@ -3,7 +3,6 @@
 import math
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from itertools import count, pairwise
 from typing import Any, cast
 from weakref import WeakValueDictionary
@@ -52,7 +51,7 @@ class Resident(NDArrayOperatorsMixin):
 
         if device != self.device:
             return self.numpy()
-        with _LOCK:
+        with exclusive(self.device):
             if self._place is None:
                 _make_room(self.nbytes)
                 self._place = cl.Buffer(queue.context, cl.mem_flags.READ_WRITE, self.nbytes)
@@ -155,28 +154,34 @@ def settled(queue: Any, device: Device, item: Any) -> Any:
     return item.place(queue, device) if isinstance(item, Resident) else item
 
 
-@contextmanager
-def exclusive(device: Device) -> Iterator[None]:
+class exclusive:  # noqa: N801 - used as a context
     """Work with a device alone of all threads.
 
     Raises
     ------
     UserError
-        If there is not enough memory.
+        Instead of an error of OpenCL which says that there is not enough memory.
     """
-    import pyopencl as cl
 
-    with _LOCK:
-        try:
-            yield
-        except cl.Error as error:
-            names = [name for name in _NO_MEMORY if getattr(cl.status_code, name) == error.code]
-            if not names:
-                raise
-            raise UserError(
-                f"the OpenCL device {device.label!r} has not enough memory left ({names[0]}); end other "
-                "programs that use it, take fewer rays, or choose another device (campaign.device=cpu)"
-            ) from error
+    def __init__(self, device: Device) -> None:
+        self._device = device
+
+    def __enter__(self) -> None:
+        _LOCK.acquire()
+
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+        _LOCK.release()
+        if error is None:
+            return
+        import pyopencl as cl
+
+        code = getattr(error, "code", None) if isinstance(error, cl.Error) else None
+        for name in _NO_MEMORY:
+            if code == getattr(cl.status_code, name):
+                raise UserError(
+                    f"the OpenCL device {self._device.label!r} has not enough memory left ({name}); end "
+                    "other programs that use it, take fewer rays, or choose another (campaign.device=cpu)"
+                ) from error
 
 
 def _on_host(item: Any) -> Any:
