@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from wavequake.kernels.devices import Device
 from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
-from wavequake.kernels.program import aligned_empty, launch
+from wavequake.kernels.program import aligned_empty, device_empty, launch
 from wavequake.kernels.ring import ring_steps
 from wavequake.kernels.segmented_numpy import trace_chief, trace_segmented_numpy
 from wavequake.kernels.sequence import Basis
@@ -19,7 +19,7 @@ __all__ = ["SegmentedTrain", "Traced", "trace_chief", "trace_segmented"]
 
 Array = NDArray[np.float64]
 
-# What one launch may write: it bounds the memory that is taken on a GPU.
+# What one launch may write: it bounds the memory that is taken on a GPU, where a trace of no more stays.
 _LAUNCH_BYTES = 128 << 20
 # Rays of a work-item where a vector holds a tile: one hides the other's waiting, and rays that try the same
 # segment share what belongs to it.
@@ -101,15 +101,18 @@ def trace_segmented(
             train, *rays, segment_poses, figure, surface_poses, mirror_figure, directions, chief
         )
     shape = (segment_poses.shape[0], ray_x.size, TILE)
-    opd, x, y = (aligned_empty(shape) for _ in range(3))
-    traced = Traced(opd, x, y, aligned_empty(shape, np.int8))
     tiles = max(1, _LAUNCH_BYTES // (25 * TILE * max(1, ray_x.size)))
+    stays = shape[0] <= tiles
+    outputs: list[NDArray[Any]] = [
+        device_empty(device, shape, dtype) if stays else aligned_empty(shape, dtype)
+        for dtype in (np.float64, np.float64, np.float64, np.int8)
+    ]
     for first in range(0, shape[0], tiles):
         part = slice(first, first + tiles)
         inputs = [None if array is None else array[part] for array in moving]
-        outputs = [array[part] for array in (traced.opd, traced.x, traced.y, traced.status)]
-        _launch(device, train, rays, inputs, outputs)
-    return traced
+        there = outputs if stays else [array[part] for array in outputs]
+        _launch(device, train, rays, inputs, there)
+    return Traced(*outputs)
 
 
 def _launch(

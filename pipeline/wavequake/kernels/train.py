@@ -81,6 +81,8 @@ class SegmentedTrain:
 class Traced:
     """Traced rays in tile layout (T, N, 16); lost rays are NaN.
 
+    A device with memory of its own keeps them until NumPy asks, see `wavequake.kernels.resident`.
+
     Attributes
     ----------
     opd : ndarray, shape (T, N, 16)

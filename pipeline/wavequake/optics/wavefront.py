@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from wavequake.kernels.devices import NUMPY, Device
 from wavequake.kernels.ray_sums import tile_moments
+from wavequake.kernels.resident import device_of
 from wavequake.kernels.segmented import Traced
 from wavequake.kernels.tiles import TILE, from_tiles
 from wavequake.kernels.train import OK, vignetted
 from wavequake.optics.fits import Fit, refit, segment_planes
 from wavequake.optics.prepared import PreparedTrace, chief_rays, trace_states
-from wavequake.optics.slopes import coefficients_of_tile
+from wavequake.optics.slopes import wavefront_from_slopes
 from wavequake.optics.states import SurfaceStates
 
 Array = NDArray[np.float64]
@@ -126,22 +127,27 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array, device: Devic
     """
     fits, sums = [], []
     slopes = prepared.plane.basis[:, 1:3].T
-    for first in range(0, len(traced.opd), _TILES):
-        tiles = slice(first, first + _TILES)
-        waves, x, y = traced.opd[tiles] / prepared.wavelength, traced.x[tiles], traced.y[tiles]
-        ok = traced.status[tiles] == OK
+    status, stays = np.asarray(traced.status), device_of(traced.x) is not None
+    step = len(status) if stays else _TILES
+    for first in range(0, len(status), step):
+        tiles = slice(first, first + step)
+        waves = traced.opd[tiles] / prepared.wavelength
+        ok = status[tiles] == OK
         waves[~ok] = np.nan
-        found = [_fit_tile(prepared, *tile) for tile in zip(waves, x, y, ok, chief[tiles], strict=True)]
+        found = [_fit_tile(prepared, *tile) for tile in zip(waves, ok, strict=True)]
         planes = np.stack([tile[-1] for tile in found])
+        x, y = (values if stays else values[tiles] for values in (traced.x, traced.y))  # a part would come
         sums.append(vars(tile_moments(waves, x, y, prepared.weight, slopes, planes, device)))
         fits += found
     zernike, phase, lost_segments, shift = (np.concatenate([tile[k] for tile in fits]) for k in range(4))
     moments = {name: np.concatenate([part[name] for part in sums]) for name in sums[0]}
-    lost = np.count_nonzero(traced.status != OK, axis=1).ravel()
+    if prepared.slopes is not None:
+        zernike = wavefront_from_slopes(prepared.slopes, traced, chief)
+    lost = np.count_nonzero(status != OK, axis=1).ravel()
     image_point = from_tiles(chief)[:, :2]
     passed_by = np.zeros(len(lost), dtype=np.int64)
     for tile in np.flatnonzero(lost.reshape(-1, TILE).any(axis=1)):
-        gone = vignetted(prepared.train, traced.status[tile])
+        gone = vignetted(prepared.train, status[tile])
         passed_by[tile * TILE : (tile + 1) * TILE] = np.count_nonzero(gone, axis=0)
     factor = float(np.copysign(1.0 / np.sqrt(1.0 + prepared.obscuration**2), prepared.focal_length))
     return Wavefront(
@@ -163,7 +169,7 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array, device: Devic
 
 
 def _fit_tile(
-    prepared: PreparedTrace, waves: Array, x: Array, y: Array, ok: NDArray[np.bool_], center: Array
+    prepared: PreparedTrace, waves: Array, ok: NDArray[np.bool_]
 ) -> tuple[Array, Array, NDArray[np.bool_], Array, Array]:
     """Fit one tile (N, 16), from whose waves the tilt to the fitted sphere is taken.
 
@@ -191,9 +197,6 @@ def _fit_tile(
         known = waves if complete else np.where(ok, waves, 0.0)
         shift = tilt * (prepared.wavelength / prepared.numerical_aperture)
     zernike, plane = fitted(prepared.zernike).T, fitted(prepared.plane)[1:3]
-    if prepared.slopes is not None:
-        image = [np.where(ok, values, 0.0) for values in (x, y)]
-        zernike = coefficients_of_tile(prepared.slopes, image[0] - center[0], image[1] - center[1], ok)
     return zernike, phase.transpose(2, 0, 1), lost_segments, shift.T, plane
 
 
