@@ -7,14 +7,18 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from wavefront_cases import states_of
 
-from wavequake.kernels import sequential
+from wavequake.kernels import segmented, sequential
 from wavequake.kernels.devices import NUMPY, Device, list_devices
 from wavequake.kernels.launches import kernel_launches, launches_since
 from wavequake.kernels.resident import device_of
+from wavequake.kernels.tiles import TILE
 from wavequake.optics.catalog import optical_system
 from wavequake.optics.pupils import sunflower
 from wavequake.optics.shapes import Opening
+from wavequake.optics.slopes import slope_fit
+from wavequake.optics.sphere_fit import reference_fit
 from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.system_wavefront import (
     measure_system,
@@ -23,6 +27,7 @@ from wavequake.optics.system_wavefront import (
     with_fitted_sphere,
     with_slopes,
 )
+from wavequake.optics.wavefront import measure
 
 CPU = next((device for device in list_devices() if device.kind == "cpu"), None)
 pytestmark = pytest.mark.skipif(CPU is None, reason="needs an OpenCL processor, which poses as a GPU")
@@ -174,3 +179,32 @@ def test_what_one_launch_does_not_trace_is_measured_in_parts(monkeypatch):
     monkeypatch.setattr(sequential, "_LAUNCH_BYTES", 1)
     np.testing.assert_array_equal(measure_system(one, states, GPU).zernike, whole[GPU].zernike)
     assert measure_system(one, rest_states(one.system, 0), GPU).zernike.shape == (0, TERMS)
+
+
+@pytest.mark.parametrize("method", ["path", "sphere", "slopes"])
+@pytest.mark.parametrize("tiles", [1, 3])
+def test_segmented_telescopes_leave_image_points_there(tmt18, method, tiles):
+    one, rays = tmt18, len(tmt18.rays)
+    if method == "sphere":
+        one = replace(one, sphere=reference_fit(one))
+    if method == "slopes":
+        one = replace(one, slopes=slope_fit(one))
+    random, states = np.random.default_rng(tiles), states_of(one, tiles * TILE)
+    states.segment_motion[..., :3] = random.normal(0.0, 1e-3, states.segment_motion[..., :3].shape)
+    states.segment_motion[3, 5, 0] = np.nan
+    measure(one, states, GPU)
+    before = kernel_launches()
+    found = measure(one, states, GPU)
+    to, back = copied(before)
+    points = 0 if method != "slopes" else 2 * 8
+    assert back == tiles * TILE * (rays * (8 + 1 + points) + 8 * 8)
+    assert to < tiles * TILE * rays * 8 + 400_000 * tiles  # the wavefronts, and poses
+    expected = measure(one, states, CPU)
+    assert 0 < expected.lost[3] < rays
+    assert_alike(found, expected)
+    # Also where one launch does not trace all.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(segmented, "_LAUNCH_BYTES", 25 * TILE * rays)
+        parts = measure(one, states, GPU)
+    for name, values in vars(found).items():
+        np.testing.assert_array_equal(getattr(parts, name), values, err_msg=name)
