@@ -1,6 +1,9 @@
 // Wavefronts of rays that stay on a device, arrays (instants, rays). GROUP work-items make a group.
+//
+// Every operation is rounded as by NumPy, so that bits do not depend on where the rays are.
 
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
+#pragma OPENCL FP_CONTRACT OFF
 
 // By how many waves paths are shorter than the chief ray's (instants).
 __kernel void opd(const int rays, __global const double *paths, __global const double *chief,

@@ -21,7 +21,8 @@ def test_every_launch_is_counted_with_its_time(device):
         trace_segmented(**arguments, device=device)
     clock = time.perf_counter() - start
     timings = launches_since(before)
-    assert timings.keys() == {"kernel segmented", "launches segmented"}
+    copied = {"bytes to device", "bytes from device"} if device.kind == "gpu" else set()
+    assert timings.keys() - copied == {"kernel segmented", "launches segmented"}
     assert timings["launches segmented"] == 3
     assert 0.0 < timings["kernel segmented"] < clock
     assert launches_since(kernel_launches()) == {}

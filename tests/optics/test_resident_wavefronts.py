@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wavefront_cases import states_of
 
-from wavequake.kernels import segmented, sequential
+from wavequake.kernels import resident, segmented, sequential
 from wavequake.kernels.devices import NUMPY, Device, list_devices
 from wavequake.kernels.launches import kernel_launches, launches_since
 from wavequake.kernels.resident import device_of
@@ -156,6 +156,18 @@ def test_rays_come_when_they_are_asked_for_once():
         assert traced.vignetted.tolist() == expected[1].vignetted.tolist()
     assert copied(before)[1] - poses == 30 * 300 * (3 * 8 + 2)
     assert device_of(traced.path) == GPU
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_bits_do_not_depend_on_the_memory_that_is_left(method, monkeypatch):
+    one = prepared("stopped", method, 90)
+    states = moved(one.system, 20, 3, 2.0)
+    expected = measure_system(one, states, GPU)
+    for size in (1, 20 * 90 * 8, 50 * 90 * 8):
+        monkeypatch.setattr(resident, "_KEPT_BYTES", size)
+        found = measure_system(one, states, GPU)
+        for name, values in vars(expected).items():
+            np.testing.assert_array_equal(getattr(found, name), values, err_msg=name)
 
 
 def test_what_one_launch_does_not_trace_is_measured_in_parts(monkeypatch):

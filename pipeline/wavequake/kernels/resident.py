@@ -15,7 +15,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import Device
 from wavequake.kernels.launches import count_bytes
 
-# Of all arrays that stay on devices: of two traces of the largest size and what is made of them, about.
+# Of all arrays that stay on devices. The largest trace and the wavefronts made of it take four fifths.
 _KEPT_BYTES = 1 << 29
 _KEPT: WeakValueDictionary[int, "Resident"] = WeakValueDictionary()  # by when they were used, latest last
 _TURNS = count()
