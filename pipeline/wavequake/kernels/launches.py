@@ -2,7 +2,8 @@
 
 from typing import Any, Literal
 
-_COUNTED: dict[str, float] = {}
+_LAUNCHES: dict[str, tuple[int, float]] = {}
+_COPIED: dict[str, int] = {}
 
 
 def count_launch(name: str, event: Any) -> None:
@@ -13,13 +14,14 @@ def count_launch(name: str, event: Any) -> None:
         seconds = 1e-9 * (event.profile.end - event.profile.start)
     except cl.Error:  # a driver that keeps none
         return
-    _count(f"kernel {name}", seconds)
-    _count(f"launches {name}", 1)
+    launches, before = _LAUNCHES.get(name, (0, 0.0))
+    _LAUNCHES[name] = launches + 1, before + seconds
 
 
 def count_bytes(way: Literal["to", "from"], size: int) -> None:
     """Add bytes that are copied to or from a device; one that works in the host's memory copies none."""
-    _count(f"bytes {way} device", size)
+    name = f"bytes {way} device"
+    _COPIED[name] = _COPIED.get(name, 0) + size
 
 
 def kernel_launches() -> dict[str, float]:
@@ -27,15 +29,13 @@ def kernel_launches() -> dict[str, float]:
 
     That is "kernel NAME" in s, "launches NAME", "bytes to device" and "bytes from device".
     """
-    return dict(_COUNTED)
+    counted: dict[str, float] = dict(_COPIED)
+    for name, (launches, seconds) in _LAUNCHES.items():
+        counted |= {f"kernel {name}": seconds, f"launches {name}": launches}
+    return counted
 
 
 def launches_since(before: dict[str, float]) -> dict[str, float]:
     """Return what came since `kernel_launches` gave `before`, by the same names."""
-    return {
-        name: count - before.get(name, 0.0) for name, count in _COUNTED.items() if count != before.get(name)
-    }
-
-
-def _count(name: str, more: float) -> None:
-    _COUNTED[name] = _COUNTED.get(name, 0) + more
+    now = kernel_launches()
+    return {name: count - before.get(name, 0) for name, count in now.items() if count != before.get(name)}

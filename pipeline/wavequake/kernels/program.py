@@ -157,8 +157,7 @@ def _output(queue: Any, device: Device, out: Any) -> Any:
     import pyopencl as cl
 
     if device.kind == "cpu":
-        there = np.asarray(out)
-        return cl.Buffer(queue.context, cl.mem_flags.WRITE_ONLY | cl.mem_flags.USE_HOST_PTR, hostbuf=there)
+        return cl.Buffer(queue.context, cl.mem_flags.WRITE_ONLY | cl.mem_flags.USE_HOST_PTR, hostbuf=out)
     out = settled(queue, device, out)
     if not isinstance(out, np.ndarray):
         return out

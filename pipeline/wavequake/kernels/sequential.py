@@ -109,14 +109,13 @@ def _trace_opencl(
     if out is not None and any(getattr(out, name).shape != shape for name in (*outputs, "status", "surface")):
         raise ValueError(f"out must hold {', '.join(outputs)}, status and surface of the shape {shape}")
     parts = launches_of(rays, moving, outputs)
-    stays = len(parts) == 1
-
-    def new(name: str) -> NDArray[Any]:
-        dtype = np.float64 if name in OUTPUTS[:5] else np.int8
-        return device_empty(device, shape, dtype) if stays else aligned_empty(shape, dtype)
-
-    names = (*outputs, "status", "surface")
-    results = {name: new(name) if out is None else getattr(out, name) for name in names}
+    stays, results = len(parts) == 1, {}
+    for name in (*outputs, "status", "surface"):
+        if out is None:
+            dtype = np.float64 if name in OUTPUTS[:5] else np.int8
+            results[name] = device_empty(device, shape, dtype) if stays else aligned_empty(shape, dtype)
+        else:
+            results[name] = getattr(out, name) if device.kind == "gpu" else np.asarray(getattr(out, name))
     for part, now in parts:
         there = results if stays else {name: np.asarray(array)[part] for name, array in results.items()}
         _launch(sequence, rays, now, device, ignore_apertures, there)
