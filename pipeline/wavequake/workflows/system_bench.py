@@ -13,7 +13,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
 from wavequake.kernels.sequence import DIVERGED, MISS, OK, TOTAL_REFLECTION, VIGNETTED
 from wavequake.kernels.sequential import trace_sequence
-from wavequake.mechanics.element_motion import ElementMotion, SurfaceDeformation, single_parts
+from wavequake.mechanics.element_motion import ElementMotion, figure_terms, single_parts
 from wavequake.optics.bodies import Body, beam_radii, rigid_body, surface_index, with_bodies
 from wavequake.optics.pupils import sunflower
 from wavequake.optics.ray_aiming import LOSSES
@@ -148,7 +148,7 @@ def _require_elements(study: SystemStudy, system: OpticalSystem) -> None:
                         f"{names.count(name)} surfaces of that name; give each a comment of its own in the "
                         "lens file."
                     )
-                if isinstance(part, SurfaceDeformation) and name in (body.name for body in study.body):
+                if name in figure_terms(part) and name in (body.name for body in study.body):
                     raise UserError(
                         f"The disturbance {part.name!r} deforms the body {name!r}; only a surface deforms."
                     )
@@ -159,9 +159,9 @@ def _deformable(study: SystemStudy, system: OpticalSystem) -> OpticalSystem:
     terms: dict[int, int] = {}
     for population in study.disturbance:
         for part in single_parts(study.disturbance, population):
-            if isinstance(part, SurfaceDeformation):
-                for index in (surface_index(system, name) for name in part.of):
-                    terms[index] = max(terms.get(index, 0), *part.rms_nm)
+            for name, count in figure_terms(part).items():
+                index = surface_index(system, name)
+                terms[index] = max(terms.get(index, 0), count)
     return deformable(system, terms)
 
 
@@ -273,7 +273,7 @@ def system_states(bench: SystemBench, drawn: ElementMotion) -> SystemStates:
             states.surface_motion[:, index] = _in_mm(drawn.rigid[surface.name])
         figure, form = drawn.figure.get(surface.name), states.deformations[index]
         if figure is not None and form is not None:
-            form[:, : len(figure)] = figure * MM_PER_M
+            form[:, : figure.shape[-1]] = figure * MM_PER_M
     carried = [(body, _in_mm(drawn.rigid[body.name])) for body in bench.bodies if body.name in drawn.rigid]
     return SystemStates(with_bodies(system, states.surface_motion, carried), states.deformations, drawn.sight)
 
