@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from wavequake.errors import UserError
-from wavequake.mechanics import element_history
+from wavequake.mechanics import history_facts, history_table
 from wavequake.mechanics.disturbances import Combine
-from wavequake.mechanics.element_history import SurfaceHistory, history_of, read_history
+from wavequake.mechanics.element_history import SurfaceHistory, history_of, read_table
 from wavequake.mechanics.element_motion import (
     SurfaceDeformation,
     SurfaceRandom,
@@ -42,7 +42,7 @@ def table(names, time, values):
 
 
 def test_columns_are_motions_in_si_units():
-    found = read_history(TABLE)
+    found = read_table(TABLE)
     np.testing.assert_array_equal(found.time, [0.5, 0.75])
     np.testing.assert_allclose(found.rigid["L1 front"], [[1e-6, 0, 5e-6, 0, 0, 0], [-1e-5, 0, 5e-5, 0, 0, 0]])
     np.testing.assert_allclose(found.rigid["M1"], [[0, 0, 0, 0, 0, 2e-6], [0, 0, 0, 0, 0, 2e-5]])
@@ -59,7 +59,7 @@ ELEMENTS = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Zl", 
 def test_any_name_and_number_comes_back_from_a_file(element, values, spaced):
     """Names may hold spaces, dots, commas, quotes; numbers keep every bit but that of the change of unit."""
     name = f"{element} front.a" if spaced else element
-    found = read_history(table([f"{name}.dy_um"], np.arange(len(values)), values))
+    found = read_table(table([f"{name}.dy_um"], np.arange(len(values)), values))
     np.testing.assert_array_equal(found.rigid[name][:, 1], np.array(values) * 1e-6)
 
 
@@ -155,29 +155,29 @@ def test_histories_are_added_at_the_same_instants_only():
 )
 def test_a_bad_table_is_refused_with_line_and_column(text, complaint):
     with pytest.raises(UserError, match=complaint):
-        read_history(text)
+        read_table(text)
     with pytest.raises(ValidationError, match=r"the history my\.csv: .*"):
         SurfaceHistory(name="shake", file="my.csv", file_csv=text)
 
 
 @pytest.mark.parametrize(
-    ("limit", "size", "complaint"),
+    ("module", "limit", "size", "complaint"),
     [
-        ("MOST_INSTANTS", 1, "more than 1 rows"),
-        ("MOST_NUMBERS", 33, "2 rows of 2 moving elements and of 5 coefficients, .* are 34 numbers; 33 are"),
-        ("MOST_TEXT", 100, "MB of text"),
+        (history_table, "MOST_INSTANTS", 1, "more than 1 rows"),
+        (history_facts, "MOST_NUMBERS", 33, "2 instants of 2 moving elements, 5 coef.* 34 numbers; 33 are"),
+        (history_table, "MOST_TEXT", 100, "MB of text"),
     ],
 )
-def test_a_table_that_is_too_large_is_refused(monkeypatch, limit, size, complaint):
-    monkeypatch.setattr(element_history, limit, size)
+def test_a_table_that_is_too_large_is_refused(monkeypatch, module, limit, size, complaint):
+    monkeypatch.setattr(module, limit, size)
     with pytest.raises(UserError, match=complaint):
-        read_history.__wrapped__(TABLE)
+        read_table.__wrapped__(TABLE)
 
 
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        ({"file_csv": None}, "a history needs a file, a CSV of time_s and columns"),
+        ({"file_csv": None}, "a history needs one file, a CSV of time_s and columns"),
         ({"instants": 16}, "the history has 2 rows, which are its instants: leave instants = 16 out"),
         ({"duration_s": 0.1}, "leave duration_s = 0.1 out"),
         ({"of": ("M1",)}, "of"),

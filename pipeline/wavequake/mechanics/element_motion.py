@@ -5,7 +5,7 @@ elements never changes another one's draws.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import reduce
 from typing import Annotated, Any, Literal, cast
 
@@ -15,7 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances import Combine, parts
-from wavequake.mechanics.element_history import MOST_INSTANTS, SurfaceHistory, history_of, same_instants
+from wavequake.mechanics.element_history import SurfaceHistory, history_of, same_instants
+from wavequake.mechanics.history_facts import MOST_INSTANTS, GridHistory
 from wavequake.mechanics.line_of_sight import LineOfSight, draw_sight
 from wavequake.mechanics.motion import generator
 from wavequake.mechanics.population import NonNegative, Population, time_axis
@@ -116,11 +117,14 @@ class ElementMotion:
         By the surface's name: Noll coefficients from j = 1 in m; static, or of each instant.
     sight : ndarray, shape (n, 2)
         Rotation of the incoming bundle on the sky, rad, along x and y.
+    grid : dict of ndarray, shape (n, rows, columns)
+        By the surface's name: heights in m that come on top of the figure.
     """
 
     rigid: dict[str, Array]
     figure: dict[str, Array]
     sight: Array
+    grid: dict[str, Array] = field(default_factory=dict)
 
 
 def draw_elements(
@@ -153,6 +157,7 @@ def draw_elements(
         _summed([one.rigid for one in drawn]),
         _summed([one.figure for one in drawn]),
         reduce(np.add, [one.sight for one in drawn]),
+        _summed([one.grid for one in drawn]),
     )
 
 
@@ -194,6 +199,11 @@ def figure_terms(part: SingleElementDisturbance) -> dict[str, int]:
             return {}
 
 
+def figure_grids(part: SingleElementDisturbance) -> dict[str, GridHistory]:
+    """Return the grids on which a disturbance deforms surfaces, by their names."""
+    return history_of(part).grid if isinstance(part, SurfaceHistory) else {}
+
+
 def single_parts(
     populations: Sequence[ElementDisturbance], population: AnyElements
 ) -> list[SingleElementDisturbance]:
@@ -215,7 +225,8 @@ def _draw(part: SingleElementDisturbance, time: Array, random_of: Callable[[str]
         case SurfaceHistory():
             _require_instants(part, time, "those of what it is a part of")
             found = history_of(part)
-            return ElementMotion(found.rigid, found.figure, found.sight)
+            heights = {name: one.heights for name, one in found.grid.items()}
+            return ElementMotion(found.rigid, found.figure, found.sight, heights)
     own = {name: random_of(f"{part.name}/{name}") for name in part.of}
     match part:
         case SurfaceRandom():

@@ -62,7 +62,8 @@ def _with_element(motion: ElementMotion, other: ElementMotion, element: str) -> 
         others = {name: values for name, values in mine.items() if name != element}
         return others | {name: values for name, values in theirs.items() if name == element}
 
-    return ElementMotion(chosen(motion.rigid, other.rigid), chosen(motion.figure, other.figure), motion.sight)
+    moved, figure = chosen(motion.rigid, other.rigid), chosen(motion.figure, other.figure)
+    return ElementMotion(moved, figure, motion.sight, chosen(motion.grid, other.grid))
 
 
 def evaluate(bench: SystemBench, time: Array, motion: ElementMotion, device: str) -> Array:

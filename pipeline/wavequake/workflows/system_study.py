@@ -14,7 +14,7 @@ from wavequake.mechanics.vibration_lines import VibrationLines
 from wavequake.optics.system_file import SystemSection, embed_file
 from wavequake.optics.zernike import MOST_TERMS
 from wavequake.workflows.sampling import SampledCampaignSection, whole_sets
-from wavequake.workflows.schema import Section, Study, text_of
+from wavequake.workflows.schema import Section, Study, base64_of, text_of
 from wavequake.workflows.segment_study import require_path_lengths
 
 
@@ -145,12 +145,16 @@ class SystemStudy(Study):
 
     @classmethod
     def read_files(cls, record: dict[str, Any], base: Path) -> None:
-        """Read the lens file and the spectra of the line of sight."""
+        """Read the lens file, the spectra of the line of sight, and histories."""
         if isinstance(record.get("system"), dict):
             embed_file(record["system"], base)
         for entry in record.get("disturbance") or ():
             if isinstance(entry, dict) and isinstance(entry.get("file"), str):
-                entry["file_csv"] = text_of(base / entry["file"], f"disturbance.{entry.get('name')}.file")
+                key = f"disturbance.{entry.get('name')}.file"
+                if entry.get("model") == "surface-history" and entry["file"].lower().endswith(".npz"):
+                    entry["file_npz"] = base64_of(base / entry["file"], key)
+                else:
+                    entry["file_csv"] = text_of(base / entry["file"], key)
 
 
 def _with_own_axis(entries: tuple[Any, ...], entry: Any) -> Any:
