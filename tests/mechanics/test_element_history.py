@@ -44,9 +44,11 @@ def table(names, time, values):
 def test_columns_are_motions_in_si_units():
     found = read_table(TABLE)
     np.testing.assert_array_equal(found.time, [0.5, 0.75])
-    np.testing.assert_allclose(found.rigid["L1 front"], [[1e-6, 0, 5e-6, 0, 0, 0], [-1e-5, 0, 5e-5, 0, 0, 0]])
-    np.testing.assert_allclose(found.rigid["M1"], [[0, 0, 0, 0, 0, 2e-6], [0, 0, 0, 0, 0, 2e-5]])
-    np.testing.assert_allclose(found.figure["M1"], [[0, 0, 3e-9, 0, 4e-9], [0, 0, 3e-8, 0, 4e-8]])
+    np.testing.assert_allclose(
+        found.rigid["L1 front"], [[1e-6, 0, 5e-6, 0, 0, 0], [-1e-5, 0, 5e-5, 0, 0, 0]], rtol=1e-15
+    )
+    np.testing.assert_allclose(found.rigid["M1"], [[0, 0, 0, 0, 0, 2e-6], [0, 0, 0, 0, 0, 2e-5]], rtol=1e-15)
+    np.testing.assert_allclose(found.figure["M1"], [[0, 0, 3e-9, 0, 4e-9], [0, 0, 3e-8, 0, 4e-8]], rtol=1e-15)
     mas = np.deg2rad(1 / 3600) / 1000
     np.testing.assert_allclose(found.sight, [[0, 6 * mas], [0, 60 * mas]], rtol=1e-14)
     assert found.names == ("L1 front", "M1")
@@ -109,7 +111,7 @@ def test_histories_are_added_at_the_same_instants_only():
     )
     whole = Combine(name="all", of=("one", "two"))
     drawn = draw_elements((one, other, whole), whole, 1, 0)
-    np.testing.assert_allclose(drawn.rigid["M"][:, 0], 2e-6 * np.arange(50.0))
+    np.testing.assert_allclose(drawn.rigid["M"][:, 0], 2e-6 * np.arange(50.0), rtol=1e-15)
     whole = Combine(name="all", of=("one", "shake"))
     with pytest.raises(UserError, match=r"'shake' has 2 instants from 0.5 to 0.75 s, which are not .*'one'"):
         draw_elements((one, SHAKE, whole), whole, 1, 0)
