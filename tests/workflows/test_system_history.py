@@ -266,6 +266,17 @@ def test_a_store_needs_the_file_no_more(tmp_path):
     assert whole.sizes["case"] == 6
 
 
+def test_another_file_needs_the_study_to_be_loaded_with_it(tmp_path):
+    study = written(tmp_path)
+    with pytest.raises(
+        UserError, match=r"'disturbance.shake.file' changes nothing in it; load it with this key"
+    ):
+        run(study, store=tmp_path / "s", disturbance__shake__file="other.csv")
+    (tmp_path / "other.csv").write_text("time_s,L1 front.dx_um\n0,1\n")
+    other = load_study(tmp_path / "study.toml", {"disturbance.shake.file": "other.csv"})
+    assert other.disturbance[0].instants == 1
+
+
 def test_what_is_not_random_has_one_case(tmp_path):
     alone = written(tmp_path, HEAD)
     assert (alone.cases, alone.campaign.cases) == (1, 6)
