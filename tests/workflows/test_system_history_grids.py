@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 from test_system_history import HEAD, MOTION, RANDOM, TIME, written
 
 from wavequake.errors import UserError
@@ -11,7 +12,9 @@ from wavequake.optics.shapes import GridDeformation
 from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.system_wavefront import measure_system
 from wavequake.optics.zernike import annular_zernike
+from wavequake.report.rerun import rerun_stored
 from wavequake.workflows import system_measure
+from wavequake.workflows.campaign import run
 from wavequake.workflows.contract import DONE
 from wavequake.workflows.sensitivity import sensitivity
 from wavequake.workflows.study import load_study
@@ -130,6 +133,14 @@ def test_sensitivities_are_those_without_a_history(tmp_path):
     )
     for name in found.data_vars:
         np.testing.assert_allclose(found[name], plain[name], rtol=1e-6, atol=1e-6, err_msg=name)
+
+
+def test_a_case_in_full_detail_has_its_grids(tmp_path):
+    run(study_of(tmp_path, grid(ROUGH)), store=tmp_path / "s")
+    assert rerun_stored(tmp_path / "s", 0, tmp_path / "case.nc").differing == ()
+    with xr.open_dataset(tmp_path / "case.nc") as detail:
+        np.testing.assert_allclose(detail["given_grid_0"], ROUGH, rtol=1e-15)
+        assert detail["given_grid_0"].attrs["long_name"] == "heights on the grid of L1 front"
 
 
 TWO = (

@@ -120,6 +120,9 @@ def _of_system(study: str, case: int, device_name: str) -> xr.Dataset:
         found["drawn_figure"] = _variable(
             (*over_time, "deformed", "term"), figure, "nm", "Noll coefficients from 1 of surfaces' figures"
         )
+    for place, (name, heights) in enumerate(drawn.grid.items()):
+        dims = ("instant", f"row_{place}", f"column_{place}")
+        found[f"given_grid_{place}"] = _variable(dims, 1e9 * heights, "nm", f"heights on the grid of {name}")
     labels = {"traced": instants, "surface": names, "dof": _DEGREES}
     labels |= {"element": list(drawn.rigid)} if drawn.rigid else {}
     labels |= {"deformed": list(drawn.figure)} if drawn.figure else {}
