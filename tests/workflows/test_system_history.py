@@ -155,6 +155,18 @@ def test_small_motions_act_by_the_sensitivities(tmp_path):
 
 
 DEFORMED = (("L1 front", 5), ("L4 back", 2))
+
+
+def test_a_detector_that_moves_sees_the_image_move_against_it(tmp_path):
+    motion = {"image.dx_um": 7.0 * np.sin(TIME), "image.dy_um": -3.0 * TIME}
+    found = compute(written(tmp_path, HEAD, TIME, motion).identity_text(), np.array([0]), "numpy").arrays
+    expected = -1e-3 * np.stack(list(motion.values()), axis=1)
+    for name in ("los_mm", "centroid_mm"):
+        for field in (0, 1):
+            np.testing.assert_allclose(found[name][0, :, field, 0], expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found["wfe_change"], 0.0, rtol=0, atol=1e-4)
+
+
 VIBRATION = """
 [[disturbance]]
 name = "hum"
@@ -333,6 +345,20 @@ def test_light_that_is_lost_at_an_instant_says_when(tmp_path):
     assert "at t = 3.5 s " in result.messages[0]
     assert np.isnan(result.arrays["wfe_rms"]).all()
     assert template(study.identity_text()).per_case["wfe_rms"].shape[0] == len(TIME)
+
+
+def test_a_report_shows_the_beginning_of_a_long_table(tmp_path, wavequake):
+    long = HEAD.replace("rays = 40", "rays = 12").replace("zernike_terms = 6", "zernike_terms = 4")
+    time = np.arange(2500) / 1e4
+    written(tmp_path, long, time, {f"L1 front.d{axis}_um": np.sin(90 * time) for axis in "xyz"})
+    code, _, _ = wavequake("run", tmp_path / "study.toml", "--store", tmp_path / "s", "--on", "serial")
+    page = (tmp_path / "s" / "report.html").read_text()
+    table = (tmp_path / "my history.csv").read_text()
+    assert code == 0
+    assert len(table) > 100_000
+    assert f"({len(table)} characters, which the store" in page
+    assert table.splitlines()[1] in page
+    assert table.splitlines()[-1] not in page
 
 
 def test_a_case_in_full_detail_has_figures_over_time(tmp_path):
