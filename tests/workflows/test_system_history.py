@@ -8,7 +8,7 @@ import xarray as xr
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
-from wavequake.mechanics.element_motion import draw_elements, instants_of
+from wavequake.mechanics.element_motion import draw_elements, instants_of, single_parts
 from wavequake.mechanics.motion import RAD_PER_MAS
 from wavequake.optics.bodies import rigid_body, with_bodies
 from wavequake.optics.catalog import optical_system
@@ -20,7 +20,7 @@ from wavequake.optics.system_wavefront import measure_system, prepare_system
 from wavequake.report.rerun import rerun_stored
 from wavequake.workflows import system_measure
 from wavequake.workflows.budget import summed
-from wavequake.workflows.budget_systems import experiment
+from wavequake.workflows.budget_systems import experiment, variants
 from wavequake.workflows.campaign import notices, plan, run, run_study
 from wavequake.workflows.contract import DONE, RAISED
 from wavequake.workflows.schema import study_from_identity
@@ -228,8 +228,8 @@ def test_a_combination_adds_what_is_random_to_every_instant(tmp_path):
 
 @pytest.mark.parametrize("device", ["numpy", "auto"])
 def test_bits_depend_on_no_other_case_or_piece(tmp_path, monkeypatch, device):
-    """A history of 100 instants is traced in pieces of 16, or at once."""
-    time = np.arange(100) / 1000.0
+    """A history of 97 instants is traced in pieces of 16, of which the last has one, or at once."""
+    time = np.arange(97) / 1000.0
     motion = {"L1 front.dx_um": np.sin(300 * time), "L1 front.z9_nm": 20 * np.cos(time)}
     text = written(tmp_path, HEAD + RANDOM, time, motion).identity_text()
     together = compute(text, np.arange(4), device)
@@ -303,6 +303,20 @@ def test_what_is_not_random_has_one_case(tmp_path):
     never = written(tmp_path, HEAD + "share = 0\n" + RANDOM)
     assert list(notices(never)) == []
     assert work(never.identity_text(), 2) == {"trace": (2 * len(TIME) * 2 * 40 * 14, "ray-surfaces")}
+
+
+def test_without_its_history_a_combination_keeps_the_instants(tmp_path):
+    text = (HEAD + "share = 0\n" + RANDOM).replace('"shake",', '"shake", "hum",') + VIBRATION
+    study = written(tmp_path, text)
+    sources = single_parts(study.disturbance, summed(study, None))
+    assert [part.name for part in sources] == ["askew", "shake", "hum", "figure"]
+    whole, _, _, unshaken, *_ = variants(summed(study, None), sources, study.study.seed, 2)
+    assert unshaken.rigid["lens 3"].shape == (len(TIME), 6)
+    moved = whole.rigid["lens 3"] - unshaken.rigid["lens 3"]
+    np.testing.assert_allclose(moved[:, 4], 1e-6 * MOTION["lens 3.ry_urad"], rtol=0, atol=1e-18)
+    np.testing.assert_allclose(moved[:, [0, 1, 2, 3, 5]], 0.0, rtol=0, atol=1e-20)
+    assert np.ptp(unshaken.rigid["lens 3"][:, 0]) > 1e-6
+    assert not unshaken.sight.any()
 
 
 def test_a_budget_takes_a_history_apart(tmp_path):

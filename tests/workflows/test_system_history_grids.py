@@ -7,13 +7,15 @@ from test_system_history import HEAD, MOTION, RANDOM, TIME, written
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
-from wavequake.mechanics.element_motion import draw_elements
+from wavequake.mechanics.element_motion import draw_elements, single_parts
 from wavequake.optics.shapes import GridDeformation
 from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.system_wavefront import measure_system
 from wavequake.optics.zernike import annular_zernike
 from wavequake.report.rerun import rerun_stored
 from wavequake.workflows import system_measure
+from wavequake.workflows.budget import summed
+from wavequake.workflows.budget_systems import elements_of, variants
 from wavequake.workflows.campaign import run
 from wavequake.workflows.contract import DONE
 from wavequake.workflows.sensitivity import sensitivity
@@ -133,6 +135,19 @@ def test_sensitivities_are_those_without_a_history(tmp_path):
     )
     for name in found.data_vars:
         np.testing.assert_allclose(found[name], plain[name], rtol=1e-6, atol=1e-6, err_msg=name)
+
+
+def test_a_budget_takes_grids_away_with_their_surface(tmp_path):
+    text = (ARRAYS + "share = 0\n" + RANDOM).replace("L1 front", "L3 front")
+    study = study_of(tmp_path, grid(ROUGH, "L3 front"), text)
+    sources = single_parts(study.disturbance, summed(study, None))
+    assert elements_of(sources) == ["lens 3", "L3 front"]
+    whole, again, no_askew, no_shake, no_figure, no_body, no_surface, *_ = variants(
+        summed(study, None), sources, 1, 0
+    )
+    for one in (whole, again, no_askew, no_figure, no_body):
+        np.testing.assert_allclose(one.grid["L3 front"], 1e-9 * ROUGH, rtol=1e-15)
+    assert no_shake.grid == no_surface.grid == {}
 
 
 def test_a_case_in_full_detail_has_its_grids(tmp_path):
