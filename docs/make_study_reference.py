@@ -20,7 +20,7 @@ def table(model: type[BaseModel], skip: frozenset[str] = frozenset()) -> str:
     """Return one Markdown table: key, default, meaning."""
     lines = ["| key | default | meaning |", "|---|---|---|"]
     for name, info in model.model_fields.items():
-        if name in skip or name.endswith(("_csv", "_text")) or models(info.annotation):
+        if name in skip or name.endswith(("_csv", "_npz", "_text")) or models(info.annotation):
             continue
         default = (
             "required"

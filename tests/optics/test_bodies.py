@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
-from wavequake.optics.bodies import Body, beam_radii, rigid_body, with_bodies
+from wavequake.optics.bodies import Body, beam_extents, beam_radii, rigid_body, with_bodies
 from wavequake.optics.catalog import optical_system
 from wavequake.optics.kinematics import cardan
 from wavequake.optics.paraxial import entrance_pupil_center, paraxial
@@ -142,6 +142,9 @@ def test_beams_fill_what_first_order_optics_says():
     small = np.array([[0.0, 0.0], [0.0, 0.01]])
     chief = np.tan(0.01) * data.entrance_pupil
     assert beam_radii(replace(system, fields=small), [0])[0] == pytest.approx(marginal + chief, rel=2e-3)
+    # Across the field the beam is as wide as on the axis.
+    extents = beam_extents(replace(system, fields=small), [0])[0]
+    assert extents == pytest.approx([marginal, marginal + chief], rel=2e-3)
     everywhere = beam_radii(replace(system, fields=np.zeros((1, 2))), range(len(system.surfaces)))
     assert everywhere[system.stop] == pytest.approx(data.stop_radius, rel=1e-3)
     assert everywhere[-1] < 0.01  # the focus

@@ -5,7 +5,7 @@ elements never changes another one's draws.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import reduce
 from typing import Annotated, Any, Literal, cast
 
@@ -13,7 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from wavequake.errors import UserError
 from wavequake.mechanics.disturbances import Combine, parts
+from wavequake.mechanics.element_history import SurfaceHistory, history_of, same_instants
+from wavequake.mechanics.history_facts import MOST_INSTANTS, GridHistory
 from wavequake.mechanics.line_of_sight import LineOfSight, draw_sight
 from wavequake.mechanics.motion import generator
 from wavequake.mechanics.population import NonNegative, Population, time_axis
@@ -85,10 +88,21 @@ class SurfaceDeformation(Population):
     )
 
 
+class CombinedElements(Combine):
+    """The sum of other disturbances of the study, drawn at this population's own instants.
+
+    With a surface-history among them these are the rows of its file, and `instants` and `duration_s` are left
+    out.
+    """
+
+    instants: int = Field(default=16, ge=1, le=MOST_INSTANTS)
+
+
 SingleElementDisturbance = (
-    SurfaceRandom | SurfaceVibration | SurfaceDeformation | LineOfSight | VibrationLines
+    SurfaceRandom | SurfaceVibration | SurfaceDeformation | SurfaceHistory | LineOfSight | VibrationLines
 )
-ElementDisturbance = Annotated[SingleElementDisturbance | Combine, Field(discriminator="model")]
+AnyElements = SingleElementDisturbance | Combine
+ElementDisturbance = Annotated[SingleElementDisturbance | CombinedElements, Field(discriminator="model")]
 
 
 @dataclass(frozen=True)
@@ -99,34 +113,41 @@ class ElementMotion:
     ----------
     rigid : dict of ndarray, shape (n, 6)
         By the element's name: dx, dy, dz in m and rx, ry, rz in rad in its own frame at rest.
-    figure : dict of ndarray, shape (terms,)
-        By the surface's name: Noll coefficients from j = 1 in m; static.
+    figure : dict of ndarray, shape (terms,) or (n, terms)
+        By the surface's name: Noll coefficients from j = 1 in m; static, or of each instant.
     sight : ndarray, shape (n, 2)
         Rotation of the incoming bundle on the sky, rad, along x and y.
+    grid : dict of ndarray, shape (n, rows, columns)
+        By the surface's name: heights in m that come on top of the figure.
     """
 
     rigid: dict[str, Array]
     figure: dict[str, Array]
     sight: Array
+    grid: dict[str, Array] = field(default_factory=dict)
 
 
 def draw_elements(
     populations: Sequence[ElementDisturbance],
-    population: ElementDisturbance,
+    population: AnyElements,
     seed: int,
     realization: int,
     streams: Streams = own_streams,
+    time: Array | None = None,
 ) -> ElementMotion:
     """Draw one case of a population; every part of a combination is drawn as it is alone.
 
     Where `streams` gives something for a name, a disturbance or ``disturbance/element``, it draws from that.
+    The instants are those of the population, unless others are given as `time`.
 
     Raises
     ------
     UserError
-        If a combination names what is none of `populations`, or contains itself.
+        If a combination names what is none of `populations`, or contains itself, or a history has other
+        instants.
     """
-    time = time_axis(population)
+    if time is None:
+        time = instants_of(populations, population)
 
     def random(name: str) -> Random:
         return streams(name) or generator(seed, name, realization)
@@ -136,11 +157,55 @@ def draw_elements(
         _summed([one.rigid for one in drawn]),
         _summed([one.figure for one in drawn]),
         reduce(np.add, [one.sight for one in drawn]),
+        _summed([one.grid for one in drawn]),
     )
 
 
+def instants_of(populations: Sequence[ElementDisturbance], population: AnyElements) -> Array:
+    """Return the instants (n,) of a population in s: those of the history in it, or else of its time axis.
+
+    Raises
+    ------
+    UserError
+        If it combines histories of different instants, or as `draw_elements`.
+    """
+    found = [part for part in single_parts(populations, population) if isinstance(part, SurfaceHistory)]
+    if not found:
+        return time_axis(population)
+    time = history_of(found[0]).time
+    for other in found[1:]:
+        _require_instants(other, time, f"those of the history {found[0].name!r}")
+    return time
+
+
+def _require_instants(history: SurfaceHistory, time: Array, what: str) -> None:
+    own = history_of(history).time
+    if not same_instants(own, time):
+        raise UserError(
+            f"the history {history.name!r} has {len(own)} instants from {own[0]:g} to {own[-1]:g} s, which "
+            f"are not {what}, {len(time)} from {time[0]:g} to {time[-1]:g} s; to combine them, sample both "
+            "at the same instants."
+        )
+
+
+def figure_terms(part: SingleElementDisturbance) -> dict[str, int]:
+    """Return up to which Noll coefficient a disturbance deforms surfaces, by their names."""
+    match part:
+        case SurfaceDeformation():
+            return dict.fromkeys(part.of, max(part.rms_nm))
+        case SurfaceHistory():
+            return {name: form.shape[1] for name, form in history_of(part).figure.items()}
+        case _:
+            return {}
+
+
+def figure_grids(part: SingleElementDisturbance) -> dict[str, GridHistory]:
+    """Return the grids on which a disturbance deforms surfaces, by their names."""
+    return history_of(part).grid if isinstance(part, SurfaceHistory) else {}
+
+
 def single_parts(
-    populations: Sequence[ElementDisturbance], population: ElementDisturbance
+    populations: Sequence[ElementDisturbance], population: AnyElements
 ) -> list[SingleElementDisturbance]:
     """Return the single disturbances that a population is made of; raises as `draw_elements`."""
     return cast(
@@ -157,6 +222,11 @@ def _draw(part: SingleElementDisturbance, time: Array, random_of: Callable[[str]
         case VibrationLines():
             sight = draw_lines(part, 0, time, random_of(part.name)).mount
             return ElementMotion({}, {}, sight)
+        case SurfaceHistory():
+            _require_instants(part, time, "those of what it is a part of")
+            found = history_of(part)
+            heights = {name: one.heights for name, one in found.grid.items()}
+            return ElementMotion(found.rigid, found.figure, found.sight, heights)
     own = {name: random_of(f"{part.name}/{name}") for name in part.of}
     match part:
         case SurfaceRandom():

@@ -145,10 +145,20 @@ def beam_radii(system: OpticalSystem, surfaces: Sequence[int]) -> Array:
     UserError
         If no ray from the pupil's rim reaches one of them, or rays cannot be aimed at the stop.
     """
+    return _reach(system, surfaces)[:, 2]
+
+
+def beam_extents(system: OpticalSystem, surfaces: Sequence[int]) -> Array:
+    """Return the largest |x| and |y| (len(surfaces), 2) of the beams of all fields, mm; as `beam_radii`."""
+    return _reach(system, surfaces)[:, :2]
+
+
+def _reach(system: OpticalSystem, surfaces: Sequence[int]) -> Array:
+    """Return the largest |x|, |y| and distance from the vertex (len(surfaces), 3); raises as `beam_radii`."""
     wavelength = wavelength_of(system)
     whole, rest = pack(system, wavelength), moving(system, rest_states(system))
     angle = 2.0 * np.pi * np.arange(_RIM_RAYS) / _RIM_RAYS
-    reach = np.zeros(len(surfaces))
+    reach = np.zeros((len(surfaces), 3))
     for field in system.fields:
         rays = pupil_rays(system, field, wavelength, np.cos(angle), np.sin(angle))
         for place, surface in enumerate(surfaces):
@@ -156,9 +166,9 @@ def beam_radii(system: OpticalSystem, surfaces: Sequence[int]) -> Array:
             sequence = replace(whole, elements=whole.elements[:count])
             poses = Moving(rest.poses[:, :count], rest.deformations[:count], rest.grids[:count])
             traced = trace_sequence(sequence, rays, poses, NUMPY, ignore_apertures=True)
-            away = np.nan_to_num(np.hypot(traced.x, traced.y))
-            reach[place] = max(reach[place], float(away.max()))
-    for surface, radius in zip(surfaces, reach, strict=True):
+            away = np.nan_to_num([np.abs(traced.x), np.abs(traced.y), np.hypot(traced.x, traced.y)])
+            reach[place] = np.maximum(reach[place], away.max(axis=(1, 2)))
+    for surface, radius in zip(surfaces, reach[:, 2], strict=True):
         if radius == 0.0:
             name = system.surfaces[surface].name
             raise UserError(f"no ray from the rim of the pupil of {system.name} reaches the surface {name}")

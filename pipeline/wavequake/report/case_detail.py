@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from wavequake.kernels.devices import choose_device
 from wavequake.mechanics.drive import values
+from wavequake.mechanics.element_motion import instants_of
 from wavequake.mechanics.excitations import drive_of
 from wavequake.mechanics.modal import modal_model
-from wavequake.mechanics.population import time_axis
 from wavequake.mechanics.response import respond
 from wavequake.optics.motion_fit import figures, motion_fit
 from wavequake.optics.system_wavefront import trace_system
@@ -23,7 +23,8 @@ from wavequake.workflows.mirror_optics import displacements_mm
 from wavequake.workflows.mirror_residual import coordinates_of, left_by, residual_of
 from wavequake.workflows.store import Manifest
 from wavequake.workflows.system_bench import MM_PER_M, NM_PER_MM, at_instant, system_bench, system_states
-from wavequake.workflows.system_disturbance import draw, worst_instant
+from wavequake.workflows.system_disturbance import draw
+from wavequake.workflows.system_measure import worst_instant
 from wavequake.workflows.telescope_control import CONTROLLERS, control_bench_of, measured_opd
 from wavequake.workflows.telescope_exposure import case_blocks, scaled_draw
 
@@ -76,7 +77,8 @@ def _of_system(study: str, case: int, device_name: str) -> xr.Dataset:
     rays, count = len(bench.prepared[0][0].pupil), len(drawn.sight)
     instants = np.arange(count)
     if count * grid[0] * grid[1] * rays * 3 * 8 > _RAYS_BYTES:
-        instants = np.array([worst_instant(bench, time_axis(population), drawn, device)])
+        time = instants_of(bench.study.disturbance, population)
+        instants = np.array([worst_instant(bench, time, drawn, device)])
         traced_states = at_instant(states, int(instants[0]))
     else:
         traced_states = states
@@ -110,12 +112,17 @@ def _of_system(study: str, case: int, device_name: str) -> xr.Dataset:
             "motion that was drawn for surfaces and bodies, each in its frame at rest",
         )
     if drawn.figure:
-        figure = np.zeros((len(drawn.figure), max(map(len, drawn.figure.values()))))
-        for row_of, values_of in zip(figure, drawn.figure.values(), strict=True):
-            row_of[: len(values_of)] = values_of * 1e9
+        given = list(drawn.figure.values())
+        over_time = ("instant",) if any(one.ndim > 1 for one in given) else ()
+        figure = np.zeros((*([count] * len(over_time)), len(given), max(one.shape[-1] for one in given)))
+        for place, values in enumerate(given):
+            figure[..., place, : values.shape[-1]] = values * 1e9
         found["drawn_figure"] = _variable(
-            ("deformed", "term"), figure, "nm", "Noll coefficients from 1 that were drawn for surfaces"
+            (*over_time, "deformed", "term"), figure, "nm", "Noll coefficients from 1 of surfaces' figures"
         )
+    for place, (name, heights) in enumerate(drawn.grid.items()):
+        dims = ("instant", f"row_{place}", f"column_{place}")
+        found[f"given_grid_{place}"] = _variable(dims, 1e9 * heights, "nm", f"heights on the grid of {name}")
     labels = {"traced": instants, "surface": names, "dof": _DEGREES}
     labels |= {"element": list(drawn.rigid)} if drawn.rigid else {}
     labels |= {"deformed": list(drawn.figure)} if drawn.figure else {}

@@ -21,6 +21,7 @@ from wavequake.report import figures
 from wavequake.report.populations import Excluded
 
 LISTED = 200
+_LONGEST = 100_000  # characters of a file of a study
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ def render_page(dataset: xr.Dataset, page: Page) -> str:
         left_out=page.left_out[:LISTED],
         more_left_out=max(0, len(page.left_out) - LISTED),
         provenance=list(_provenance(dataset)),
-        study=json.dumps(study, indent=2, ensure_ascii=False) if study else "",
+        study=json.dumps(_shortened(study), indent=2, ensure_ascii=False) if study else "",
     )
 
 
@@ -127,6 +128,17 @@ def _study(dataset: xr.Dataset) -> dict[str, Any]:
     except (TypeError, json.JSONDecodeError):
         return {}
     return study if isinstance(study, dict) else {}
+
+
+def _shortened(value: Any) -> Any:
+    """Return a part of a study with the beginnings alone of files that fill pages."""
+    if isinstance(value, dict):
+        return {key: _shortened(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_shortened(one) for one in value]
+    if isinstance(value, str) and len(value) > _LONGEST:
+        return f"{value[:200]}... ({len(value)} characters, which the store's manifest.json holds)"
+    return value
 
 
 def _entry(study: Mapping[str, Any], key: str) -> str:

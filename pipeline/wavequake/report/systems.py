@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wavequake.kernels.devices import choose_device
-from wavequake.mechanics.population import time_axis
+from wavequake.mechanics.element_motion import instants_of
 from wavequake.optics.paraxial import paraxial
 from wavequake.optics.system_wavefront import trace_system
 from wavequake.report import budget
@@ -33,7 +33,8 @@ from wavequake.workflows.system_bench import (
     system_bench,
     system_states,
 )
-from wavequake.workflows.system_disturbance import draw, worst_instant
+from wavequake.workflows.system_disturbance import draw
+from wavequake.workflows.system_measure import worst_instant
 
 Array = NDArray[np.float64]
 
@@ -323,7 +324,8 @@ def _figures(
 def _spots(bench: SystemBench, case: int, device: str) -> Figure:
     """Trace a case again and draw the spots of its worst instant about where chief rays arrive at rest."""
     population, drawn = draw(bench, case)
-    instant = worst_instant(bench, time_axis(population), drawn, choose_device(device))
+    time = instants_of(bench.study.disturbance, population)
+    instant = worst_instant(bench, time, drawn, choose_device(device))
     states = at_instant(system_states(bench, drawn), instant)
     panels = []
     for row, rest in zip(bench.prepared, bench.static, strict=True):
@@ -335,13 +337,12 @@ def _spots(bench: SystemBench, case: int, device: str) -> Figure:
         panels.append(spots)
     first_order = paraxial(bench.system)
     airy = 0.61e3 * float(bench.system.wavelengths[bench.system.primary_wavelength]) / first_order.image_na
-    time = time_axis(population)[instant]
     return draw_figures.spot_diagrams(
         panels,
         [str(name) for name in _field_labels(bench)],
         [f"{1e6 * wave:.5g} nm" for wave in bench.system.wavelengths],
         airy,
-        f"case {case}, t = {time:.4g} s",
+        f"case {case}, t = {time[instant]:.4g} s",
     )
 
 

@@ -12,12 +12,12 @@ from wavequake.mechanics.element_motion import (
     ElementMotion,
     SingleElementDisturbance,
     draw_elements,
+    instants_of,
     single_parts,
 )
-from wavequake.mechanics.population import time_axis
 from wavequake.workflows.budget_factors import AGAIN, Experiment, Factor
 from wavequake.workflows.system_bench import SystemBench, system_bench
-from wavequake.workflows.system_disturbance import measured
+from wavequake.workflows.system_measure import measured
 from wavequake.workflows.system_study import SystemStudy
 
 Array = NDArray[np.float64]
@@ -35,14 +35,15 @@ def variants(
     population: Combine, sources: Sequence[SingleElementDisturbance], seed: int, realization: int
 ) -> list[ElementMotion]:
     """Return the motions of one case: of all factors, of all drawn again, without each, with each redrawn."""
+    time = instants_of(sources, population.model_copy(update={"of": tuple(part.name for part in sources)}))
     again = [part.model_copy(update={"name": part.name + AGAIN}) for part in sources]
 
     def total(chosen: Sequence[SingleElementDisturbance]) -> ElementMotion:
         if not chosen:
-            return ElementMotion({}, {}, np.zeros((population.instants, 2)))
+            return ElementMotion({}, {}, np.zeros((len(time), 2)))
         names = tuple(part.name for part in chosen)
         whole = population.model_copy(update={"of": names})
-        return draw_elements(chosen, whole, seed, realization)
+        return draw_elements(chosen, whole, seed, realization, time=time)
 
     one, other = total(sources), total(again)
     indices = range(len(sources))
@@ -61,7 +62,8 @@ def _with_element(motion: ElementMotion, other: ElementMotion, element: str) -> 
         others = {name: values for name, values in mine.items() if name != element}
         return others | {name: values for name, values in theirs.items() if name == element}
 
-    return ElementMotion(chosen(motion.rigid, other.rigid), chosen(motion.figure, other.figure), motion.sight)
+    moved, figure = chosen(motion.rigid, other.rigid), chosen(motion.figure, other.figure)
+    return ElementMotion(moved, figure, motion.sight, chosen(motion.grid, other.grid))
 
 
 def evaluate(bench: SystemBench, time: Array, motion: ElementMotion, device: str) -> Array:
@@ -84,7 +86,7 @@ def experiment(study: SystemStudy, population: Combine, device: str) -> Experime
         static=tuple((row[light],) for row in bench.static),
     )
     sources = single_parts(study.disturbance, population)
-    names, time = elements_of(sources), time_axis(population)
+    names, time = elements_of(sources), instants_of(study.disturbance, population)
     factors = [Factor(part.name, "source", len(getattr(part, "of", ()))) for part in sources]
     factors += [Factor(name, "element", 1) for name in names if len(names) > 1]
 

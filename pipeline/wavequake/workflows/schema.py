@@ -8,6 +8,7 @@ study is loaded and become part of the effective study, so a store never depends
 import difflib
 import hashlib
 import json
+from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -170,6 +171,14 @@ def text_of(path: Path, key: str) -> str:
         raise UserError(
             f"{key}: the file {path} cannot be read ({getattr(error, 'strerror', None) or error})."
         ) from None
+
+
+def base64_of(path: Path, key: str) -> str:
+    """Return a file that the study names under `key` in base64; UserError if it cannot be read."""
+    try:
+        return b64encode(path.read_bytes()).decode()
+    except OSError as error:
+        raise UserError(f"{key}: the file {path} cannot be read ({error.strerror}).") from None
 
 
 def describe(error: ValidationError, record: Mapping[str, Any], model: type[BaseModel]) -> str:

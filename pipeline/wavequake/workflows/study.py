@@ -84,7 +84,16 @@ def study_of(record: dict[str, Any], where: str, base: Path, pairs: Iterable[tup
 
 
 def study_with(study: Study, keys: Mapping[str, Any]) -> Study:
-    """Return a copy of `study` with ``section.key`` values replaced; raises as :func:`load_study`."""
+    """Return a copy of `study` with ``section.key`` values replaced; raises as :func:`load_study`.
+
+    Files cannot be replaced: those of a loaded study have been read.
+    """
+    file = next((key for key in keys if key.rpartition(".")[2] in _FILES), None)
+    if file is not None:
+        raise UserError(
+            f"The study {study.study.name} is loaded and has read its files, so {file!r} changes nothing in "
+            "it; load it with this key (wavequake.load_study)."
+        )
     record = study.model_dump(mode="json")
     for key, value in keys.items():
         _override(record, key, value, type(study))

@@ -13,11 +13,18 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
 from wavequake.kernels.sequence import DIVERGED, MISS, OK, TOTAL_REFLECTION, VIGNETTED
 from wavequake.kernels.sequential import trace_sequence
-from wavequake.mechanics.element_motion import ElementMotion, SurfaceDeformation, single_parts
-from wavequake.optics.bodies import Body, beam_radii, rigid_body, surface_index, with_bodies
+from wavequake.mechanics.element_motion import ElementMotion, figure_grids, figure_terms, single_parts
+from wavequake.optics.bodies import (
+    Body,
+    beam_extents,
+    beam_radii,
+    rigid_body,
+    surface_index,
+    with_bodies,
+)
 from wavequake.optics.pupils import sunflower
 from wavequake.optics.ray_aiming import LOSSES
-from wavequake.optics.shapes import ZernikeDeformation
+from wavequake.optics.shapes import GridDeformation, ZernikeDeformation
 from wavequake.optics.system import OpticalSystem, SystemStates
 from wavequake.optics.system_file import build
 from wavequake.optics.system_kinematics import rest_states
@@ -148,7 +155,8 @@ def _require_elements(study: SystemStudy, system: OpticalSystem) -> None:
                         f"{names.count(name)} surfaces of that name; give each a comment of its own in the "
                         "lens file."
                     )
-                if isinstance(part, SurfaceDeformation) and name in (body.name for body in study.body):
+                deforms = {*figure_terms(part), *figure_grids(part)}
+                if name in deforms and name in (body.name for body in study.body):
                     raise UserError(
                         f"The disturbance {part.name!r} deforms the body {name!r}; only a surface deforms."
                     )
@@ -157,20 +165,48 @@ def _require_elements(study: SystemStudy, system: OpticalSystem) -> None:
 def _deformable(study: SystemStudy, system: OpticalSystem) -> OpticalSystem:
     """Return the system whose surfaces can deform as far as the disturbances ask for it."""
     terms: dict[int, int] = {}
+    grids: dict[int, GridDeformation] = {}
     for population in study.disturbance:
         for part in single_parts(study.disturbance, population):
-            if isinstance(part, SurfaceDeformation):
-                for index in (surface_index(system, name) for name in part.of):
-                    terms[index] = max(terms.get(index, 0), *part.rms_nm)
-    return deformable(system, terms)
+            for name, count in figure_terms(part).items():
+                index = surface_index(system, name)
+                terms[index] = max(terms.get(index, 0), count)
+            for name, given in figure_grids(part).items():
+                index, (_, rows, columns) = surface_index(system, name), given.heights.shape
+                grid = GridDeformation(rows, columns, *given.spacing_mm)
+                if grids.setdefault(index, grid) != grid:
+                    raise UserError(
+                        f"The disturbance {part.name!r} deforms {name!r} on another grid than one before; "
+                        "give all heights of a surface on the same grid."
+                    )
+    _require_cover(system, grids)
+    return deformable(system, dict.fromkeys(grids, 1) | terms, grids)
 
 
-def deformable(system: OpticalSystem, terms: Mapping[int, int]) -> OpticalSystem:
-    """Return the system in which surfaces, by index, can deform by at least so many Noll terms.
+def _require_cover(system: OpticalSystem, grids: Mapping[int, GridDeformation]) -> None:
+    """Raise UserError if a beam at rest reaches beyond a grid, where heights would go on as constants."""
+    for (index, grid), reach in zip(grids.items(), beam_extents(system, list(grids)), strict=True):
+        half = np.array([grid.dx * (grid.columns - 1), grid.dy * (grid.rows - 1)]) / 2.0
+        opening = system.surfaces[index].opening
+        if opening is not None and not opening.corners:
+            reach = np.minimum(reach, opening.outer + np.abs(opening.center))
+        if (reach > half * (1.0 + 1e-9)).any():
+            raise UserError(
+                f"The grid of heights of {system.surfaces[index].name!r} reaches to x = {half[0]:.6g} and "
+                f"y = {half[1]:.6g} mm, the beams of all fields to {reach[0]:.6g} and {reach[1]:.6g} mm; "
+                "it must cover them."
+            )
+
+
+def deformable(
+    system: OpticalSystem, terms: Mapping[int, int], grids: Mapping[int, GridDeformation] | None = None
+) -> OpticalSystem:
+    """Return the system in which surfaces, by index, can deform by at least so many Noll terms, and on grids.
 
     A surface that could not deform before does so over its semi-diameter, or else over what the beams of all
     fields fill.
     """
+    grids = grids or {}
     edges = {
         index: opening.outer + float(np.hypot(*opening.center))
         for index in terms
@@ -186,6 +222,7 @@ def deformable(system: OpticalSystem, terms: Mapping[int, int]) -> OpticalSystem
             form = replace(form, terms=max(count, form.terms))
         else:
             form = ZernikeDeformation(count, edges[index])
+        form = replace(form, residual=grids.get(index, form.residual))
         surfaces[index] = replace(surfaces[index], deformation=form)
     return replace(system, surfaces=tuple(surfaces))
 
@@ -273,7 +310,10 @@ def system_states(bench: SystemBench, drawn: ElementMotion) -> SystemStates:
             states.surface_motion[:, index] = _in_mm(drawn.rigid[surface.name])
         figure, form = drawn.figure.get(surface.name), states.deformations[index]
         if figure is not None and form is not None:
-            form[:, : len(figure)] = figure * MM_PER_M
+            form[:, : figure.shape[-1]] = figure * MM_PER_M
+        heights = drawn.grid.get(surface.name)
+        if heights is not None and form is not None:
+            form[:, -heights[0].size :] = heights.reshape(len(heights), -1) * MM_PER_M
     carried = [(body, _in_mm(drawn.rigid[body.name])) for body in bench.bodies if body.name in drawn.rigid]
     return SystemStates(with_bodies(system, states.surface_motion, carried), states.deformations, drawn.sight)
 

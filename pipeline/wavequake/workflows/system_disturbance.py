@@ -4,6 +4,7 @@ One case is one realization of one population of disturbances over its instants;
 all fields and wavelengths.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 
@@ -11,23 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wavequake.kernels.devices import Device, choose_device
+from wavequake.kernels.devices import choose_device
 from wavequake.kernels.sequence import bends
 from wavequake.mechanics.disturbances import Combine
-from wavequake.mechanics.element_motion import ElementDisturbance, ElementMotion, draw_elements
-from wavequake.mechanics.population import time_axis
+from wavequake.mechanics.element_motion import (
+    ElementDisturbance,
+    ElementMotion,
+    draw_elements,
+    instants_of,
+)
 from wavequake.mechanics.streams import Streams
 from wavequake.optics.packing import moving
-from wavequake.optics.quality import meets_marechal, meets_rayleigh
 from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import (
-    PreparedSystem,
-    SystemWavefront,
-    analyse_system,
-    incoming_lights,
-    trace_lights,
-)
-from wavequake.optics.zernike_transforms import known_transformed
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.sampling import Plan, plan_of, replicate_labels
 from wavequake.workflows.schema import study_from_identity
@@ -37,11 +33,11 @@ from wavequake.workflows.stopwatch import Stopwatch
 from wavequake.workflows.system_bench import (
     NM_PER_MM,
     SystemBench,
-    failure,
     field_name,
     system_bench,
     system_states,
 )
+from wavequake.workflows.system_measure import measured_cases, shaped, wavefront_numbers
 from wavequake.workflows.system_study import SystemStudy
 
 Array = NDArray[np.float64]
@@ -94,7 +90,8 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
         for first in range(0, len(cases), most):
             with clock("draw"):
                 drawn = [draw(bench, case) for case in cases[first : first + most].tolist()]
-            motions = [(time_axis(population), motion) for population, motion in drawn]
+            populations = bench.study.disturbance
+            motions = [(instants_of(populations, population), motion) for population, motion in drawn]
             found = measured_cases(bench, motions, device, clock)
             for row, (numbers, message) in enumerate(found, first):
                 messages[row] = message
@@ -109,87 +106,6 @@ def _numbers_of_a_case(bench: SystemBench) -> int:
     still = rest_states(bench.system)
     instant = still.surface_motion.size + sum(form.size for form in still.deformations if form is not None)
     return instant * max(population.instants for population in bench.study.disturbance)
-
-
-def measured(
-    bench: SystemBench, time: Array, drawn: ElementMotion, device: Device
-) -> tuple[dict[str, Array], str]:
-    """Return the numbers of a case by name, ([time], field, wavelength, ...); or none, and why."""
-    return measured_cases(bench, [(time, drawn)], device, Stopwatch())[0]
-
-
-def measured_cases(
-    bench: SystemBench, motions: list[tuple[Array, ElementMotion]], device: Device, clock: Stopwatch
-) -> list[tuple[dict[str, Array], str]]:
-    """Return what `measured` does for each of several cases, their times and motions."""
-    states = [system_states(bench, drawn) for _, drawn in motions]
-    lights = [moving(bench.system, one, device=device) for one in states]
-    found: list[dict[str, list[Array]]] = [{} for _ in motions]
-    messages = [""] * len(motions)
-    for row, still in zip(bench.prepared, bench.static, strict=True):
-        for prepared, rest in zip(row, still, strict=True):
-            with clock("aim"):
-                traces = trace_lights(prepared, incoming_lights(prepared, states, lights), device)
-            for case, (time, _) in enumerate(motions):
-                with clock("trace"):
-                    traced = next(traces)
-                with clock("wavefront"):
-                    wavefront = analyse_system(prepared, *traced, device)
-                trouble = failure(prepared, wavefront, states[case])
-                if trouble:
-                    messages[case] = messages[case] or f"at t = {time[trouble[0]]:.4g} s {trouble[1]}"
-                    continue
-                numbers = _numbers(prepared, wavefront, rest, bench.study.wavefront.basis)
-                for name, values in numbers.items():
-                    found[case].setdefault(name, []).append(values)
-    return [
-        ({}, message)
-        if message
-        else ({"time_s": time} | {name: _shaped(bench, values) for name, values in numbers.items()}, "")
-        for (time, _), numbers, message in zip(motions, found, messages, strict=True)
-    ]
-
-
-def worst_instant(bench: SystemBench, time: Array, drawn: ElementMotion, device: Device) -> int:
-    """Return the instant at which the wavefront at the primary wavelength changes most at any field point."""
-    found, trouble = measured(bench, time, drawn, device)
-    if trouble:
-        return 0
-    change = found["wfe_change"][:, :, bench.system.primary_wavelength]
-    return int(change.max(axis=1).argmax())
-
-
-def _shaped(bench: SystemBench, values: list[Array]) -> Array:
-    """Return ([time], field, wavelength, ...) from one array ([time], ...) per field and wavelength."""
-    grid = (len(bench.prepared), len(bench.prepared[0]))
-    if not np.ndim(values[0]):
-        return np.array(values).reshape(grid)
-    stacked = np.stack(values, axis=1)
-    return stacked.reshape(len(stacked), *grid, *stacked.shape[2:])
-
-
-def _numbers(
-    prepared: PreparedSystem, wavefront: SystemWavefront, rest: SystemWavefront, basis: str
-) -> dict[str, Array]:
-    to_nm = prepared.wavelength * NM_PER_MM
-    coefficients = wavefront.zernike
-    if basis == "circular":
-        coefficients = known_transformed(coefficients, prepared.system.pupil.obscuration, 0.0)
-    return {
-        "wfe_rms": wavefront.rms * to_nm,
-        "wfe_change": np.sqrt(np.sum((wavefront.zernike - rest.zernike)[:, 3:] ** 2, axis=1)) * to_nm,
-        "wfe_rms_raw": wavefront.rms_raw * to_nm,
-        "wfe_pv": wavefront.pv * to_nm,
-        "zernike": coefficients * to_nm,
-        "los_mm": wavefront.los - rest.los,
-        "centroid_mm": wavefront.centroid - rest.centroid,
-        "spot_rms": wavefront.spot_rms * 1e3,
-        "strehl": wavefront.strehl,
-        "rayleigh": np.mean(meets_rayleigh(wavefront.pv)),
-        "marechal": np.mean(meets_marechal(wavefront.rms_flat)),
-        "vignetted": np.asarray(wavefront.vignetted.max(), dtype=np.float64),
-        "lost": np.asarray(wavefront.lost.max(), dtype=np.float64),
-    }
 
 
 def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
@@ -290,11 +206,11 @@ def _fixed(bench: SystemBench) -> dict[str, tuple[tuple[str, ...], NDArray[np.ge
         name: str, units: str, long_name: str, *more: str, **attrs: str
     ) -> tuple[tuple[str, ...], Array, dict[str, str]]:
         rows = [
-            _numbers(prepared, rest, rest, bench.study.wavefront.basis)[name]
+            wavefront_numbers(prepared, rest, rest, bench.study.wavefront.basis)[name]
             for row, found in zip(bench.prepared, bench.static, strict=True)
             for prepared, rest in zip(row, found, strict=True)
         ]
-        values = _shaped(bench, rows)
+        values = shaped(bench, rows)
         return (
             (*grid, *more),
             values[0] if values.ndim > 2 else values,
@@ -351,6 +267,21 @@ def describe(study_text: str) -> dict[str, str]:
     }
 
 
+def notices(study_text: str) -> Iterator[str]:
+    """Yield what is computed more than once, though nothing in it is random."""
+    study = study_from_identity(SystemStudy, study_text)
+    repeated, shares = study.repeated, [entry for entry in study.disturbance if entry.share]
+    if len(repeated) == len(shares):
+        count = sum(one.share for one in shares)
+        yield f"Nothing in this study is random: it has {count} case{'s' if count > 1 else ''}."
+        return
+    for name in repeated:
+        yield (
+            f"Nothing in {name} is random, so all its cases are alike; with share = 0 it is a part of "
+            "combinations only."
+        )
+
+
 def check(study_text: str) -> None:
     """Raise UserError if the system at rest has no image, or a disturbance does not fit the system."""
     bench = system_bench(study_text)
@@ -369,4 +300,4 @@ def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
     return {"trace": (cases * instants * beams * rays * len(bench.system.surfaces), "ray-surfaces")}
 
 
-WORKFLOW = Workflow("system-disturbance", template, case_table, compute, describe, work, check=check)
+WORKFLOW = Workflow("system-disturbance", template, case_table, compute, describe, work, check, notices)

@@ -5,13 +5,16 @@ from typing import Any, Literal, get_args
 
 from pydantic import BaseModel, Field, field_validator, model_validator
 
-from wavequake.mechanics.element_motion import ElementDisturbance
+from wavequake.errors import UserError
+from wavequake.mechanics.disturbances import Combine
+from wavequake.mechanics.element_history import SurfaceHistory, own_axis
+from wavequake.mechanics.element_motion import ElementDisturbance, instants_of, single_parts
 from wavequake.mechanics.line_of_sight import LineOfSight
 from wavequake.mechanics.vibration_lines import VibrationLines
 from wavequake.optics.system_file import SystemSection, embed_file
 from wavequake.optics.zernike import MOST_TERMS
 from wavequake.workflows.sampling import SampledCampaignSection, whole_sets
-from wavequake.workflows.schema import Section, Study, text_of
+from wavequake.workflows.schema import Section, Study, base64_of, text_of
 from wavequake.workflows.segment_study import require_path_lengths
 
 
@@ -104,7 +107,7 @@ class SystemStudy(Study):
                 )
         if not any(entry.share for entry in value):
             raise ValueError("every disturbance has share 0, so there is nothing to run")
-        return value
+        return tuple(_with_own_axis(value, entry) for entry in value)
 
     @model_validator(mode="after")
     def _bodies_have_names_of_their_own(self) -> "SystemStudy":
@@ -120,18 +123,53 @@ class SystemStudy(Study):
         return self
 
     @property
+    def repeated(self) -> tuple[str, ...]:
+        """Names of the disturbances that have cases which are all alike: nothing in them is random."""
+        return tuple(entry.name for entry in self.disturbance if entry.share and self._is_given(entry))
+
+    def _is_given(self, entry: ElementDisturbance) -> bool:
+        return all(isinstance(part, SurfaceHistory) for part in single_parts(self.disturbance, entry))
+
+    @property
+    def cases(self) -> int:
+        """Number of cases to run: where nothing is random, each disturbance has one at its share."""
+        shares = [entry.share for entry in self.disturbance if entry.share]
+        if len(self.repeated) < len(shares):
+            return self.campaign.cases
+        return min(self.campaign.cases, sum(shares))
+
+    @property
     def fewest_instants(self) -> int:
         """Number of instants of the shortest case."""
         return min(entry.instants for entry in self.disturbance if entry.share)
 
     @classmethod
     def read_files(cls, record: dict[str, Any], base: Path) -> None:
-        """Read the lens file and the spectra of the line of sight."""
+        """Read the lens file, the spectra of the line of sight, and histories."""
         if isinstance(record.get("system"), dict):
             embed_file(record["system"], base)
         for entry in record.get("disturbance") or ():
             if isinstance(entry, dict) and isinstance(entry.get("file"), str):
-                entry["file_csv"] = text_of(base / entry["file"], f"disturbance.{entry.get('name')}.file")
+                key = f"disturbance.{entry.get('name')}.file"
+                if entry.get("model") == "surface-history" and entry["file"].lower().endswith(".npz"):
+                    entry["file_npz"] = base64_of(base / entry["file"], key)
+                else:
+                    entry["file_csv"] = text_of(base / entry["file"], key)
+
+
+def _with_own_axis(entries: tuple[Any, ...], entry: Any) -> Any:
+    """Return a combination that holds a history with the instants of that; all else as it is."""
+    try:
+        if not isinstance(entry, Combine) or not any(
+            isinstance(part, SurfaceHistory) for part in single_parts(entries, entry)
+        ):
+            return entry
+        time = instants_of(entries, entry)
+    except UserError as error:
+        raise ValueError(f"{entry.name!r}: {error}") from None
+    given = {key: getattr(entry, key) for key in entry.model_fields_set}
+    what = f"{entry.name!r} holds a history of {len(time)} rows"
+    return entry.model_copy(update=own_axis(time, given, what))
 
 
 def element_models() -> dict[str, type[BaseModel]]:
