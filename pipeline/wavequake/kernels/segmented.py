@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.kernels.devices import Device
-from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
+from wavequake.kernels.first_batch import COPIES, Pick, compare_rays, is_trusted, shaken
 from wavequake.kernels.program import aligned_empty, device_empty, launch
 from wavequake.kernels.ring import ring_steps
 from wavequake.kernels.segmented_numpy import trace_chief, trace_segmented_numpy
@@ -159,13 +159,14 @@ def _launch(
     if count and not is_trusted(device, program):
 
         def twin(pick: Pick) -> list[Array]:
-            now = [None if array is None else array[:1] for array in moving]
+            now = [None if a is None else np.broadcast_to(a[0], (COPIES, *a.shape[1:])) for a in moving]
+            for poses in (0, 2):
+                now[poses] = shaken(now[poses][0], train.sphere_radius)  # type: ignore[index]
             chosen = (ray_x[pick], ray_y[pick], start_z, candidates[pick])
             traced = trace_segmented_numpy(train, *chosen, *now)  # type: ignore[arg-type]
-            return [traced.opd[0], traced.x[0], traced.y[0]]
+            return [traced.opd, traced.x, traced.y]
 
-        found = [values[0] for values in outputs[:3]]
-        compare_first(device, program, found, twin, abs(train.sphere_radius))
+        compare_rays(device, program, [values[0] for values in outputs[:3]], twin, train.sphere_radius)
 
 
 def _steps(degree: int, basis: Basis) -> Array | None:

@@ -1,12 +1,13 @@
 """Trace rays through any sequence of surfaces, every instant of a batch in one launch."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.kernels.devices import Device, require_device
-from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
+from wavequake.kernels.first_batch import COPIES, Pick, compare_rays, is_trusted, shaken
 from wavequake.kernels.packing import packed_elements
 from wavequake.kernels.program import aligned_empty, device_empty, launch
 from wavequake.kernels.sequence import Moving, Rays, Sequence, TracedRays, check_sequence
@@ -165,11 +166,12 @@ def _launch(
 
         def twin(pick: Pick) -> list[Array]:
             chosen = Rays(rays.position[:, pick], rays.direction[:, pick], rays.path[pick])
-            now = moving_part(moving, slice(0, 1))
+            now = moving_part(moving, np.zeros(COPIES, dtype=np.intp))
+            now = replace(now, poses=shaken(moving.poses[0], length))
             traced = trace_sequence_numpy(sequence, chosen, now, ignore_apertures)
-            return [getattr(traced, name)[0] for name in found]
+            return [getattr(traced, name) for name in found]
 
-        compare_first(device, text, list(found.values()), twin, length)
+        compare_rays(device, text, list(found.values()), twin, length)
 
 
 def _lanes(device: Device) -> int:

@@ -138,7 +138,7 @@ def on_glass(regions: tuple[Region, ...], x: Array, y: Array) -> Mask:
     return passes
 
 
-def moving_part(moving: Moving, part: slice) -> Moving:
+def moving_part(moving: Moving, part: slice | NDArray[np.intp]) -> Moving:
     """Return some of the instants."""
     deformations, grids = (
         tuple(None if array is None else array[part] for array in arrays)
