@@ -1,5 +1,6 @@
 // The figure of a conic: a polynomial of total degree ORDER in u and v, heights along z; if RING, one whose
-// recurrences take `steps`. FIGURE(part) names the functions; a program includes this once for each kind.
+// recurrences take `steps`; if CHECKED, one for which two steps may not do. FIGURE(part) names the functions; a
+// program includes this once for each kind.
 
 #if RING
 INLINE real FIGURE(slopes)(__global const double *figure, __global const double *steps, real u, real v,
@@ -47,15 +48,50 @@ INLINE real FIGURE(first)(__global const double *figure, __global const double *
     return value * bare.z / dot3(bare, d);
 }
 
-// Takes the first step, then the second: moves the hit, adds to the step and gives the normal.
+#if CHECKED
+// Rays for which two steps do not do take Newton's iteration on the sag from the bare conic (Stoerkle 2018,
+// Algorithm 1); the others, which have `met`, are left alone, so that no ray's bits depend on its neighbors.
+// `steps_so_far` lead from the bare conic to the hit. A ray that does not meet the surface gets no step.
+INLINE void FIGURE(iterate)(__global const double *figure, __global const double *steps,
+                           __global const double *frame, triple d, double c, double k1, mask met,
+                           real steps_so_far, triple *hit, real *step, triple *normal)
+{
+    const double ex = frame[2], ey = frame[3];
+    triple p = along(*hit, -steps_so_far, d);
+    real way = 0.0;
+    mask open = NOT(met) & finite(steps_so_far), near = 0, done = 0;
+    for (int i = 0; i < NEWTON_STEPS && any_lane(open); ++i) {
+        real slope_u, slope_v;
+        const real value = FIGURE(slopes)(figure, steps, FIGURE(u)(frame, p), FIGURE(v)(frame, p), &slope_u,
+                                          &slope_v);
+        const real square = p.x * p.x + p.y * p.y, edge = root(1.0 - (c * c * k1) * square), steep = c / edge;
+        const triple lean = {steep * p.x + (ex * slope_u - ey * slope_v),
+                             steep * p.y + (ey * slope_u + ex * slope_v), -1.0};
+        const real further = (p.z - c * square / (1.0 + edge) - value) / dot3(lean, d);
+        *normal = choose(open, lean, *normal);
+        p = choose(open, along(p, further, d), p);
+        way = EITHER(open, way + further, way);
+        done |= near & finite(further);
+        near = open & (further * further * dot3(d, d) <= SHORT * SHORT);
+        open &= NOT(done) & finite(further);
+    }
+    // The ray has to cross the surface in the sense in which it crosses the vertex plane.
+    done &= dot3(*normal, d) * d.z < 0.0;
+    *hit = choose(met, *hit, p);
+    *step += EITHER(met, (real)0.0, EITHER(done, way - steps_so_far, (real)NAN));
+}
+#endif
+
+// Takes the first step, then the second: moves the hit, adds to the step and gives the normal. `limit` is the
+// square of the longest lateral step after which height and slopes still hold.
 INLINE void FIGURE(second)(__global const double *figure, __global const double *steps,
-                          __global const double *frame, triple d, double c, double k1, triple *hit, real *step,
-                          triple *normal)
+                          __global const double *frame, triple d, double c, double k1, real limit, real first,
+                          triple *hit, real *step, triple *normal)
 {
     const double ex = frame[2], ey = frame[3], ck1 = c * k1;
     real slope_u, slope_v;
-    real q = hit->z - FIGURE(slopes)(figure, steps, FIGURE(u)(frame, *hit), FIGURE(v)(frame, *hit), &slope_u,
-                                     &slope_v);
+    const real u = FIGURE(u)(frame, *hit), v = FIGURE(v)(frame, *hit);
+    real q = hit->z - FIGURE(slopes)(figure, steps, u, v, &slope_u, &slope_v);
     const real slope_x = ex * slope_u - ey * slope_v, slope_y = ey * slope_u + ex * slope_v;
     const real climb = d.z - slope_x * d.x - slope_y * d.y;
     real h = 1.0 - ck1 * q;
@@ -68,4 +104,11 @@ INLINE void FIGURE(second)(__global const double *figure, __global const double 
     normal->x = c * hit->x + h * slope_x;
     normal->y = c * hit->y + h * slope_y;
     normal->z = -h;
+#if CHECKED
+    const real square = second * second, lateral = square * (d.x * d.x + d.y * d.y);
+    const double lean = EITHER(c < 0.0, -c, c) * (1.0 + EITHER(k1 < 0.0, -k1, k1));
+    const mask met = larger(larger(lateral - limit, u * u + v * v - REACH), square * lean - LEAN) <= 0.0;
+    if (UNLIKELY(any_lane(NOT(met))))
+        FIGURE(iterate)(figure, steps, frame, d, c, k1, met, first + second, hit, step, normal);
+#endif
 }

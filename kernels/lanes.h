@@ -65,6 +65,26 @@ typedef JOIN(char, W) loose_status __attribute__((aligned(1)));
 
 INLINE mask finite(real a) { return a - a == 0.0; }
 
+INLINE int any_lane(mask a)
+{
+#if W == 1
+    return a != 0;
+#else
+#if W == 16
+    long8 b = a.lo | a.hi;
+#else
+    mask b = a;
+#endif
+#if W >= 8
+    long4 c = b.lo | b.hi;
+#else
+    mask c = b;
+#endif
+    long2 d = c.lo | c.hi;
+    return (d.x | d.y) != 0;
+#endif
+}
+
 // Clang's intrinsic becomes the vector instruction; the built-in function may stay a call.
 INLINE real root(real a)
 {

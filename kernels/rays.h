@@ -17,6 +17,13 @@ INLINE triple along(triple start, real step, triple direction)
     return end;
 }
 
+INLINE triple choose(mask condition, triple yes, triple no)
+{
+    triple a = {EITHER(condition, yes.x, no.x), EITHER(condition, yes.y, no.y),
+                EITHER(condition, yes.z, no.z)};
+    return a;
+}
+
 // A pose is q = A p + o: nine entries of A row by row, then three of o; entries are 16 instants apart.
 #define POSE(entry) LOAD(pose + 16 * (entry))
 

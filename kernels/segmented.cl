@@ -3,8 +3,9 @@
 // Work-item (lane group, group of RAYS, tile). Compile-time constants: W instants in a vector, TURNS vectors of
 // each of RAYS in a work-item, EDGES per segment (0: no edge), CONVEX (whether edges are half planes that hold
 // all of the glass), DEGREE and MIRROR_DEGREE of the figure polynomials of segments and of the mirrors after M1
-// (-1: none), SEGMENT_RING and MIRROR_RING (whether these are evaluated by recurrences), SURFACES after M1 (the
-// last is the image plane), PLANES (bit i: surface i is a plane), EDGED (bit i: surface i has an edge).
+// (-1: none), SEGMENT_RING and MIRROR_RING (whether these are evaluated by recurrences), SEGMENT_CHECKED and
+// MIRROR_CHECKED (whether two steps onto them may not do), SURFACES after M1 (the last is the image plane),
+// PLANES (bit i: surface i is a plane), EDGED (bit i: surface i has an edge).
 
 #include "lanes.h"
 #include "rays.h"
@@ -16,6 +17,14 @@
 
 enum { OK = 0, GAP = 1, MISS = 2 };
 
+#define NEWTON_STEPS 30
+// Newton's iteration ends with the step after one this short: its square leaves only rounding.
+#define SHORT 1e-7
+// Square of the radius, in that of its circle, to which what is known of a figure's bend reaches.
+#define REACH 1.04
+// By so many mm the second step onto a figured mirror may change what the conic's curvature adds to it.
+#define LEAN 1e-12
+
 #define EACH 16
 #define READ(place) LOAD(place)
 #include "monomials.h"
@@ -24,15 +33,18 @@ enum { OK = 0, GAP = 1, MISS = 2 };
 #define FIGURE(part) segment_figure_##part
 #define ORDER DEGREE
 #define RING SEGMENT_RING
+#define CHECKED SEGMENT_CHECKED
 #include "figure.h"
 #undef FIGURE
 #undef ORDER
 #undef RING
+#undef CHECKED
 #endif
 #if MIRROR_DEGREE >= 0
 #define FIGURE(part) mirror_figure_##part
 #define ORDER MIRROR_DEGREE
 #define RING MIRROR_RING
+#define CHECKED MIRROR_CHECKED
 #include "figure.h"
 #endif
 
@@ -93,7 +105,7 @@ INLINE void keep_if_on_glass(sighting *s, const meeting *m, __global const doubl
 
 // What belongs to segments at the instants of a vector.
 typedef struct {
-    __global const double *poses, *figures, *frames, *edges, *steps;
+    __global const double *poses, *figures, *limits, *frames, *edges, *steps;
     double c, k1;
 } mirror;
 
@@ -116,10 +128,11 @@ INLINE void try_segment(const ray *r, sighting *s, const int vectors, mirror gla
                                         m[k].lean);
     #pragma unroll
     for (int k = 0; k < vectors; ++k) {
+        const real limit = SEGMENT_CHECKED ? LOAD(glass.limits + 16 * segment + LANE(k)) : (real)0.0;
         m[k].hit = along(m[k].hit, first[k], m[k].direction);
         m[k].step += first[k];
-        segment_figure_second(figure + LANE(k), glass.steps, frame, m[k].direction, glass.c, glass.k1, &m[k].hit,
-                              &m[k].step, &m[k].lean);
+        segment_figure_second(figure + LANE(k), glass.steps, frame, m[k].direction, glass.c, glass.k1, limit,
+                              first[k], &m[k].hit, &m[k].step, &m[k].lean);
     }
 #endif
     #pragma unroll
@@ -150,6 +163,7 @@ __kernel void segmented(
     __global const double *curvatures, __global const double *conics_plus_1,
     __global const double *clear_squares, __global const double *mirror_frames,
     __global const double *segment_steps, __global const double *mirror_steps,
+    __global const double *segment_limits, __global const double *mirror_limits,
     __global const double *segment_poses, __global const double *figures,
     __global const double *surface_poses, __global const double *mirror_figures,
     __global const double *directions, __global const double *chief,
@@ -167,9 +181,11 @@ __kernel void segmented(
     surface_poses += tile * SURFACES * 12 * 16 + lane;
 #if DEGREE >= 0
     figures += tile * segments * TERMS(DEGREE) * 16 + lane;
+    segment_limits += SEGMENT_CHECKED ? tile * segments * 16 + lane : 0;
 #endif
 #if MIRROR_DEGREE >= 0
     mirror_figures += tile * (SURFACES - 1) * TERMS(MIRROR_DEGREE) * 16 + lane;
+    mirror_limits += MIRROR_CHECKED ? tile * (SURFACES - 1) * 16 + lane : 0;
 #endif
 
     if (candidates > 0 && n + RAYS < rays) {
@@ -199,7 +215,7 @@ __kernel void segmented(
         s[k].normal.y = 0.0;
         s[k].normal.z = -1.0;
     }
-    const mirror glass = {segment_poses, figures, frames, edges, segment_steps, c, k1};
+    const mirror glass = {segment_poses, figures, segment_limits, frames, edges, segment_steps, c, k1};
     for (int i = 0; i < candidates; ++i) {
         __global const int *tried = candidate + n * candidates + i;
         int same = 1;
@@ -245,9 +261,11 @@ __kernel void segmented(
                                                      r[k].position, r[k].direction, normal[k]);
             EACH_TURN {
                 real further = first[k];
+                const real limit = MIRROR_CHECKED ? LOAD(mirror_limits + 16 * i + LANE(k)) : (real)0.0;
                 r[k].position = along(r[k].position, further, r[k].direction);
                 mirror_figure_second(figure + LANE(k), mirror_steps, mirror_frames + i * 4, r[k].direction,
-                                     curvatures[i], conics_plus_1[i], &r[k].position, &further, &normal[k]);
+                                     curvatures[i], conics_plus_1[i], limit, first[k], &r[k].position, &further,
+                                     &normal[k]);
                 r[k].path += further * r[k].length;
                 step[k] += further;
             }

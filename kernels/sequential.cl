@@ -19,35 +19,8 @@ enum { TOTAL_REFLECTION = 1, VIGNETTED = 2, DIVERGED = 3, MISS = 4 };
 #define CONVERGED 1e-12
 #define ROUNDING 4e-15
 
-INLINE int any_lane(mask a)
-{
-#if W == 1
-    return a != 0;
-#else
-#if W == 16
-    long8 b = a.lo | a.hi;
-#else
-    mask b = a;
-#endif
-#if W >= 8
-    long4 c = b.lo | b.hi;
-#else
-    mask c = b;
-#endif
-    long2 d = c.lo | c.hi;
-    return (d.x | d.y) != 0;
-#endif
-}
-
 INLINE integers status_of(real loss) { return STATUS_OF(to_integers(loss) & 7); }
 INLINE integers surface_of(real loss) { return -1 - (to_integers(loss) >> 3); }
-
-INLINE triple choose(mask condition, triple yes, triple no)
-{
-    triple a = {EITHER(condition, yes.x, no.x), EITHER(condition, yes.y, no.y),
-                EITHER(condition, yes.z, no.z)};
-    return a;
-}
 
 // A pose is q = A p + o: nine entries of A row by row, then three of o.
 INLINE void shift(ray *r, __global const double *pose)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.kernels.devices import Device
+from wavequake.kernels.figure_limits import train_limits
 from wavequake.kernels.first_batch import COPIES, Pick, compare_rays, is_trusted, shaken
 from wavequake.kernels.program import aligned_empty, device_empty, launch
 from wavequake.kernels.ring import ring_steps
@@ -128,6 +129,7 @@ def _launch(
     segments, edges, numbers = train.edges.shape
     lanes, turns = _lanes(device)
     group = max(1, min(count, _RAYS)) if lanes == TILE else 1
+    limits = train_limits(train, *(moving[k] for k in (0, 1, 3, 4)))  # type: ignore[arg-type]
     constants = {
         "W": lanes,
         "TURNS": turns,
@@ -139,6 +141,8 @@ def _launch(
         "SURFACES": train.surface_curvatures.size,
         "MIRROR_DEGREE": train.mirror_degree,
         "MIRROR_RING": int(train.mirror_basis != "monomial"),
+        "SEGMENT_CHECKED": int(limits[0] is not None),
+        "MIRROR_CHECKED": int(limits[1] is not None),
         "EDGED": sum(1 << i for i, square in enumerate(train.clear_squares) if np.isfinite(square)),
         "PLANES": sum(1 << i for i, curvature in enumerate(train.surface_curvatures) if curvature == 0.0),
     }
@@ -150,6 +154,7 @@ def _launch(
         *(train.surface_curvatures, 1.0 + train.surface_conics, train.clear_squares, train.mirror_frames),
         _steps(train.figure_degree, train.figure_basis),
         _steps(train.mirror_degree, train.mirror_basis),
+        *limits,
         *moving,
     ]
     size = (TILE // (lanes * turns), -(-count // group), tiles)

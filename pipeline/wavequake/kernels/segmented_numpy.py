@@ -14,8 +14,9 @@ from wavequake.kernels.tiles import TILE
 from wavequake.kernels.train import GAP, MISS, OK, SegmentedTrain, Traced, check_train
 
 Array = NDArray[np.float64]
-_NEWTON_STEPS = 20
-_CONVERGED = 1e-11
+_NEWTON_STEPS = 30
+# Newton's iteration ends with the step after one this short: its square leaves only rounding.
+_SHORT = 1e-7
 _LOST_RAYS_ARE_DATA = np.errstate(invalid="ignore", divide="ignore", over="ignore")
 
 
@@ -151,23 +152,32 @@ def _meet(
     position: Array,
     direction: Array,
 ) -> tuple[Array, tuple[Array, Array]]:
-    """Return path and slopes where rays (3, n, 16) meet a conic plus figures (n, M, 16) in frames (n, 4)."""
+    """Return path and slopes where rays (3, n, 16) meet a conic plus figures (n, M, 16) in frames (n, 4).
+
+    NaN where a ray misses the conic, or the iteration finds no point of the figured surface: it folds over.
+    """
     c, kappa = conic
     path = conic_path(position, direction, c, kappa)
+    hit = position + path * direction
     if coefficients is None:
-        hit = position + path * direction
         return path, conic_slopes(hit[0], hit[1], c, kappa)
-    for _ in range(_NEWTON_STEPS):
-        x, y, z = position + path * direction
+    going, near, met = np.isfinite(path), *np.zeros((2, *path.shape), dtype=np.bool_)
+    for count in range(_NEWTON_STEPS + 1):
+        x, y, z = hit
         deformation, figure_x, figure_y = _figure(frames, form, coefficients, x, y)
         conic_x, conic_y = conic_slopes(x, y, c, kappa)
         slope_x, slope_y = conic_x + figure_x, conic_y + figure_y
-        miss = z - conic_sag(x, y, c, kappa) - deformation
-        step = miss / (direction[2] - slope_x * direction[0] - slope_y * direction[1])
-        path = path - step
-        if not (np.abs(step) > _CONVERGED).any():
+        rise = direction[2] - slope_x * direction[0] - slope_y * direction[1]
+        if count == _NEWTON_STEPS or not going.any():
             break
-    return path, (slope_x, slope_y)
+        # A ray that has converged is left alone, so its bits do not depend on its neighbors.
+        step = np.where(going, (conic_sag(x, y, c, kappa) + deformation - z) / rise, 0.0)
+        hit, path = hit + step * direction, path + step
+        met |= near & np.isfinite(step)
+        near = going & (np.abs(step) <= _SHORT)
+        going &= ~met & np.isfinite(step)
+    # The ray has to cross the surface in the sense in which it crosses the vertex plane.
+    return np.where(met & (rise * direction[2] > 0.0), path, np.nan), (slope_x, slope_y)
 
 
 def _figure(
