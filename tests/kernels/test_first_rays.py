@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from segmented_cases import NAMES, OPENCL
 
 from wavequake.errors import UserError
 from wavequake.kernels import first_batch, sequential
-from wavequake.kernels.devices import list_devices
 from wavequake.kernels.packing import packed_elements
 from wavequake.kernels.sequence import Element, Moving, Polynomial, Rays, Region, Sequence
 from wavequake.kernels.sequential import trace_sequence
@@ -17,8 +17,7 @@ from wavequake.optics.ray_aiming import pupil_rays
 from wavequake.optics.shapes import EvenAsphere
 from wavequake.optics.system_kinematics import rest_states
 
-DEVICES = [device for device in list_devices() if device.kind != "numpy"]
-pytestmark = pytest.mark.parametrize("device", DEVICES, ids=lambda device: device.name)
+pytestmark = pytest.mark.parametrize("device", OPENCL, ids=NAMES["ids"])
 # Of each system a surface, and in how many of the 28 cases below enough rays can be compared.
 FOLDED = {
     "gregorian": ("M1", 12),
@@ -36,11 +35,11 @@ def nothing_trusted(monkeypatch):
     monkeypatch.setattr(first_batch, "_TRUSTED", set())
 
 
-def folded(name, surface, bend):
-    """The system, one surface of which gains `bend` rho^4."""
+def folded(name, surface, *bends):
+    """The system, one surface of which gains `bends` in rho^4, rho^6, ..."""
     system = optical_system(name)
     surfaces = [
-        replace(one, shape=EvenAsphere(one.shape.radius, one.shape.conic, (0.0, bend)))
+        replace(one, shape=EvenAsphere(one.shape.radius, one.shape.conic, (0.0, *bends)))
         if one.name == surface
         else one
         for one in system.surfaces
@@ -49,9 +48,9 @@ def folded(name, surface, bend):
     return replace(system, surfaces=tuple(surfaces))
 
 
-def case(name, surface=None, bend=0.0, seed=0, count=60):
+def case(name, surface=None, bends=(), seed=0, count=60):
     """Arguments of a trace of random rays, also beyond the pupil."""
-    system = folded(name, surface, bend) if surface else optical_system(name)
+    system = folded(name, surface, *bends) if surface else optical_system(name)
     wavelength = system.wavelengths[system.primary_wavelength]
     x, y = np.random.default_rng(seed).uniform(-1.2, 1.2, (2, count))
     rays = pupil_rays(optical_system(name), system.fields[0], wavelength, x, y)
@@ -78,9 +77,22 @@ def test_aspheres_that_fold_over_are_no_error_of_the_device(name, surface, compa
     for bend in BENDS:
         for seed in range(4):
             first_batch._TRUSTED.clear()
-            trace_sequence(*case(name, surface, bend, seed), device, ignore_apertures=True)
+            trace_sequence(*case(name, surface, [bend], seed), device, ignore_apertures=True)
             trusted += len(first_batch._TRUSTED)
     assert trusted >= compared
+
+
+@pytest.mark.parametrize(
+    ("name", "surface"), [("tmt-thesis", "M2"), ("euv", "M3"), ("double-gauss", "surface 3")]
+)
+def test_random_folds_are_no_error_of_the_device(name, surface, device):
+    """Few rays or many, of which most may be lost because an iteration finds nothing."""
+    random = np.random.default_rng(5)
+    for seed in range(40):
+        first_batch._TRUSTED.clear()
+        bends = 10.0 ** random.uniform([-13.0, -20.0], [-3.0, -8.0]) * random.choice([-1.0, 1.0], 2)
+        count = int(random.integers(1, 300))
+        trace_sequence(*case(name, surface, bends, seed, count), device, ignore_apertures=True)
 
 
 def longer_path(outputs):
@@ -157,7 +169,18 @@ def test_any_wrong_coefficient_is_found(monkeypatch, share, device):
 )
 def test_errors_are_found_beside_rays_that_cannot_be_compared(monkeypatch, name, bend, after, device):
     spoil(monkeypatch, after=after)
-    assert_refused(case(name, FOLDED[name][0], bend), device)
+    assert_refused(case(name, FOLDED[name][0], [bend]), device)
+
+
+def test_a_batch_without_light_leaves_the_comparison_to_the_next(device):
+    sequence, rays, light = figured()
+    for pose in (np.nan, np.inf):
+        nowhere = replace(light, poses=np.full_like(light.poses, pose))
+        assert np.isnan(trace_sequence(sequence, rays, nowhere, device).path).all()
+    none = Rays(np.zeros((3, 0)), np.zeros((3, 0)), np.zeros(0))
+    trace_sequence(sequence, none, light, device)
+    trace_sequence(sequence, rays, light, device, outputs=("w_sign",))
+    assert not first_batch._TRUSTED
 
 
 @pytest.mark.parametrize("count", [1, 5, 16, 40])

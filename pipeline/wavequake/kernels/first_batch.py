@@ -87,6 +87,7 @@ def compare_first(
     _TRUSTED.add((device, program))
 
 
+@np.errstate(invalid="ignore")
 def shaken(poses: Array, length: float) -> Array:
     """Return poses (L, 12, ...) as they are, then off by 1e-12 in several ways, (COPIES, L, 12, ...).
 
@@ -142,11 +143,12 @@ def compare_rays(
     rays, arriving = int(known.sum()), int(np.isfinite(other).all(axis=0).sum())
     if rays < max(1, min(_FEW, arriving)):
         return  # nothing to compare yet
-    off = int(wrong.sum()) + (int(lost.sum()) if rays >= _FEW else 0)
-    # Where an iteration wanders for most rays, it may do so for one of the others.
-    if off > max(rays // _CHANCE, min(arriving - rays, rays // 3)):
-        largest = float(apart[wrong].max(initial=0.0))
-        raise _refusal(device, rays, "rays", int(wrong.sum()), largest, int(lost.sum()))
+    # Where an iteration wanders for many rays, or finds nothing, it may do so for some of the others.
+    may_err = max(rays // _CHANCE, min(arriving - rays, rays // 3))
+    may_end = max(may_err, min(known.size - rays, rays // 10))
+    off, gone = int(wrong.sum()), int(lost.sum())
+    if off > may_err or (gone > may_end and rays >= _FEW):
+        raise _refusal(device, rays, "rays", off, float(apart[wrong].max(initial=0.0)), gone)
     _TRUSTED.add((device, program))
 
 

@@ -190,8 +190,8 @@ def _once(values: Array) -> tuple[Array, bool]:
 
 
 def _repeated(rays: Rays, width: int) -> Rays:
-    """Return `width` rays: those given, and the last of them again and again."""
-    pick = np.minimum(np.arange(width), rays.path.size - 1)
+    """Return `width` rays: those given, again and again."""
+    pick = np.arange(width) % rays.path.size
     return Rays(rays.position[:, pick], rays.direction[:, pick], rays.path[pick])
 
 
