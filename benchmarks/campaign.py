@@ -28,8 +28,8 @@ from wavequake.cluster.local import worker_environment
 from wavequake.kernels.devices import choose_device
 from wavequake.workflows.campaign import WORKFLOWS, chunk_of
 from wavequake.workflows.contract import ChunkResult
-from wavequake.workflows.engine import run_campaign
-from wavequake.workflows.journal import read_journal
+from wavequake.workflows.engine.driver import run_campaign
+from wavequake.workflows.engine.journal import read_journal
 from wavequake.workflows.study import load_study
 
 STUDY = load_study("tmt-segments", {"campaign.cases": 4000})

@@ -25,11 +25,11 @@ from wavequake.mechanics.model import ReducedModel
 from wavequake.mechanics.response import Response, displacements, respond
 from wavequake.optics.motion_fit import figures, motion_fit
 from wavequake.optics.surface_fit import apply, heights
-from wavequake.workflows.mirror_bench import bench_of, time_of, variant_of
-from wavequake.workflows.mirror_optics import Optics, displacements_mm
-from wavequake.workflows.mirror_residual import coordinates_of, left_by, residual_of
-from wavequake.workflows.mirror_study import TraceStudy
-from wavequake.workflows.mirror_trace import (
+from wavequake.workflows.mirrors.mirror_bench import bench_of, time_of, variant_of
+from wavequake.workflows.mirrors.mirror_optics import Optics, displacements_mm
+from wavequake.workflows.mirrors.mirror_residual import coordinates_of, left_by, residual_of
+from wavequake.workflows.mirrors.mirror_study import TraceStudy
+from wavequake.workflows.mirrors.mirror_trace import (
     MODAL,
     STANDARD,
     Clock,

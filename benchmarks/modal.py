@@ -11,8 +11,8 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.kernels.devices import choose_device
 from wavequake.mechanics.common_history import CommonHistory, amplitude_generator, amplitudes
-from wavequake.workflows import segment_disturbance as workflow
-from wavequake.workflows.segment_study import SegmentStudy
+from wavequake.workflows.segments import segment_disturbance as workflow
+from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.study import load_study, study_with
 
 CHUNK = 4096

@@ -13,7 +13,7 @@ import psutil
 from numpy.typing import NDArray
 
 from wavequake.workflows.contract import ChunkResult, Template, Variable, Workflow
-from wavequake.workflows.engine import run_campaign
+from wavequake.workflows.engine.driver import run_campaign
 
 
 def template(study: str) -> Template:

@@ -44,7 +44,7 @@ from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequenti
 from wavequake.optics.system_sensitivity import rigid_sensitivity
 from wavequake.optics.system_wavefront import measure_system, prepare_system
 from wavequake.optics.zernike import annular_zernike
-from wavequake.workflows import segment_disturbance
+from wavequake.workflows.segments import segment_disturbance
 from wavequake.workflows.study import load_study
 
 DATA = Path(__file__).parents[1] / "tests" / "data"

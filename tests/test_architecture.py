@@ -78,6 +78,16 @@ def test_physics_knows_no_dask_and_no_store(path):
     assert not {name.split(".")[0] for name in imports_of(path)} & NOT_IN_PHYSICS
 
 
+@pytest.mark.parametrize("part", ["engine", "statistics"])
+def test_what_keeps_and_judges_cases_knows_no_workflow(part):
+    prefix = "wavequake.workflows."
+    for path in (PACKAGE / "workflows" / part).glob("*.py"):
+        known = {
+            name.removeprefix(prefix).split(".")[0] for name in imports_of(path) if name.startswith(prefix)
+        }
+        assert known <= {part, "contract", "provenance"}, path
+
+
 def test_every_package_has_its_rule():
     assert {home(path) for path in MODULES} - {FRONT_DOOR} <= set(ALLOWED)
 

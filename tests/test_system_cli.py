@@ -7,7 +7,7 @@ import pytest
 
 import wavequake as wq
 from wavequake import cli
-from wavequake.workflows.system_disturbance import check
+from wavequake.workflows.systems.system_disturbance import check
 
 STUDY = """
 [study]

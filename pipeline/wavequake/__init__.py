@@ -14,11 +14,11 @@ from wavequake.errors import StoreDamageError, UserError
 if TYPE_CHECKING:
     from wavequake.optics.zemax_export import write_zmx
     from wavequake.workflows.campaign import plan, run
+    from wavequake.workflows.engine.store import open_store
     from wavequake.workflows.schema import Study
     from wavequake.workflows.sensitivity import sensitivity
-    from wavequake.workflows.store import open_store
     from wavequake.workflows.study import load_study
-    from wavequake.workflows.system_source import load_system
+    from wavequake.workflows.systems.system_source import load_system
     from wavequake.workflows.zernike_arrays import convert_zernike
 
 __version__ = "0.1.0"
@@ -42,8 +42,8 @@ _HOMES = {
     "Study": "wavequake.workflows.schema",
     "convert_zernike": "wavequake.workflows.zernike_arrays",
     "load_study": "wavequake.workflows.study",
-    "load_system": "wavequake.workflows.system_source",
-    "open_store": "wavequake.workflows.store",
+    "load_system": "wavequake.workflows.systems.system_source",
+    "open_store": "wavequake.workflows.engine.store",
     "plan": "wavequake.workflows.campaign",
     "run": "wavequake.workflows.campaign",
     "sensitivity": "wavequake.workflows.sensitivity",

@@ -124,7 +124,7 @@ def run(
     """Run a study, or what of it is not done yet, and write its report. Safe to repeat and to interrupt."""
     from wavequake.workflows.campaign import notices, run_study
     from wavequake.workflows.campaign import profile as profile_of
-    from wavequake.workflows.driver_lock import shard_of
+    from wavequake.workflows.engine.driver_lock import shard_of
     from wavequake.workflows.study import load_study
 
     part = None if shard is None else shard_of(shard)
@@ -194,7 +194,7 @@ def info(
     overrides: OverridesArgument = None,
 ) -> None:
     """Print first-order data, fields, wavelengths and surfaces of an optical system."""
-    from wavequake.workflows.system_source import load_system
+    from wavequake.workflows.systems.system_source import load_system
 
     out.print(load_system(system, overrides or []).info(), markup=False, soft_wrap=True)
 
@@ -215,7 +215,7 @@ def studies() -> None:
 @app.command()
 def status(store: StoreArgument) -> None:
     """Say what of a store is done, quarantined (and why) and still to do."""
-    from wavequake.workflows.status import store_status
+    from wavequake.workflows.engine.status import store_status
 
     for line in store_status(store).lines():
         out.print(line, markup=False, soft_wrap=True)
@@ -224,7 +224,7 @@ def status(store: StoreArgument) -> None:
 @app.command()
 def verify(store: StoreArgument) -> None:
     """Read every stored number again and compare it with the journal's digests (exit code 4 if damaged)."""
-    from wavequake.workflows.verify import verify_store
+    from wavequake.workflows.engine.verify import verify_store
 
     report = verify_store(store)
     for line in report.lines():
@@ -298,9 +298,9 @@ def retry(
     dashboard: DashboardOption = False,
 ) -> None:
     """Compute quarantined cases of a store again, with the others of their chunks."""
-    from wavequake.workflows import rerun
     from wavequake.workflows.campaign import WORKFLOWS
-    from wavequake.workflows.store import read_manifest
+    from wavequake.workflows.engine import rerun
+    from wavequake.workflows.engine.store import read_manifest
 
     wanted, workflow = rerun.statuses(statuses), WORKFLOWS[read_manifest(store).workflow]
     with live_progress() as progress:
@@ -359,9 +359,9 @@ def sensitivity(
     """Show and keep how line of sight and wavefront follow motions of every surface and segment."""
     from wavequake.report import sensitivity as of_segments
     from wavequake.report import system_sensitivity as of_system
+    from wavequake.workflows.engine.store import SENSITIVITY
     from wavequake.workflows.sensitivity import stored_sensitivity
     from wavequake.workflows.sensitivity_source import sensitivity_study
-    from wavequake.workflows.store import SENSITIVITY
 
     loaded = sensitivity_study(study, overrides or [])
     path = store or Path(loaded.store.path or loaded.default_store())

@@ -21,8 +21,8 @@ def budget(
 ) -> None:
     """Rank disturbances, and rings of segments or elements, by what they contribute; the store keeps it."""
     from wavequake.report.budget import explanations, tables
-    from wavequake.workflows.budget import stored_budget
-    from wavequake.workflows.store import BUDGET, MANIFEST
+    from wavequake.workflows.budgets.budget import stored_budget
+    from wavequake.workflows.engine.store import BUDGET, MANIFEST
     from wavequake.workflows.study import load_study
 
     loaded = load_study(study, overrides or [])

@@ -76,7 +76,7 @@ def test_interrupts_wait_until_they_may_come():
 @pytest.mark.parametrize(
     ("module", "absent"),
     [
-        ("engine", ["dask"]),
+        ("engine.driver", ["dask"]),
         # SciPy loads these when they are first used, which few studies do; each takes half a second.
         ("campaign", ["dask", "matplotlib", "scipy.signal", "scipy.stats"]),
     ],

@@ -16,10 +16,10 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import choose_device, list_devices
 from wavequake.mechanics.motion import still
 from wavequake.optics.prepared import trace_states
-from wavequake.workflows import segment_disturbance as workflow
-from wavequake.workflows.bench import bench_of
 from wavequake.workflows.contract import DONE
-from wavequake.workflows.segment_study import SegmentStudy as Study
+from wavequake.workflows.segments import segment_disturbance as workflow
+from wavequake.workflows.segments.bench import bench_of
+from wavequake.workflows.segments.segment_study import SegmentStudy as Study
 
 OPENCL = [device.name for device in list_devices() if device.kind != "numpy"]
 DEVICE = OPENCL[0] if OPENCL else "numpy"

@@ -16,7 +16,7 @@ from wavequake.optics.shapes import Conic, Opening, ZernikeDeformation
 from wavequake.optics.system import OpticalSystem, Pupil, Surface
 from wavequake.optics.system_sensitivity import figure_sensitivity, rigid_sensitivity
 from wavequake.optics.system_wavefront import prepare_system
-from wavequake.workflows.system_bench import deformable
+from wavequake.workflows.systems.system_bench import deformable
 
 DATA = json.loads((Path(__file__).parents[1] / "data" / "tmt_optics.json").read_text())
 

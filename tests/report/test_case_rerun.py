@@ -10,7 +10,7 @@ from wavequake import cli
 from wavequake.errors import UserError
 from wavequake.report.rerun import rerun_stored
 from wavequake.workflows.campaign import WORKFLOWS, run
-from wavequake.workflows.store import open_store
+from wavequake.workflows.engine.store import open_store
 
 STUDY = """
 [study]

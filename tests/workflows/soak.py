@@ -18,8 +18,8 @@ from concurrent.futures import ThreadPoolExecutor
 import psutil
 import toy
 
-from wavequake.workflows.store import open_store
-from wavequake.workflows.verify import verify_store
+from wavequake.workflows.engine.store import open_store
+from wavequake.workflows.engine.verify import verify_store
 
 CHUNK, MORE = 5, 60
 SLOW = {"sleep_s": 0.004}
@@ -28,8 +28,8 @@ SLOW = {"sleep_s": 0.004}
 # loaded everything.
 WRITER = """
 import json, os, pathlib, signal, sys
-import toy, wavequake.workflows.engine
-from wavequake.workflows import arrays, journal
+import toy, wavequake.workflows.engine.driver
+from wavequake.workflows.engine import arrays, journal
 left = [0]
 
 def touch():

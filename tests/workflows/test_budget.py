@@ -5,9 +5,9 @@ import pytest
 
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances import draw_case
-from wavequake.workflows.bench import bench_of
-from wavequake.workflows.budget import budget, open_budget, stored_budget, summed
-from wavequake.workflows.budget_segments import Factors, rings_of, variants
+from wavequake.workflows.budgets.budget import budget, open_budget, stored_budget, summed
+from wavequake.workflows.budgets.budget_segments import Factors, rings_of, variants
+from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.study import load_study
 
 STUDY = """

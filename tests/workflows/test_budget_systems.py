@@ -6,12 +6,12 @@ import pytest
 from wavequake import cli
 from wavequake.mechanics.element_motion import draw_elements
 from wavequake.report.budget import budget_figure
-from wavequake.workflows.budget import budget, stored_budget, summed
-from wavequake.workflows.budget_systems import variants
-from wavequake.workflows.segment_disturbance import slot
+from wavequake.workflows.budgets.budget import budget, stored_budget, summed
+from wavequake.workflows.budgets.budget_systems import variants
+from wavequake.workflows.segments.segment_disturbance import slot
 from wavequake.workflows.study import load_study
-from wavequake.workflows.system_bench import system_bench
-from wavequake.workflows.system_disturbance import compute
+from wavequake.workflows.systems.system_bench import system_bench
+from wavequake.workflows.systems.system_disturbance import compute
 
 STUDY = """
 [study]
@@ -120,7 +120,7 @@ def test_what_is_without_a_factor_is_a_direct_trace(study, found):
 
 
 def test_the_command_prints_a_table_and_a_report_has_a_figure(study, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("wavequake.workflows.budget.FEWEST", 4)
+    monkeypatch.setattr("wavequake.workflows.budgets.budget.FEWEST", 4)
     (tmp_path / "lens.toml").write_text(STUDY)
     words = ["budget", str(tmp_path / "lens.toml"), "--cases", "4", "--store", str(tmp_path / "s")]
     monkeypatch.setattr("sys.argv", ["wavequake", *words])

@@ -9,9 +9,9 @@ import wavequake as wq
 from wavequake.errors import UserError
 from wavequake.workflows import campaign
 from wavequake.workflows.campaign import chunk_of, plan
-from wavequake.workflows.chunk_size import default_chunk
 from wavequake.workflows.contract import Template, Variable
-from wavequake.workflows.store import read_manifest
+from wavequake.workflows.engine.chunk_size import default_chunk
+from wavequake.workflows.engine.store import read_manifest
 from wavequake.workflows.study import load_study
 
 SMALL = {

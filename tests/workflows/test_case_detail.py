@@ -12,8 +12,8 @@ from wavequake.report import case_detail
 from wavequake.report.rerun import rerun_stored
 from wavequake.workflows.campaign import run
 from wavequake.workflows.contract import RAISED
-from wavequake.workflows.lens_experiment import bench_of
-from wavequake.workflows.store import open_store
+from wavequake.workflows.engine.store import open_store
+from wavequake.workflows.lens.lens_experiment import bench_of
 
 pytestmark = pytest.mark.usefixtures("mirror_models")
 

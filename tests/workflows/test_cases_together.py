@@ -5,7 +5,7 @@ import pytest
 from test_system_disturbance import study_of
 
 from wavequake.workflows.contract import DONE
-from wavequake.workflows.system_disturbance import compute
+from wavequake.workflows.systems.system_disturbance import compute
 
 MOVED = """
 [study]

@@ -15,9 +15,9 @@ from wavequake.imaging.pupil_shape import PupilShape
 from wavequake.imaging.segment_basis import ray_basis
 from wavequake.imaging.segment_psf import psf
 from wavequake.workflows.campaign import run_study
-from wavequake.workflows.coherent_object import lit_by_cells, lit_object, mean_image, source_of
-from wavequake.workflows.exposed_object import ObjectSection, object_image
-from wavequake.workflows.store import open_store
+from wavequake.workflows.engine.store import open_store
+from wavequake.workflows.exposures.coherent_object import lit_by_cells, lit_object, mean_image, source_of
+from wavequake.workflows.exposures.exposed_object import ObjectSection, object_image
 from wavequake.workflows.study import load_study
 
 SAMPLING, PIXELS, FINE, BORDER = 0.25, 32, 3, 112

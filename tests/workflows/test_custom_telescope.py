@@ -6,9 +6,9 @@ from small_telescope import STUDY
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import list_devices
-from wavequake.workflows import segment_disturbance as workflow
-from wavequake.workflows.bench import bench_of
 from wavequake.workflows.contract import DONE
+from wavequake.workflows.segments import segment_disturbance as workflow
+from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.study import load_study, study_with
 
 DEVICE = list_devices()[0].name

@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 
 from wavequake import cli
 from wavequake.mechanics.importers import import_model
-from wavequake.workflows import model_store
-from wavequake.workflows.store import open_store
+from wavequake.workflows.engine.store import open_store
+from wavequake.workflows.mirrors import model_store
 
 DATA = Path(__file__).parents[1] / "data"
 KEYS = [

@@ -14,8 +14,8 @@ from wavequake.imaging.objects import resolution_chart
 from wavequake.imaging.pupil_function import annular_pupil
 from wavequake.report.campaign import report_store
 from wavequake.workflows.campaign import run_study
-from wavequake.workflows.exposed_object import ObjectSection, object_image
-from wavequake.workflows.store import open_store
+from wavequake.workflows.engine.store import open_store
+from wavequake.workflows.exposures.exposed_object import ObjectSection, object_image
 from wavequake.workflows.study import load_study
 
 SAMPLING, PIXELS, AREA = 0.25, 48, np.pi / 4

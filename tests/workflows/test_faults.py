@@ -13,8 +13,8 @@ import pytest
 import toy
 
 from wavequake.errors import UserError
-from wavequake.workflows.store import create_store, open_store
-from wavequake.workflows.verify import verify_store
+from wavequake.workflows.engine.store import create_store, open_store
+from wavequake.workflows.engine.verify import verify_store
 
 SLOW = {"sleep_s": 0.03}
 

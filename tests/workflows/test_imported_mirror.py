@@ -8,10 +8,10 @@ import pytest
 
 from wavequake import cli
 from wavequake.errors import UserError
-from wavequake.workflows import model_store
 from wavequake.workflows.campaign import run_study
-from wavequake.workflows.mirror_trace import compute
-from wavequake.workflows.store import open_store
+from wavequake.workflows.engine.store import open_store
+from wavequake.workflows.mirrors import model_store
+from wavequake.workflows.mirrors.mirror_trace import compute
 from wavequake.workflows.study import load_study
 
 DATA = Path(__file__).parents[1] / "data"

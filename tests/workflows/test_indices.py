@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import sobol_indices
 
-from wavequake.workflows.indices import removed_shares, variance_shares
+from wavequake.workflows.budgets.indices import removed_shares, variance_shares
 
 A, B = 7.0, 0.1
 

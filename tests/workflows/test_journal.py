@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import StoreDamageError
-from wavequake.workflows import journal
-from wavequake.workflows.journal import Record, append, digest, read_journal
+from wavequake.workflows.engine import journal
+from wavequake.workflows.engine.journal import Record, append, digest, read_journal
 
 RECORD = Record(
     20,

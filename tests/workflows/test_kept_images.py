@@ -11,10 +11,10 @@ from wavequake.report.comparison import compare
 from wavequake.report.rerun import rerun_stored
 from wavequake.workflows.campaign import plan, run_study
 from wavequake.workflows.contract import DONE, Template, Variable
-from wavequake.workflows.retention import kept_template, retention_of
-from wavequake.workflows.store import open_store
+from wavequake.workflows.engine.retention import kept_template, retention_of
+from wavequake.workflows.engine.store import open_store
+from wavequake.workflows.engine.verify import verify_store
 from wavequake.workflows.study import study_with
-from wavequake.workflows.verify import verify_store
 
 pytestmark = pytest.mark.usefixtures("mirror_models")
 

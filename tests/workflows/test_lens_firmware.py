@@ -13,7 +13,14 @@ from wavequake.firmware.build import BOARDS, compiler_of, image_hash
 from wavequake.firmware.gains import gains_of
 from wavequake.workflows.campaign import run
 from wavequake.workflows.contract import DONE, RAISED
-from wavequake.workflows.lens_experiment import WORKFLOW, chain_of, compute, designs_of, study_of, template
+from wavequake.workflows.lens.lens_experiment import (
+    WORKFLOW,
+    chain_of,
+    compute,
+    designs_of,
+    study_of,
+    template,
+)
 from wavequake.workflows.study import load_study
 
 ARITHMETIC = ("float", "q31", "q16")

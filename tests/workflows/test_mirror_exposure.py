@@ -19,11 +19,18 @@ from wavequake.imaging.through_focus import through_focus
 from wavequake.report import animation, mirror_exposures, psf_figures
 from wavequake.report.animation import animate_case
 from wavequake.report.campaign import report_store, summary_table
-from wavequake.workflows import mirror_exposure, model_store
 from wavequake.workflows.campaign import run_study
 from wavequake.workflows.contract import DONE, RAISED
-from wavequake.workflows.mirror_exposure import WORKFLOW, aberrations_of, compute, exposed_instants, template
-from wavequake.workflows.store import open_store, read_manifest
+from wavequake.workflows.engine.store import open_store, read_manifest
+from wavequake.workflows.exposures import mirror_exposure
+from wavequake.workflows.exposures.mirror_exposure import (
+    WORKFLOW,
+    aberrations_of,
+    compute,
+    exposed_instants,
+    template,
+)
+from wavequake.workflows.mirrors import model_store
 from wavequake.workflows.study import load_study
 
 SMALL = {

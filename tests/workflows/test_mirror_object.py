@@ -11,12 +11,19 @@ from wavequake.imaging.image_formation import coherent_image, incoherent_image, 
 from wavequake.imaging.objects import double_slit
 from wavequake.imaging.pupil_shape import PupilShape
 from wavequake.report.campaign import report_store
-from wavequake.workflows import mirror_exposure, model_store
 from wavequake.workflows.campaign import run_study
-from wavequake.workflows.coherent_object import source_of
-from wavequake.workflows.mirror_bench import bench_of
-from wavequake.workflows.mirror_exposure import WORKFLOW, aberrations_of, compute, study_of, template
-from wavequake.workflows.store import open_store
+from wavequake.workflows.engine.store import open_store
+from wavequake.workflows.exposures import mirror_exposure
+from wavequake.workflows.exposures.coherent_object import source_of
+from wavequake.workflows.exposures.mirror_exposure import (
+    WORKFLOW,
+    aberrations_of,
+    compute,
+    study_of,
+    template,
+)
+from wavequake.workflows.mirrors import model_store
+from wavequake.workflows.mirrors.mirror_bench import bench_of
 from wavequake.workflows.study import load_study
 
 PIXELS, SAMPLING = 32, 0.25

@@ -9,9 +9,9 @@ from small_mirrors import TRACE, eleven, wavefront_of
 from wavequake.errors import UserError
 from wavequake.optics.system_wavefront import prepare_system
 from wavequake.reduction.two_stage import reference
-from wavequake.workflows import mirror_optics
-from wavequake.workflows.mirror_bench import any_study_of, bench_of, build_model, variant_of
-from wavequake.workflows.mirror_optics import (
+from wavequake.workflows.mirrors import mirror_optics
+from wavequake.workflows.mirrors.mirror_bench import any_study_of, bench_of, build_model, variant_of
+from wavequake.workflows.mirrors.mirror_optics import (
     deformation_sensitivity,
     displacements_mm,
     mirror_system,

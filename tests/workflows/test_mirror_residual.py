@@ -15,9 +15,10 @@ from wavequake.optics.surface_fit import apply, residual_grid
 from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.system_wavefront import trace_light, trace_system
 from wavequake.workflows.campaign import run_study
-from wavequake.workflows.mirror_bench import bench_of, time_of, variant_of
-from wavequake.workflows.mirror_optics import displacements_mm, with_deformation
-from wavequake.workflows.mirror_residual import (
+from wavequake.workflows.engine.store import open_store
+from wavequake.workflows.mirrors.mirror_bench import bench_of, time_of, variant_of
+from wavequake.workflows.mirrors.mirror_optics import displacements_mm, with_deformation
+from wavequake.workflows.mirrors.mirror_residual import (
     coordinates_of,
     deformed_light,
     grid_of,
@@ -25,8 +26,7 @@ from wavequake.workflows.mirror_residual import (
     residual_of,
     rms_of,
 )
-from wavequake.workflows.mirror_trace import STAGES, Clock, compute, modal_method, standard_method
-from wavequake.workflows.store import open_store
+from wavequake.workflows.mirrors.mirror_trace import STAGES, Clock, compute, modal_method, standard_method
 from wavequake.workflows.study import load_study
 
 FINE = TRACE | {"model.rings": 4, "optics.rays": 300}

@@ -2,8 +2,8 @@
 
 import pytest
 
-from wavequake.workflows import model_store
-from wavequake.workflows.mirror_exposure import WORKFLOW
+from wavequake.workflows.exposures.mirror_exposure import WORKFLOW
+from wavequake.workflows.mirrors import model_store
 from wavequake.workflows.study import load_study
 
 SMALL = {

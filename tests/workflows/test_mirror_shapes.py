@@ -10,10 +10,10 @@ from wavequake.report import mirror_shapes as draw
 from wavequake.report import mirrors
 from wavequake.report.deformed_body import bodies
 from wavequake.workflows.campaign import run_study
-from wavequake.workflows.mirror_bench import bench_of, build_model, variant_of
-from wavequake.workflows.mirror_mor import compute
-from wavequake.workflows.mirror_shapes import mode_shapes, rim_node
-from wavequake.workflows.store import open_store
+from wavequake.workflows.engine.store import open_store
+from wavequake.workflows.mirrors.mirror_bench import bench_of, build_model, variant_of
+from wavequake.workflows.mirrors.mirror_mor import compute
+from wavequake.workflows.mirrors.mirror_shapes import mode_shapes, rim_node
 from wavequake.workflows.study import load_study
 
 pytestmark = pytest.mark.usefixtures("mirror_models")

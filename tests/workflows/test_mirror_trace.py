@@ -12,17 +12,17 @@ from wavequake.mechanics.modal import modal_model
 from wavequake.mechanics.response import displacements, respond
 from wavequake.optics.motion_fit import motion_fit
 from wavequake.optics.surface_fit import apply
-from wavequake.workflows import mirror_trace
 from wavequake.workflows.campaign import WORKFLOWS, plan, run_study
-from wavequake.workflows.journal import read_journal
-from wavequake.workflows.mirror_bench import bench_of, time_of, variant_of
-from wavequake.workflows.mirror_optics import displacements_mm
-from wavequake.workflows.mirror_residual import coordinates_of
-from wavequake.workflows.mirror_trace import MODAL, STAGES, STANDARD, Clock, compute, standard_method
-from wavequake.workflows.rerun import retry_store, statuses
-from wavequake.workflows.store import open_store
+from wavequake.workflows.engine.journal import read_journal
+from wavequake.workflows.engine.rerun import retry_store, statuses
+from wavequake.workflows.engine.store import open_store
+from wavequake.workflows.engine.verify import verify_store
+from wavequake.workflows.mirrors import mirror_trace
+from wavequake.workflows.mirrors.mirror_bench import bench_of, time_of, variant_of
+from wavequake.workflows.mirrors.mirror_optics import displacements_mm
+from wavequake.workflows.mirrors.mirror_residual import coordinates_of
+from wavequake.workflows.mirrors.mirror_trace import MODAL, STAGES, STANDARD, Clock, compute, standard_method
 from wavequake.workflows.study import load_study
-from wavequake.workflows.verify import verify_store
 
 pytestmark = pytest.mark.usefixtures("mirror_models")
 

@@ -4,7 +4,7 @@ import pytest
 from wavequake.errors import UserError
 from wavequake.mechanics.mirrors import CircularMirror, circular_mirror
 from wavequake.reduction.intermediate import intermediate
-from wavequake.workflows import model_store
+from wavequake.workflows.mirrors import model_store
 
 
 @pytest.fixture(autouse=True)

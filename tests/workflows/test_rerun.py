@@ -8,10 +8,10 @@ from typer.testing import CliRunner
 from wavequake.cli import app
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.workflows.campaign import WORKFLOWS
-from wavequake.workflows.rerun import retry_store, statuses
-from wavequake.workflows.status import store_status
-from wavequake.workflows.store import extend_store, open_store
-from wavequake.workflows.verify import verify_store
+from wavequake.workflows.engine.rerun import retry_store, statuses
+from wavequake.workflows.engine.status import store_status
+from wavequake.workflows.engine.store import extend_store, open_store
+from wavequake.workflows.engine.verify import verify_store
 
 
 def workflow(flag, drift=0.0):

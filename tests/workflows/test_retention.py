@@ -9,13 +9,13 @@ from wavequake.errors import UserError
 from wavequake.report.comparison import compare
 from wavequake.report.tail import per_case
 from wavequake.workflows.campaign import WORKFLOWS, run_study
-from wavequake.workflows.chunks import Job, computed_alone, computed_chunk, opened_store
 from wavequake.workflows.contract import DIVERGED, DONE, Template, Variable, Workflow
-from wavequake.workflows.judged import judged_in
-from wavequake.workflows.retention import STATISTICS, kept_template, retention_of, stored_template
-from wavequake.workflows.store import create_store, open_store
+from wavequake.workflows.engine.chunks import Job, computed_alone, computed_chunk, opened_store
+from wavequake.workflows.engine.retention import STATISTICS, kept_template, retention_of, stored_template
+from wavequake.workflows.engine.store import create_store, open_store
+from wavequake.workflows.statistics.judged import judged_in
+from wavequake.workflows.statistics.until import goal_of, quantiles_of
 from wavequake.workflows.study import STUDIES, load_study, study_with
-from wavequake.workflows.until import goal_of, quantiles_of
 
 pytestmark = pytest.mark.usefixtures("mirror_models")
 

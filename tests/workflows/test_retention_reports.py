@@ -7,7 +7,7 @@ import pytest
 from small_histories import SMALL
 
 from wavequake.report.campaign import export_store, report_store
-from wavequake.workflows.store import open_store
+from wavequake.workflows.engine.store import open_store
 
 pytestmark = pytest.mark.usefixtures("mirror_models")
 

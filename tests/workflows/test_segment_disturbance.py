@@ -10,10 +10,10 @@ from wavequake.kernels.devices import choose_device, list_devices
 from wavequake.mechanics.edge_sensors import EdgeSensorNoise
 from wavequake.optics.prepared import trace_states
 from wavequake.optics.zernike import annular_zernike
-from wavequake.workflows import segment_disturbance as workflow
-from wavequake.workflows.bench import bench_of
 from wavequake.workflows.contract import DONE, RAISED
-from wavequake.workflows.images import energy_scale, image_axis
+from wavequake.workflows.segments import segment_disturbance as workflow
+from wavequake.workflows.segments.bench import bench_of
+from wavequake.workflows.segments.images import energy_scale, image_axis
 from wavequake.workflows.study import load_study, study_with
 
 OPENCL = [device.name for device in list_devices() if device.kind != "numpy"]

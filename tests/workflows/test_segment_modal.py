@@ -9,11 +9,12 @@ from threadpoolctl import threadpool_limits
 import wavequake as wq
 from wavequake.errors import UserError
 from wavequake.kernels.devices import list_devices
-from wavequake.workflows import campaign, segment_modal
-from wavequake.workflows import segment_disturbance as workflow
+from wavequake.workflows import campaign
 from wavequake.workflows.contract import DONE, RAISED
-from wavequake.workflows.retention import STATISTICS, kept_result
-from wavequake.workflows.segment_modal import CERTIFIED, MODAL, TRACED, sampled
+from wavequake.workflows.engine.retention import STATISTICS, kept_result
+from wavequake.workflows.segments import segment_disturbance as workflow
+from wavequake.workflows.segments import segment_modal
+from wavequake.workflows.segments.segment_modal import CERTIFIED, MODAL, TRACED, sampled
 from wavequake.workflows.study import load_study, study_with
 
 OPENCL = [device.name for device in list_devices() if device.kind != "numpy"]

@@ -12,9 +12,9 @@ from small_segments import STUDY, text_of
 from wavequake.kernels.devices import choose_device
 from wavequake.mechanics.mirrors import HexagonalSegment, mirror_mesh
 from wavequake.optics.telescopes import telescope
-from wavequake.workflows.bench import bench_of
-from wavequake.workflows.segment_mor import launches, traced
-from wavequake.workflows.segment_mor_bench import (
+from wavequake.workflows.segments.bench import bench_of
+from wavequake.workflows.segments.segment_mor import launches, traced
+from wavequake.workflows.segments.segment_mor_bench import (
     build_segment,
     chosen_segments,
     hexagon_of,

@@ -5,9 +5,9 @@ import toy
 
 from wavequake.errors import UserError
 from wavequake.workflows.campaign import run
-from wavequake.workflows.driver_lock import Shard, shard_of
-from wavequake.workflows.store import open_store
-from wavequake.workflows.verify import verify_store
+from wavequake.workflows.engine.driver_lock import Shard, shard_of
+from wavequake.workflows.engine.store import open_store
+from wavequake.workflows.engine.verify import verify_store
 
 SLOW = {"sleep_s": 0.02}
 

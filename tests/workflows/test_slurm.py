@@ -16,7 +16,7 @@ import toy
 from wavequake.cluster.places import place_of
 from wavequake.errors import UserError
 from wavequake.files import folder
-from wavequake.workflows.verify import verify_store
+from wavequake.workflows.engine.verify import verify_store
 
 CONFIGURATION = """\
 ClusterName=loop

@@ -12,10 +12,10 @@ import xarray as xr
 import zarr
 
 from wavequake.errors import StoreDamageError, UserError
-from wavequake.workflows import arrays, journal, store
 from wavequake.workflows.contract import ChunkResult, Variable
-from wavequake.workflows.status import store_status
-from wavequake.workflows.store import create_store, extend_store, open_store, read_manifest
+from wavequake.workflows.engine import arrays, journal, store
+from wavequake.workflows.engine.status import store_status
+from wavequake.workflows.engine.store import create_store, extend_store, open_store, read_manifest
 
 
 def new(path, cases=40, chunk=10, **options):

@@ -10,7 +10,7 @@ from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.devices import NUMPY
 from wavequake.optics.sensitivity import sensitivities
 from wavequake.workflows import sensitivity as module
-from wavequake.workflows.bench import bench_of
+from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.sensitivity import open_sensitivity, stored_sensitivity
 from wavequake.workflows.study import study_with
 

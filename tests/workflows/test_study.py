@@ -6,7 +6,7 @@ import pytest
 
 from wavequake.errors import UserError
 from wavequake.workflows.schema import study_from_identity
-from wavequake.workflows.segment_study import SegmentStudy
+from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.study import bundled_studies, load_study, study_with
 
 MINIMAL = """

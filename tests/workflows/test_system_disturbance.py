@@ -10,8 +10,16 @@ from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.system_wavefront import measure_system
 from wavequake.workflows.contract import DONE, RAISED
 from wavequake.workflows.study import load_study
-from wavequake.workflows.system_bench import failure, system_bench
-from wavequake.workflows.system_disturbance import case_table, check, compute, describe, draw, template, work
+from wavequake.workflows.systems.system_bench import failure, system_bench
+from wavequake.workflows.systems.system_disturbance import (
+    case_table,
+    check,
+    compute,
+    describe,
+    draw,
+    template,
+    work,
+)
 
 # A parabola of 1 m focal length and 50 mm radius: f/10, so that slopes are small.
 STUDY = """

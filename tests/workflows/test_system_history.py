@@ -18,16 +18,16 @@ from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.system_sensitivity import figure_sensitivity, rigid_sensitivity
 from wavequake.optics.system_wavefront import measure_system, prepare_system
 from wavequake.report.rerun import rerun_stored
-from wavequake.workflows import system_measure
-from wavequake.workflows.budget import summed
-from wavequake.workflows.budget_systems import experiment, variants
+from wavequake.workflows.budgets.budget import summed
+from wavequake.workflows.budgets.budget_systems import experiment, variants
 from wavequake.workflows.campaign import notices, plan, run, run_study
 from wavequake.workflows.contract import DONE, RAISED
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.study import load_study, study_with
-from wavequake.workflows.system_bench import deformable, system_bench
-from wavequake.workflows.system_disturbance import check, compute, draw, template, work
-from wavequake.workflows.system_study import SystemStudy
+from wavequake.workflows.systems import system_measure
+from wavequake.workflows.systems.system_bench import deformable, system_bench
+from wavequake.workflows.systems.system_disturbance import check, compute, draw, template, work
+from wavequake.workflows.systems.system_study import SystemStudy
 
 HEAD = """
 [study]

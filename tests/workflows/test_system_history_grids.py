@@ -13,15 +13,15 @@ from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.system_wavefront import measure_system
 from wavequake.optics.zernike import annular_zernike
 from wavequake.report.rerun import rerun_stored
-from wavequake.workflows import system_measure
-from wavequake.workflows.budget import summed
-from wavequake.workflows.budget_systems import elements_of, variants
+from wavequake.workflows.budgets.budget import summed
+from wavequake.workflows.budgets.budget_systems import elements_of, variants
 from wavequake.workflows.campaign import run
 from wavequake.workflows.contract import DONE
 from wavequake.workflows.sensitivity import sensitivity
 from wavequake.workflows.study import load_study
-from wavequake.workflows.system_bench import system_bench, system_states
-from wavequake.workflows.system_disturbance import check, compute
+from wavequake.workflows.systems import system_measure
+from wavequake.workflows.systems.system_bench import system_bench, system_states
+from wavequake.workflows.systems.system_disturbance import check, compute
 
 SHAPE, SPACING = (15, 17), (1.6, 1.5)
 X, Y = np.meshgrid(

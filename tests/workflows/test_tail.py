@@ -5,8 +5,8 @@ import pytest
 from scipy.stats import binomtest, expon, genpareto, norm, pareto, uniform
 
 from wavequake.errors import UserError
-from wavequake.workflows import tail
-from wavequake.workflows.tail import exceedance, fit_tail, rare_value, steadiness
+from wavequake.workflows.statistics import tail
+from wavequake.workflows.statistics.tail import exceedance, fit_tail, rare_value, steadiness
 
 RARE = 1e-4
 

@@ -9,17 +9,17 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import from_tiles
 from wavequake.optics.sensitivity import sensitivities
-from wavequake.workflows import segment_disturbance
-from wavequake.workflows import telescope_exposure as workflow
 from wavequake.workflows.contract import DONE, RAISED
-from wavequake.workflows.study import load_study
-from wavequake.workflows.telescope_control import (
+from wavequake.workflows.exposures import telescope_exposure as workflow
+from wavequake.workflows.exposures.telescope_control import (
     CONTROLLERS,
     control_bench_of,
     controlled,
     figure_gains,
     trace,
 )
+from wavequake.workflows.segments import segment_disturbance
+from wavequake.workflows.study import load_study
 
 STUDY = """
 [study]

@@ -8,9 +8,9 @@ from scipy.stats import norm
 
 from wavequake.errors import UserError
 from wavequake.workflows.campaign import run_study
-from wavequake.workflows.status import store_status
+from wavequake.workflows.engine.status import store_status
+from wavequake.workflows.statistics.until import Goal, goal_of, is_met, looks, quantiles_of
 from wavequake.workflows.study import load_study
-from wavequake.workflows.until import Goal, goal_of, is_met, looks, quantiles_of
 
 TEMPLATE = toy.template(toy.study())
 

@@ -9,9 +9,9 @@ import toy
 import zarr
 
 from wavequake.errors import StoreDamageError
-from wavequake.workflows.journal import append, read_journal
-from wavequake.workflows.status import store_status
-from wavequake.workflows.verify import verify_store
+from wavequake.workflows.engine.journal import append, read_journal
+from wavequake.workflows.engine.status import store_status
+from wavequake.workflows.engine.verify import verify_store
 
 
 def delete(file):

@@ -11,8 +11,8 @@ from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.system_wavefront import trace_system
 from wavequake.optics.zernike import annular_zernike
 from wavequake.workflows.study import load_study
-from wavequake.workflows.system_bench import system_bench
-from wavequake.workflows.system_disturbance import compute, template
+from wavequake.workflows.systems.system_bench import system_bench
+from wavequake.workflows.systems.system_disturbance import compute, template
 
 KEYS = ["optics.rays=200", "wavefront.zernike_terms=21", "campaign.device=numpy"]
 

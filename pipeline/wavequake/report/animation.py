@@ -20,13 +20,11 @@ from wavequake.imaging.exposure_models import cut, full_exposure
 from wavequake.kernels.devices import choose_device
 from wavequake.optics.zernike import annular_zernike
 from wavequake.report.figures import STYLE
-from wavequake.workflows import mirror_exposure, telescope_exposure
-from wavequake.workflows.mirror_bench import bench_of, time_of
-from wavequake.workflows.mirror_exposure import aberrations_of, study_of
-from wavequake.workflows.mirror_exposure import local_images as local_mirror_images
-from wavequake.workflows.mirror_mor import cases_of
-from wavequake.workflows.store import read_manifest
-from wavequake.workflows.telescope_control import (
+from wavequake.workflows.engine.store import read_manifest
+from wavequake.workflows.exposures import mirror_exposure, telescope_exposure
+from wavequake.workflows.exposures.mirror_exposure import aberrations_of, study_of
+from wavequake.workflows.exposures.mirror_exposure import local_images as local_mirror_images
+from wavequake.workflows.exposures.telescope_control import (
     CONTROLLERS,
     ControlBench,
     control_bench_of,
@@ -34,7 +32,9 @@ from wavequake.workflows.telescope_control import (
     measured_opd,
     position,
 )
-from wavequake.workflows.telescope_exposure import case_blocks, scaled_draw
+from wavequake.workflows.exposures.telescope_exposure import case_blocks, scaled_draw
+from wavequake.workflows.mirrors.mirror_bench import bench_of, time_of
+from wavequake.workflows.mirrors.mirror_mor import cases_of
 
 Array = NDArray[np.float64]
 

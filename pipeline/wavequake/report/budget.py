@@ -13,8 +13,8 @@ from rich.table import Table
 from wavequake.report.figures import COLORS, STYLE, WIDTH
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import MISSING, number
-from wavequake.workflows.budget import UNITS, open_budget
-from wavequake.workflows.store import BUDGET
+from wavequake.workflows.budgets.budget import UNITS, open_budget
+from wavequake.workflows.engine.store import BUDGET
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -21,8 +21,8 @@ from wavequake.report import (
     systems,
 )
 from wavequake.report.export import export, target_of
-from wavequake.workflows.store import JOURNAL, REPORT, Manifest, open_store, read_manifest
-from wavequake.workflows.verify import verify_store
+from wavequake.workflows.engine.store import JOURNAL, REPORT, Manifest, open_store, read_manifest
+from wavequake.workflows.engine.verify import verify_store
 
 # Each has table_of(store, dataset) and write_report_of(store, dataset, target, device).
 _REPORTS: dict[str, ModuleType] = {

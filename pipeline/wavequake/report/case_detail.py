@@ -15,18 +15,24 @@ from wavequake.mechanics.response import respond
 from wavequake.optics.motion_fit import figures, motion_fit
 from wavequake.optics.system_wavefront import trace_system
 from wavequake.report.segments import detail
-from wavequake.workflows import lens_experiment as lens
-from wavequake.workflows import mirror_trace as mirror
-from wavequake.workflows.mirror_base import driven
-from wavequake.workflows.mirror_bench import bench_of, time_of, trace_study_of, variant_of
-from wavequake.workflows.mirror_optics import displacements_mm
-from wavequake.workflows.mirror_residual import coordinates_of, left_by, residual_of
-from wavequake.workflows.store import Manifest
-from wavequake.workflows.system_bench import MM_PER_M, NM_PER_MM, at_instant, system_bench, system_states
-from wavequake.workflows.system_disturbance import draw
-from wavequake.workflows.system_measure import worst_instant
-from wavequake.workflows.telescope_control import CONTROLLERS, control_bench_of, measured_opd
-from wavequake.workflows.telescope_exposure import case_blocks, scaled_draw
+from wavequake.workflows.engine.store import Manifest
+from wavequake.workflows.exposures.telescope_control import CONTROLLERS, control_bench_of, measured_opd
+from wavequake.workflows.exposures.telescope_exposure import case_blocks, scaled_draw
+from wavequake.workflows.lens import lens_experiment as lens
+from wavequake.workflows.mirrors import mirror_trace as mirror
+from wavequake.workflows.mirrors.mirror_base import driven
+from wavequake.workflows.mirrors.mirror_bench import bench_of, time_of, trace_study_of, variant_of
+from wavequake.workflows.mirrors.mirror_optics import displacements_mm
+from wavequake.workflows.mirrors.mirror_residual import coordinates_of, left_by, residual_of
+from wavequake.workflows.systems.system_bench import (
+    MM_PER_M,
+    NM_PER_MM,
+    at_instant,
+    system_bench,
+    system_states,
+)
+from wavequake.workflows.systems.system_disturbance import draw
+from wavequake.workflows.systems.system_measure import worst_instant
 
 Array = NDArray[np.float64]
 

@@ -25,7 +25,7 @@ from wavequake.errors import UserError
 from wavequake.report.figures import STYLE
 from wavequake.report.table import MISSING, number
 from wavequake.workflows.contract import DONE
-from wavequake.workflows.store import open_store
+from wavequake.workflows.engine.store import open_store
 
 CONFIDENCE = 0.95
 # Coordinates over which measures are averaged, so that two stores must have the same.

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.workflows.blocks import blocks
+from wavequake.workflows.statistics.blocks import blocks
 
 _LABELS = ("case", "seed", "disturbance", "springs", "realization", "replicate", "status", "message")
 # Dimensions of which each entry has a column of its own: by its name, or by its number from 1.

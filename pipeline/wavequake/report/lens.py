@@ -18,7 +18,7 @@ from wavequake.report.page import Page, Picture, Section, picture, render_page, 
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number
 from wavequake.workflows.contract import DONE
-from wavequake.workflows.lens_experiment import bench_of, stage_of, study_of
+from wavequake.workflows.lens.lens_experiment import bench_of, stage_of, study_of
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
 from wavequake.report.page import Page, Section, picture, render_page, write_page
 from wavequake.report.table import number
 from wavequake.workflows.contract import DONE
-from wavequake.workflows.lens_passive import PARAMETERS
+from wavequake.workflows.lens.lens_passive import PARAMETERS
 
 _NAMES = {
     "lens_springs": "lens spring (N/m)",

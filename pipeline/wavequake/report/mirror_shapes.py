@@ -20,7 +20,7 @@ from wavequake.report.histories import has_all_instants
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import number as shortened
 from wavequake.report.variants import ModelResult, VariantResult, representatives
-from wavequake.workflows.mirror_shapes import PAIR
+from wavequake.workflows.mirrors.mirror_shapes import PAIR
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from wavequake.report.page import Page, Picture, Section, picture, render_page, 
 from wavequake.report.table import MISSING, number
 from wavequake.report.variants import few, left_out
 from wavequake.workflows.contract import DONE
-from wavequake.workflows.mirror_trace import MODAL, STANDARD
+from wavequake.workflows.mirrors.mirror_trace import MODAL, STANDARD
 
 # Stores of earlier versions displaced all nodes at every instant.
 _STANDARD = ("displacements", *STANDARD)

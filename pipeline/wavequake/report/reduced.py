@@ -21,10 +21,10 @@ from wavequake.report.populations import left_out
 from wavequake.report.statistics import Quantile, case_rms, quantile
 from wavequake.report.system_figures import distributions
 from wavequake.report.table import MISSING, interval, number, share
-from wavequake.workflows.bench import bench_of
 from wavequake.workflows.contract import DONE
-from wavequake.workflows.segment_modal import CERTIFIED, TRACED
-from wavequake.workflows.store import read_manifest
+from wavequake.workflows.engine.store import read_manifest
+from wavequake.workflows.segments.bench import bench_of
+from wavequake.workflows.segments.segment_modal import CERTIFIED, TRACED
 
 Array = NDArray[np.float64]
 

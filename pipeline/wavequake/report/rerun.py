@@ -18,11 +18,11 @@ from wavequake.report.campaign import device_at_hand
 from wavequake.report.case_detail import detail_of
 from wavequake.report.export import export, target_of
 from wavequake.workflows.campaign import WORKFLOWS
-from wavequake.workflows.chunks import checked
 from wavequake.workflows.contract import DONE, RAISED, STATUS_MEANINGS, TODO, ChunkResult, Template
-from wavequake.workflows.journal import digest
-from wavequake.workflows.retention import kept_result, stored_template
-from wavequake.workflows.store import open_store, read_manifest
+from wavequake.workflows.engine.chunks import checked
+from wavequake.workflows.engine.journal import digest
+from wavequake.workflows.engine.retention import kept_result, stored_template
+from wavequake.workflows.engine.store import open_store, read_manifest
 
 
 @dataclass(frozen=True)

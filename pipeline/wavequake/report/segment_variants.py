@@ -17,16 +17,16 @@ from wavequake.report.figures import opd_map, segment_map
 from wavequake.report.histories import has_all_instants, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.variants import ModelResult, VariantResult, left_out, representatives
-from wavequake.workflows.bench import MAS_PER_RAD, MM_PER_M, Bench
-from wavequake.workflows.segment_mor import SHAKEN, at_rest, launches
-from wavequake.workflows.segment_mor_bench import (
+from wavequake.workflows.engine.store import read_manifest
+from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench
+from wavequake.workflows.segments.segment_mor import SHAKEN, at_rest, launches
+from wavequake.workflows.segments.segment_mor_bench import (
     chosen_segments,
     model_of,
     motions,
     reduced,
     study_of,
 )
-from wavequake.workflows.store import read_manifest
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from wavequake.report.histories import what_is_kept
 from wavequake.report.html import write_report
 from wavequake.report.populations import Summary, populations, representatives, summarize
 from wavequake.report.table import terminal_table
-from wavequake.workflows.bench import MAS_PER_RAD, bench_of
-from wavequake.workflows.segment_disturbance import draw, surface_states
-from wavequake.workflows.store import read_manifest
+from wavequake.workflows.engine.store import read_manifest
+from wavequake.workflows.segments.bench import MAS_PER_RAD, bench_of
+from wavequake.workflows.segments.segment_disturbance import draw, surface_states
 
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:

@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
-from wavequake.workflows.quantiles import CONFIDENCE, Quantile, quantile, quantile_ranks, share_error
+from wavequake.workflows.statistics.quantiles import (
+    CONFIDENCE,
+    Quantile,
+    quantile,
+    quantile_ranks,
+    share_error,
+)
 
 __all__ = [
     "Distribution",

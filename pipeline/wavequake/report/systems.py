@@ -24,17 +24,17 @@ from wavequake.report.populations import left_out
 from wavequake.report.statistics import Jitter, Quantile, case_rms, jitter_of_cases, quantile
 from wavequake.report.table import interval, number, share
 from wavequake.workflows.contract import DONE
-from wavequake.workflows.retention import STATISTICS
-from wavequake.workflows.store import read_manifest
-from wavequake.workflows.system_bench import (
+from wavequake.workflows.engine.retention import STATISTICS
+from wavequake.workflows.engine.store import read_manifest
+from wavequake.workflows.systems.system_bench import (
     SystemBench,
     at_instant,
     field_name,
     system_bench,
     system_states,
 )
-from wavequake.workflows.system_disturbance import draw
-from wavequake.workflows.system_measure import worst_instant
+from wavequake.workflows.systems.system_disturbance import draw
+from wavequake.workflows.systems.system_measure import worst_instant
 
 Array = NDArray[np.float64]
 

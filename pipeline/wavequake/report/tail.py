@@ -15,10 +15,10 @@ from rich.text import Text
 from wavequake.errors import UserError
 from wavequake.report.table import MISSING, number
 from wavequake.workflows.contract import DONE
-from wavequake.workflows.judged import Judged, judged_in, populations_of, selected, title
-from wavequake.workflows.quantiles import Quantile
-from wavequake.workflows.store import open_store
-from wavequake.workflows.tail import Tail, exceedance, fit_tail, rare_value, steadiness
+from wavequake.workflows.engine.store import open_store
+from wavequake.workflows.statistics.judged import Judged, judged_in, populations_of, selected, title
+from wavequake.workflows.statistics.quantiles import Quantile
+from wavequake.workflows.statistics.tail import Tail, exceedance, fit_tail, rare_value, steadiness
 
 Array = NDArray[np.float64]
 

@@ -11,25 +11,25 @@ import numpy as np
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import choose_device
-from wavequake.workflows.chunk_size import default_chunk, stored_bytes
 from wavequake.workflows.contract import Workflow
-from wavequake.workflows.driver_lock import Shard, shard_of
-from wavequake.workflows.engine import CampaignSummary, run_campaign
-from wavequake.workflows.journal import read_journal
-from wavequake.workflows.lens_experiment import WORKFLOW as LENS_EXPERIMENT
-from wavequake.workflows.lens_passive import WORKFLOW as LENS_PASSIVE
-from wavequake.workflows.mirror_exposure import WORKFLOW as MIRROR_EXPOSURE
-from wavequake.workflows.mirror_mor import WORKFLOW as MIRROR_MOR
-from wavequake.workflows.mirror_trace import WORKFLOW as MIRROR_TRACE
-from wavequake.workflows.retention import stored_template
+from wavequake.workflows.engine.chunk_size import default_chunk, stored_bytes
+from wavequake.workflows.engine.driver import CampaignSummary, run_campaign
+from wavequake.workflows.engine.driver_lock import Shard, shard_of
+from wavequake.workflows.engine.journal import read_journal
+from wavequake.workflows.engine.retention import stored_template
+from wavequake.workflows.engine.store import JOURNAL, MANIFEST, done_records, open_store, read_manifest
+from wavequake.workflows.exposures.mirror_exposure import WORKFLOW as MIRROR_EXPOSURE
+from wavequake.workflows.exposures.telescope_exposure import WORKFLOW as TELESCOPE_EXPOSURE
+from wavequake.workflows.lens.lens_experiment import WORKFLOW as LENS_EXPERIMENT
+from wavequake.workflows.lens.lens_passive import WORKFLOW as LENS_PASSIVE
+from wavequake.workflows.mirrors.mirror_mor import WORKFLOW as MIRROR_MOR
+from wavequake.workflows.mirrors.mirror_trace import WORKFLOW as MIRROR_TRACE
 from wavequake.workflows.schema import Study
-from wavequake.workflows.segment_disturbance import WORKFLOW as SEGMENT_DISTURBANCE
-from wavequake.workflows.segment_mor import WORKFLOW as SEGMENT_MOR
-from wavequake.workflows.store import JOURNAL, MANIFEST, done_records, open_store, read_manifest
+from wavequake.workflows.segments.segment_disturbance import WORKFLOW as SEGMENT_DISTURBANCE
+from wavequake.workflows.segments.segment_mor import WORKFLOW as SEGMENT_MOR
+from wavequake.workflows.statistics.until import Goal, described, goal_of, is_met, looks, quantiles_of
 from wavequake.workflows.study import load_study, study_with
-from wavequake.workflows.system_disturbance import WORKFLOW as SYSTEM_DISTURBANCE
-from wavequake.workflows.telescope_exposure import WORKFLOW as TELESCOPE_EXPOSURE
-from wavequake.workflows.until import Goal, described, goal_of, is_met, looks, quantiles_of
+from wavequake.workflows.systems.system_disturbance import WORKFLOW as SYSTEM_DISTURBANCE
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -79,7 +79,7 @@ def run_study(
     """Compute what of `study` the store at `path` lacks; with `repair`, also what is damaged there.
 
     With `campaign.until`, cases are added until the goal is met, at most `campaign.cases`. Further arguments
-    are those of :func:`wavequake.workflows.engine.run_campaign`.
+    are those of :func:`wavequake.workflows.engine.driver.run_campaign`.
 
     Raises
     ------

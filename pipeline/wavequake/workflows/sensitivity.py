@@ -18,17 +18,9 @@ from wavequake.optics.checks import whole
 from wavequake.optics.prepared import prepare
 from wavequake.optics.sensitivity import DOFS, Sensitivities, SensitivityMatrix, sensitivities
 from wavequake.optics.zernike import MOST_TERMS
-from wavequake.workflows import arrays
-from wavequake.workflows.bench import MM_PER_M, Bench, bench_of
-from wavequake.workflows.exposure_study import TelescopeExposureStudy
-from wavequake.workflows.journal import digest, flush
-from wavequake.workflows.provenance import collect
-from wavequake.workflows.schema import Study
-from wavequake.workflows.segment_mor_bench import telescope_study
-from wavequake.workflows.segment_mor_study import SegmentMorStudy
-from wavequake.workflows.segment_study import SegmentStudy
-from wavequake.workflows.sensitivity_source import sensitivity_study
-from wavequake.workflows.store import (
+from wavequake.workflows.engine import arrays
+from wavequake.workflows.engine.journal import digest, flush
+from wavequake.workflows.engine.store import (
     MANIFEST,
     SENSITIVITY,
     read_manifest,
@@ -36,9 +28,17 @@ from wavequake.workflows.store import (
     refuse_other,
     write_errors_explained,
 )
+from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
+from wavequake.workflows.exposures.telescope_control import segment_text
+from wavequake.workflows.provenance import collect
+from wavequake.workflows.schema import Study
+from wavequake.workflows.segments.bench import MM_PER_M, Bench, bench_of
+from wavequake.workflows.segments.segment_mor_bench import telescope_study
+from wavequake.workflows.segments.segment_mor_study import SegmentMorStudy
+from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.sensitivity_source import sensitivity_study
 from wavequake.workflows.study import study_with
-from wavequake.workflows.system_study import SystemStudy
-from wavequake.workflows.telescope_control import segment_text
+from wavequake.workflows.systems.system_study import SystemStudy
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -107,7 +107,9 @@ def stored_sensitivity(
         If what is there cannot be read.
     """
     if isinstance(study, SystemStudy):
-        from wavequake.workflows.system_sensitivity import stored_system_sensitivity  # it builds on this
+        from wavequake.workflows.systems.system_sensitivity import (
+            stored_system_sensitivity,  # it builds on this
+        )
 
         return stored_system_sensitivity(study, path, figure_terms, mirror_terms)
     text = _telescope_text(study)

@@ -11,14 +11,14 @@ from pydantic import ValidationError
 
 from wavequake.errors import UserError
 from wavequake.files import folder
-from wavequake.workflows.exposure_study import MirrorExposureStudy, TelescopeExposureStudy
-from wavequake.workflows.lens_passive import PassiveStudy
-from wavequake.workflows.lens_study import LensStudy
-from wavequake.workflows.mirror_study import MirrorStudy, TraceStudy
+from wavequake.workflows.exposures.exposure_study import MirrorExposureStudy, TelescopeExposureStudy
+from wavequake.workflows.lens.lens_passive import PassiveStudy
+from wavequake.workflows.lens.lens_study import LensStudy
+from wavequake.workflows.mirrors.mirror_study import MirrorStudy, TraceStudy
 from wavequake.workflows.schema import Study, describe
-from wavequake.workflows.segment_mor_study import SegmentMorStudy
-from wavequake.workflows.segment_study import SegmentStudy
-from wavequake.workflows.system_study import SystemStudy
+from wavequake.workflows.segments.segment_mor_study import SegmentMorStudy
+from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.systems.system_study import SystemStudy
 
 # The model of its study files by each workflow's name.
 STUDIES: dict[str, type[Study]] = {

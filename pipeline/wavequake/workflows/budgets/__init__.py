@@ -1,0 +1,1 @@
+"""What each disturbance contributes to the error of the whole."""

@@ -1,0 +1,100 @@
+"""The budget of a system-disturbance study: its sources and the surfaces and bodies that they move."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.kernels.devices import choose_device
+from wavequake.mechanics.disturbances import Combine
+from wavequake.mechanics.element_motion import (
+    ElementMotion,
+    SingleElementDisturbance,
+    draw_elements,
+    instants_of,
+    single_parts,
+)
+from wavequake.workflows.budgets.budget_factors import AGAIN, Experiment, Factor
+from wavequake.workflows.systems.system_bench import SystemBench, system_bench
+from wavequake.workflows.systems.system_measure import measured
+from wavequake.workflows.systems.system_study import SystemStudy
+
+Array = NDArray[np.float64]
+
+QUANTITIES = ("wfe_change", "wfe_rms", "image_motion")
+_UM_PER_MM = 1e3
+
+
+def elements_of(sources: Sequence[SingleElementDisturbance]) -> list[str]:
+    """Return the surfaces and bodies that disturbances move or deform, in the order of their mention."""
+    return list(dict.fromkeys(name for part in sources for name in getattr(part, "of", ())))
+
+
+def variants(
+    population: Combine, sources: Sequence[SingleElementDisturbance], seed: int, realization: int
+) -> list[ElementMotion]:
+    """Return the motions of one case: of all factors, of all drawn again, without each, with each redrawn."""
+    time = instants_of(sources, population.model_copy(update={"of": tuple(part.name for part in sources)}))
+    again = [part.model_copy(update={"name": part.name + AGAIN}) for part in sources]
+
+    def total(chosen: Sequence[SingleElementDisturbance]) -> ElementMotion:
+        if not chosen:
+            return ElementMotion({}, {}, np.zeros((len(time), 2)))
+        names = tuple(part.name for part in chosen)
+        whole = population.model_copy(update={"of": names})
+        return draw_elements(chosen, whole, seed, realization, time=time)
+
+    one, other = total(sources), total(again)
+    indices = range(len(sources))
+    without = [total([sources[k] for k in indices if k != i]) for i in indices]
+    redrawn = [total([again[k] if k == i else sources[k] for k in indices]) for i in indices]
+    for name in elements_of(sources):
+        without.append(_with_element(one, ElementMotion({}, {}, one.sight), name))
+        redrawn.append(_with_element(one, other, name))
+    return [one, other, *without, *redrawn]
+
+
+def _with_element(motion: ElementMotion, other: ElementMotion, element: str) -> ElementMotion:
+    """Return a motion in which one surface or body moves and deforms as in another."""
+
+    def chosen(mine: dict[str, Array], theirs: dict[str, Array]) -> dict[str, Array]:
+        others = {name: values for name, values in mine.items() if name != element}
+        return others | {name: values for name, values in theirs.items() if name == element}
+
+    moved, figure = chosen(motion.rigid, other.rigid), chosen(motion.figure, other.figure)
+    return ElementMotion(moved, figure, motion.sight, chosen(motion.grid, other.grid))
+
+
+def evaluate(bench: SystemBench, time: Array, motion: ElementMotion, device: str) -> Array:
+    """Return the QUANTITIES, rms over instants and field points (3,); NaN where light is lost."""
+    found, trouble = measured(bench, time, motion, choose_device(device))
+    if trouble:
+        return np.full(len(QUANTITIES), np.nan)
+    moved = np.linalg.norm(found["los_mm"], axis=-1) * _UM_PER_MM
+    values = [found["wfe_change"], found["wfe_rms"], moved]
+    return np.array([np.sqrt(np.mean(one**2)) for one in values])
+
+
+def experiment(study: SystemStudy, population: Combine, device: str) -> Experiment:
+    """Return how the cases of a sum of disturbances are varied and traced, at the primary wavelength."""
+    bench = system_bench(study.identity_text())
+    light = bench.system.primary_wavelength
+    bench = replace(
+        bench,
+        prepared=tuple((row[light],) for row in bench.prepared),
+        static=tuple((row[light],) for row in bench.static),
+    )
+    sources = single_parts(study.disturbance, population)
+    names, time = elements_of(sources), instants_of(study.disturbance, population)
+    factors = [Factor(part.name, "source", len(getattr(part, "of", ()))) for part in sources]
+    factors += [Factor(name, "element", 1) for name in names if len(names) > 1]
+
+    def values(first: int, last: int) -> Array:
+        cases = [variants(population, sources, study.study.seed, one) for one in range(first, last)]
+        return np.array([[evaluate(bench, time, motion, device) for motion in case] for case in cases])
+
+    def rest() -> Array:
+        return evaluate(bench, time, ElementMotion({}, {}, np.zeros((len(time), 2))), device)
+
+    return Experiment(tuple(factors), QUANTITIES, 1, values, rest)

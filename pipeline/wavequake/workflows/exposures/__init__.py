@@ -1,0 +1,1 @@
+"""Workflows that expose images over time."""

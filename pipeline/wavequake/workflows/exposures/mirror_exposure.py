@@ -1,0 +1,328 @@
+"""The workflow "mirror-exposure": what a detector receives of a vibrating mirror, by reduced model.
+
+A case is one variant of one model, as in mirror-mor. Its image is exposed over the time response to each
+excitation, as in Störkle 2018, Fig. 4.32.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from wavequake.errors import UserError
+from wavequake.imaging.exposure_models import cut
+from wavequake.imaging.matrix_fourier import matrix_fourier
+from wavequake.imaging.nyquist import too_coarse, zernike_samples_for
+from wavequake.imaging.pupil_function import annular_pupil
+from wavequake.imaging.zernike_psf import ZernikeImager, zernike_imager, zernike_images, zernike_sum
+from wavequake.kernels.devices import NUMPY, Device, choose_device
+from wavequake.optics.zernike import annular_zernike
+from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.workflows.exposures.coherent_object import LitObject, lit_by_cells, mean_image
+from wavequake.workflows.exposures.exposed_object import check_object, object_at_rest, object_image
+from wavequake.workflows.exposures.exposure_study import MirrorExposureStudy
+from wavequake.workflows.exposures.exposures import (
+    CANVAS,
+    FOCUS,
+    exposed,
+    exposure_variables,
+    frame_coordinates,
+)
+from wavequake.workflows.mirrors import mirror_bench
+from wavequake.workflows.mirrors.mirror_bench import (
+    aberrations_over_time,
+    bench_of,
+    check_variants_of,
+    import_notices,
+    import_record,
+    time_of,
+    variant_of,
+)
+from wavequake.workflows.mirrors.mirror_mor import case_table, cases_of
+from wavequake.workflows.mirrors.mirror_optics import Optics, optical_rows
+
+Array = NDArray[np.float64]
+
+# Instants at once: bounds the memory, however long an exposure is.
+_BLOCK = 32
+
+
+def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
+    """Expose the images of the variants `cases`; one that does not suit the model is quarantined."""
+    study = study_of(study_text)
+    arrays = {
+        name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
+        for name, variable in template(study_text).per_case.items()
+    }
+    status, messages = np.full(len(cases), DONE, dtype=np.int8), [""] * len(cases)
+    with threadpool_limits(1):
+        for row, (name, variant) in enumerate(cases_of(study)[int(case)] for case in cases):
+            try:
+                found = exposed_variant(study_text, name, variant, choose_device(device_name))
+            except UserError as error:
+                status[row], messages[row] = RAISED, str(error)
+                continue
+            for key, value in found.items():
+                arrays[key][row] = value
+    return ChunkResult(arrays, status, tuple(messages))
+
+
+def exposed_variant(study_text: str, model: str, variant: str, device: Device = NUMPY) -> dict[str, Any]:
+    """Return all stored numbers of one variant of a model."""
+    study, optics = study_of(study_text), bench_of(study_text, model).optics
+    aberrations = aberrations_of(study_text, model, variant)
+    static = next(local_images(study, optics, np.zeros((1, aberrations.shape[2])), device))[0]
+    seen = seen_object(study_text, model, device)
+    found: dict[str, list[Array]] = {}
+    for history in aberrations:
+        for name, values in _exposure(study, optics, history, static, device).items():
+            found.setdefault(name, []).append(values)
+        found.setdefault("exposure_focus", []).append(through_focus(study, optics, history, device))
+        if seen is not None:
+            phases = seen.phases(_waves(study, optics, history[exposed_instants(study)], placed=True))
+            found.setdefault("object_image", []).append(mean_image(seen.lit, phases))
+    reference = aberrations_of(study_text, model, study.reduction.reference)
+    return {
+        **{name: np.stack(values) for name, values in found.items()},
+        "wfe_rms": _wavefront_error(aberrations),
+        "wfe_error": _wavefront_error(aberrations - reference),
+        "los_mm": aberrations[..., :2],
+        "exposure_static": cut(static, study.imaging.pixels),
+        **_object_at_rest(study, optics, static, seen),
+        "resolution_mm": optics.resolution,
+    }
+
+
+def study_of(study_text: str) -> MirrorExposureStudy:
+    """Rebuild a study from its identity."""
+    study = mirror_bench.study_of(study_text)
+    assert isinstance(study, MirrorExposureStudy)
+    return study
+
+
+@lru_cache(maxsize=2)
+def aberrations_of(study_text: str, model: str, variant: str) -> Array:
+    """Return what a variant does over time, (excitation, time, 2 + J): line of sight in mm, terms in nm."""
+    with threadpool_limits(1):
+        bench = bench_of(study_text, model)
+        reduced = variant_of(bench, variant)
+        return aberrations_over_time(study_of(study_text), reduced, optical_rows(bench.optics, reduced))
+
+
+def exposed_instants(study: MirrorExposureStudy) -> NDArray[np.intp]:
+    """Return the instants of the time response that are exposed, evenly spread."""
+    count = study.time.instants
+    chosen = np.linspace(0, count - 1, min(study.imaging.instants, count)).round()
+    return np.unique(chosen.astype(np.intp))
+
+
+def local_images(
+    study: MirrorExposureStudy, optics: Optics, history: Array, device: Device = NUMPY
+) -> Iterator[Array]:
+    """Yield images (block, n, n) about the line of sight of aberrations (instants, 2 + J), by blocks.
+
+    The line of sight has no part in them: it places them.
+    """
+    section = study.imaging
+    grid = section.pupil_samples, CANVAS * section.pixels, section.sampling
+    imager = _imager(*grid, history.shape[1] - 2, optics.obscuration, device)
+    waves = _waves(study, optics, history, placed=False)
+    for first in range(0, len(history), _BLOCK):
+        yield zernike_images(imager, waves[first : first + _BLOCK], check=False)  # `notices` did
+
+
+def through_focus(study: MirrorExposureStudy, optics: Optics, history: Array, device: Device) -> Array:
+    """Return exposures (focus, y, x) with defocus added; tilts of the phase place the images."""
+    section, shown = study.imaging, history[exposed_instants(study)]
+    grid = section.pupil_samples, section.pixels, section.sampling
+    imager = _imager(*grid, shown.shape[1] - 2, optics.obscuration, device)
+    waves = _waves(study, optics, shown, placed=True)
+    weights, term = np.full(len(waves), 1.0 / len(waves)), np.arange(waves.shape[1]) == 3
+    return np.array([zernike_sum(imager, waves - defocus * term, weights, check=False) for defocus in FOCUS])
+
+
+def _waves(study: MirrorExposureStudy, optics: Optics, history: Array, placed: bool) -> Array:
+    """Return the Noll terms (instants, J) of the phase in waves, with tilts that place the image or none."""
+    section = study.imaging
+    # The OPD of a positive line of sight falls along +x, a phase that moves the image to +x grows.
+    waves = -section.scale / study.optics.wavelength_nm * history[:, 2:]
+    waves[:, :3] = 0.0
+    if placed:  # a tilt moves the image by 4 c / sqrt(1 + eps²) in lambda/D
+        los = history[:, :2] * (section.scale / optics.resolution)
+        waves[:, 1:3] = 0.25 * np.sqrt(1.0 + optics.obscuration**2) * los
+    return np.asarray(waves)
+
+
+@lru_cache(maxsize=4)
+def _imager(
+    samples: int, pixels: int, sampling: float, terms: int, obscuration: float, device: Device
+) -> ZernikeImager:
+    pupil = annular_pupil(samples, obscuration)
+    return zernike_imager(pupil, pixels, sampling, terms, obscuration, device)
+
+
+@dataclass(frozen=True)
+class SeenObject:
+    """An object in coherent or partially coherent light, seen by a mirror.
+
+    Attributes
+    ----------
+    lit : LitObject
+        For the patches of the sampled pupil.
+    modes : ndarray, shape (m, J)
+        Zernike polynomials there.
+    """
+
+    lit: LitObject
+    modes: Array
+
+    def phases(self, waves: Array) -> Iterator[Array]:
+        """Yield the phases (block, m) in waves of Noll terms (instants, J), by blocks."""
+        for first in range(0, len(waves), _BLOCK):
+            yield waves[first : first + _BLOCK] @ self.modes.T
+
+
+@lru_cache(maxsize=4)
+def seen_object(study_text: str, model: str, device: Device = NUMPY) -> SeenObject | None:
+    """Return the object of a study, if there is one whose light is coherent or partially so."""
+    study, optics = study_of(study_text), bench_of(study_text, model).optics
+    if study.object is None or study.object.light == "incoherent":
+        return None
+    pupil = annular_pupil(study.imaging.pupil_samples, optics.obscuration)
+    transform = matrix_fourier(pupil, study.imaging.pixels, study.imaging.sampling, device)
+    modes = annular_zernike(pupil.x, pupil.y, optics.terms, optics.obscuration)
+    return SeenObject(lit_by_cells(study.object, transform), modes)
+
+
+def _object_at_rest(
+    study: MirrorExposureStudy, optics: Optics, static: Array, seen: SeenObject | None
+) -> dict[str, Array]:
+    if seen is not None:
+        return {"object_static": mean_image(seen.lit, seen.phases(np.zeros((1, optics.terms))))}
+    if study.object is None:
+        return {}
+    imaging = study.imaging
+    grid = imaging.pixels, imaging.sampling, *_pupil_size(optics)
+    return {"object_static": object_image(study.object, static, *grid)}
+
+
+def _pupil_size(optics: Optics) -> tuple[float, float]:
+    """Return area (mm²) and diameter (mm) of the pupil."""
+    return np.pi * optics.radius**2 * (1.0 - optics.obscuration**2), 2.0 * optics.radius
+
+
+def _exposure(
+    study: MirrorExposureStudy, optics: Optics, history: Array, static: Array, device: Device
+) -> dict[str, Array]:
+    imaging = study.imaging
+    shown = history[exposed_instants(study)]
+    return exposed(
+        local_images(study, optics, shown, device),
+        static,
+        shown[:, :2] * (imaging.scale / optics.resolution),
+        imaging.pixels,
+        imaging.sampling,
+        *_pupil_size(optics),
+        study.object,
+    )
+
+
+def _wavefront_error(aberrations: Array) -> Array:
+    return np.asarray(np.sqrt(np.sum(aberrations[..., 5:] ** 2, axis=-1)))
+
+
+def template(study_text: str) -> Template:
+    """Return what a store of this study holds."""
+    study = study_of(study_text)
+    excitations, instants, pixels = len(study.excitation), study.time.instants, study.imaging.pixels
+
+    def history(units: str, long_name: str) -> Variable:
+        shape = (excitations, instants)
+        return Variable(("excitation", "time"), shape, {"units": units, "long_name": long_name})
+
+    per_case = {
+        "wfe_rms": history("nm", "wavefront error rms of the fitted Zernikes j >= 4, not scaled"),
+        "wfe_error": history("nm", "rms of the difference of wavefronts from the reference's, j >= 4"),
+        "los_mm": Variable(
+            ("excitation", "time", "axis"),
+            (excitations, instants, 2),
+            {"units": "mm", "long_name": "line of sight in the image (Störkle 2018, Eq. 3.39), not scaled"},
+        ),
+        **exposure_variables("excitation", excitations, pixels, study.object),
+        "exposure_focus": Variable(
+            ("excitation", "focus", "y", "x"),
+            (excitations, len(FOCUS), pixels, pixels),
+            {"units": "1", "long_name": "exposure with defocus added; 1 = peak of the perfect image"},
+        ),
+        "exposure_static": Variable(
+            ("y", "x"), (pixels, pixels), {"units": "1", "long_name": "image at rest; 1 = its peak"}
+        ),
+        **(object_at_rest(study.object, pixels) if study.object else {}),
+        "resolution_mm": Variable(
+            (),
+            (),
+            {
+                "units": "mm",
+                "long_name": "lambda/D in the image: wavelength times focal length over diameter",
+            },
+        ),
+    }
+    names = np.array([excitation.name for excitation in study.excitation], dtype=object)
+    fixed = {
+        "time": (("time",), time_of(study), {"units": "s", "long_name": "time"}),
+        "excitation": (("excitation",), names, {"long_name": "excitation"}),
+        **frame_coordinates(pixels, study.imaging.sampling),
+        **import_record(study_text),
+    }
+    return Template(per_case, fixed)
+
+
+def check(study_text: str) -> None:
+    """Raise UserError for a study that no variant of can succeed: model, reference or optics do not fit."""
+    study = study_of(study_text)
+    if study.object:
+        check_object(study.object, study.imaging.pixels, study.imaging.sampling)
+    imaging = study.imaging
+    field = CANVAS * imaging.pixels * imaging.sampling
+    if field > imaging.pupil_samples:
+        raise UserError(
+            f"imaging.pupil_samples is {imaging.pupil_samples}, so that images repeat every "
+            f"{imaging.pupil_samples} lambda/D, but those of {imaging.pixels} pixels are computed "
+            f"{field:g} lambda/D wide, for light that moves in; set it to at least {int(np.ceil(field))}"
+        )
+    for name in study.models:
+        check_variants_of(study, bench_of(study_text, name), study.reduction.variants)
+        aberrations_of(study_text, name, study.reduction.reference)
+
+
+def notices(study_text: str) -> Iterator[str]:
+    """Yield what to check of an imported model, and models whose phases the pupil's samples do not resolve.
+
+    What all variants do is judged by the reference.
+    """
+    yield from import_notices(study_text)
+    study = study_of(study_text)
+    section, instants = study.imaging, exposed_instants(study)
+    for name in study.models:
+        optics, needed = bench_of(study_text, name).optics, dict[int, float]()
+        history = aberrations_of(study_text, name, study.reduction.reference)[:, instants]
+        still = np.concatenate([_waves(study, optics, one, placed=False) for one in history])
+        placed = np.concatenate([_waves(study, optics, one, placed=True) for one in history])
+        term = np.arange(placed.shape[1]) == 3
+        images = [(CANVAS * section.pixels, still)]
+        images += [(section.pixels, placed - defocus * term) for defocus in (FOCUS[0], FOCUS[-1])]
+        if study.object and study.object.light != "incoherent":
+            images.append((2 * section.pixels, placed))  # from rim to rim of object and image
+        for size, waves in images:
+            field = size * section.sampling
+            needed[zernike_samples_for(waves, optics.obscuration, field)] = field
+        most = max(needed)
+        if text := too_coarse(section.pupil_samples, most, needed[most]):
+            yield f"{name}: {text}; raise imaging.pupil_samples or lower imaging.scale"
+
+
+WORKFLOW = Workflow("mirror-exposure", template, case_table, compute, check=check, notices=notices)

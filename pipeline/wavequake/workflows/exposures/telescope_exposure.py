@@ -1,0 +1,309 @@
+"""The workflow "telescope-exposure": what a detector receives of a vibrating telescope, by controller of M2.
+
+A case is one realization of one population of disturbances, as in segment-disturbance. It is exposed at
+rest, disturbed, with perfectly corrected line of sight (a rigid M2 tilts) and with perfectly corrected
+wavefront (M2 deforms), as in Störkle 2018, Section 4.6 and Fig. 4.45; M2's motion is ray traced.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from wavequake.errors import UserError
+from wavequake.imaging.exposure_models import cut, full_exposure
+from wavequake.imaging.nyquist import ray_samples_for, too_few_rays
+from wavequake.kernels.devices import Device, choose_device
+from wavequake.kernels.tiles import TILE
+from wavequake.kernels.train import Traced
+from wavequake.optics.states import SurfaceStates
+from wavequake.optics.wavefront import Wavefront
+from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.workflows.exposures.coherent_object import LitObject, lit_object, mean_image
+from wavequake.workflows.exposures.exposed_object import check_object
+from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
+from wavequake.workflows.exposures.exposures import (
+    CANVAS,
+    FOCUS,
+    exposed,
+    exposure_variables,
+    frame_coordinates,
+)
+from wavequake.workflows.exposures.telescope_control import (
+    CONTROLLERS,
+    DISTURBED,
+    STATIC,
+    ControlBench,
+    control_bench_of,
+    controlled,
+    elastic_figure,
+    fitted_opd,
+    local_images,
+    measured_opd,
+    position,
+    ray_phase,
+    rigid_tilt,
+    segment_text,
+    trace,
+)
+from wavequake.workflows.schema import study_from_identity
+from wavequake.workflows.segments import segment_disturbance
+from wavequake.workflows.segments.bench import MAS_PER_RAD
+from wavequake.workflows.segments.segment_disturbance import CaseDraw, draw, surface_states
+
+Array = NDArray[np.float64]
+
+# Instants at once: bounds the memory, however long an exposure is.
+_BLOCK = 8 * TILE
+_NM_PER_MM = 1e6
+
+
+def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
+    """Expose the cases; one whose rays are lost is quarantined with the reason."""
+    device = choose_device(device_name)
+    control = control_bench_of(study_text)
+    arrays = {
+        name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
+        for name, variable in template(study_text).per_case.items()
+    }
+    status, messages = np.full(len(cases), DONE, dtype=np.int8), [""] * len(cases)
+    with threadpool_limits(1):
+        for row, case in enumerate(cases):
+            try:
+                found = exposed_case(control, scaled_draw(control, int(case)), device)
+            except UserError as error:
+                status[row], messages[row] = RAISED, str(error)
+                continue
+            for name, values in found.items():
+                place: tuple[Any, ...] = (row, *(slice(length) for length in values.shape))
+                arrays[name][place] = values  # NaN beyond
+    return ChunkResult(arrays, status, tuple(messages))
+
+
+def scaled_draw(control: ControlBench, case: int) -> CaseDraw:
+    """Draw a case of the disturbance, exaggerated by the study's scale."""
+    drawn, scale = draw(control.bench, case), control.study.exposure.scale
+    motion = drawn.motion
+    scaled = {name: getattr(motion, name) * scale for name in vars(motion)}
+    return replace(drawn, motion=replace(motion, **scaled))
+
+
+def exposed_case(control: ControlBench, drawn: CaseDraw, device: Device) -> dict[str, Array]:
+    """Return all stored numbers of one case, time axes as long as the case's own.
+
+    Images follow once all lines of sight are known and are summed as they come; rays are traced anew for
+    them, so that no instant is kept.
+    """
+    imaging = control.study.imaging
+    grid = imaging.pixels, imaging.sampling, control.area, control.diameter
+    instants = len(drawn.time)
+    found: dict[str, list[Array]] = {}
+    lit = _lit_object(control)
+    for controller in CONTROLLERS:
+        # All instants at rest are one.
+        case = replace(drawn, time=drawn.time[:1]) if controller == STATIC else drawn
+        history = _history(control, case, device, controller)
+        los = history.pop("position")
+        history = {name: np.repeat(values, instants // len(los), axis=0) for name, values in history.items()}
+        images, fitted = (_images(control, case, device, controller, of) for of in ("rays", "terms"))
+        history |= exposed(images, control.static_image, los, *grid, control.study.object)
+        if lit is not None:
+            history["object_image"] = mean_image(lit, _phases(control, case, device, controller))
+        history["exposure_fitted"] = cut(full_exposure(fitted, los, imaging.sampling), imaging.pixels)
+        for name, values in history.items():
+            found.setdefault(name, []).append(values)
+    stacked = {name: np.stack(values) for name, values in found.items()}
+    motion = _motion_of_m2(control, drawn, device)
+    resolution = np.asarray(control.prepared.wavelength / control.diameter * MAS_PER_RAD)
+    focus = np.array([cut(image, imaging.pixels) for image in control.static_focus])
+    fixed = {"resolution_mas": resolution, "static_focus": focus}
+    return {"time_s": drawn.time, **stacked, **motion, **fixed}
+
+
+def case_blocks(
+    control: ControlBench, drawn: CaseDraw, device: Device, controller: str
+) -> Iterator[tuple[int, Traced, Wavefront]]:
+    """Trace a case under a controller: number of instants, rays and wavefronts of each block."""
+    for count, states, measured in _disturbed(control, drawn, device):
+        yield count, *trace(control.prepared, controlled(control, controller, states, measured), device)
+
+
+def _disturbed(
+    control: ControlBench, drawn: CaseDraw, device: Device
+) -> Iterator[tuple[int, SurfaceStates, Wavefront]]:
+    mirrors, terms = len(control.bench.system.surfaces) - 1, control.study.figure_terms
+    for first in range(0, len(drawn.time), _BLOCK):
+        last = min(first + _BLOCK, len(drawn.time))
+        states = surface_states(control.bench, drawn, first, last)
+        states = replace(states, mirror_figure=np.zeros((len(states), mirrors, terms)))
+        yield last - first, states, trace(control.prepared, states, device)[1]
+
+
+def _history(control: ControlBench, drawn: CaseDraw, device: Device, controller: str) -> dict[str, Array]:
+    """Return wavefront errors, Strehl ratio and line of sight over time, and its position in lambda/D."""
+    to_nm = control.study.optics.wavelength_nm
+    to_mas = MAS_PER_RAD / control.bench.first_order.focal_length
+    parts: list[dict[str, Array]] = []
+    for count, _, wavefront in case_blocks(control, drawn, device, controller):
+        if wavefront.lost[:count].any():
+            lost = int(wavefront.lost[:count].max())
+            raise UserError(f"{lost} rays are lost ({controller}), so that the image would have holes")
+        values = {
+            "wfe_rms": wavefront.rms * to_nm,
+            "wfe_rms_flat": wavefront.rms_flat * to_nm,
+            "strehl": wavefront.strehl,
+            "los": (wavefront.los - control.static.los[0]) * to_mas,
+            "position": position(control, wavefront),
+        }
+        parts.append({name: value[:count] for name, value in values.items()})
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _images(
+    control: ControlBench, drawn: CaseDraw, device: Device, controller: str, of: str
+) -> Iterator[Array]:
+    """Yield the local images of a case by blocks: of its rays, or of the fitted Zernike terms alone."""
+    for count, traced, wavefront in case_blocks(control, drawn, device, controller):
+        opd = measured_opd(control, traced) if of == "rays" else fitted_opd(control, wavefront)
+        yield local_images(control, opd, wavefront)[:count]
+
+
+def _lit_object(control: ControlBench) -> LitObject | None:
+    """Return the object of a study if its light is coherent or partially so."""
+    shown, imaging, prepared = control.study.object, control.study.imaging, control.prepared
+    if shown is None or shown.light == "incoherent":
+        return None
+    rays = prepared.rays.x, prepared.rays.y, prepared.weight
+    return lit_object(shown, rays, imaging.pixels, imaging.sampling, control.area, control.diameter)
+
+
+def _phases(control: ControlBench, drawn: CaseDraw, device: Device, controller: str) -> Iterator[Array]:
+    """Yield the phases of the rays by blocks, about the line of sight at rest."""
+    for count, traced, wavefront in case_blocks(control, drawn, device, controller):
+        opd = measured_opd(control, traced)
+        yield ray_phase(control, opd, wavefront, control.static.los[:1])[:count]
+
+
+def _motion_of_m2(control: ControlBench, drawn: CaseDraw, device: Device) -> dict[str, Array]:
+    """Return the targets of M2 over time: tilts in rad, figure in nm."""
+    parts = [
+        (rigid_tilt(control, measured)[:count], elastic_figure(control, measured)[:count])
+        for count, _, measured in _disturbed(control, drawn, device)
+    ]
+    tilt, figure = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return {"m2_tilt": tilt, "m2_figure": figure * _NM_PER_MM}
+
+
+def template(study_text: str) -> Template:
+    """Return what a store of this study holds."""
+    study = study_from_identity(TelescopeExposureStudy, study_text)
+    instants = max(population.instants for population in study.disturbance)
+    pixels, sampling, count = study.imaging.pixels, study.imaging.sampling, len(CONTROLLERS)
+
+    def variable(dims: tuple[str, ...], shape: tuple[int, ...], units: str, long_name: str) -> Variable:
+        return Variable(dims, shape, {"units": units, "long_name": long_name})
+
+    def history(units: str, long_name: str) -> Variable:
+        return variable(("controller", "time"), (count, instants), units, long_name)
+
+    stored = exposure_variables("controller", count, pixels, study.object)
+    time = {"units": "s", "long_name": "time of the instant; NaN beyond the population's instants"}
+    per_case = {
+        "time_s": Variable(("time",), (instants,), time, coordinate=True),
+        "wfe_rms": history("nm", "wavefront error rms of the fitted Zernikes j >= 4"),
+        "wfe_rms_flat": history("nm", "wavefront error rms over the rays on glass, piston and tilt removed"),
+        "strehl": history("1", "Strehl ratio in the direction of the best-fit plane"),
+        "los": variable(
+            ("controller", "time", "axis"),
+            (count, instants, 2),
+            "mas",
+            "line of sight of the best-fit plane relative to rest "
+            "(Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2))",
+        ),
+        "m2_tilt": variable(
+            ("time", "axis"),
+            (instants, 2),
+            "rad",
+            "target rotations of the rigid M2 about x and y (Eq. 4.25)",
+        ),
+        "m2_figure": variable(
+            ("time", "noll"),
+            (instants, study.figure_terms - 1),
+            "nm",
+            "target deformation of the elastic M2, Noll coefficients over the beam's footprint (Eq. 4.27)",
+        ),
+        "resolution_mas": variable((), (), "mas", "lambda/D on the sky"),
+        "static_focus": variable(
+            ("focus", "y", "x"),
+            (len(FOCUS), pixels, pixels),
+            "1",
+            "image at rest with defocus added; 1 = peak of the perfect one",
+        ),
+        **stored,
+        "exposure_fitted": replace(
+            stored["exposure"],
+            attrs={
+                "units": "1",
+                "long_name": "the same of the wavefronts that the fitted Zernike terms describe, without "
+                "what segments leave beside them",
+            },
+        ),
+    }
+    controllers = np.array(CONTROLLERS, dtype=object)
+    fixed = {
+        "controller": (("controller",), controllers, {"long_name": "what is done about the disturbance"}),
+        "noll": (("noll",), np.arange(2, study.figure_terms + 1), {"long_name": "Noll index"}),
+        **frame_coordinates(pixels, sampling),
+    }
+    return Template(per_case, fixed)
+
+
+def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
+    """Return the labels of cases first <= id < last: disturbance, realization and seed."""
+    return segment_disturbance.case_table(segment_text(study_text), first, last)
+
+
+def describe(study_text: str) -> dict[str, str]:
+    """Return rays and disturbances, for the plan."""
+    return segment_disturbance.describe(segment_text(study_text))
+
+
+def check(study_text: str) -> None:
+    """Raise UserError if the telescope cannot be controlled, or disturbance or object do not fit."""
+    study = study_from_identity(TelescopeExposureStudy, study_text)
+    if study.object:
+        check_object(study.object, study.imaging.pixels, study.imaging.sampling)
+    control_bench_of(study_text)
+
+
+def notices(study_text: str) -> Iterator[str]:
+    """Yield what to say of too few rays: for the images' field, their focus, or the disturbed phase.
+
+    Each disturbance is judged by the first instants of its first case.
+    """
+    control = control_bench_of(study_text)
+    imaging, prepared, device = control.study.imaging, control.prepared, choose_device("numpy")
+    still = replace(scaled_draw(control, 0), time=np.zeros(1))
+    _, traced, wavefront = next(case_blocks(control, still, device, STATIC))
+    rest = ray_phase(control, measured_opd(control, traced), wavefront, wavefront.los)[:1]
+    phases = [rest - np.array(FOCUS)[:, None] * prepared.zernike.basis[:, 3]]
+    for case in range(len(control.study.disturbance)):
+        drawn = scaled_draw(control, case)
+        drawn = replace(drawn, time=drawn.time[:TILE])
+        count, traced, wavefront = next(case_blocks(control, drawn, device, DISTURBED))
+        phases.append(ray_phase(control, measured_opd(control, traced), wavefront, wavefront.los)[:count])
+    radius, rays = 0.5 * control.diameter, prepared.rays
+    places = rays.x / radius, rays.y / radius, rays.segment
+    field = CANVAS * imaging.pixels * imaging.sampling
+    needed = ray_samples_for(places, 2.0 * np.pi * np.concatenate(phases), field)
+    fill = control.area / control.diameter**2
+    if text := too_few_rays(len(rays), fill, needed, field):
+        yield f"{text} or a smaller exposure.scale"
+
+
+WORKFLOW = Workflow(
+    "telescope-exposure", template, case_table, compute, describe, check=check, notices=notices
+)

@@ -1,0 +1,1 @@
+"""The lens bench and its controllers."""

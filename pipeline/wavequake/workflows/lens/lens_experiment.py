@@ -1,0 +1,388 @@
+"""The workflow "lens-experiment": the oscillating lens bench under all controllers, over many plants.
+
+A case is one plant with one configuration of springs. All controllers face the same blow, so they are a
+dimension inside the case (Störkle 2018, Chapter 5).
+"""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from wavequake.control.bench import Bench, bench_modes, fitted_bench
+from wavequake.control.camera import Camera, CameraError
+from wavequake.control.experiment import (
+    CONTROLLERS,
+    TILE,
+    Designs,
+    Errors,
+    Plant,
+    Runs,
+    Settings,
+    camera_of,
+    design,
+    draw_plant,
+    identify_plant,
+    instants_of,
+    residuals,
+    run_plants,
+    tuned_regulator,
+)
+from wavequake.control.hammer import HAMMER, hammer_force
+from wavequake.control.identification import Record, identify
+from wavequake.control.loop import late_deviation, peak_to_peak
+from wavequake.control.regulator import ModalRegulator
+from wavequake.control.sensor import SensorChain
+from wavequake.control.stage import Stage, low_frequency_delay
+from wavequake.errors import UserError
+from wavequake.firmware.gains import gains_of
+from wavequake.firmware.kept import host_image
+from wavequake.firmware.units import FirmwareUnit
+from wavequake.mechanics.motion import generator
+from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.workflows.lens.lens_study import LensStudy
+from wavequake.workflows.schema import study_from_identity
+
+Array = NDArray[np.float64]
+
+MODES = 11
+
+
+def controllers_of(study: LensStudy) -> tuple[str, ...]:
+    """Return the controllers of each case, the firmware's last."""
+    return (*CONTROLLERS, *(f"firmware-{one}" for one in study.firmware.arithmetic))
+
+
+def exact_of(study: LensStudy) -> str:
+    """Return the controller that the firmware runs in its own arithmetic."""
+    return {"nominal": "modal", "identified": "identified"}[study.firmware.design]
+
+
+def study_of(text: str) -> LensStudy:
+    """Rebuild a study from its identity."""
+    study: LensStudy = study_from_identity(LensStudy, text)
+    return study
+
+
+def bench_of(study: LensStudy, springs: str) -> Bench:
+    """Return the nominal bench of a configuration of springs."""
+    section = study.bench
+    given = {
+        "lens_kg": section.lens_kg,
+        "ring_kg": section.ring_kg,
+        "couplings": section.couplings_n_m,
+        "lens_springs": section.lens_springs_n_m,
+        "ring_springs": section.ring_springs_n_m,
+    }
+    changes: dict[str, Array | float] = {
+        name: np.array(values) for name, values in given.items() if values is not None
+    }
+    if section.housing_kg is not None:
+        changes["housing_kg"] = section.housing_kg
+    if section.housing_spring_n_m is not None:
+        changes["housing_spring"] = section.housing_spring_n_m
+    bench = fitted_bench(springs)
+    if "lens_springs" in changes:
+        changes["lens_springs"] = changes["lens_springs"] * bench.lens_springs / fitted_bench().lens_springs
+    return replace(bench, alpha=section.alpha, beta=section.beta, **changes)  # type: ignore[arg-type]
+
+
+def stage_of(study: LensStudy) -> Stage:
+    """Return the stage that the controllers are designed for."""
+    section = study.stage
+    zeros, poles = (tuple(complex(*root) for root in roots) for roots in (section.zeros, section.poles))
+    return Stage(zeros, poles, section.gain, section.delay_ms / 1e3)
+
+
+def errors_of(study: LensStudy) -> Errors:
+    """Return what plants have beyond the nominal model, in SI units."""
+    section = study.errors
+    return Errors(
+        section.stiffness, section.friction_mn / 1e3, section.stage_gain, section.stage_poles, section.blow,
+        section.trigger_ms / 1e3,
+    )  # fmt: skip
+
+
+def chain_of(study: LensStudy) -> SensorChain:
+    """Return the sensor chain."""
+    return SensorChain(strip_error=study.errors.strip_um * 1e-6, adc_noise=study.errors.adc_noise)
+
+
+def settings_of(study: LensStudy) -> Settings:
+    """Return the settings of the controllers, in SI units."""
+    section = study.controller
+    times = {
+        f"{name}_{kind}": getattr(section, f"{name}_{kind}_ms") / 1e3
+        for name in ("ff", "fi", "both", "modal")
+        for kind in ("step", "delay")
+    }
+    return Settings(
+        **times,
+        nominal_noise=section.nominal_noise,
+        identified_noise=section.identified_noise,
+        trigger_late=study.errors.trigger_ms / 2e3,
+    )
+
+
+@lru_cache(maxsize=8)
+def designs_of(study_text: str, springs: str) -> Designs:
+    """Design the controllers of a configuration, once per process."""
+    study = study_of(study_text)
+    return design(bench_of(study, springs), stage_of(study), settings_of(study))
+
+
+@lru_cache(maxsize=4)
+def _camera_of(study_text: str) -> CameraError:
+    study = study_of(study_text)
+    return camera_of(Camera(unsteadiness=study.errors.camera_um * 1e-6), study.study.seed)
+
+
+def plant_of(study: LensStudy, springs: str, realization: int) -> Plant:
+    """Draw a plant; configurations of springs share the draw of a realization."""
+    rng = generator(study.study.seed, "lens-experiment", realization)
+    instants = instants_of(study.time.duration_s)
+    waves = len(chain_of(study).strip_periods)
+    return draw_plant(
+        rng, bench_of(study, springs), stage_of(study), errors_of(study), waves, instants, instants
+    )
+
+
+def case_of(study: LensStudy, case: int) -> tuple[str, int]:
+    """Return springs and realization of a case: configurations alternate."""
+    springs = study.bench.springs
+    return springs[case % len(springs)], case // len(springs)
+
+
+def run_cases(study_text: str, springs: str, realizations: list[int]) -> Runs:
+    """Run at most `TILE` plants of one configuration."""
+    study = study_of(study_text)
+    with threadpool_limits(1):
+        return run_plants(
+            designs_of(study_text, springs),
+            [plant_of(study, springs, one) for one in realizations],
+            chain_of(study),
+            _camera_of(study_text),
+            friction=errors_of(study).friction,
+            duration=study.time.duration_s,
+            output_step=study.time.step_ms / 1e3,
+            units=_units_of(study),
+            unit_design=study.firmware.design,
+        )
+
+
+def _units_of(study: LensStudy) -> tuple[FirmwareUnit, ...]:
+    keep = study.firmware.design == "nominal"
+    return tuple(FirmwareUnit(chain_of(study), one, keep) for one in study.firmware.arithmetic)
+
+
+def tuned_plant(study: LensStudy, springs: str, realization: int) -> tuple[Plant, ModalRegulator]:
+    """Draw a plant, identify it from an uncontrolled run, and design its regulator, as its case does."""
+    text = study.identity_text()
+    plant, designs = plant_of(study, springs, realization), designs_of(text, springs)
+    with threadpool_limits(1):
+        found = identify_plant(
+            designs,
+            plant,
+            chain_of(study),
+            _camera_of(text),
+            friction=errors_of(study).friction,
+            duration=study.time.duration_s,
+        )
+        return plant, tuned_regulator(designs, found)
+
+
+def regulator_of_record(study: LensStudy, springs: str, record: Record) -> ModalRegulator:
+    """Identify the bench from a recording of an uncontrolled run, and design its regulator.
+
+    Raises
+    ------
+    UserError
+        If the recording does not identify the modes of the nominal bench.
+    """
+    designs = designs_of(study.identity_text(), springs)
+    with threadpool_limits(1):
+        return tuned_regulator(designs, identify(record, designs.model))
+
+
+def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
+    """Run the plants `cases` under all controllers, plants of one configuration beside each other."""
+    study = study_of(study_text)
+    arrays = {
+        name: np.full(
+            (len(cases), *variable.shape), np.nan if "float" in variable.dtype else 0, dtype=variable.dtype
+        )
+        for name, variable in variables(study).items()
+    }
+    status = np.full(len(cases), DONE, dtype=np.int8)
+    messages = [""] * len(cases)
+    for springs in study.bench.springs:
+        rows = [row for row, case in enumerate(cases) if case_of(study, int(case))[0] == springs]
+        for tile in (rows[first : first + TILE] for first in range(0, len(rows), TILE)):
+            _fill(study_text, springs, cases, tile, arrays, status, messages)
+    return ChunkResult(arrays, status, tuple(messages))
+
+
+def _fill(
+    study_text: str,
+    springs: str,
+    cases: NDArray[np.int64],
+    rows: list[int],
+    arrays: dict[str, NDArray[np.generic]],
+    status: NDArray[np.int8],
+    messages: list[str],
+) -> None:
+    """Run a tile; where a plant fails, run its plants one by one and quarantine that one."""
+    study = study_of(study_text)
+    realizations = [case_of(study, int(cases[row]))[1] for row in rows]
+    try:
+        runs = run_cases(study_text, springs, realizations)
+    except UserError as error:
+        if len(rows) == 1:
+            status[rows[0]], messages[rows[0]] = RAISED, str(error)
+            return
+        for row in rows:
+            _fill(study_text, springs, cases, [row], arrays, status, messages)
+        return
+    stored = _stored(study, springs, realizations, runs) | _firmware(study, runs)
+    for name, values in stored.items():
+        arrays[name][rows] = values
+
+
+def _stored(study: LensStudy, springs: str, realizations: list[int], runs: Runs) -> dict[str, Array]:
+    ranges, deviations = residuals(runs)
+    found = runs.identified
+    true = [np.abs(bench_modes(plant_of(study, springs, one).bench).poles) for one in realizations]
+    return {
+        "image": 1e3 * runs.image,
+        "command": 1e3 * runs.command,
+        "stage_position": 1e3 * runs.stage,
+        "lens_position": 1e3 * runs.lens,
+        "sensor": 1e3 * runs.measured,
+        "peak_to_peak": ranges,
+        "deviation": deviations,
+        "peak_to_peak_mm": 1e3 * peak_to_peak(runs.image),
+        "deviation_mm": 1e3 * late_deviation(runs.image, runs.time),
+        "true_frequency": np.array(true),
+        "identified_frequency": np.array([np.abs(one.model.poles) for one in found]),
+        "identified_rms": np.array([[1e6 * one.measured_rms, 1e6 * one.image_rms] for one in found]),
+    }
+
+
+def _firmware(study: LensStudy, runs: Runs) -> dict[str, NDArray[np.generic]]:
+    """Return the hashes that images carry, and how far their commands are off those in double precision."""
+    chain, arithmetic = chain_of(study), study.firmware.arithmetic
+    if not arithmetic:
+        return {}
+    exact = runs.command[:, [CONTROLLERS.index(exact_of(study))]]
+    off = 1e6 * (runs.command[:, len(CONTROLLERS) :] - exact)
+    digests = [[gains_of(one, chain, each).digest for each in arithmetic] for one in runs.regulators]
+    return {
+        "firmware_hash": np.array([[int(one, 16) for one in row] for row in digests], dtype=np.uint64),
+        "firmware_difference": np.abs(off).max(axis=-1),
+        "firmware_rms": np.sqrt(np.mean(off**2, axis=-1)),
+    }
+
+
+def variables(study: LensStudy) -> dict[str, Variable]:
+    """Return what is stored per case."""
+    count = round(study.time.duration_s * 1e3 / study.time.step_ms) + 1
+    each = len(controllers_of(study))
+
+    def history(long_name: str, **more: str) -> Variable:
+        attrs = {"units": "mm", "long_name": long_name, **more}
+        return Variable(("controller", "time"), (each, count), attrs, "float32")
+
+    def number(units: str, long_name: str) -> Variable:
+        return Variable(("controller",), (each,), {"units": units, "long_name": long_name})
+
+    boards = (("firmware",), (len(study.firmware.arithmetic),))
+    digest = {
+        "units": "1",
+        "long_name": "hash of the gains in the image, a number of 16 hexadecimal digits",
+    }
+    off = {"units": "um", "long_name": "largest difference from the commands in double precision"}
+    rms = {"units": "um", "long_name": "rms difference from the commands in double precision"}
+
+    lens = {"units": "mm", "long_name": "position of lens 4"}
+    seen = {"units": "mm", "long_name": "position of lens 4 as the control unit reads it"}
+    rate = {"units": "rad/s", "long_name": "frequencies of the plant"}
+    found = {"units": "rad/s", "long_name": "frequencies that were identified"}
+    left = {"units": "um", "long_name": "rms that the identification leaves"}
+    always = {
+        "image": history("image displacement (Störkle 2018, Eq. 5.5)"),
+        "command": history("command to the stage, held", voltage="1.65 V + 0.1375 V/mm times the command"),
+        "stage_position": history("position of the stage with lens 5"),
+        "lens_position": Variable(("time",), (count,), lens, "float32"),
+        "sensor": Variable(("time",), (count,), seen, "float32"),
+        "peak_to_peak": number("%", "range of the image displacement, uncontrolled = 100"),
+        "deviation": number("%", "standard deviation of it after 1 s, uncontrolled = 100"),
+        "peak_to_peak_mm": number("mm", "range of the image displacement"),
+        "deviation_mm": number("mm", "standard deviation of the image displacement after 1 s"),
+        "true_frequency": Variable(("mode",), (MODES,), rate),
+        "identified_frequency": Variable(("mode",), (MODES,), found),
+        "identified_rms": Variable(("signal",), (2,), left),
+    }
+    firmware = {
+        "firmware_hash": Variable(*boards, digest, "uint64"),
+        "firmware_difference": Variable(*boards, off),
+        "firmware_rms": Variable(*boards, rms),
+    }
+    return always | (firmware if study.firmware.arithmetic else {})
+
+
+def template(study_text: str) -> Template:
+    """Return what a store of this study holds."""
+    study = study_of(study_text)
+    count = round(study.time.duration_s * 1e3 / study.time.step_ms) + 1
+    time = study.time.step_ms / 1e3 * np.arange(count)
+    names = {"controller": controllers_of(study), "firmware": study.firmware.arithmetic}
+    fixed = {
+        **{
+            name: ((name,), np.array(values, dtype=object), {"long_name": name})
+            for name, values in names.items()
+            if values
+        },
+        "time": (("time",), time, {"units": "s", "long_name": "time after the hammer's first touch"}),
+        "hammer_force": (("time",), hammer_force(HAMMER, time), {"units": "N", "long_name": "hammer force"}),
+        "signal": (("signal",), np.array(["lens 4", "image"], dtype=object), {"long_name": "signal"}),
+    }
+    return Template(variables(study), fixed)
+
+
+def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
+    """Return springs, realization and seed of cases first <= id < last."""
+    study = study_of(study_text)
+    rows = [case_of(study, case) for case in range(first, last)]
+    return {
+        "springs": np.array([springs for springs, _ in rows], dtype=object),
+        "realization": np.array([realization for _, realization in rows], dtype=np.int64),
+        "seed": np.full(last - first, study.study.seed, dtype=np.int64),
+    }
+
+
+def describe(study_text: str) -> dict[str, str]:
+    """Return modes and delays of the nominal models, for the plan."""
+    study = study_of(study_text)
+    lines = {"stage": f"lags by {1e3 * low_frequency_delay(stage_of(study)):.1f} ms"}
+    for springs in study.bench.springs:
+        omega = bench_modes(bench_of(study, springs)).omega
+        lines[f"springs {springs}"] = f"{len(omega)} modes of {omega[0]:.1f} to {omega[-1]:.1f} rad/s"
+    return lines
+
+
+def check(study_text: str) -> None:
+    """Raise UserError if a nominal design is impossible, or there is no compiler for firmware.
+
+    Modes may be hidden, ode3 unstable, gains out of an arithmetic's range.
+    """
+    study = study_of(study_text)
+    for springs in study.bench.springs:
+        regulator = designs_of(study_text, springs).regulator
+        for arithmetic in study.firmware.arithmetic:
+            with host_image(gains_of(regulator, chain_of(study), arithmetic)):
+                pass
+
+
+WORKFLOW = Workflow("lens-experiment", template, case_table, compute, describe, check=check)

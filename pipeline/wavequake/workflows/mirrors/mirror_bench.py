@@ -1,0 +1,304 @@
+"""What a mirror study prepares once per process: models, optical maps, reference responses, pupil."""
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from wavequake.errors import UserError
+from wavequake.imaging.matrix_fourier import MatrixFourier, matrix_fourier
+from wavequake.imaging.pupil_function import annular_pupil
+from wavequake.mechanics.excitations import drive_of
+from wavequake.mechanics.material import Material
+from wavequake.mechanics.mirrors import AnnularMirror, CircularMirror, annular_mirror, circular_mirror
+from wavequake.mechanics.modal import modal_model
+from wavequake.mechanics.model import FiniteElementModel, RayleighDamping, ReducedModel
+from wavequake.mechanics.response import displacements, respond
+from wavequake.optics.zernike import annular_zernike
+from wavequake.reduction.intermediate import Intermediate, intermediate
+from wavequake.reduction.metrics import eps_mor, full_receptance, receptance
+from wavequake.reduction.names import Variant, parse
+from wavequake.reduction.two_stage import check_variants, covers, reduce_variants, reference
+from wavequake.workflows.exposures.exposure_study import MirrorExposureStudy
+from wavequake.workflows.mirrors.imported_facts import facts, frequencies
+from wavequake.workflows.mirrors.mirror_base import CLAMPED, driven, on_moving_base
+from wavequake.workflows.mirrors.mirror_optics import Optics, optical_rows, optics_of
+from wavequake.workflows.mirrors.mirror_study import FULL, AnyMirrorStudy, MirrorStudy, TraceStudy
+from wavequake.workflows.mirrors.model_store import (
+    digest,
+    kept_arrays,
+    kept_intermediate,
+    kept_model,
+    kept_notes,
+)
+from wavequake.workflows.schema import study_from_identity
+
+Array = NDArray[np.float64]
+
+# Below, the full-size solution of a free body is itself good to some 1e-7 only.
+_LOWEST_CHECK_HZ = 20.0
+
+
+@dataclass(frozen=True)
+class Bench:
+    """One model of a study and its optics.
+
+    Attributes
+    ----------
+    name : str
+    stage : Intermediate
+    full : callable
+        Builds the finite-element model, for variants that the intermediate one does not cover.
+    optics : Optics
+    """
+
+    name: str
+    stage: Intermediate
+    full: Callable[[], FiniteElementModel]
+    optics: Optics
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What the reference of a model answers.
+
+    Attributes
+    ----------
+    reference : ReducedModel
+    mechanical, optical : ndarray
+        Transfer matrices, (f, 3 k, 3 k) in m/N and (f, J - 1, 3 k) in nm/N.
+    aberrations : ndarray, shape (excitation, time, 2 + J)
+        Over time: line of sight in mm, Noll coefficients in nm.
+    """
+
+    reference: ReducedModel
+    mechanical: NDArray[np.complex128]
+    optical: NDArray[np.complex128]
+    aberrations: Array
+
+
+@lru_cache(maxsize=2)
+def study_of(text: str) -> MirrorStudy:
+    """Rebuild a study of mirror-mor or mirror-exposure from its identity."""
+    exposed = json.loads(text)["study"]["workflow"] == "mirror-exposure"
+    study: MirrorStudy = study_from_identity(MirrorExposureStudy if exposed else MirrorStudy, text)
+    return study
+
+
+@lru_cache(maxsize=2)
+def trace_study_of(text: str) -> TraceStudy:
+    """Rebuild a study of mirror-trace from its identity."""
+    study: TraceStudy = study_from_identity(TraceStudy, text)
+    return study
+
+
+@lru_cache(maxsize=2)
+def any_study_of(text: str) -> AnyMirrorStudy:
+    """Rebuild a study of any mirror workflow from its identity."""
+    if json.loads(text)["study"]["workflow"] == "mirror-trace":
+        return trace_study_of(text)
+    return study_of(text)
+
+
+@lru_cache(maxsize=4)
+def bench_of(text: str, name: str) -> Bench:
+    """Prepare one model of a study; one BLAS thread, so that its bits are the same in every process."""
+    with threadpool_limits(1):
+        study = any_study_of(text)
+        stage, full = stage_of(text, name)
+        return Bench(name, stage, full, optics_of(study, name, stage))
+
+
+@lru_cache(maxsize=4)
+def stage_of(text: str, name: str) -> tuple[Intermediate, Callable[[], FiniteElementModel]]:
+    """Return the intermediate model, and what builds the full one; one BLAS thread, as `bench_of`."""
+    with threadpool_limits(1):
+        study = any_study_of(text)
+        full = lru_cache(maxsize=1)(lambda: build_model(study, name))
+        return _stage(study, name, full), full
+
+
+def import_notices(text: str) -> Iterator[str]:
+    """Yield what the user should check of an imported model, the cheap facts first."""
+    section = any_study_of(text).model
+    if section.content is not None:
+        model, notes = kept_model(section.content), kept_notes(section.content)
+        yield from facts(model, section.units or "", notes)
+        yield f"imported model: {frequencies(stage_of(text, 'file')[0])}"
+
+
+def import_record(text: str) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]]:
+    """Return the same as a coordinate of a store; nothing for a built-in model."""
+    found = np.array(list(import_notices(text)), dtype=object)
+    words = {"long_name": "what to check of the imported model"}
+    return {"import_notice": (("import_notice",), found, words)} if len(found) else {}
+
+
+@lru_cache(maxsize=4)
+def answers_of(text: str, name: str) -> Answers:
+    """Return what the reference of a model answers; one BLAS thread, as `bench_of`."""
+    with threadpool_limits(1):
+        study, bench = study_of(text), bench_of(text, name)
+        chosen = variant_of(bench, study.reduction.reference)
+        rows = optical_rows(bench.optics, chosen)
+        frequencies = frequencies_of(study)
+        return Answers(
+            reference=chosen,
+            mechanical=receptance(chosen, frequencies),
+            optical=receptance(chosen, frequencies, rows[3:]),
+            aberrations=aberrations_over_time(study, chosen, rows),
+        )
+
+
+def variant_of(bench: Bench, variant: str) -> ReducedModel:
+    """Return a variant of a model; "full" is the intermediate model itself.
+
+    Raises
+    ------
+    UserError
+        If the variant does not suit the model.
+    """
+    if variant == FULL:
+        return reference(bench.stage)
+    chosen = parse(variant)
+    full = None if covers(bench.stage, chosen) else bench.full()
+    if chosen.method == CLAMPED:
+        return on_moving_base(full or bench.stage, chosen)
+    return reduce_variants(bench.stage, [variant], full)[0]
+
+
+def frequencies_of(study: MirrorStudy) -> Array:
+    """Return the frequencies of a study, Hz."""
+    section = study.reduction
+    return np.asarray(np.linspace(section.first_hz, section.last_hz, section.frequencies), dtype=np.float64)
+
+
+def time_of(study: AnyMirrorStudy) -> Array:
+    """Return the instants of a study, s."""
+    return np.arange(study.time.instants, dtype=np.float64) * study.time.step_s
+
+
+def check_variants_of(study: AnyMirrorStudy, bench: Bench, variants: tuple[str, ...]) -> None:
+    """Raise UserError for a variant that does not suit a model or an excitation of a study."""
+    check_variants(bench.stage, variants)
+    clamped = [name for name in variants if parse(name).method == CLAMPED]
+    for excitation in study.excitation:
+        drive = drive_of(excitation, len(bench.stage.interfaces), time_of(study), study.study.seed)
+        for name in clamped:
+            driven(variant_of(bench, name), drive, excitation.name)
+        for variant in map(parse, variants):
+            _require_coordinates(variant, int(drive.prescribed.sum()), excitation.name)
+
+
+def _require_coordinates(variant: Variant, prescribed: int, excitation: str) -> None:
+    if variant.method != CLAMPED and variant.order is not None and variant.order < prescribed:
+        raise UserError(
+            f"the variant {variant} has fewer coordinates than the {prescribed} interface directions that "
+            f"the excitation {excitation!r} prescribes; choose an order of {prescribed} at least"
+        )
+
+
+def build_model(study: AnyMirrorStudy, name: str) -> FiniteElementModel:
+    """Return the full model: a built-in mirror, or the imported one."""
+    section = study.model
+    if name == "file":
+        return kept_model(section.content or "")
+    material = Material(section.youngs_modulus_pa, section.poisson_ratio, section.density_kg_m3)
+    common = {
+        "diameter": section.diameter_m,
+        "thickness": section.thickness_m,
+        "focal_length": section.focal_length_m,
+        "material": material,
+        "mount_radius": section.mount_radius_m,
+        "mount_angles": section.mount_angles_deg,
+        "damping": RayleighDamping(section.damping_alpha, section.damping_beta),
+    }
+    if section.rings is not None:
+        common["rings"] = section.rings
+    if name == "annular":
+        if section.rings is not None:
+            common["around"] = 6 * -(-8 * section.rings // 6)
+        return annular_mirror(AnnularMirror(inner_diameter=section.inner_diameter_m, **common))  # type: ignore[arg-type]
+    if section.rings is not None:
+        common["core"] = section.rings
+    return circular_mirror(CircularMirror(**common))  # type: ignore[arg-type]
+
+
+def _stage(study: AnyMirrorStudy, name: str, full: Callable[[], FiniteElementModel]) -> Intermediate:
+    """Return the intermediate model, which is the same for all studies of one mirror and band."""
+    highest = study.reduction.last_hz
+    return kept_intermediate(
+        digest(_stage_record(study, name)), lambda: intermediate(full(), highest=highest)
+    )
+
+
+def _stage_record(study: AnyMirrorStudy, name: str) -> dict[str, object]:
+    return {
+        "model": study.model.model_dump(mode="json", exclude={"shapes"}),
+        "name": name,
+        "highest_hz": study.reduction.last_hz,
+    }
+
+
+def spot_check(study: MirrorStudy, name: str) -> tuple[Array, Array]:
+    """Compare the intermediate model with the full one where its basis was not built; kept on disk.
+
+    Returns
+    -------
+    frequencies, errors : ndarray, shape (checks,)
+        Hz, and the relative error of the transfer matrix (Störkle 2018, Eq. 2.10).
+    """
+    count, section = study.reduction.spot_checks, study.reduction
+    # Irrational parts of the band: no expansion point of the basis lies there.
+    parts = np.modf((np.arange(count) + 1) * (np.sqrt(5.0) - 1) / 2)[0]
+    lowest = min(max(section.first_hz, _LOWEST_CHECK_HZ), section.last_hz)
+    frequencies = np.sort(lowest + parts * (section.last_hz - lowest))
+    if not count:
+        return frequencies, frequencies.copy()
+
+    def checked() -> dict[str, Array]:
+        with threadpool_limits(1):
+            bench = bench_of(study.identity_text(), name)
+            truth = full_receptance(bench.full(), frequencies)
+            return {"errors": eps_mor(truth, receptance(reference(bench.stage), frequencies))}
+
+    record = {"check": frequencies.tolist(), **_stage_record(study, name)}
+    return frequencies, kept_arrays(digest(record), checked)["errors"]
+
+
+def aberrations_over_time(study: MirrorStudy, model: ReducedModel, rows: Array) -> Array:
+    """Return the modal method's aberrations, (excitation, time, 2 + J): mm of line of sight, nm."""
+    return over_time(study, model, rows)[0]
+
+
+def over_time(study: MirrorStudy, model: ReducedModel, *rows: Array) -> list[Array]:
+    """Return what rows (m, r) give of a model's coordinates under every excitation, (excitation, time, m)."""
+    time, interfaces = time_of(study), model.inputs.shape[1] // 3
+    found: list[list[Array]] = [[] for _ in rows]
+    for excitation in study.excitation:
+        drive = drive_of(excitation, interfaces, time, study.study.seed)
+        held, drive = driven(model, drive, excitation.name)
+        response = respond(modal_model(held, drive.prescribed), [drive], time)
+        for part, chosen in zip(found, rows, strict=True):
+            part.append(displacements(response, chosen)[0])
+    return [np.array(part) for part in found]
+
+
+@lru_cache(maxsize=4)
+def image_of(samples: int, pixels: int, sampling: float, obscuration: float, terms: int) -> "ImageMaker":
+    """Prepare the images of wavefronts that are given by their Noll coefficients."""
+    pupil = annular_pupil(samples, obscuration)
+    basis = annular_zernike(pupil.x, pupil.y, terms, obscuration)
+    return ImageMaker(matrix_fourier(pupil, pixels, sampling), np.ascontiguousarray(basis.T))
+
+
+@dataclass(frozen=True)
+class ImageMaker:
+    """A prepared transform, and the Zernike polynomials (J, m) at its pupil's cells."""
+
+    transform: MatrixFourier
+    basis: Array

@@ -1,0 +1,357 @@
+"""The workflow "mirror-mor": variants of model order reduction, compared in optical units.
+
+A case is one variant of one model. Its frequency responses, mode shapes and time responses are compared with
+those of the reference, mechanically and in what the mirror does to the light.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from wavequake.errors import UserError
+from wavequake.imaging.matrix_fourier import psf
+from wavequake.mechanics.model import ReducedModel
+from wavequake.reduction.metrics import eps_mor, frobenius, mac, pseudo_frequencies, receptance, surface_modes
+from wavequake.reduction.names import parse
+from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.workflows.mirrors.mirror_bench import (
+    Answers,
+    Bench,
+    answers_of,
+    bench_of,
+    check_variants_of,
+    frequencies_of,
+    image_of,
+    import_notices,
+    import_record,
+    over_time,
+    spot_check,
+    study_of,
+    time_of,
+    variant_of,
+)
+from wavequake.workflows.mirrors.mirror_optics import Optics, figure_rows, mode_residuals, optical_rows
+from wavequake.workflows.mirrors.mirror_shapes import (
+    MOST_TERMS,
+    SHOWN_MODES,
+    mode_shapes,
+    node_row,
+    rim_angle,
+)
+from wavequake.workflows.mirrors.mirror_study import FULL, MirrorStudy
+
+Array = NDArray[np.float64]
+
+# Coefficients whose frequency responses are kept one by one (Störkle 2018, Fig. 4.29), modes of the MAC, and
+# modes whose fit is judged.
+SHOWN_TERMS = 15
+MODES = 40
+FITTED_MODES = 120
+_UM_PER_MM = 1e3
+
+
+def cases_of(study: MirrorStudy) -> list[tuple[str, str]]:
+    """Return model and variant of every case; the first of each model is the reference itself."""
+    return [(model, variant) for model in study.models for variant in study.compared]
+
+
+def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
+    """Reduce and judge the variants `cases`; one that does not suit the model is quarantined with the reason.
+
+    One BLAS thread, so that a case's bits do not depend on where it is computed.
+    """
+    study = study_of(study_text)
+    arrays = {
+        name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
+        for name, variable in variables(study).items()
+    }
+    status = np.full(len(cases), DONE, dtype=np.int8)
+    messages = [""] * len(cases)
+    with threadpool_limits(1):
+        for row, (name, variant) in enumerate(cases_of(study)[int(case)] for case in cases):
+            bench, answers = bench_of(study_text, name), answers_of(study_text, name)
+            try:
+                found = judged(study, bench, answers, variant)
+            except UserError as error:
+                status[row], messages[row] = RAISED, str(error)
+                continue
+            for key, value in found.items():
+                arrays[key][row] = value
+    return ChunkResult(arrays, status, tuple(messages))
+
+
+def judged(study: MirrorStudy, bench: Bench, answers: Answers, variant: str) -> dict[str, Array | float]:
+    """Return all stored numbers of one variant."""
+    is_reference = variant == study.reduction.reference
+    reduced = answers.reference if is_reference else variant_of(bench, variant)
+    optics = bench.optics
+    rows = optical_rows(optics, reduced)
+    frequencies = frequencies_of(study)
+    mechanical, optical = receptance(reduced, frequencies), receptance(reduced, frequencies, rows[3:])
+    aberrations, node, shapes = over_time(
+        study, reduced, rows, node_row(reduced), figure_rows(optics, reduced)
+    )
+    peaks = _wavefront_error(answers.aberrations).argmax(axis=1)
+    figures, wavefronts = mode_shapes(optics, reduced)
+    apart = aberrations - answers.aberrations
+    images = exposures(study, optics, aberrations)
+    shown = np.full((len(frequencies), SHOWN_TERMS - 1), np.nan)
+    kept = min(SHOWN_TERMS, optics.terms) - 1
+    shown[:, :kept] = np.linalg.norm(optical[:, :kept], axis=2)
+    return {
+        "order": float(reduced.order),
+        "reduce_seconds": reduced.seconds,
+        "pseudo_frequency_max": float(pseudo_frequencies(reduced)[-1]),
+        "frf_mech": frobenius(mechanical),
+        "eps_mech": eps_mor(answers.mechanical, mechanical),
+        "frf_opt": frobenius(optical),
+        "eps_opt": eps_mor(answers.optical, optical),
+        "frf_zernike": shown,
+        "mac": _mac(answers.reference, reduced),
+        "mode_frequency": _padded(pseudo_frequencies(reduced), MODES),
+        "fit_residual": _padded(mode_residuals(optics, reduced), FITTED_MODES),
+        "wfe_rms": _wavefront_error(aberrations),
+        "wfe_error": _wavefront_error(apart),
+        "los_mm": aberrations[..., :2],
+        "los_error": np.linalg.norm(apart[..., :2], axis=2),
+        "resolution_mm": optics.resolution,
+        "exposure": images,
+        "image_error": _image_error(images, reference_exposures(study, bench, answers)),
+        "obscuration": optics.obscuration,
+        "mode_figure": _padded(figures, SHOWN_MODES, terms_of(study)),
+        "mode_wavefront": _padded(wavefronts, SHOWN_MODES, terms_of(study)),
+        "peak_wavefront": _padded(aberrations[np.arange(len(peaks)), peaks, 2:], len(peaks), terms_of(study)),
+        "peak_figure": _padded(
+            _UM_PER_MM * shapes[np.arange(len(peaks)), peaks], len(peaks), terms_of(study)
+        ),
+        "node_motion": node[..., 0],
+        "node_angle": rim_angle(reduced),
+    }
+
+
+def terms_of(study: MirrorStudy) -> int:
+    """Return for how many Noll terms the shapes of all models have room."""
+    return study.optics.zernike_terms or MOST_TERMS
+
+
+def _wavefront_error(aberrations: Array) -> Array:
+    """Return the rms of the Zernike terms j >= 4, which is the root of the sum of their squares."""
+    rms: Array = np.sqrt(np.sum(aberrations[..., 5:] ** 2, axis=-1))
+    return rms
+
+
+def _padded(values: Array, *shape: int) -> Array:
+    filled = np.full(shape, np.nan)
+    kept = tuple(slice(min(own, room)) for own, room in zip(values.shape, shape, strict=True))
+    filled[kept] = values[kept]
+    return filled
+
+
+def _mac(whole: ReducedModel, reduced: ReducedModel) -> Array:
+    """Return the MAC of a variant's first modes with those of the reference, at the surface nodes."""
+    table = np.full((MODES, MODES), np.nan)
+    found = mac(surface_modes(reduced)[:, :MODES], surface_modes(whole)[:, :MODES])
+    table[: found.shape[0], : found.shape[1]] = found
+    return table
+
+
+def exposures(study: MirrorStudy, optics: Optics, aberrations: Array) -> Array:
+    """Return the mean image over the time response of each excitation, (excitation, pixels, pixels).
+
+    Image axes are those of the image plane. The line of sight places an image, and c_4 and on shape it: c_2
+    and c_3 are about the chief ray, which moves with the mirror.
+    """
+    section, terms = study.imaging, aberrations.shape[2] - 2
+    maker = image_of(section.pupil_samples, section.pixels, section.sampling, optics.obscuration, terms)
+    count = min(section.instants, aberrations.shape[1])
+    instants = np.unique(np.linspace(0, aberrations.shape[1] - 1, count).round().astype(int))
+    shown = 2 * np.pi * section.scale * aberrations[:, instants]
+    # Beyond the Nyquist frequency of the pupil's cells an image would come back on the other side.
+    farthest = np.pi * section.pupil_samples
+    turns = np.clip(shown[..., :2] / optics.resolution, -farthest, farthest)
+    # A phase that grows along +x moves the image to +x; the OPD of a positive line of sight falls along +x.
+    tilts = turns * np.sqrt(1.0 + optics.obscuration**2) / 4.0
+    phases = np.concatenate([tilts, shown[..., 5:] / -study.optics.wavelength_nm], axis=2)
+    return np.array([psf(maker.transform, phase @ maker.basis[1:]).mean(axis=0) for phase in phases])
+
+
+_REFERENCES: dict[tuple[str, str], Array] = {}
+
+
+def reference_exposures(study: MirrorStudy, bench: Bench, answers: Answers) -> Array:
+    """Return the exposures of the reference, computed once per process."""
+    key = (study.identity(), bench.name)
+    if key not in _REFERENCES:
+        _REFERENCES[key] = exposures(study, bench.optics, answers.aberrations)
+    return _REFERENCES[key]
+
+
+def _image_error(images: Array, reference: Array) -> Array:
+    """Return the L2 norms of the differences of unit-energy images, (excitation,)."""
+    one, two = (part / part.sum(axis=(1, 2), keepdims=True) for part in (images, reference))
+    return np.asarray(np.sqrt(np.sum((one - two) ** 2, axis=(1, 2))))
+
+
+def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
+    """Return the labels of cases first <= id < last: model, variant, its method and the seed."""
+    study = study_of(study_text)
+    rows = cases_of(study)[first:last]
+    return {
+        "model": np.array([model for model, _ in rows], dtype=object),
+        "variant": np.array([variant for _, variant in rows], dtype=object),
+        "method": np.array([FULL if one == FULL else parse(one).method for _, one in rows], dtype=object),
+        "seed": np.full(last - first, study.study.seed, dtype=np.int64),
+    }
+
+
+def template(study_text: str) -> Template:
+    """Return what a store of this study holds."""
+    study = study_of(study_text)
+    return Template(variables(study), _fixed(study) | import_record(study_text))
+
+
+def variables(study: MirrorStudy) -> dict[str, Variable]:
+    """Return what is stored per case."""
+    excitations, instants, terms = len(study.excitation), study.time.instants, terms_of(study)
+    frequencies, pixels = study.reduction.frequencies, study.imaging.pixels
+    over_frequency, over_time = ("frequency",), ("excitation", "time")
+
+    def scalar(units: str, long_name: str) -> Variable:
+        return Variable((), (), {"units": units, "long_name": long_name})
+
+    def spectrum(units: str, long_name: str) -> Variable:
+        return Variable(over_frequency, (frequencies,), {"units": units, "long_name": long_name})
+
+    def history(units: str, long_name: str) -> Variable:
+        return Variable(over_time, (excitations, instants), {"units": units, "long_name": long_name})
+
+    return {
+        "order": scalar("1", "number of coordinates of the variant"),
+        "reduce_seconds": Variable(
+            (), (), {"units": "s", "long_name": "time of the reduction"}, measured=True
+        ),
+        "pseudo_frequency_max": scalar("Hz", "largest eigenfrequency of the reduced model"),
+        "frf_mech": spectrum("m/N", "Frobenius norm of the receptance at the interfaces"),
+        "eps_mech": spectrum("1", "relative error of the receptance (Störkle 2018, Eq. 2.10)"),
+        "frf_opt": spectrum(
+            "nm/N", "Frobenius norm of the mechanical-optical response, c_2 and on (Störkle 2018, Eq. 4.23)"
+        ),
+        "eps_opt": spectrum("1", "relative error of the mechanical-optical response"),
+        "frf_zernike": Variable(
+            ("frequency", "noll"),
+            (frequencies, SHOWN_TERMS - 1),
+            {"units": "nm/N", "long_name": "norm over the inputs of each coefficient's response"},
+        ),
+        "mac": Variable(
+            ("mode", "reference_mode"),
+            (MODES, MODES),
+            {"units": "1", "long_name": "modal assurance criterion at the optical surface"},
+        ),
+        "mode_frequency": Variable(
+            ("mode",), (MODES,), {"units": "Hz", "long_name": "eigenfrequencies of the variant"}
+        ),
+        "fit_residual": Variable(
+            ("own_mode",),
+            (FITTED_MODES,),
+            {"units": "1", "long_name": "share of each mode that the Zernikes miss (Störkle 2018, Eq. 4.11)"},
+        ),
+        "wfe_rms": history("nm", "wavefront error rms of the fitted Zernikes j >= 4"),
+        "wfe_error": history("nm", "rms of the difference of wavefronts from the reference's, j >= 4"),
+        "los_mm": Variable(
+            (*over_time, "axis"),
+            (excitations, instants, 2),
+            {"units": "mm", "long_name": "line of sight in the image (Störkle 2018, Eq. 3.39)"},
+        ),
+        "los_error": history("mm", "distance from the reference's line of sight"),
+        "exposure": Variable(
+            ("excitation", "y", "x"),
+            (excitations, pixels, pixels),
+            {"units": "1", "long_name": "mean of the instants' images; 1 = peak of the perfect one"},
+        ),
+        "resolution_mm": scalar("mm", "lambda/D in the image: wavelength times focal length over diameter"),
+        "image_error": Variable(
+            ("excitation",),
+            (excitations,),
+            {"units": "1", "long_name": "L2 norm of the difference of unit-energy exposures"},
+        ),
+        "obscuration": scalar("1", "inner over outer radius of the pupil"),
+        "mode_figure": Variable(
+            ("elastic_mode", "term"),
+            (SHOWN_MODES, terms),
+            {
+                "units": "1",
+                "long_name": "Noll coefficients of modes on the mirror, heights of rms 1",
+            },
+        ),
+        "mode_wavefront": Variable(
+            ("elastic_mode", "term"),
+            (SHOWN_MODES, terms),
+            {"units": "nm/um", "long_name": "Noll coefficients of the wavefronts of these modes at 1 um rms"},
+        ),
+        "peak_wavefront": Variable(
+            ("excitation", "term"),
+            (excitations, terms),
+            {
+                "units": "nm",
+                "long_name": "Noll coefficients of the wavefront when that of the reference is worst",
+            },
+        ),
+        "peak_figure": Variable(
+            ("excitation", "term"),
+            (excitations, terms),
+            {"units": "um", "long_name": "Noll coefficients of the mirror's figure, along the light, then"},
+        ),
+        "node_angle": scalar("deg", "where on the rim this node is, about the axis from x"),
+        "node_motion": history("m", "motion along z of a node on the rim, far from the mounts"),
+    }
+
+
+def _fixed(
+    study: MirrorStudy,
+) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]]:
+    pixels = (np.arange(study.imaging.pixels) - study.imaging.pixels // 2) * study.imaging.sampling
+    lambda_over_d = {"units": "lambda/D"}
+    names = [excitation.name for excitation in study.excitation]
+    checks = [spot_check(study, name) for name in study.models]
+    checked = {"units": "1", "long_name": "error of the intermediate model against the full one (Eq. 2.10)"}
+    return {
+        "checked_model": (("checked_model",), np.array(study.models, dtype=object), {"long_name": "model"}),
+        "spot_frequency": (("check",), checks[0][0], {"units": "Hz", "long_name": "frequency of the check"}),
+        "spot_error": (("checked_model", "check"), np.array([errors for _, errors in checks]), checked),
+        "frequency": (("frequency",), frequencies_of(study), {"units": "Hz", "long_name": "frequency"}),
+        "time": (("time",), time_of(study), {"units": "s", "long_name": "time"}),
+        "excitation": (("excitation",), np.array(names, dtype=object), {"long_name": "excitation"}),
+        "term": (("term",), np.arange(1, terms_of(study) + 1), {"long_name": "Noll index of a shape"}),
+        "noll": (("noll",), np.arange(2, SHOWN_TERMS + 1), {"long_name": "Noll index"}),
+        "axis": (("axis",), np.array(["x", "y"], dtype=object), {"long_name": "axis of the image plane"}),
+        "y": (("y",), pixels, {**lambda_over_d, "long_name": "image y"}),
+        "x": (("x",), pixels, {**lambda_over_d, "long_name": "image x"}),
+    }
+
+
+def describe(study_text: str) -> dict[str, str]:
+    """Return the models and how well their intermediate bases stand for them, for the plan."""
+    study = study_of(study_text)
+    lines = {}
+    for name in study.models:
+        stage = bench_of(study_text, name).stage
+        frequencies, errors = spot_check(study, name)
+        worst = f", at most {errors.max():.1e} off the full model" if len(errors) else ""
+        lines[f"model {name}"] = (
+            f"{stage.full_order} degrees of freedom, intermediate {stage.order}{worst}"
+            + (f" at {', '.join(f'{one:.0f}' for one in frequencies)} Hz" if len(errors) else "")
+        )
+    return lines
+
+
+def check(study_text: str) -> None:
+    """Raise UserError where model, variants, excitations or optics do not fit."""
+    study = study_of(study_text)
+    for name in study.models:
+        check_variants_of(study, bench_of(study_text, name), study.reduction.variants)
+        answers_of(study_text, name)
+
+
+WORKFLOW = Workflow(
+    "mirror-mor", template, case_table, compute, describe, check=check, notices=import_notices
+)

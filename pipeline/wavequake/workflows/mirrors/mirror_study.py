@@ -1,0 +1,293 @@
+"""Study files of the mirror workflows: a mirror's model, its reduced variants, excitations and optics."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, field_validator, model_validator
+
+from wavequake.errors import UserError
+from wavequake.mechanics.excitations import AnyExcitation
+from wavequake.mechanics.importers.checks import Triangle
+from wavequake.mechanics.importers.model import TRIANGLE, ZERO_ROWS, ImportedModel, Nodes
+from wavequake.optics.zernike import MOST_TERMS
+from wavequake.reduction.names import parse
+from wavequake.workflows.mirrors.model_store import keep_imported
+from wavequake.workflows.schema import CampaignSection, Section, StoreSection, Study, text_of
+
+FULL = "full"
+
+
+class ModelSection(Section):
+    """The mirror: built-in shapes, or a model from a finite-element program (``file``)."""
+
+    shapes: tuple[Literal["circular", "annular"], ...] = Field(
+        default=("circular",), strict=False, description="built-in mirrors; left out where a file is given"
+    )
+    diameter_m: float = Field(default=1.0, gt=0)
+    inner_diameter_m: float = Field(default=0.4, gt=0, description="of the annular mirror")
+    thickness_m: float = Field(default=0.02, gt=0)
+    focal_length_m: float = Field(
+        default=1.7, gt=0, description="of the parabola; it puts the defocus mode of the defaults at 295 Hz"
+    )
+    youngs_modulus_pa: float = Field(default=70e9, gt=0)
+    poisson_ratio: float = Field(default=0.33, gt=-1, lt=0.5)
+    density_kg_m3: float = Field(default=2700.0, gt=0)
+    mount_radius_m: float = Field(default=0.333, gt=0, description="of the interface nodes on the rear face")
+    mount_angles_deg: tuple[float, ...] = Field(default=(0.0, 120.0, 240.0), strict=False)
+    damping_alpha: float = Field(default=0.0, ge=0, description="1/s, times the mass")
+    damping_beta: float = Field(default=5e-6, ge=0, description="s, times the stiffness")
+    rings: int | None = Field(
+        default=None,
+        ge=1,
+        le=60,
+        description="elements along the radius, and around in proportion: 6 by default, less is coarser",
+    )
+    file: str | None = Field(
+        default=None,
+        exclude=True,
+        description="stiffness (.sti, .mtx) or all matrices (.full, .op4, .pch, .npz, .h5)",
+    )
+    mass: str | None = Field(default=None, exclude=True, description="of a file; default: beside it")
+    dofs: str | None = Field(default=None, exclude=True, description="of a file; default: beside it")
+    mesh: str | None = Field(default=None, exclude=True, description="of a file; default: beside it")
+    units: str | None = Field(default=None, description="of a file, e.g. 'm,kg,s,N'")
+    interfaces: str | Nodes | None = Field(default=None, description="of a file: node set or node numbers")
+    surface: str | Nodes | None = Field(default=None, description="of a file: nodes of the optical surface")
+    triangle: Triangle | None = Field(default=None, exclude=True, description=f"of a file: {TRIANGLE}")
+    zero_rows: Literal["drop"] | None = Field(
+        default=None, exclude=True, description=f"of a file: {ZERO_ROWS}"
+    )
+    content: str | None = Field(
+        default=None, description="SHA-256 of the imported model; filled in when the study is loaded"
+    )
+
+    @model_validator(mode="after")
+    def _a_file_says_what_it_is(self) -> "ModelSection":
+        keys = ("mass", "dofs", "mesh", "units", "interfaces", "surface", "triangle", "zero_rows")
+        given = [key for key in keys if getattr(self, key) is not None]
+        if self.content is None and given:
+            raise ValueError(f"{given[0]} belongs to a model file; give file, too")
+        if not self.shapes and self.content is None:
+            raise ValueError("shapes is empty; name a built-in mirror, or give a file")
+        return self
+
+
+class VariantsSection(Section):
+    """Which reduced models are made, and up to which frequency."""
+
+    variants: tuple[str, ...] = Field(min_length=1, strict=False, description="e.g. 'craigb36'")
+    last_hz: float = Field(default=1200.0, gt=0, description="upper end of the band that the basis covers")
+
+    @field_validator("variants")
+    @classmethod
+    def _variants_are_canonical(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        names = tuple(_canonical(name) for name in value)
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise ValueError(f"the variant {twice[0]!r} is listed twice")
+        return names
+
+
+class ReductionSection(VariantsSection):
+    """Which variants are compared, and over which frequencies."""
+
+    reference: str = Field(default=FULL, description="what errors refer to: 'full', or a variant")
+    first_hz: float = Field(default=5.0, gt=0)
+    frequencies: int = Field(default=600, ge=2, le=20000)
+    spot_checks: int = Field(
+        default=3, ge=0, le=50, description="frequencies at which the sweep's basis is checked in full"
+    )
+
+    @field_validator("reference")
+    @classmethod
+    def _reference_is_canonical(cls, value: str) -> str:
+        return value if value == FULL else _canonical(value)
+
+    @model_validator(mode="after")
+    def _frequencies_rise(self) -> "ReductionSection":
+        if self.first_hz >= self.last_hz:
+            raise ValueError(f"first_hz {self.first_hz:g} must be below last_hz {self.last_hz:g}")
+        return self
+
+
+def _canonical(name: str) -> str:
+    try:
+        return str(parse(name))
+    except UserError as error:
+        raise ValueError(str(error).rstrip(".")) from None
+
+
+class TimeSection(Section):
+    """Instants of the time response."""
+
+    duration_s: float = Field(default=0.02, gt=0)
+    step_s: float = Field(default=1e-4, gt=0)
+
+    @property
+    def instants(self) -> int:
+        """Number of instants, the first at 0."""
+        return round(self.duration_s / self.step_s) + 1
+
+    @model_validator(mode="after")
+    def _has_instants(self) -> "TimeSection":
+        if not 2 <= self.instants <= 100_000:
+            raise ValueError(f"duration_s / step_s makes {self.instants} instants; 2 to 100000 are possible")
+        return self
+
+
+class MirrorOpticsSection(Section):
+    """Light on the mirror: a star on the axis, imaged at the focus."""
+
+    wavelength_nm: float = Field(default=550.0, gt=0, le=1e6)
+    rays: int = Field(default=1000, ge=50, le=200_000)
+    zernike_terms: int | None = Field(
+        default=None,
+        ge=6,
+        le=MOST_TERMS,
+        description="of surface and wavefront; default 231 circular, 105 annular",
+    )
+    focal_length_m: float | None = Field(
+        default=None, gt=0, description="default: that of the model's parabola"
+    )
+
+
+class TraceOpticsSection(MirrorOpticsSection):
+    """Light on the mirror, and when more than the Zernike polynomials of its figure is traced."""
+
+    residual_limit: float = Field(
+        default=1e-3,
+        ge=0,
+        le=1,
+        description="share of the deformation that the polynomials may miss; where they miss more, what they "
+        "leave is traced with them as a grid (0: always, 1: never)",
+    )
+
+
+class MirrorImagingSection(Section):
+    """The exposure over the time response."""
+
+    pixels: int = Field(default=64, ge=8, le=512, multiple_of=2)
+    sampling: float = Field(default=0.25, gt=0, le=0.5, description="pixel in lambda/D")
+    pupil_samples: int = Field(default=96, ge=16, le=1024)
+    instants: int = Field(default=101, ge=1, le=100_000, description="at most, evenly spread")
+    scale: float = Field(default=1.0, gt=0, description="of the wavefront: exaggerates small vibrations")
+
+
+class CriterionSection(Section):
+    """When a variant is good enough."""
+
+    measure: Literal["wfe", "los", "image"] = "wfe"
+    largest: float = Field(
+        default=0.01,
+        gt=0,
+        description="wfe: share of the reference's largest value over time; los: lambda/D; image: L2 norm",
+    )
+    excitations: tuple[str, ...] = Field(
+        default=(), strict=False, description="which ones decide; all if left out"
+    )
+
+
+class MirrorCampaignSection(CampaignSection):
+    """How much of the study to run, and on which device; not part of its identity."""
+
+    cases: int | None = Field(default=None, ge=1, description="default: all variants")  # type: ignore[assignment]
+
+
+class MirrorStoreSection(StoreSection):
+    """Where the results go, and what of them is kept."""
+
+    chunk_cases: int = Field(default=5, ge=1, le=100_000, description="K: cases per task and per shard")
+
+
+def _names_are_unique(value: tuple[Any, ...]) -> tuple[Any, ...]:
+    names = [entry.name for entry in value]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"two excitations are called {name!r}; each needs a name of its own")
+    return value
+
+
+Excitations = Annotated[
+    tuple[AnyExcitation, ...], Field(min_length=1, strict=False), AfterValidator(_names_are_unique)
+]
+
+
+class AnyMirrorStudy(Study):
+    """What the studies of mirrors have in common: cases are the variants of each model."""
+
+    model: ModelSection = ModelSection()
+    reduction: VariantsSection
+    excitation: Excitations
+    time: TimeSection = TimeSection()
+    optics: MirrorOpticsSection = MirrorOpticsSection()
+    campaign: MirrorCampaignSection = MirrorCampaignSection()
+    store: MirrorStoreSection = MirrorStoreSection()
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """Names of the models: the built-in shapes, or "file"."""
+        return ("file",) if self.model.content is not None else self.model.shapes
+
+    @property
+    def compared(self) -> tuple[str, ...]:
+        """The variants of each model."""
+        return self.reduction.variants
+
+    @property
+    def cases(self) -> int:
+        """All variants of all models, or as many of them as the campaign asks for."""
+        every = len(self.models) * len(self.compared)
+        return min(self.campaign.cases or every, every)
+
+    @property
+    def fewest_instants(self) -> int:
+        """Number of instants of each case."""
+        return self.time.instants
+
+    @classmethod
+    def read_files(cls, record: dict[str, Any], base: Path) -> None:
+        """Import the model that the study names, and read the records of its excitations."""
+        for entry in record.get("excitation") or ():
+            if isinstance(entry, dict) and isinstance(entry.get("file"), str):
+                entry["file_csv"] = text_of(base / entry["file"], f"excitation.{entry.get('name')}.file")
+        model = record.get("model")
+        if not isinstance(model, dict) or model.keys() - ModelSection.model_fields.keys():
+            return  # a misspelled key is said before what would be wrong without it
+        if isinstance(model.get("file"), str):
+            keys = {key: value for key, value in model.items() if key in ImportedModel.model_fields}
+            model["content"] = keep_imported(keys, base)
+            model.pop("shapes", None)
+
+
+class MirrorStudy(AnyMirrorStudy):
+    """A validated study file of ``mirror-mor``; the first variant of each model is the reference."""
+
+    reduction: ReductionSection
+    imaging: MirrorImagingSection = MirrorImagingSection()
+    criterion: CriterionSection = CriterionSection()
+
+    @model_validator(mode="after")
+    def _criterion_names_excitations(self) -> "MirrorStudy":
+        names = [entry.name for entry in self.excitation]
+        for name in self.criterion.excitations:
+            if name not in names:
+                raise ValueError(f"criterion.excitations names {name!r}; there are {', '.join(names)}")
+        return self
+
+    @property
+    def compared(self) -> tuple[str, ...]:
+        """The variants of each model, the reference first."""
+        reference = self.reduction.reference
+        return (reference, *(name for name in self.reduction.variants if name != reference))
+
+    @property
+    def stores_images(self) -> bool:
+        """Whether images are computed of a case."""
+        return True
+
+
+class TraceStudy(AnyMirrorStudy):
+    """A validated study file of ``mirror-trace``."""
+
+    optics: TraceOpticsSection = TraceOpticsSection()
+    time: TimeSection = TimeSection(duration_s=0.0199)

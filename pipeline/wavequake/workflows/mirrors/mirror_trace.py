@@ -1,0 +1,399 @@
+"""The workflow "mirror-trace": every instant traced, or sensitivities times modal coordinates.
+
+A case is one reduced model of one mirror. For each excitation the standard method fits the displaced nodes of
+every instant (`wavequake.optics.motion_fit`) and traces all rays; the modal method adds up what each mode
+does to the light (Störkle 2018, Sections 4.1 and 4.5.2). A third way, the linear fit traced, tells where the
+two part: in the sag that is taken at the displaced x and y, or in the optics. Where the polynomials of the
+fit miss much of the deformation, both methods add what they leave, as a grid (Eq. 4.11).
+"""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from wavequake.errors import UserError
+from wavequake.kernels.devices import Device, choose_device
+from wavequake.mechanics.excitations import drive_of
+from wavequake.mechanics.modal import modal_model
+from wavequake.mechanics.response import Response, respond
+from wavequake.optics.fits import fit_instants
+from wavequake.optics.motion_fit import MotionFit, figures, motion_fit
+from wavequake.optics.surface_fit import apply
+from wavequake.optics.system_wavefront import PreparedSystem, line_of_sight, trace_light
+from wavequake.reduction.metrics import pseudo_frequencies
+from wavequake.reduction.names import parse
+from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.workflows.mirrors.mirror_base import driven
+from wavequake.workflows.mirrors.mirror_bench import (
+    Bench,
+    bench_of,
+    check_variants_of,
+    import_notices,
+    import_record,
+    time_of,
+    trace_study_of,
+    variant_of,
+)
+from wavequake.workflows.mirrors.mirror_optics import NM_PER_MM, Optics, displacements_mm, with_deformation
+from wavequake.workflows.mirrors.mirror_residual import (
+    Residual,
+    coordinates_of,
+    deformed_light,
+    grid_of,
+    left_by,
+    missed_over_time,
+    residual_of,
+    rms_of,
+)
+from wavequake.workflows.mirrors.mirror_study import TraceStudy
+
+Array = NDArray[np.float64]
+
+# Like the rows of Table 4.1: what is done once per model or variant, and per excitation by either method.
+SET_UP = ("sensitivities", "reduction", "fits of coordinates", "residual of modes", "modal form")
+STANDARD = ("surface fit", "residual grids", "ray trace", "wavefront fit")
+MODAL = ("maps of modes", "products")
+# Instants that are traced at a time.
+_INSTANTS = 1024
+STAGES = (*SET_UP, "time response", *STANDARD, *MODAL)
+
+
+class Clock:
+    """Seconds by stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        """Add the time of a block to its stage."""
+        start = time.perf_counter()
+        yield
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
+
+
+@dataclass(frozen=True)
+class Wavefronts:
+    """What either method gives at T instants.
+
+    Attributes
+    ----------
+    aberrations : ndarray, shape (T, 2 + J)
+        Line of sight in mm, Noll coefficients in nm.
+    rms_raw : ndarray, shape (T,)
+        Rms of the wavefront over the rays less its plane, which the coefficients need not catch, nm. Of
+        it the modal method knows what coefficients and residual grids make.
+    """
+
+    aberrations: Array
+    rms_raw: Array
+
+
+def cases_of(study: TraceStudy) -> list[tuple[str, str]]:
+    """Return model and variant of every case."""
+    return [(model, variant) for model in study.models for variant in study.compared]
+
+
+def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
+    """Compute the variants `cases` by both methods; one that does not suit the model is quarantined.
+
+    One BLAS thread, so that a case's bits do not depend on where it is computed.
+    """
+    study, device = trace_study_of(study_text), choose_device(device_name)
+    arrays = {
+        name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
+        for name, variable in variables(study).items()
+    }
+    status = np.full(len(cases), DONE, dtype=np.int8)
+    messages = [""] * len(cases)
+    with threadpool_limits(1):
+        for row, (name, variant) in enumerate(cases_of(study)[int(case)] for case in cases):
+            bench = bench_of(study_text, name)
+            try:
+                found = judged(study, bench, variant, device)
+            except UserError as error:
+                status[row], messages[row] = RAISED, str(error)
+                continue
+            for key, value in found.items():
+                arrays[key][row] = value
+    return ChunkResult(arrays, status, tuple(messages))
+
+
+def judged(study: TraceStudy, bench: Bench, variant: str, device: Device) -> dict[str, Array | float]:
+    """Return all stored numbers of one variant."""
+    reduced, optics, instants = variant_of(bench, variant), bench.optics, time_of(study)
+    left, residual, set_up = left_by(optics, reduced), None, Clock()
+    with set_up("fits of coordinates"):
+        motion = motion_fit(optics.surface, displacements_mm(reduced.surface.T))
+    rows: dict[str, list[Array]] = {}
+    for excitation in study.excitation:
+        clock = Clock()
+        drive = drive_of(excitation, reduced.inputs.shape[1] // 3, instants, study.study.seed)
+        held, drive = driven(reduced, drive, excitation.name)
+        with clock("modal form"):
+            modal = modal_model(held, drive.prescribed)
+        with clock("time response"):
+            response = respond(modal, [drive], instants)
+        with clock("surface fit"):
+            coordinates = coordinates_of(response)
+        share = left.share(coordinates)
+        needed = share > study.optics.residual_limit
+        if needed and residual is None:
+            with set_up("residual of modes"):
+                residual = residual_of(optics, left, device)
+        added = residual if needed else None
+        summed = modal_method(optics, reduced.surface, response, clock, added)
+        found = compared(optics, motion, coordinates, summed.aberrations, device, clock, added)
+        found["fit_residual"] = missed_over_time(motion, coordinates)
+        found["wfe_rms_raw_modal"] = summed.rms_raw
+        untraced = np.zeros(len(instants))
+        found["wfe_rms_residual"] = untraced if added is None else rms_of(added.whole, coordinates)
+        found["missed_share"] = np.array(share)
+        clock.seconds |= {"sensitivities": optics.seconds, "reduction": reduced.seconds}
+        clock.seconds |= {key: value for key, value in set_up.seconds.items() if needed or "fits" in key}
+        found["seconds"] = np.array([clock.seconds.get(stage, 0.0) for stage in STAGES])
+        for key, value in found.items():
+            rows.setdefault(key, []).append(value)
+    return {
+        "order": float(reduced.order),
+        "pseudo_frequency_max": float(pseudo_frequencies(reduced)[-1]),
+        "resolution_mm": optics.resolution,
+        **{key: np.array(values) for key, values in rows.items()},
+    }
+
+
+def _parts(count: int) -> list[slice]:
+    """Return parts of so many instants that all their rays and grids fit the memory."""
+    return [slice(first, first + _INSTANTS) for first in range(0, count, _INSTANTS)]
+
+
+def compared(
+    optics: Optics,
+    motion: MotionFit,
+    coordinates: Array,
+    summed: Array,
+    device: Device,
+    clock: Clock,
+    residual: Residual | None = None,
+) -> dict[str, Array]:
+    """Trace all instants and compare them with what the modal method gives, `summed` (T, 2 + J)."""
+    traced = standard_method(optics, motion, coordinates, device, clock, residual)
+    linear = trace_figures(optics, coordinates @ motion.linear, coordinates, device, Clock(), residual)
+    apart = traced.aberrations - summed
+    return {
+        "wfe_rms_standard": _wfe(traced.aberrations),
+        "wfe_rms_modal": _wfe(summed),
+        "wfe_rms_raw": traced.rms_raw,
+        "wfe_difference": _wfe(apart),
+        "wfe_difference_sag": _wfe(traced.aberrations - linear.aberrations),
+        "wfe_difference_optics": _wfe(linear.aberrations - summed),
+        "los_standard": traced.aberrations[:, :2],
+        "los_modal": summed[:, :2],
+        "los_difference": np.linalg.norm(apart[:, :2], axis=1),
+    }
+
+
+def _wfe(aberrations: Array) -> Array:
+    """Return the rms of the Zernike terms j >= 4, which is the root of the sum of their squares."""
+    rms: Array = np.sqrt(np.sum(aberrations[:, 5:] ** 2, axis=1))
+    return rms
+
+
+def standard_method(
+    optics: Optics,
+    motion: MotionFit,
+    coordinates: Array,
+    device: Device,
+    clock: Clock,
+    residual: Residual | None = None,
+) -> Wavefronts:
+    """Return what tracing all rays at every instant gives.
+
+    The figure of each instant is fitted to the displaced nodes with the undeformed surface taken where they
+    are (DeformOnlyTrafo, Störkle 2018, Eq. 4.7 to 4.10).
+
+    Parameters
+    ----------
+    optics : Optics
+    motion : MotionFit
+        Of the reduced model's coordinates.
+    coordinates : ndarray, shape (T, r)
+    device : Device
+    clock : Clock
+    residual : Residual, optional
+        What the polynomials leave, to be traced with them.
+    """
+    with clock("surface fit"):
+        fitted = figures(motion, coordinates)
+    return trace_figures(optics, fitted, coordinates, device, clock, residual)
+
+
+def trace_figures(
+    optics: Optics,
+    fitted: Array,
+    coordinates: Array,
+    device: Device,
+    clock: Clock,
+    residual: Residual | None = None,
+) -> Wavefronts:
+    """Trace all rays at T instants with the figures (T, J) and what they leave, mm."""
+    prepared = optics.prepared if residual is None else with_deformation(optics, grid_of(optics))
+    parts = []
+    for part in _parts(len(fitted)):
+        with clock("residual grids"):
+            splines = None if residual is None else residual.at(coordinates[part])
+        with clock("ray trace"):
+            light = deformed_light(optics, fitted[part], splines)
+            opd, _, chief = trace_light(prepared, light, device)
+        parts.append(_wavefronts(prepared, opd, chief, device, clock))
+    return Wavefronts(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+
+def _wavefronts(
+    prepared: PreparedSystem, opd: Array, chief: Array, device: Device, clock: Clock
+) -> tuple[Array, Array]:
+    """Return aberrations and raw rms of `Wavefronts` from traced rays."""
+    with clock("wavefront fit"):
+        zernike = fit_instants(prepared.fit, opd, device)
+        to_nm = prepared.wavelength * NM_PER_MM
+        aberrations = np.hstack([line_of_sight(prepared, chief, zernike), to_nm * zernike])
+    flat = opd - zernike[:, :3] @ prepared.fit.basis[:, :3].T
+    weight = prepared.fit.weight
+    raw = to_nm * np.sqrt(np.square(flat) @ (weight / weight.sum()))
+    return aberrations, raw
+
+
+def modal_method(
+    optics: Optics, surface: Array, response: Response, clock: Clock, residual: Residual | None = None
+) -> Wavefronts:
+    """Return sensitivities of modes times their coordinates.
+
+    What the modes do to the light follows from their linear fits (Störkle 2018, Eq. 4.22) and from the traces
+    of what these leave; time enters products of small matrices only.
+    """
+    with clock("maps of modes"):
+        shapes = np.hstack([response.modes, response.rigid_modes, response.lift])
+        maps = optics.sensitivity @ apply(optics.surface, displacements_mm((surface @ shapes).T)).T
+        rough = np.zeros((shapes.shape[1], shapes.shape[1]))
+        if residual is not None:
+            maps += residual.aberrations @ shapes
+            rough = shapes.T @ residual.rough @ shapes
+    with clock("products"):
+        amplitudes = np.hstack([response.coordinates[0], response.rigid[0], response.drive[0]])
+        aberrations: Array = amplitudes @ maps.T
+        fitted = rms_of(optics.prepared.fit.normal[3:, 3:], aberrations[:, 5:])
+        raw = np.hypot(fitted, rms_of(rough, amplitudes))
+    return Wavefronts(aberrations, raw)
+
+
+def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
+    """Return the labels of cases first <= id < last: model, variant, its method and the seed."""
+    study = trace_study_of(study_text)
+    rows = cases_of(study)[first:last]
+    return {
+        "model": np.array([model for model, _ in rows], dtype=object),
+        "variant": np.array([variant for _, variant in rows], dtype=object),
+        "method": np.array([parse(variant).method for _, variant in rows], dtype=object),
+        "seed": np.full(last - first, study.study.seed, dtype=np.int64),
+    }
+
+
+def variables(study: TraceStudy) -> dict[str, Variable]:
+    """Return what is stored per case."""
+    excitations, instants = len(study.excitation), study.time.instants
+
+    def scalar(units: str, long_name: str) -> Variable:
+        return Variable((), (), {"units": units, "long_name": long_name})
+
+    def history(units: str, long_name: str) -> Variable:
+        attributes = {"units": units, "long_name": long_name}
+        return Variable(("excitation", "time"), (excitations, instants), attributes)
+
+    def sight(long_name: str) -> Variable:
+        attributes = {"units": "mm", "long_name": f"{long_name} (Störkle 2018, Eq. 3.39)"}
+        return Variable(("excitation", "time", "axis"), (excitations, instants, 2), attributes)
+
+    return {
+        "order": scalar("1", "number of coordinates of the variant"),
+        "pseudo_frequency_max": scalar("Hz", "largest eigenfrequency of the reduced model"),
+        "resolution_mm": scalar("mm", "lambda/D in the image: wavelength times focal length over diameter"),
+        "wfe_rms_standard": history(
+            "nm", "wavefront error rms of the fitted Zernikes j >= 4, every ray traced"
+        ),
+        "wfe_rms_modal": history("nm", "the same by sensitivities of modes"),
+        "wfe_rms_raw": history("nm", "wavefront error rms over the traced rays, best-fit plane removed"),
+        "wfe_rms_raw_modal": history("nm", "the same by sensitivities of modes and of what their fit leaves"),
+        "wfe_rms_residual": history(
+            "nm", "rms of what the residual grid adds to the wavefront; 0 where none is traced"
+        ),
+        "missed_share": Variable(
+            ("excitation",),
+            (excitations,),
+            {
+                "units": "1",
+                "long_name": "largest deformation that the Zernikes miss over the largest one (Störkle 2018, "
+                "Eq. 4.11)",
+            },
+        ),
+        "wfe_difference": history("nm", "rms of the difference of the two wavefronts, j >= 4"),
+        "wfe_difference_sag": history("nm", "its part from the sag at displaced x and y"),
+        "wfe_difference_optics": history("nm", "its part from the optics beyond first order"),
+        "fit_residual": history(
+            "1", "share of the deformation that the Zernikes miss (Störkle 2018, Eq. 4.11)"
+        ),
+        "los_standard": sight("line of sight in the image, every ray traced"),
+        "los_modal": sight("line of sight by sensitivities of modes"),
+        "los_difference": history("mm", "distance of the two lines of sight"),
+        "seconds": Variable(
+            ("excitation", "stage"),
+            (excitations, len(STAGES)),
+            {"units": "s", "long_name": "time that each stage took in one process"},
+            measured=True,
+        ),
+    }
+
+
+def template(study_text: str) -> Template:
+    """Return what a store of this study holds."""
+    study = trace_study_of(study_text)
+    names = [excitation.name for excitation in study.excitation]
+    return Template(
+        variables(study),
+        {
+            "time": (("time",), time_of(study), {"units": "s", "long_name": "time"}),
+            "excitation": (("excitation",), np.array(names, dtype=object), {"long_name": "excitation"}),
+            "axis": (("axis",), np.array(["x", "y"], dtype=object), {"long_name": "axis of the image plane"}),
+            "stage": (("stage",), np.array(STAGES, dtype=object), {"long_name": "stage of the computation"}),
+            **import_record(study_text),
+        },
+    )
+
+
+def describe(study_text: str) -> dict[str, str]:
+    """Return the size of each model and of its trace, for the plan."""
+    study = trace_study_of(study_text)
+    lines = {}
+    for name in study.models:
+        bench = bench_of(study_text, name)
+        lines[f"model {name}"] = (
+            f"{bench.stage.full_order} degrees of freedom, {study.time.instants} instants of "
+            f"{study.optics.rays} rays, {bench.optics.terms} Zernike terms"
+        )
+    return lines
+
+
+def check(study_text: str) -> None:
+    """Raise UserError for a study that no variant of can succeed: model, excitations or optics do not fit."""
+    study = trace_study_of(study_text)
+    for name in study.models:
+        check_variants_of(study, bench_of(study_text, name), study.reduction.variants)
+
+
+WORKFLOW = Workflow(
+    "mirror-trace", template, case_table, compute, describe, check=check, notices=import_notices
+)

@@ -1,0 +1,1 @@
+"""Workflows of segmented telescopes: disturbances, modal and reduced models of segments."""

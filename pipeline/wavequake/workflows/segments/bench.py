@@ -1,0 +1,220 @@
+"""What a segment-disturbance study prepares once per process: telescope, rays, fit, PSF basis, LOS gains."""
+
+import io
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from wavequake.errors import UserError
+from wavequake.kernels.devices import choose_device
+from wavequake.kernels.tiles import TILE
+from wavequake.mechanics.disturbances import Disturbance
+from wavequake.mechanics.layout import SegmentLayout
+from wavequake.optics.corner_table import distorted
+from wavequake.optics.prepared import PreparedTrace, chief_rays, prepare, trace_states
+from wavequake.optics.pupils import PupilRays, on_glass, segment_rays, sunflower
+from wavequake.optics.segmented_telescope import FirstOrder, SegmentedTelescope, first_order, footprints
+from wavequake.optics.segments import areas, is_monolithic
+from wavequake.optics.slopes import slope_fit
+from wavequake.optics.sphere_fit import reference_fit
+from wavequake.optics.states import SurfaceStates, rest
+from wavequake.optics.telescopes import telescope
+from wavequake.optics.wavefront import Wavefront, analyse
+from wavequake.optics.zernike_transforms import known_transformed
+from wavequake.workflows.schema import study_from_identity
+from wavequake.workflows.segments.segment_study import SegmentStudy
+
+MM_PER_M = 1e3
+MAS_PER_RAD = 180.0 / np.pi * 3600.0 * 1e3
+_TRIANGLE_POINTS = {6: 1, 18: 3, 36: 6, 72: 12}
+_ARCMIN = np.pi / 180.0 / 60.0
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Everything of a study that does not change from case to case.
+
+    ``text`` is the study's identity text; ``m2_tilt`` (2, 2) gives M2's rotations about x and y in rad per
+    rad of line of sight on the sky; ``static`` is the wavefront of the reference configuration, ``field``
+    (2,) the field point in rad.
+    """
+
+    text: str
+    study: SegmentStudy
+    system: SegmentedTelescope
+    first_order: FirstOrder
+    layout: SegmentLayout
+    prepared: PreparedTrace
+    static: Wavefront
+    m2_tilt: NDArray[np.float64]
+    figure_terms: int
+    field: NDArray[np.float64]
+
+
+@lru_cache(maxsize=2)
+def bench_of(study_text: str) -> Bench:
+    """Prepare the study with this identity text.
+
+    It runs on one BLAS thread wherever it is called from, because the last bits of a factorization depend on
+    their number.
+
+    Raises
+    ------
+    UserError
+        If no ray of the pupil meets glass, or none of a segment the image, polygons overlap, or the study is
+        otherwise impossible.
+    """
+    with threadpool_limits(1):
+        return _prepared(study_text)
+
+
+def _prepared(study_text: str) -> Bench:
+    study = study_from_identity(SegmentStudy, study_text)
+    system = build_telescope(study)
+    _require_m2(study, system)
+    rays = build_rays(study, system)
+    terms = figure_terms(study.disturbance)
+    wavelength = study.optics.wavelength_nm * 1e-6
+    prepared = prepare(system, rays, wavelength, study.wavefront.zernike_terms, figure_terms=terms)
+    field = np.array(study.optics.field_arcmin) * _ARCMIN
+    at = (float(field[0]), float(field[1]))
+    if _beam_clears_mirrors(prepared, field):  # looking at their edges takes a tenth of the trace
+        prepared = replace(prepared, train=replace(prepared.train, semi_diameters=None))
+    if study.wavefront.method == "slopes":
+        prepared = replace(prepared, slopes=slope_fit(prepared, at))
+    if study.wavefront.reference == "fitted":
+        prepared = replace(prepared, sphere=reference_fit(prepared, at))
+    static, tilt = _reference(system, prepared, field, terms)
+    return Bench(
+        study_text,
+        study,
+        system,
+        first_order(system),
+        layout_of(system),
+        prepared,
+        static,
+        tilt,
+        terms,
+        field,
+    )
+
+
+def _beam_clears_mirrors(prepared: PreparedTrace, field: NDArray[np.float64]) -> bool:
+    """Return whether the beam stays inside all mirrors by 1 %, more than any motion that can be imaged needs.
+
+    From the axial footprint and, generously, four times the way of light from the field point.
+    """
+    system, rays = prepared.system, prepared.rays
+    edges = np.array([mirror.semi_diameter for mirror in system.surfaces[:-1]])
+    places = np.array([np.zeros(3), *(surface.position for surface in system.surfaces)])
+    way = np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
+    reach = max(1.0, np.hypot(rays.x, rays.y).max() / system.pupil_outer)  # glass beyond the pupil's annulus
+    beam = reach * footprints(system) + 4.0 * way * np.tan(np.abs(field)).sum()
+    return bool((beam <= 0.99 * edges).all())
+
+
+def in_basis(bench: Bench, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return annular Noll coefficients (..., J) as the study wants them; an unknown piston stays unknown."""
+    if bench.study.wavefront.basis == "annular":
+        return coefficients
+    return known_transformed(coefficients, bench.prepared.obscuration, 0.0)
+
+
+def monolithic(system: SegmentedTelescope) -> bool:
+    """Return whether M1 is one mirror without edges."""
+    return is_monolithic(system.segments)
+
+
+def build_telescope(study: SegmentStudy) -> SegmentedTelescope:
+    """Build the telescope that a study describes."""
+    section = study.telescope
+    if section.name == "custom":
+        surfaces = [surface.model_dump() for surface in section.surfaces]
+        return telescope(
+            "custom",
+            polygons=io.StringIO(section.polygons_csv or ""),
+            primary_radius=section.primary_radius_mm,
+            primary_conic=section.primary_conic,
+            surfaces=surfaces,
+        )
+    options = {"side": section.side_mm, "gap": section.gap_mm}
+    system = telescope(section.name, **{key: value for key, value in options.items() if value is not None})
+    if section.corners_csv is None:
+        return system
+    return replace(system, segments=distorted(system.segments, io.StringIO(section.corners_csv)))
+
+
+def build_rays(study: SegmentStudy, system: SegmentedTelescope) -> PupilRays:
+    """Sample the pupil; rays that meet no glass are dropped.
+
+    Raises
+    ------
+    UserError
+        If no ray is left.
+    """
+    optics = study.optics
+    if optics.sampling == "segments" and not monolithic(system):
+        return segment_rays(system.segments, _TRIANGLE_POINTS[optics.rays_per_segment])
+    return on_glass(system, sunflower(system.pupil_inner, system.pupil_outer, optics.rays))
+
+
+def figure_terms(populations: Iterable[Disturbance]) -> int:
+    """Return the highest Noll index of any segment figure in the study (0: none)."""
+    return max(
+        (max(getattr(population, "figure_nm", {}), default=0) for population in populations), default=0
+    )
+
+
+def layout_of(system: SegmentedTelescope) -> SegmentLayout:
+    """Return the segments for the mechanics: SI units, z to the sky."""
+    segments = system.segments
+    annulus = np.array([np.pi * (system.pupil_outer**2 - system.pupil_inner**2)])
+    return SegmentLayout(
+        names=segments.names,
+        centers_m=segments.centers * [1.0, 1.0, -1.0] / MM_PER_M,
+        axes=segments.axes,
+        corners_m=segments.corners / MM_PER_M,
+        areas_m2=(annulus if monolithic(system) else areas(segments)) / MM_PER_M**2,
+    )
+
+
+def _require_m2(study: SegmentStudy, system: SegmentedTelescope) -> None:
+    for population in study.disturbance:
+        if getattr(population, "act", "") == "m2" and not system.surfaces[0].reflects:
+            raise UserError(
+                f"The disturbance {population.name!r} tilts M2, but the telescope {system.name} has no "
+                "mirror after the primary one; choose act = 'mount'."
+            )
+
+
+def _reference(
+    system: SegmentedTelescope, prepared: PreparedTrace, field: NDArray[np.float64], terms: int
+) -> tuple[Wavefront, NDArray[np.float64]]:
+    """Measure the reference configuration, and M2's rotations that move the line of sight by one rad.
+
+    Without a mirror after M1 the rotations are zero. Both come from NumPy whatever the study's device, so
+    that they are the same on every worker.
+    """
+    step = 1e-6
+    still = rest(TILE, len(system.segments), len(system.surfaces), terms)
+    motion = still.surface_motion.copy()
+    for lane, (axis, sign) in enumerate([(3, 1), (3, -1), (4, 1), (4, -1)], start=1):
+        motion[lane, 0, axis] = sign * step
+    states = SurfaceStates(still.segment_motion, still.segment_figure, motion, still.field + field)
+    traced = trace_states(prepared, states, choose_device("numpy"))
+    wavefront = analyse(prepared, traced, chief_rays(prepared, states))
+    if wavefront.lost_segments[0].any():
+        name = system.segments.names[int(np.argmax(wavefront.lost_segments[0]))]
+        raise UserError(
+            f"No ray of segment {name} of the telescope {system.name} at rest reaches the image; check "
+            "telescope and optics.field_arcmin."
+        )
+    if not system.surfaces[0].reflects:
+        return wavefront, np.zeros((2, 2))
+    los = wavefront.los
+    per_tilt = np.stack([los[1] - los[2], los[3] - los[4]], axis=1) / (2 * step)
+    return wavefront, np.asarray(np.linalg.inv(per_tilt / prepared.focal_length), dtype=np.float64)

@@ -1,0 +1,296 @@
+"""The workflow ``segment-disturbance``: Monte Carlo of disturbed segments and line of sight.
+
+One case is one realization of one population of disturbances over its instants: motions of segments and M2
+are drawn (`mechanics`), every instant is ray traced and its wavefront measured (`kernels`, `optics`), and the
+instants' point spread functions make the case's exposure (`imaging`).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.errors import UserError
+from wavequake.imaging.exposure import encircled_energy_radius
+from wavequake.kernels.devices import choose_device
+from wavequake.kernels.tiles import TILE, padded
+from wavequake.mechanics.disturbances import Disturbance, Motion, analytic_rms, draw_case, time_axis
+from wavequake.mechanics.population import Population
+from wavequake.optics.prepared import chief_rays, trace_states
+from wavequake.optics.quality import meets_marechal, meets_rayleigh
+from wavequake.optics.states import SurfaceStates
+from wavequake.optics.wavefront import Wavefront, analyse
+from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Workflow
+from wavequake.workflows.sampling import replicate_labels
+from wavequake.workflows.schema import study_from_identity
+from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis, monolithic
+from wavequake.workflows.segments.case_pattern import slots
+from wavequake.workflows.segments.images import (
+    energy_scale,
+    ray_notices,
+    refuse_what_cannot_be_imaged,
+    summed_images,
+)
+from wavequake.workflows.segments.segment_draws import draw_realization, sampling_plan
+from wavequake.workflows.segments.segment_modal import modal_cases, model_of
+from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.segments.segment_template import template, traced
+from wavequake.workflows.stopwatch import Stopwatch
+
+Array = NDArray[np.float64]
+
+# Tiles per launch: about 40 MB per output array at 9000 rays, however many and long the cases are.
+_LAUNCH_TILES = 32
+
+
+@dataclass(frozen=True)
+class CaseDraw:
+    """One case before optics: its population, realization, time axis (n,) in s and motion."""
+
+    population: Disturbance
+    realization: int
+    time: Array
+    motion: Motion
+
+
+Kind = TypeVar("Kind", bound=Population)
+
+
+def slot(populations: tuple[Kind, ...], case: int) -> tuple[Kind, int]:
+    """Return the population and realization of a case, see `case_pattern.slots`."""
+    which, realization = slots([population.share for population in populations], np.array([case]))
+    return populations[which[0]], int(realization[0])
+
+
+def draw(bench: Bench, case: int) -> CaseDraw:
+    """Draw the motion of one case, which depends on seed, disturbance and realization only."""
+    population, realization = slot(bench.study.disturbance, case)
+    motion = draw_realization(bench, population, realization)
+    return CaseDraw(population, realization, time_axis(population), motion)
+
+
+def surface_states(bench: Bench, drawn: CaseDraw, first: int, last: int) -> SurfaceStates:
+    """Convert instants first <= i < last from SI to the optics (mm), padded with rest to whole tiles."""
+    batch, count = padded(last - first), last - first
+    segments, surfaces = len(bench.system.segments), len(bench.system.surfaces)
+    motion, part = drawn.motion, slice(first, last)
+    segment_motion = np.zeros((batch, segments, 6))
+    segment_motion[:count] = motion.segment_motion[part]
+    segment_motion[..., :3] *= MM_PER_M
+    figure = np.zeros((batch, segments, bench.figure_terms))
+    figure[:count, :, : motion.segment_figure.shape[-1]] = motion.segment_figure * MM_PER_M
+    surface_motion = np.zeros((batch, surfaces, 6))
+    surface_motion[:count, 0, 3:5] = motion.m2[part] @ bench.m2_tilt.T
+    field = np.zeros((batch, 2))
+    field[:] = bench.field
+    field[:count] += motion.mount[part]
+    return SurfaceStates(segment_motion, figure, surface_motion, field)
+
+
+def _pieces(draws: list[CaseDraw]) -> Iterator[list[tuple[int, int, int]]]:
+    """Cut the cases into launches of at most _LAUNCH_TILES tiles: (row, first instant, last instant)."""
+    launch: list[tuple[int, int, int]] = []
+    room = _LAUNCH_TILES * TILE
+    for row, drawn in enumerate(draws):
+        first, count = 0, len(drawn.time)
+        while first < count:
+            last = min(count, first + room)
+            launch.append((row, first, last))
+            room -= padded(last - first)
+            first = last
+            if room < TILE:
+                yield launch
+                launch, room = [], _LAUNCH_TILES * TILE
+    if launch:
+        yield launch
+
+
+def _joined(states: list[SurfaceStates]) -> SurfaceStates:
+    return SurfaceStates(
+        *(
+            np.concatenate([getattr(state, name) for state in states])
+            for name in ("segment_motion", "segment_figure", "surface_motion", "field")
+        )
+    )
+
+
+def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
+    """Compute the numbers of `cases` over their instants, by full traces or by the modal model."""
+    if bench_of(study_text).study.optics.method == "modal":
+        return modal_cases(study_text, cases, device_name, trace_cases)
+    return trace_cases(study_text, cases, device_name)
+
+
+def trace_cases(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
+    """Compute the numbers of `cases` over their instants by full traces.
+
+    A case in which a segment loses all its rays, or is tilted beyond what can be imaged, is quarantined with
+    the reason.
+    """
+    bench = bench_of(study_text)
+    start = Stopwatch()
+    with start("draw"):
+        draws = [draw(bench, int(case)) for case in cases]
+    return trace_draws(study_text, draws, device_name, start)
+
+
+def trace_draws(
+    study_text: str, draws: list[CaseDraw], device_name: str, clock: Stopwatch | None = None
+) -> ChunkResult:
+    """Trace motions that were drawn; as :func:`trace_cases`."""
+    bench, device, clock = bench_of(study_text), choose_device(device_name), clock or Stopwatch()
+    arrays = {
+        name: np.full((len(draws), *variable.shape), np.nan, dtype=variable.dtype)
+        for name, variable in traced(study_text).items()
+    }
+    for name in ("exposure", "rayleigh", "marechal", "vignetted"):  # gathered over a case's launches
+        if name in arrays:
+            arrays[name][:] = 0.0
+    messages = [""] * len(draws)
+    for launch in _pieces(draws):
+        with clock("draw"):
+            states = [surface_states(bench, draws[row], first, last) for row, first, last in launch]
+            joined = _joined(states)
+        with clock("trace"):
+            rays = trace_states(bench.prepared, joined, device)
+        with clock("wavefront"):
+            wavefront = analyse(bench.prepared, rays, chief_rays(bench.prepared, joined), device)
+        tile = 0
+        for (row, first, last), state in zip(launch, states, strict=True):
+            tiles = slice(tile, tile + len(state) // TILE)
+            tile = tiles.stop
+            here = slice(tiles.start * TILE, tiles.start * TILE + last - first)
+            messages[row] = messages[row] or _lost_segment(bench, draws[row], wavefront, here, first)
+            if messages[row]:
+                continue
+            _record(bench, arrays, row, slice(first, last), wavefront, here, draws[row])
+            if "exposure" not in arrays:
+                continue
+            try:
+                with clock("image"):
+                    arrays["exposure"][row] += summed_images(bench, rays, wavefront, tiles, last - first)
+            except UserError as error:  # tilts that no image can be made of concern this case alone
+                messages[row] = str(error)
+    status = np.full(len(draws), DONE, dtype=np.int8)
+    for row, message in enumerate(messages):
+        if message:
+            status[row] = RAISED
+            for array in arrays.values():
+                array[row] = np.nan
+            continue
+        for name in ("rayleigh", "marechal"):
+            arrays[name][row] /= len(draws[row].time)
+        if "exposure" in arrays:
+            with clock("image"):
+                _finish_exposure(bench, arrays, row, len(draws[row].time))
+    return ChunkResult(arrays, status, tuple(messages), clock.seconds)
+
+
+def _lost_segment(bench: Bench, drawn: CaseDraw, wavefront: Wavefront, here: slice, first: int) -> str:
+    instants, segments = np.nonzero(wavefront.lost_segments[here])
+    if not len(instants):
+        return ""
+    instant, segment = first + int(instants[0]), int(segments[0])
+    return (
+        f"segment {bench.system.segments.names[segment]} lost all its rays at instant {instant} "
+        f"(t = {drawn.time[instant]:.4g} s): its motion takes its glass out of the beam"
+    )
+
+
+def _record(
+    bench: Bench,
+    arrays: dict[str, Array],
+    row: int,
+    there: slice,
+    wavefront: Wavefront,
+    here: slice,
+    drawn: CaseDraw,
+) -> None:
+    """Write the instants `here` of a launch to the instants `there` of case `row`."""
+    to_nm = bench.study.optics.wavelength_nm
+    to_mas = MAS_PER_RAD / bench.first_order.focal_length
+    arrays["time_s"][row, there] = drawn.time[there]
+    arrays["wfe_rms"][row, there] = wavefront.rms[here] * to_nm
+    arrays["wfe_rms_raw"][row, there] = wavefront.rms_raw[here] * to_nm
+    arrays["wfe_pv"][row, there] = wavefront.pv[here] * to_nm
+    arrays["spot_rms"][row, there] = wavefront.spot_rms[here] * abs(to_mas)
+    arrays["vignetted"][row] = max(arrays["vignetted"][row], wavefront.vignetted[here].max())
+    arrays["rayleigh"][row] += np.count_nonzero(meets_rayleigh(wavefront.pv[here]))
+    arrays["marechal"][row] += np.count_nonzero(meets_marechal(wavefront.rms_flat[here]))
+    arrays["zernike"][row, there] = in_basis(bench, wavefront.zernike[here]) * to_nm
+    arrays["los"][row, there] = (wavefront.los[here] - bench.static.los[0]) * to_mas
+    arrays["centroid"][row, there] = (wavefront.centroid[here] - bench.static.centroid[0]) * to_mas
+    arrays["strehl"][row, there] = wavefront.strehl[here]
+    along_normal = drawn.motion.segment_motion[there, :, 2]
+    arrays["segment_piston_rms"][row, there] = np.sqrt(np.mean(along_normal**2, axis=1)) * 1e9
+    if "segment_motion" in arrays:
+        arrays["segment_motion"][row, there] = drawn.motion.segment_motion[there]
+
+
+def _finish_exposure(bench: Bench, arrays: dict[str, Array], row: int, instants: int) -> None:
+    exposure = arrays["exposure"][row]
+    exposure /= instants
+    for name, fraction in (("ee50", 0.5), ("ee80", 0.8)):
+        arrays[name][row] = encircled_energy_radius(exposure, fraction, **energy_scale(bench))
+
+
+def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
+    """Return the labels of cases first <= id < last: disturbance, realization and seed."""
+    study = study_from_identity(SegmentStudy, study_text)
+    which, realizations = slots([entry.share for entry in study.disturbance], np.arange(first, last))
+    return {
+        "disturbance": np.array([entry.name for entry in study.disturbance], dtype=object)[which],
+        "realization": realizations,
+        "seed": np.full(last - first, study.study.seed, dtype=np.int64),
+        **replicate_labels(study.campaign, realizations),
+    }
+
+
+def describe(study_text: str) -> dict[str, str]:
+    """Return what the disturbances amount to by their parameters alone, for the plan."""
+    bench = bench_of(study_text)
+    units = {"mas": "mas rms line of sight", "nm": "nm rms piston per segment"}
+    known = {entry.name: analytic_rms(entry, bench.layout) for entry in bench.study.disturbance}
+    rays = f"{len(bench.prepared.weight)} on {len(bench.system.segments)} segments"
+    return {"rays": rays, **sampling_plan(study_text).words()} | {
+        name: f"{value[0]:.3g} {units[value[1]]}" for name, value in known.items() if value
+    }
+
+
+def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
+    """Return the number of ray-surfaces traced for `cases` cases (padding of the instants included).
+
+    By the modal model, it is the number of segments at an instant instead.
+    """
+    bench = bench_of(study_text)
+    populations, segments = bench.study.disturbance, len(bench.system.segments)
+    shares = sum(entry.share for entry in populations)
+    if bench.study.optics.method == "modal":
+        instants = cases * sum(entry.share * entry.instants for entry in populations) / shares
+        return dict.fromkeys(("draw", "modal"), (instants * segments, "segment-instants"))
+    instants = cases * sum(entry.share * padded(entry.instants) for entry in populations) / shares
+    per_instant = len(bench.prepared.weight) * (1 + len(bench.system.surfaces))
+    return {"trace": (instants * per_instant, "ray-surfaces")}
+
+
+def check(study_text: str) -> None:
+    """Raise UserError if the telescope at rest has no image, or a disturbance does not fit its mirror."""
+    bench = bench_of(study_text)
+    sampling_plan(study_text)
+    if bench.study.imaging.enabled:
+        refuse_what_cannot_be_imaged(bench)
+    if bench.study.optics.method == "modal":
+        model_of(study_text, choose_device("auto").name)
+    if monolithic(bench.system):  # where every draw is quick
+        for population in bench.study.disturbance:
+            draw_case(bench.study.disturbance, population, bench.layout, bench.study.study.seed, 0)
+
+
+def notices(study_text: str) -> Iterator[str]:
+    """Yield what to say of too few rays for images."""
+    yield from ray_notices(bench_of(study_text))
+
+
+WORKFLOW = Workflow("segment-disturbance", template, case_table, compute, describe, work, check, notices)

@@ -1,0 +1,42 @@
+"""What a case of a segmented telescope draws: motions by generators, or by a sampling plan."""
+
+from functools import lru_cache
+
+from wavequake.mechanics.disturbances import Combine, Disturbance, Motion, draw_case
+from wavequake.mechanics.streams import Streams
+from wavequake.workflows.sampling import NEVER_STRATIFIED, Plan, plan_of
+from wavequake.workflows.segments.bench import Bench, bench_of
+
+
+@lru_cache(maxsize=2)
+def sampling_plan(study_text: str) -> Plan:
+    """Return what spreads the random numbers of the study with this identity text.
+
+    Raises
+    ------
+    UserError
+        If they are too many for the plan that the study asks for.
+    """
+    bench = bench_of(study_text)
+    study = bench.study
+    singles = [entry for entry in study.disturbance if not isinstance(entry, Combine)]
+    models = {entry.name: entry.model for entry in singles}
+
+    def draw(streams: Streams) -> None:
+        for entry in singles:
+            draw_case(singles, entry, bench.layout, study.study.seed, 0, streams)
+
+    return plan_of(
+        study.campaign,
+        study.study.seed,
+        [entry.share for entry in study.disturbance],
+        draw,
+        lambda name: models[name] not in NEVER_STRATIFIED,
+    )
+
+
+def draw_realization(bench: Bench, population: Disturbance, realization: int) -> Motion:
+    """Draw a realization, which depends on the study, the population and its number only."""
+    study = bench.study
+    streams = sampling_plan(bench.text).of(realization)
+    return draw_case(study.disturbance, population, bench.layout, study.study.seed, realization, streams)

@@ -1,0 +1,237 @@
+"""What a store of the workflow ``segment-disturbance`` holds: names, dimensions, units."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.workflows.contract import Template, Variable
+from wavequake.workflows.engine.chunk_size import stored_bytes
+from wavequake.workflows.segments.bench import Bench, bench_of, in_basis
+from wavequake.workflows.segments.images import image_axis
+from wavequake.workflows.segments.segment_study import SegmentStudy
+
+IMAGED = ("exposure", "ee50", "ee80")
+# What the modal model does not know.
+TRACED_ONLY = ("wfe_pv", "spot_rms", "strehl", "rayleigh", "vignetted", *IMAGED)
+
+
+def template(study_text: str) -> Template:
+    """Return what a store of this study holds if it keeps every instant."""
+    bench = bench_of(study_text)
+    found = Template(computed(study_text))
+    instants = max(population.instants for population in bench.study.disturbance)
+    motion = instants * len(bench.system.segments) * 6 * 8  # of all cases of a chunk at the same time
+    return replace(found, fixed=_fixed(bench), working_bytes=stored_bytes(found) + motion)
+
+
+@lru_cache(maxsize=2)
+def computed(study_text: str) -> dict[str, Variable]:
+    """Return what is computed of each case, over all of its instants."""
+    variables = traced(study_text)
+    if bench_of(study_text).study.optics.method == "standard":
+        return variables
+    return {name: one for name, one in variables.items() if name not in TRACED_ONLY} | _modal()
+
+
+@lru_cache(maxsize=2)
+def traced(study_text: str) -> dict[str, Variable]:
+    """Return what full traces, and images if the study wants them, tell of each case."""
+    bench = bench_of(study_text)
+    variables = _variables(bench)
+    imaging = bench.study.imaging.enabled
+    return {name: variable for name, variable in variables.items() if imaging or name not in IMAGED}
+
+
+def _modal() -> dict[str, Variable]:
+    """Return what tells of the modal model's error."""
+    largest = "largest {} of the modal model, where the case was traced to measure it"
+    errors = {
+        "wfe_rms_raw": ("nm", largest.format("error over the instants of the wfe_rms_raw")),
+        "wfe_rms": ("nm", largest.format("error over the instants of the wfe_rms")),
+        "zernike": ("nm", largest.format("error over instants and terms of the zernike")),
+        "los": ("mas", largest.format("error over the instants of the los")),
+        "centroid": ("mas", largest.format("error over the instants of the centroid")),
+    }
+    return {
+        "traced": Variable(
+            (),
+            (),
+            {
+                "units": "1",
+                "long_name": "0: numbers of the modal model; 1: of the modal model, and traced in full to "
+                "measure its error; 2: of full traces, as the motion is beyond the model's range",
+            },
+            dtype="int8",
+        ),
+        "modal_bound": Variable(
+            (),
+            (),
+            {
+                "units": "nm",
+                "long_name": "bound of the rms over the rays of the second order that the modal model leaves "
+                "out; inf where rays may cross the edge of a segment",
+            },
+        ),
+        **{
+            f"modal_error_{name}": Variable((), (), {"units": unit, "long_name": words})
+            for name, (unit, words) in errors.items()
+        },
+    }
+
+
+def _variables(bench: Bench) -> dict[str, Variable]:
+    study = bench.study
+    instants = max(population.instants for population in study.disturbance)
+    terms, pixels = study.wavefront.zernike_terms, study.imaging.pixels
+    over_time = ("time",)
+
+    def variable(
+        dims: tuple[str, ...], shape: tuple[int, ...], units: str, long_name: str, **more: str
+    ) -> Variable:
+        return Variable(dims, shape, {"units": units, "long_name": long_name, **more})
+
+    per_case = {
+        "time_s": Variable(
+            over_time,
+            (instants,),
+            {"units": "s", "long_name": "time of the instant; NaN beyond the population's instants"},
+            coordinate=True,
+        ),
+        "wfe_rms": variable(
+            over_time,
+            (instants,),
+            "nm",
+            "wavefront error rms of the fitted Zernikes j >= 4 (piston and tilt removed)",
+        ),
+        "wfe_rms_raw": variable(
+            over_time, (instants,), "nm", "wavefront error rms over the rays on glass, piston removed"
+        ),
+        "wfe_pv": variable(
+            over_time,
+            (instants,),
+            "nm",
+            "peak to valley of the wavefront over the rays on glass about their best-fit plane",
+        ),
+        "zernike": replace(
+            variable(("time", "noll"), (instants, terms), "nm", _coefficients(study), **_over_annulus(bench)),
+            unknown=int(study.wavefront.method == "slopes"),
+        ),
+        "los": variable(
+            ("time", "axis"),
+            (instants, 2),
+            "mas",
+            "line of sight of the best-fit plane relative to rest "
+            "(Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2))",
+        ),
+        "centroid": variable(
+            ("time", "axis"), (instants, 2), "mas", "geometric centroid of the rays, relative to rest"
+        ),
+        "spot_rms": variable(
+            over_time, (instants,), "mas", "rms distance of the rays' image points from their centroid"
+        ),
+        "strehl": variable(
+            over_time, (instants,), "1", "Strehl ratio in the direction of the best-fit plane"
+        ),
+        "segment_piston_rms": variable(
+            over_time, (instants,), "nm", "rms over segments of the displacement along their normals"
+        ),
+        "rayleigh": variable(
+            (),
+            (),
+            "1",
+            "share of instants with a peak to valley of at most lambda/4 (Störkle 2018, Eq. 3.54)",
+        ),
+        "marechal": variable(
+            (),
+            (),
+            "1",
+            "share of instants with an rms over the rays on glass, piston and tilt removed, of at most "
+            "lambda/14 (Störkle 2018, Eq. 3.55)",
+        ),
+        "vignetted": variable(
+            (), (), "1", "largest number of rays at an instant that miss the clear part of a mirror after M1"
+        ),
+        "ee50": variable(
+            (), (), "lambda/D", "radius of 50 % encircled energy of the exposure; inf beyond the frame"
+        ),
+        "ee80": variable(
+            (), (), "lambda/D", "radius of 80 % encircled energy of the exposure; inf beyond the frame"
+        ),
+        "exposure": variable(
+            ("y", "x"),
+            (pixels, pixels),
+            "1",
+            "mean of the instants' point spread functions; 1 = peak of the perfect one",
+        ),
+    }
+    if "segment_motion" in study.store.keep:
+        shape = (instants, len(bench.system.segments), 6)
+        per_case["segment_motion"] = variable(
+            ("time", "segment", "dof"),
+            shape,
+            "m, rad",
+            "rigid motion in the segment's local frame (dz to the sky)",
+        )
+    return per_case
+
+
+def _fixed(bench: Bench) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]]:
+    axis = image_axis(bench)
+    wavelength = bench.study.optics.wavelength_nm
+    fixed: dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]] = {
+        "noll": (
+            ("noll",),
+            np.arange(1, bench.study.wavefront.zernike_terms + 1),
+            {"long_name": "Noll index"},
+        ),
+        "axis": (("axis",), np.array(["x", "y"], dtype=object), {"long_name": "axis of the image plane"}),
+        "zernike_static": (
+            ("noll",),
+            in_basis(bench, bench.static.zernike[0]) * wavelength,
+            {
+                "units": "nm",
+                "long_name": "Zernike coefficients at rest (a_0 of Störkle 2018, Eq. 3.41)",
+                **_over_annulus(bench),
+            },
+        ),
+    }
+    if bench.study.imaging.enabled:
+        for name in ("y", "x"):
+            fixed[name] = ((name,), axis, {"units": "lambda/D", "long_name": f"image {name}"})
+    if "segment_motion" in bench.study.store.keep:
+        fixed["segment"] = (
+            ("segment",),
+            np.array(bench.system.segments.names, dtype=object),
+            {"long_name": "segment"},
+        )
+        fixed["dof"] = (
+            ("dof",),
+            np.array(["dx", "dy", "dz", "rx", "ry", "rz"], dtype=object),
+            {"long_name": "motion"},
+        )
+    return fixed
+
+
+def _over_annulus(bench: Bench) -> dict[str, str]:
+    """Return over which annulus the polynomials of the stored coefficients are orthogonal, as a label."""
+    inner = bench.prepared.obscuration if bench.study.wavefront.basis == "annular" else 0.0
+    return {"obscuration": repr(float(inner))}
+
+
+def _coefficients(study: SegmentStudy) -> str:
+    """Say what the stored Zernike coefficients are."""
+    wavefront = study.wavefront
+    basis = {
+        "annular": "annular Noll Zernike coefficients, total",
+        "circular": "equivalent circular Noll Zernike coefficients (Störkle 2018, Eq. 3.53), total",
+    }[wavefront.basis]
+    return basis + wavefront_source(wavefront.method, wavefront.reference)
+
+
+def wavefront_source(method: str, reference: str) -> str:
+    """Say what coefficients are from and about, where it is not the path lengths about the chief ray."""
+    slopes = ", from the slopes of the rays (Störkle 2018, Eq. 4.20), which do not know piston"
+    fitted = ", about the best-fit sphere's image point (Störkle 2018, section 3.3.3)"
+    return slopes * (method == "slopes") + fitted * (reference == "fitted")

@@ -1,0 +1,1 @@
+"""Quantiles and goals over the cases of a store, by blocks."""

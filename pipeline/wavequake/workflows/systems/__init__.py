@@ -1,0 +1,1 @@
+"""Workflows of any optical system whose surfaces move and deform."""

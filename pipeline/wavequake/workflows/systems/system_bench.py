@@ -1,0 +1,324 @@
+"""What a system-disturbance study prepares once per process: the system, its bodies, rays, fits, and rest."""
+
+import difflib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from wavequake.errors import UserError
+from wavequake.kernels.devices import NUMPY
+from wavequake.kernels.sequence import DIVERGED, MISS, OK, TOTAL_REFLECTION, VIGNETTED
+from wavequake.kernels.sequential import trace_sequence
+from wavequake.mechanics.element_motion import ElementMotion, figure_grids, figure_terms, single_parts
+from wavequake.optics.bodies import (
+    Body,
+    beam_extents,
+    beam_radii,
+    rigid_body,
+    surface_index,
+    with_bodies,
+)
+from wavequake.optics.pupils import sunflower
+from wavequake.optics.ray_aiming import LOSSES
+from wavequake.optics.shapes import GridDeformation, ZernikeDeformation
+from wavequake.optics.system import OpticalSystem, SystemStates
+from wavequake.optics.system_file import build
+from wavequake.optics.system_kinematics import rest_states
+from wavequake.optics.system_wavefront import (
+    PreparedSystem,
+    SystemWavefront,
+    incoming_light,
+    measure_system,
+    prepare_system,
+    with_fitted_sphere,
+    with_slopes,
+)
+from wavequake.workflows.schema import study_from_identity
+from wavequake.workflows.systems.system_study import SystemStudy
+
+Array = NDArray[np.float64]
+
+MM_PER_M = 1e3
+NM_PER_MM = 1e6
+_WHY = {
+    MISS: "they miss it",
+    TOTAL_REFLECTION: "they are totally reflected there",
+    DIVERGED: "it folds over",
+}
+
+
+@dataclass(frozen=True)
+class SystemBench:
+    """Everything of a study that does not change from case to case.
+
+    ``text`` is the study's identity text; ``prepared`` and ``static`` hold, per field and wavelength in that
+    order, what the trace takes and the wavefront at rest (one instant).
+    """
+
+    text: str
+    study: SystemStudy
+    system: OpticalSystem
+    bodies: tuple[Body, ...]
+    prepared: tuple[tuple[PreparedSystem, ...], ...]
+    static: tuple[tuple[SystemWavefront, ...], ...]
+
+
+@lru_cache(maxsize=2)
+def system_bench(study_text: str) -> SystemBench:
+    """Prepare the study with this identity text.
+
+    One BLAS thread, so that its bits do not depend on where it is prepared.
+
+    Raises
+    ------
+    UserError
+        If the system, its bodies or what its disturbances name is not as it must be, or light is lost at rest
+        other than at openings.
+    """
+    study = study_from_identity(SystemStudy, study_text)
+    with threadpool_limits(1):
+        system = build(study.system)
+        bodies = tuple(rigid_body(system, one.name, one.surfaces, one.about_mm) for one in study.body)
+        _require_elements(study, system)
+        system = _deformable(study, system)
+        prepared = tuple(
+            tuple(_as_asked(study, one) for one in row)
+            for row in prepared_fields(study, system, range(len(system.wavelengths)))
+        )
+        rest = rest_states(system)
+        static = tuple(tuple(measure_system(one, rest, NUMPY) for one in row) for row in prepared)
+        for row, found in zip(prepared, static, strict=True):
+            for one, wavefront in zip(row, found, strict=True):
+                _require_light(one, wavefront, rest)
+    return SystemBench(study_text, study, system, bodies, prepared, static)
+
+
+def prepared_fields(
+    study: SystemStudy, system: OpticalSystem, wavelengths: Iterable[int]
+) -> tuple[tuple[PreparedSystem, ...], ...]:
+    """Return what the trace takes, per field and chosen wavelength: path lengths about the chief ray.
+
+    One program traces all populations, whichever bodies they turn: compiling takes longer than tracing does.
+    """
+    pupil, terms = sunflower(system.pupil.obscuration, 1.0, study.optics.rays), study.wavefront.zernike_terms
+    chosen = [float(system.wavelengths[index]) for index in wavelengths]
+    return tuple(
+        tuple(
+            _turning(prepare_system(system, pupil.x, pupil.y, pupil.weight, terms, field, wavelength))
+            for wavelength in chosen
+        )
+        for field in range(len(system.fields))
+    )
+
+
+def _turning(prepared: PreparedSystem) -> PreparedSystem:
+    """Return what is prepared with the program for elements that turn."""
+    return replace(prepared, sequence=replace(prepared.sequence, turning=True))
+
+
+def _as_asked(study: SystemStudy, prepared: PreparedSystem) -> PreparedSystem:
+    """Return what is prepared with slopes or the sphere that the study asks for."""
+    if study.wavefront.method == "slopes":
+        return with_slopes(prepared)
+    return with_fitted_sphere(prepared) if study.wavefront.reference == "fitted" else prepared
+
+
+def element_names(study: SystemStudy, system: OpticalSystem) -> tuple[str, ...]:
+    """Return the names that a disturbance may move: those of all bodies and surfaces."""
+    return (*(body.name for body in study.body), *(surface.name for surface in system.surfaces))
+
+
+def _require_elements(study: SystemStudy, system: OpticalSystem) -> None:
+    names = element_names(study, system)
+    for body in study.body:
+        if names.count(body.name) > 1:
+            raise UserError(
+                f"The body {body.name!r} is called as a surface of {system.name} is; it needs another name."
+            )
+    for population in study.disturbance:
+        for part in single_parts(study.disturbance, population):
+            for name in getattr(part, "of", ()):
+                if name not in names:
+                    near = difflib.get_close_matches(name, names, n=1)
+                    hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names)}."
+                    raise UserError(
+                        f"The disturbance {part.name!r} acts on {name!r}, but {system.name} has no such "
+                        f"surface or body; {hint}"
+                    )
+                if names.count(name) > 1:
+                    raise UserError(
+                        f"The disturbance {part.name!r} acts on {name!r}, but {system.name} has "
+                        f"{names.count(name)} surfaces of that name; give each a comment of its own in the "
+                        "lens file."
+                    )
+                deforms = {*figure_terms(part), *figure_grids(part)}
+                if name in deforms and name in (body.name for body in study.body):
+                    raise UserError(
+                        f"The disturbance {part.name!r} deforms the body {name!r}; only a surface deforms."
+                    )
+
+
+def _deformable(study: SystemStudy, system: OpticalSystem) -> OpticalSystem:
+    """Return the system whose surfaces can deform as far as the disturbances ask for it."""
+    terms: dict[int, int] = {}
+    grids: dict[int, GridDeformation] = {}
+    for population in study.disturbance:
+        for part in single_parts(study.disturbance, population):
+            for name, count in figure_terms(part).items():
+                index = surface_index(system, name)
+                terms[index] = max(terms.get(index, 0), count)
+            for name, given in figure_grids(part).items():
+                index, (_, rows, columns) = surface_index(system, name), given.heights.shape
+                grid = GridDeformation(rows, columns, *given.spacing_mm)
+                if grids.setdefault(index, grid) != grid:
+                    raise UserError(
+                        f"The disturbance {part.name!r} deforms {name!r} on another grid than one before; "
+                        "give all heights of a surface on the same grid."
+                    )
+    _require_cover(system, grids)
+    return deformable(system, dict.fromkeys(grids, 1) | terms, grids)
+
+
+def _require_cover(system: OpticalSystem, grids: Mapping[int, GridDeformation]) -> None:
+    """Raise UserError if a beam at rest reaches beyond a grid, where heights would go on as constants."""
+    for (index, grid), reach in zip(grids.items(), beam_extents(system, list(grids)), strict=True):
+        half = np.array([grid.dx * (grid.columns - 1), grid.dy * (grid.rows - 1)]) / 2.0
+        opening = system.surfaces[index].opening
+        if opening is not None and not opening.corners:
+            reach = np.minimum(reach, opening.outer + np.abs(opening.center))
+        if (reach > half * (1.0 + 1e-9)).any():
+            raise UserError(
+                f"The grid of heights of {system.surfaces[index].name!r} reaches to x = {half[0]:.6g} and "
+                f"y = {half[1]:.6g} mm, the beams of all fields to {reach[0]:.6g} and {reach[1]:.6g} mm; "
+                "it must cover them."
+            )
+
+
+def deformable(
+    system: OpticalSystem, terms: Mapping[int, int], grids: Mapping[int, GridDeformation] | None = None
+) -> OpticalSystem:
+    """Return the system in which surfaces, by index, can deform by at least so many Noll terms, and on grids.
+
+    A surface that could not deform before does so over its semi-diameter, or else over what the beams of all
+    fields fill.
+    """
+    grids = grids or {}
+    edges = {
+        index: opening.outer + float(np.hypot(*opening.center))
+        for index in terms
+        if (opening := system.surfaces[index].opening) is not None and np.isfinite(opening.outer)
+    }
+    able = {i for i in terms if isinstance(system.surfaces[i].deformation, ZernikeDeformation)}
+    bare = [index for index in terms if index not in edges and index not in able]
+    edges |= dict(zip(bare, map(float, beam_radii(system, bare)), strict=True))
+    surfaces = list(system.surfaces)
+    for index, count in terms.items():
+        form = surfaces[index].deformation
+        if isinstance(form, ZernikeDeformation):
+            form = replace(form, terms=max(count, form.terms))
+        else:
+            form = ZernikeDeformation(count, edges[index])
+        form = replace(form, residual=grids.get(index, form.residual))
+        surfaces[index] = replace(surfaces[index], deformation=form)
+    return replace(system, surfaces=tuple(surfaces))
+
+
+def field_name(system: OpticalSystem, field: int) -> str:
+    """Return a field point in words, such as ``(0, 10) deg``."""
+    x, y = system.fields[field]
+    if np.isinf(system.object_distance):
+        return f"({np.rad2deg(x) + 0.0:.5g}, {np.rad2deg(y) + 0.0:.5g}) deg"
+    return f"({x:.5g}, {y:.5g}) mm"
+
+
+def light_of(prepared: PreparedSystem) -> str:
+    """Return field and wavelength of what is prepared, in words."""
+    field = field_name(prepared.system, prepared.field)
+    return f"field {field} at {prepared.wavelength * NM_PER_MM:.6g} nm"
+
+
+def _require_light(prepared: PreparedSystem, wavefront: SystemWavefront, rest: SystemStates) -> None:
+    """Raise UserError if light is lost at rest other than at openings, or too little arrives."""
+    if wavefront.lost[0] > wavefront.vignetted[0]:
+        raise UserError(f"At rest {lost_light(prepared, rest, 0)}; make the pupil or the field smaller.")
+    trouble = failure(prepared, wavefront, rest)
+    if trouble:
+        raise UserError(f"At rest {trouble[1]}.")
+
+
+def failure(
+    prepared: PreparedSystem, wavefront: SystemWavefront, states: SystemStates
+) -> tuple[int, str] | None:
+    """Return the first instant that has no wavefront, and why; None if all have one."""
+    known = np.isfinite(wavefront.zernike[:, 1:]).all(axis=1)  # slopes do not know piston
+    bad = ~(np.isfinite(wavefront.chief).all(axis=1) & known)
+    if not bad.any():
+        return None
+    instant = int(np.argmax(bad))
+    if not np.isfinite(wavefront.chief[instant]).all():
+        return instant, _lost_chief(prepared, states, instant)
+    return instant, lost_light(prepared, states, instant)
+
+
+def _lost_chief(prepared: PreparedSystem, states: SystemStates, instant: int) -> str:
+    """Say where the chief ray is lost at an instant, and why."""
+    light = incoming_light(prepared, at_instant(states, instant))
+    traced = trace_sequence(prepared.sequence, prepared.chief, light, NUMPY, ignore_apertures=True)
+    why = LOSSES.get(int(traced.status[0, 0]))
+    if why is None:
+        return f"the chief ray of {light_of(prepared)} misses the reference sphere"
+    name = prepared.system.surfaces[int(traced.surface[0, 0])].name
+    return f"the chief ray of {light_of(prepared)} is lost at {name}, {why}"
+
+
+def lost_light(prepared: PreparedSystem, states: SystemStates, instant: int) -> str:
+    """Say how many rays are lost at an instant, where most of them, and why."""
+    one = at_instant(states, instant)
+    traced = trace_sequence(prepared.sequence, prepared.rays, incoming_light(prepared, one), NUMPY)
+    status, surface = traced.status[0], traced.surface[0]
+    reasons = [reason for reason in (*_WHY, VIGNETTED) if (status == reason).any()]
+    if not reasons:
+        return f"rays of {light_of(prepared)} miss the reference sphere"
+    worst = int(np.bincount(surface[status == reasons[0]]).argmax())
+    why = _WHY.get(reasons[0], "its opening stops them")
+    return (
+        f"{np.count_nonzero(status != OK)} of {len(status)} rays of {light_of(prepared)} are lost, "
+        f"at {prepared.system.surfaces[worst].name}: {why}"
+    )
+
+
+def at_instant(states: SystemStates, instant: int) -> SystemStates:
+    """Return the states of one instant alone."""
+    part = slice(instant, instant + 1)
+    return SystemStates(
+        states.surface_motion[part],
+        tuple(None if form is None else form[part] for form in states.deformations),
+        states.line_of_sight[part],
+    )
+
+
+def system_states(bench: SystemBench, drawn: ElementMotion) -> SystemStates:
+    """Convert a case's motion from SI to the optics (mm), body by body and surface by surface."""
+    system = bench.system
+    states = rest_states(system, len(drawn.sight))
+    for index, surface in enumerate(system.surfaces):
+        if surface.name in drawn.rigid:
+            states.surface_motion[:, index] = _in_mm(drawn.rigid[surface.name])
+        figure, form = drawn.figure.get(surface.name), states.deformations[index]
+        if figure is not None and form is not None:
+            form[:, : figure.shape[-1]] = figure * MM_PER_M
+        heights = drawn.grid.get(surface.name)
+        if heights is not None and form is not None:
+            form[:, -heights[0].size :] = heights.reshape(len(heights), -1) * MM_PER_M
+    carried = [(body, _in_mm(drawn.rigid[body.name])) for body in bench.bodies if body.name in drawn.rigid]
+    return SystemStates(with_bodies(system, states.surface_motion, carried), states.deformations, drawn.sight)
+
+
+def _in_mm(motion: Array) -> Array:
+    scaled = motion.copy()
+    scaled[:, :3] *= MM_PER_M
+    return scaled

@@ -1,0 +1,132 @@
+"""What a system-disturbance study measures of a case: the numbers of its wavefronts at all instants."""
+
+from dataclasses import fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.kernels.devices import Device
+from wavequake.kernels.sequence import Moving
+from wavequake.kernels.sequential_numpy import moving_part
+from wavequake.kernels.tiles import TILE
+from wavequake.mechanics.element_motion import ElementMotion
+from wavequake.optics.packing import moving
+from wavequake.optics.quality import meets_marechal, meets_rayleigh
+from wavequake.optics.system_wavefront import (
+    PreparedSystem,
+    SystemWavefront,
+    analyse_system,
+    incoming_lights,
+    trace_lights,
+)
+from wavequake.optics.zernike_transforms import known_transformed
+from wavequake.workflows.stopwatch import Stopwatch
+from wavequake.workflows.systems.system_bench import NM_PER_MM, SystemBench, failure, system_states
+
+Array = NDArray[np.float64]
+
+# Rays of all instants that are traced together; of each there are a dozen numbers.
+_RAYS = 1 << 22
+
+
+def measured(
+    bench: SystemBench, time: Array, drawn: ElementMotion, device: Device
+) -> tuple[dict[str, Array], str]:
+    """Return the numbers of a case by name, ([time], field, wavelength, ...); or none, and why."""
+    return measured_cases(bench, [(time, drawn)], device, Stopwatch())[0]
+
+
+def measured_cases(
+    bench: SystemBench, motions: list[tuple[Array, ElementMotion]], device: Device, clock: Stopwatch
+) -> list[tuple[dict[str, Array], str]]:
+    """Return what `measured` does for each of several cases, their times and motions."""
+    states = [system_states(bench, drawn) for _, drawn in motions]
+    lights = [moving(bench.system, one, device=device) for one in states]
+    found: list[dict[str, list[Array]]] = [{} for _ in motions]
+    messages = [""] * len(motions)
+    for row, still in zip(bench.prepared, bench.static, strict=True):
+        for prepared, rest in zip(row, still, strict=True):
+            with clock("aim"):
+                incoming = incoming_lights(prepared, states, lights)
+                pieces = [_pieces(prepared, light) for light in incoming]
+                traces = trace_lights(prepared, [one for case in pieces for one in case], device)
+            for case, (time, _) in enumerate(motions):
+                parts = []
+                for _ in pieces[case]:
+                    with clock("trace"):
+                        traced = next(traces)
+                    with clock("wavefront"):
+                        parts.append(analyse_system(prepared, *traced, device))
+                wavefront = _joined(parts)
+                trouble = failure(prepared, wavefront, states[case])
+                if trouble:
+                    messages[case] = messages[case] or f"at t = {time[trouble[0]]:.4g} s {trouble[1]}"
+                    continue
+                numbers = wavefront_numbers(prepared, wavefront, rest, bench.study.wavefront.basis)
+                for name, values in numbers.items():
+                    found[case].setdefault(name, []).append(values)
+    return [
+        ({}, message)
+        if message
+        else ({"time_s": time} | {name: shaped(bench, values) for name, values in numbers.items()}, "")
+        for (time, _), numbers, message in zip(motions, found, messages, strict=True)
+    ]
+
+
+def _pieces(prepared: PreparedSystem, light: Moving) -> list[Moving]:
+    """Return what moves in a case in pieces of so many instants as are traced together."""
+    count, most = len(light.poses), max(_RAYS // len(prepared.pupil) // TILE, 1) * TILE
+    if count <= most:
+        return [light]
+    return [moving_part(light, slice(first, first + most)) for first in range(0, count, most)]
+
+
+def _joined(parts: list[SystemWavefront]) -> SystemWavefront:
+    """Return the wavefronts of the pieces of a case, one after the other."""
+    if len(parts) == 1:
+        return parts[0]
+    names = [one.name for one in fields(SystemWavefront)]
+    return SystemWavefront(**{name: np.concatenate([getattr(one, name) for one in parts]) for name in names})
+
+
+def worst_instant(bench: SystemBench, time: Array, drawn: ElementMotion, device: Device) -> int:
+    """Return the instant at which the wavefront at the primary wavelength changes most at any field point."""
+    found, trouble = measured(bench, time, drawn, device)
+    if trouble:
+        return 0
+    change = found["wfe_change"][:, :, bench.system.primary_wavelength]
+    return int(change.max(axis=1).argmax())
+
+
+def shaped(bench: SystemBench, values: list[Array]) -> Array:
+    """Return ([time], field, wavelength, ...) from one array ([time], ...) per field and wavelength."""
+    grid = (len(bench.prepared), len(bench.prepared[0]))
+    if not np.ndim(values[0]):
+        return np.array(values).reshape(grid)
+    stacked = np.stack(values, axis=1)
+    return stacked.reshape(len(stacked), *grid, *stacked.shape[2:])
+
+
+def wavefront_numbers(
+    prepared: PreparedSystem, wavefront: SystemWavefront, rest: SystemWavefront, basis: str
+) -> dict[str, Array]:
+    """Return what is stored of the wavefronts of a case, in the store's units; `rest` is the one at rest."""
+    to_nm = prepared.wavelength * NM_PER_MM
+    coefficients = wavefront.zernike
+    if basis == "circular":
+        coefficients = known_transformed(coefficients, prepared.system.pupil.obscuration, 0.0)
+    return {
+        "wfe_rms": wavefront.rms * to_nm,
+        "wfe_change": np.sqrt(np.sum((wavefront.zernike - rest.zernike)[:, 3:] ** 2, axis=1)) * to_nm,
+        "wfe_rms_raw": wavefront.rms_raw * to_nm,
+        "wfe_pv": wavefront.pv * to_nm,
+        "zernike": coefficients * to_nm,
+        "los_mm": wavefront.los - rest.los,
+        "centroid_mm": wavefront.centroid - rest.centroid,
+        "spot_rms": wavefront.spot_rms * 1e3,
+        "strehl": wavefront.strehl,
+        "rayleigh": np.mean(meets_rayleigh(wavefront.pv)),
+        "marechal": np.mean(meets_marechal(wavefront.rms_flat)),
+        "vignetted": np.asarray(wavefront.vignetted.max(), dtype=np.float64),
+        "lost": np.asarray(wavefront.lost.max(), dtype=np.float64),
+    }

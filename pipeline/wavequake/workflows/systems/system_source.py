@@ -1,0 +1,79 @@
+"""An optical system wherever it comes from: a bundled one, a Zemax lens file, a study."""
+
+import difflib
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wavequake.errors import UserError
+from wavequake.optics.catalog import optical_system, system_names
+from wavequake.optics.parent import parent_system
+from wavequake.optics.system import OpticalSystem
+from wavequake.optics.system_file import build
+from wavequake.optics.zemax_import import read_zmx
+from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
+from wavequake.workflows.exposures.telescope_control import segment_text
+from wavequake.workflows.segments.bench import bench_of
+from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.sensitivity_source import TELESCOPES, sensitivity_study
+from wavequake.workflows.study import bundled_studies, load_study, split_overrides
+from wavequake.workflows.systems.system_study import SystemStudy
+
+MM_PER_NM = 1e-6
+
+
+def load_system(source: str | Path, overrides: Mapping[str, Any] | Iterable[str] = ()) -> OpticalSystem:
+    """Return an optical system by the name of a bundled one or a telescope, a lens file, or a study.
+
+    Parameters
+    ----------
+    source : str or Path
+        ``double-gauss``, ``tmt-18``, ``lens.zmx``, ``my/study.toml`` or the name of a bundled study; a
+        bundled system goes before a study of the same name. A segmented telescope is that with an M1 in one
+        piece.
+    overrides : mapping or iterable of ``"section.key=value"``
+        Of a study or a telescope that is no bundled system, as `wavequake.load_study` takes them.
+
+    Raises
+    ------
+    UserError
+        If there is no such thing, it cannot be read, or its workflow has no optical system.
+    """
+    if not isinstance(source, str | Path):
+        raise UserError(f"An optical system is loaded by name or path, not by {type(source).__name__}.")
+    name, keys = str(source), dict(split_overrides(overrides))
+    is_file, is_system = name.lower().endswith(".zmx"), name in system_names()
+    is_study = name in bundled_studies() or name.endswith(".toml") or Path(name).is_file()
+    if is_file or (is_system and not (keys and is_study)):
+        if keys:
+            raise UserError(f"{name} is no study, so it has no keys to set, such as {next(iter(keys))!r}.")
+        return read_zmx(name) if is_file else optical_system(name)
+    is_telescope = name in TELESCOPES
+    if not (is_study or is_telescope):
+        known = _names()
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f": did you mean {near[0]!r}?" if near else "."
+        raise UserError(
+            f"There is no optical system {name!r}{hint} Bundled ones are {', '.join(known)}; "
+            "a system of your own is a .zmx or .toml file."
+        )
+    study = sensitivity_study(name, keys) if is_telescope else load_study(source, keys)
+    if isinstance(study, SystemStudy):
+        return build(study.system)
+    if isinstance(study, SegmentStudy):
+        text = study.identity_text()
+        bench = bench_of(segment_text(text) if isinstance(study, TelescopeExposureStudy) else text)
+        wavelength = study.optics.wavelength_nm * MM_PER_NM
+        return replace(
+            parent_system(bench.system), fields=bench.field[None, :], wavelengths=np.array([wavelength])
+        )
+    raise UserError(f"The workflow {study.study.workflow} of {name} has no optical system to describe.")
+
+
+def _names() -> tuple[str, ...]:
+    """Return all bundled names that `load_system` takes."""
+    studies = (name for name in bundled_studies() if isinstance(load_study(name), SystemStudy | SegmentStudy))
+    return tuple(dict.fromkeys((*system_names(), *TELESCOPES, *studies)))

@@ -1,0 +1,178 @@
+"""Study files of the workflow "system-disturbance": any optical system, and what moves its surfaces."""
+
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from pydantic import BaseModel, Field, field_validator, model_validator
+
+from wavequake.errors import UserError
+from wavequake.mechanics.disturbances import Combine
+from wavequake.mechanics.element_history import SurfaceHistory, own_axis
+from wavequake.mechanics.element_motion import ElementDisturbance, instants_of, single_parts
+from wavequake.mechanics.line_of_sight import LineOfSight
+from wavequake.mechanics.vibration_lines import VibrationLines
+from wavequake.optics.system_file import SystemSection, embed_file
+from wavequake.optics.zernike import MOST_TERMS
+from wavequake.workflows.sampling import SampledCampaignSection, whole_sets
+from wavequake.workflows.schema import Section, Study, base64_of, text_of
+from wavequake.workflows.segments.segment_study import require_path_lengths
+
+
+class BodySection(Section):
+    """Surfaces that move as one rigid body, such as the two faces of a lens."""
+
+    name: str = Field(min_length=1, description="by which disturbances address it")
+    surfaces: tuple[str, ...] = Field(
+        min_length=1, strict=False, description="names; the first one's axes at rest are those of the body"
+    )
+    about_mm: tuple[float, float, float] | None = Field(
+        default=None,
+        strict=False,
+        description="where it turns, x, y, z of the system; default: the middle between its first and last "
+        "vertex",
+    )
+
+
+class SystemOpticsSection(Section):
+    """Rays per field point and wavelength, spread evenly over the pupil."""
+
+    rays: int = Field(default=500, ge=10, le=1_000_000)
+
+
+class SystemWavefrontSection(Section):
+    """What is fitted to the wavefronts, and to what of them."""
+
+    zernike_terms: int = Field(
+        default=28,
+        ge=4,
+        le=MOST_TERMS,
+        description="by Noll index; annular where the pupil is obscured; needs 2 to 5 rays per term",
+    )
+    method: Literal["opd", "slopes"] = Field(
+        default="opd",
+        description="coefficients and line of sight from path lengths, or from ray slopes alone "
+        "(Störkle 2018, Eq. 4.20), which do not know piston; they agree as far as zernike_terms describe the "
+        "wavefront",
+    )
+    basis: Literal["annular", "circular"] = Field(
+        default="annular",
+        description="of the stored coefficients where the pupil is obscured; circular ones are equivalent "
+        "(Eq. 3.53), but the sum of their squares is not the rms over the annulus, which stays that of the "
+        "annular ones",
+    )
+    reference: Literal["chief", "fitted"] = Field(
+        default="chief",
+        description="center of the reference sphere in the image: where the chief ray through the center of "
+        "the stop arrives, or that of the sphere that fits the wavefront best (section 3.3.3; needs method "
+        "opd)",
+    )
+
+    @model_validator(mode="after")
+    def _slopes_have_no_sphere(self) -> "SystemWavefrontSection":
+        require_path_lengths(self.method, self.reference)
+        return self
+
+
+class SystemStudy(Study):
+    """A validated study file."""
+
+    campaign: SampledCampaignSection = SampledCampaignSection()
+    system: SystemSection
+    body: tuple[BodySection, ...] = Field(default=(), strict=False)
+    disturbance: tuple[ElementDisturbance, ...] = Field(min_length=1, strict=False)
+    optics: SystemOpticsSection = SystemOpticsSection()
+    wavefront: SystemWavefrontSection = SystemWavefrontSection()
+
+    @field_validator("disturbance")
+    @classmethod
+    def _populations_are_sound(cls, value: tuple[Any, ...]) -> tuple[Any, ...]:
+        names = [entry.name for entry in value]
+        for entry in value:
+            if names.count(entry.name) > 1:
+                raise ValueError(f"two disturbances are called {entry.name!r}; each needs a name of its own")
+            chosen = getattr(entry, "of", ())
+            twice = next((name for name in chosen if chosen.count(name) > 1), None)
+            if twice is not None:
+                raise ValueError(f"{entry.name!r} names {twice!r} twice; name it once")
+            if entry.model == "combine":
+                unknown = next((name for name in chosen if name not in names or name == entry.name), None)
+                if unknown is not None:
+                    raise ValueError(
+                        f"{entry.name!r} combines {unknown!r}, which is not another disturbance of this study"
+                    )
+            if isinstance(entry, LineOfSight | VibrationLines) and entry.act != "mount":
+                raise ValueError(
+                    f"{entry.name!r} acts on {entry.act}, which belongs to segmented telescopes; a mirror is "
+                    'tilted by the model "surface-vibration"'
+                )
+        if not any(entry.share for entry in value):
+            raise ValueError("every disturbance has share 0, so there is nothing to run")
+        return tuple(_with_own_axis(value, entry) for entry in value)
+
+    @model_validator(mode="after")
+    def _bodies_have_names_of_their_own(self) -> "SystemStudy":
+        names = [body.name for body in self.body] + [surface.name for surface in self.system.surface]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise ValueError(f"two bodies or surfaces are called {twice!r}; each needs a name of its own")
+        return self
+
+    @model_validator(mode="after")
+    def _sampling_is_complete(self) -> "SystemStudy":
+        whole_sets(self.campaign, [entry.share for entry in self.disturbance])
+        return self
+
+    @property
+    def repeated(self) -> tuple[str, ...]:
+        """Names of the disturbances that have cases which are all alike: nothing in them is random."""
+        return tuple(entry.name for entry in self.disturbance if entry.share and self._is_given(entry))
+
+    def _is_given(self, entry: ElementDisturbance) -> bool:
+        return all(isinstance(part, SurfaceHistory) for part in single_parts(self.disturbance, entry))
+
+    @property
+    def cases(self) -> int:
+        """Number of cases to run: where nothing is random, each disturbance has one at its share."""
+        shares = [entry.share for entry in self.disturbance if entry.share]
+        if len(self.repeated) < len(shares):
+            return self.campaign.cases
+        return min(self.campaign.cases, sum(shares))
+
+    @property
+    def fewest_instants(self) -> int:
+        """Number of instants of the shortest case."""
+        return min(entry.instants for entry in self.disturbance if entry.share)
+
+    @classmethod
+    def read_files(cls, record: dict[str, Any], base: Path) -> None:
+        """Read the lens file, the spectra of the line of sight, and histories."""
+        if isinstance(record.get("system"), dict):
+            embed_file(record["system"], base)
+        for entry in record.get("disturbance") or ():
+            if isinstance(entry, dict) and isinstance(entry.get("file"), str):
+                key = f"disturbance.{entry.get('name')}.file"
+                if entry.get("model") == "surface-history" and entry["file"].lower().endswith(".npz"):
+                    entry["file_npz"] = base64_of(base / entry["file"], key)
+                else:
+                    entry["file_csv"] = text_of(base / entry["file"], key)
+
+
+def _with_own_axis(entries: tuple[Any, ...], entry: Any) -> Any:
+    """Return a combination that holds a history with the instants of that; all else as it is."""
+    try:
+        if not isinstance(entry, Combine) or not any(
+            isinstance(part, SurfaceHistory) for part in single_parts(entries, entry)
+        ):
+            return entry
+        time = instants_of(entries, entry)
+    except UserError as error:
+        raise ValueError(f"{entry.name!r}: {error}") from None
+    given = {key: getattr(entry, key) for key in entry.model_fields_set}
+    what = f"{entry.name!r} holds a history of {len(time)} rows"
+    return entry.model_copy(update=own_axis(time, given, what))
+
+
+def element_models() -> dict[str, type[BaseModel]]:
+    """Return the parameter models of all disturbances by the name that a study file gives them."""
+    union = get_args(ElementDisturbance)[0]
+    return {model.model_fields["model"].default: model for model in get_args(union)}
