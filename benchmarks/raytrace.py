@@ -170,10 +170,13 @@ def measure(device: Device, terms: int, batoid: bool, console: Console) -> dict[
     numba = numba_tracer(sequence.elements[0].deformation_degree)
     if numba:
         conics = np.array([[1 / M1, 1 + K1], [1 / M2, 1 + K2]])
-        out = np.empty((3, RAYS))
+        out, codes = np.empty((3, RAYS)), np.empty((2, RAYS), np.int8)
         direction = many.direction[:, 0].copy()
         monomials = rest.deformations[0][0]
-        arguments = (conics, rest.poses[0], monomials, OUTER, many.position, direction, *out)
+        _, fixed, limit, _ = packed_elements(sequence, rest, False)
+        limits = (float(np.ravel(limit)[0]), float(np.ravel(fixed)[5]))
+        given = (conics, rest.poses[0], monomials, 1.0 / OUTER, *limits, many.position, direction)
+        arguments = (*given, *out, *codes)
         jobs["numba"], rays["numba"] = lambda: numba(*arguments), RAYS
     else:
         console.print("numba is not installed (pip install numba): that comparison is skipped")
@@ -191,6 +194,8 @@ def measure(device: Device, terms: int, batoid: bool, console: Console) -> dict[
     if numba:
         numba(*arguments)
         worst = max(np.abs(getattr(large, name) - row).max() for name, row in zip(WANTED, out, strict=True))
+        if not worst < 1e-8 or codes[0].any() or (codes[1] != -1).any():
+            raise SystemExit(f"numba's rays differ by up to {worst:.1e} mm; its time says nothing")
         console.print(f"largest difference to numba: {worst:.1e} mm")
     seconds = interleaved(jobs | bound_jobs)
     seconds |= {name: np.array(times[1:]) for name, times in spent.items()} | {"small": np.array(small)}
