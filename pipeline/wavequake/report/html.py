@@ -79,6 +79,7 @@ def write_report(
     path: str | Path,
     analytic: Mapping[str, tuple[float, str]] | None = None,
     more: Sequence[Picture] = (),
+    light: str = "",
 ) -> Path:
     """Write the report of a store to one HTML file, which appears whole or not at all.
 
@@ -95,6 +96,8 @@ def write_report(
         mas, or segments along their normals in nm.
     more : sequence of Picture
         Further figures of all disturbances together.
+    light : str
+        What to say of light that does not arrive.
 
     Returns
     -------
@@ -107,7 +110,7 @@ def write_report(
         If the dataset is not that of a campaign, a detail belongs to no disturbance of it, or the file cannot
         be written.
     """
-    return write_page(render_report(dataset, details, analytic, more), path)
+    return write_page(render_report(dataset, details, analytic, more, light), path)
 
 
 def render_report(
@@ -115,6 +118,7 @@ def render_report(
     details: Sequence[Detail],
     analytic: Mapping[str, tuple[float, str]] | None = None,
     more: Sequence[Picture] = (),
+    light: str = "",
 ) -> str:
     """Return the report as HTML; parameters as for :func:`write_report`."""
     found = populations(dataset)
@@ -127,7 +131,7 @@ def render_report(
     return render_page(
         dataset,
         Page(
-            answer=answer(summaries),
+            answer=f"{answer(summaries)} {light}".rstrip(),
             table=rows(summaries),
             small_print=_SMALL_PRINT + what_is_kept(dataset),
             overview=[*_overview(found), *more],

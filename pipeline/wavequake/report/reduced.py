@@ -21,6 +21,7 @@ from wavequake.report.populations import left_out
 from wavequake.report.statistics import Quantile, case_rms, quantile
 from wavequake.report.system_figures import distributions
 from wavequake.report.table import MISSING, interval, number, share
+from wavequake.report.vignetting import stopped_light
 from wavequake.workflows.contract import DONE
 from wavequake.workflows.engine.store import read_manifest
 from wavequake.workflows.segments.bench import bench_of
@@ -122,8 +123,8 @@ def _per_case(dataset: xr.Dataset, name: str) -> xr.DataArray:
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
-    kept, dataset = what_is_kept(dataset), _loaded(dataset)
-    caption = "\n\n".join([_SMALL_PRINT + kept, *certificate(store, dataset)])
+    kept, light, dataset = what_is_kept(dataset), stopped_light(store, dataset), _loaded(dataset)
+    caption = "\n\n".join([*([light] if light else []), _SMALL_PRINT + kept, *certificate(store, dataset)])
     table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=caption, caption_justify="left")
     table.add_column("disturbance\ncases", overflow="fold")
     table.add_column("")
@@ -195,7 +196,7 @@ def _errors(dataset: xr.Dataset, done: NDArray[np.bool_]) -> dict[str, Array]:
 
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
     """Write the HTML report: the table, distributions over cases, and those of the model's error."""
-    kept, dataset = what_is_kept(dataset), _loaded(dataset)
+    kept, light, dataset = what_is_kept(dataset), stopped_light(store, dataset), _loaded(dataset)
     found = [one for one in reduced_populations(store, dataset) if len(one.wfe)]
     done = dataset["status"].to_numpy() == DONE
     pictures: list[Picture] = []
@@ -219,7 +220,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         label = "largest error of the modal model in a case (nm)"
         pictures.append(picture("modal-error", f"Distribution: {label}", distributions(in_nm, label)))
     page = Page(
-        answer=" ".join([_answer(found), *certificate(store, dataset)]),
+        answer=" ".join([_answer(found), *([light] if light else []), *certificate(store, dataset)]),
         table=[_row(one) for one in found],
         small_print=_SMALL_PRINT + kept,
         overview=[*pictures, *budget.pictures(store)],

@@ -16,6 +16,7 @@ from wavequake.report.histories import what_is_kept
 from wavequake.report.html import write_report
 from wavequake.report.populations import Summary, populations, representatives, summarize
 from wavequake.report.table import terminal_table
+from wavequake.report.vignetting import stopped_light
 from wavequake.workflows.engine.store import read_manifest
 from wavequake.workflows.segments.bench import MAS_PER_RAD, bench_of
 from wavequake.workflows.segments.segment_disturbance import draw, surface_states
@@ -26,7 +27,8 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     if reduced.is_reduced(dataset):
         return reduced.table_of(store, dataset)
     table = terminal_table(_summaries(dataset, _analytic(store)))
-    table.caption = f"{table.caption}{what_is_kept(dataset)}"
+    light = stopped_light(store, dataset)
+    table.caption = f"{light} {table.caption}{what_is_kept(dataset)}".lstrip()
     return table
 
 
@@ -41,7 +43,8 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     study = read_manifest(store).study
     worst = [case for _, case in representatives(dataset).values()]
     details = [detail(study, case, device, dataset) for case in worst]
-    return write_report(dataset, details, target, _analytic(store), budget.pictures(store))
+    light = stopped_light(store, dataset)
+    return write_report(dataset, details, target, _analytic(store), budget.pictures(store), light)
 
 
 def detail(study_text: str, case: int, device_name: str, dataset: xr.Dataset) -> Detail:

@@ -172,6 +172,8 @@ def explanations(found: "xr.Dataset") -> list[str]:
         f"Central differences, steps {steps['dx']:g} m and {steps['rx']:g} rad{figure}. Steps twice as large "
         f"agree to (worst, relative): {errors}.",
     ]
+    if "vignetted" in attrs:
+        lines.append(f"{attrs['vignetted']}; the numbers are those of the others.")
     if not attrs["steps_agree"]:
         lines.append(
             f"Not to be trusted: the columns whose step_error is above {attrs['step_tolerance']:g}. "

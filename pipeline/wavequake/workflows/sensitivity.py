@@ -261,6 +261,7 @@ def dataset(bench: Bench, found: Sensitivities, device: Device) -> "xr.Dataset":
             f"worst_step_error_{name}": f"{error:.1e} ({element} {dof})"
             for name, (element, dof, error) in worst.items()
         },
+        **({"vignetted": words} if (words := bench.stopped.words()) else {}),
         **({"note": bench.system.note} if bench.system.note else {}),
         "device": f"{device.name} ({device.kind})",
         **collect(device),

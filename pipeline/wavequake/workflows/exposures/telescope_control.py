@@ -27,6 +27,7 @@ from wavequake.workflows.exposures.exposures import CANVAS, FOCUS
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segments.bench import Bench, bench_of, monolithic
 from wavequake.workflows.segments.images import energy_scale
+from wavequake.workflows.segments.vignetting import require_all_rays
 
 Array = NDArray[np.float64]
 
@@ -111,6 +112,7 @@ def control_bench_of(study_text: str) -> ControlBench:
         study = study_from_identity(TelescopeExposureStudy, study_text)
         bench = bench_of(segment_text(study_text))
         system, old = bench.system, bench.prepared
+        require_all_rays(bench.stopped, "so that the exposures of this workflow would have holes")
         if len(system.surfaces) < 2 or not system.surfaces[0].reflects:
             raise UserError(f"the telescope {system.name} has no mirror M2 that could correct its image")
         prepared = prepare(

@@ -27,6 +27,7 @@ from wavequake.optics.wavefront import Wavefront, analyse
 from wavequake.optics.zernike_transforms import known_transformed
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.segments.vignetting import Stopped, refuse_dark_segment, stopped_at_rest
 
 MM_PER_M = 1e3
 MAS_PER_RAD = 180.0 / np.pi * 3600.0 * 1e3
@@ -39,8 +40,8 @@ class Bench:
     """Everything of a study that does not change from case to case.
 
     ``text`` is the study's identity text; ``m2_tilt`` (2, 2) gives M2's rotations about x and y in rad per
-    rad of line of sight on the sky; ``static`` is the wavefront of the reference configuration, ``field``
-    (2,) the field point in rad.
+    rad of line of sight on the sky; ``static`` is the wavefront of the reference configuration, ``stopped``
+    what of its light does not arrive, ``field`` (2,) the field point in rad.
     """
 
     text: str
@@ -50,6 +51,7 @@ class Bench:
     layout: SegmentLayout
     prepared: PreparedTrace
     static: Wavefront
+    stopped: Stopped
     m2_tilt: NDArray[np.float64]
     figure_terms: int
     field: NDArray[np.float64]
@@ -88,7 +90,7 @@ def _prepared(study_text: str) -> Bench:
         prepared = replace(prepared, slopes=slope_fit(prepared, at))
     if study.wavefront.reference == "fitted":
         prepared = replace(prepared, sphere=reference_fit(prepared, at))
-    static, tilt = _reference(system, prepared, field, terms)
+    static, stopped, tilt = _reference(system, prepared, field, terms)
     return Bench(
         study_text,
         study,
@@ -97,6 +99,7 @@ def _prepared(study_text: str) -> Bench:
         layout_of(system),
         prepared,
         static,
+        stopped,
         tilt,
         terms,
         field,
@@ -193,8 +196,8 @@ def _require_m2(study: SegmentStudy, system: SegmentedTelescope) -> None:
 
 def _reference(
     system: SegmentedTelescope, prepared: PreparedTrace, field: NDArray[np.float64], terms: int
-) -> tuple[Wavefront, NDArray[np.float64]]:
-    """Measure the reference configuration, and M2's rotations that move the line of sight by one rad.
+) -> tuple[Wavefront, Stopped, NDArray[np.float64]]:
+    """Measure the reference configuration, its lost light, and M2's rotations for 1 rad of line of sight.
 
     Without a mirror after M1 the rotations are zero. Both come from NumPy whatever the study's device, so
     that they are the same on every worker.
@@ -207,14 +210,16 @@ def _reference(
     states = SurfaceStates(still.segment_motion, still.segment_figure, motion, still.field + field)
     traced = trace_states(prepared, states, choose_device("numpy"))
     wavefront = analyse(prepared, traced, chief_rays(prepared, states))
-    if wavefront.lost_segments[0].any():
-        name = system.segments.names[int(np.argmax(wavefront.lost_segments[0]))]
+    status = np.asarray(traced.status[0, :, 0])
+    refuse_dark_segment(prepared, status, wavefront.lost_segments[0])
+    stopped = stopped_at_rest(prepared, status)
+    if np.isnan(wavefront.los[0]).any():
         raise UserError(
-            f"No ray of segment {name} of the telescope {system.name} at rest reaches the image; check "
-            "telescope and optics.field_arcmin."
+            f"{stopped.words()}; the others do not determine {prepared.zernike.basis.shape[1]} "
+            "Zernike terms: take fewer wavefront.zernike_terms, or a larger semi_diameter_mm."
         )
     if not system.surfaces[0].reflects:
-        return wavefront, np.zeros((2, 2))
+        return wavefront, stopped, np.zeros((2, 2))
     los = wavefront.los
     per_tilt = np.stack([los[1] - los[2], los[3] - los[4]], axis=1) / (2 * step)
-    return wavefront, np.asarray(np.linalg.inv(per_tilt / prepared.focal_length), dtype=np.float64)
+    return wavefront, stopped, np.asarray(np.linalg.inv(per_tilt / prepared.focal_length), dtype=np.float64)

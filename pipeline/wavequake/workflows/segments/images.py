@@ -1,6 +1,7 @@
 """Exposures of a bench: every instant's own point spread function, placed at its line of sight."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -12,9 +13,9 @@ from wavequake.imaging.matrix_fourier import samples_needed
 from wavequake.imaging.nyquist import too_few_rays
 from wavequake.imaging.placement import place
 from wavequake.imaging.segment_basis import SegmentBasis, ray_basis, segment_basis
-from wavequake.imaging.segment_psf import psf, shift_phase, truncation_error
+from wavequake.imaging.segment_psf import amplitude_images, psf, shift_phase, truncation_error
 from wavequake.kernels.tiles import TILE, from_tiles
-from wavequake.kernels.train import Traced
+from wavequake.kernels.train import Traced, vignetted
 from wavequake.optics.wavefront import Wavefront
 from wavequake.workflows.segments.bench import Bench, bench_of, monolithic
 
@@ -36,16 +37,22 @@ def image_axis(bench: Bench) -> Array:
 
 
 def by_rays(bench: Bench) -> bool:
-    """Return whether images are sums over rays: of mirrors without edges, and of segments with a figure.
+    """Return whether all images are sums over rays.
 
-    Segments without a figure are planes of phase, whose images are exact.
+    Those of mirrors without edges, of segments with a figure, and of telescopes that stop light at rest are.
+    Segments that are planes of phase over all their glass have exact images.
     """
-    return monolithic(bench.system) or bench.figure_terms > 0
+    return monolithic(bench.system) or bench.figure_terms > 0 or bench.stopped.vignetted > 0
 
 
 def refuse_what_cannot_be_imaged(bench: Bench) -> None:
     """Raise UserError if the telescope at rest has no image at this field point and wavelength."""
     if by_rays(bench):
+        if bench.stopped.otherwise:
+            raise UserError(
+                f"{bench.stopped.words()}, so that images that are sums over rays would have holes: bring "
+                "optics.field_arcmin nearer the axis, or set imaging.enabled = false."
+            )
         return
     try:
         _psf(bench, -bench.static.segment_phase[:TILE], bench.study.imaging.pixels)
@@ -64,16 +71,19 @@ def ray_notices(bench: Bench) -> Iterator[str]:
         return
     scale = energy_scale(bench)
     field = _CANVAS * imaging.pixels * imaging.sampling
-    fill = scale["area"] / scale["diameter"] ** 2
-    if text := too_few_rays(len(bench.prepared.weight), fill, samples_needed(0.0, field), field):
+    fill = scale["area"] / bench.stopped.light / scale["diameter"] ** 2  # of all glass, as the rays are
+    if text := too_few_rays(bench.stopped.rays, fill, samples_needed(0.0, field), field):
         yield text
 
 
 def energy_scale(bench: Bench) -> dict[str, Any]:
-    """Return what encircled energies of this pupil need: sampling, glass area and diameter in mm."""
+    """Return what encircled energies need: sampling, area of the glass whose light arrives at rest, diameter.
+
+    Lengths are in mm.
+    """
     return {
         "sampling": bench.study.imaging.sampling,
-        "area": float(bench.layout.areas_m2.sum()) * 1e6,
+        "area": float(bench.layout.areas_m2.sum()) * 1e6 * bench.stopped.light,
         "diameter": 2.0 * bench.system.pupil_outer,
     }
 
@@ -84,12 +94,14 @@ def summed_images(bench: Bench, traced: Traced, wavefront: Wavefront, tiles: sli
     Image axes are those of the image plane: +x is where a positive line of sight moves the image. If the line
     of sight moves by more than lambda/D, its whole pixels are taken out of the phase before the transform and
     put back by placing the image, computed on a larger canvas: segments see only the rest of a common tilt.
+    Glass whose light a mirror stops is dark: images of such instants are sums over the rays that arrive. The
+    unit is the peak of the perfect image of the pupil that arrives at rest.
 
     Raises
     ------
     UserError
-        If segments are tilted beyond what the moments of the basis can image, or rays of a figured mirror
-        are lost.
+        If segments are tilted beyond what the moments of the basis can image, or rays are lost otherwise
+        where images are sums over rays.
     """
     imaging, prepared = bench.study.imaging, bench.prepared
     batch = slice(tiles.start * TILE, tiles.stop * TILE)
@@ -99,29 +111,52 @@ def summed_images(bench: Bench, traced: Traced, wavefront: Wavefront, tiles: sli
     moves = bool(np.abs(position).max() > 1.0)
     pixel = np.rint(position / imaging.sampling) if moves else np.zeros_like(position)
     shift = (wavefront.chief[batch] - bench.static.chief[0]) * per_mm - pixel * imaging.sampling
-    # A phase that grows along +x moves the image to +x; the OPD of a positive line of sight falls along +x.
-    if by_rays(bench):
-        phase = -from_tiles(traced.opd[tiles]) / prepared.wavelength
-        if np.isnan(phase).any():
-            lost = int(np.isnan(phase).any(axis=0).sum())
-            raise UserError(f"{lost} rays are lost, so that the image of the figured mirror would have holes")
-        places = np.stack([prepared.rays.x, prepared.rays.y], axis=1)
-        phase = phase + (shift / diameter) @ places.T
-    else:
-        phase = shift_phase(
-            -wavefront.segment_phase[batch], shift, bench.system.segments.centers[:, :2], diameter
-        )
     size = imaging.pixels * (_CANVAS if moves else 1)
-    frames = _psf(bench, phase, size).reshape(-1, size, size)[:instants]
+    dark = wavefront.vignetted[batch] > 0
+    if by_rays(bench):
+        frames = _ray_images(bench, traced, tiles, shift / diameter, size)
+    else:
+        centers = bench.system.segments.centers[:, :2]
+        frames = _psf(bench, shift_phase(-wavefront.segment_phase[batch], shift, centers, diameter), size)
+        if dark.any():
+            frames[dark] = _ray_images(bench, traced, tiles, shift / diameter, size)[dark]
+    frames = frames.reshape(-1, size, size)[:instants]
     placed: Array = place(frames, pixel[:instants].astype(np.int64), imaging.pixels).sum(axis=0)
     return placed
 
 
+def _ray_images(
+    bench: Bench, traced: Traced, tiles: slice, slopes: Array, size: int
+) -> NDArray[np.floating[Any]]:
+    """Return images (batch, size²) as sums over the rays of `tiles`; rays that mirrors stop are dark.
+
+    ``slopes`` (batch, 2) of the phase, waves/mm, move them. An instant without a dark ray is none the less
+    one of `psf`, so that its bits do not depend on those beside it.
+    """
+    prepared, basis = bench.prepared, _ray_basis(bench.text, size)
+    # A phase that grows along +x moves the image to +x; the OPD of a positive line of sight falls along +x.
+    phase = -from_tiles(traced.opd[tiles]) / prepared.wavelength
+    unknown = np.isnan(phase)
+    if unknown.any():
+        stopped = vignetted(prepared.train, np.asarray(traced.status[tiles]))
+        lost = int((unknown & ~stopped.swapaxes(1, 2).reshape(phase.shape)).any(axis=0).sum())
+        if lost:
+            raise UserError(
+                f"{lost} rays are lost, so that an image that is a sum over rays would have holes"
+            )
+        phase[unknown] = 0.0
+    phase = phase + slopes @ np.stack([prepared.rays.x, prepared.rays.y], axis=1).T
+    images = psf(basis, phase)
+    dark = unknown.any(axis=1)
+    if dark.any():
+        fields = np.where(unknown[dark], 0.0, np.exp(2j * np.pi * phase[dark]))
+        images[dark] = amplitude_images(basis, fields)
+    return images
+
+
 def _psf(bench: Bench, phase: Array, pixels: int) -> NDArray[np.floating[Any]]:
-    """Return the images of a case's phases with as many moments as the study says, or as they need."""
+    """Return the images of a case's segments with as many moments as the study says, or as they need."""
     chosen = bench.study.imaging.moments
-    if by_rays(bench):
-        return psf(_basis(bench.text, pixels, 1), phase)
     if chosen != "auto":
         return psf(_basis(bench.text, pixels, chosen), phase)
     *quick, last = _AUTO_MOMENTS
@@ -135,12 +170,21 @@ def _psf(bench: Bench, phase: Array, pixels: int) -> NDArray[np.floating[Any]]:
 @lru_cache(maxsize=6)
 def _basis(study_text: str, pixels: int, moments: int) -> SegmentBasis:
     bench = bench_of(study_text)
-    imaging, system, rays = bench.study.imaging, bench.system, bench.prepared.rays
-    grid: dict[str, Any] = {
+    segments = bench.system.segments
+    return segment_basis(segments.corners, segments.centers[:, :2], moments=moments, **_grid(bench, pixels))
+
+
+@lru_cache(maxsize=4)
+def _ray_basis(study_text: str, pixels: int) -> SegmentBasis:
+    bench = bench_of(study_text)
+    rays, weight = bench.prepared.rays, bench.prepared.weight
+    basis = ray_basis(rays.x, rays.y, weight, **_grid(bench, pixels))
+    return replace(basis, peak=basis.peak * bench.stopped.light)
+
+
+def _grid(bench: Bench, pixels: int) -> dict[str, Any]:
+    return {
         "pixels": pixels,
-        "sampling": imaging.sampling,
-        "diameter": 2.0 * system.pupil_outer,
+        "sampling": bench.study.imaging.sampling,
+        "diameter": 2.0 * bench.system.pupil_outer,
     }
-    if by_rays(bench):
-        return ray_basis(rays.x, rays.y, bench.prepared.weight, **grid)
-    return segment_basis(system.segments.corners, system.segments.centers[:, :2], moments=moments, **grid)

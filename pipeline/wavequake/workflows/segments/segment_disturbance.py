@@ -37,6 +37,7 @@ from wavequake.workflows.segments.segment_draws import draw_realization, samplin
 from wavequake.workflows.segments.segment_modal import modal_cases, model_of
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.segments.segment_template import template, traced
+from wavequake.workflows.segments.vignetting import require_all_rays
 from wavequake.workflows.stopwatch import Stopwatch
 
 Array = NDArray[np.float64]
@@ -282,6 +283,7 @@ def check(study_text: str) -> None:
     if bench.study.imaging.enabled:
         refuse_what_cannot_be_imaged(bench)
     if bench.study.optics.method == "modal":
+        require_all_rays(bench.stopped, "so that the modal model has no derivatives (optics.method)")
         model_of(study_text, choose_device("auto").name)
     if monolithic(bench.system):  # where every draw is quick
         for population in bench.study.disturbance:
@@ -289,8 +291,11 @@ def check(study_text: str) -> None:
 
 
 def notices(study_text: str) -> Iterator[str]:
-    """Yield what to say of too few rays for images."""
-    yield from ray_notices(bench_of(study_text))
+    """Yield what to say of light that mirrors stop at rest, and of too few rays for images."""
+    bench = bench_of(study_text)
+    if words := bench.stopped.words():
+        yield words
+    yield from ray_notices(bench)
 
 
 WORKFLOW = Workflow("segment-disturbance", template, case_table, compute, describe, work, check, notices)

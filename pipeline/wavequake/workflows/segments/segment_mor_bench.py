@@ -37,6 +37,7 @@ from wavequake.workflows.segments.segment_study import (
     SegmentStudy,
     WavefrontSection,
 )
+from wavequake.workflows.segments.vignetting import require_all_rays
 
 Array = NDArray[np.float64]
 
@@ -113,6 +114,7 @@ def model_of(text: str) -> SegmentModel:
     with threadpool_limits(1):
         study = study_of(text)
         bench = bench_of(telescope_study(study).identity_text())
+        require_all_rays(bench.stopped, "so that there are no wavefronts of all segments to compare")
         side, turn = hexagon_of(bench.system)
         record = _stage_record(study, bench.system)
         full = lru_cache(maxsize=1)(lambda: build_segment(study, side, bench.system.primary_radius))

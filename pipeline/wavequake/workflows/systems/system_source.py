@@ -68,7 +68,10 @@ def load_system(source: str | Path, overrides: Mapping[str, Any] | Iterable[str]
         bench = bench_of(segment_text(text) if isinstance(study, TelescopeExposureStudy) else text)
         wavelength = study.optics.wavelength_nm * MM_PER_NM
         return replace(
-            parent_system(bench.system), fields=bench.field[None, :], wavelengths=np.array([wavelength])
+            parent_system(bench.system),
+            fields=bench.field[None, :],
+            wavelengths=np.array([wavelength]),
+            note="; ".join(filter(None, (bench.system.note, bench.stopped.words()))),
         )
     raise UserError(f"The workflow {study.study.workflow} of {name} has no optical system to describe.")
 

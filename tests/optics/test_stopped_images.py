@@ -1,0 +1,150 @@
+"""Images of telescopes whose mirrors stop light: Airy's pattern, Huygens' sum over the rays that arrive."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.special import j0, j1
+from sky_tracer import Tracer, glass, huygens, whole
+
+from wavequake.kernels.devices import list_devices
+from wavequake.mechanics.motion import still
+from wavequake.workflows.contract import DONE
+from wavequake.workflows.segments import segment_disturbance as workflow
+from wavequake.workflows.segments.bench import bench_of
+from wavequake.workflows.segments.segment_study import SegmentStudy
+
+DEVICE = list_devices()[0].name
+EDGE, SIDE, FOCUS = 150.0, 400.0, 10000.0
+QUADRANTS = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+# Light parallel to the axis that meets a flat fold half way to the focus, 150 mm from its vertex.
+BEAM = brentq(lambda r: r * (FOCUS / 2) / (FOCUS - r**2 / (4 * FOCUS)) - EDGE, 200.0, 400.0)
+
+
+def study(gap, rays, edge=EDGE, **sections):
+    """Four squares of a parabola that focuses by a fold at its vertex."""
+    lines = ["id,x1_m,y1_m,x2_m,y2_m,x3_m,y3_m,x4_m,y4_m"]
+    for index, (sx, sy) in enumerate(QUADRANTS):
+        x, y = sorted((sx * gap, sx * (gap + SIDE))), sorted((sy * gap, sy * (gap + SIDE)))
+        corners = [(x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1])]
+        lines.append(f"{index}," + ",".join(f"{v / 1e3!r}" for corner in corners for v in corner))
+    record = {
+        "study": {"name": "stopped", "workflow": "segment-disturbance", "seed": 1},
+        "telescope": {
+            "name": "custom",
+            "polygons_csv": "\n".join(lines),
+            "primary_radius_mm": -2.0 * FOCUS,
+            "surfaces": [
+                {"name": "fold", "distance_mm": FOCUS / 2, "semi_diameter_mm": edge},
+                {"name": "image", "distance_mm": FOCUS / 2},
+            ],
+        },
+        "disturbance": [{"name": "given", "model": "static-random"}],
+        "imaging": {"pixels": 48, "sampling": 0.25},
+        "optics": {"sampling": "sunflower", "rays": rays},
+        "wavefront": {"zernike_terms": 6},
+    }
+    return SegmentStudy.model_validate(record | sections)
+
+
+def sky_of(bench):
+    """The same telescope for the other tracer."""
+    fold = (np.array([0.0, 0.0, FOCUS / 2]), np.eye(3), 0.0, 0.0)
+    radius = bench.prepared.train.sphere_radius
+    return Tracer((0.5 / FOCUS, -1.0), (fold,), np.zeros(3), np.diag([1.0, 1.0, -1.0]), radius)
+
+
+def computed(case_study, monkeypatch, motion):
+    """What the store gets of a case that draws `motion`."""
+    drawn = workflow.CaseDraw(case_study.disturbance[0], 0, np.arange(1.0, 1.0 + len(motion.mount)), motion)
+    monkeypatch.setattr(workflow, "draw", lambda bench, case: drawn)
+    result = workflow.compute(case_study.identity_text(), np.array([0]), DEVICE)
+    assert result.status[0] == DONE, result.messages
+    return {name: array[0] for name, array in result.arrays.items()}
+
+
+@pytest.mark.parametrize("figured", [False, True])
+def test_a_round_mirror_that_stops_the_corners_makes_airys_pattern(figured, monkeypatch):
+    """Squares without gaps of 400 mm, of which a circle of 300 mm gets through; 3000 rays within it."""
+    given = {"name": "given", "model": "static-random"} | ({"figure_nm": {4: 0.0}} if figured else {})
+    case_study = study(1e-6, 8000, disturbance=[given])
+    bench = bench_of(case_study.identity_text())
+    share = np.pi * BEAM**2 / (2 * SIDE) ** 2
+    assert bench.stopped.light == pytest.approx(share, rel=2e-3)
+    got = computed(case_study, monkeypatch, still(1, 4))
+    smaller = BEAM / bench.system.pupil_outer
+    axis = (np.arange(48) - 24) * 0.25 * smaller * np.pi
+    v = np.hypot(axis, axis[:, None])
+    airy = np.where(v == 0.0, 1.0, (2 * j1(v) / np.where(v == 0.0, 1.0, v)) ** 2)
+    np.testing.assert_allclose(got["exposure"], airy, rtol=0, atol=1e-3)
+    for name, share in (("ee50", 0.5), ("ee80", 0.8)):
+        radius = (
+            brentq(lambda v, share=share: 1.0 - j0(v) ** 2 - j1(v) ** 2 - share, 0.5, 3.7) / np.pi / smaller
+        )
+        assert got[name] == pytest.approx(radius, rel=3e-3)
+    assert got["strehl"][0] == pytest.approx(1.0, abs=1e-9)
+    assert got["vignetted"] == bench.stopped.vignetted > 0
+
+
+def test_the_image_is_huygens_sum_over_the_rays_that_arrive(monkeypatch):
+    case_study = study(10.0, 8000)
+    bench = bench_of(case_study.identity_text())
+    wavelength, diameter = 550e-6, 2 * bench.system.pupil_outer
+    motion = still(1, 4)
+    motion.segment_motion[0, 0, 2] = 0.12 * wavelength * 1e-3
+    motion.segment_motion[0, 2, 3], motion.segment_motion[0, 3, 4] = (
+        np.array([0.6, 0.5]) * wavelength / diameter
+    )
+    got = computed(case_study, monkeypatch, motion)
+    sky = sky_of(bench)
+    pupil = glass(bench.layout.corners_m * 1e3, 60)
+    at_fold = Tracer(sky.primary, (), np.array([0.0, 0.0, FOCUS / 2]), np.diag([1.0, 1.0, -1.0]), 1e5)
+    arrives = np.hypot(*whole(at_fold, bench, pupil, motion.segment_motion[0]).spots.T) <= EDGE
+    state = whole(sky, bench, pupil, motion.segment_motion[0])
+    rows = np.arange(0, 48, 5)
+    x, y = np.meshgrid(*[(rows - 24) * 0.25 * wavelength / diameter * FOCUS] * 2)
+    image = huygens(sky, state, pupil[2] * arrives / (pupil[2] @ arrives), x, y, wavelength)
+    np.testing.assert_allclose(got["exposure"][np.ix_(rows, rows)], image, rtol=0, atol=2e-3)
+    assert np.abs(image - image.T).max() > 0.05  # so the test tells x from y
+    assert np.abs(huygens(sky, state, pupil[2], x, y, wavelength) - image).max() > 0.2  # if all glass shone
+
+
+def test_a_ray_that_motion_takes_past_an_edge_is_dark_at_that_instant_alone(monkeypatch):
+    """The corner of the pupil clears the fold by 2 um; a tilt of the line of sight by 1 lambda/D takes 7."""
+    free = study(10.0, 800, edge=1e4)
+    bench = bench_of(free.identity_text())
+    rays, weight, diameter = bench.prepared.rays, bench.prepared.weight, 2 * bench.system.pupil_outer
+    radius = np.hypot(rays.x, rays.y)
+    corner, last = radius.max(), int(np.argmax(radius))
+    outwards = np.array([rays.x[last], rays.y[last]]) / corner
+    motion = still(3, 4)
+    motion.mount[1], motion.mount[2] = outwards * 550e-6 / diameter, -outwards * 550e-6 / diameter
+    tight = study(10.0, 800, edge=corner * (FOCUS / 2) / (FOCUS - corner**2 / (4 * FOCUS)) + 2e-3)
+    assert bench_of(tight.identity_text()).stopped.words() == ""
+    lit = [computed(free, monkeypatch, pick(motion, instant)) for instant in range(3)]
+    found = [computed(tight, monkeypatch, pick(motion, instant)) for instant in range(3)]
+    assert [one["vignetted"] for one in found] == [0, 1, 0]
+    for instant in (0, 2):
+        np.testing.assert_array_equal(found[instant]["exposure"], lit[instant]["exposure"])
+    together = computed(tight, monkeypatch, motion)["exposure"]
+    np.testing.assert_allclose(together, np.mean([one["exposure"] for one in found], axis=0), atol=1e-6)
+
+    sky, arrives = sky_of(bench), np.arange(len(weight)) != last
+    pupil = np.stack([rays.x, rays.y], axis=1), rays.segment, weight
+    state = whole(sky, bench, pupil, motion.segment_motion[1], tuple(motion.mount[1]))
+    order = np.argsort(rays.segment, kind="stable")  # as the other tracer returns its rays
+    rows = np.arange(0, 48, 5)
+    x, y = np.meshgrid(*[(rows - 24) * 0.25 * 550e-6 / diameter * FOCUS] * 2)
+    without, with_it = (
+        np.abs(
+            found[1]["exposure"][np.ix_(rows, rows)]
+            - huygens(sky, state, (weight * kept)[order], x, y, 550e-6)
+        ).max()
+        for kept in (arrives, np.ones_like(arrives))
+    )
+    assert without < 5e-4 < 2e-3 < with_it
+
+
+def pick(motion, instant):
+    """The motion of one instant."""
+    one = slice(instant, instant + 1)
+    return type(motion)(**{name: values[one] for name, values in vars(motion).items()})
