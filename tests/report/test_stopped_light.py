@@ -157,8 +157,17 @@ def test_a_mirror_that_stops_all_light_is_named_with_its_opening(tmp_path, keys)
     study = load_study(study_file(tmp_path, "semi_diameter_mm = 1.0"), keys)
     with pytest.raises(
         UserError,
-        match=r"No ray of segment a .* reaches the image: M2, whose semi-diameter is 1 mm, stops 24 of 24",
+        match=r"No ray of segment a .* image: M2, whose semi-diameter is 1 mm, stops 24 of 24; .*"
+        r"M2 stops 48 of 48 rays \(100 %\) at rest",
     ):
+        workflow.check(study.identity_text())
+
+
+def test_a_field_point_too_far_out_for_images_is_refused_where_light_is_stopped_too():
+    keys = {"telescope.name": "tmt-18", "optics.field_arcmin": [8.0, 0.0], "imaging.pixels": 8}
+    study = load_study("tmt-segments", keys)
+    assert bench_of(study.identity_text()).stopped.vignetted
+    with pytest.raises(UserError, match="too far from focus"):
         workflow.check(study.identity_text())
 
 

@@ -46,13 +46,16 @@ def by_rays(bench: Bench) -> bool:
 
 
 def refuse_what_cannot_be_imaged(bench: Bench) -> None:
-    """Raise UserError if the telescope at rest has no image at this field point and wavelength."""
-    if by_rays(bench):
-        if bench.stopped.otherwise:
-            raise UserError(
-                f"{bench.stopped.words()}, so that images that are sums over rays would have holes: bring "
-                "optics.field_arcmin nearer the axis, or set imaging.enabled = false."
-            )
+    """Raise UserError if the telescope at rest has no image at this field point and wavelength.
+
+    Segments of plane phase must not be too steep for exact images, also where stopped light asks for sums.
+    """
+    if by_rays(bench) and bench.stopped.otherwise:
+        raise UserError(
+            f"{bench.stopped.words()}, so that images that are sums over rays would have holes: bring "
+            "optics.field_arcmin nearer the axis, or set imaging.enabled = false."
+        )
+    if monolithic(bench.system) or bench.figure_terms:
         return
     try:
         _psf(bench, -bench.static.segment_phase[:TILE], bench.study.imaging.pixels)

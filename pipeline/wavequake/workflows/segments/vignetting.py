@@ -100,7 +100,8 @@ def refuse_dark_segment(prepared: PreparedTrace, status: Codes, lost_segments: N
         if arriving
         else f"No ray of segment {name} of the telescope {system.name} at rest reaches the image"
     )
-    raise UserError(f"{what}: {_where(system, own)}.")
+    whole = stopped_at_rest(prepared, status).words()
+    raise UserError(f"{what}: {_where(system, own)}. Of the pupil, {whole}.")
 
 
 def _where(system: SegmentedTelescope, own: Codes) -> str:
