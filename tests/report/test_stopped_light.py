@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 from typer.testing import CliRunner
 
 from wavequake.cli import app
@@ -9,6 +10,7 @@ from wavequake.errors import UserError
 from wavequake.optics.prepared import prepare
 from wavequake.optics.pupils import segment_rays
 from wavequake.optics.telescopes import telescope
+from wavequake.report.vignetting import stopped_light
 from wavequake.workflows.campaign import workflow_of
 from wavequake.workflows.contract import DONE
 from wavequake.workflows.segments import segment_disturbance as workflow
@@ -87,6 +89,17 @@ def test_a_run_says_what_is_stopped_as_it_starts_in_its_table_and_in_its_report(
     path, ran, words = stopping
     assert ran.count(words) == 2
     assert words in (path.parent / "store" / "report.html").read_text()
+
+
+def test_cases_whose_motion_stops_more_are_counted(stopping):
+    """Of four cases one is not done, and one stops two rays more than are stopped at rest."""
+    path, _, words = stopping
+    counts = np.array([34.0, 36.0, np.nan, 33.0])
+    said_of_it = stopped_light(path.parent / "store", xr.Dataset({"vignetted": ("case", counts)}))
+    assert said_of_it == (
+        f"{words}; up to 36 of 48 are stopped at an instant of 1 of 3 cases. "
+        "All numbers are those of the light that arrives."
+    )
 
 
 @pytest.mark.parametrize("command", ["plan", "info"])
