@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from wavequake.errors import UserError
 from wavequake.imaging.polygon_transform import polygon_transform
@@ -47,6 +49,34 @@ def test_images_are_those_of_the_general_basis(name, pixels, device):
     basis = segment_basis(corners, centers, pixels, 0.3, DIAMETER, 1, np.complex128)
     assert np.abs(found.reshape(len(found), -1) - psf(basis, piston)).max() < 1e-12
     assert np.array_equal(lattice_psf(prepared, piston[17:]), found[17:])  # bits do not depend on the batch
+
+
+@given(
+    rings=st.integers(1, 4),
+    gap=st.floats(0.0, 50.0),
+    lost=st.floats(0.0, 0.6),
+    pixels=st.integers(2, 40),
+    sampling=st.floats(0.05, 1.0),
+    turned=st.booleans(),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_images_of_any_hexagons_are_those_of_the_general_basis(
+    rings, gap, lost, pixels, sampling, turned, seed
+):
+    random = np.random.default_rng(seed)
+    hexagons = hexagon_ring_segments(700.0, rings, gap)
+    kept = random.uniform(size=len(hexagons.corners)) >= lost
+    kept[random.integers(len(kept))] = True
+    turn = TURN if turned else np.eye(2)
+    corners, centers = hexagons.corners[kept] @ turn, hexagons.centers[kept, :2] @ turn
+    piston = random.normal(0.0, 2.0, (3, len(centers)))
+    prepared = segment_lattice(corners, centers, pixels, sampling, DIAMETER)
+    if prepared is None:  # few of many are left: a lattice with more holes than places that are taken
+        assert kept.mean() < 0.5
+        return
+    basis = segment_basis(corners, centers, pixels, sampling, DIAMETER, 1, np.complex128)
+    found = lattice_psf(prepared, piston).reshape(3, -1)
+    assert np.abs(found - psf(basis, piston)).max() < 1e-12
 
 
 @pytest.mark.parametrize("moments", [6, 15])

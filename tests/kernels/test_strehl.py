@@ -1,5 +1,7 @@
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY, Device, list_devices
@@ -37,6 +39,47 @@ def test_instants_do_not_depend_on_each_other(device):
     assert np.isnan(broken[5])
     assert np.array_equal(np.delete(broken, 5), np.delete(healthy, 5))
     assert strehl_ratios(phase[:0], weight, device).shape == (0,)
+
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def contract(device, patches, seed, steepness, dark):
+    """Ratios of the device and of the NumPy twin."""
+    random = np.random.default_rng(seed)
+    phase = 10.0**steepness * random.normal(size=(random.integers(1, 200), patches))
+    weight = random.uniform(0.1, 2.0, patches) * (random.uniform(size=patches) >= dark)
+    weight[random.integers(patches)] = 1.0  # no pupil is all dark
+    return strehl_ratios(phase, weight, device), strehl_ratios(phase, weight, NUMPY)
+
+
+@pytest.mark.parametrize("device", [device for device in DEVICES if device.kind != "numpy"], ids=NAMES["ids"])
+@pytest.mark.parametrize(
+    "patches", [1, 2, 7, 8, 19, 36, 130]
+)  # each is built: fewer than lanes, and left over
+@given(seed=SEEDS, steepness=st.floats(-6.0, 3.0), dark=st.floats(0.0, 0.9))
+def test_ratios_are_those_of_the_twin(device, patches, seed, steepness, dark):
+    found, twin = contract(device, patches, seed, steepness, dark)
+    assert np.abs(found - twin).max() < 5e-15
+
+
+@pytest.mark.parametrize("device", [device for device in DEVICES if device.kind != "numpy"], ids=NAMES["ids"])
+@settings(max_examples=4)  # each is built
+@given(patches=st.integers(1, 600), seed=SEEDS, steepness=st.floats(-6.0, 3.0))
+def test_ratios_of_any_number_of_patches_are_those_of_the_twin(device, patches, seed, steepness):
+    found, twin = contract(device, patches, seed, steepness, 0.2)
+    assert np.abs(found - twin).max() < 5e-15
+
+
+@given(SEEDS, st.integers(1, 40), st.integers(1, 40))
+def test_ratios_do_not_depend_on_the_order_or_a_common_phase(seed, patches, instants):
+    """Neither do they exceed 1."""
+    random = np.random.default_rng(seed)
+    phase, weight = random.normal(0, 2, (instants, patches)), random.uniform(0.1, 2.0, patches)
+    order = random.permutation(patches)
+    ratios = strehl_ratios(phase, weight, NUMPY)
+    assert ratios.max() <= 1.0 + 1e-14
+    assert np.abs(strehl_ratios(phase[:, order] + 0.7, 3.0 * weight[order], NUMPY) - ratios).max() < 1e-14
 
 
 def test_bad_input_is_refused():

@@ -352,3 +352,16 @@ def test_an_image_inside_a_gradient_is_refused():
     inside = replace(rod, surfaces=(rod.surfaces[0], rod.surfaces[2]))
     with pytest.raises(UserError, match="ends it"):
         pack(inside, WAVE)
+
+
+@pytest.mark.parametrize("strength", [5e3, 1e300])
+def test_a_medium_that_throws_all_light_away_is_refused(strength):
+    steep = system(GradientIndex("x", constant(1.6), (strength,)), 20.0)
+    with pytest.raises(UserError, match=r"x rises so steeply off the axis .* 20 mm of it throw light exp\("):
+        steep.info()
+
+
+@pytest.mark.parametrize("medium", [luneburg(1e-300), selfoc(1.6, 1e200), selfoc(1e200, 0.05)])
+def test_numbers_beyond_a_float_are_refused(medium):
+    with pytest.raises(UserError, match="not finite"):
+        system(medium, 20.0).info()

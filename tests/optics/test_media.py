@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.optics.media import AIR, ALIASES, Medium, glass, glasses, refractive_index
+from wavequake.optics.media import AIR, ALIASES, Medium, constant, glass, glasses, refractive_index
 
 D_LINE, F_LINE, C_LINE = 587.5618e-6, 486.1327e-6, 656.2725e-6
 BK7_1980 = (2.2718929, -1.0108077e-2, 1.0592509e-2, 2.0816965e-4, -7.6472538e-6, 4.9240991e-7)
@@ -140,6 +140,10 @@ def test_unknown_glass_suggests_the_nearest():
     [
         (Medium("x", "constant", (float("nan"),)), "no real refractive index"),
         (Medium("x", "constant", (-1.5,)), "no real refractive index"),
+        (constant(1e200), "no real refractive index"),
+        (constant(1500.0), r"n=1500\.0 at 500 nm would be 1500; it must lie between 0\.01 and 100"),
+        (constant(1e-5), "between"),
+        (Medium("x", "schott", (2.0, 0.0, 0.0, 0.0, 0.0, 1e308)), "no real refractive index"),
         (Medium("x", "constant", (1.5, 2.0)), "takes 1 coefficients, not 2"),
         (Medium("x", "sellmeier", (1.0, 0.25, 0.0, 0.0, 0.0, 0.0)), "no real refractive index"),
     ],
@@ -147,3 +151,8 @@ def test_unknown_glass_suggests_the_nearest():
 def test_bad_coefficients_are_refused(medium, match):
     with pytest.raises(UserError, match=match):
         refractive_index(medium, 500e-6)
+
+
+def test_a_wavelength_beyond_all_light_is_no_crash():
+    with pytest.raises(UserError, match="no real refractive index"):
+        refractive_index(Medium("x", "schott", (2.0, 0.0, 0.0, 0.0, 0.0, 0.0)), 1e200)

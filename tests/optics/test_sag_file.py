@@ -119,6 +119,10 @@ def test_a_section_made_in_python_reads_its_file_when_it_is_built(tmp_path):
         ("sag.csv", "\n".join(["1,2,3,4"] * 3), "4 of each"),
         ("sag.csv", "\n".join(["1,2,3,4"] * 4 + ["1,2,nan,4"]), "row 5 and column 3"),
         ("sag.npy", "no array", "no NumPy array"),
+        ("sag.npy", "", "no NumPy array: No data left in file"),
+        ("sag.npy", "PK\x03\x04", "no NumPy array"),
+        ("sag.dat", "-5 -5 1 1 0 0 0\n" + "0 0 0 0\n" * 25, "nx, ny above 0"),
+        ("sag.dat", "1e300 5 1 1 0 0 0", "at most 262144 nodes"),
         ("sag.dat", "", "is empty"),
         ("sag.dat", "5 5 1 1", "nx ny delx dely unitflag"),
         ("sag.dat", "5 5 1 1 7 0 0", "unit flag from 0"),
@@ -151,6 +155,15 @@ def test_bad_files_are_refused_by_name(tmp_path, name, content, match):
 def test_bad_keys_are_refused(surface, match):
     with pytest.raises(ValidationError, match=match):
         SystemSection.model_validate(section(surface))
+
+
+def test_several_arrays_and_no_path_are_refused(tmp_path):
+    np.savez(tmp_path / "sag.npz", HEIGHTS)
+    (tmp_path / "sag.npz").rename(tmp_path / "sag.npy")
+    with pytest.raises(UserError, match="holds several arrays"):
+        read_sag(tmp_path / "sag.npy")
+    with pytest.raises(UserError, match="must be the path of a file"):
+        read_sag(3)
 
 
 def test_a_spacing_is_given_once(tmp_path):

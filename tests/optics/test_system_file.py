@@ -196,6 +196,23 @@ def test_an_unknown_glass_names_its_surface():
     )
 
 
+def test_mirrors_and_planes_as_users_write_them():
+    mirrors = [
+        table(f'{{name = "a", {radius} glass = "{glass}", stop = true}}', '{name = "i", distance_mm = 9.0}')
+        for glass, radius in (("mirror", ""), ("Mirror", "radius_mm = inf,"), ("MIRROR", "radius_mm = -inf,"))
+    ]
+    assert [one.surfaces[0].action for one in mirrors] == ["reflect"] * 3
+    assert [one.surfaces[0].shape for one in mirrors] == [Conic(np.inf)] * 3
+    with pytest.raises(UserError, match=r'no glass \'miror\' .* Did you mean "mirror"\?'):
+        table('{name = "a", glass = "miror", stop = true}', '{name = "i"}')
+
+
+def test_a_plane_is_the_same_study_however_it_is_written():
+    whole = WHOLE | {"surface": [LENS | {"radius_mm": float("inf"), "glass": "Mirror"}, IMAGE]}
+    plain = WHOLE | {"surface": [LENS | {"glass": "mirror"}, IMAGE]}
+    assert SystemSection.model_validate(whole) == SystemSection.model_validate(plain)
+
+
 LENS, IMAGE = {"name": "lens", "stop": True}, {"name": "image"}
 WHOLE = {"entrance_diameter_mm": 1.0, "wavelengths_nm": [500.0], "surface": [LENS, IMAGE]}
 

@@ -265,7 +265,8 @@ def test_apertures_of_the_beam():
         return read(row, header=f"{text}\nWAVM 1 0.55 1\nFTYP 0 0 1 1 0 0 0").pupil
 
     assert pupil("FNUM 4 0") == Pupil("f_number", 4.0)
-    assert pupil("OBNA 0.1 0") == Pupil("object_na", 0.1)
+    near = lens(STOP, header="OBNA 0.1 0\nWAVM 1 0.55 1\nFTYP 1 0 1 1 0 0 0").replace("INFINITY", "7")
+    assert parse_zmx(near, "lens.zmx").pupil == Pupil("object_na", 0.1)
     assert pupil("FLOA", STOP + "\n  DIAM 3.5") == Pupil("stop", 3.5)
 
 

@@ -107,6 +107,11 @@ def test_conversions_go_round(terms, source, target):
     assert not back[..., terms:].any()
 
 
+def test_lists_are_coefficients_too():
+    listed = convert_coefficients([[0, 1, 2.0]], "noll", "fringe")
+    np.testing.assert_array_equal(listed, convert_coefficients(np.array([[0, 1, 2.0]]), "noll", "fringe"))
+
+
 def test_peaks_of_the_unit_rms_polynomials():
     assert [peak_amplitude(n, m) for n, m in [(0, 0), (1, -1), (2, 0), (2, 2)]] == pytest.approx(
         [1, 2, sqrt(3), sqrt(6)]
@@ -129,6 +134,13 @@ def test_no_terms_convert_to_no_terms():
         (lambda: fringe_to_nm(38, arizona=True), "Fringe index 38"),
         (lambda: nm_to_fringe(6, 6, arizona=True), "not in the set"),
         (lambda: convert_coefficients(np.zeros(3), "nol", "ansi"), "'nol' is unknown"),
+        (lambda: convert_coefficients(np.zeros(3), ["noll"], "ansi"), "is unknown"),
+        (lambda: convert_coefficients(["x"], "noll", "ansi"), "coefficients must be an array of numbers"),
+        (lambda: convert_coefficients(1.0, "noll", "ansi"), r"are the number 1\.0; give a list"),
+        (lambda: ansi_to_nm("x"), "ANSI index is 'x'; it must be a whole number"),
+        (lambda: ansi_to_nm(1.5), "ANSI index is 1.5; it must be a whole number"),
+        (lambda: fringe_to_nm(1.5), "Fringe index is 1.5; it must be a whole number"),
+        (lambda: fringe_to_nm(None, arizona=True), "Fringe index is None"),
     ],
 )
 def test_bad_input_is_named(call, message):

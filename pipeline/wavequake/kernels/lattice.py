@@ -9,6 +9,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from wavequake.kernels.devices import Device, opencl_handle
 from wavequake.kernels.first_batch import Pick, compare_first, is_trusted
+from wavequake.kernels.lattice_numpy import lattice_field, moment_waves
 from wavequake.kernels.program import launch
 from wavequake.kernels.steps import vector_width
 
@@ -166,37 +167,21 @@ def _compare(kernel: LatticeKernel, program: Any, motion: Real, images: Floating
     if not known.any():
         return
     number = int(known.argmax())
-    waves = _waves_of_moments(kernel, motion[number])
-    width, pixels = dict(kernel.constants)["W"], kernel.shape[0]
+    width = dict(kernel.constants)["W"]
     segment = kernel.tables[-1][width:-width].astype(np.float64).reshape(-1, *kernel.shape)
     # Of pistons alone the table is an irradiance.
-    moments = segment[::2] + 1j * segment[1::2] if kernel.degree else np.sqrt(segment)
+    moments = segment[::2] + 1j * segment[1::2] if kernel.degree else np.sqrt(segment).astype(np.complex128)
+    waves = moment_waves(motion[number], len(moments), kernel.scale)
     most = float((np.abs(moments).max(axis=(1, 2)) * np.abs(waves).sum(axis=1)).sum())
     if not most < _HOPELESS:
         return
-    frequency = (np.arange(pixels) - pixels // 2) * kernel.step
-    along_x, along_y = (np.exp(-2j * np.pi * np.outer(place, frequency)) for place in kernel.places)
 
     def twin(pick: Pick) -> list[Real]:
-        rows = (waves * along_y.T[pick, None]) @ along_x  # (rows, J, pixels)
-        return list(np.abs((rows * moments[:, pick].swapaxes(0, 1)).sum(axis=1)).T)
+        return list(np.abs(lattice_field(kernel.places, moments, kernel.step, waves, pick)).T)
 
     found = np.sqrt(np.maximum(images[number].astype(np.float64), 0.0))
     tolerance = _TOLERANCE[images.dtype.name]
     compare_first(kernel.device, program, list(found.T), twin, most, "rows of the image", tolerance)
-
-
-def _waves_of_moments(kernel: LatticeKernel, motion: Real) -> NDArray[np.complex128]:
-    """Return what each segment's moments are multiplied by (J, S): terms of the series of exp(iφ)."""
-    x, y = 2.0 * np.pi * kernel.scale * motion[:, 1:].T
-    with np.errstate(all="ignore"):  # slopes may be anything
-        series = [
-            (1j * x) ** (n - b) / math.factorial(n - b) * (1j * y) ** b / math.factorial(b)
-            for n in range(kernel.degree + 1)
-            for b in range(n + 1)
-        ]
-        turns = motion[:, 0] - np.rint(motion[:, 0])
-        return np.asarray(np.array(series) * np.exp(2j * np.pi * turns))
 
 
 def _folded(number: NDArray[np.intp], length: int) -> tuple[NDArray[np.intp], Real, Real]:

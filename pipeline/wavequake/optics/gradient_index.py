@@ -18,6 +18,7 @@ from wavequake.optics.media import Medium, constant, refractive_index
 
 _SHORTEST = 1e-2  # step, relative to the default
 _STEPS_PER_SCALE = 100.0  # default steps on the length over which the index changes
+_MOST_GROWTH = 36.0  # by its exponential the last digit of where a ray starts becomes all of where it ends
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,9 @@ def selfoc(
     """
     index, constant_per_mm = (number(one, "a number of the rod") for one in (index, constant_per_mm))
     shares = (-1.0, *alike("the higher terms of the rod", higher)[0].tolist())
-    radial = tuple(share * index**2 * constant_per_mm ** (2 * k) for k, share in enumerate(shares, start=1))
+    radial = tuple(
+        share * _power(index, 2) * _power(constant_per_mm, 2 * k) for k, share in enumerate(shares, start=1)
+    )
     return GradientIndex("SELFOC", constant(index), radial, (), step)
 
 
@@ -86,8 +89,16 @@ def luneburg(radius: float, step: float | None = None) -> GradientIndex:
     """
     if not number(radius, "the radius of a Luneburg lens") > 0.0:
         raise UserError(f"the radius of a Luneburg lens is {radius} mm; it must be positive")
-    square = radius**-2
+    square = _power(radius, -2)
     return GradientIndex("Luneburg lens", constant(1.0), (-square,), (2.0 / radius, -square), step)
+
+
+def _power(base: float, exponent: int) -> float:
+    """Return a power, infinite where it is too large for a number; a medium of such is refused later."""
+    try:
+        return float(base**exponent)
+    except (OverflowError, ZeroDivisionError):
+        return inf
 
 
 def medium_index(medium: Medium | GradientIndex, wavelength_mm: float) -> float:
@@ -152,11 +163,23 @@ def paraxial_transfer(
         mm, along the light.
     sense : float
         1 where light goes along the medium's z, -1 where against it.
+
+    Raises
+    ------
+    UserError
+        If the index is not real on the way, or throws light so far from the axis that rounding decides where.
     """
     nodes, weights = np.polynomial.legendre.leggauss(32)
     places = start + sense * way * 0.5 * (nodes + 1.0)
     t = 0.5 * way * float(np.sum(weights / axis_index(medium, wavelength_mm, places)))
     frequency = cmath.sqrt(-medium.radial[0] if medium.radial else 0.0)
+    growth = abs((frequency * t).imag)
+    if not growth < _MOST_GROWTH:
+        raise UserError(
+            f"the index of {medium.name} rises so steeply off the axis (radial[0] = {medium.radial[0]:g} per "
+            f"mm^2) that {way:g} mm of it throw light exp({growth:.3g}) times as far off it; in a "
+            "medium that focuses it falls (radial[0] < 0)"
+        )
     along = t if frequency == 0.0 else cmath.sin(frequency * t) / frequency
     cosine = cmath.cos(frequency * t)
     numbers = [cosine, along, -(frequency**2) * along, cosine]

@@ -46,6 +46,9 @@ ALIASES = {
 }
 """Other names of glasses, in upper case, and the name that the catalogue has."""
 
+# What light meets lies within: X-rays 0.99, metals 0.1, lead telluride 6, water at millimeters 9.
+_LEAST, _MOST = 0.01, 100.0
+
 
 def constant(index: float) -> Medium:
     """Return a medium whose index is the same at all wavelengths, named by it."""
@@ -67,7 +70,7 @@ def refractive_index(medium: Medium, wavelength_mm: float) -> float:
     Raises
     ------
     UserError
-        Outside ``range_nm``, or if the coefficients give no real positive index.
+        Outside ``range_nm``, or if the coefficients give no real positive index that light could meet.
     """
     require_kind(medium, Medium, "the medium", ", such as glass('N-BK7') or constant(1.5)")
     nm = 1e6 * number(wavelength_mm, "the wavelength")
@@ -77,13 +80,22 @@ def refractive_index(medium: Medium, wavelength_mm: float) -> float:
             f"The index of {medium.name} is known from {low:g} to {high:g} nm, not at {nm:.6g} nm: choose a "
             "wavelength within that range or another glass."
         )
-    squared = _squared_index(medium, (1e3 * wavelength_mm) ** 2)
+    try:
+        squared = _squared_index(medium, (1e3 * wavelength_mm) ** 2)
+    except OverflowError:
+        squared = math.inf
     if not (math.isfinite(squared) and squared > 0):
         raise UserError(
             f"The coefficients of {medium.name} give no real refractive index at {nm:.6g} nm (its square "
             f"would be {squared:g})."
         )
-    return math.sqrt(squared)
+    index = math.sqrt(squared)
+    if not _LEAST <= index <= _MOST:
+        raise UserError(
+            f"The refractive index of {medium.name} at {nm:.6g} nm would be {index:g}; it must lie between "
+            f"{_LEAST:g} and {_MOST:g}."
+        )
+    return index
 
 
 def _squared_index(medium: Medium, w2: float) -> float:

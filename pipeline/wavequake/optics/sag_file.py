@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,8 @@ def read_sag(path: str | Path) -> SagTable:
     UserError
         If the file cannot be read or holds no such table; the message names it and the line.
     """
+    if not isinstance(path, str | Path):
+        raise UserError(f"The sag file is {path!r}; it must be the path of a file, as text.")
     path = Path(path)
     readers = {".csv": _csv, ".npy": _npy, ".dat": _dat}
     reader = readers.get(path.suffix.lower())
@@ -80,11 +83,15 @@ def _csv(path: Path) -> SagTable:
 def _npy(path: Path) -> SagTable:
     try:
         heights = np.load(path, allow_pickle=False)
-    except ValueError as error:
-        raise UserError(f"The sag file {path} is no NumPy array: {error}.") from None
+    except (ValueError, EOFError, BadZipFile) as error:
+        raise UserError(f"The sag file {path} is no NumPy array: {str(error).rstrip('.')}.") from None
+    if not isinstance(heights, np.ndarray):
+        heights.close()
+        raise UserError(f"The sag file {path} holds several arrays (.npz); save the one of heights as .npy.")
     if not (np.issubdtype(heights.dtype, np.floating) or np.issubdtype(heights.dtype, np.integer)):
         raise UserError(f"The sag file {path} holds {heights.dtype}, not numbers.")
-    return SagTable(heights.astype(np.float64), None)
+    with np.errstate(over="ignore"):  # numbers that are too large become infinite, and are refused as such
+        return SagTable(heights.astype(np.float64), None)
 
 
 def _dat(path: Path) -> SagTable:
@@ -97,11 +104,13 @@ def _dat(path: Path) -> SagTable:
         len(head) == 7
         and np.isfinite(head).all()
         and [int(head[k]) for k in (0, 1, 4)] == [*head[:2], head[4]]
+        and 0 < head[0] * head[1] <= MAX_NODES
+        and head[0] > 0
     )
     if not whole or not 0 <= head[4] < len(_MM_PER_UNIT):
         raise UserError(
             f"{path}, line {lines[0][0]}: it must be nx ny delx dely unitflag xdec ydec, with whole numbers "
-            "nx, ny and a unit flag from 0 (mm) to 3 (m)."
+            f"nx, ny above 0 (at most {MAX_NODES} nodes) and a unit flag from 0 (mm) to 3 (m)."
         )
     columns, rows, scale = int(head[0]), int(head[1]), _MM_PER_UNIT[int(head[4])]
     if head[5] or head[6]:

@@ -1,11 +1,13 @@
 """One surface of an optical system as a study file gives it (see `wavequake.optics.system_file`)."""
 
+import difflib
 from dataclasses import replace
+from math import isinf
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from wavequake.errors import UserError
 from wavequake.optics.gradient_index import GradientIndex
@@ -44,7 +46,7 @@ class SurfaceSection(FileSection):
     name: str = Field(min_length=1)
     distance_mm: float = Field(default=0.0, description="along the light from the previous surface")
     radius_mm: float | None = Field(
-        default=None, description="None is a plane; positive if the center lies on +z"
+        default=None, description="None or inf is a plane; positive if the center lies on +z"
     )
     conic: float = 0.0
     even_asphere: tuple[float, ...] = Field(
@@ -106,6 +108,18 @@ class SurfaceSection(FileSection):
     decenter_mm: tuple[float, float] = Field(default=(0.0, 0.0), strict=False)
     fold: bool = Field(default=False, description="the axis goes on as this tilted mirror reflects it")
     stop: bool = False
+
+    @field_validator("radius_mm", mode="before")
+    @classmethod
+    def _plane(cls, radius: Any) -> Any:
+        """Take an infinite radius as none."""
+        return None if isinstance(radius, float) and isinf(radius) else radius
+
+    @field_validator("glass")
+    @classmethod
+    def _mirror(cls, glass: str | float | None) -> str | float | None:
+        """Take a mirror, as a glass, in upper and lower case."""
+        return "mirror" if isinstance(glass, str) and glass.lower() == "mirror" else glass
 
     @model_validator(mode="after")
     def _keys_fit_each_other(self) -> "SurfaceSection":
@@ -178,7 +192,9 @@ def _glass(section: SurfaceSection) -> tuple[SurfaceAction, Medium]:
     try:
         return "refract", glass(section.glass)
     except UserError as error:
-        raise UserError(f"The surface {section.name}: {error}") from None
+        near = difflib.get_close_matches(section.glass.lower(), ["mirror", "air"], n=1, cutoff=0.7)
+        hint = f' Did you mean "{near[0]}"?' if near else ""
+        raise UserError(f"The surface {section.name}: {error}{hint}") from None
 
 
 def shape_of(section: SurfaceSection) -> Shape:

@@ -5,7 +5,9 @@ from math import isfinite
 
 import numpy as np
 
+from wavequake.errors import UserError
 from wavequake.optics.gradient_index import GradientIndex
+from wavequake.optics.grid_cover import require_cover
 from wavequake.optics.packing import pack
 from wavequake.optics.paraxial import Paraxial, paraxial
 from wavequake.optics.ray_aiming import require_real_object
@@ -39,6 +41,10 @@ def info(system: OpticalSystem) -> str:
     if bent:
         parts.append([f"The index varies behind {bent[0].name}, and rays bend."])
     parts += [[system.note]] if system.note else []
+    try:
+        require_cover(system)
+    except UserError as error:  # such a system can be traced, but no study runs
+        parts.append([str(error)])
     return "\n\n".join("\n".join(lines) for lines in parts)
 
 

@@ -1,9 +1,10 @@
 """Read optical systems from Zemax's sequential lens files (.zmx).
 
-What the file says and an `OpticalSystem` cannot express is refused by name and line, never left out. Solves
-and pickups need nothing: the file holds the values that they gave. Two conventions differ from Zemax's
-default: rays are always aimed at the real stop, and a semi-diameter stops light only where the surface has an
-aperture (as in Zemax). Signs are the same: thicknesses are negative after an odd number of mirrors.
+What the file says and an `OpticalSystem` cannot express is refused by name and line, never left out; what is
+not understood in its header is named in the system's note. Solves and pickups need nothing: the file holds
+the values that they gave. Two conventions differ from Zemax's default: rays are always aimed at the real
+stop, and a semi-diameter stops light only where the surface has an aperture (as in Zemax). Signs are the
+same: thicknesses are negative after an odd number of mirrors.
 """
 
 import math
@@ -19,14 +20,12 @@ from wavequake.optics.gradient_index import GradientIndex
 from wavequake.optics.media import AIR, Medium
 from wavequake.optics.system import OpticalSystem, Pupil, require_system
 from wavequake.optics.system_kinematics import Break, SurfaceRow, sequential
+from wavequake.optics.zemax_header import PUPILS, left_aside, require_supported
 from wavequake.optics.zemax_media import medium_after
 from wavequake.optics.zemax_rows import Line, Row, as_count, as_integer, as_number, fail
 from wavequake.optics.zemax_surfaces import coordinate_break, opening, shape
 
 MM_PER_UNIT = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}
-
-_VIGNETTING = ("VDXN", "VDYN", "VCXN", "VCYN", "VANN")
-_PUPILS = ("ENPD", "FNUM", "OBNA", "FLOA")
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ def read_text(path: str | Path) -> str:
 def parse_zmx(text: str, where: str) -> OpticalSystem:
     """Return the system that the text of a .zmx file describes; `where` names it in messages."""
     file = _parsed(text, where)
-    _require_supported(file)
+    require_supported(file.header)
     scale = _scale(file)
     rows, stop = _prescription(file, scale)
     surfaces = sequential(rows)
@@ -97,6 +96,7 @@ def parse_zmx(text: str, where: str) -> OpticalSystem:
         primary_wavelength=primary,
         telecentric=telecentric,
         medium=_object_medium(file.rows[0]),
+        note=left_aside(file.header, file.rows[0].line.number),
     )
     try:
         require_system(system)
@@ -130,21 +130,6 @@ def _parsed(text: str, where: str) -> _File:
             "least are needed."
         )
     return _File(where, header, tuple(rows))
-
-
-def _require_supported(file: _File) -> None:
-    mode = file.first("MODE")
-    if mode and mode.words[:1] != ["SEQ"]:
-        fail(mode, f"the mode {mode.rest!r} is not supported, only SEQ is")
-    configurations = file.first("MNUM")
-    if configurations and as_integer(configurations, 0) > 1:
-        fail(configurations, "several configurations are not supported; save the wanted one alone")
-    for keyword in _VIGNETTING:
-        for line in file.header.get(keyword, []):
-            if any(as_number(line, index) for index in range(len(line.words))):
-                fail(
-                    line, "vignetting factors are not supported; set them to zero and give apertures instead"
-                )
 
 
 def _scale(file: _File) -> float:
@@ -224,10 +209,10 @@ def _thickness(row: Row, scale: float) -> float:
 
 
 def _pupil(file: _File, scale: float) -> Pupil:
-    given = [line for keyword in _PUPILS for line in file.header.get(keyword, [])]
+    given = [line for keyword in PUPILS for line in file.header.get(keyword, [])]
     if len(given) != 1:
         found = ", ".join(line.keyword for line in given) or "none"
-        raise UserError(f"{file.where} needs one of {', '.join(_PUPILS)} for the aperture; it has {found}.")
+        raise UserError(f"{file.where} needs one of {', '.join(PUPILS)} for the aperture; it has {found}.")
     line = given[0]
     if line.keyword == "FLOA":
         stop = next(row for row in file.rows if "STOP" in row.lines)
@@ -250,6 +235,8 @@ def _pupil(file: _File, scale: float) -> Pupil:
         return Pupil("f_number", value)
     if kind:
         fail(line, "an aperture given by an object cone angle is not supported; give the object's NA")
+    if math.isinf(_thickness(file.rows[0], scale)):
+        fail(line, "an object at infinity has no numerical aperture; give the entrance pupil (ENPD)")
     return Pupil("object_na", value)
 
 

@@ -21,10 +21,10 @@ from math import isqrt, sqrt
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from wavequake.errors import UserError
-from wavequake.optics.checks import whole
+from wavequake.optics.checks import array, whole
 from wavequake.optics.zernike import noll_to_nm
 
 Scheme = Literal["noll", "ansi", "fringe"]
@@ -55,8 +55,9 @@ def ansi_to_nm(j: int) -> tuple[int, int]:
     Raises
     ------
     UserError
-        If the index is negative.
+        If the index is negative or not whole.
     """
+    j = whole(j, "the ANSI index")
     if j < 0:
         raise UserError(f"the ANSI index {j} does not exist, the first one is 0 (piston)")
     n = (isqrt(8 * j + 1) - 1) // 2
@@ -89,8 +90,9 @@ def fringe_to_nm(j: int, arizona: bool = False) -> tuple[int, int]:
     Raises
     ------
     UserError
-        If the index is less than 1, or more than 37 in the set of 37.
+        If the index is less than 1 or not whole, or more than 37 in the set of 37.
     """
+    j = whole(j, "the Fringe index")
     if j < 1:
         raise UserError(f"the Fringe index {j} does not exist, the first one is 1 (piston)")
     if arizona and j > _ARIZONA:
@@ -135,14 +137,12 @@ def peak_amplitude(n: int, m: int) -> float:
     return sqrt((n + 1) * (2 if m else 1))
 
 
-def convert_coefficients(
-    coefficients: NDArray[np.float64], source: Scheme, target: Scheme
-) -> NDArray[np.float64]:
+def convert_coefficients(coefficients: ArrayLike, source: Scheme, target: Scheme) -> NDArray[np.float64]:
     """Return the same sum of circular Zernike polynomials by the indices and sizes of another scheme.
 
     Parameters
     ----------
-    coefficients : ndarray, shape (..., J)
+    coefficients : array_like, shape (..., J)
         By the source's index, from its first one on.
     source, target : {"noll", "ansi", "fringe"}
         Fringe is the set without end; of the 37 terms of the University of Arizona move the last to the place
@@ -157,10 +157,13 @@ def convert_coefficients(
     Raises
     ------
     UserError
-        If a scheme is unknown.
+        If a scheme is unknown, or the coefficients are no array of numbers.
     """
+    coefficients = array(coefficients, "the coefficients")
+    if coefficients.ndim == 0:
+        raise UserError(f"the coefficients are the number {coefficients}; give a list, by the source's index")
     for scheme in (source, target):
-        if scheme not in _SCHEMES:
+        if not isinstance(scheme, str) or scheme not in _SCHEMES:
             raise UserError(f"the Zernike scheme {scheme!r} is unknown, choose one of {', '.join(_SCHEMES)}")
     first, to_nm, _ = _SCHEMES[source]
     start, _, from_nm = _SCHEMES[target]

@@ -16,12 +16,12 @@ from wavequake.kernels.sequential import trace_sequence
 from wavequake.mechanics.element_motion import ElementMotion, figure_grids, figure_terms, single_parts
 from wavequake.optics.bodies import (
     Body,
-    beam_extents,
     beam_radii,
     rigid_body,
     surface_index,
     with_bodies,
 )
+from wavequake.optics.grid_cover import require_cover
 from wavequake.optics.pupils import sunflower
 from wavequake.optics.ray_aiming import LOSSES
 from wavequake.optics.shapes import GridDeformation, ZernikeDeformation
@@ -82,6 +82,7 @@ def system_bench(study_text: str) -> SystemBench:
     study = study_from_identity(SystemStudy, study_text)
     with threadpool_limits(1):
         system = build(study.system)
+        require_cover(system)
         bodies = tuple(rigid_body(system, one.name, one.surfaces, one.about_mm) for one in study.body)
         _require_elements(study, system)
         system = _deformable(study, system)
@@ -179,23 +180,8 @@ def _deformable(study: SystemStudy, system: OpticalSystem) -> OpticalSystem:
                         f"The disturbance {part.name!r} deforms {name!r} on another grid than one before; "
                         "give all heights of a surface on the same grid."
                     )
-    _require_cover(system, grids)
+    require_cover(system, grids)
     return deformable(system, dict.fromkeys(grids, 1) | terms, grids)
-
-
-def _require_cover(system: OpticalSystem, grids: Mapping[int, GridDeformation]) -> None:
-    """Raise UserError if a beam at rest reaches beyond a grid, where heights would go on as constants."""
-    for (index, grid), reach in zip(grids.items(), beam_extents(system, list(grids)), strict=True):
-        half = np.array([grid.dx * (grid.columns - 1), grid.dy * (grid.rows - 1)]) / 2.0
-        opening = system.surfaces[index].opening
-        if opening is not None and not opening.corners:
-            reach = np.minimum(reach, opening.outer + np.abs(opening.center))
-        if (reach > half * (1.0 + 1e-9)).any():
-            raise UserError(
-                f"The grid of heights of {system.surfaces[index].name!r} reaches to x = {half[0]:.6g} and "
-                f"y = {half[1]:.6g} mm, the beams of all fields to {reach[0]:.6g} and {reach[1]:.6g} mm; "
-                "it must cover them."
-            )
 
 
 def deformable(

@@ -23,6 +23,7 @@ from wavequake.mechanics.element_motion import (
 )
 from wavequake.mechanics.streams import Streams
 from wavequake.optics.packing import moving
+from wavequake.optics.system_file import build
 from wavequake.optics.system_kinematics import rest_states
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.sampling import Plan, plan_of, replicate_labels
@@ -268,8 +269,10 @@ def describe(study_text: str) -> dict[str, str]:
 
 
 def notices(study_text: str) -> Iterator[str]:
-    """Yield what is computed more than once, though nothing in it is random."""
+    """Yield what a lens file says that is not understood, and what is computed more than once in vain."""
     study = study_from_identity(SystemStudy, study_text)
+    if study.system.file_text is not None and (note := build(study.system).note):
+        yield note
     repeated, shares = study.repeated, [entry for entry in study.disturbance if entry.share]
     if len(repeated) == len(shares):
         count = sum(one.share for one in shares)
