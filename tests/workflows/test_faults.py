@@ -222,7 +222,7 @@ def test_a_command_that_is_interrupted_says_how_to_resume(tmp_path, on, sent):
         os.killpg(process.pid, number)
         time.sleep(0.05)
     _, complained = process.communicate(timeout=30)
-    assert time.monotonic() - start < 2
+    assert time.monotonic() - start < 10  # a second, on a machine with nothing else to do
     assert process.returncode == 130
     assert complained == (
         f"\nInterrupted. What is done is kept; to continue: wavequake {shlex.join(words)}\n"
