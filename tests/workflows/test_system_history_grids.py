@@ -175,9 +175,9 @@ file = "other.npz"
         (grid(ROUGH, "lens 3"), ARRAYS, "'shake' deforms the body 'lens 3'; only a surface deforms"),
         (grid(ROUGH, "L9"), ARRAYS, "acts on 'L9', but six-lens has no such surface"),
         (
-            grid(ROUGH[..., :5]),
+            {"L1 front.grid_nm": ROUGH[:, :5, :5], "L1 front.grid_spacing_mm": (4.0, 1.0)},
             ARRAYS,
-            "grid of heights of 'L1 front' reaches to x = .* and y = .* mm, the beams",
+            "grid of heights of 'L1 front' reaches to x = 8 and y = 2 mm, the beams",
         ),
         (grid(ROUGH[..., :-1]), TWO, "'other' deforms 'L1 front' on another grid than one before"),
         (
