@@ -31,7 +31,7 @@ from wavequake.optics.shapes import (
 from wavequake.optics.system import OpticalSystem, Pupil, Surface
 from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequential
 from wavequake.optics.system_sensitivity import figure_sensitivity
-from wavequake.optics.system_wavefront import measure_system, prepare_system, with_slopes
+from wavequake.optics.system_wavefront import measure_system, prepare_system
 from wavequake.optics.telescopes import telescope
 from wavequake.optics.zernike import annular_zernike, annular_zernike_gradient, noll_to_nm
 from wavequake.optics.zernike_indices import nm_to_noll
@@ -133,10 +133,11 @@ CALLS = {
         lambda: measure_system(lens(), rest_states(lens().system), "numpy"),
         "the device is",
     ),
-    "slopes of piston": (
-        lambda: with_slopes(prepare_system(GREGORIAN, *RAYS, 1)),
-        "at least 2 Zernike terms",
+    "no line of sight": (
+        lambda: prepare_system(GREGORIAN, *RAYS, 1),
+        "terms is 1; it must be from 3 to 2016",
     ),
+    "a million terms": (lambda: prepare_system(GREGORIAN, *RAYS, 10**6), "is 1000000; .* from 1 to 2016"),
     "no instants": (lambda: rest_states(GREGORIAN, -1), "instants is -1; it must be at least 0"),
     "states of nothing": (lambda: rest_states("euv"), "the system is 'euv'"),
     "a figure nowhere": (lambda: figure_sensitivity(lens(), [99], 3, NUMPY), "has no surface 99; it has 12"),

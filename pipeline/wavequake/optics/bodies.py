@@ -9,18 +9,20 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
-from wavequake.kernels.sequence import Moving
+from wavequake.kernels.sequence import Moving, Rays
 from wavequake.kernels.sequential import trace_sequence
 from wavequake.optics.checks import array
 from wavequake.optics.kinematics import cardan
 from wavequake.optics.packing import moving, pack
-from wavequake.optics.ray_aiming import pupil_rays
+from wavequake.optics.pupils import sunflower
+from wavequake.optics.ray_aiming import aimed_rays
 from wavequake.optics.system import OpticalSystem, wavelength_of
 from wavequake.optics.system_kinematics import motion_about, rest_poses, rest_states
 
 Array = NDArray[np.float64]
 
 _RIM_RAYS = 64
+_PUPIL_RAYS = 1000
 
 
 @dataclass(frozen=True)
@@ -143,7 +145,7 @@ def beam_radii(system: OpticalSystem, surfaces: Sequence[int]) -> Array:
     Raises
     ------
     UserError
-        If no ray from the pupil's rim reaches one of them, or rays cannot be aimed at the stop.
+        If no ray from the pupil's rim or within it reaches one of them.
     """
     return _reach(system, surfaces)[:, 2]
 
@@ -156,11 +158,12 @@ def beam_extents(system: OpticalSystem, surfaces: Sequence[int]) -> Array:
 def _reach(system: OpticalSystem, surfaces: Sequence[int]) -> Array:
     """Return the largest |x|, |y| and distance from the vertex (len(surfaces), 3); raises as `beam_radii`."""
     wavelength = wavelength_of(system)
+    if not surfaces:
+        return np.zeros((0, 3))
     whole, rest = pack(system, wavelength), moving(system, rest_states(system))
-    angle = 2.0 * np.pi * np.arange(_RIM_RAYS) / _RIM_RAYS
     reach = np.zeros((len(surfaces), 3))
     for field in system.fields:
-        rays = pupil_rays(system, field, wavelength, np.cos(angle), np.sin(angle))
+        rays = _rays(system, field, wavelength)
         for place, surface in enumerate(surfaces):
             count = surface + 1
             sequence = replace(whole, elements=whole.elements[:count])
@@ -173,3 +176,15 @@ def _reach(system: OpticalSystem, surfaces: Sequence[int]) -> Array:
             name = system.surfaces[surface].name
             raise UserError(f"no ray from the rim of the pupil of {system.name} reaches the surface {name}")
     return reach
+
+
+def _rays(system: OpticalSystem, field: Array, wavelength: float) -> Rays:
+    """Return rays of the pupil's rim, or of all of it where some of the rim do not reach the stop."""
+    angle = 2.0 * np.pi * np.arange(_RIM_RAYS) / _RIM_RAYS
+    x, y = np.cos(angle), np.sin(angle)
+    aimed = aimed_rays(system, field, wavelength, x, y)
+    if aimed.lost.any():
+        inside = sunflower(0.0, 1.0, _PUPIL_RAYS)
+        x, y = np.concatenate([x, inside.x]), np.concatenate([y, inside.y])
+        aimed = aimed_rays(system, field, wavelength, x, y)
+    return aimed.rays

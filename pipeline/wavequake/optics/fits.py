@@ -10,7 +10,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY, Device
 from wavequake.kernels.ray_sums import ray_coefficients
 from wavequake.optics.checks import alike, number, whole
-from wavequake.optics.zernike import annular_zernike
+from wavequake.optics.zernike import MOST_TERMS, annular_zernike
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -85,9 +85,9 @@ def pupil_fit(x: Array, y: Array, weight: Array, terms: int, obscuration: float)
     Raises
     ------
     UserError
-        If the arrays are not alike, a weight is not positive or a ray far from the pupil, there are too few
-        rays, or they lie so that some combination of the polynomials nearly vanishes at them: its coefficient
-        would be noise.
+        If the arrays are not alike, a weight is not positive or a ray far from the pupil, there are too many
+        terms or too few rays, or they lie so that some combination of the polynomials nearly vanishes at
+        them: its coefficient would be noise.
     """
     x, y, weight = alike("the rays in the pupil and their weights", x, y, weight)
     if not (np.isfinite(weight) & (weight > 0.0)).all():
@@ -95,6 +95,8 @@ def pupil_fit(x: Array, y: Array, weight: Array, terms: int, obscuration: float)
     if not ((np.abs(x) <= _FARTHEST) & (np.abs(y) <= _FARTHEST)).all():
         raise UserError("the rays must lie in the pupil, at places in units of its radius (not mm, not NaN)")
     terms, obscuration = whole(terms, "the number of Zernike terms"), number(obscuration, "the obscuration")
+    if not 1 <= terms <= MOST_TERMS:
+        raise UserError(f"the number of Zernike terms is {terms}; it must be from 1 to {MOST_TERMS}")
     # A power of two changes no bits, and keeps the sum from overflowing.
     scaled = np.ldexp(weight, -np.frexp(np.max(weight, initial=0.0))[1])
     return _pupil_fit(x.tobytes(), y.tobytes(), (scaled / np.sum(scaled)).tobytes(), terms, obscuration)

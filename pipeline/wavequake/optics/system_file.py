@@ -21,7 +21,7 @@ the axis on which the later surfaces stand; every other tilt and decenter moves 
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,8 @@ Pairs = tuple[Pair, ...] | None
 
 class SystemSection(FileSection):
     """The optical system of a study. What is given beside ``name`` or ``file`` replaces what that says."""
+
+    alternatives: ClassVar = (tuple(_PUPILS), tuple(_FIELDS))  # an override of one replaces the others
 
     name: str | None = Field(default=None, description="of a bundled system; of this one if it has surfaces")
     file: str | None = Field(

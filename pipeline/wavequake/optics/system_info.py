@@ -10,7 +10,7 @@ from wavequake.optics.gradient_index import GradientIndex
 from wavequake.optics.grid_cover import require_cover
 from wavequake.optics.packing import pack
 from wavequake.optics.paraxial import Paraxial, paraxial
-from wavequake.optics.ray_aiming import require_real_object
+from wavequake.optics.ray_aiming import require_light
 from wavequake.optics.shapes import Conic, Opening
 from wavequake.optics.system import OpticalSystem, Surface, wavelength_of
 
@@ -28,9 +28,9 @@ def info(system: OpticalSystem) -> str:
         what could not be traced is not described either.
     """
     data = paraxial(system)
-    require_real_object(system)
     for wavelength in system.wavelengths:
         pack(system, float(wavelength))
+    require_light(system)
     parts = [
         [system.name],
         _columns(_first_order(system, data)),

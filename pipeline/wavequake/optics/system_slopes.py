@@ -87,7 +87,8 @@ def system_slopes(
     pupil : ndarray, shape (N, 2)
         In units of its radius.
     points : ndarray, shape (2, N, 5)
-        x and y on the sphere at rest of the rays, shifted in the pupil by ``STEP * SHIFTS``.
+        x and y on the sphere at rest of the rays, shifted in the pupil by ``STEP * SHIFTS``; NaN for one that
+        does not arrive, which is left out.
     distance : ndarray, shape (N,)
     fit : Fit
         Of the polynomials.
@@ -103,13 +104,16 @@ def system_slopes(
     _, *gradient = annular_zernike_gradient(pupil[:, 0], pupil[:, 1], terms, obscuration)
     apart = np.stack([points[..., 1] - points[..., 2], points[..., 3] - points[..., 4]]) / (2.0 * STEP)
     derivatives = apart.transpose(2, 0, 1)
-    scale = -wavelength * distance
+    known = np.isfinite(points[0]).all(axis=1)
+    derivatives = np.where(known[:, None, None], derivatives, np.eye(2))
+    scale = np.where(known, -wavelength * distance, 0.0)
+    weight = np.where(known, fit.weight, 0.0)
     return SystemSlopes(
-        fit=offset_fit(np.stack(gradient, axis=1), derivatives, scale, fit.weight, MORE_RAYS),
+        fit=offset_fit(np.stack(gradient, axis=1), derivatives, scale, weight, MORE_RAYS),
         pupil=fit,
         gradient=np.stack(gradient),
         radius=radius,
-        distance=distance,
+        distance=np.where(known, distance, np.nan),
         points=points[..., 0],
         inverse=np.asarray(np.linalg.inv(derivatives), dtype=np.float64),
     )

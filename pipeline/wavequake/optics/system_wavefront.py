@@ -20,15 +20,16 @@ from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY, Device
 from wavequake.kernels.opd import count_status, path_differences, without_planes
 from wavequake.kernels.ray_sums import ray_moments
-from wavequake.kernels.sequence import OK, VIGNETTED, Moving, Rays, Sequence, TracedRays
+from wavequake.kernels.sequence import VIGNETTED, Moving, Rays, Sequence, TracedRays
 from wavequake.kernels.sequential import launches_of, trace_sequence
 from wavequake.kernels.sequential_numpy import joined_moving, moving_part
 from wavequake.kernels.sequential_source import OUTPUTS
 from wavequake.optics.checks import alike, whole
 from wavequake.optics.fits import MORE_RAYS, Fit, fit_instants, pupil_fit
+from wavequake.optics.image_aperture import image_cosines
 from wavequake.optics.packing import moving, pack
 from wavequake.optics.paraxial import paraxial
-from wavequake.optics.ray_aiming import LOSSES, pupil_rays
+from wavequake.optics.ray_aiming import aimed_rays, losses, pupil_rays
 from wavequake.optics.sphere_fit import sphere_basis_fit
 from wavequake.optics.stop_following import follow_stop, stays, steering
 from wavequake.optics.system import OpticalSystem, SystemStates, wavelength_of
@@ -40,14 +41,14 @@ from wavequake.optics.system_slopes import (
     slope_coefficients,
     system_slopes,
 )
+from wavequake.optics.zernike import MOST_TERMS
 
 Array = NDArray[np.float64]
 Traced = tuple[Array, TracedRays, Array]  # see `trace_light`
 
 # Radius of the reference sphere where the exit pupil is at infinity, mm.
 _TELECENTRIC_RADIUS = 1e5
-_PARALLEL = 1e-9  # smallest numerical aperture of an image; rounding of the rays would be 1e-7 of it
-_RIM = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])
+_PLANE = 3  # terms, without which there is no line of sight
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,9 @@ class PreparedSystem:
         Index of the field point.
     steering : ndarray, shape (2, 2)
         How the light moves where the stop does, see `wavequake.optics.stop_following`.
+    status, surface : ndarray of int8, shape (N,)
+        0 and -1, or why and where light ends that no ray brings to its point of the stop at rest; such a ray
+        is NaN and lost at all instants.
     slopes : SystemSlopes, optional
         Takes the coefficients from image points and directions instead of path lengths.
     sphere : Fit, optional
@@ -94,6 +98,8 @@ class PreparedSystem:
     cosines: Array
     field: int
     steering: Array
+    status: NDArray[np.int8]
+    surface: NDArray[np.int8]
     slopes: SystemSlopes | None = None
     sphere: Fit | None = None
 
@@ -153,7 +159,7 @@ def prepare_system(
     x, y, weight : ndarray, shape (N,)
         Where the rays pass the pupil, in units of its outer radius, and the share of the light of each.
     terms : int
-        Number of Noll Zernike polynomials.
+        Number of Noll Zernike polynomials: 3, for the line of sight, to 2016.
     field : int
         Index of the field point.
     wavelength : float, optional
@@ -162,31 +168,32 @@ def prepare_system(
     Raises
     ------
     UserError
-        If the field does not exist, `pupil_fit` refuses the rays, the chief ray or a rim ray does not arrive
-        at the image, or the rays arrive there parallel to each other.
+        If the field does not exist, `pupil_fit` refuses the rays, the chief ray or all rays do not arrive at
+        the stop, those about it do not at the image, or the rays arrive there parallel to each other.
     """
     x, y, weight = alike("the rays in the pupil and their weights", x, y, weight)
     first_order, wavelength = paraxial(system, wavelength), wavelength_of(system, wavelength)
     sequence = pack(system, wavelength)
     if not 0 <= whole(field, "the index of the field") < len(system.fields):
         raise UserError(f"{system.name} has {len(system.fields)} fields; there is no field {field}")
+    if whole(terms, "the number of Zernike terms") < _PLANE:
+        raise UserError(f"the number of Zernike terms is {terms}; it must be from {_PLANE} to {MOST_TERMS}")
     fit = pupil_fit(x, y, weight, terms, system.pupil.obscuration)
     point = system.fields[field]
     chief = pupil_rays(system, point, wavelength, np.zeros(1), np.zeros(1))
-    traced = _arrive(system, sequence, pupil_rays(system, point, wavelength, *_RIM))
-    rim = np.stack([traced.u[0], traced.v[0]])
-    cosines = np.stack([(rim[:, 0] - rim[:, 1]) / 2.0, (rim[:, 2] - rim[:, 3]) / 2.0], axis=1)
-    if not np.linalg.svd(cosines, compute_uv=False)[-1] > _PARALLEL:
+    cosines = image_cosines(system, sequence, point, wavelength)
+    aimed = aimed_rays(system, point, wavelength, x, y)
+    if aimed.lost.all():
         raise UserError(
-            f"the rays of {system.name} arrive parallel to each other, so it has no image; it needs "
-            "surfaces with power and a wider pupil"
+            f"no ray of {system.name} reaches its point of the stop: they are lost, "
+            f"{losses(system, aimed.status, aimed.surface)}; make the pupil or the field smaller"
         )
     refracting = [element.index for element in sequence.elements if element.action == "refract"]
     radius = -first_order.exit_pupil if np.isfinite(first_order.exit_pupil) else _TELECENTRIC_RADIUS
     return PreparedSystem(
         system=system,
         sequence=sequence,
-        rays=pupil_rays(system, point, wavelength, x, y),
+        rays=aimed.rays,
         chief=chief,
         pupil=np.stack([x, y], axis=1),
         fit=fit,
@@ -196,6 +203,8 @@ def prepare_system(
         cosines=cosines,
         field=field,
         steering=steering(system, sequence, chief),
+        status=aimed.status,
+        surface=aimed.surface,
     )
 
 
@@ -209,7 +218,7 @@ def with_slopes(prepared: PreparedSystem) -> PreparedSystem:
     Raises
     ------
     UserError
-        If a ray does not arrive at the image, or the rays do not determine the coefficients.
+        If the rays that arrive do not determine the coefficients.
     """
     distance, points = _sphere_points(prepared, *shifted_pupil(prepared.pupil))
     slopes = system_slopes(
@@ -233,12 +242,15 @@ def with_fitted_sphere(prepared: PreparedSystem) -> PreparedSystem:
     Raises
     ------
     UserError
-        If a ray does not arrive at the image, or the rays determine no sphere.
+        If the rays that arrive determine no sphere.
     """
     _, points = _sphere_points(prepared, *prepared.pupil.T)
-    traced = _arrive(prepared.system, prepared.sequence, prepared.chief)
+    rest = moving(prepared.system, rest_states(prepared.system))
+    traced = trace_sequence(prepared.sequence, prepared.chief, rest, NUMPY, ignore_apertures=True)
     chief = np.concatenate([traced.u[0], traced.v[0]])
-    toward, weight = -points.T / prepared.sphere_radius, prepared.fit.weight
+    known = np.isfinite(points[0])  # the others' OPDs are NaN, too
+    toward = np.where(known[:, None], -points.T / prepared.sphere_radius, chief)
+    weight = np.where(known, prepared.fit.weight, 0.0)
     return replace(prepared, sphere=sphere_basis_fit(toward, chief, _aperture(prepared), weight, MORE_RAYS))
 
 
@@ -248,26 +260,16 @@ def _aperture(prepared: PreparedSystem) -> float:
 
 
 def _sphere_points(prepared: PreparedSystem, x: Array, y: Array) -> tuple[Array, Array]:
-    """Return where rays of the pupil meet the reference sphere at rest: distances (N,), x and y (2, N)."""
-    system = prepared.system
-    rays = pupil_rays(system, system.fields[prepared.field], prepared.wavelength, x, y)
-    traced = _arrive(system, prepared.sequence, rays)
-    chief, _ = chief_points(prepared, moving(system, rest_states(system)))
+    """Return where rays of the pupil meet the reference sphere at rest: distances (N,), x and y (2, N).
+
+    Those that do not arrive are NaN.
+    """
+    system, rest = prepared.system, moving(prepared.system, rest_states(prepared.system))
+    aimed = aimed_rays(system, system.fields[prepared.field], prepared.wavelength, x, y)
+    traced = trace_sequence(prepared.sequence, aimed.rays, rest, NUMPY, ignore_apertures=True)
+    chief, _ = chief_points(prepared, rest)
     points, distance = on_sphere(traced, chief, prepared.sphere_radius)
     return distance[0], points[:, 0]
-
-
-def _arrive(system: OpticalSystem, sequence: Sequence, rays: Rays) -> TracedRays:
-    """Return rays at the image, ignoring openings, at rest."""
-    traced = trace_sequence(sequence, rays, moving(system, rest_states(system)), NUMPY, ignore_apertures=True)
-    if (traced.status != OK).any():
-        lost = int(np.argmax(traced.status[0] != OK))
-        name, why = system.surfaces[int(traced.surface[0, lost])].name, LOSSES[int(traced.status[0, lost])]
-        raise UserError(
-            f"a ray from the rim of the pupil of {system.name} is lost at {name}, {why}; make the pupil or "
-            "the field smaller"
-        )
-    return traced
 
 
 def incoming_light(prepared: PreparedSystem, states: SystemStates, device: Device = NUMPY) -> Moving:
@@ -381,7 +383,7 @@ def analyse_system(
         spot_rms=found.spot_rms,
         strehl=found.strehl,
         lost=weight.size - found.arrived,
-        vignetted=count_status(traced.status, VIGNETTED),
+        vignetted=count_status(traced.status, VIGNETTED) + np.count_nonzero(prepared.status == VIGNETTED),
     )
 
 

@@ -76,7 +76,8 @@ def study_of(record: dict[str, Any], where: str, base: Path, pairs: Iterable[tup
 
     Files that it names are looked for in `base`; raises as :func:`load_study`.
     """
-    model = _model(record, where)
+    model, pairs = _model(record, where), list(pairs)
+    _replace_alternatives(record, pairs, model)
     for key, value in pairs:
         _override(record, key, _located(key, value, base), model)
     model.read_files(record, base)
@@ -95,6 +96,7 @@ def study_with(study: Study, keys: Mapping[str, Any]) -> Study:
             "it; load it with this key (wavequake.load_study)."
         )
     record = study.model_dump(mode="json")
+    _replace_alternatives(record, keys.items(), type(study))
     for key, value in keys.items():
         _override(record, key, value, type(study))
     return _validated(type(study), record, study.study.name)
@@ -168,6 +170,19 @@ def _split(text: str) -> tuple[str, Any]:
         return key.strip(), tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         return key.strip(), value
+
+
+def _replace_alternatives(
+    record: dict[str, Any], pairs: Iterable[tuple[str, Any]], model: type[Study]
+) -> None:
+    """Remove from a record what the keys of overrides stand in for, such as another kind of pupil."""
+    for key, value in pairs:
+        home, _, last = key.partition(".")
+        field, section = model.model_fields.get(home), record.get(home)
+        for group in getattr(field and field.annotation, "alternatives", ()):
+            if last in group and value is not None and isinstance(section, dict):
+                for other in group:
+                    section.pop(other, None)
 
 
 def _override(record: dict[str, Any], key: str, value: Any, model: type[Study]) -> None:

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
-from wavequake.kernels.sequence import DIVERGED, MISS, OK, TOTAL_REFLECTION, VIGNETTED
+from wavequake.kernels.sequence import OK
 from wavequake.kernels.sequential import trace_sequence
 from wavequake.mechanics.element_motion import ElementMotion, figure_grids, figure_terms, single_parts
 from wavequake.optics.bodies import (
@@ -23,7 +23,7 @@ from wavequake.optics.bodies import (
 )
 from wavequake.optics.grid_cover import require_cover
 from wavequake.optics.pupils import sunflower
-from wavequake.optics.ray_aiming import LOSSES
+from wavequake.optics.ray_aiming import LOSSES, losses, point_name
 from wavequake.optics.shapes import GridDeformation, ZernikeDeformation
 from wavequake.optics.system import OpticalSystem, SystemStates
 from wavequake.optics.system_file import build
@@ -44,11 +44,6 @@ Array = NDArray[np.float64]
 
 MM_PER_M = 1e3
 NM_PER_MM = 1e6
-_WHY = {
-    MISS: "they miss it",
-    TOTAL_REFLECTION: "they are totally reflected there",
-    DIVERGED: "it folds over",
-}
 
 
 @dataclass(frozen=True)
@@ -76,8 +71,8 @@ def system_bench(study_text: str) -> SystemBench:
     Raises
     ------
     UserError
-        If the system, its bodies or what its disturbances name is not as it must be, or light is lost at rest
-        other than at openings.
+        If the system, its bodies or what its disturbances name is not as it must be, or too little light
+        arrives at rest.
     """
     study = study_from_identity(SystemStudy, study_text)
     with threadpool_limits(1):
@@ -215,10 +210,7 @@ def deformable(
 
 def field_name(system: OpticalSystem, field: int) -> str:
     """Return a field point in words, such as ``(0, 10) deg``."""
-    x, y = system.fields[field]
-    if np.isinf(system.object_distance):
-        return f"({np.rad2deg(x) + 0.0:.5g}, {np.rad2deg(y) + 0.0:.5g}) deg"
-    return f"({x:.5g}, {y:.5g}) mm"
+    return point_name(system, system.fields[field])
 
 
 def light_of(prepared: PreparedSystem) -> str:
@@ -228,12 +220,14 @@ def light_of(prepared: PreparedSystem) -> str:
 
 
 def _require_light(prepared: PreparedSystem, wavefront: SystemWavefront, rest: SystemStates) -> None:
-    """Raise UserError if light is lost at rest other than at openings, or too little arrives."""
-    if wavefront.lost[0] > wavefront.vignetted[0]:
-        raise UserError(f"At rest {lost_light(prepared, rest, 0)}; make the pupil or the field smaller.")
+    """Raise UserError if too little light arrives at rest."""
     trouble = failure(prepared, wavefront, rest)
     if trouble:
-        raise UserError(f"At rest {trouble[1]}.")
+        left, terms = len(prepared.pupil) - wavefront.lost[0], prepared.fit.basis.shape[1]
+        raise UserError(
+            f"At rest {trouble[1]}; the {left} that arrive do not determine {terms} wavefront terms: make "
+            "the pupil or the field smaller."
+        )
 
 
 def failure(
@@ -262,18 +256,18 @@ def _lost_chief(prepared: PreparedSystem, states: SystemStates, instant: int) ->
 
 
 def lost_light(prepared: PreparedSystem, states: SystemStates, instant: int) -> str:
-    """Say how many rays are lost at an instant, where most of them, and why."""
+    """Say how many rays are lost at an instant, where and why, the most first."""
     one = at_instant(states, instant)
     traced = trace_sequence(prepared.sequence, prepared.rays, incoming_light(prepared, one), NUMPY)
-    status, surface = traced.status[0], traced.surface[0]
-    reasons = [reason for reason in (*_WHY, VIGNETTED) if (status == reason).any()]
-    if not reasons:
+    aimed = prepared.status == OK
+    status = np.where(aimed, traced.status[0], prepared.status)
+    surface = np.where(aimed, traced.surface[0], prepared.surface)
+    behind = surface == len(prepared.system.surfaces)  # the reference sphere
+    if behind[status != OK].all():
         return f"rays of {light_of(prepared)} miss the reference sphere"
-    worst = int(np.bincount(surface[status == reasons[0]]).argmax())
-    why = _WHY.get(reasons[0], "its opening stops them")
     return (
         f"{np.count_nonzero(status != OK)} of {len(status)} rays of {light_of(prepared)} are lost, "
-        f"at {prepared.system.surfaces[worst].name}: {why}"
+        f"{losses(prepared.system, np.where(behind, OK, status), surface)}"
     )
 
 

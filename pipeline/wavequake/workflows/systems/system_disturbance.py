@@ -35,6 +35,7 @@ from wavequake.workflows.systems.system_bench import (
     NM_PER_MM,
     SystemBench,
     field_name,
+    lost_light,
     system_bench,
     system_states,
 )
@@ -253,11 +254,9 @@ def describe(study_text: str) -> dict[str, str]:
         max(one.rms[0] * prepared.wavelength * NM_PER_MM for prepared, one in zip(*pair, strict=True))
         for pair in zip(bench.prepared, bench.static, strict=True)
     ]
-    stopped = [max(int(one.vignetted[0]) for one in row) for row in bench.static]
     lines = {
-        f"field {field_name(system, field)}": f"{error:.4g} nm rms at rest"
-        + (f", {count} of {rays} rays vignetted" if count else "")
-        for field, (error, count) in enumerate(zip(errors, stopped, strict=True))
+        f"field {field_name(system, field)}": f"{error:.4g} nm rms at rest" + _missing(bench, field)
+        for field, error in enumerate(errors)
     }
     return {
         "rays": f"{rays} per field and wavelength"
@@ -266,6 +265,19 @@ def describe(study_text: str) -> dict[str, str]:
         **lines,
         "system": system.info(),
     }
+
+
+def _missing(bench: SystemBench, field: int) -> str:
+    """Say how many rays of a field point do not arrive at rest, at the wavelength with the fewest that do."""
+    rays, counts = bench.study.optics.rays, [int(one.lost[0]) for one in bench.static[field]]
+    worst = counts.index(max(counts))
+    lost, stopped = counts[worst], int(bench.static[field][worst].vignetted[0])
+    if not lost:
+        return ""
+    why = f"{stopped} of {rays} rays vignetted"
+    if lost > stopped:
+        why = lost_light(bench.prepared[field][worst], rest_states(bench.system), 0)
+    return f" of a fit over the full pupil, of which {1.0 - lost / rays:.0%} arrives: {why}"
 
 
 def notices(study_text: str) -> Iterator[str]:
