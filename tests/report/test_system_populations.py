@@ -29,10 +29,11 @@ def random_store(seed=1):
     status = np.ones(CASES, dtype=np.int8)
     status[[0, 4, 36]] = (2, 0, 3)
     time = np.where(short[:, None] & (np.arange(INSTANTS) >= 3), np.nan, np.arange(INSTANTS) * 0.1)
-    data = {name: series("case", "time", "field", "wavelength") for name in systems._SERIES[:4]}
+    data = {name: series("case", "time", "field", "wavelength") for name in systems._SERIES[:5]}
     data["los_mm"] = series("case", "time", "field", "wavelength", "axis", scale=1e-3)
     counted = ("case", "field", "wavelength")
     data["vignetted"] = (counted, random.integers(0, 9, (CASES, FIELDS, WAVES)).astype(float))
+    data["lost"] = (counted, data["vignetted"][1] + random.integers(0, 9, (CASES, FIELDS, WAVES)))
     data["marechal"] = (counted, random.random((CASES, FIELDS, WAVES)))
     coords = {
         "case": np.arange(CASES),
@@ -58,13 +59,14 @@ def test_every_number_is_that_of_the_whole_series(monkeypatch, block_bytes):
             here = light.isel(field=index)
             for name, values in (
                 ("wfe_rms", field.wfe),
+                ("wfe_rms_raw", field.raw),
                 ("wfe_change", field.change),
                 ("spot_rms", field.spot),
             ):
                 np.testing.assert_allclose(values, np.sqrt((here[name] ** 2).mean("time")), rtol=1e-14)
             assert field.strehl_p50 == np.median(here["strehl"])
             assert field.marechal == here["marechal"].mean()
-            assert field.vignetted == here["vignetted"].max()
+            assert (field.vignetted, field.lost) == (here["vignetted"].max(), here["lost"].max())
             los = here["los_mm"].to_numpy() * 1e3
             squares = ((los - los.mean(axis=(0, 1))) ** 2).sum(axis=2)
             np.testing.assert_allclose(field.los.radial, np.sqrt(squares.mean()), rtol=1e-9)
@@ -82,7 +84,7 @@ def test_a_median_is_of_evenly_spaced_instants_where_there_are_many(monkeypatch)
 
 def test_blocks_are_whole_chunks_of_bounded_size():
     light = random_store().isel(wavelength=1)
-    each = INSTANTS * FIELDS * (4 + 2) * 8
+    each = INSTANTS * FIELDS * (5 + 2) * 8
     assert list(systems._blocks(light)) == [(0, CASES)]
     assert [last - first for first, last in _bounded(light, 2 * CHUNK * each + 1)] == [10, 10, 10, 7]
     assert [last - first for first, last in _bounded(light, 1)] == [5] * 7 + [2]
@@ -103,7 +105,7 @@ def test_a_store_without_finished_cases_has_empty_populations():
 def summarized(dataset):
     """The store that would keep statistics over time of the same numbers."""
     light = dataset.compute()
-    found = {name: light[name] for name in ("vignetted", "marechal", "status")}
+    found = {name: light[name] for name in ("vignetted", "lost", "marechal", "status")}
     for name in systems._SERIES:
         values = light[name]
         if name == "los_mm":
@@ -132,9 +134,9 @@ def test_a_summary_gives_the_same_numbers_as_far_as_it_holds_them(monkeypatch, b
         np.testing.assert_array_equal(one.cases, other.cases)
         mine = dataset.isel(case=one.cases, wavelength=1).compute()
         for index, (field, same) in enumerate(zip(one.fields, other.fields, strict=True)):
-            for name in ("wfe", "change", "spot"):
+            for name in ("wfe", "change", "spot", "raw"):
                 np.testing.assert_allclose(getattr(same, name), getattr(field, name), rtol=1e-14)
-            assert (same.marechal, same.vignetted) == (field.marechal, field.vignetted)
+            assert (same.marechal, same.vignetted, same.lost) == (field.marechal, field.vignetted, field.lost)
             here = mine.isel(field=index)
             assert same.strehl_p50 == pytest.approx(np.median(here["strehl"].mean("time")), rel=1e-14)
             squares = 1e6 * (here["los_mm"] ** 2).sum("axis", skipna=False).mean("time").to_numpy()

@@ -38,7 +38,7 @@ from wavequake.workflows.systems.system_measure import worst_instant
 
 Array = NDArray[np.float64]
 
-_SERIES = ("wfe_rms", "wfe_change", "spot_rms", "strehl", "los_mm")
+_SERIES = ("wfe_rms", "wfe_change", "spot_rms", "wfe_rms_raw", "strehl", "los_mm")
 _BLOCK_BYTES = 2**26  # of time series in memory at a time
 _INSTANTS = 2**20  # about the most whose Strehl ratios a median is taken of
 
@@ -63,8 +63,8 @@ _DEFINITIONS = (
 class FieldResult:
     """What one population does at one field point, at the primary wavelength.
 
-    ``wfe``, ``change`` (nm) and ``spot`` (um) hold the rms over its instants of each case, (C,); ``sets`` the
-    stratified set of each, if cases are not independent.
+    ``wfe``, ``raw`` (of the rays that arrive), ``change`` (nm) and ``spot`` (um) hold the rms over its
+    instants of each case, (C,); ``sets`` the stratified set of each, if cases are not independent.
     """
 
     field: str
@@ -75,6 +75,8 @@ class FieldResult:
     marechal: float
     los: Jitter
     vignetted: int
+    raw: Array
+    lost: int
     sets: NDArray[np.int64] | None = None
 
 
@@ -101,16 +103,19 @@ class SystemPopulation:
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     bench = system_bench(read_manifest(store).study)
-    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=_SMALL_PRINT + what_is_kept(dataset))
+    found = populations(dataset, bench)
+    headers = _headers(found)
+    caption = _SMALL_PRINT + _partial(found, bench) + what_is_kept(dataset)
+    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=caption)
     table.caption_justify = "left"
     table.add_column("disturbance\nfield")
-    for header in _HEADERS[3:]:
+    for header in headers[3:]:
         table.add_column(header.replace(" ", "\n"), justify="right", no_wrap=True)
-    for population in populations(dataset, bench):
+    for population in found:
         table.add_row(Text(f"{population.name}, {len(population.cases)} cases", style="bold"))
         for one in population.fields:
-            cells = list(_row(population, one, bench).values())
-            table.add_row(f"  {one.field}", *(value for value, _ in cells[3:]))
+            row = _row(population, one, bench)
+            table.add_row(f"  {one.field}", *(row[header][0] for header in headers[3:]))
     return table
 
 
@@ -118,10 +123,12 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     """Write the HTML report; the worst case of every disturbance is traced again for its spot diagrams."""
     bench = system_bench(read_manifest(store).study)
     found = populations(dataset, bench)
+    headers = _headers(found)
+    rows = [_row(population, one, bench) for population in found for one in population.fields]
     page = Page(
         answer=answer(found),
-        table=[_row(population, one, bench) for population in found for one in population.fields],
-        small_print=_SMALL_PRINT + what_is_kept(dataset),
+        table=[{header: row[header] for header in headers} for row in rows],
+        small_print=_SMALL_PRINT + _partial(found, bench) + what_is_kept(dataset),
         overview=[*_overview(found), *budget.pictures(store)],
         sections=[Section(one.name, list(_figures(bench, one, dataset, device))) for one in found],
         definitions=list(_DEFINITIONS),
@@ -184,7 +191,7 @@ def _per_case(
     """Return what is kept of some cases: numbers per case and field, and every n-th Strehl ratio."""
     values = {key: series[rows][:, present] for key, series in block.items()}
     return {
-        **{key: case_rms(values[key]) for key in ("wfe_rms", "wfe_change", "spot_rms")},
+        **{key: case_rms(values[key]) for key in ("wfe_rms", "wfe_change", "spot_rms", "wfe_rms_raw")},
         "los_mean": values["los_mm"].mean(axis=1),
         "los_variance": values["los_mm"].var(axis=1),
         "strehl": values["strehl"][:, ::every].reshape(-1, values["strehl"].shape[2]),
@@ -200,7 +207,7 @@ def _of_summary(block: dict[str, Array], rows: NDArray[np.int64]) -> dict[str, A
     )
     squares = np.repeat(rms["los_mm"][..., None] ** 2 / 2.0, 2, axis=-1)  # of both axes together
     return {
-        **{key: rms[key] for key in ("wfe_rms", "wfe_change", "spot_rms")},
+        **{key: rms[key] for key in ("wfe_rms", "wfe_change", "spot_rms", "wfe_rms_raw")},
         "los_mean": np.zeros_like(squares),
         "los_variance": squares,
         "strehl": mean["strehl"],
@@ -214,7 +221,7 @@ def _population(light: xr.Dataset, name: str, parts: Sequence[dict[str, Array]])
         return SystemPopulation(name, cases, (), None)
     values = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
     sets = light["replicate"].to_numpy() if "replicate" in light.coords else None
-    vignetted, marechal = light["vignetted"].to_numpy(), light["marechal"].to_numpy()
+    vignetted, lost, marechal = (light[name].to_numpy() for name in ("vignetted", "lost", "marechal"))
     fields = tuple(
         FieldResult(
             field=str(label),
@@ -227,6 +234,8 @@ def _population(light: xr.Dataset, name: str, parts: Sequence[dict[str, Array]])
                 values["los_mean"][:, index] * 1e3, values["los_variance"][:, index] * 1e6, sets
             ),
             vignetted=int(vignetted[:, index].max()),
+            raw=values["wfe_rms_raw"][:, index],
+            lost=int(lost[:, index].max()),
             sets=sets,
         )
         for index, label in enumerate(light["field"].to_numpy())
@@ -245,8 +254,11 @@ _HEADERS = (
     "spot P50 (µm)",
     "Strehl P50",
     "Maréchal",
+    "arrived WFE P50 (nm)",
     "vignetted",
+    "lost",
 )
+_WHOLE = tuple(name for name in _HEADERS if name not in ("arrived WFE P50 (nm)", "lost"))
 
 
 def _row(population: SystemPopulation, one: FieldResult, bench: SystemBench) -> dict[str, tuple[str, str]]:
@@ -264,9 +276,30 @@ def _row(population: SystemPopulation, one: FieldResult, bench: SystemBench) -> 
         _quantile(quantile(one.spot, 0.5, sets=one.sets)),
         (number(one.strehl_p50), ""),
         (share(one.marechal), ""),
+        _quantile(quantile(one.raw, 0.5, sets=one.sets)),
         (f"{one.vignetted} of {rays}" if one.vignetted else "0", ""),
+        (f"{one.lost - one.vignetted} of {rays}" if one.lost > one.vignetted else "0", ""),
     )
     return dict(zip(_HEADERS, values, strict=True))
+
+
+def _headers(found: Sequence[SystemPopulation]) -> tuple[str, ...]:
+    """Return the columns of the table: two more where rays do not arrive."""
+    return _HEADERS if any(one.lost for population in found for one in population.fields) else _WHOLE
+
+
+def _partial(found: Sequence[SystemPopulation], bench: SystemBench) -> str:
+    """Say what the numbers of a fit mean where rays do not arrive."""
+    most = max((one.lost for population in found for one in population.fields), default=0)
+    if not most:
+        return ""
+    least = 1.0 - most / bench.study.optics.rays
+    return (
+        f" At some instant no more than {share(least)} of the rays arrive at some field: WFE, change and LOS "
+        "are those of a fit that goes on over the full pupil, also where no light arrives. Arrived WFE: rms "
+        "over the rays that arrive, piston removed, tilt about the reference image point not. Lost: rays "
+        "that no opening stops but that miss a surface or are totally reflected."
+    )
 
 
 def _quantile(found: Quantile) -> tuple[str, str]:
