@@ -108,11 +108,53 @@ def test_the_report_says_what_is_vignetted_and_left_out(wavequake, newton, tmp_p
     assert "its opening stops them" in page
 
 
+def test_where_light_is_stopped_the_error_of_what_arrives_stands_beside_the_fit(wavequake, newton, tmp_path):
+    """A mirror of half the pupil's radius lets a quarter of its rays through."""
+    newton.write_text(STUDY.replace("semi_diameter_mm = 51.0", "semi_diameter_mm = 25.0"))
+    words = ["campaign.cases=4", "--store", tmp_path / "half", "--on", "serial"]
+    code, out, _ = wavequake("run", newton, *words)
+    assert code == 0
+    said = " ".join(out.split())
+    assert "no more than 25 % of the rays arrive" in said
+    assert "arrived" in said
+    assert "30 of 40" in said
+    assert "arrived WFE P50 (nm)" in (tmp_path / "half" / "report.html").read_text()
+    whole = wavequake(
+        "run",
+        newton,
+        *words[:1],
+        "system.surface.mirror.semi_diameter_mm=51",
+        *words[3:],
+        "--store",
+        tmp_path / "whole",
+    )[1]
+    assert "arrived" not in whole
+
+
 def test_plan_shows_first_order_data_and_light_at_rest(wavequake, newton):
     code, out, _ = wavequake("plan", newton)
     assert code == 0
     for words in ("focal length", " 1000 mm", "nm rms at rest", "12 in 3 chunks of 4"):
         assert words in out, out
+
+
+def test_an_override_of_one_kind_of_pupil_or_field_replaces_another(wavequake, newton):
+    code, out, _ = wavequake("info", "double-gauss", "system.entrance_diameter_mm=20")
+    assert code == 0
+    assert "diameter 20 mm" in out
+    code, out, _ = wavequake("info", newton, "system.fields_arcmin=[[0.0, 3.0]]")
+    assert code == 0
+    assert "(0, 3) arcmin" in out
+    both = wavequake("info", "double-gauss", "system.entrance_diameter_mm=20", "system.f_number=5")
+    assert both[0] == cli.EXIT_BAD_INPUT
+    assert "not entrance_diameter_mm and f_number" in both[2]
+
+
+def test_info_refuses_what_a_run_refuses(wavequake):
+    code, out, err = wavequake("info", "euv", "system.telecentric=true")
+    assert code == cli.EXIT_BAD_INPUT
+    assert "declared telecentric" in err
+    assert not out
 
 
 def test_info_of_a_system_a_lens_file_and_studies(wavequake, newton, tmp_path, monkeypatch):
