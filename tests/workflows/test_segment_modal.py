@@ -269,13 +269,20 @@ def test_a_store_of_summaries_is_whole_and_says_how_good_the_model_is(study, tmp
         ({"wavefront.reference": "fitted"}, r"needs wavefront.method = 'opd' and wavefront.reference"),
         ({"store.reduce": "summary", "store.every": 2}, r"leave store.every out"),
         ({"store.every": 4}, r"store.every is 4, but there are cases of 3 instants"),
-        ({"study.workflow": "telescope-exposure"}, r"belong to the workflow segment-disturbance"),
+        ({"study.workflow": "telescope-exposure"}, r"decides which sections a study has"),
         ({"optics.modal_tolerance_nm": 0.0}, r"modal_tolerance_nm"),
     ],
 )
 def test_what_does_not_fit_is_refused(study, keys, message):
     with pytest.raises(UserError, match=message):
         study_with(study, keys)
+
+
+def test_exposures_do_not_sum_modes(study):
+    record = study.model_dump(mode="json")
+    record["study"]["workflow"] = "telescope-exposure"
+    with pytest.raises(ValueError, match="belong to the workflow segment-disturbance"):
+        type(study).model_validate(record)
 
 
 def test_nothing_moves_but_the_mount(study):

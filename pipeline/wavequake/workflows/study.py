@@ -187,6 +187,11 @@ def _replace_alternatives(
 
 def _override(record: dict[str, Any], key: str, value: Any, model: type[Study]) -> None:
     node: Any = record
+    if key == "study.workflow" and value != record["study"]["workflow"]:
+        raise UserError(
+            f"study.workflow is {record['study']['workflow']!r} and decides which sections a study has; "
+            f"for {value!r} write a study file of that workflow."
+        )
     *parents, last = key.split(".")
     homes = [
         name
