@@ -2,26 +2,29 @@
 
 The loop is straight-line code for a degree, without branches, and what rays share is read before it: LLVM
 makes vectors of it, which takes a sixth of the time of loops over coefficients. As the kernel does, it turns
-rays into every surface's frame and says which are lost, where and why; rays that need Newton's iteration, of
-which there are none here, would take it in a second loop.
+rays into the frames of surfaces that are turned, and says which are lost, where and why; rays that need
+Newton's iteration, of which there are none here, would take it in a second loop.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 
-def numba_tracer(degree: int) -> Callable[..., Any] | None:
-    """Return a function whose arguments are those of the text, or None without numba."""
+def numba_tracer(degree: int, rotates: Sequence[bool]) -> Callable[..., Any] | None:
+    """Return a function whose arguments are those of the text, or None without numba.
+
+    ``rotates`` tells which of the four surfaces turn against the one before.
+    """
     try:
         import numba
     except ImportError:
         return None
     names: dict[str, Any] = {}
-    exec("\n".join(_lines(degree)), names)
+    exec("\n".join(_lines(degree, rotates)), names)
     return numba.njit(parallel=True, error_model="numpy")(names["trace"])  # type: ignore[no-any-return]
 
 
-def _lines(degree: int) -> Iterator[str]:
+def _lines(degree: int, rotates: Sequence[bool]) -> Iterator[str]:
     yield "from math import nan, sqrt"
     yield "from numba import prange"
     given = "conics, poses, coefficients, scale, limit, reach, position, direction"
@@ -32,14 +35,14 @@ def _lines(degree: int) -> Iterator[str]:
         yield from (f"    p{i}_{j} = poses[{i}, {j}]" for j in range(12))
     yield from (f"    a{i} = coefficients[{i}]" for i in range((degree + 1) * (degree + 2) // 2))
     yield "    u, v, w = direction"
-    yield f"    u0, v0, w0 = {_turned(0)}"
+    yield f"    u0, v0, w0 = {_turned(0, rotates)}"
     yield "    for n in prange(position.shape[1]):"
-    yield from (f"        {line}" for line in _ray(degree))
+    yield from (f"        {line}" for line in _ray(degree, rotates))
 
 
-def _ray(degree: int) -> Iterator[str]:
+def _ray(degree: int, rotates: Sequence[bool]) -> Iterator[str]:
     yield "x, y, z = position[0, n], position[1, n], position[2, n]"
-    yield f"x, y, z = {_moved(0)}"
+    yield f"x, y, z = {_moved(0, rotates)}"
     yield "u, v, w = u0, v0, w0"
     yield from _to_conic(0)
     yield "total = way"
@@ -66,8 +69,8 @@ def _ray(degree: int) -> Iterator[str]:
     yield "loss = 0.0 if near & (nz < 0.0) & ((nx * u + ny * v + nz * w) * w < 0.0) else 2043.0"
     yield from _reflect()
     yield "length = norm"
-    yield f"u, v, w = {_turned(1)}"
-    yield f"x, y, z = {_moved(1)}"
+    yield f"u, v, w = {_turned(1, rotates)}"
+    yield f"x, y, z = {_moved(1, rotates)}"
     yield from _to_conic(1)
     yield "total = total + way * length"
     yield "nx, ny, nz = c1 * x, c1 * y, k1 * z - 1.0"
@@ -76,8 +79,8 @@ def _ray(degree: int) -> Iterator[str]:
     yield from _reflect()
     yield "length = length * norm"
     for i in (2, 3):
-        yield f"u, v, w = {_turned(i)}"
-        yield f"x, y, z = {_moved(i)}"
+        yield f"u, v, w = {_turned(i, rotates)}"
+        yield f"x, y, z = {_moved(i, rotates)}"
         yield "way = -z / w"
         yield "x, y, z = x + way * u, y + way * v, z + way * w"
         yield "total = total + way * length"
@@ -96,12 +99,15 @@ def _row(surface: int, row: int, *point: str) -> str:
     return " + ".join(f"p{surface}_{3 * row + k} * {name}" for k, name in enumerate(point))
 
 
-def _turned(surface: int) -> str:
+def _turned(surface: int, rotates: Sequence[bool]) -> str:
+    if not rotates[surface]:
+        return "u, v, w"
     return ", ".join(_row(surface, row, "u", "v", "w") for row in range(3))
 
 
-def _moved(surface: int) -> str:
-    return ", ".join(f"p{surface}_{9 + row} + {_row(surface, row, 'x', 'y', 'z')}" for row in range(3))
+def _moved(surface: int, rotates: Sequence[bool]) -> str:
+    places = [_row(surface, row, "x", "y", "z") if rotates[surface] else "xyz"[row] for row in range(3)]
+    return ", ".join(f"p{surface}_{9 + row} + {place}" for row, place in enumerate(places))
 
 
 def _to_conic(surface: int) -> Iterator[str]:
