@@ -167,14 +167,15 @@ def measure(device: Device, terms: int, batoid: bool, console: Console) -> dict[
     }
     rays = {"kernel": RAYS, "batch": BATCH * BATCH_RAYS, "small": BATCH_RAYS}
     rays["492 segments"] = TILES * TILE * 18 * 492
-    shapes, fixed, limit, _ = packed_elements(sequence, rest, False)
-    numba = numba_tracer(sequence.elements[0].deformation_degree, [shape.rotates for shape in shapes])
+    layout, limit, _ = packed_elements(sequence, rest, False)
+    rotates = [shape.rotates for shape in layout.shapes]
+    numba = numba_tracer(sequence.elements[0].deformation_degree, rotates)
     if numba:
         conics = np.array([[1 / M1, 1 + K1], [1 / M2, 1 + K2]])
         out, codes = np.empty((3, RAYS)), np.empty((2, RAYS), np.int8)
         direction = many.direction[:, 0].copy()
         monomials = rest.deformations[0][0]
-        limits = (float(np.ravel(limit)[0]), float(np.ravel(fixed)[5]))
+        limits = (float(np.ravel(limit)[0]), float(layout.numbers[5]))
         given = (conics, rest.poses[0], monomials, 1.0 / OUTER, *limits, many.position, direction)
         arguments = (*given, *out, *codes)
         jobs["numba"], rays["numba"] = lambda: numba(*arguments), RAYS

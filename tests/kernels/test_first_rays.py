@@ -147,7 +147,7 @@ def test_errors_in_what_is_written_are_found(monkeypatch, name, after, device):
 @pytest.mark.parametrize("name", FOLDED)
 def test_a_wrong_sign_of_any_curvature_is_found(monkeypatch, name, device):
     arguments = case(name)
-    shapes = packed_elements(arguments[0], arguments[2], True)[0]
+    shapes = packed_elements(arguments[0], arguments[2], True)[0].shapes
     for shape in shapes:
         if not shape.plane:
             with monkeypatch.context() as patch:

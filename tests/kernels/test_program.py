@@ -7,7 +7,7 @@ import pytest
 
 from wavequake.files import folder
 from wavequake.kernels.devices import NUMPY
-from wavequake.kernels.program import aligned_empty, source, watch
+from wavequake.kernels.program import aligned_empties, aligned_empty, source, watch
 
 
 def test_headers_are_pasted_into_the_source_that_binaries_are_cached_by():
@@ -31,6 +31,19 @@ def test_new_arrays_begin_with_a_page():
         assert (array.shape, array.dtype) == (shape, dtype)
         assert array.ctypes.data % 4096 == 0 or array.size == 0
         assert array.flags.c_contiguous
+
+
+@pytest.mark.parametrize(("count", "shared"), [(2000, True), (1, True), (0, True), (100_000, False)])
+def test_arrays_that_are_written_together_begin_with_pages_of_their_own(count, shared):
+    dtypes = [np.float64, np.int8, np.float64, np.int8]
+    arrays = aligned_empties((2, count), dtypes)
+    for number, (array, dtype) in enumerate(zip(arrays, dtypes, strict=True)):
+        assert (array.shape, array.dtype, array.flags.c_contiguous) == ((2, count), dtype, True)
+        assert array.ctypes.data % 4096 == 0 or not count
+        array[:] = number
+    assert [set(array.ravel()) for array in arrays] == [{n} if count else set() for n in range(4)]
+    # Of large ones each goes by itself: who keeps the codes does not keep the rays.
+    assert (arrays[0].base is arrays[1].base) is shared
 
 
 @pytest.mark.parametrize(

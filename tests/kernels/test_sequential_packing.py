@@ -23,10 +23,8 @@ def strongest_bend(slopes, radius, points, inner=0.0):
 
 
 def bend_of(element):
-    moving = Moving(np.zeros((1, 1, 12)))
-    numbers, arrays = [], []
-    _, bends, reach = packing._parts(0, element, moving, numbers, arrays)
-    return float(bends[0]), reach
+    bends = packing._bends(0, element, Moving(np.zeros((1, 1, 12))), [])
+    return float(bends[0]), packing._parts(element, None, [])[1]
 
 
 @pytest.mark.parametrize("basis", ["monomial", Ring(), Ring(0.4)], ids=str)
@@ -85,11 +83,11 @@ def test_no_grid_bends_more_than_the_host_says():
 
 def test_even_powers_always_take_the_full_iteration():
     sequence = Sequence((Element(even=(1e-9,)), Element()))
-    shapes, fixed, limits, _ = packing.packed_elements(sequence, Moving(np.zeros((3, 2, 12))), False)
+    layout, limits, _ = packing.packed_elements(sequence, Moving(np.zeros((3, 2, 12))), False)
     assert limits.shape == (3, 1)
     assert (limits < 0.0).all()
-    assert [shape.bare for shape in shapes] == [False, True]
-    assert fixed.dtype == np.float64
+    assert [shape.bare for shape in layout.shapes] == [False, True]
+    assert layout.numbers.dtype == np.float64
 
 
 def test_one_program_serves_all_batches_of_elements_that_may_turn():
@@ -101,6 +99,8 @@ def test_one_program_serves_all_batches_of_elements_that_may_turn():
     tilted[1, 1, [4, 5, 7, 8]] = np.cos(0.1), np.sin(0.1), -np.sin(0.1), np.cos(0.1)
     for turning, same in ((True, True), (False, False)):
         sequence = Sequence((Element(-0.01, action="reflect"), Element()), turning=turning)
-        shapes = [packing.packed_elements(sequence, Moving(poses), False)[0] for poses in (moved, tilted)]
+        shapes = [
+            packing.packed_elements(sequence, Moving(poses), False)[0].shapes for poses in (moved, tilted)
+        ]
         assert (shapes[0] == shapes[1]) is same
         assert [shape.rotates for shape in shapes[1]] == [turning, True]

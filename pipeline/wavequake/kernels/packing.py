@@ -1,5 +1,6 @@
 """Pack a sequence for its kernel: what its text depends on, and the numbers that the text reads."""
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.ring import ring_second_derivatives, ring_steps
-from wavequake.kernels.sequence import Basis, Element, Grid, Moving, Sequence, terms
+from wavequake.kernels.sequence import Basis, Element, Moving, Sequence, terms
 from wavequake.kernels.sequential_source import Medium, Part, Shape
 
 Array = NDArray[np.float64]
@@ -23,42 +24,66 @@ _MARGIN = 2.0
 _LARGEST_POWER = 280.0  # of ten
 
 
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """What the kernel's text depends on, and the fixed numbers that it reads; equal only to itself."""
+
+    shapes: tuple[Shape, ...]
+    numbers: Array
+
+
 @np.errstate(divide="ignore", over="ignore", invalid="ignore")
 def packed_elements(
     sequence: Sequence, moving: Moving, ignore_apertures: bool
-) -> tuple[tuple[Shape, ...], Array, Array, list[Array]]:
-    """Return shapes, fixed numbers, limits (T, deformed elements) and arrays of the parts (T or 1, ...).
+) -> tuple[Layout, Array, list[Array]]:
+    """Return the layout, limits (T, deformed elements) and arrays of the parts (T or 1, ...).
 
     A limit is the square of the longest lateral step for which one evaluation is enough, see
     ``kernels/deformed.cl``.
     """
-    shapes: list[Shape] = []
-    numbers: list[float] = []
+    instants = len(moving.poses)
+    rotates = (True,) * len(sequence.elements) if sequence.turning else _turns(moving.poses)
+    grids = tuple([None if grid is None else grid.shape[-2:] for grid in moving.grids])
+    layout = _layout(sequence, ignore_apertures, rotates, grids)
     limits: list[Array] = []
     arrays: list[Array] = []
+    for number, (element, shape) in enumerate(zip(sequence.elements, layout.shapes, strict=True)):
+        if not shape.bare:
+            limits.append(_limit(element, _bends(number, element, moving, arrays), instants))
+    return layout, np.stack(limits, axis=1) if limits else np.zeros((instants, 0)), arrays
+
+
+@lru_cache(maxsize=16)
+def _layout(
+    sequence: Sequence,
+    ignore_apertures: bool,
+    rotates: tuple[bool, ...],
+    grids: tuple[tuple[int, int] | None, ...],
+) -> Layout:
+    """Return what does not change from instant to instant; `grids` are rows and columns of those that do."""
+    shapes: list[Shape] = []
+    numbers: list[float] = []
     index, medium = sequence.index, None
-    rotates = np.ones(len(sequence.elements), bool) if sequence.turning else _turns(moving.poses)
     for number, element in enumerate(sequence.elements):
         start = len(numbers)
         behind = element.index if element.action == "refract" else index
         numbers += [element.curvature, 1.0 + element.conic, index, index / behind, behind, np.inf]
         even = (len(element.even), len(numbers))
         numbers += element.even
-        parts, bends, reach = _parts(number, element, moving, numbers, arrays)
+        parts, reach = _parts(element, grids[number] if grids else None, numbers)
         numbers[start + 5] = reach * reach
         regions = () if ignore_apertures else _regions(element, numbers)
         plane = element.curvature == 0.0
-        turns, vacuum = bool(rotates[number]), index == 1.0
+        vacuum = index == 1.0
         before = medium
         if element.action == "refract":
             medium = _medium(number, element, numbers)
         media = before, medium
-        shapes.append(Shape(start, element.action, plane, turns, vacuum, even, tuple(parts), regions, *media))
-        if not shapes[-1].bare:
-            limits.append(_limit(element, bends, len(moving.poses)))
+        shapes.append(
+            Shape(start, element.action, plane, rotates[number], vacuum, even, tuple(parts), regions, *media)
+        )
         index = behind
-    packed = np.stack(limits, axis=1) if limits else np.zeros((len(moving.poses), 0))
-    return tuple(shapes), np.array(numbers), packed, arrays
+    return Layout(tuple(shapes), np.array(numbers))
 
 
 def _medium(number: int, element: Element, numbers: list[float]) -> Medium | None:
@@ -71,78 +96,83 @@ def _medium(number: int, element: Element, numbers: list[float]) -> Medium | Non
     return Medium(number, len(gradient.radial), len(gradient.axial), place)
 
 
-def _turns(poses: Array) -> NDArray[np.bool_]:
+def _turns(poses: Array) -> tuple[bool, ...]:
     """Tell which surfaces turn at any of the instants (T, L, 12); most that do, do so at the first."""
     turning = (poses[:1, :, :9] != _UNTURNED).any(axis=(0, 2))
-    still = np.flatnonzero(~turning)
-    turning[still] = (poses[1:, still, :9] != _UNTURNED).any(axis=(0, 2))
-    return np.asarray(turning)
+    if len(poses) > 1:
+        still = np.flatnonzero(~turning)
+        turning[still] = (poses[1:, still, :9] != _UNTURNED).any(axis=(0, 2))
+    return tuple(turning.tolist())
 
 
 def _parts(
-    number: int, element: Element, moving: Moving, numbers: list[float], arrays: list[Array]
-) -> tuple[list[Part], list[Array], float]:
-    """Add an element's polynomials and grids to `numbers` and `arrays`.
-
-    Return them, bounds of their second derivatives (T or 1,), and the radius within which these hold.
-    """
-    parts, bends, reach = [], [], np.inf
-    for degree, radius, basis, coefficients in _polynomials(number, element, moving):
+    element: Element, moving_grid: tuple[int, int] | None, numbers: list[float]
+) -> tuple[list[Part], float]:
+    """Add the numbers of an element's polynomials and grids; return them and where their bounds hold."""
+    parts, reach = [], np.inf
+    for degree, radius, basis, moves in _forms(element):
         if basis == "monomial":
             call = f"monomials({{array}}, {degree}, x, y, sx, sy)"
-            place, steps, packed = 0, [], coefficients * _powers(degree, radius)
+            place, steps = 0, []
         else:
             call = f"ring({{array}}, {degree}, {{place}}, x, y, sx, sy)"
-            place, steps, packed = (
-                len(numbers),
-                [1.0 / radius, *ring_steps(degree, basis.inner)],
-                coefficients,
-            )
-        parts.append(Part(call, terms(degree), coefficients.ndim == 2, place))
+            place, steps = len(numbers), [1.0 / radius, *ring_steps(degree, basis.inner)]
+        parts.append(Part(call, terms(degree), moves, place))
         numbers += steps
-        arrays.append(packed)
-        bends.append(_bend(coefficients, degree, basis) / radius**2)
         reach = min(reach, radius * _BEYOND)
-    for grid, heights in _grids(number, element, moving):
-        rows, columns = heights.shape[-2:]
+    shapes = [] if element.grid is None else [(element.grid, element.grid.coefficients.shape, False)]
+    if element.deformation_grid is not None and moving_grid is not None:
+        shapes.append((element.deformation_grid, moving_grid, True))
+    for grid, (rows, columns), moves in shapes:
         call = f"spline_grid({{array}}, {rows}, {columns}, {{place}}, x, y, sx, sy)"
-        parts.append(Part(call, rows * columns, heights.ndim == 3, len(numbers)))
+        parts.append(Part(call, rows * columns, moves, len(numbers)))
         numbers += [grid.x0, grid.y0, 1.0 / grid.dx, 1.0 / grid.dy]
+    return parts, reach
+
+
+def _bends(number: int, element: Element, moving: Moving, arrays: list[Array]) -> list[Array]:
+    """Add the coefficients of an element's parts to `arrays`; return bounds of their second derivatives."""
+    bends = []
+    for (degree, radius, basis, _), coefficients in zip(
+        _forms(element), _coefficients(number, element, moving), strict=True
+    ):
+        arrays.append(coefficients * _powers(degree, radius) if basis == "monomial" else coefficients)
+        bends.append(_bend(coefficients, degree, basis) / radius**2)
+    moves = moving.grids[number] if moving.grids else None
+    grids = [] if element.grid is None else [(element.grid, element.grid.coefficients)]
+    if element.deformation_grid is not None and moves is not None:
+        grids.append((element.deformation_grid, moves))
+    for grid, heights in grids:
         arrays.append(heights)
         # Second differences of a B-spline's coefficients bound its second derivatives.
         spread = heights.max(axis=(-2, -1)) - heights.min(axis=(-2, -1))
         bends.append(8.0 * spread / min(grid.dx, grid.dy) ** 2)
-    return parts, bends, reach
+    return bends
 
 
-def _polynomials(number: int, element: Element, moving: Moving) -> list[tuple[int, float, Basis, Array]]:
-    """Return degree, radius, basis and coefficients; fixed and moving ones of one kind are added up."""
-    fixed = element.polynomial
-    moves = moving.deformations[number] if moving.deformations else None
+def _forms(element: Element) -> list[tuple[int, float, Basis, bool]]:
+    """Return degree, radius and basis of polynomials, and whether they move; those of a kind are added up."""
+    fixed, degree = element.polynomial, element.deformation_degree
     form = (element.deformation_radius, element.deformation_basis)
-    if fixed is None or moves is None:
-        found = [] if fixed is None else [(fixed.degree, fixed.radius, fixed.basis, fixed.coefficients)]
-        return found if moves is None else [*found, (element.deformation_degree, *form, moves)]
-    if (fixed.radius, fixed.basis) != form:
-        return [
-            (fixed.degree, fixed.radius, fixed.basis, fixed.coefficients),
-            (element.deformation_degree, *form, moves),
-        ]
-    degree = max(fixed.degree, element.deformation_degree)
+    if fixed is not None and degree >= 0 and (fixed.radius, fixed.basis) == form:
+        return [(max(fixed.degree, degree), *form, True)]
+    found = [] if fixed is None else [(fixed.degree, fixed.radius, fixed.basis, False)]
+    return found if degree < 0 else [*found, (degree, *form, True)]
+
+
+def _coefficients(number: int, element: Element, moving: Moving) -> list[Array]:
+    """Return the coefficients of the polynomials of `_forms`."""
+    fixed = [] if element.polynomial is None else [element.polynomial.coefficients]
+    moves = moving.deformations[number] if moving.deformations else None
+    if moves is None:
+        return fixed
+    (degree, *_), *others = _forms(element)
+    if others or not fixed:
+        return [*fixed, moves]
     total = np.zeros((len(moves), terms(degree)))
     total[:, : moves.shape[1]] = moves
-    total[:, : fixed.coefficients.size] += fixed.coefficients
-    return [(degree, *form, total)]
-
-
-def _grids(number: int, element: Element, moving: Moving) -> list[tuple[Grid, Array]]:
-    moves = moving.grids[number] if moving.grids else None
-    found = [] if element.grid is None else [(element.grid, element.grid.coefficients)]
-    return (
-        found
-        if moves is None or element.deformation_grid is None
-        else [*found, (element.deformation_grid, moves)]
-    )
+    total[:, : fixed[0].size] += fixed[0]
+    return [total]
 
 
 @lru_cache(maxsize=64)

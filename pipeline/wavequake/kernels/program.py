@@ -7,6 +7,7 @@ import re
 import warnings
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import accumulate
 from typing import Any, cast
 
 import numpy as np
@@ -22,6 +23,8 @@ from wavequake.kernels.resident import Resident, exclusive, settled
 _GROUP_RAYS = {"cpu": 125, "gpu": 8}
 # Bytes: no implementation asks for more than its widest vector, sixteen doubles.
 _ALIGNED = 128
+# Arrays that are written together share memory up to so much, as taking it takes time; one keeps all alive.
+_SHARED_BYTES = 1 << 20
 # Of half a microsecond each.
 _GLANCES = 1000
 _YIELD = getattr(os, "sched_yield", lambda: None)
@@ -105,17 +108,31 @@ def watch(queue: Any, device: Device, event: Any) -> None:
 
 def aligned_empty(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
     """Return a new array at the start of a memory page: some implementations copy what lies elsewhere."""
-    size = math.prod(shape) * np.dtype(dtype).itemsize
-    memory = np.empty(size + mmap.PAGESIZE, np.uint8)
+    return aligned_empties(shape, [dtype])[0]
+
+
+def aligned_empties(shape: tuple[int, ...], dtypes: Sequence[DTypeLike]) -> list[NDArray[Any]]:
+    """Return new arrays of one shape, each at the start of a memory page; small ones share their memory."""
+    types, count = [np.dtype(dtype) for dtype in dtypes], math.prod(shape)
+    pages = [-(-count * dtype.itemsize // mmap.PAGESIZE) * mmap.PAGESIZE for dtype in types]
+    if len(types) > 1 and sum(pages) > _SHARED_BYTES:
+        return [aligned_empty(shape, dtype) for dtype in types]
+    memory = np.empty(sum(pages) + mmap.PAGESIZE, np.uint8)
     first = -memory.__array_interface__["data"][0] % mmap.PAGESIZE
-    return np.ndarray(shape, dtype, memory, first)
+    starts = accumulate(pages[:-1], initial=first)
+    return [np.ndarray(shape, dtype, memory, start) for dtype, start in zip(types, starts, strict=True)]
 
 
 def device_empty(device: Device, shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
     """Return a new array for launches to fill, which stays on a device that has memory of its own."""
+    return device_empties(device, shape, [dtype])[0]
+
+
+def device_empties(device: Device, shape: tuple[int, ...], dtypes: Sequence[DTypeLike]) -> list[NDArray[Any]]:
+    """Return new arrays of one shape, which stay on a device that has memory of its own."""
     if device.kind == "cpu" or 0 in shape:
-        return aligned_empty(shape, dtype)
-    return cast(NDArray[Any], Resident(device, shape, dtype))
+        return aligned_empties(shape, dtypes)
+    return [cast(NDArray[Any], Resident(device, shape, dtype)) for dtype in dtypes]
 
 
 def device_copy(device: Device, array: NDArray[Any]) -> NDArray[Any]:

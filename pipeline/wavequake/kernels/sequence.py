@@ -119,13 +119,13 @@ class Element:
     gradient: Gradient | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sequence:
     """L elements in the order in which light meets them, the last being the image plane.
 
-    ``index`` is the refractive index before the first element. Batches in which an element does not turn are
-    traced by a shorter program than others, unless one for both is ``turning``: that is a sixth slower for
-    them, and takes seconds less to compile.
+    It equals only itself. ``index`` is the refractive index before the first element. Batches in which an
+    element does not turn are traced by a shorter program than others, unless one for both is ``turning``:
+    that is a sixth slower for them, and takes seconds less to compile.
     """
 
     elements: tuple[Element, ...]

@@ -1,6 +1,7 @@
 """Trace rays through any sequence of surfaces, every instant of a batch in one launch."""
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -8,8 +9,8 @@ from numpy.typing import NDArray
 
 from wavequake.kernels.devices import Device, require_device
 from wavequake.kernels.first_batch import COPIES, Pick, compare_rays, is_trusted, shaken
-from wavequake.kernels.packing import packed_elements
-from wavequake.kernels.program import aligned_empty, device_empty, launch
+from wavequake.kernels.packing import Layout, packed_elements
+from wavequake.kernels.program import aligned_empties, device_empties, launch
 from wavequake.kernels.sequence import Moving, Rays, Sequence, TracedRays, check_sequence
 from wavequake.kernels.sequential_numpy import moving_part, trace_sequence_numpy
 from wavequake.kernels.sequential_source import OUTPUTS, kernel_source
@@ -110,13 +111,14 @@ def _trace_opencl(
     if out is not None and any(getattr(out, name).shape != shape for name in (*outputs, "status", "surface")):
         raise ValueError(f"out must hold {', '.join(outputs)}, status and surface of the shape {shape}")
     parts = launches_of(rays, moving, outputs)
-    stays, results = len(parts) == 1, {}
-    for name in (*outputs, "status", "surface"):
-        if out is None:
-            dtype = np.float64 if name in OUTPUTS[:5] else np.int8
-            results[name] = device_empty(device, shape, dtype) if stays else aligned_empty(shape, dtype)
-        else:
-            results[name] = getattr(out, name) if device.kind == "gpu" else np.asarray(getattr(out, name))
+    stays, names = len(parts) == 1, (*outputs, "status", "surface")
+    if out is None:
+        dtypes = [np.float64 if name in OUTPUTS[:5] else np.int8 for name in names]
+        arrays = device_empties(device, shape, dtypes) if stays else aligned_empties(shape, dtypes)
+    else:
+        arrays = [getattr(out, name) for name in names]
+        arrays = arrays if device.kind == "gpu" else [np.asarray(array) for array in arrays]
+    results = dict(zip(names, arrays, strict=True))
     for part, now in parts:
         there = results if stays else {name: np.asarray(array)[part] for name, array in results.items()}
         _launch(sequence, rays, now, device, ignore_apertures, there)
@@ -132,12 +134,12 @@ def _launch(
     results: dict[str, NDArray[Any]],
 ) -> None:
     """Run the kernel once, over all instants of `moving`."""
-    shapes, fixed, limits, parts = packed_elements(sequence, moving, ignore_apertures)
+    layout, limits, parts = packed_elements(sequence, moving, ignore_apertures)
     direction, one_direction = _once(rays.direction)
     path, one_path = _once(rays.path)
     outputs = tuple(name for name in results if name in OUTPUTS)
     lanes, turns = _lanes(device), _TURNS[device.kind]
-    text = kernel_source(shapes, one_direction, one_path, moving.spheres is not None, outputs, turns)
+    text = _text(layout, one_direction, one_path, moving.spheres is not None, outputs, turns)
     count, width = rays.path.size, lanes * turns
     launch(
         device,
@@ -146,7 +148,7 @@ def _launch(
         (1, -(-count // width), len(moving.poses)),
         [
             np.int32(count),
-            fixed,
+            layout.numbers,
             rays.position,
             direction,
             path,
@@ -174,6 +176,15 @@ def _launch(
         compare_rays(device, text, list(found.values()), twin, length)
 
 
+@lru_cache(maxsize=256)
+def _text(
+    layout: Layout, one_direction: bool, one_path: bool, sphere: bool, outputs: tuple[str, ...], turns: int
+) -> str:
+    """Return the kernel's text; a layout is found faster than its shapes are compared."""
+    return kernel_source(layout.shapes, one_direction, one_path, sphere, outputs, turns)
+
+
+@lru_cache(maxsize=8)
 def _lanes(device: Device) -> int:
     """Return the rays of one vector: on a CPU two registers of them, as its latencies ask for."""
     return (
