@@ -1,11 +1,11 @@
 // Traces rays through a segmented telescope: segments of M1, further mirrors, image plane, reference sphere.
 //
-// Work-item (lane group, group of RAYS, tile). Compile-time constants: W instants in a vector, TURNS vectors of
-// each of RAYS in a work-item, EDGES per segment (0: no edge), CONVEX (whether edges are half planes that hold
-// all of the glass), DEGREE and MIRROR_DEGREE of the figure polynomials of segments and of the mirrors after M1
-// (-1: none), SEGMENT_RING and MIRROR_RING (whether these are evaluated by recurrences), SEGMENT_CHECKED and
-// MIRROR_CHECKED (whether two steps onto them may not do), SURFACES after M1 (the last is the image plane),
-// PLANES (bit i: surface i is a plane), EDGED (bit i: surface i has an edge).
+// Work-item (lane group, group of RAYS, tile). Compile-time constants: W instants in a vector, EDGES per segment
+// (0: no edge), CONVEX (whether edges are half planes that hold all of the glass), DEGREE and MIRROR_DEGREE of
+// the figure polynomials of segments and of the mirrors after M1 (-1: none), SEGMENT_RING and MIRROR_RING
+// (whether these are evaluated by recurrences), SEGMENT_CHECKED and MIRROR_CHECKED (whether two steps onto them
+// may not do), SURFACES after M1 (the last is the image plane), PLANES (bit i: surface i is a plane), EDGED (bit
+// i: surface i has an edge).
 
 #include "lanes.h"
 #include "rays.h"
@@ -52,11 +52,8 @@ enum { OK = 0, GAP = 1, MISS = 2 };
 // another cost processors without 512-bit vectors as much as the trace itself.
 #define LOSS(status) (256.0 - (status))
 
-// The vectors of a work-item take turns at every step, so that one hides the other's waiting.
-#define VECTORS (RAYS * TURNS)
-#define EACH_TURN _Pragma("unroll") for (int k = 0; k < VECTORS; ++k)
-#define RAY(k) ((k) / TURNS)
-#define LANE(k) ((k) % TURNS * W)
+// The rays of a work-item take turns at every step, so that one hides the other's waiting.
+#define EACH_TURN _Pragma("unroll") for (int k = 0; k < RAYS; ++k)
 
 // Where a ray meets a segment's conic, in the segment's displaced frame.
 typedef struct { real step; triple hit, direction, lean; } meeting;
@@ -109,35 +106,35 @@ typedef struct {
     double c, k1;
 } mirror;
 
-// Rays of `vectors` try one segment. The search runs in its displaced frame; the ray itself stays in the optics
+// So many rays try one segment. The search runs in its displaced frame; the ray itself stays in the optics
 // frame, where the step is the same and only the normal has to be turned back.
-INLINE void try_segment(const ray *r, sighting *s, const int vectors, mirror glass, int segment)
+INLINE void try_segment(const ray *r, sighting *s, const int rays, mirror glass, int segment)
 {
     __global const double *pose = glass.poses + (size_t)segment * 12 * 16;
-    meeting m[VECTORS];
+    meeting m[RAYS];
     #pragma unroll
-    for (int k = 0; k < vectors; ++k)
-        m[k] = meet_conic(&r[k], pose + LANE(k), glass.c, glass.k1);
+    for (int k = 0; k < rays; ++k)
+        m[k] = meet_conic(&r[k], pose, glass.c, glass.k1);
 #if DEGREE >= 0
     __global const double *figure = glass.figures + (size_t)segment * TERMS(DEGREE) * 16;
     __global const double *frame = glass.frames + 4 * segment;
-    real first[VECTORS];
+    real first[RAYS];
     #pragma unroll
-    for (int k = 0; k < vectors; ++k)
-        first[k] = segment_figure_first(figure + LANE(k), glass.steps, frame, m[k].hit, m[k].direction,
+    for (int k = 0; k < rays; ++k)
+        first[k] = segment_figure_first(figure, glass.steps, frame, m[k].hit, m[k].direction,
                                         m[k].lean);
     #pragma unroll
-    for (int k = 0; k < vectors; ++k) {
-        const real limit = SEGMENT_CHECKED ? LOAD(glass.limits + 16 * segment + LANE(k)) : (real)0.0;
+    for (int k = 0; k < rays; ++k) {
+        const real limit = SEGMENT_CHECKED ? LOAD(glass.limits + 16 * segment) : (real)0.0;
         m[k].hit = along(m[k].hit, first[k], m[k].direction);
         m[k].step += first[k];
-        segment_figure_second(figure + LANE(k), glass.steps, frame, m[k].direction, glass.c, glass.k1, limit,
+        segment_figure_second(figure, glass.steps, frame, m[k].direction, glass.c, glass.k1, limit,
                               first[k], &m[k].hit, &m[k].step, &m[k].lean);
     }
 #endif
     #pragma unroll
-    for (int k = 0; k < vectors; ++k)
-        keep_if_on_glass(&s[k], &m[k], pose + LANE(k), glass.edges + NUMBERS * EDGES * segment);
+    for (int k = 0; k < rays; ++k)
+        keep_if_on_glass(&s[k], &m[k], pose, glass.edges + NUMBERS * EDGES * segment);
 }
 
 // Rays come segment by segment: while the last ray of one is traced, what belongs to the next can be fetched.
@@ -170,7 +167,7 @@ __kernel void segmented(
     __global double *out_opd, __global double *out_x, __global double *out_y, __global char *out_status)
 {
     ALIGN_STACK;
-    const size_t lane = get_global_id(0) * (TURNS * W), group = get_global_id(1) * RAYS, tile = get_global_id(2);
+    const size_t lane = get_global_id(0) * W, group = get_global_id(1) * RAYS, tile = get_global_id(2);
     if (group >= rays)
         return;
     // The last group overlaps the one before it.
@@ -198,13 +195,13 @@ __kernel void segmented(
         }
     }
 
-    ray r[VECTORS];
-    sighting s[VECTORS];
+    ray r[RAYS];
+    sighting s[RAYS];
     EACH_TURN {
-        const triple light = {LOAD(directions + LANE(k)), LOAD(directions + 16 + LANE(k)),
-                              LOAD(directions + 32 + LANE(k))};
-        r[k].position.x = ray_x[n + RAY(k)];
-        r[k].position.y = ray_y[n + RAY(k)];
+        const triple light = {LOAD(directions), LOAD(directions + 16),
+                              LOAD(directions + 32)};
+        r[k].position.x = ray_x[n + k];
+        r[k].position.y = ray_y[n + k];
         r[k].position.z = start_z;
         r[k].direction = light;
         r[k].length = 1.0;
@@ -226,11 +223,11 @@ __kernel void segmented(
             #pragma unroll
             for (int k = 0; k < RAYS; ++k)
                 if (tried[k * candidates] >= 0)
-                    try_segment(r + k * TURNS, s + k * TURNS, TURNS, glass, tried[k * candidates]);
+                    try_segment(r + k, s + k, 1, glass, tried[k * candidates]);
         } else if (tried[0] >= 0)
-            try_segment(r, s, VECTORS, glass, tried[0]);
+            try_segment(r, s, RAYS, glass, tried[0]);
     }
-    real loss[VECTORS];
+    real loss[RAYS];
     EACH_TURN {
         advance(&r[k], s[k].step);
         reflect(&r[k], s[k].normal);
@@ -241,11 +238,11 @@ __kernel void segmented(
     for (int i = 0; i < SURFACES; ++i) {
         __global const double *pose = surface_poses + i * 12 * 16;
         const int plane = (PLANES >> i & 1) && (MIRROR_DEGREE < 0 || i == SURFACES - 1);
-        real step[VECTORS];
-        triple normal[VECTORS];
+        real step[RAYS];
+        triple normal[RAYS];
         EACH_TURN {
-            r[k].position = moved(pose + LANE(k), r[k].position);
-            r[k].direction = turned(pose + LANE(k), r[k].direction);
+            r[k].position = moved(pose, r[k].position);
+            r[k].direction = turned(pose, r[k].direction);
             step[k] = plane ? -r[k].position.z / r[k].direction.z
                             : conic_step(r[k].position, r[k].direction, curvatures[i], conics_plus_1[i]);
         }
@@ -256,14 +253,14 @@ __kernel void segmented(
                 normal[k] = conic_normal(r[k].position, curvatures[i], conics_plus_1[i]);
             }
             __global const double *figure = mirror_figures + i * TERMS(MIRROR_DEGREE) * 16;
-            real first[VECTORS];
-            EACH_TURN first[k] = mirror_figure_first(figure + LANE(k), mirror_steps, mirror_frames + i * 4,
+            real first[RAYS];
+            EACH_TURN first[k] = mirror_figure_first(figure, mirror_steps, mirror_frames + i * 4,
                                                      r[k].position, r[k].direction, normal[k]);
             EACH_TURN {
                 real further = first[k];
-                const real limit = MIRROR_CHECKED ? LOAD(mirror_limits + 16 * i + LANE(k)) : (real)0.0;
+                const real limit = MIRROR_CHECKED ? LOAD(mirror_limits + 16 * i) : (real)0.0;
                 r[k].position = along(r[k].position, further, r[k].direction);
-                mirror_figure_second(figure + LANE(k), mirror_steps, mirror_frames + i * 4, r[k].direction,
+                mirror_figure_second(figure, mirror_steps, mirror_frames + i * 4, r[k].direction,
                                      curvatures[i], conics_plus_1[i], limit, first[k], &r[k].position, &further,
                                      &normal[k]);
                 r[k].path += further * r[k].length;
@@ -290,9 +287,9 @@ __kernel void segmented(
     }
 
     EACH_TURN {
-        const size_t out = (tile * rays + n + RAY(k)) * 16 + lane + LANE(k);
-        const real back = back_to_sphere(&r[k], LOAD(chief + LANE(k)), LOAD(chief + 16 + LANE(k)), sphere_square);
-        const real opd = LOAD(chief + 32 + LANE(k)) - (r[k].path - back);
+        const size_t out = (tile * rays + n + k) * 16 + lane;
+        const real back = back_to_sphere(&r[k], LOAD(chief), LOAD(chief + 16), sphere_square);
+        const real opd = LOAD(chief + 32) - (r[k].path - back);
         loss[k] = lose_unless(finite(opd), loss[k], LOSS(MISS + SURFACES));
         const mask lost = loss[k] > 0.0;
         STORE(EITHER(lost, (real)NAN, opd), out_opd + out);

@@ -127,12 +127,11 @@ def _launch(
     ray_x, ray_y, start_z, candidates = rays
     tiles, count, _ = outputs[0].shape
     segments, edges, numbers = train.edges.shape
-    lanes, turns = _lanes(device)
+    lanes = _lanes(device)
     group = max(1, min(count, _RAYS)) if lanes == TILE else 1
     limits = train_limits(train, *(moving[k] for k in (0, 1, 3, 4)))  # type: ignore[arg-type]
     constants = {
         "W": lanes,
-        "TURNS": turns,
         "RAYS": group,
         "EDGES": edges,
         "CONVEX": int(numbers == 3),
@@ -157,7 +156,7 @@ def _launch(
         *limits,
         *moving,
     ]
-    size = (TILE // (lanes * turns), -(-count // group), tiles)
+    size = (TILE // lanes, -(-count // group), tiles)
     launch(device, "segmented", tuple(constants.items()), size, inputs, outputs)
 
     program = ("segmented", *constants.values())
@@ -179,9 +178,8 @@ def _steps(degree: int, basis: Basis) -> Array | None:
     return None if basis == "monomial" or degree < 0 else np.array(ring_steps(degree, basis.inner))
 
 
-def _lanes(device: Device) -> tuple[int, int]:
-    """Return the instants of one vector, and the vectors of a work-item: on a CPU they are a whole tile."""
+def _lanes(device: Device) -> int:
+    """Return the instants of one vector: on a CPU two registers of them, as its latencies ask for."""
     if device.kind == "gpu":
-        return 1, 1
-    lanes = max(4, min(TILE, 2 * vector_width(device, np.dtype(np.float64), long=True)))
-    return lanes, TILE // lanes
+        return 1
+    return max(4, min(TILE, 2 * vector_width(device, np.dtype(np.float64), long=True)))
