@@ -50,7 +50,7 @@ def packed_elements(
     for number, (element, shape) in enumerate(zip(sequence.elements, layout.shapes, strict=True)):
         if not shape.bare:
             limits.append(_limit(element, _bends(number, element, moving, arrays), instants))
-    return layout, np.stack(limits, axis=1) if limits else np.zeros((instants, 0)), arrays
+    return layout, np.array(limits).reshape(len(limits), instants).T, arrays
 
 
 @lru_cache(maxsize=16)

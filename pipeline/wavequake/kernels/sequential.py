@@ -25,6 +25,8 @@ _GROUP_RAYS = {"cpu": 2000, "gpu": 64}
 # Vectors of rays that a work-item traces in turns, surface by surface, so that one hides the other's waiting.
 _TURNS = {"cpu": 2, "gpu": 1}
 
+_NOTHING: dict[str, NDArray[Any]] = dict.fromkeys(OUTPUTS, np.zeros((0, 0)))
+
 
 def trace_sequence(
     sequence: Sequence,
@@ -207,5 +209,4 @@ def _repeated(rays: Rays, width: int) -> Rays:
 
 
 def _traced(results: dict[str, NDArray[Any]], elements: int) -> TracedRays:
-    none: dict[str, NDArray[Any]] = {name: np.zeros((0, 0)) for name in OUTPUTS if name not in results}
-    return TracedRays(**none | results, elements=elements)
+    return TracedRays(**_NOTHING | results, elements=elements)
