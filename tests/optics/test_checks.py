@@ -158,6 +158,7 @@ CALLS = {
     "a point": (lambda: annular_zernike_gradient(0.1, 0.2, 4), r"each must be \(N,\)"),
     "points as text": (lambda: annular_zernike("a", "b", 4), "must be an array of numbers, not 'a'"),
     "terms as text": (lambda: expansion_matrix("4", 0.0, 0.3), "Zernike terms is '4'"),
+    "a billion terms": (lambda: expansion_matrix(10**9, 0.0, 0.3), "1000000000; it must be from 1 to 2016"),
     "a hole as text": (lambda: transform_coefficients(np.ones(4), 0.0, "x"), "obscuration is 'x'"),
     "no shape": (lambda: shape_sag(None, 0.0, 0.0), "the shape is None"),
     "places apart": (lambda: shape_sag(Conic(1e3), np.zeros(2), np.zeros(3)), "which do not fit"),

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.optics.checks import array, number, whole
-from wavequake.optics.zernike import annular_zernike, noll_to_nm
+from wavequake.optics.zernike import MOST_TERMS, annular_zernike, noll_to_nm
 from wavequake.optics.zernike_indices import nm_to_noll
 
 Array = NDArray[np.float64]
@@ -37,13 +37,13 @@ def expansion_matrix(terms: int, source: float, target: float) -> Array:
     Raises
     ------
     UserError
-        If there is no term, or an obscuration is not in [0, 1).
+        If there is no term or more than 2016, or an obscuration is not in [0, 1).
     """
     source, target = (number(one, "the obscuration") for one in (source, target))
     if not 0.0 <= target < 1.0:
         raise UserError(f"the ratio of inner to outer pupil radius is {target}, it must lie in [0, 1)")
-    if whole(terms, "the number of Zernike terms") < 1:
-        raise UserError(f"{terms} Zernike terms were asked for, at least 1 is needed")
+    if not 1 <= whole(terms, "the number of Zernike terms") <= MOST_TERMS:
+        raise UserError(f"the number of Zernike terms is {terms}; it must be from 1 to {MOST_TERMS}")
     n, m = np.array([noll_to_nm(j) for j in range(1, terms + 1)]).T
     # Gauss-Legendre in rho^2 along the x axis, where every cosine has its crest, integrates the products of
     # two radial polynomials of equal frequency exactly. The sine has its cosine's radial polynomial.
