@@ -103,7 +103,8 @@ def paraxial(system: OpticalSystem, wavelength: float | None = None) -> Paraxial
     ----------
     system : OpticalSystem
     wavelength : float
-        mm; the primary one by default.
+        mm; the primary one by default, at which the pupil is specified. Light of another wavelength fills the
+        stop that this makes.
 
     Raises
     ------
@@ -134,7 +135,10 @@ def paraxial(system: OpticalSystem, wavelength: float | None = None) -> Paraxial
     distance = -system.object_distance if isfinite(system.object_distance) else -inf
     marginal = np.array([1.0, 0.0]) if distance == -inf else np.array([-distance / n, 1.0])
     at_last, at_image = lens @ marginal, whole @ marginal
-    scale = _scale(system, marginal, at_image, to_stop, n, n_image, entrance, focal)
+    if wavelength is None or wavelength == wavelength_of(system):
+        scale = _scale(system, marginal, at_image, to_stop, n, n_image, entrance, focal)
+    else:  # the stop is one opening for light of all colors
+        scale = paraxial(system).stop_radius / abs(_height_at_stop(system, to_stop, marginal))
     marginal, at_last, at_image = scale * marginal, scale * at_last, scale * at_image
     image_distance = ratio(-n_image * at_last[0], at_last[1])
     exit_pupil = ratio(-n_image * from_stop[0, 1], from_stop[1, 1])
@@ -277,6 +281,15 @@ def _from_first_to_last(steps: list[_Step]) -> Array:
     return _matrix(steps[:-1]) if len(steps) > 1 else np.eye(2)
 
 
+def _height_at_stop(system: OpticalSystem, to_stop: Array, marginal: Array) -> float:
+    height = float((to_stop @ marginal)[0])
+    if height == 0.0:
+        raise UserError(
+            f"the stop of {system.name} lies in an image of its object; it must limit the light's cone"
+        )
+    return height
+
+
 def _scale(
     system: OpticalSystem,
     marginal: Array,
@@ -289,9 +302,7 @@ def _scale(
 ) -> float:
     """Return by what the marginal ray is multiplied so that the pupil is as wide as specified."""
     pupil, name = system.pupil, system.name
-    at_stop = float((to_stop @ marginal)[0])
-    if at_stop == 0.0:
-        raise UserError(f"the stop of {name} lies in an image of its object; it must limit the light's cone")
+    at_stop = _height_at_stop(system, to_stop, marginal)
     if pupil.kind == "stop":
         return abs(pupil.value / at_stop)
     if pupil.kind == "entrance_diameter":
