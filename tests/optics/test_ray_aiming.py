@@ -74,6 +74,26 @@ def test_a_near_object_sends_rays_from_its_point():
     np.testing.assert_array_equal(rays.path, 0.0)
 
 
+def test_a_near_object_stays_where_it_is_if_the_first_surface_is_tilted_beside_the_axis():
+    # A surface that does nothing changes nothing, however it stands before the lens.
+    lens = optical_system("six-lens")
+    for shift, turn in [((0.0, 8.0), (0.5, 0.0, 0.0)), ((-3.0, 6.0), (0.2, -0.4, 0.1))]:
+        idle = Surface("idle", position=np.array([*shift, -20.0]), rotation=cardan(np.array(turn)))
+        other = replace(
+            lens,
+            surfaces=(idle, *lens.surfaces),
+            stop=lens.stop + 1,
+            object_distance=lens.object_distance - 20.0,
+        )
+        first, second = paraxial(lens), paraxial(other)
+        for key in ("magnification", "stop_radius", "image_na", "defocus", "lagrange"):
+            assert getattr(second, key) == pytest.approx(getattr(first, key), rel=1e-12, abs=1e-9)
+        field = np.array([1.0, 5.0])
+        alone, behind = (pupil_rays(one, field, 587.5618e-6, X, Y) for one in (lens, other))
+        np.testing.assert_allclose(behind.position, alone.position, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(behind.direction, alone.direction, rtol=0, atol=1e-9)
+
+
 def test_telecentric_chief_rays_are_parallel_to_the_axis():
     rows = [
         SurfaceRow("M", Conic(-200.0, -1.0), -100.0, "reflect"),

@@ -132,7 +132,7 @@ def paraxial(system: OpticalSystem, wavelength: float | None = None) -> Paraxial
     # The ray from the point of the axis that lies L behind the first surface is (y, n u) = (-L / n, 1) there.
     entrance = ratio(n * to_stop[0, 1], to_stop[0, 0])
     pupil_scale = float(1.0 / to_stop[0, 0]) if isfinite(entrance) else inf
-    distance = -system.object_distance if isfinite(system.object_distance) else -inf
+    distance = -way_from_object(system)
     marginal = np.array([1.0, 0.0]) if distance == -inf else np.array([-distance / n, 1.0])
     at_last, at_image = lens @ marginal, whole @ marginal
     if wavelength is None or wavelength == wavelength_of(system):
@@ -187,6 +187,14 @@ def first_vertex_z(system: OpticalSystem) -> float:
     normal = surface.rotation[:, 2]
     _require_crossing(system, surface.name, float(normal[2]))
     return float(normal @ surface.position / normal[2])
+
+
+def way_from_object(system: OpticalSystem) -> float:
+    """Return the way of the axis ray from the object to the vertex plane of the first surface.
+
+    It is the object's distance, unless that surface is both tilted and beside the axis.
+    """
+    return first_vertex_z(system) - float(system.surfaces[0].position[2]) + system.object_distance
 
 
 def _off_axis(system: OpticalSystem) -> list[Array]:
@@ -353,7 +361,7 @@ def _chief(system: OpticalSystem, to_stop: Array, index: float) -> Array:
         if to_stop[0, 0] == 0.0:
             return np.array([np.nan, slope])
         return np.array([-to_stop[0, 1] / to_stop[0, 0] * slope, slope])
-    height, reach = field, system.object_distance / index
+    height, reach = field, way_from_object(system) / index
     # y_stop = A (h + reach s) + B s = 0
     forward = to_stop[0, 0] * reach + to_stop[0, 1]
     slope = -to_stop[0, 0] * height / forward
