@@ -210,6 +210,27 @@ def test_afocal_system_has_infinite_data_and_refuses_an_f_number():
         paraxial(OpticalSystem("mersenne", sequential(rows), 0, Pupil("f_number", 10.0)))
 
 
+@pytest.mark.parametrize(("kind", "value"), [("f_number", 4.0), ("image_na", 0.125), ("object_na", 0.25)])
+def test_a_relay_of_two_lenses_is_afocal_and_has_an_f_number(kind, value):
+    # The object in the front focus of one thin lens, the stop and the image in the rear foci: magnification
+    # -f2 / f1, both pupils at infinity, and the stop's radius is f1 times the NA in the object.
+    rows = [
+        SurfaceRow("a", Conic(50.0), 0.0, "refract", GLASS),
+        SurfaceRow("b", Conic(-50.0), 50.0, "refract"),
+        SurfaceRow("stop", thickness=100.0),
+        SurfaceRow("c", Conic(100.0), 0.0, "refract", GLASS),
+        SurfaceRow("d", Conic(-100.0), 100.0, "refract"),
+        SurfaceRow("image"),
+    ]
+    system = OpticalSystem("4f", sequential(rows), 2, Pupil(kind, value), object_distance=50.0)
+    data = paraxial(system)
+    assert data.focal_length == inf
+    assert data.magnification == pytest.approx(-2.0, rel=1e-12)
+    assert (data.object_na, data.image_na) == pytest.approx((0.25, 0.125), rel=1e-12)
+    assert data.f_number == pytest.approx(4.0, rel=1e-12)
+    assert data.stop_radius == pytest.approx(12.5, rel=1e-12)
+
+
 def test_small_misalignment_does_not_count():
     aligned = lens(80.0, -120.0, 5.0, 90.0)
     front = replace(aligned.surfaces[0], position=np.array([0.5, -0.3, 0.0]))

@@ -321,8 +321,12 @@ def _scale(
             )
         return float(abs(pupil.value / 2.0 * to_stop[0, 0] / at_stop))
     if pupil.kind == "f_number":
-        if at_image[1] == 0.0 or not isfinite(focal):
-            raise UserError(f"the system {name} is afocal and has no f-number; specify its entrance pupil")
+        afocal = not (isfinite(focal) or isfinite(system.object_distance))
+        if at_image[1] == 0.0 or afocal:
+            raise UserError(
+                f"light leaves {name} parallel, as an afocal system, and has no f-number; specify its "
+                "entrance pupil"
+            )
         return float(abs(0.5 / pupil.value / at_image[1]))
     if pupil.kind == "object_na":
         if not isfinite(system.object_distance):
