@@ -88,12 +88,16 @@ class Paraxial:
 
 @dataclass(frozen=True)
 class _Step:
-    """The way from the previous surface and its matrix, the index at its end, the power of the surface."""
+    """The way from the previous surface and its matrix, the index at its end, the power of the surface.
+
+    And the angle of incidence of the axis ray, rad.
+    """
 
     way: float
     transfer: Array
     index: float
     power: float
+    incidence: float
 
 
 def paraxial(system: OpticalSystem, wavelength: float | None = None) -> Paraxial:
@@ -165,6 +169,17 @@ def paraxial(system: OpticalSystem, wavelength: float | None = None) -> Paraxial
         lagrange=float(chief[0] * marginal[1] - chief[1] * marginal[0]),
         pupil_magnification=pupil_scale,
     )
+
+
+def oblique_surfaces(system: OpticalSystem, least: float) -> list[tuple[str, float]]:
+    """Return which surfaces with power the axis ray meets at more than an angle, and at which (rad).
+
+    Light is focused there by another power in the plane of incidence than across it, which first-order data
+    do not know.
+    """
+    steps = _unfolded(system, wavelength_of(system))
+    pairs = zip(system.surfaces, steps, strict=True)
+    return [(one.name, step.incidence) for one, step in pairs if step.power and step.incidence > least]
 
 
 def entrance_pupil_center(system: OpticalSystem, wavelength: float | None = None) -> Array:
@@ -252,7 +267,7 @@ def _unfolded(system: OpticalSystem, wavelength: float) -> Iterator[_Step]:
         elif surface.action == "reflect":
             power = -2.0 * index * curvature * sense
             direction = direction - 2.0 * cosine * normal
-        yield _Step(way, transfer, index, power)
+        yield _Step(way, transfer, index, power, float(np.arccos(min(abs(cosine), 1.0))))
         index = after
 
 

@@ -26,7 +26,7 @@ from wavequake.kernels.sequential_numpy import joined_moving, moving_part
 from wavequake.kernels.sequential_source import OUTPUTS
 from wavequake.optics.checks import alike, whole
 from wavequake.optics.fits import MORE_RAYS, Fit, fit_instants, pupil_fit
-from wavequake.optics.image_aperture import image_cosines
+from wavequake.optics.image_aperture import image_cosines, image_index
 from wavequake.optics.packing import moving, pack
 from wavequake.optics.paraxial import paraxial
 from wavequake.optics.ray_aiming import aimed_rays, losses, pupil_rays
@@ -188,7 +188,6 @@ def prepare_system(
             f"no ray of {system.name} reaches its point of the stop: they are lost, "
             f"{losses(system, aimed.status, aimed.surface)}; make the pupil or the field smaller"
         )
-    refracting = [element.index for element in sequence.elements if element.action == "refract"]
     radius = -first_order.exit_pupil if np.isfinite(first_order.exit_pupil) else _TELECENTRIC_RADIUS
     return PreparedSystem(
         system=system,
@@ -199,7 +198,7 @@ def prepare_system(
         fit=fit,
         wavelength=wavelength,
         sphere_radius=radius,
-        image_index=refracting[-1] if refracting else sequence.index,
+        image_index=image_index(sequence),
         cosines=cosines,
         field=field,
         steering=steering(system, sequence, chief),
