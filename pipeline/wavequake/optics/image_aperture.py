@@ -5,10 +5,12 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import NUMPY
-from wavequake.kernels.sequence import OK, Sequence
+from wavequake.kernels.sequence import OK, Sequence, TracedRays
 from wavequake.kernels.sequential import trace_sequence
 from wavequake.optics.packing import moving, pack
 from wavequake.optics.ray_aiming import aimed_rays, losses
+from wavequake.optics.shape_sag import shape_sag
+from wavequake.optics.shapes import Conic
 from wavequake.optics.system import OpticalSystem, wavelength_of
 from wavequake.optics.system_kinematics import rest_states
 
@@ -37,7 +39,7 @@ def image_cosines(system: OpticalSystem, sequence: Sequence, point: Array, wavel
     Returns
     -------
     ndarray, shape (2, 2)
-        Of u and v (rows) by x and y in the pupil.
+        Of u and v (rows) by x and y in the pupil; in a curved image along its slopes in x and in y.
 
     Raises
     ------
@@ -49,7 +51,7 @@ def image_cosines(system: OpticalSystem, sequence: Sequence, point: Array, wavel
         rim = aimed_rays(system, point, wavelength, *(share * _RIM))
         traced = trace_sequence(sequence, rim.rays, rest, NUMPY, ignore_apertures=True)
         if (traced.status == OK).all():
-            u, v = traced.u[0] / share, traced.v[0] / share
+            u, v = _along(system, traced) / share
             cosines = np.array([[u[0] - u[1], u[2] - u[3]], [v[0] - v[1], v[2] - v[3]]]) / 2.0
             _require_cone(system, cosines)
             return cosines
@@ -59,6 +61,14 @@ def image_cosines(system: OpticalSystem, sequence: Sequence, point: Array, wavel
         f"{np.count_nonzero(status)} of 4 rays close to the chief ray of {system.name} are lost, "
         f"{losses(system, status, surface)}; make the field smaller"
     )
+
+
+def _along(system: OpticalSystem, traced: TracedRays) -> Array:
+    """Return by how much each path (2, N) shortens where the image point moves on the image in x or in y."""
+    u, v = traced.u[0], traced.v[0]
+    w = traced.w_sign[0] * np.sqrt(1.0 - u**2 - v**2)
+    _, slope_x, slope_y = shape_sag(system.surfaces[-1].shape, traced.x[0].mean(), traced.y[0].mean())
+    return np.stack([u + slope_x * w, v + slope_y * w])
 
 
 def real_apertures(system: OpticalSystem) -> tuple[Array, Array] | None:
@@ -90,6 +100,15 @@ def _half_widths(cosines: Array) -> Array:
     """Return half of what rays of the rim (2, 4) span, at most and at least."""
     spread = (cosines[:, ::2] - cosines[:, 1::2]) / 2.0
     return np.asarray(np.linalg.svd(spread, compute_uv=False), dtype=np.float64)
+
+
+def require_flat_image(system: OpticalSystem, what: str) -> None:
+    """Raise UserError unless the image is a plane, which `what` needs."""
+    shape = system.surfaces[-1].shape
+    if not (isinstance(shape, Conic) and np.isinf(shape.radius)):
+        raise UserError(
+            f"the image of {system.name}, {system.surfaces[-1].name}, is curved; {what} needs a plane one"
+        )
 
 
 def image_index(sequence: Sequence) -> float:
