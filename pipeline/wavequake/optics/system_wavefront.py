@@ -47,8 +47,8 @@ from wavequake.optics.zernike import MOST_TERMS
 Array = NDArray[np.float64]
 Traced = tuple[Array, TracedRays, Array]  # see `trace_light`
 
-# Radius of the reference sphere where the exit pupil is at infinity, mm.
-_TELECENTRIC_RADIUS = 1e5
+# Radius of the reference sphere where the exit pupil is at infinity, and of one far away (rounding), mm.
+_TELECENTRIC_RADIUS, _LARGEST_RADIUS = 1e5, 1e6
 _PLANE = 3  # terms, without which there is no line of sight
 
 
@@ -189,7 +189,7 @@ def prepare_system(
             f"no ray of {system.name} reaches its point of the stop: they are lost, "
             f"{losses(system, aimed.status, aimed.surface)}; make the pupil or the field smaller"
         )
-    radius = -first_order.exit_pupil if np.isfinite(first_order.exit_pupil) else _TELECENTRIC_RADIUS
+    exit_pupil = first_order.exit_pupil if np.isfinite(first_order.exit_pupil) else -_TELECENTRIC_RADIUS
     return PreparedSystem(
         system=system,
         sequence=sequence,
@@ -198,7 +198,7 @@ def prepare_system(
         pupil=np.stack([x, y], axis=1),
         fit=fit,
         wavelength=wavelength,
-        sphere_radius=radius,
+        sphere_radius=float(np.clip(-exit_pupil, -_LARGEST_RADIUS, _LARGEST_RADIUS)),
         image_index=image_index(sequence),
         cosines=cosines,
         field=field,
