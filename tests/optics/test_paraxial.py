@@ -210,6 +210,27 @@ def test_afocal_system_has_infinite_data_and_refuses_an_f_number():
         paraxial(OpticalSystem("mersenne", sequential(rows), 0, Pupil("f_number", 10.0)))
 
 
+@pytest.mark.parametrize(("kind", "value"), [("f_number", 4.0), ("image_na", 0.125), ("object_na", 0.25)])
+def test_a_relay_of_two_lenses_is_afocal_and_has_an_f_number(kind, value):
+    # The object in the front focus of one thin lens, the stop and the image in the rear foci: magnification
+    # -f2 / f1, both pupils at infinity, and the stop's radius is f1 times the NA in the object.
+    rows = [
+        SurfaceRow("a", Conic(50.0), 0.0, "refract", GLASS),
+        SurfaceRow("b", Conic(-50.0), 50.0, "refract"),
+        SurfaceRow("stop", thickness=100.0),
+        SurfaceRow("c", Conic(100.0), 0.0, "refract", GLASS),
+        SurfaceRow("d", Conic(-100.0), 100.0, "refract"),
+        SurfaceRow("image"),
+    ]
+    system = OpticalSystem("4f", sequential(rows), 2, Pupil(kind, value), object_distance=50.0)
+    data = paraxial(system)
+    assert data.focal_length == inf
+    assert data.magnification == pytest.approx(-2.0, rel=1e-12)
+    assert (data.object_na, data.image_na) == pytest.approx((0.25, 0.125), rel=1e-12)
+    assert data.f_number == pytest.approx(4.0, rel=1e-12)
+    assert data.stop_radius == pytest.approx(12.5, rel=1e-12)
+
+
 def test_small_misalignment_does_not_count():
     aligned = lens(80.0, -120.0, 5.0, 90.0)
     front = replace(aligned.surfaces[0], position=np.array([0.5, -0.3, 0.0]))
@@ -247,6 +268,33 @@ def test_an_off_axis_mirror_is_given_about_its_parent_s_axis_as_the_refusal_says
     np.testing.assert_allclose(at_rest.chief, 0.0, rtol=0, atol=1e-9)
     assert at_rest.spot_rms[0] < 1e-9
     assert at_rest.rms_raw[0] < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"), [("f_number", 2.5), ("image_na", 0.2), ("entrance_diameter", 20.0), ("stop", 10.0)]
+)
+def test_light_of_all_colors_fills_the_stop_of_the_primary_wavelength(kind, value):
+    # A thin plano-convex lens of f = 50 mm / (n - 1) with the stop 20 mm behind it: the marginal ray's height
+    # at the lens follows from its slope, h_lens = h_stop / (1 - 20 / f), and the NA in the image is
+    # h_lens / f. Schott's data sheet: n_d = 1.51680, n_F = 1.52238, n_C = 1.51432.
+    surfaces = sequential(
+        [
+            SurfaceRow("a", Conic(50.0), 0.0, "refract", glass("N-BK7")),
+            SurfaceRow("b", thickness=20.0, action="refract"),
+            SurfaceRow("stop", thickness=70.0),
+            SurfaceRow("image"),
+        ]
+    )
+    waves = np.array([486.1327e-6, 587.5618e-6, 656.2725e-6])
+    system = OpticalSystem("x", surfaces, 2, Pupil(kind, value), wavelengths=waves, primary_wavelength=1)
+    focal = 50.0 / (np.array([1.52238, 1.51680, 1.51432]) - 1.0)
+    height = {"f_number": focal[1] / 5.0, "image_na": 0.2 * focal[1], "entrance_diameter": 10.0}.get(kind)
+    stop = 10.0 if height is None else height * (1.0 - 20.0 / focal[1])
+    for wavelength, f in zip(waves, focal, strict=True):
+        data = paraxial(system, float(wavelength))
+        assert data.stop_radius == pytest.approx(stop, rel=2e-5)
+        assert data.entrance_pupil_diameter == pytest.approx(2.0 * stop / (1.0 - 20.0 / f), rel=2e-5)
+        assert data.image_na == pytest.approx(stop / (1.0 - 20.0 / f) / f, rel=4e-5)
 
 
 def test_dispersion_moves_the_focus():

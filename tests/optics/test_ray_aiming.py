@@ -45,8 +45,8 @@ def at_stop(system, rays, wavelength):
 @pytest.mark.parametrize("name", system_names())
 def test_rays_of_every_field_and_color_meet_the_stop(name):
     system = optical_system(name)
+    radius = paraxial(system).stop_radius  # one opening for light of all colors
     for wavelength in system.wavelengths:
-        radius = paraxial(system, wavelength).stop_radius
         for field in system.fields:
             rays = pupil_rays(system, field, wavelength, X, Y)
             miss = at_stop(system, rays, wavelength) - radius * np.stack([X, Y])
@@ -72,6 +72,26 @@ def test_a_near_object_sends_rays_from_its_point():
     point = np.array([0.0, 5.0, -system.object_distance])
     np.testing.assert_array_equal(rays.position, np.broadcast_to(point[:, None], (3, 30)))
     np.testing.assert_array_equal(rays.path, 0.0)
+
+
+def test_a_near_object_stays_where_it_is_if_the_first_surface_is_tilted_beside_the_axis():
+    # A surface that does nothing changes nothing, however it stands before the lens.
+    lens = optical_system("six-lens")
+    for shift, turn in [((0.0, 8.0), (0.5, 0.0, 0.0)), ((-3.0, 6.0), (0.2, -0.4, 0.1))]:
+        idle = Surface("idle", position=np.array([*shift, -20.0]), rotation=cardan(np.array(turn)))
+        other = replace(
+            lens,
+            surfaces=(idle, *lens.surfaces),
+            stop=lens.stop + 1,
+            object_distance=lens.object_distance - 20.0,
+        )
+        first, second = paraxial(lens), paraxial(other)
+        for key in ("magnification", "stop_radius", "image_na", "defocus", "lagrange"):
+            assert getattr(second, key) == pytest.approx(getattr(first, key), rel=1e-12, abs=1e-9)
+        field = np.array([1.0, 5.0])
+        alone, behind = (pupil_rays(one, field, 587.5618e-6, X, Y) for one in (lens, other))
+        np.testing.assert_allclose(behind.position, alone.position, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(behind.direction, alone.direction, rtol=0, atol=1e-9)
 
 
 def test_telecentric_chief_rays_are_parallel_to_the_axis():

@@ -12,7 +12,7 @@ from wavequake.optics.parent import parent_system
 from wavequake.optics.shapes import Conic, EvenAsphere, Opening, ZernikeDeformation
 from wavequake.optics.system import OpticalSystem, Pupil, Surface
 from wavequake.optics.system_info import info
-from wavequake.optics.system_kinematics import SurfaceRow, sequential
+from wavequake.optics.system_kinematics import Break, SurfaceRow, sequential
 from wavequake.optics.telescopes import telescope
 
 
@@ -53,6 +53,58 @@ def test_table_of_a_thin_lens():
     assert "deforms" in line_of(text, "screen")
     assert line_of(text, "screen").endswith("1 to 4, 1 arms")
     assert not any(line != line.rstrip() for line in text.splitlines())
+
+
+def paraboloid(f_number, shift=0.0):
+    rows = [SurfaceRow("M", Conic(-200.0, -1.0), -100.0, "reflect"), SurfaceRow("image", thickness=shift)]
+    return OpticalSystem("p", sequential(rows), 0, Pupil("f_number", f_number))
+
+
+@pytest.mark.parametrize("f_number", [0.5, 1.0, 2.0])
+def test_a_fast_paraboloid_shows_the_aperture_of_its_real_rays(f_number):
+    """A ray of height h leaves at 2 arctan(h / 2 f) to the axis (polar equation of the parabola)."""
+    angle = 2.0 * np.arctan(1.0 / (4.0 * f_number))
+    *words, real = line_of(paraboloid(f_number).info(), "NA in image").split()
+    assert " ".join(words) == f"NA in image {0.5 / f_number:g}, of real rays"
+    assert float(real) == pytest.approx(np.sin(angle), rel=1e-7)
+    assert line_of(paraboloid(8.0).info(), "NA in image").split()[-1] == "0.0625"  # of both, within 0.1 %
+
+
+@pytest.mark.parametrize("index", [1.0, 1.33])
+def test_a_wide_object_aperture_shows_that_of_real_rays(index):
+    """A stop of radius r at a distance d takes n sin(arctan(r / d)); the paraxial aperture is n r / d."""
+    water = Medium("immersion", "constant", (index,))
+    rows = [SurfaceRow("stop", thickness=10.0), SurfaceRow("image")]
+    system = OpticalSystem(
+        "bare", sequential(rows), 0, Pupil("object_na", 0.5), object_distance=10.0, medium=water
+    )
+    radius = 10.0 * 0.5 / index
+    text = system.info()
+    assert line_of(text, "stop").split()[-2] == f"{radius:.8g}"
+    assert line_of(text, "NA in object").startswith("NA in object                  0.5, of real rays ")
+    assert float(line_of(text, "NA in object").split()[-1]) == pytest.approx(
+        index * np.sin(np.arctan(radius / 10.0)), rel=1e-7
+    )
+
+
+def test_surfaces_that_light_meets_obliquely_are_named():
+    """A tilted sphere has the powers 2 / (R cos i) in the plane of incidence and 2 cos i / R across it."""
+    tilt = np.deg2rad(12.0)
+    rows = [
+        Break(tilt=(tilt, 0.0, 0.0)),
+        SurfaceRow("sphere", Conic(-2000.0), 0.0, "reflect"),
+        Break(tilt=(tilt, 0.0, 0.0), thickness=-1000.0),
+        SurfaceRow("image"),
+    ]
+    system = OpticalSystem("tilted", sequential(rows), 0, Pupil("entrance_diameter", 20.0))
+    text = system.info()
+    assert "obliquely (degrees): sphere (12). " in text
+    assert "obliquely" not in optical_system("tmt").info()  # M3 at 45 degrees has no power
+    real = 0.01 * np.array([1.0 / np.cos(tilt), np.cos(tilt)])
+    assert line_of(text, "NA in image").startswith("NA in image                   0.01, of real rays ")
+    shown = [float(line_of(text, "NA in image").split()[k]) for k in (-3, -1)]
+    # The stop stands upright on the tilted mirror: along the tilt the beam is narrower by its cosine.
+    assert shown == pytest.approx(sorted([real[1], real[0] * np.cos(tilt)], reverse=True), rel=2e-3)
 
 
 def test_what_is_infinite_is_called_so():

@@ -14,7 +14,7 @@ from wavequake.optics.parent import parent_system
 from wavequake.optics.pupils import sunflower
 from wavequake.optics.shapes import Conic, Opening, ZernikeDeformation
 from wavequake.optics.system import OpticalSystem, Pupil, Surface, SystemStates
-from wavequake.optics.system_kinematics import rest_states
+from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequential
 from wavequake.optics.system_wavefront import measure_system, prepare_system, trace_system
 from wavequake.optics.telescopes import telescope
 
@@ -279,3 +279,26 @@ def test_numbers_that_leave_no_wavefront_are_refused(changes, weights, match):
     x, y, weight = quadrature(0.0, 4, 12)
     with pytest.raises(UserError, match=match):
         prepare_system(replace(parabola(), **changes), x, y, weights * weight, 4)
+
+
+@pytest.mark.parametrize("beyond", [0.0, 1e-10, 1e-9, 1e-7, 1e-5, 1e-4, -1e-8, -1e-6])
+def test_an_exit_pupil_nearly_at_infinity_leaves_the_wavefront_alone(beyond):
+    """The stop stands in the focal plane of a sphere but for rounding: its image is 1e8 mm away, or 1e14.
+
+    A ray at the height b, sin i = b / R, goes R cos i from the center's plane to the mirror at M, is turned
+    by 2 i, and comes next to the focus F after (F - M) e: the path to a sphere about F that is far away.
+    """
+    rows = [
+        SurfaceRow("stop", thickness=100.0 + beyond),
+        SurfaceRow("M", Conic(-200.0), -100.0, "reflect"),
+        SurfaceRow("image"),
+    ]
+    system = OpticalSystem("sphere", sequential(rows), 0, Pupil("f_number", 5.0))
+    rays = sunflower(0.0, 1.0, 200)
+    prepared = prepare_system(system, rays.x, rays.y, rays.weight, 11)
+    opd = trace_system(prepared, rest_states(system), NUMPY)[0]
+    height = 10.0 * np.hypot(rays.x, rays.y)
+    i = np.arcsin(height / 200.0)
+    path = 200.0 * np.cos(i) + height * np.sin(2 * i) + (200.0 * np.cos(i) - 100.0) * np.cos(2 * i)
+    # A sphere of 1e5 mm is met next to that point: s^2 / (2 * 1e5) for s = 0.013 mm.
+    np.testing.assert_allclose(opd[0], (300.0 - path) / prepared.wavelength, rtol=0, atol=3e-6)

@@ -196,9 +196,10 @@ def test_the_37th_fringe_term_is_that_of_twelfth_degree():
     [
         *("MAZH 0 0", "PZUP 1 -1 0 0", "PPAR 1 1 1 0 0", "PKUP 1 1 1 0 0"),
         *("VDSZ 1 -1 0 0", "VPAR 1", "VCON"),
+        *("MEMA 25 1 0 0 1", "OEMA 2.14 0 0 0 1"),
     ],
 )
-def test_a_solve_a_pickup_or_a_variable_leaves_the_lens_as_the_file_has_it(line):
+def test_a_solve_a_variable_or_an_edge_leaves_the_lens_as_the_file_has_it(line):
     surfaces = ["  STOP\n  CURV 0.02\n  CONI -0.5\n  DISZ 4\n  GLAS N-BK7", "  CURV -0.02\n  DISZ 48"]
     marked = [surfaces[0], f"{surfaces[1]}\n  {line}"]
     assert zmx_text(read(*marked)) == zmx_text(read(*surfaces))

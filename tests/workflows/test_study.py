@@ -112,6 +112,13 @@ def test_a_file_that_is_no_toml_says_where(tmp_path):
         load_study(path)
 
 
+def test_a_lens_file_is_no_study(tmp_path):
+    path = tmp_path / "lens.zmx"
+    path.write_bytes("MODE SEQ\n".encode("utf-16"))
+    with pytest.raises(UserError, match=r"lens.zmx is a lens file, not a study: .* `file` of its \[system\]"):
+        load_study(path)
+
+
 def test_missing_section_and_missing_disturbance(tmp_path, minimal):
     path = tmp_path / "short.toml"
     path.write_text(MINIMAL.replace('[telescope]\nname = "tmt-18"', ""))

@@ -88,12 +88,16 @@ class Paraxial:
 
 @dataclass(frozen=True)
 class _Step:
-    """The way from the previous surface and its matrix, the index at its end, the power of the surface."""
+    """The way from the previous surface and its matrix, the index at its end, the power of the surface.
+
+    And the angle of incidence of the axis ray, rad.
+    """
 
     way: float
     transfer: Array
     index: float
     power: float
+    incidence: float
 
 
 def paraxial(system: OpticalSystem, wavelength: float | None = None) -> Paraxial:
@@ -103,7 +107,8 @@ def paraxial(system: OpticalSystem, wavelength: float | None = None) -> Paraxial
     ----------
     system : OpticalSystem
     wavelength : float
-        mm; the primary one by default.
+        mm; the primary one by default, at which the pupil is specified. Light of another wavelength fills the
+        stop that this makes.
 
     Raises
     ------
@@ -131,10 +136,13 @@ def paraxial(system: OpticalSystem, wavelength: float | None = None) -> Paraxial
     # The ray from the point of the axis that lies L behind the first surface is (y, n u) = (-L / n, 1) there.
     entrance = ratio(n * to_stop[0, 1], to_stop[0, 0])
     pupil_scale = float(1.0 / to_stop[0, 0]) if isfinite(entrance) else inf
-    distance = -system.object_distance if isfinite(system.object_distance) else -inf
+    distance = -way_from_object(system)
     marginal = np.array([1.0, 0.0]) if distance == -inf else np.array([-distance / n, 1.0])
     at_last, at_image = lens @ marginal, whole @ marginal
-    scale = _scale(system, marginal, at_image, to_stop, n, n_image, entrance, focal)
+    if wavelength is None or wavelength == wavelength_of(system):
+        scale = _scale(system, marginal, at_image, to_stop, n, n_image, entrance, focal)
+    else:  # the stop is one opening for light of all colors
+        scale = paraxial(system).stop_radius / abs(_height_at_stop(system, to_stop, marginal))
     marginal, at_last, at_image = scale * marginal, scale * at_last, scale * at_image
     image_distance = ratio(-n_image * at_last[0], at_last[1])
     exit_pupil = ratio(-n_image * from_stop[0, 1], from_stop[1, 1])
@@ -163,6 +171,17 @@ def paraxial(system: OpticalSystem, wavelength: float | None = None) -> Paraxial
     )
 
 
+def oblique_surfaces(system: OpticalSystem, least: float) -> list[tuple[str, float]]:
+    """Return which surfaces with power the axis ray meets at more than an angle, and at which (rad).
+
+    Light is focused there by another power in the plane of incidence than across it, which first-order data
+    do not know.
+    """
+    steps = _unfolded(system, wavelength_of(system))
+    pairs = zip(system.surfaces, steps, strict=True)
+    return [(one.name, step.incidence) for one, step in pairs if step.power and step.incidence > least]
+
+
 def entrance_pupil_center(system: OpticalSystem, wavelength: float | None = None) -> Array:
     """Return the center of the entrance pupil in the system's frame; z is infinite for one at infinity.
 
@@ -183,6 +202,14 @@ def first_vertex_z(system: OpticalSystem) -> float:
     normal = surface.rotation[:, 2]
     _require_crossing(system, surface.name, float(normal[2]))
     return float(normal @ surface.position / normal[2])
+
+
+def way_from_object(system: OpticalSystem) -> float:
+    """Return the way of the axis ray from the object to the vertex plane of the first surface.
+
+    It is the object's distance, unless that surface is both tilted and beside the axis.
+    """
+    return first_vertex_z(system) - float(system.surfaces[0].position[2]) + system.object_distance
 
 
 def _off_axis(system: OpticalSystem) -> list[Array]:
@@ -240,7 +267,7 @@ def _unfolded(system: OpticalSystem, wavelength: float) -> Iterator[_Step]:
         elif surface.action == "reflect":
             power = -2.0 * index * curvature * sense
             direction = direction - 2.0 * cosine * normal
-        yield _Step(way, transfer, index, power)
+        yield _Step(way, transfer, index, power, float(np.arccos(min(abs(cosine), 1.0))))
         index = after
 
 
@@ -277,6 +304,15 @@ def _from_first_to_last(steps: list[_Step]) -> Array:
     return _matrix(steps[:-1]) if len(steps) > 1 else np.eye(2)
 
 
+def _height_at_stop(system: OpticalSystem, to_stop: Array, marginal: Array) -> float:
+    height = float((to_stop @ marginal)[0])
+    if height == 0.0:
+        raise UserError(
+            f"the stop of {system.name} lies in an image of its object; it must limit the light's cone"
+        )
+    return height
+
+
 def _scale(
     system: OpticalSystem,
     marginal: Array,
@@ -289,9 +325,7 @@ def _scale(
 ) -> float:
     """Return by what the marginal ray is multiplied so that the pupil is as wide as specified."""
     pupil, name = system.pupil, system.name
-    at_stop = float((to_stop @ marginal)[0])
-    if at_stop == 0.0:
-        raise UserError(f"the stop of {name} lies in an image of its object; it must limit the light's cone")
+    at_stop = _height_at_stop(system, to_stop, marginal)
     if pupil.kind == "stop":
         return abs(pupil.value / at_stop)
     if pupil.kind == "entrance_diameter":
@@ -302,8 +336,12 @@ def _scale(
             )
         return float(abs(pupil.value / 2.0 * to_stop[0, 0] / at_stop))
     if pupil.kind == "f_number":
-        if at_image[1] == 0.0 or not isfinite(focal):
-            raise UserError(f"the system {name} is afocal and has no f-number; specify its entrance pupil")
+        afocal = not (isfinite(focal) or isfinite(system.object_distance))
+        if at_image[1] == 0.0 or afocal:
+            raise UserError(
+                f"light leaves {name} parallel, as an afocal system, and has no f-number; specify its "
+                "entrance pupil"
+            )
         return float(abs(0.5 / pupil.value / at_image[1]))
     if pupil.kind == "object_na":
         if not isfinite(system.object_distance):
@@ -342,7 +380,7 @@ def _chief(system: OpticalSystem, to_stop: Array, index: float) -> Array:
         if to_stop[0, 0] == 0.0:
             return np.array([np.nan, slope])
         return np.array([-to_stop[0, 1] / to_stop[0, 0] * slope, slope])
-    height, reach = field, system.object_distance / index
+    height, reach = field, way_from_object(system) / index
     # y_stop = A (h + reach s) + B s = 0
     forward = to_stop[0, 0] * reach + to_stop[0, 1]
     slope = -to_stop[0, 0] * height / forward

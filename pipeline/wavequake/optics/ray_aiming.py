@@ -20,7 +20,13 @@ from wavequake.kernels.sequence import (
 from wavequake.kernels.sequential_numpy import trace_sequence_numpy
 from wavequake.optics.media import refractive_index
 from wavequake.optics.packing import moving, pack
-from wavequake.optics.paraxial import Paraxial, entrance_pupil_center, first_vertex_z, paraxial
+from wavequake.optics.paraxial import (
+    Paraxial,
+    entrance_pupil_center,
+    first_vertex_z,
+    paraxial,
+    way_from_object,
+)
 from wavequake.optics.ray_search import ends, search
 from wavequake.optics.stop_map import AIMED, Aim, Bundle, determinant, newton, solved
 from wavequake.optics.system import OpticalSystem
@@ -203,9 +209,10 @@ def require_light(system: OpticalSystem) -> None:
 
 def _require_real_object(system: OpticalSystem) -> None:
     """Raise UserError unless the object stands before the first surface, from where its light can come."""
-    if not system.object_distance > 0.0:
+    distance = way_from_object(system)
+    if not distance > 0.0:
         raise UserError(
-            f"the object of {system.name} stands {system.object_distance:g} mm before the first surface; "
+            f"the object of {system.name} stands {distance:g} mm before the first surface; "
             "the distance must be positive"
         )
 
@@ -225,7 +232,7 @@ def _bundle(system: OpticalSystem, data: Paraxial, field: Array, wavelength: flo
         direction /= np.linalg.norm(direction)
         return Bundle(np.array([0.0, 0.0, first]), direction, center, index), chief[:2]
     _require_real_object(system)
-    origin = np.array([*field, first - system.object_distance])
+    origin = np.array([*field, system.surfaces[0].position[2] - system.object_distance])
     if system.telecentric or not isfinite(data.entrance_pupil):
         if abs(data.entrance_pupil) < _TELECENTRIC * system.object_distance:
             raise UserError(

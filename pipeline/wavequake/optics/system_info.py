@@ -4,17 +4,23 @@ from collections.abc import Iterable, Sequence
 from math import isfinite
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.optics.gradient_index import GradientIndex
 from wavequake.optics.grid_cover import require_cover
+from wavequake.optics.image_aperture import real_apertures
 from wavequake.optics.packing import pack
-from wavequake.optics.paraxial import Paraxial, paraxial
+from wavequake.optics.paraxial import Paraxial, oblique_surfaces, paraxial
 from wavequake.optics.ray_aiming import require_light
 from wavequake.optics.shapes import Conic, Opening
 from wavequake.optics.system import OpticalSystem, Surface, wavelength_of
 
+Array = NDArray[np.float64]
+
 _ARCMIN = 180.0 * 60.0 / np.pi
+_SAME = 0.01  # relative difference up to which an aperture is called the same
+_OBLIQUE = np.deg2rad(1.0)  # incidence from which powers along and across differ by 3e-4
 _FIRST_DARK_RING = 3.8317059702075123 / np.pi  # first zero of J1: 1.22 wavelength times f-number
 
 
@@ -37,6 +43,7 @@ def info(system: OpticalSystem) -> str:
         _columns([("field", *_fields(system)), ("wavelength (nm)", *_wavelengths(system))]),
         _columns(_surfaces(system.surfaces, system.stop), right=(1, 2, 3)),
     ]
+    parts += [lines] if (lines := _oblique(system)) else []
     bent = [one for one in system.surfaces if isinstance(one.medium, GradientIndex)]
     if bent:
         parts.append([f"The index varies behind {bent[0].name}, and rays bend."])
@@ -51,6 +58,7 @@ def info(system: OpticalSystem) -> str:
 def _first_order(system: OpticalSystem, data: Paraxial) -> list[tuple[str, ...]]:
     far = not isfinite(system.object_distance)
     kind = "infinity" if far else f"{_number(system.object_distance)} mm before {system.surfaces[0].name}"
+    before, behind = real_apertures(system) or (None, None)
     rows: list[tuple[str, ...]] = [
         ("object", kind + (", telecentric" if system.telecentric else "")),
         ("focal length", _length(data.focal_length)),
@@ -58,7 +66,7 @@ def _first_order(system: OpticalSystem, data: Paraxial) -> list[tuple[str, ...]]
         ("front / rear principal plane", f"{_number(data.front_principal)} / {_length(data.rear_principal)}"),
         ("image beyond paraxial focus", _length(data.defocus)),
         ("f-number", _number(data.f_number)),
-        ("NA in image", _number(data.image_na)),
+        ("NA in image", _aperture(data.image_na, behind)),
         ("resolution (Airy radius)", _resolution(system, data.f_number)),
         ("entrance pupil", _pupil(data.entrance_pupil, data.entrance_pupil_diameter, "from first surface")),
         ("exit pupil", _pupil(data.exit_pupil, data.exit_pupil_diameter, "from image")),
@@ -69,9 +77,31 @@ def _first_order(system: OpticalSystem, data: Paraxial) -> list[tuple[str, ...]]
     if not far:
         rows[1:1] = [
             ("magnification", _number(data.magnification)),
-            ("NA in object", _number(data.object_na)),
+            ("NA in object", _aperture(data.object_na, before)),
         ]
     return rows
+
+
+def _aperture(paraxial_na: float, real: Array | None) -> str:
+    """Name the numerical aperture of real rays, too, if it is another one."""
+    text = _number(paraxial_na)
+    if real is None or (np.abs(real - paraxial_na) <= _SAME * paraxial_na).all():
+        return text
+    largest, smallest = map(_number, real)
+    across = "" if real[0] - real[1] <= _SAME * real[0] else f" to {smallest}"
+    return f"{text}, of real rays {largest}{across}"
+
+
+def _oblique(system: OpticalSystem) -> list[str]:
+    """Return a sentence about surfaces that light meets so obliquely that first-order data are coarse."""
+    found = oblique_surfaces(system, _OBLIQUE)
+    if not found:
+        return []
+    listed = ", ".join(f"{name} ({np.rad2deg(angle):.3g})" for name, angle in found)
+    return [
+        "First-order data take these surfaces as upright, though the axis ray meets them obliquely "
+        f"(degrees): {listed}. Rays are traced as they are."
+    ]
 
 
 def _resolution(system: OpticalSystem, f_number: float) -> str:

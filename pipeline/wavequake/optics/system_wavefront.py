@@ -26,10 +26,11 @@ from wavequake.kernels.sequential_numpy import joined_moving, moving_part
 from wavequake.kernels.sequential_source import OUTPUTS
 from wavequake.optics.checks import alike, whole
 from wavequake.optics.fits import MORE_RAYS, Fit, fit_instants, pupil_fit
-from wavequake.optics.image_aperture import image_cosines
+from wavequake.optics.image_aperture import image_cosines, image_index, require_flat_image
 from wavequake.optics.packing import moving, pack
 from wavequake.optics.paraxial import paraxial
 from wavequake.optics.ray_aiming import aimed_rays, losses, pupil_rays
+from wavequake.optics.shape_sag import shape_sag
 from wavequake.optics.sphere_fit import sphere_basis_fit
 from wavequake.optics.stop_following import follow_stop, stays, steering
 from wavequake.optics.system import OpticalSystem, SystemStates, wavelength_of
@@ -46,8 +47,8 @@ from wavequake.optics.zernike import MOST_TERMS
 Array = NDArray[np.float64]
 Traced = tuple[Array, TracedRays, Array]  # see `trace_light`
 
-# Radius of the reference sphere where the exit pupil is at infinity, mm.
-_TELECENTRIC_RADIUS = 1e5
+# Radius of the reference sphere where the exit pupil is at infinity, and of one far away (rounding), mm.
+_TELECENTRIC_RADIUS, _LARGEST_RADIUS = 1e5, 1e6
 _PLANE = 3  # terms, without which there is no line of sight
 
 
@@ -188,8 +189,7 @@ def prepare_system(
             f"no ray of {system.name} reaches its point of the stop: they are lost, "
             f"{losses(system, aimed.status, aimed.surface)}; make the pupil or the field smaller"
         )
-    refracting = [element.index for element in sequence.elements if element.action == "refract"]
-    radius = -first_order.exit_pupil if np.isfinite(first_order.exit_pupil) else _TELECENTRIC_RADIUS
+    exit_pupil = first_order.exit_pupil if np.isfinite(first_order.exit_pupil) else -_TELECENTRIC_RADIUS
     return PreparedSystem(
         system=system,
         sequence=sequence,
@@ -198,8 +198,8 @@ def prepare_system(
         pupil=np.stack([x, y], axis=1),
         fit=fit,
         wavelength=wavelength,
-        sphere_radius=radius,
-        image_index=refracting[-1] if refracting else sequence.index,
+        sphere_radius=float(np.clip(-exit_pupil, -_LARGEST_RADIUS, _LARGEST_RADIUS)),
+        image_index=image_index(sequence),
         cosines=cosines,
         field=field,
         steering=steering(system, sequence, chief),
@@ -212,14 +212,14 @@ def with_slopes(prepared: PreparedSystem) -> PreparedSystem:
     """Return the same with coefficients from ray slopes (Störkle 2018, Eq. 4.13-4.20), not path lengths.
 
     Their piston is NaN. Line of sight and `SystemWavefront.rms` follow the coefficients; all else remains
-    that of path lengths. As far as the polynomials describe the wavefront, both methods agree to 4e-7 waves;
-    what they leave out enters differently, as a fit of slopes weighs a degree n about n times as much.
+    that of path lengths. Both methods agree to 4e-7 waves as far as the polynomials describe the wavefront.
 
     Raises
     ------
     UserError
-        If the rays that arrive do not determine the coefficients.
+        If the image is curved, or the rays that arrive do not determine the coefficients.
     """
+    require_flat_image(prepared.system, "wavefront.method = 'slopes'")
     distance, points = _sphere_points(prepared, *shifted_pupil(prepared.pupil))
     slopes = system_slopes(
         prepared.pupil,
@@ -242,8 +242,9 @@ def with_fitted_sphere(prepared: PreparedSystem) -> PreparedSystem:
     Raises
     ------
     UserError
-        If the rays that arrive determine no sphere.
+        If the image is curved, or the rays that arrive determine no sphere.
     """
+    require_flat_image(prepared.system, "wavefront.reference = 'fitted'")
     _, points = _sphere_points(prepared, *prepared.pupil.T)
     rest = moving(prepared.system, rest_states(prepared.system))
     traced = trace_sequence(prepared.sequence, prepared.chief, rest, NUMPY, ignore_apertures=True)
@@ -329,10 +330,10 @@ def trace_lights(prepared: PreparedSystem, lights: list[Moving], device: Device)
 
 
 def _about(prepared: PreparedSystem, light: Moving, chief: Array, path: Array, device: Device) -> Traced:
-    radius = np.full((len(chief), 1), prepared.sphere_radius)
     # Without a chief ray there is no sphere: the instant's rays are lost, and say so.
     center = np.where(np.isfinite(chief), chief, 0.0)
-    about = replace(light, spheres=np.concatenate([center, np.zeros_like(radius), radius], axis=1))
+    height, *_ = shape_sag(prepared.system.surfaces[-1].shape, center[:, :1], center[:, 1:])
+    about = replace(light, spheres=np.hstack([center, height, np.full_like(height, prepared.sphere_radius)]))
     traced = trace_sequence(prepared.sequence, prepared.rays, about, device, outputs=_outputs(prepared))
     return path_differences(traced.path, path, prepared.wavelength), traced, chief
 

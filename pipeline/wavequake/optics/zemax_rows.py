@@ -11,10 +11,10 @@ MAX_COUNT = 1000
 OPENINGS = ("CLAP", "FLAP", "OBSC", "SQAP", "SPID")
 _USED = ("TYPE", "CURV", "CONI", "DISZ", "GLAS", "DIAM", "STOP", "PARM", "XDAT", "OBDC", "COMM")
 _OF_TYPE = {"GRID_SAG": ("GDAT", "GARR")}
-# Drawing, coatings, mechanical diameters, thermal data, physical optics; and the solves, variables and
-# pickups whose results are in the file.
+# Drawing, coatings, mechanical diameters (OEMA is the edge between DIAM and MEMA), thermal data, physical
+# optics; and the solves, variables and pickups whose results are in the file.
 _HARMLESS = (
-    *("HIDE", "MIRR", "SLAB", "POPS", "COAT", "MEMA", "FIMP", "EDGE", "TCED"),
+    *("HIDE", "MIRR", "SLAB", "POPS", "COAT", "MEMA", "OEMA", "FIMP", "EDGE", "TCED"),
     *("MAZH", "PZUP", "PPAR", "PKUP", "VDSZ", "VPAR", "VCON"),
 )
 _KNOWN = frozenset((*_USED, *_HARMLESS, *OPENINGS))

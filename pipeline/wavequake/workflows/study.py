@@ -62,6 +62,11 @@ def load_study(name: str | Path, overrides: Mapping[str, Any] | Iterable[str] = 
     if not isinstance(name, str | Path):
         raise UserError(f"A study is loaded by name or path, not by {type(name).__name__}.")
     path = _find(str(name))
+    if path.suffix.lower() == ".zmx":
+        raise UserError(
+            f"{path} is a lens file, not a study: a study names it as `file` of its [system]; `wavequake "
+            "info` and `wavequake sensitivity` take the lens file itself."
+        )
     try:
         record = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
