@@ -1,5 +1,3 @@
-import time
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -36,9 +34,7 @@ def ring(hexagons):
     ],
 )
 def test_tmt_noise_gain_and_null_modes_are_the_published_geometrys(tmt, arm, gain, null_modes, smallest):
-    start = time.perf_counter()
     shape = shaping(tmt, arm, OFFSET)
-    assert time.perf_counter() - start < 20
     assert shape.transposed.shape == (1476, 2772)
     assert shape.null_modes == null_modes
     assert shape.gain == pytest.approx(gain, rel=2e-4)
