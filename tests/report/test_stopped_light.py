@@ -177,6 +177,11 @@ def test_figured_segments_of_such_a_telescope_have_images(tmp_path):
     ("keys", "message"),
     [
         ({"wavefront.zernike_terms": 15}, "; the others do not determine 15 Zernike terms"),
+        # Fits to this third of the pupil's radius would be noise, a hundred times as large as the wavefront.
+        (
+            {"wavefront.zernike_terms": 11, "optics.rays_per_segment": 72},
+            "; the others do not determine 11 Zernike terms",
+        ),
         (
             {"optics.method": "modal", "imaging.enabled": False},
             ", so that the modal model has no derivatives",

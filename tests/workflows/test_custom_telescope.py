@@ -88,6 +88,22 @@ def test_distorted_corners_come_from_a_file_and_belong_to_the_study(tmp_path):
     monolith = {"telescope.name": "tmt-thesis", "telescope.gap_mm": None, "telescope.corners_csv": "x"}
     with pytest.raises(UserError, match="corners_csv belongs to the telescope tmt or tmt-18 or jwst"):
         study_with(plain, monolith)
+    with pytest.raises(UserError, match="primary_conic belongs to the telescope custom, not to tmt-18"):
+        study_with(plain, {"telescope.primary_conic": -2.0})
+
+
+def test_a_number_of_rays_of_another_sampling_is_named(newton):
+    given = {"optics.rays": 50, "optics.rays_per_segment": 72}
+    for sampling, unused in (("segments", "rays"), ("sunflower", "rays_per_segment")):
+        study = study_with(newton, {**given, "optics.sampling": sampling})
+        said = f"optics.{unused} has no effect, as optics.sampling is {sampling!r}"
+        assert list(study.unused_keys(one_piece=False)) == [said]
+        assert list(study.unused_keys(one_piece=True)) == [
+            "optics.rays_per_segment has no effect, as M1 is of one piece"
+        ]
+    given["optics.sampling"] = "segments"
+    assert "optics.rays has no effect" in next(workflow.notices(study_with(newton, given).identity_text()))
+    assert not list(study_with(newton, {"optics.rays": 2000}).unused_keys(one_piece=False))
 
 
 def test_a_monolithic_mirror_runs_and_is_perfect_at_rest(tmp_path):

@@ -291,8 +291,9 @@ def check(study_text: str) -> None:
 
 
 def notices(study_text: str) -> Iterator[str]:
-    """Yield what to say of light that mirrors stop at rest, and of too few rays for images."""
+    """Yield what to say of keys without effect, of light that mirrors stop, of too few rays for images."""
     bench = bench_of(study_text)
+    yield from bench.study.unused_keys(monolithic(bench.system))
     if words := bench.stopped.words():
         yield words
     yield from ray_notices(bench)
