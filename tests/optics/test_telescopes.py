@@ -140,6 +140,7 @@ def changed(index, **keys):
         ({"primary_radius": float("nan")}, "radius of the primary mirror is nan mm"),
         ({"primary_conic": float("inf")}, "conic constant of the primary mirror"),
         ({"surfaces": []}, "needs surfaces after the primary mirror"),
+        ({"surfaces": ["M2", "image"]}, "surface 1 after the primary mirror is 'M2'; it must be a Mapping"),
         ({"surfaces": SURFACES[:1]}, "'M2', is the image plane"),
         ({"surfaces": changed(len(SURFACES) - 1, semi_diameter_mm=5.0)}, "and no semi_diameter_mm"),
         (

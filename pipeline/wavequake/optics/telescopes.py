@@ -12,7 +12,7 @@ import numpy as np
 
 from wavequake.errors import UserError
 from wavequake.kernels.surfaces import conic_sag
-from wavequake.optics.checks import number
+from wavequake.optics.checks import number, require_kind
 from wavequake.optics.polygons import distance_from_origin
 from wavequake.optics.segmented_telescope import Row, SegmentedTelescope, sequential_surfaces
 from wavequake.optics.segments import (
@@ -188,6 +188,7 @@ def _require_names(names: Sequence[str]) -> None:
 
 def _row(surface: Mapping[str, Any], index: int) -> Row:
     """Check one surface of a custom prescription."""
+    require_kind(surface, Mapping, f"surface {index} after the primary mirror", " of keys to values.")
     keys = ["name", "radius_mm", "conic", "distance_mm", "tilt_deg", "semi_diameter_mm"]
     name = str(surface.get("name", f"surface {index}"))
     for key in surface:
