@@ -120,3 +120,15 @@ def test_a_monolithic_mirror_runs_and_is_perfect_at_rest(tmp_path):
     assert result.arrays["wfe_rms"][0, 0] == pytest.approx(0.0368 * 550, rel=0.01)
     light = result.arrays["exposure"][0].sum() * 0.25**2 * np.pi / 4 * (1 - 0.10081333**2)
     assert 0.3 < light < 1.0
+
+
+def test_motions_that_edge_sensors_do_not_see_are_counted(newton, tmp_path):
+    """Eight readings of four squares around a corner leave one of twelve unknowns, and three of the whole."""
+    text = CUSTOM[: CUSTOM.index("model =")] + 'model = "edge-sensor-noise"\n'
+    (tmp_path / "sensed.toml").write_text(text)
+    said = [*workflow.notices(load_study(tmp_path / "sensed.toml").identity_text())]
+    assert said[1] == (
+        "Besides piston, tip and tilt of the whole mirror, the sensors of pistons do not see 1 motion of its "
+        "segments, which are not in its numbers"
+    )
+    assert not any("sensors" in one for one in workflow.notices(newton.identity_text()))

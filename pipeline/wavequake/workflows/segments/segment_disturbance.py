@@ -17,6 +17,7 @@ from wavequake.imaging.exposure import encircled_energy_radius
 from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import TILE, padded
 from wavequake.mechanics.disturbances import Disturbance, Motion, analytic_rms, draw_case, time_axis
+from wavequake.mechanics.edge_sensors import EdgeSensorNoise, unseen_motions
 from wavequake.mechanics.population import Population
 from wavequake.optics.prepared import chief_rays, trace_states
 from wavequake.optics.quality import meets_marechal, meets_rayleigh
@@ -296,6 +297,12 @@ def notices(study_text: str) -> Iterator[str]:
     yield from bench.study.unused_keys(monolithic(bench.system))
     if words := bench.stopped.words():
         yield words
+    for entry in bench.study.disturbance:
+        if isinstance(entry, EdgeSensorNoise) and (count := unseen_motions(entry, bench.layout)):
+            yield (
+                f"Besides piston, tip and tilt of the whole mirror, the sensors of {entry.name} do not see "
+                f"{count} motion{'s' * (count > 1)} of its segments, which are not in its numbers"
+            )
     yield from ray_notices(bench)
 
 
