@@ -6,6 +6,8 @@ from small_telescope import STUDY
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import list_devices
+from wavequake.optics.polygons import edge_lines
+from wavequake.optics.zernike import annular_zernike
 from wavequake.workflows.contract import DONE
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
@@ -132,3 +134,37 @@ def test_motions_that_edge_sensors_do_not_see_are_counted(newton, tmp_path):
         "segments, which are not in its numbers"
     )
     assert not any("sensors" in one for one in workflow.notices(newton.identity_text()))
+
+
+@pytest.mark.parametrize(
+    ("rays", "term", "remedy"),
+    [
+        (18, 4, ""),
+        (18, 7, "optics.rays_per_segment = 36"),
+        (36, 7, ""),
+        (36, 11, "optics.rays_per_segment = 72"),
+        (72, 11, ""),
+        (72, 22, "optics.sampling = 'sunflower'"),
+    ],
+)
+def test_rays_that_are_too_few_for_a_figure_are_named(tmp_path, rays, term, remedy):
+    """Where nothing is said the rms of the figure over a hexagon is right within 5 %, by a fine grid."""
+    path = tmp_path / "figured.toml"
+    text = STUDY[: STUDY.index("[[disturbance]]")] + f"[optics]\nrays_per_segment = {rays}\n"
+    text += f'[[disturbance]]\nname = "figures"\nmodel = "static-random"\nfigure_nm = {{ {term} = 1.0 }}\n'
+    path.write_text(text)
+    bench = bench_of(load_study(path).identity_text())
+    said = [one for one in workflow.notices(bench.text) if "too few for its figure" in one]
+    assert [one.partition("; take ")[2] for one in said] == [remedy] * bool(remedy)
+    segments, pupil = bench.system.segments, bench.prepared.rays
+    corners = segments.corners[0] - segments.centers[0, :2]
+    radius = np.hypot(*corners.T).max()
+    x, y = (one.ravel() for one in np.meshgrid(*2 * [np.linspace(-radius, radius, 801)]))
+    inside = (np.column_stack([x, y, -np.ones_like(x)]) @ edge_lines(corners[None])[0].T <= 0.0).all(axis=1)
+    fine = annular_zernike(x[inside] / radius, y[inside] / radius, term, 0.0)[:, -1].std()
+    own = pupil.segment == 0
+    place = (np.stack([pupil.x, pupil.y])[:, own] - segments.centers[0, :2, None]) / radius
+    share = pupil.weight[own] / pupil.weight[own].sum()
+    values = annular_zernike(*place, term, 0.0)[:, -1]
+    found = np.sqrt(share @ (values - share @ values) ** 2)
+    assert (abs(found / fine - 1.0) > 0.05) == bool(remedy)
