@@ -26,7 +26,7 @@ from wavequake.mechanics.excitations import RandomVibration, Sinusoid, drive_of
 from wavequake.mechanics.mirrors import CircularMirror, circular_mirror
 from wavequake.mechanics.modal import ModalModel, modal_model
 from wavequake.mechanics.response import displacements, respond
-from wavequake.mechanics.state_space import StateSpace, state_space, to_control
+from wavequake.mechanics.state_space import StateSpace, state_space
 from wavequake.reduction.reduce import reduce
 
 Array = NDArray[np.float64]
@@ -104,7 +104,7 @@ def forced_response(system: StateSpace, samples: Array) -> Array:
     """Run the same in python-control, from the state space on."""
     import control
 
-    result: Array = control.forced_response(to_control(system), TIME, samples.T).outputs.T
+    result: Array = control.forced_response(control.ss(*system), TIME, samples.T).outputs.T
     return result
 
 

@@ -11,7 +11,7 @@ from wavequake.errors import UserError
 from wavequake.mechanics.linear_system import first_order, linear_system, poles, symmetric_and_skew
 from wavequake.mechanics.modal import modal_model
 from wavequake.mechanics.multibody import Bearing, Joint, Link, Place, assemble, assemble_system
-from wavequake.mechanics.state_space import state_space, to_control
+from wavequake.mechanics.state_space import state_space
 from wavequake.reduction.reduce import reduce
 
 TURN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
@@ -85,7 +85,9 @@ def test_joints_carry_skew_forces_over():
         [Joint(Place(0, 0), Place(1, 0))],
     )
     assert halves.order == 3
-    np.testing.assert_allclose(poles(halves), poles(jeffcott(spin)), rtol=0, atol=1e-9)
+    apart = np.abs(poles(halves)[:, None] - poles(jeffcott(spin)))  # equal imaginary parts: any order
+    for axis in (0, 1):
+        np.testing.assert_allclose(apart.min(axis=axis), 0.0, rtol=0, atol=1e-9)
 
 
 def test_forces_of_the_system_add_to_those_of_its_bodies():
@@ -160,7 +162,7 @@ def test_without_skew_forces_it_is_the_symmetric_model():
 def test_python_control_takes_an_unstable_rotor():
     control = pytest.importorskip("control")
     rotor = jeffcott(80.0)
-    system = to_control(first_order(rotor, rotor.model.surface))
+    system = control.ss(*first_order(rotor, rotor.model.surface))
     assert isinstance(system, control.StateSpace)
     np.testing.assert_allclose(np.sort(system.poles().imag), np.sort(poles(rotor).imag), rtol=0, atol=1e-8)
     time = np.linspace(0, 1, 2001)

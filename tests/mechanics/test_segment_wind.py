@@ -1,5 +1,3 @@
-import time
-
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -162,11 +160,9 @@ def test_only_the_normal_moves_and_larger_segments_move_more(tmt):
     np.testing.assert_allclose(rms / rms[0], tmt.areas_m2 / tmt.areas_m2[0], rtol=1e-12)
 
 
-def test_492_segments_fit_into_memory_and_time(tmt):
+def test_492_segments_fit_into_memory(tmt):
     _gusts.cache_clear()
-    start = time.perf_counter()
     gusts = _gusts(WIND, tmt)
-    assert time.perf_counter() - start < 10
     assert gusts.factors.nbytes < 50e6
 
 

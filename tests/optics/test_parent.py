@@ -6,9 +6,12 @@ from wavequake.optics.packing import moving, pack
 from wavequake.optics.paraxial import paraxial
 from wavequake.optics.parent import parent_system
 from wavequake.optics.ray_aiming import pupil_rays
-from wavequake.optics.segmented_telescope import first_order
+from wavequake.optics.segmented_telescope import Row, SegmentedTelescope, first_order, sequential_surfaces
+from wavequake.optics.segments import segments_on_conic
 from wavequake.optics.system_kinematics import rest_states
 from wavequake.optics.telescopes import telescope
+from wavequake.optics.zemax_export import write_zmx
+from wavequake.optics.zemax_import import read_zmx
 
 
 @pytest.mark.parametrize("name", ["tmt", "tmt-18", "tmt-thesis", "jwst"])
@@ -32,3 +35,25 @@ def test_only_light_of_the_annulus_passes():
     rays = pupil_rays(system, np.zeros(2), 2000e-6, x, np.zeros(5))
     traced = trace_sequence_numpy(pack(system, 2000e-6), rays, moving(system, rest_states(system)))
     np.testing.assert_array_equal(traced.status[0], [1, 1, 0, 0, 1])
+
+
+def test_mirrors_keep_their_edges_and_stop_the_light_that_they_stop_in_the_telescope(tmp_path):
+    """M2 stops what meets it beyond 120 mm: by a hyperbola in polar coordinates about the shared focus."""
+    rows = [Row("M2", -2500.0, -2.25, 4000.0, semi_diameter=120.0), Row("image", np.inf, 0.0, 5000.0)]
+    corners = np.array([[[-1e3, -1e3], [1e3, -1e3], [1e3, 1e3], [-1e3, 1e3]]])
+    segments = segments_on_conic(["1"], corners, -10000.0, -1.0)
+    segmented = SegmentedTelescope(
+        "one", segments, -10000.0, -1.0, sequential_surfaces(rows), -50.0, 0.0, 1000.0
+    )
+    system = parent_system(segmented)
+    x = np.linspace(0.0, 1.0, 1001)
+    rays = pupil_rays(system, np.zeros(2), 550e-6, x, np.zeros_like(x))
+    traced = trace_sequence_numpy(pack(system, 550e-6), rays, moving(system, rest_states(system)))
+    angle = np.arctan2(1e3 * x, 5000.0 - (1e3 * x) ** 2 / 20000.0)
+    height = 2500.0 / (1.0 + 1.5 * np.cos(angle)) * np.sin(angle)
+    stopped = height > 120.0
+    assert 400 < np.count_nonzero(stopped) < 600
+    np.testing.assert_array_equal(traced.status[0], np.where(stopped, 1, 0))
+    assert np.unique(traced.surface[0, stopped]).tolist() == [2]
+    again = read_zmx(write_zmx(system, tmp_path / "one.zmx"))
+    assert [one.opening and one.opening.outer for one in again.surfaces][1:] == [None, 120.0, None]

@@ -43,6 +43,7 @@ def test_centers_and_foreign_columns():
     _, _, centers = read_polygons(StringIO(header + "old,A,0.25,0.125,0,0,1,0,0,1\n"))
     np.testing.assert_array_equal(centers, [[250.0, 125.0]])
     assert "line 2, column 4" in complaint("old,A,0.25,,0,0,1,0,0,1\n", header)
+    assert "the pivot of 'A' lies 999 m from its corners" in complaint("old,A,1000,0,0,0,1,0,0,1\n", header)
 
 
 def test_comments_are_skipped_and_lines_still_counted():

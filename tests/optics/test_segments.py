@@ -174,6 +174,9 @@ def test_a_segment_beyond_its_parent():
     corners = np.array([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], [[3.0, 0.0], [6.0, 0.0], [3.0, 1.0]]])
     with pytest.raises(UserError, match="'far' reaches beyond the primary mirror's parent surface"):
         segments_on_conic(["near", "far"], corners, -5.0, 0.0)
+    pivots = np.array([[6.0, 0.0], [0.0, 0.0]])
+    with pytest.raises(UserError, match=r"'near' reaches beyond .* its pivot must lie on it"):
+        segments_on_conic(["near", "far"], 0.5 * corners, -5.0, 0.0, pivots)
 
 
 def test_a_monolithic_mirror_is_one_segment_without_edges():

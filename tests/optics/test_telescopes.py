@@ -140,7 +140,22 @@ def changed(index, **keys):
         ({"primary_radius": float("nan")}, "radius of the primary mirror is nan mm"),
         ({"primary_conic": float("inf")}, "conic constant of the primary mirror"),
         ({"surfaces": []}, "needs surfaces after the primary mirror"),
+        ({"surfaces": ["M2", "image"]}, "surface 1 after the primary mirror is 'M2'; it must be a Mapping"),
         ({"surfaces": SURFACES[:1]}, "'M2', is the image plane"),
+        ({"surfaces": changed(len(SURFACES) - 1, semi_diameter_mm=5.0)}, "and no semi_diameter_mm"),
+        (
+            {"surfaces": changed(1, name="M2")},
+            "Surface 2 after the primary mirror is called 'M2'",
+        ),
+        (
+            {"surfaces": changed(0, name="M1")},
+            "Surface 1 after the primary mirror is called 'M1'",
+        ),
+        ({"surfaces": changed(0, name=" ")}, "Surface 1 after the primary mirror is called ' '"),
+        (
+            {"polygons": StringIO("id,x1_m,y1_m,x2_m,y2_m,x3_m,y3_m\nA,0,0,3000,0,0,3000\n")},
+            "reach 3e+06 mm from the axis, farther than the radius of curvature of the primary mirror",
+        ),
         ({"surfaces": changed(0, radius=1.0)}, "unknown key 'radius'; the nearest valid one is 'radius_mm'"),
         ({"surfaces": changed(0, conic=float("nan"))}, "'M2' has conic = nan"),
         ({"surfaces": changed(1, distance_mm=None)}, "'fold' has distance_mm = None"),

@@ -222,6 +222,12 @@ def test_figures_must_fit(tmt18):
         trace_states(tmt18, replace(states_of(tmt18), segment_figure=np.zeros((TILE, 18, 4))), NUMPY)
 
 
+@pytest.mark.parametrize("batch", [0, 5])
+def test_a_batch_is_of_whole_tiles(tmt18, batch):
+    with pytest.raises(UserError, match=r"it must be \(whole number of tiles of 16, 2\)"):
+        measure(tmt18, rest(batch, 18, len(tmt18.system.surfaces)), NUMPY)
+
+
 def test_rms_and_peak_to_valley_about_the_plane_and_the_spot_against_a_direct_evaluation(tmt18):
     """Lane 3 loses every 7th ray, lane 5 all of them; planes by NumPy's least squares, ray by ray."""
     random = np.random.default_rng(20)

@@ -1,5 +1,7 @@
 """What is said of light that mirrors of a segmented telescope stop."""
 
+import re
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -11,6 +13,7 @@ from wavequake.optics.prepared import prepare
 from wavequake.optics.pupils import segment_rays
 from wavequake.optics.telescopes import telescope
 from wavequake.report.vignetting import stopped_light
+from wavequake.workflows.budgets.budget import budget
 from wavequake.workflows.campaign import workflow_of
 from wavequake.workflows.contract import DONE
 from wavequake.workflows.segments import segment_disturbance as workflow
@@ -65,14 +68,18 @@ def said(*words):
     return " ".join(result.output.split())
 
 
-def expected(path):
+def heights_on_m2(path):
     """By a hyperbola in polar coordinates about the focus of the parabola, which both have."""
     rays = bench_of(load_study(path).identity_text()).prepared.rays
     radius = np.hypot(rays.x, rays.y)
     angle = np.arctan2(radius, 5000.0 - radius**2 / 20000.0)
-    height = 2500.0 / (1.0 + 1.5 * np.cos(angle)) * np.sin(angle)
+    return 2500.0 / (1.0 + 1.5 * np.cos(angle)) * np.sin(angle)
+
+
+def expected(path):
+    height = heights_on_m2(path)
     assert np.abs(height - 120.0).min() > 0.01  # none is in doubt
-    return int(np.count_nonzero(height > 120.0)), len(radius)
+    return int(np.count_nonzero(height > 120.0)), len(height)
 
 
 @pytest.fixture(scope="module")
@@ -113,6 +120,31 @@ def test_sensitivities_say_it(stopping, tmp_path):
     assert f"{words}; the numbers are those of the others." in said("sensitivity", path, "--store", tmp_path)
 
 
+def test_a_budget_says_it(stopping, tmp_path):
+    path, _, _ = stopping
+    stopped, rays = expected(path)
+    printed = said("budget", path, "--cases", 16, "--store", tmp_path)
+    light = "All numbers are those of the light that arrives."
+    assert f"{stopped} of {rays} rays do not arrive at rest. {light}" in printed
+
+
+def test_a_budget_counts_the_cases_whose_motion_stops_light(tmp_path):
+    """Segments that turn by 1 urad rms move their light on M2 by 8 um rms, past an edge 6 um beyond it."""
+    path = study_file(tmp_path, "semi_diameter_mm = 251.535")
+    assert heights_on_m2(path).max() == pytest.approx(251.5293, abs=1e-4)
+    path.write_text(path.read_text().replace("piston_nm = 5.0", "tip_nrad = 1000.0\ntilt_nrad = 1000.0"))
+    study = load_study(path, {"imaging.enabled": False})
+    counts = workflow.compute(study.identity_text(), np.arange(16), "numpy").arrays["vignetted"]
+    said_of_it = budget(study, 16).attrs["vignetted"]
+    found = re.fullmatch(
+        r"up to (\d+) of 48 do not arrive at an instant of (\d+) of 16 cases\. All numbers .*", said_of_it
+    )
+    # What is drawn again stops light in further cases.
+    most, cases = int(found[1]), int(found[2])
+    assert 0 < counts.max() <= most <= 4
+    assert 0 < np.count_nonzero(counts) <= cases <= 16
+
+
 def test_reports_of_summaries_say_it(stopping, tmp_path):
     path, _, words = stopping
     summary = said("run", path, "store.reduce=summary", "--store", tmp_path, "--on", "serial")
@@ -145,6 +177,11 @@ def test_figured_segments_of_such_a_telescope_have_images(tmp_path):
     ("keys", "message"),
     [
         ({"wavefront.zernike_terms": 15}, "; the others do not determine 15 Zernike terms"),
+        # Fits to this third of the pupil's radius would be noise, a hundred times as large as the wavefront.
+        (
+            {"wavefront.zernike_terms": 11, "optics.rays_per_segment": 72},
+            "; the others do not determine 11 Zernike terms",
+        ),
         (
             {"optics.method": "modal", "imaging.enabled": False},
             ", so that the modal model has no derivatives",

@@ -1,11 +1,14 @@
 """Budgets of lenses: elements that move, on, off and drawn again."""
 
+import re
+
 import numpy as np
 import pytest
 
 from wavequake import cli
 from wavequake.mechanics.element_motion import draw_elements
-from wavequake.report.budget import budget_figure
+from wavequake.optics.pupils import sunflower
+from wavequake.report.budget import budget_figure, explanations
 from wavequake.workflows.budgets.budget import budget, stored_budget, summed
 from wavequake.workflows.budgets.budget_systems import variants
 from wavequake.workflows.segments.segment_disturbance import slot
@@ -134,3 +137,65 @@ def test_the_command_prints_a_table_and_a_report_has_a_figure(study, tmp_path, c
     found, kept = stored_budget(study, tmp_path / "s", 4)
     assert kept
     assert len(budget_figure(found).axes) == 2
+
+
+MIRROR = """
+[study]
+name = "mirror"
+workflow = "system-disturbance"
+[system]
+name = "paraboloid"
+entrance_diameter_mm = 200.0
+fields_deg = [[0.0, 0.0]]
+wavelengths_nm = [550.0]
+[[system.surface]]
+name = "stop"
+stop = true
+[[system.surface]]
+name = "M1"
+distance_mm = 500.0
+radius_mm = -2000.0
+conic = -1.0
+glass = "mirror"
+semi_diameter_mm = {edge}
+[[system.surface]]
+name = "image"
+distance_mm = 1000.0
+[campaign]
+device = "numpy"
+[optics]
+rays = 200
+[wavefront]
+zernike_terms = 6
+[[disturbance]]
+name = "shifts"
+model = "surface-random"
+of = ["M1"]
+rms = {{ dz_um = 1.0, dx_um = {shift} }}
+"""
+
+
+@pytest.mark.parametrize(
+    ("edge", "shift", "words"),
+    [
+        (90.0, 0.0, "{} of 200 rays do not arrive at rest. All numbers are those of fits that go on over"),
+        (100.0, 0.0, None),
+        # The outermost ray lies 0.25 mm inside.
+        (100.0, 500.0, r"up to \d of 200 do not arrive at an instant of \d+ of 16 cases\. All numbers .*"),
+    ],
+)
+def test_light_that_an_opening_stops_is_counted(tmp_path, edge, shift, words):
+    path = tmp_path / "mirror.toml"
+    path.write_text(MIRROR.format(edge=edge, shift=shift))
+    rays = sunflower(0.0, 1.0, 200)
+    beyond = np.count_nonzero(np.hypot(rays.x, rays.y) > edge / 100.0)
+    found = budget(load_study(path), 16)
+    assert found["factor"].to_numpy().tolist() == ["shifts"]  # whose one element is no factor of its own
+    said = found.attrs.get("vignetted")
+    if words is None:
+        assert beyond == 0
+        assert said is None
+    else:
+        assert (beyond > 0) == (shift == 0.0)
+        assert re.match(words.format(beyond), said)
+        assert said in explanations(found)

@@ -6,6 +6,8 @@ from small_telescope import STUDY
 
 from wavequake.errors import UserError
 from wavequake.kernels.devices import list_devices
+from wavequake.optics.polygons import edge_lines
+from wavequake.optics.zernike import annular_zernike
 from wavequake.workflows.contract import DONE
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
@@ -88,6 +90,22 @@ def test_distorted_corners_come_from_a_file_and_belong_to_the_study(tmp_path):
     monolith = {"telescope.name": "tmt-thesis", "telescope.gap_mm": None, "telescope.corners_csv": "x"}
     with pytest.raises(UserError, match="corners_csv belongs to the telescope tmt or tmt-18 or jwst"):
         study_with(plain, monolith)
+    with pytest.raises(UserError, match="primary_conic belongs to the telescope custom, not to tmt-18"):
+        study_with(plain, {"telescope.primary_conic": -2.0})
+
+
+def test_a_number_of_rays_of_another_sampling_is_named(newton):
+    given = {"optics.rays": 50, "optics.rays_per_segment": 72}
+    for sampling, unused in (("segments", "rays"), ("sunflower", "rays_per_segment")):
+        study = study_with(newton, {**given, "optics.sampling": sampling})
+        said = f"optics.{unused} has no effect, as optics.sampling is {sampling!r}"
+        assert list(study.unused_keys(one_piece=False)) == [said]
+        assert list(study.unused_keys(one_piece=True)) == [
+            "optics.rays_per_segment has no effect, as M1 is of one piece"
+        ]
+    given["optics.sampling"] = "segments"
+    assert "optics.rays has no effect" in next(workflow.notices(study_with(newton, given).identity_text()))
+    assert not list(study_with(newton, {"optics.rays": 2000}).unused_keys(one_piece=False))
 
 
 def test_a_monolithic_mirror_runs_and_is_perfect_at_rest(tmp_path):
@@ -104,3 +122,49 @@ def test_a_monolithic_mirror_runs_and_is_perfect_at_rest(tmp_path):
     assert result.arrays["wfe_rms"][0, 0] == pytest.approx(0.0368 * 550, rel=0.01)
     light = result.arrays["exposure"][0].sum() * 0.25**2 * np.pi / 4 * (1 - 0.10081333**2)
     assert 0.3 < light < 1.0
+
+
+def test_motions_that_edge_sensors_do_not_see_are_counted(newton, tmp_path):
+    """Eight readings of four squares around a corner leave one of twelve unknowns, and three of the whole."""
+    text = CUSTOM[: CUSTOM.index("model =")] + 'model = "edge-sensor-noise"\n'
+    (tmp_path / "sensed.toml").write_text(text)
+    said = [*workflow.notices(load_study(tmp_path / "sensed.toml").identity_text())]
+    assert said[1] == (
+        "Besides piston, tip and tilt of the whole mirror, the sensors of pistons do not see 1 motion of its "
+        "segments, which are not in its numbers"
+    )
+    assert not any("sensors" in one for one in workflow.notices(newton.identity_text()))
+
+
+@pytest.mark.parametrize(
+    ("rays", "term", "remedy"),
+    [
+        (18, 4, ""),
+        (18, 7, "optics.rays_per_segment = 36"),
+        (36, 7, ""),
+        (36, 11, "optics.rays_per_segment = 72"),
+        (72, 11, ""),
+        (72, 22, "optics.sampling = 'sunflower'"),
+    ],
+)
+def test_rays_that_are_too_few_for_a_figure_are_named(tmp_path, rays, term, remedy):
+    """Where nothing is said the rms of the figure over a hexagon is right within 5 %, by a fine grid."""
+    path = tmp_path / "figured.toml"
+    text = STUDY[: STUDY.index("[[disturbance]]")] + f"[optics]\nrays_per_segment = {rays}\n"
+    text += f'[[disturbance]]\nname = "figures"\nmodel = "static-random"\nfigure_nm = {{ {term} = 1.0 }}\n'
+    path.write_text(text)
+    bench = bench_of(load_study(path).identity_text())
+    said = [one for one in workflow.notices(bench.text) if "too few for its figure" in one]
+    assert [one.partition("; take ")[2] for one in said] == [remedy] * bool(remedy)
+    segments, pupil = bench.system.segments, bench.prepared.rays
+    corners = segments.corners[0] - segments.centers[0, :2]
+    radius = np.hypot(*corners.T).max()
+    x, y = (one.ravel() for one in np.meshgrid(*2 * [np.linspace(-radius, radius, 801)]))
+    inside = (np.column_stack([x, y, -np.ones_like(x)]) @ edge_lines(corners[None])[0].T <= 0.0).all(axis=1)
+    fine = annular_zernike(x[inside] / radius, y[inside] / radius, term, 0.0)[:, -1].std()
+    own = pupil.segment == 0
+    place = (np.stack([pupil.x, pupil.y])[:, own] - segments.centers[0, :2, None]) / radius
+    share = pupil.weight[own] / pupil.weight[own].sum()
+    values = annular_zernike(*place, term, 0.0)[:, -1]
+    found = np.sqrt(share @ (values - share @ values) ** 2)
+    assert (abs(found / fine - 1.0) > 0.05) == bool(remedy)

@@ -217,12 +217,10 @@ def test_a_command_that_is_interrupted_says_how_to_resume(tmp_path, on, sent):
     )
     toy.wait_for_records(tmp_path / "s", 1, timeout_s=60)
     children = children_of(process.pid)
-    start = time.monotonic()
     for number in sent:
         os.killpg(process.pid, number)
         time.sleep(0.05)
     _, complained = process.communicate(timeout=30)
-    assert time.monotonic() - start < 10  # a second, on a machine with nothing else to do
     assert process.returncode == 130
     assert complained == (
         f"\nInterrupted. What is done is kept; to continue: wavequake {shlex.join(words)}\n"

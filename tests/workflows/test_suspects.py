@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -31,9 +30,7 @@ def others_are_kept(stored, guilty):
 
 
 def test_a_case_that_hangs_is_ended_and_quarantined_alone(tmp_path):
-    start = time.monotonic()
     summary = toy.run(tmp_path / "s", {"hang": [13]}, on="local", workers=2, timeout_s=2.0)
-    assert time.monotonic() - start < 60
     assert (summary.computed, summary.quarantined) == (40, 1)
     stored = open_store(tmp_path / "s").load()
     assert stored.status.sel(case=13) == 4

@@ -77,6 +77,10 @@ def test_an_unknown_piston_stays_unknown():
         (array(unit(4, 6)), "fringe", {"source": 0.2, "target": 0.2}, "full circle"),
         (array(unit(4, 6)), "noll", {"source": 1.0, "target": 0.0}, "ratio .* is 1.0"),
         (array(unit(4, 6)), "noll", {"source": 0.1, "target": np.nan}, "ratio .* is nan"),
+        (array(unit(4, 6)), "noll", {"source": "wide"}, "ratio .* is 'wide'"),
+        (array(unit(4, 6)), "noll", {"source": [0.1]}, r"ratio .* is \[0.1\]"),
+        (array(unit(4, 6)), ["noll"], {"source": 0.0}, "is unknown; choose one of"),
+        (array(unit(4, 6)).astype(str), "ansi", {"source": 0.0}, "coefficients must be an array of numbers"),
     ],
 )
 def test_what_cannot_be_converted_is_refused(coefficients, index, more, match):

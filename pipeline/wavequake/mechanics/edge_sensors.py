@@ -130,13 +130,17 @@ def shared_edges(layout: SegmentLayout) -> tuple[NDArray[np.intp], NDArray[np.in
         raise UserError("Edge sensors need a segmented mirror; this one has no edges.")
     middle = (starts + stops) / 2
     tree = scipy.spatial.cKDTree(middle)
-    pairs = tree.query_pairs(0.1 * float(length.max()), output_type="ndarray")
+    widest = 0.1 * float(length.max())
+    pairs = tree.query_pairs(widest, output_type="ndarray")
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     a, b = pairs.T
     facing = np.einsum("ei,ei->e", stops[a] - starts[a], starts[b] - stops[b]) > 0.99 * length[a] * length[b]
     a, b = a[facing & (segment[a] != segment[b])], b[facing & (segment[a] != segment[b])]
     if not len(a):
-        raise UserError("Edge sensors need segments that share edges; no two segments of this mirror do.")
+        raise UserError(
+            "Edge sensors need segments that share edges; no two segments of this mirror do: parallel edges "
+            f"whose middles are at most {widest:.3g} m apart, a tenth of the longest edge."
+        )
     ends = np.stack([starts[a] + stops[b], stops[a] + starts[b]], axis=1) / 2
     along = (ends[:, 1] - ends[:, 0]) / np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1, keepdims=True)
     across = middle[b] - middle[a]
@@ -199,6 +203,14 @@ def edge_noise_rms_nm(parameters: EdgeSensorNoise, layout: SegmentLayout) -> flo
     """Return the analytic rms of the pistons of all segments, nm."""
     shape = shaping(layout, parameters.dihedral_arm_m, parameters.sensor_offset_m)
     return parameters.sensor_rms_nm * shape.piston_gain
+
+
+def unseen_motions(parameters: EdgeSensorNoise, layout: SegmentLayout) -> int:
+    """Return how many motions of the segments no sensor sees, besides piston, tip and tilt of the mirror.
+
+    They are not in the motion that is drawn.
+    """
+    return shaping(layout, parameters.dihedral_arm_m, parameters.sensor_offset_m).null_modes - 3
 
 
 def draw_edge_noise(

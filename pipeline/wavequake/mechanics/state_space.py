@@ -1,7 +1,6 @@
 """Linear state space of a mechanical model, as control software takes it (Störkle 2018, Eq. 2.13, 2.14)."""
 
-from importlib import import_module
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from wavequake.mechanics.model import Array
 class StateSpace(NamedTuple):
     """x' = A x + B u, y = C x + D u; unpacks as ``scipy.signal.StateSpace(*system)``.
 
+    So it does for python-control: ``control.ss(*system)``.
     ``a`` (s, s), ``b`` (s, p), ``c`` (m, s), ``d`` (m, p); SI units.
     """
 
@@ -55,19 +55,3 @@ def state_space(modal: ModalModel, rows: Array) -> StateSpace:
     b = np.vstack([modal.input_rates, modal.inputs - modal.damping @ modal.input_rates])
     shapes = np.asarray(rows @ modal.modes)
     return StateSpace(a, b, np.hstack([shapes, np.zeros_like(shapes)]), np.asarray(rows @ modal.lift))
-
-
-def to_control(system: StateSpace) -> Any:
-    """Return the system as a ``control.StateSpace`` of the package python-control.
-
-    Raises
-    ------
-    UserError
-        If python-control is not installed.
-    """
-    try:
-        # By name: a plain import would read as this package's folder of the same name.
-        control = import_module("control")
-    except ImportError:
-        raise UserError("python-control is not installed; run: pip install control") from None
-    return control.ss(*system)

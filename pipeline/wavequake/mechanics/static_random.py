@@ -29,7 +29,7 @@ class StaticRandom(Population):
     figure_nm: dict[NollIndex, NonNegative] = Field(
         default={},
         description="surface rms by Noll index j >= 4, over the segment's circumscribed circle; "
-        "in the wavefront and the Strehl ratio, but not in the exposure",
+        "exposures of figured segments are sums over rays",
     )
 
 

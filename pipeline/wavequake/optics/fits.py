@@ -1,6 +1,6 @@
 """Weighted linear least squares over rays: once for all instants, and anew for an instant that lost rays."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -129,6 +129,19 @@ def _least_rms(fit: Fit) -> float:
     return float(np.sqrt(max(np.linalg.eigvalsh(fit.normal)[0], 0.0)))
 
 
+def tells_apart(fit: Fit, kept: Mask) -> bool:
+    """Return whether polynomials with unit rms over the pupil have no combination that vanishes at some rays.
+
+    Parameters
+    ----------
+    fit : Fit
+    kept : ndarray of bool, shape (N,)
+        Which rays; as `well_determined` asks of all.
+    """
+    basis, weight = fit.basis[kept], fit.weight[kept, None] / fit.weight[kept].sum()
+    return _least_rms(replace(fit, normal=basis.T @ (weight * basis))) >= _LEAST_RMS_ON_GLASS
+
+
 def well_determined(fit: Fit) -> Fit:
     """Return the fit of polynomials with unit rms over the pupil, if the glass tells them apart.
 
@@ -143,7 +156,8 @@ def well_determined(fit: Fit) -> Fit:
         raise UserError(
             f"{fit.basis.shape[1]} Zernike terms are too many for the glass of this pupil: a combination of "
             f"them is {1.0 / max(least, 1e-9):.2g} times larger beside the glass than on it; lower "
-            "wavefront.zernike_terms, or raise optics.rays_per_segment."
+            "wavefront.zernike_terms, or raise optics.rays_per_segment. (The pupil is the annulus about the "
+            "telescope's axis, of which the glass must not leave out too much.)"
         )
     return fit
 

@@ -1,5 +1,7 @@
 """The monolithic parent of a segmented telescope as a general optical system."""
 
+from math import isfinite
+
 import numpy as np
 
 from wavequake.optics.segmented_telescope import SegmentedTelescope
@@ -11,6 +13,7 @@ def parent_system(telescope: SegmentedTelescope, wavelength: float = 550e-6) -> 
     """Return the telescope with a primary mirror of one piece: the annulus of its pupil.
 
     The stop is a surface of its own in the plane of M1's rim, before the mirror; the frame stays that of M1.
+    Mirrors after M1 keep their edges, and stop what light they stop in the telescope.
 
     Parameters
     ----------
@@ -29,6 +32,7 @@ def parent_system(telescope: SegmentedTelescope, wavelength: float = 550e-6) -> 
             surface.position,
             surface.rotation,
             "reflect" if surface.reflects else "pass",
+            opening=Opening(surface.semi_diameter) if isfinite(surface.semi_diameter) else None,
         )
         for surface in telescope.surfaces
     ]

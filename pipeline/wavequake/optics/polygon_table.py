@@ -41,7 +41,7 @@ def read_polygons(source: str | Path | TextIO) -> tuple[list[str], Array, Array 
     UserError
         If the file cannot be read, has no rows or columns, or a number is missing or wrong (names the line);
         if two segments have one id or overlap, or a polygon has fewer than 3 corners or no area, or
-        crosses itself.
+        crosses itself, or has its pivot farther away than the mirror is wide.
     """
     if not isinstance(source, str | Path):
         return _parsed(source, getattr(source, "name", "the table of polygons"))
@@ -81,6 +81,7 @@ def _parsed(stream: TextIO, where: str) -> tuple[list[str], Array, Array | None]
     if "cx_m" in header and "cy_m" in header:
         columns = (header.index("cx_m"), header.index("cy_m"))
         centers = np.array([_point(row, columns, line) for line, row in rows])
+        _require_near(names, corners, centers, where)
     return names, corners, centers
 
 
@@ -153,6 +154,19 @@ def _require_simple(names: list[str], corners: Array, where: str) -> None:
         name = names[int(np.argmax(wrong))]
         raise UserError(
             f"{where}: polygon {name!r} crosses or touches itself; list its corners in order around it."
+        )
+
+
+def _require_near(names: list[str], corners: Array, centers: Array, where: str) -> None:
+    """Raise UserError for a pivot that lies farther from its segment than the mirror is wide: wrong units."""
+    width = float(np.ptp(corners.reshape(-1, 2), axis=0).max())
+    distance = np.linalg.norm(corners - centers[:, None], axis=2).min(axis=1)
+    if (distance > width).any():
+        index = int(np.argmax(distance))
+        meters = distance[index] / _MM_PER_M
+        raise UserError(
+            f"{where}: the pivot of {names[index]!r} lies {meters:g} m from its corners; "
+            "cx_m and cy_m are in m, and no pivot lies farther away than the mirror is wide."
         )
 
 

@@ -245,6 +245,10 @@ def trace_states(prepared: PreparedTrace, states: SurfaceStates, device: Device)
         If the states do not fit the telescope.
     """
     system = prepared.system
+    if not len(states) or len(states) % TILE or states.field.shape != (len(states), 2):
+        raise UserError(
+            f"the fields have the shape {states.field.shape}, it must be (whole number of tiles of {TILE}, 2)"
+        )
     shape = (len(states), *prepared.figure_matrix.shape[::2])
     if states.segment_figure.shape != shape:
         raise UserError(

@@ -298,16 +298,18 @@ def segments_on_conic(
     Raises
     ------
     UserError
-        If the parent does not reach out to every corner.
+        If the parent does not reach out to every corner and pivot.
     """
-    reach = np.isfinite(conic_sag(corners[..., 0], corners[..., 1], 1.0 / radius, conic)).all(axis=1)
+    pivots = centroids(corners) if centers is None else centers
+    places = np.concatenate([corners, pivots[:, None]], axis=1)
+    reach = np.isfinite(conic_sag(places[..., 0], places[..., 1], 1.0 / radius, conic)).all(axis=1)
     if not reach.all():
         name = names[int(np.argmin(reach))]
         raise UserError(
             f"Segment {name!r} reaches beyond the primary mirror's parent surface (radius {radius:g} mm, "
-            f"conic {conic:g}); its corners must lie on it."
+            f"conic {conic:g}); its corners and its pivot must lie on it."
         )
-    middle, normals = _on_conic(centroids(corners) if centers is None else centers, radius, conic)
+    middle, normals = _on_conic(pivots, radius, conic)
     return Segments(tuple(names), middle, _projected_axes(normals), corners)
 
 

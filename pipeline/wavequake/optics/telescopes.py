@@ -8,9 +8,11 @@ from math import hypot, inf, isfinite, pi, sqrt
 from pathlib import Path
 from typing import Any, TextIO
 
+import numpy as np
+
 from wavequake.errors import UserError
 from wavequake.kernels.surfaces import conic_sag
-from wavequake.optics.checks import number
+from wavequake.optics.checks import number, require_kind
 from wavequake.optics.polygons import distance_from_origin
 from wavequake.optics.segmented_telescope import Row, SegmentedTelescope, sequential_surfaces
 from wavequake.optics.segments import (
@@ -158,16 +160,35 @@ def custom(
     if not surfaces:
         raise UserError("A custom telescope needs surfaces after the primary mirror, the image plane last.")
     rows = [_row(surface, index) for index, surface in enumerate(surfaces, start=1)]
-    if isfinite(rows[-1].radius) or rows[-1].tilt:
+    if isfinite(rows[-1].radius) or rows[-1].tilt or isfinite(rows[-1].semi_diameter):
         raise UserError(
-            f"The last surface, {rows[-1].name!r}, is the image plane; it must have no radius and no tilt."
+            f"The last surface, {rows[-1].name!r}, is the image plane; it must have no radius, no tilt "
+            "and no semi_diameter_mm."
         )
+    _require_names([row.name for row in rows])
     segments = polygons_from_csv(polygons, primary_radius, primary_conic)
+    reach = float(np.hypot(*np.moveaxis(segments.corners, -1, 0)).max())
+    if reach > -primary_radius:
+        raise UserError(
+            f"The segments reach {reach:g} mm from the axis, farther than the radius of curvature of the "
+            f"primary mirror, {-primary_radius:g} mm: polygons are in m, primary_radius_mm in mm."
+        )
     return _around_its_glass("custom", segments, primary_radius, primary_conic, rows)
+
+
+def _require_names(names: Sequence[str]) -> None:
+    """Raise UserError unless surfaces after M1 have names of their own."""
+    for index, name in enumerate(names):
+        if not name.strip() or name in ("M1", "stop", *names[:index]):
+            raise UserError(
+                f"Surface {index + 1} after the primary mirror is called {name!r}; each needs a name of its "
+                "own, other than M1 and stop."
+            )
 
 
 def _row(surface: Mapping[str, Any], index: int) -> Row:
     """Check one surface of a custom prescription."""
+    require_kind(surface, Mapping, f"surface {index} after the primary mirror", " of keys to values.")
     keys = ["name", "radius_mm", "conic", "distance_mm", "tilt_deg", "semi_diameter_mm"]
     name = str(surface.get("name", f"surface {index}"))
     for key in surface:

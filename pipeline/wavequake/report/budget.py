@@ -91,6 +91,8 @@ def explanations(found: "xr.Dataset") -> list[str]:
         "(total index)"
         + ("; rings have none where segments are disturbed together, as by wind." if rings else "."),
     ]
+    if "vignetted" in found.attrs:
+        lines.append(found.attrs["vignetted"])
     if lost:
         lines.append(f"{lost} cases are left out: light was lost with some factor on or off.")
     return lines

@@ -45,14 +45,14 @@ def distributions(
 
 
 @rc_context(STYLE)
-def field_map(points: Array, values: Array, unit: str) -> Figure:
-    """Draw a value (nm) at every field point (F, 2)."""
+def field_map(points: Array, values: Array, unit: str, label: str) -> Figure:
+    """Draw a value at every field point (F, 2)."""
     figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
     axes = figure.add_subplot()
     marks = axes.scatter(points[:, 0], points[:, 1], c=values, s=160, cmap="viridis", edgecolors="#444444")
     for (x, y), value in zip(points, values, strict=True):
         axes.annotate(number(float(value)), (x, y), xytext=(9, 0), textcoords="offset points", va="center")
-    figure.colorbar(marks, ax=axes, label="WFE rms, median of the cases (nm)")
+    figure.colorbar(marks, ax=axes, label=label)
     axes.margins(0.3)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel(f"field x ({unit})")

@@ -130,7 +130,9 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         table=[{header: row[header] for header in headers} for row in rows],
         small_print=_SMALL_PRINT + _partial(found, bench) + what_is_kept(dataset),
         overview=[*_overview(found), *budget.pictures(store)],
-        sections=[Section(one.name, list(_figures(bench, one, dataset, device))) for one in found],
+        sections=[
+            Section(one.name, [*_figures(bench, one, _error(found), dataset, device)]) for one in found
+        ],
         definitions=list(_DEFINITIONS),
         kind="disturbance",
         left_out=left_out(dataset),
@@ -141,7 +143,8 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
 def _overview(found: Sequence[SystemPopulation]) -> Iterator[Picture]:
     if any(len(one.cases) for one in found):
         sets = {one.name: one.fields[0].sets for one in found if one.fields}
-        figure = draw_figures.distributions(_worst_fields(found), "WFE rms of a case (nm), worst field", sets)
+        words = f"{_error(found)[1]} of a case (nm), worst field"
+        figure = draw_figures.distributions(_worst_fields(found), words, sets)
         yield picture("distributions", "Distribution of the wavefront error of all disturbances", figure)
 
 
@@ -285,7 +288,17 @@ def _row(population: SystemPopulation, one: FieldResult, bench: SystemBench) -> 
 
 def _headers(found: Sequence[SystemPopulation]) -> tuple[str, ...]:
     """Return the columns of the table: two more where rays do not arrive."""
-    return _HEADERS if any(one.lost for population in found for one in population.fields) else _WHOLE
+    return _HEADERS if _incomplete(found) else _WHOLE
+
+
+def _incomplete(found: Sequence[SystemPopulation]) -> bool:
+    """Return whether rays are missing anywhere, so that fits over the full pupil are none of the light."""
+    return any(one.lost for population in found for one in population.fields)
+
+
+def _error(found: Sequence[SystemPopulation]) -> tuple[str, str]:
+    """Return which error of a `FieldResult` figures show, and its words."""
+    return ("raw", "arrived WFE rms") if _incomplete(found) else ("wfe", "WFE rms")
 
 
 def _partial(found: Sequence[SystemPopulation], bench: SystemBench) -> str:
@@ -307,10 +320,17 @@ def _quantile(found: Quantile) -> tuple[str, str]:
 
 
 def answer(found: Sequence[SystemPopulation]) -> str:
-    """Say which disturbance changes the wavefront most, and where."""
+    """Say which disturbance changes the wavefront most, and where; where light is missing, what it leaves."""
     results = [(population.name, one) for population in found for one in population.fields]
     if not results:
         return "No case is done yet."
+    if _incomplete(found):
+        name, one = max(results, key=lambda result: quantile(result[1].raw, 0.95).value)
+        return (
+            f"Rays are missing at some instants. Of the light that arrives, {name} has the largest wavefront "
+            f"error: in 95 % of its cases at most {number(quantile(one.raw, 0.95).value)} nm rms at field "
+            f"{one.field}, where the median Strehl ratio is {number(one.strehl_p50)}."
+        )
     name, one = max(results, key=lambda result: quantile(result[1].change, 0.95).value)
     value = number(quantile(one.change, 0.95).value)
     return (
@@ -321,35 +341,32 @@ def answer(found: Sequence[SystemPopulation]) -> str:
 
 def _worst_fields(found: Sequence[SystemPopulation]) -> dict[str, Array]:
     """Return the rms of each case at the field point whose median is largest, by disturbance."""
+    which, _ = _error(found)
     return {
-        one.name: max((field.wfe for field in one.fields), key=lambda wfe: float(np.median(wfe)))
+        one.name: max((getattr(field, which) for field in one.fields), key=lambda wfe: float(np.median(wfe)))
         for one in found
         if one.fields
     }
 
 
 def _figures(
-    bench: SystemBench, population: SystemPopulation, dataset: xr.Dataset, device: str
+    bench: SystemBench, population: SystemPopulation, error: tuple[str, str], dataset: xr.Dataset, device: str
 ) -> Iterator[Picture]:
     if population.worst is None:
         return
-    name = population.name
-    yield picture(
-        f"{name}-wfe",
-        f"Distribution of the wavefront error by field, {name}",
-        draw_figures.distributions(
-            {one.field: one.wfe for one in population.fields},
-            "WFE rms (nm)",
-            {one.field: one.sets for one in population.fields},
-        ),
-    )
+    name, (which, label) = population.name, error
+    errors = [getattr(one, which) for one in population.fields]
+    fields = [one.field for one in population.fields]
+    sets = {one.field: one.sets for one in population.fields}
+    figure = draw_figures.distributions(dict(zip(fields, errors, strict=True)), f"{label} (nm)", sets)
+    yield picture(f"{name}-wfe", f"Distribution of the wavefront error by field, {name}", figure)
     points = np.stack([dataset["field_x"].to_numpy(), dataset["field_y"].to_numpy()], axis=1)
-    medians = np.array([np.median(one.wfe) for one in population.fields])
+    medians = np.median(errors, axis=1)
     unit = str(dataset["field_x"].attrs["units"])
     yield picture(
         f"{name}-field",
         f"Wavefront error over the field, {name}",
-        draw_figures.field_map(points, medians, unit),
+        draw_figures.field_map(points, medians, unit, f"{label}, median of the cases (nm)"),
     )
     yield picture(f"{name}-spots", f"Spot diagrams, {name}", _spots(bench, population.worst, device))
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wavequake.errors import UserError
+from wavequake.optics.checks import array
 from wavequake.optics.zernike_indices import Scheme, convert_coefficients
 from wavequake.optics.zernike_transforms import known_transformed
 
@@ -49,7 +50,7 @@ def convert_zernike(
     """
     import xarray as xr
 
-    if index not in _FIRST:
+    if not isinstance(index, str) or index not in _FIRST:
         raise UserError(f"The Zernike index {index!r} is unknown; choose one of {', '.join(_FIRST)}.")
     if not hasattr(coefficients, "dims"):
         kind = type(coefficients).__name__
@@ -66,14 +67,11 @@ def convert_zernike(
             "The array does not say over which annulus its polynomials are orthogonal; give source, the "
             "inner over the outer radius of the pupil (0 for a full one)."
         )
-    inner = float(given)
-    wanted = (0.0 if index == "fringe" else inner) if target is None else float(target)
+    inner = _ratio(given)
+    wanted = (0.0 if index == "fringe" else inner) if target is None else _ratio(target)
     if index == "fringe" and wanted:
         raise UserError("Fringe polynomials are those of the full circle: leave out target, or give 0.")
-    for ratio in (inner, wanted):
-        if not 0.0 <= ratio < 1.0:
-            raise UserError(f"The ratio of inner to outer pupil radius is {ratio}, it must lie in [0, 1).")
-    values = np.asarray(last.values, dtype=np.float64)
+    values = array(last.values, "The coefficients")
     if inner != wanted:
         values = known_transformed(values, inner, wanted)
     values = convert_coefficients(values, "noll", index)
@@ -86,3 +84,14 @@ def convert_zernike(
         name=last.name,
         attrs={**last.attrs, "obscuration": repr(wanted)},
     )
+
+
+def _ratio(value: float | str) -> float:
+    """Return an obscuration, which attributes of arrays hold as text."""
+    try:
+        ratio = float(value)
+    except (TypeError, ValueError):
+        ratio = np.nan
+    if not 0.0 <= ratio < 1.0:
+        raise UserError(f"The ratio of inner to outer pupil radius is {value!r}, it must lie in [0, 1).")
+    return ratio

@@ -138,7 +138,7 @@ _WORKFLOWS = ("segment-disturbance", "system-disturbance")
 def _measured(
     experiment: Experiment, cases: int, identity: list[str], file: Path | None, progress: Progress | None
 ) -> Array:
-    """Return (cases, variants, quantities), of which `file` may have some and gets the others."""
+    """Return (cases, variants, quantities + 1), of which `file` may have some and gets the others."""
     known = {case: values for case, values in _kept(file, identity).items() if case < cases}
     for first in range(0, cases, experiment.at_once):
         last = min(first + experiment.at_once, cases)
@@ -179,7 +179,7 @@ def _kept(file: Path | None, identity: list[str]) -> dict[int, Array]:
 
 
 def _dataset(values: Array, rest: Array, experiment: Experiment, attrs: dict[str, object]) -> "xr.Dataset":
-    """Return the budget of values (case, 2 + 2 k, quantity) and those at rest (quantity,)."""
+    """Return the budget of `Experiment.values` of all cases and those at rest."""
     import xarray as xr
 
     good: NDArray[np.bool_] = np.asarray(np.isfinite(values).all(axis=(1, 2)))
@@ -188,6 +188,8 @@ def _dataset(values: Array, rest: Array, experiment: Experiment, attrs: dict[str
             f"{len(good) - good.sum()} of {len(good)} cases cannot be traced with every disturbance on and "
             f"off, and {FEWEST} are needed; lower the disturbances or raise --cases."
         )
+    light = _missing_light(experiment, values[good, :, -1].max(axis=1), int(rest[-1]))
+    values, rest = values[..., :-1], rest[:-1]
     kept = values[good]
     names = [factor.name for factor in experiment.factors]
     count = len(names)
@@ -252,8 +254,20 @@ def _dataset(values: Array, rest: Array, experiment: Experiment, attrs: dict[str
             np.array([factor.members for factor in experiment.factors], dtype=np.int64),
         ),
     }
-    found: xr.Dataset = xr.Dataset(variables, coordinates, {**attrs, "cases_used": int(good.sum())})
+    more = {"cases_used": int(good.sum()), **({"vignetted": light} if light else {})}
+    found: xr.Dataset = xr.Dataset(variables, coordinates, {**attrs, **more})
     return found
+
+
+def _missing_light(experiment: Experiment, most: Array, at_rest: int) -> str:
+    """Say how many rays do not arrive at rest and in cases (case,), and what that means; "" if all do."""
+    parts = [f"{at_rest} of {experiment.rays} rays do not arrive at rest"] if at_rest else []
+    if (more := most > at_rest).any():
+        parts.append(
+            f"up to {int(most.max())} of {experiment.rays} do not arrive at an instant of "
+            f"{np.count_nonzero(more)} of {len(most)} cases"
+        )
+    return f"{'; '.join(parts)}. {experiment.light}" if parts else ""
 
 
 def stored_budget(

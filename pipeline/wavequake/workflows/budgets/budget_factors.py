@@ -29,9 +29,10 @@ class Factor:
 class Experiment:
     """How the cases of a budget of k factors are varied and measured.
 
-    ``values(first, last)`` gives (cases, 2 + 2 k, quantities): with all factors, with all drawn again,
-    without each, with each drawn again; NaN where a case cannot be traced. ``at_once`` cases are measured
-    together. ``rest()`` gives (quantities,) without any factor.
+    ``values(first, last)`` gives (cases, 2 + 2 k, quantities + 1): with all factors, with all drawn again,
+    without each, with each drawn again; NaN where a case cannot be traced. Last comes the largest number of
+    rays, of `rays`, that do not arrive at an instant. ``at_once`` cases are measured together. ``rest()``
+    gives (quantities + 1,) without any factor; ``light`` says what the quantities are where rays are missing.
     """
 
     factors: tuple[Factor, ...]
@@ -39,3 +40,5 @@ class Experiment:
     at_once: int
     values: Callable[[int, int], Array]
     rest: Callable[[], Array]
+    rays: int
+    light: str

@@ -127,7 +127,10 @@ def _with_segments(motion: Motion, other: Motion, mine: NDArray[np.bool_]) -> Mo
 
 
 def evaluate(bench: Bench, population: Combine, motions: Sequence[Motion], device: str) -> Array:
-    """Return the QUANTITIES (rms over the instants) of motions (B, 3); NaN where one cannot be traced."""
+    """Return the QUANTITIES (rms over instants) of motions, and the most rays that mirrors stop, (B, 4).
+
+    NaN where one cannot be traced.
+    """
     time, found = time_axis(population), []
     for first in range(0, len(motions), _AT_ONCE):
         draws = [CaseDraw(population, 0, time, motion) for motion in motions[first : first + _AT_ONCE]]
@@ -136,7 +139,7 @@ def evaluate(bench: Bench, population: Combine, motions: Sequence[Motion], devic
             np.sum(result.arrays[name][:, : len(time)].reshape(len(draws), len(time), -1) ** 2, axis=2)
             for name in QUANTITIES
         ]
-        values = np.sqrt(np.mean(squares, axis=2)).T
+        values = np.stack([*np.sqrt(np.mean(squares, axis=2)), result.arrays["vignetted"]], axis=1)
         found.append(np.where((result.status == DONE)[:, None], values, np.nan))
     return np.concatenate(found)
 
@@ -161,9 +164,17 @@ def experiment(study: SegmentStudy, population: Combine, device: str) -> Experim
     def values(first: int, last: int) -> Array:
         motions = [motion for realization in range(first, last) for motion in drawn(realization)]
         found = evaluate(bench, population, motions, device)
-        return found.reshape(last - first, count, len(QUANTITIES))
+        return found.reshape(last - first, count, found.shape[1])
 
     def rest() -> Array:
         return np.asarray(evaluate(bench, population, [_scaled(drawn(0)[0], 0.0)], device)[0])
 
-    return Experiment((*sources, *rings), QUANTITIES, max(1, _AT_ONCE // count), values, rest)
+    return Experiment(
+        (*sources, *rings),
+        QUANTITIES,
+        max(1, _AT_ONCE // count),
+        values,
+        rest,
+        rays=bench.stopped.rays,
+        light="All numbers are those of the light that arrives.",
+    )

@@ -27,8 +27,12 @@ _UM_PER_MM = 1e3
 
 
 def elements_of(sources: Sequence[SingleElementDisturbance]) -> list[str]:
-    """Return the surfaces and bodies that disturbances move or deform, in the order of their mention."""
-    return list(dict.fromkeys(name for part in sources for name in getattr(part, "of", ())))
+    """Return the surfaces and bodies that disturbances move or deform, in the order of their mention.
+
+    None if it is one alone, whose share is that of its disturbances.
+    """
+    found = list(dict.fromkeys(name for part in sources for name in getattr(part, "of", ())))
+    return found if len(found) > 1 else []
 
 
 def variants(
@@ -67,13 +71,16 @@ def _with_element(motion: ElementMotion, other: ElementMotion, element: str) -> 
 
 
 def evaluate(bench: SystemBench, time: Array, motion: ElementMotion, device: str) -> Array:
-    """Return the QUANTITIES, rms over instants and field points (3,); NaN where light is lost."""
+    """Return the QUANTITIES, rms over instants and field points, and the most rays lost at one of them (4,).
+
+    NaN where a chief ray is lost, or too many others.
+    """
     found, trouble = measured(bench, time, motion, choose_device(device))
     if trouble:
-        return np.full(len(QUANTITIES), np.nan)
+        return np.full(len(QUANTITIES) + 1, np.nan)
     moved = np.linalg.norm(found["los_mm"], axis=-1) * _UM_PER_MM
     values = [found["wfe_change"], found["wfe_rms"], moved]
-    return np.array([np.sqrt(np.mean(one**2)) for one in values])
+    return np.array([*(np.sqrt(np.mean(one**2)) for one in values), found["lost"].max()])
 
 
 def experiment(study: SystemStudy, population: Combine, device: str) -> Experiment:
@@ -88,7 +95,7 @@ def experiment(study: SystemStudy, population: Combine, device: str) -> Experime
     sources = single_parts(study.disturbance, population)
     names, time = elements_of(sources), instants_of(study.disturbance, population)
     factors = [Factor(part.name, "source", len(getattr(part, "of", ()))) for part in sources]
-    factors += [Factor(name, "element", 1) for name in names if len(names) > 1]
+    factors += [Factor(name, "element", 1) for name in names]
 
     def values(first: int, last: int) -> Array:
         cases = [variants(population, sources, study.study.seed, one) for one in range(first, last)]
@@ -97,4 +104,12 @@ def experiment(study: SystemStudy, population: Combine, device: str) -> Experime
     def rest() -> Array:
         return evaluate(bench, time, ElementMotion({}, {}, np.zeros((len(time), 2))), device)
 
-    return Experiment(tuple(factors), QUANTITIES, 1, values, rest)
+    return Experiment(
+        tuple(factors),
+        QUANTITIES,
+        1,
+        values,
+        rest,
+        rays=study.optics.rays,
+        light="All numbers are those of fits that go on over the full pupil, also where no light arrives.",
+    )

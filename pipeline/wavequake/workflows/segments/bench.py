@@ -12,9 +12,11 @@ from threadpoolctl import threadpool_limits
 from wavequake.errors import UserError
 from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import TILE
+from wavequake.kernels.train import OK
 from wavequake.mechanics.disturbances import Disturbance
 from wavequake.mechanics.layout import SegmentLayout
 from wavequake.optics.corner_table import distorted
+from wavequake.optics.fits import tells_apart
 from wavequake.optics.prepared import PreparedTrace, chief_rays, prepare, trace_states
 from wavequake.optics.pupils import PupilRays, on_glass, segment_rays, sunflower
 from wavequake.optics.segmented_telescope import FirstOrder, SegmentedTelescope, first_order, footprints
@@ -213,7 +215,7 @@ def _reference(
     status = np.asarray(traced.status[0, :, 0])
     refuse_dark_segment(prepared, status, wavefront.lost_segments[0])
     stopped = stopped_at_rest(prepared, status)
-    if np.isnan(wavefront.los[0]).any():
+    if stopped.words() and not tells_apart(prepared.zernike, status == OK):
         raise UserError(
             f"{stopped.words()}; the others do not determine {prepared.zernike.basis.shape[1]} "
             "Zernike terms: take fewer wavefront.zernike_terms, or a larger semi_diameter_mm."

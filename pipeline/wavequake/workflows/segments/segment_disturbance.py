@@ -17,11 +17,13 @@ from wavequake.imaging.exposure import encircled_energy_radius
 from wavequake.kernels.devices import choose_device
 from wavequake.kernels.tiles import TILE, padded
 from wavequake.mechanics.disturbances import Disturbance, Motion, analytic_rms, draw_case, time_axis
+from wavequake.mechanics.edge_sensors import EdgeSensorNoise, unseen_motions
 from wavequake.mechanics.population import Population
 from wavequake.optics.prepared import chief_rays, trace_states
 from wavequake.optics.quality import meets_marechal, meets_rayleigh
 from wavequake.optics.states import SurfaceStates
 from wavequake.optics.wavefront import Wavefront, analyse
+from wavequake.optics.zernike import noll_to_nm
 from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Workflow
 from wavequake.workflows.sampling import replicate_labels
 from wavequake.workflows.schema import study_from_identity
@@ -291,11 +293,38 @@ def check(study_text: str) -> None:
 
 
 def notices(study_text: str) -> Iterator[str]:
-    """Yield what to say of light that mirrors stop at rest, and of too few rays for images."""
+    """Yield what to say of keys without effect, of light that mirrors stop, of too few rays for images."""
     bench = bench_of(study_text)
+    yield from bench.study.unused_keys(monolithic(bench.system))
     if words := bench.stopped.words():
         yield words
+    for entry in bench.study.disturbance:
+        if isinstance(entry, EdgeSensorNoise) and (count := unseen_motions(entry, bench.layout)):
+            yield (
+                f"Besides piston, tip and tilt of the whole mirror, the sensors of {entry.name} do not see "
+                f"{count} motion{'s' * (count > 1)} of its segments, which are not in its numbers"
+            )
+    yield from _coarse_figures(bench)
     yield from ray_notices(bench)
+
+
+# Highest degree of a figure whose rms over a hexagon so many rays give within 5 %.
+_FIGURE_DEGREES = {6: 1, 18: 2, 36: 3, 72: 5}
+
+
+def _coarse_figures(bench: Bench) -> Iterator[str]:
+    """Yield what to say of figures that are too fine for the rays of a segment."""
+    optics = bench.study.optics
+    if optics.sampling != "segments" or monolithic(bench.system) or not bench.figure_terms:
+        return
+    degree, rays = noll_to_nm(bench.figure_terms)[0], optics.rays_per_segment
+    if degree > _FIGURE_DEGREES[rays]:
+        enough = [str(count) for count, most in _FIGURE_DEGREES.items() if degree <= most]
+        remedy = f"optics.rays_per_segment = {enough[0]}" if enough else "optics.sampling = 'sunflower'"
+        yield (
+            f"{rays} rays per segment are too few for its figure of j = {bench.figure_terms}, whose rms they "
+            f"may miss by more than 5 %; take {remedy}"
+        )
 
 
 WORKFLOW = Workflow("segment-disturbance", template, case_table, compute, describe, work, check, notices)

@@ -1,5 +1,6 @@
 """Study files of the workflow "segment-disturbance": a telescope, its light, what disturbs its segments."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -61,9 +62,11 @@ class TelescopeSection(Section):
             "polygons_csv": ("custom",),
             "primary_radius_mm": ("custom",),
             "surfaces": ("custom",),
+            "primary_conic": ("custom",),
         }
         for key, names in owners.items():
-            if getattr(self, key) not in (None, ()) and self.name not in names:
+            default = type(self).model_fields[key].default
+            if getattr(self, key) != default and self.name not in names:
                 raise ValueError(f"{key} belongs to the telescope {' or '.join(names)}, not to {self.name}")
         if self.name == "custom":
             for key in ("primary_radius_mm", "surfaces"):
@@ -226,6 +229,15 @@ class SegmentStudy(Study):
     def fewest_instants(self) -> int:
         """Number of instants of the shortest case."""
         return min(entry.instants for entry in self.disturbance if entry.share)
+
+    def unused_keys(self, one_piece: bool) -> Iterator[str]:
+        """Yield a sentence on a number of rays that is not of the sampling of this study."""
+        optics = self.optics
+        used = "sunflower" if one_piece else optics.sampling
+        why = "M1 is of one piece" if one_piece else f"optics.sampling is {used!r}"
+        for key, sampling in (("rays", "sunflower"), ("rays_per_segment", "segments")):
+            if sampling != used and getattr(optics, key) != type(optics).model_fields[key].default:
+                yield f"optics.{key} has no effect, as {why}"
 
     @property
     def stores_images(self) -> bool:
