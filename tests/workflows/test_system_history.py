@@ -330,6 +330,8 @@ def test_a_budget_takes_a_history_apart(tmp_path):
     np.testing.assert_array_equal(other.values(0, 2), values)
     # One case of all, all drawn again, and then without each factor: the history is the same in both.
     assert np.isfinite(values).all()
+    assert not values[..., 3].any()  # no ray is lost
+    values = values[..., :3]
     assert (values[:, 2] != values[:, 0]).all()
     redrawn = values[:, 2 + len(one.factors)]
     np.testing.assert_array_equal(redrawn, values[:, 0])

@@ -50,7 +50,8 @@ def surface_poses_numpy(position: Array, rotation: Array, motion: Array) -> Arra
     for surface, moves in enumerate(motion.transpose(1, 2, 0).copy()):  # rows of instants are fast
         shift, own = moves[:3], cardan_entries(moves[3:]) if moves[3:].any() else unturned
         back = rotation[surface].T
-        place = back @ (shift_before - position[surface, :, None]) - shift
+        # No `@`: its last bits depend on the number of instants with some processors' BLAS.
+        place = np.einsum("ij,jt->it", back, shift_before - position[surface, :, None]) - shift
         turned = np.einsum("ij,jkt->ikt", back, before)
         found[:, surface, :9] = np.einsum("jit,jkt->ikt", own, turned).reshape(9, -1).T
         found[:, surface, 9:] = np.einsum("jit,jt->it", own, place).T
