@@ -121,8 +121,7 @@ INLINE void try_segment(const ray *r, sighting *s, const int rays, mirror glass,
     real first[RAYS];
     #pragma unroll
     for (int k = 0; k < rays; ++k)
-        first[k] = segment_figure_first(figure, glass.steps, frame, m[k].hit, m[k].direction,
-                                        m[k].lean);
+        first[k] = segment_figure_first(figure, glass.steps, frame, m[k].hit, m[k].direction, m[k].lean);
     #pragma unroll
     for (int k = 0; k < rays; ++k) {
         const real limit = SEGMENT_CHECKED ? LOAD(glass.limits + 16 * segment) : (real)0.0;
@@ -198,8 +197,7 @@ __kernel void segmented(
     ray r[RAYS];
     sighting s[RAYS];
     EACH_TURN {
-        const triple light = {LOAD(directions), LOAD(directions + 16),
-                              LOAD(directions + 32)};
+        const triple light = {LOAD(directions), LOAD(directions + 16), LOAD(directions + 32)};
         r[k].position.x = ray_x[n + k];
         r[k].position.y = ray_y[n + k];
         r[k].position.z = start_z;
