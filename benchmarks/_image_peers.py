@@ -8,8 +8,8 @@ from matplotlib.path import Path
 from numpy.typing import NDArray
 from rich.console import Console
 
-from wavequake.imaging.pupil_function import PupilGrid
-from wavequake.optics.segments import Segments
+from wavequake.imaging.pupils.pupil_function import PupilGrid
+from wavequake.optics.segments.layout import Segments
 
 Real = NDArray[np.float64]
 Imager = Callable[[Real], Real]  # segment phases (batch, S, 3) to images (batch, pixels**2)

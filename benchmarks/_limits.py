@@ -5,8 +5,8 @@ from functools import partial
 
 import numpy as np
 
-from wavequake.kernels.devices import Device
-from wavequake.kernels.program import launch
+from wavequake.kernels.device.devices import Device
+from wavequake.kernels.device.program import launch
 
 ITEMS, ROUNDS, CHAINS = 256, {"multiply_add": 20000, "apart": 20000, "divide": 2000, "root": 2000}, 12
 # Twelve vectors of eight are as many registers of AVX-512, of four those of AVX2: the faster one counts.

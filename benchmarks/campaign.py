@@ -24,12 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.contract import ChunkResult
+from wavequake.campaign.engine.driver import run_campaign
+from wavequake.campaign.store.journal import read_journal
 from wavequake.cluster.local import worker_environment
-from wavequake.kernels.devices import choose_device
-from wavequake.workflows.campaign import WORKFLOWS, chunk_of
-from wavequake.workflows.contract import ChunkResult
-from wavequake.workflows.engine.driver import run_campaign
-from wavequake.workflows.engine.journal import read_journal
+from wavequake.kernels.device.devices import choose_device
+from wavequake.workflows.run import WORKFLOWS, chunk_of
 from wavequake.workflows.study import load_study
 
 STUDY = load_study("tmt-segments", {"campaign.cases": 4000})

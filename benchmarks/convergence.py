@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from wavequake.kernels.devices import choose_device
-from wavequake.kernels.tiles import TILE
-from wavequake.optics.prepared import prepare
-from wavequake.optics.pupils import PupilRays, grid_rays, on_glass, segment_rays
-from wavequake.optics.segmented_telescope import SegmentedTelescope
-from wavequake.optics.states import SurfaceStates, rest
-from wavequake.optics.telescopes import telescope
-from wavequake.optics.wavefront import measure
+from wavequake.kernels.device.devices import choose_device
+from wavequake.kernels.device.tiles import TILE
+from wavequake.optics.rays.pupils import PupilRays, grid_rays, on_glass, segment_rays
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.prepared import prepare
+from wavequake.optics.segments.states import SurfaceStates, rest
+from wavequake.optics.segments.telescope import SegmentedTelescope
+from wavequake.optics.segments.wavefront import measure
 
 WAVELENGTH = 550e-6  # mm
 SPACING = 60.0  # of the dense grid, mm

@@ -19,9 +19,9 @@ from rich.table import Table
 
 from benchmarks._verdict import Row, verdict
 from benchmarks._warm import warm
-from wavequake.kernels.devices import choose_device
-from wavequake.kernels.fourier import choose_fourier, fourier_2d
-from wavequake.kernels.program import aligned_empty
+from wavequake.kernels.device.devices import choose_device
+from wavequake.kernels.device.program import aligned_empty
+from wavequake.kernels.transforms.fourier import choose_fourier, fourier_2d
 
 Transform = Callable[[], NDArray[np.complexfloating]]
 

@@ -50,21 +50,21 @@ from benchmarks._image_peers import (
 )
 from benchmarks._verdict import Row, verdict
 from benchmarks._warm import warm
-from wavequake.imaging.exposure_models import full_exposure
-from wavequake.imaging.matrix_fourier import matrix_fourier, psf_sum
-from wavequake.imaging.matrix_fourier import psf as matrix_psf
-from wavequake.imaging.polygon_transform import polygon_areas
-from wavequake.imaging.pupil_function import annular_pupil
-from wavequake.imaging.segment_basis import segment_basis
-from wavequake.imaging.segment_lattice import SegmentLattice, lattice_psf, segment_lattice
-from wavequake.imaging.segment_psf import psf, strehl_exact
-from wavequake.imaging.wavefront_phase import zernike_phase
-from wavequake.imaging.zernike_psf import zernike_imager, zernike_images, zernike_sum
-from wavequake.kernels.devices import NUMPY, choose_device
-from wavequake.kernels.strehl import strehl_ratios
-from wavequake.kernels.tiles import TILE
-from wavequake.optics.segments import Segments, hexagon_ring_segments
-from wavequake.optics.telescopes import telescope
+from wavequake.imaging.engines.matrix_fourier import matrix_fourier, psf_sum
+from wavequake.imaging.engines.matrix_fourier import psf as matrix_psf
+from wavequake.imaging.engines.polygon_transform import polygon_areas
+from wavequake.imaging.engines.segment_basis import segment_basis
+from wavequake.imaging.engines.segment_lattice import SegmentLattice, lattice_psf, segment_lattice
+from wavequake.imaging.engines.segment_psf import psf, strehl_exact
+from wavequake.imaging.engines.zernike_psf import zernike_imager, zernike_images, zernike_sum
+from wavequake.imaging.exposures.exposure_models import full_exposure
+from wavequake.imaging.pupils.pupil_function import annular_pupil
+from wavequake.imaging.pupils.wavefront_phase import zernike_phase
+from wavequake.kernels.device.devices import NUMPY, choose_device
+from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.sums.strehl import strehl_ratios
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.layout import Segments, hexagon_ring_segments
 
 Real = NDArray[np.float64]
 Seconds = dict[str, NDArray[np.float64]]  # of every repeat, by name

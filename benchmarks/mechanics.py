@@ -1,10 +1,11 @@
 """How fast the built-in mirrors are built and solved, and how accurate they are.
 
 Each mirror with its default mesh: assembly, and its first 36 modes (30 of them elastic) with the factors of
-`wavequake.mechanics.eigen`, against the same with the defaults of SciPy and against CalculiX (C3D20R, which
-computes stresses besides) where ccx is installed. One BLAS thread; measurements are interleaved, medians of
-same-run ratios are what to compare between machines. The error is the largest of the 30 frequencies against
-refined meshes of two layers, 35 000 to 44 000 degrees of freedom, computed with CalculiX.
+`wavequake.mechanics.vibration.eigen`, against the same with the defaults of SciPy and against CalculiX
+(C3D20R, which computes stresses besides) where ccx is installed. One BLAS thread; measurements are
+interleaved, medians of same-run ratios are what to compare between machines. The error is the largest of the
+30 frequencies against refined meshes of two layers, 35 000 to 44 000 degrees of freedom, computed with
+CalculiX.
 """
 
 import csv
@@ -23,9 +24,8 @@ from rich.table import Table
 from scipy.sparse.linalg import eigsh
 from threadpoolctl import threadpool_limits
 
-from wavequake.mechanics.calculix import write_deck
-from wavequake.mechanics.eigen import eigenmodes
-from wavequake.mechanics.mirrors import (
+from wavequake.mechanics.mirrors.deck import write_deck
+from wavequake.mechanics.mirrors.models import (
     AnnularMirror,
     CircularMirror,
     HexagonalSegment,
@@ -36,6 +36,7 @@ from wavequake.mechanics.mirrors import (
     mirror_mesh,
 )
 from wavequake.mechanics.model import FiniteElementModel
+from wavequake.mechanics.vibration.eigen import eigenmodes
 
 REPEATS = 5
 MODES = 36

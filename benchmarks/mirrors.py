@@ -18,13 +18,13 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from wavequake.kernels.devices import choose_device
-from wavequake.mechanics.excitations import drive_of
-from wavequake.mechanics.modal import modal_model
+from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.model import ReducedModel
-from wavequake.mechanics.response import Response, displacements, respond
-from wavequake.optics.motion_fit import figures, motion_fit
-from wavequake.optics.surface_fit import apply, heights
+from wavequake.mechanics.vibration.excitations import drive_of
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.response import Response, displacements, respond
+from wavequake.optics.shapes.fit import apply, heights
+from wavequake.optics.shapes.motion_fit import figures, motion_fit
 from wavequake.workflows.mirrors.mirror_bench import bench_of, time_of, variant_of
 from wavequake.workflows.mirrors.mirror_optics import Optics, displacements_mm
 from wavequake.workflows.mirrors.mirror_residual import coordinates_of, left_by, residual_of

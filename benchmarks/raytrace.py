@@ -23,22 +23,22 @@ from benchmarks._limits import limit_jobs, limits
 from benchmarks._numba_trace import numba_tracer
 from benchmarks._warm import warm
 from benchmarks.segmented import workload
-from wavequake.kernels.devices import Device, list_devices
-from wavequake.kernels.packing import packed_elements
-from wavequake.kernels.segmented import trace_segmented
-from wavequake.kernels.sequence import Rays, Sequence
-from wavequake.kernels.sequential import trace_sequence
-from wavequake.kernels.tiles import TILE
+from wavequake.kernels.device.devices import Device, list_devices
+from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.trace.packing import packed_elements
+from wavequake.kernels.trace.segmented import trace_segmented
+from wavequake.kernels.trace.sequence import Rays, Sequence
+from wavequake.kernels.trace.sequential import trace_sequence
 from wavequake.memory import keep_freed_memory
-from wavequake.optics.catalog import optical_system
-from wavequake.optics.fits import fit_instants, weighted_fit
-from wavequake.optics.packing import moving, pack
-from wavequake.optics.shapes import ZernikeDeformation
-from wavequake.optics.system import OpticalSystem, SystemStates
-from wavequake.optics.system_kinematics import moved_poses
-from wavequake.optics.telescopes import telescope as bundled
-from wavequake.optics.wavefront import los_eq339
-from wavequake.optics.zernike import annular_zernike
+from wavequake.optics.catalog.names import optical_system
+from wavequake.optics.polynomials.zernike import annular_zernike
+from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.segments.catalog import telescope as bundled
+from wavequake.optics.segments.wavefront import los_eq339
+from wavequake.optics.shapes.shapes import ZernikeDeformation
+from wavequake.optics.systems.kinematics import moved_poses
+from wavequake.optics.systems.system import OpticalSystem, SystemStates
+from wavequake.optics.wavefronts.fits import fit_instants, weighted_fit
 
 Array = NDArray[np.float64]
 REPEATS, CALLS = 11, 100

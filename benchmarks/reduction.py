@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from wavequake.mechanics.mirrors import circular_mirror
+from wavequake.mechanics.mirrors.models import circular_mirror
 from wavequake.mechanics.model import FiniteElementModel
 from wavequake.reduction.balanced import oscillators
 from wavequake.reduction.intermediate import Intermediate, dense_structure, intermediate

@@ -12,8 +12,8 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from wavequake.workflows.contract import ChunkResult, Template, Variable, Workflow
-from wavequake.workflows.engine.driver import run_campaign
+from wavequake.campaign.contract import ChunkResult, Template, Variable, Workflow
+from wavequake.campaign.engine.driver import run_campaign
 
 
 def template(study: str) -> Template:

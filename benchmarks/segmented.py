@@ -16,15 +16,15 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from wavequake.kernels.devices import NUMPY, list_devices
-from wavequake.kernels.segmented import trace_segmented
-from wavequake.kernels.tiles import TILE
-from wavequake.optics.kinematics import field_directions, segment_poses, surface_poses
-from wavequake.optics.prepared import chief_rays, prepare
-from wavequake.optics.pupils import segment_rays
-from wavequake.optics.segmented_telescope import SegmentedTelescope
-from wavequake.optics.states import SurfaceStates
-from wavequake.optics.telescopes import telescope
+from wavequake.kernels.device.devices import NUMPY, list_devices
+from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.trace.segmented import trace_segmented
+from wavequake.optics.rays.pupils import segment_rays
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.kinematics import field_directions, segment_poses, surface_poses
+from wavequake.optics.segments.prepared import chief_rays, prepare
+from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.segments.telescope import SegmentedTelescope
 
 TILES = 20
 REPEATS = 7

@@ -21,12 +21,12 @@ from rich.table import Table
 from scipy.integrate import solve_ivp
 from threadpoolctl import threadpool_limits
 
-from wavequake.mechanics.drive import Drive, sampled, values
-from wavequake.mechanics.excitations import RandomVibration, Sinusoid, drive_of
-from wavequake.mechanics.mirrors import CircularMirror, circular_mirror
-from wavequake.mechanics.modal import ModalModel, modal_model
-from wavequake.mechanics.response import displacements, respond
-from wavequake.mechanics.state_space import StateSpace, state_space
+from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror
+from wavequake.mechanics.vibration.drive import Drive, sampled, values
+from wavequake.mechanics.vibration.excitations import RandomVibration, Sinusoid, drive_of
+from wavequake.mechanics.vibration.modal import ModalModel, modal_model
+from wavequake.mechanics.vibration.response import displacements, respond
+from wavequake.mechanics.vibration.state_space import StateSpace, state_space
 from wavequake.reduction.reduce import reduce
 
 Array = NDArray[np.float64]

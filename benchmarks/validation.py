@@ -27,23 +27,23 @@ from wavequake.firmware.build import build
 from wavequake.firmware.devices import HostDevice
 from wavequake.firmware.gains import gains_of
 from wavequake.firmware.loop import blow, positions_of
-from wavequake.imaging.matrix_fourier import matrix_fourier, psf
-from wavequake.imaging.pupil_function import annular_pupil
-from wavequake.kernels.devices import NUMPY, choose_device
-from wavequake.mechanics.drive import Drive, Harmonic
-from wavequake.mechanics.eigen import eigenmodes
-from wavequake.mechanics.mirrors import annular_mirror, circular_mirror
-from wavequake.mechanics.modal import modal_model
+from wavequake.imaging.engines.matrix_fourier import matrix_fourier, psf
+from wavequake.imaging.pupils.pupil_function import annular_pupil
+from wavequake.kernels.device.devices import NUMPY, choose_device
+from wavequake.mechanics.mirrors.models import annular_mirror, circular_mirror
 from wavequake.mechanics.model import ReducedModel
-from wavequake.mechanics.response import respond
-from wavequake.optics.catalog import optical_system
-from wavequake.optics.gradient_index import selfoc
-from wavequake.optics.media import AIR
-from wavequake.optics.system import OpticalSystem, Pupil
-from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequential
-from wavequake.optics.system_sensitivity import rigid_sensitivity
-from wavequake.optics.system_wavefront import measure_system, prepare_system
-from wavequake.optics.zernike import annular_zernike
+from wavequake.mechanics.vibration.drive import Drive, Harmonic
+from wavequake.mechanics.vibration.eigen import eigenmodes
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.response import respond
+from wavequake.optics.catalog.names import optical_system
+from wavequake.optics.derivatives.sensitivity import rigid_sensitivity
+from wavequake.optics.media.glasses import AIR
+from wavequake.optics.media.gradients import selfoc
+from wavequake.optics.polynomials.zernike import annular_zernike
+from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
+from wavequake.optics.systems.system import OpticalSystem, Pupil
+from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
 from wavequake.workflows.segments import segment_disturbance
 from wavequake.workflows.study import load_study
 

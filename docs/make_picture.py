@@ -3,10 +3,10 @@
 import sys
 from pathlib import Path
 
+from wavequake.campaign.store.store import open_store, read_manifest
 from wavequake.report.figures import summary_figure
 from wavequake.report.populations import populations, representatives
 from wavequake.report.segments import detail
-from wavequake.workflows.engine.store import open_store, read_manifest
 
 
 def main(store: str, disturbance: str | None = None) -> None:

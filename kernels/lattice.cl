@@ -1,5 +1,5 @@
 // Images of equal segments on a lattice, each with a phase and slopes: sums over the lattice times what a
-// segment is transformed to. With slopes the field is a sum over moments, see `wavequake.imaging.segment_psf`.
+// segment is transformed to. With slopes the field is a sum over moments, see `wavequake.imaging.engines.segment_psf`.
 //
 // Lattice and image are symmetric about 0 in both directions: split into parts even and odd in x and in y,
 // the waves of the segments meet real cosines and sines only, and the four signs of a pair of frequencies share

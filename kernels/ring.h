@@ -3,7 +3,7 @@
 // and sine parts are sums of polynomials P_k(t), each of which follows from the two before.
 //
 // READ takes a coefficient, and EACH is how far they are apart; the host tells their order and the steps
-// (kernels/ring.py).
+// (kernels/trace/ring.py).
 
 // A sum and its derivative.
 typedef struct { real value, slope; } series;

@@ -10,7 +10,7 @@ import pytest
 
 import wavequake as wq
 from wavequake import cli
-from wavequake.kernels import devices
+from wavequake.kernels.device import devices
 
 STUDY = """
 [study]

@@ -5,7 +5,7 @@ from functools import partial
 import pytest
 import xarray as xr
 
-from wavequake.optics import sensitivity as optics
+from wavequake.optics.segments import sensitivity as optics
 from wavequake.report.sensitivity import zernike_name
 
 WORDS = [

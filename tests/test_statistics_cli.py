@@ -2,7 +2,7 @@
 
 import pytest
 
-from wavequake.workflows.campaign import run_study
+from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 
 SMALL = ["telescope.name=tmt-18", "optics.rays_per_segment=6", "imaging.enabled=false"]
@@ -56,9 +56,9 @@ def test_a_tail_says_what_is_hardly_ever_exceeded_and_how_often_a_limit_is(swing
 
 
 def test_a_tail_is_that_of_the_values_of_the_store(swings):
+    from wavequake.campaign.statistics.tail import fit_tail, rare_value
+    from wavequake.campaign.store.store import open_store
     from wavequake.report.tail import RareQuestion, rare_events
-    from wavequake.workflows.engine.store import open_store
-    from wavequake.workflows.statistics.tail import fit_tail, rare_value
 
     values = open_store(swings)["wfe_rms_raw"].sel(statistic="rms").to_numpy()
     answer = rare_events(swings, RareQuestion("wfe_rms_raw", "rms", 1e-4))

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 from wavequake.errors import StoreDamageError, UserError
 
 if TYPE_CHECKING:
-    from wavequake.optics.zemax_export import write_zmx
-    from wavequake.workflows.campaign import plan, run
-    from wavequake.workflows.engine.store import open_store
+    from wavequake.campaign.store.store import open_store
+    from wavequake.optics.zemax.export import write_zmx
+    from wavequake.workflows.run import plan, run
     from wavequake.workflows.schema import Study
     from wavequake.workflows.sensitivity import sensitivity
     from wavequake.workflows.study import load_study
@@ -43,11 +43,11 @@ _HOMES = {
     "convert_zernike": "wavequake.workflows.zernike_arrays",
     "load_study": "wavequake.workflows.study",
     "load_system": "wavequake.workflows.systems.system_source",
-    "open_store": "wavequake.workflows.engine.store",
-    "plan": "wavequake.workflows.campaign",
-    "run": "wavequake.workflows.campaign",
+    "open_store": "wavequake.campaign.store.store",
+    "plan": "wavequake.workflows.run",
+    "run": "wavequake.workflows.run",
     "sensitivity": "wavequake.workflows.sensitivity",
-    "write_zmx": "wavequake.optics.zemax_export",
+    "write_zmx": "wavequake.optics.zemax.export",
 }
 
 

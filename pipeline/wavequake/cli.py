@@ -122,9 +122,9 @@ def run(
     profile: Annotated[bool, typer.Option("--profile", help="Say where the time went.")] = False,
 ) -> None:
     """Run a study, or what of it is not done yet, and write its report. Safe to repeat and to interrupt."""
-    from wavequake.workflows.campaign import notices, run_study
-    from wavequake.workflows.campaign import profile as profile_of
-    from wavequake.workflows.engine.driver_lock import shard_of
+    from wavequake.campaign.engine.driver_lock import shard_of
+    from wavequake.workflows.run import notices, run_study
+    from wavequake.workflows.run import profile as profile_of
     from wavequake.workflows.study import load_study
 
     part = None if shard is None else shard_of(shard)
@@ -180,7 +180,7 @@ def plan(
     store: StoreOption = None,  # so that `run` can be replaced by `plan`; nothing is stored
 ) -> None:
     """Show cases, chunks, memory and an estimate of the time; stores nothing."""
-    from wavequake.workflows.campaign import plan as plan_study
+    from wavequake.workflows.run import plan as plan_study
     from wavequake.workflows.study import load_study
 
     print_pairs(plan_study(load_study(study, overrides or [])))
@@ -215,7 +215,7 @@ def studies() -> None:
 @app.command()
 def status(store: StoreArgument) -> None:
     """Say what of a store is done, quarantined (and why) and still to do."""
-    from wavequake.workflows.engine.status import store_status
+    from wavequake.campaign.store.status import store_status
 
     for line in store_status(store).lines():
         out.print(line, markup=False, soft_wrap=True)
@@ -224,7 +224,7 @@ def status(store: StoreArgument) -> None:
 @app.command()
 def verify(store: StoreArgument) -> None:
     """Read every stored number again and compare it with the journal's digests (exit code 4 if damaged)."""
-    from wavequake.workflows.engine.verify import verify_store
+    from wavequake.campaign.store.verify import verify_store
 
     report = verify_store(store)
     for line in report.lines():
@@ -298,9 +298,9 @@ def retry(
     dashboard: DashboardOption = False,
 ) -> None:
     """Compute quarantined cases of a store again, with the others of their chunks."""
-    from wavequake.workflows.campaign import WORKFLOWS
-    from wavequake.workflows.engine import rerun
-    from wavequake.workflows.engine.store import read_manifest
+    from wavequake.campaign.engine import rerun
+    from wavequake.campaign.store.store import read_manifest
+    from wavequake.workflows.run import WORKFLOWS
 
     wanted, workflow = rerun.statuses(statuses), WORKFLOWS[read_manifest(store).workflow]
     with live_progress() as progress:
@@ -357,9 +357,9 @@ def sensitivity(
     ] = None,
 ) -> None:
     """Show and keep how line of sight and wavefront follow motions of every surface and segment."""
+    from wavequake.campaign.store.store import SENSITIVITY
     from wavequake.report import sensitivity as of_segments
     from wavequake.report import system_sensitivity as of_system
-    from wavequake.workflows.engine.store import SENSITIVITY
     from wavequake.workflows.sensitivity import stored_sensitivity
     from wavequake.workflows.sensitivity_source import sensitivity_study
 
@@ -378,7 +378,7 @@ def sensitivity(
 @app.command()
 def devices() -> None:
     """List the devices that kernels can run on, and compare each with the NumPy twin."""
-    from wavequake.kernels.devices import self_tests
+    from wavequake.kernels.device.devices import self_tests
 
     table = Table(box=None)
     for column in ("device", "kind", "platform", "largest difference to NumPy (mm)"):

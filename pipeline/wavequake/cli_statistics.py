@@ -20,9 +20,9 @@ def budget(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Rank disturbances, and rings of segments or elements, by what they contribute; the store keeps it."""
+    from wavequake.campaign.store.store import BUDGET, MANIFEST
     from wavequake.report.budget import explanations, tables
     from wavequake.workflows.budgets.budget import stored_budget
-    from wavequake.workflows.engine.store import BUDGET, MANIFEST
     from wavequake.workflows.study import load_study
 
     loaded = load_study(study, overrides or [])

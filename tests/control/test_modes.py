@@ -7,9 +7,9 @@ from scipy.linalg import eigh, null_space
 from wavequake.control.linear import linear_model, second_order_model
 from wavequake.control.modes import check_stable, modes
 from wavequake.errors import UserError
-from wavequake.mechanics.mirrors import CircularMirror, circular_mirror
-from wavequake.mechanics.modal import modal_model
-from wavequake.mechanics.state_space import state_space
+from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.state_space import state_space
 from wavequake.reduction.reduce import reduce
 
 

@@ -9,9 +9,9 @@ from wavequake.control.bench import bench_model, fitted_bench
 from wavequake.control.linear import frequency_response, linear_model, poles, zero_order_hold
 from wavequake.control.python_control import from_control, to_control
 from wavequake.errors import UserError
-from wavequake.mechanics.mirrors import CircularMirror, circular_mirror
-from wavequake.mechanics.modal import modal_model
-from wavequake.mechanics.state_space import state_space
+from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.state_space import state_space
 from wavequake.reduction.reduce import reduce
 
 BENCH = bench_model(fitted_bench())

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.imaging.outlines import vane
-from wavequake.imaging.psf_engines import SegmentedPupil, point_spread, prepare_psf
-from wavequake.imaging.pupil_function import sampled_pupil
-from wavequake.imaging.wavefront_phase import segment_phase
+from wavequake.imaging.engines.choice import SegmentedPupil, point_spread, prepare_psf
+from wavequake.imaging.pupils.outlines import vane
+from wavequake.imaging.pupils.pupil_function import sampled_pupil
+from wavequake.imaging.pupils.wavefront_phase import segment_phase
 
 RNG = np.random.default_rng(8)
 VANES = (vane([-2000.0, -300.0], [2000.0, 500.0], 60.0), vane([-100.0, -2000.0], [200.0, 2000.0], 45.0))

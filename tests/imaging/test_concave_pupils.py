@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from matplotlib.path import Path
 
-from wavequake.imaging.coverage import coverage
-from wavequake.imaging.outlines import Outline, blocked, segments, vane
-from wavequake.imaging.polygon_transform import polygon_areas, polygon_centroids, polygon_transform
-from wavequake.imaging.psf_engines import ENGINES, SegmentedPupil, point_spread, prepare_psf
-from wavequake.imaging.segment_figure import figure_error, figure_psf, segment_figure
-from wavequake.imaging.segment_moments import glass_rule, moments_on_grid
-from wavequake.optics.polygons import signed_areas
-from wavequake.optics.zernike import annular_zernike
+from wavequake.imaging.engines.choice import ENGINES, SegmentedPupil, point_spread, prepare_psf
+from wavequake.imaging.engines.polygon_transform import polygon_areas, polygon_centroids, polygon_transform
+from wavequake.imaging.engines.segment_figure import figure_error, figure_psf, segment_figure
+from wavequake.imaging.engines.segment_moments import glass_rule, moments_on_grid
+from wavequake.imaging.pupils.coverage import coverage
+from wavequake.imaging.pupils.outlines import Outline, blocked, segments, vane
+from wavequake.optics.polynomials.zernike import annular_zernike
+from wavequake.optics.shapes.polygons import signed_areas
 
 L = np.array([[0, 0], [3, 0], [3, 1], [1, 1], [1, 2], [0, 2.0]])
 BASE, POST = np.array([[0, 0], [3, 0], [3, 1], [0, 1.0]]), np.array([[0, 1], [1, 1], [1, 2], [0, 2.0]])

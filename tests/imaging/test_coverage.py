@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from matplotlib.path import Path
 
 from wavequake.errors import UserError
-from wavequake.imaging.coverage import coverage
-from wavequake.imaging.outlines import Outline
+from wavequake.imaging.pupils.coverage import coverage
+from wavequake.imaging.pupils.outlines import Outline
 
 N = 7
 

@@ -3,11 +3,11 @@ import pytest
 from scipy.special import j1
 
 from wavequake.errors import UserError
-from wavequake.imaging.detector import expected_photons, pixel_means
-from wavequake.imaging.matrix_fourier import matrix_fourier, psf
-from wavequake.imaging.polychromatic import polychromatic_psf
-from wavequake.imaging.pupil_function import annular_pupil
-from wavequake.imaging.wavefront_phase import zernike_phase
+from wavequake.imaging.engines.matrix_fourier import matrix_fourier, psf
+from wavequake.imaging.exposures.detector import expected_photons, pixel_means
+from wavequake.imaging.exposures.polychromatic import polychromatic_psf
+from wavequake.imaging.pupils.pupil_function import annular_pupil
+from wavequake.imaging.pupils.wavefront_phase import zernike_phase
 
 GRID = annular_pupil(256)
 

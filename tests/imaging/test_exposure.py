@@ -5,16 +5,16 @@ from hypothesis import strategies as st
 from scipy.special import j0, j1
 
 from wavequake.errors import UserError
-from wavequake.imaging.exposure import (
+from wavequake.imaging.engines.polygon_transform import polygon_areas, polygon_transform
+from wavequake.imaging.engines.segment_basis import segment_basis
+from wavequake.imaging.engines.segment_psf import psf
+from wavequake.imaging.exposures.exposure import (
     centroid,
     encircled_energy,
     encircled_energy_radius,
     exposure,
     radial_profile,
 )
-from wavequake.imaging.polygon_transform import polygon_areas, polygon_transform
-from wavequake.imaging.segment_basis import segment_basis
-from wavequake.imaging.segment_psf import psf
 
 DISC = np.pi / 4  # area / diameter² of a circular pupil
 EE50, EE80 = 0.534832148, 0.896942103  # of the Airy pattern: roots of airy_energy

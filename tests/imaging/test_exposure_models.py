@@ -10,16 +10,16 @@ from hypothesis import strategies as st
 from scipy.special import j0
 
 from wavequake.errors import UserError
-from wavequake.imaging.exposure_models import (
+from wavequake.imaging.engines.matrix_fourier import matrix_fourier, psf
+from wavequake.imaging.exposures.exposure_models import (
     cut,
     exposure_error,
     full_exposure,
     gaussian_exposure,
     los_exposure,
 )
-from wavequake.imaging.matrix_fourier import matrix_fourier, psf
-from wavequake.imaging.placement import place
-from wavequake.imaging.pupil_function import annular_pupil
+from wavequake.imaging.exposures.placement import place
+from wavequake.imaging.pupils.pupil_function import annular_pupil
 
 SAMPLING = 0.25
 MODELS = [

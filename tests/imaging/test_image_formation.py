@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from scipy.special import j1, sici
 
 from wavequake.errors import UserError
-from wavequake.imaging.image_formation import (
+from wavequake.imaging.exposures.mtf import ideal_mtf
+from wavequake.imaging.objects.formation import (
     Source,
     coherent_image,
     disk_source,
@@ -16,9 +17,8 @@ from wavequake.imaging.image_formation import (
     partially_coherent_image,
     star_field_image,
 )
-from wavequake.imaging.mtf import ideal_mtf
-from wavequake.imaging.objects import double_slit, grating, point, slit
-from wavequake.imaging.pupil_shape import PupilShape, coherent_transfer
+from wavequake.imaging.objects.shapes import double_slit, grating, point, slit
+from wavequake.imaging.pupils.pupil_shape import PupilShape, coherent_transfer
 
 PERFECT = PupilShape()
 

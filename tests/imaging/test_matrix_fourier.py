@@ -5,10 +5,16 @@ from hypothesis import strategies as st
 from scipy.special import j1
 
 from wavequake.errors import UserError
-from wavequake.imaging.matrix_fourier import amplitude_images, matrix_fourier, psf, psf_sum, samples_needed
-from wavequake.imaging.outlines import annulus, blocked, segments, vane
-from wavequake.imaging.pupil_function import annular_pupil, apodized, pupil_function, sampled_pupil
-from wavequake.kernels.devices import NUMPY, list_devices
+from wavequake.imaging.engines.matrix_fourier import (
+    amplitude_images,
+    matrix_fourier,
+    psf,
+    psf_sum,
+    samples_needed,
+)
+from wavequake.imaging.pupils.outlines import annulus, blocked, segments, vane
+from wavequake.imaging.pupils.pupil_function import annular_pupil, apodized, pupil_function, sampled_pupil
+from wavequake.kernels.device.devices import NUMPY, list_devices
 
 GRIDS = {eps: annular_pupil(256, eps) for eps in (0.0, 0.4)}
 

@@ -5,10 +5,10 @@ import pytest
 from scipy.integrate import dblquad
 
 from wavequake.errors import UserError
-from wavequake.imaging.matrix_fourier import matrix_fourier, psf
-from wavequake.imaging.mtf import ideal_mtf, modulation_transfer, optical_transfer_function
-from wavequake.imaging.pupil_function import annular_pupil
-from wavequake.imaging.pupil_shape import PupilShape
+from wavequake.imaging.engines.matrix_fourier import matrix_fourier, psf
+from wavequake.imaging.exposures.mtf import ideal_mtf, modulation_transfer, optical_transfer_function
+from wavequake.imaging.pupils.pupil_function import annular_pupil
+from wavequake.imaging.pupils.pupil_shape import PupilShape
 
 
 def lens(distance, one, two):

@@ -5,13 +5,13 @@ import warnings
 import numpy as np
 import pytest
 
-from wavequake.imaging.matrix_fourier import matrix_fourier, samples_needed
-from wavequake.imaging.nyquist import ray_samples_for, samples_for, too_coarse, zernike_samples_for
-from wavequake.imaging.polychromatic import polychromatic_psf
-from wavequake.imaging.pupil_function import annular_pupil
-from wavequake.imaging.through_focus import through_focus
-from wavequake.imaging.wavefront_phase import zernike_phase
-from wavequake.imaging.zernike_psf import zernike_imager, zernike_images, zernike_sum
+from wavequake.imaging.engines.matrix_fourier import matrix_fourier, samples_needed
+from wavequake.imaging.engines.zernike_psf import zernike_imager, zernike_images, zernike_sum
+from wavequake.imaging.exposures.polychromatic import polychromatic_psf
+from wavequake.imaging.exposures.through_focus import through_focus
+from wavequake.imaging.pupils.nyquist import ray_samples_for, samples_for, too_coarse, zernike_samples_for
+from wavequake.imaging.pupils.pupil_function import annular_pupil
+from wavequake.imaging.pupils.wavefront_phase import zernike_phase
 
 GRID = annular_pupil(32)
 

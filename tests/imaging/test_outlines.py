@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.imaging.outlines import annulus, blocked, disc, segments, vane
-from wavequake.imaging.polygon_transform import polygon_areas
+from wavequake.imaging.engines.polygon_transform import polygon_areas
+from wavequake.imaging.pupils.outlines import annulus, blocked, disc, segments, vane
 
 SQUARE = np.array([[0, 0], [2, 0], [2, 2], [0, 2.0]])
 CROSSING = np.array([[0, 0], [3, 0], [3, 2], [1, -1.0]])

@@ -1,6 +1,6 @@
 import numpy as np
 
-from wavequake.imaging.placement import place
+from wavequake.imaging.exposures.placement import place
 
 
 def test_no_shift_and_equal_frames_change_nothing():

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.imaging.polygon_transform import polygon_areas, polygon_centroids, polygon_transform
+from wavequake.imaging.engines.polygon_transform import polygon_areas, polygon_centroids, polygon_transform
 
 HEXAGON = 720.0 * np.stack([np.cos(np.arange(6) * np.pi / 3), np.sin(np.arange(6) * np.pi / 3)], axis=1)[None]
 

@@ -5,16 +5,16 @@ import pytest
 from scipy.special import j1
 
 from wavequake.errors import UserError
-from wavequake.imaging.nyquist import samples_for
-from wavequake.imaging.outlines import annulus, blocked, vane
-from wavequake.imaging.psf_engines import (
+from wavequake.imaging.engines.choice import (
     ENGINES,
     SegmentedPupil,
     point_spread,
     prepare_psf,
 )
-from wavequake.imaging.pupil_function import annular_pupil, sampled_pupil
-from wavequake.kernels.devices import NUMPY, list_devices
+from wavequake.imaging.pupils.nyquist import samples_for
+from wavequake.imaging.pupils.outlines import annulus, blocked, vane
+from wavequake.imaging.pupils.pupil_function import annular_pupil, sampled_pupil
+from wavequake.kernels.device.devices import NUMPY, list_devices
 
 DEVICES = list_devices()
 RNG = np.random.default_rng(7)

@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.imaging.exposure import radial_profile
-from wavequake.imaging.matrix_fourier import matrix_fourier, psf
-from wavequake.imaging.outlines import annulus, blocked, segments, vane
-from wavequake.imaging.polygon_transform import polygon_areas, polygon_transform
-from wavequake.imaging.pupil_function import annular_pupil, apodized, pupil_function, sampled_pupil
-from wavequake.imaging.wavefront_phase import segment_phase
+from wavequake.imaging.engines.matrix_fourier import matrix_fourier, psf
+from wavequake.imaging.engines.polygon_transform import polygon_areas, polygon_transform
+from wavequake.imaging.exposures.exposure import radial_profile
+from wavequake.imaging.pupils.outlines import annulus, blocked, segments, vane
+from wavequake.imaging.pupils.pupil_function import annular_pupil, apodized, pupil_function, sampled_pupil
+from wavequake.imaging.pupils.wavefront_phase import segment_phase
 
 
 @pytest.mark.parametrize("case", ["perfect", "opd35nm"])

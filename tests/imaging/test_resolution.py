@@ -5,10 +5,17 @@ import pytest
 from scipy.special import j1
 
 from wavequake.errors import UserError
-from wavequake.imaging.image_formation import disk_source
-from wavequake.imaging.matrix_fourier import matrix_fourier, psf
-from wavequake.imaging.mtf import ideal_mtf
-from wavequake.imaging.objects import (
+from wavequake.imaging.engines.matrix_fourier import matrix_fourier, psf
+from wavequake.imaging.exposures.mtf import ideal_mtf
+from wavequake.imaging.exposures.resolution import (
+    abbe_resolution,
+    contrast,
+    grating_image,
+    saddle,
+    two_point_resolution,
+)
+from wavequake.imaging.objects.formation import disk_source
+from wavequake.imaging.objects.shapes import (
     double_slit,
     grating,
     point,
@@ -16,15 +23,8 @@ from wavequake.imaging.objects import (
     resolution_chart,
     slit,
 )
-from wavequake.imaging.pupil_function import annular_pupil
-from wavequake.imaging.pupil_shape import PupilShape
-from wavequake.imaging.resolution import (
-    abbe_resolution,
-    contrast,
-    grating_image,
-    saddle,
-    two_point_resolution,
-)
+from wavequake.imaging.pupils.pupil_function import annular_pupil
+from wavequake.imaging.pupils.pupil_shape import PupilShape
 
 RAYLEIGH = 3.8317059702075125 / np.pi  # the first zero of J1, 1.2197
 

@@ -6,13 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.imaging.outlines import Outline, blocked, segments, vane
-from wavequake.imaging.polygon_transform import polygon_areas, polygon_transform
-from wavequake.imaging.segment_basis import segment_basis
-from wavequake.imaging.segment_figure import figure_error, figure_psf, segment_figure, terms_of_motion
-from wavequake.imaging.segment_moments import gauss_rule
-from wavequake.imaging.segment_psf import psf
-from wavequake.optics.zernike import annular_zernike
+from wavequake.imaging.engines.polygon_transform import polygon_areas, polygon_transform
+from wavequake.imaging.engines.segment_basis import segment_basis
+from wavequake.imaging.engines.segment_figure import figure_error, figure_psf, segment_figure, terms_of_motion
+from wavequake.imaging.engines.segment_moments import gauss_rule
+from wavequake.imaging.engines.segment_psf import psf
+from wavequake.imaging.pupils.outlines import Outline, blocked, segments, vane
+from wavequake.optics.polynomials.zernike import annular_zernike
 
 DIAMETER, PIXELS, SAMPLING = 2700.0, 16, 0.5
 RNG = np.random.default_rng(11)

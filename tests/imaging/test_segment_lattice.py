@@ -6,15 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.imaging.polygon_transform import polygon_transform
-from wavequake.imaging.psf_engines import SegmentedPupil, point_spread, prepare_psf
-from wavequake.imaging.segment_basis import segment_basis
-from wavequake.imaging.segment_lattice import lattice_psf, segment_lattice
-from wavequake.imaging.segment_psf import psf, truncation_error
-from wavequake.kernels import lattice
-from wavequake.kernels.devices import Device, list_devices
-from wavequake.optics.segments import hexagon_ring_segments
-from wavequake.optics.telescopes import telescope
+from wavequake.imaging.engines.choice import SegmentedPupil, point_spread, prepare_psf
+from wavequake.imaging.engines.polygon_transform import polygon_transform
+from wavequake.imaging.engines.segment_basis import segment_basis
+from wavequake.imaging.engines.segment_lattice import lattice_psf, segment_lattice
+from wavequake.imaging.engines.segment_psf import psf, truncation_error
+from wavequake.kernels.device.devices import Device, list_devices
+from wavequake.kernels.transforms import lattice
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.layout import hexagon_ring_segments
 
 RNG = np.random.default_rng(3)
 _HEXAGONS = hexagon_ring_segments(700.0, 3, 5.0)

@@ -2,10 +2,16 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.imaging.polygon_transform import polygon_areas, polygon_transform
-from wavequake.imaging.segment_basis import MOMENTS, ray_basis, segment_basis
-from wavequake.imaging.segment_moments import gauss_rule, largest_means, moments_on_grid
-from wavequake.imaging.segment_psf import moments_needed, psf, shift_phase, strehl_exact, truncation_error
+from wavequake.imaging.engines.polygon_transform import polygon_areas, polygon_transform
+from wavequake.imaging.engines.segment_basis import MOMENTS, ray_basis, segment_basis
+from wavequake.imaging.engines.segment_moments import gauss_rule, largest_means, moments_on_grid
+from wavequake.imaging.engines.segment_psf import (
+    moments_needed,
+    psf,
+    shift_phase,
+    strehl_exact,
+    truncation_error,
+)
 
 RNG = np.random.default_rng(11)
 

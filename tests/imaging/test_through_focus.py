@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.imaging.matrix_fourier import matrix_fourier
-from wavequake.imaging.pupil_function import annular_pupil
-from wavequake.imaging.through_focus import through_focus
+from wavequake.imaging.engines.matrix_fourier import matrix_fourier
+from wavequake.imaging.exposures.through_focus import through_focus
+from wavequake.imaging.pupils.pupil_function import annular_pupil
 
 
 @pytest.mark.parametrize("eps", [0.0, 0.4])

@@ -3,12 +3,12 @@ import pytest
 from scipy.special import j0
 
 from wavequake.errors import UserError
-from wavequake.imaging.matrix_fourier import matrix_fourier, psf
-from wavequake.imaging.outlines import segments
-from wavequake.imaging.pupil_function import annular_pupil, sampled_pupil
-from wavequake.imaging.segment_basis import segment_basis
-from wavequake.imaging.segment_psf import psf as exact_psf
-from wavequake.imaging.wavefront_phase import ray_phase, segment_phase, zernike_phase
+from wavequake.imaging.engines.matrix_fourier import matrix_fourier, psf
+from wavequake.imaging.engines.segment_basis import segment_basis
+from wavequake.imaging.engines.segment_psf import psf as exact_psf
+from wavequake.imaging.pupils.outlines import segments
+from wavequake.imaging.pupils.pupil_function import annular_pupil, sampled_pupil
+from wavequake.imaging.pupils.wavefront_phase import ray_phase, segment_phase, zernike_phase
 
 RNG = np.random.default_rng(4)
 GRID = annular_pupil(256, 0.3)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.imaging.matrix_fourier import matrix_fourier, psf
-from wavequake.imaging.outlines import annulus, blocked, segments, vane
-from wavequake.imaging.pupil_function import annular_pupil, sampled_pupil
-from wavequake.imaging.wavefront_phase import zernike_phase
-from wavequake.imaging.zernike_psf import zernike_imager, zernike_images, zernike_sum
-from wavequake.kernels.devices import NUMPY, Device, list_devices
+from wavequake.imaging.engines.matrix_fourier import matrix_fourier, psf
+from wavequake.imaging.engines.zernike_psf import zernike_imager, zernike_images, zernike_sum
+from wavequake.imaging.pupils.outlines import annulus, blocked, segments, vane
+from wavequake.imaging.pupils.pupil_function import annular_pupil, sampled_pupil
+from wavequake.imaging.pupils.wavefront_phase import zernike_phase
+from wavequake.kernels.device.devices import NUMPY, Device, list_devices
 
 OPENCL = [device for device in list_devices() if device.kind == "cpu"][:1]
 OPENCL += [Device(device.name, "gpu", device.platform, 1) for device in OPENCL]

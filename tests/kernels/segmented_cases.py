@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from wavequake.kernels.devices import NUMPY, Device, list_devices
-from wavequake.kernels.segmented import SegmentedTrain, trace_chief
-from wavequake.kernels.tiles import TILE
+from wavequake.kernels.device.devices import NUMPY, Device, list_devices
+from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.trace.segmented import SegmentedTrain, trace_chief
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 # Processors also run the variant for GPUs: one instant per work-item, copied buffers.

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from wavequake.kernels.devices import NUMPY, Device, list_devices
-from wavequake.kernels.sequence import Element, Grid, Polynomial, Rays, Ring
+from wavequake.kernels.device.devices import NUMPY, Device, list_devices
+from wavequake.kernels.trace.sequence import Element, Grid, Polynomial, Rays, Ring
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 # Processors also run the variant for GPUs: one ray per work-item, copied buffers.

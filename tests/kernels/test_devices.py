@@ -7,10 +7,10 @@ from typer.testing import CliRunner
 
 from wavequake.cli import app
 from wavequake.errors import UserError
-from wavequake.kernels import devices
-from wavequake.kernels.devices import NUMPY, Device, choose_device, list_devices, self_test, self_tests
-from wavequake.kernels.example import lens
-from wavequake.kernels.sequential import trace_sequence
+from wavequake.kernels.device import devices
+from wavequake.kernels.device.devices import NUMPY, Device, choose_device, list_devices, self_test, self_tests
+from wavequake.kernels.device.example import lens
+from wavequake.kernels.trace.sequential import trace_sequence
 
 CPU = Device("a processor", "cpu", "somebody", 16)
 GPU = Device("Some GPU 3000", "gpu", "somebody else", 1)
@@ -20,6 +20,7 @@ class Handle:
     """A device as OpenCL shows it."""
 
     type = cl.device_type.CPU
+    version = "OpenCL 3.0 znver3"
 
     def __init__(self, name, doubles=63, available=True):
         self.name, self.double_fp_config, self.available = name, doubles, available

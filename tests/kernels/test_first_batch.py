@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.kernels import first_batch, segmented, sequential
-from wavequake.kernels.devices import list_devices
-from wavequake.kernels.example import lens, two_mirrors
-from wavequake.kernels.first_batch import compare_first
-from wavequake.kernels.segmented import trace_segmented
-from wavequake.kernels.sequential import trace_sequence
+from wavequake.kernels.device import first_batch
+from wavequake.kernels.device.devices import list_devices
+from wavequake.kernels.device.example import lens, two_mirrors
+from wavequake.kernels.device.first_batch import compare_first
+from wavequake.kernels.trace import segmented, sequential
+from wavequake.kernels.trace.segmented import trace_segmented
+from wavequake.kernels.trace.sequential import trace_sequence
 
 DEVICES = [device for device in list_devices() if device.kind != "numpy"]
 BY = np.linspace(1.0, 2.0, 40)

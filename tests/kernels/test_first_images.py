@@ -4,12 +4,15 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.imaging.segment_lattice import lattice_psf, segment_lattice
-from wavequake.kernels import first_batch, folded_transform, fourier, lattice, strehl
-from wavequake.kernels.devices import list_devices
-from wavequake.kernels.folded_pupils import LitPhase, Rim, SmoothPhase
-from wavequake.kernels.program import source
-from wavequake.optics.segments import hexagon_ring_segments
+from wavequake.imaging.engines.segment_lattice import lattice_psf, segment_lattice
+from wavequake.kernels.device import first_batch
+from wavequake.kernels.device.devices import list_devices
+from wavequake.kernels.device.program import source
+from wavequake.kernels.sums import strehl
+from wavequake.kernels.transforms import folded as folded_transform
+from wavequake.kernels.transforms import fourier, lattice
+from wavequake.kernels.transforms.folded_pupils import LitPhase, Rim, SmoothPhase
+from wavequake.optics.segments.layout import hexagon_ring_segments
 
 CPUS = [device for device in list_devices() if device.kind == "cpu"]
 DEVICES = pytest.mark.parametrize("device", CPUS, ids=lambda device: device.name)

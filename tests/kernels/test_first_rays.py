@@ -7,15 +7,16 @@ import pytest
 from segmented_cases import NAMES, OPENCL
 
 from wavequake.errors import UserError
-from wavequake.kernels import first_batch, sequential
-from wavequake.kernels.packing import packed_elements
-from wavequake.kernels.sequence import Element, Moving, Polynomial, Rays, Region, Sequence
-from wavequake.kernels.sequential import trace_sequence
-from wavequake.optics.catalog import optical_system
-from wavequake.optics.packing import moving, pack
-from wavequake.optics.ray_aiming import pupil_rays
-from wavequake.optics.shapes import EvenAsphere
-from wavequake.optics.system_kinematics import rest_states
+from wavequake.kernels.device import first_batch
+from wavequake.kernels.trace import sequential
+from wavequake.kernels.trace.packing import packed_elements
+from wavequake.kernels.trace.sequence import Element, Moving, Polynomial, Rays, Region, Sequence
+from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.optics.catalog.names import optical_system
+from wavequake.optics.rays.aiming import pupil_rays
+from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.shapes.shapes import EvenAsphere
+from wavequake.optics.systems.kinematics import rest_states
 
 pytestmark = pytest.mark.parametrize("device", OPENCL, ids=NAMES["ids"])
 # Of each system a surface, and in how many of the 28 cases below enough rays can be compared.

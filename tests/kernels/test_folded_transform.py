@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavequake.kernels import folded_transform as module
-from wavequake.kernels.devices import Device, list_devices
-from wavequake.kernels.folded_pupils import LitPhase
-from wavequake.kernels.folded_transform import folded_images, folded_sum, folded_transform
+from wavequake.kernels.device.devices import Device, list_devices
+from wavequake.kernels.transforms import folded as module
+from wavequake.kernels.transforms.folded import folded_images, folded_sum, folded_transform
+from wavequake.kernels.transforms.folded_pupils import LitPhase
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 OPENCL += [Device(device.name, "gpu", device.platform, 1) for device in OPENCL if device.kind == "cpu"]

@@ -5,10 +5,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY, Device, list_devices
-from wavequake.kernels.fourier import choose_fourier, fourier_2d
-from wavequake.kernels.fourier_source import factors, radices, row_lanes
-from wavequake.kernels.program import aligned_empty
+from wavequake.kernels.device.devices import NUMPY, Device, list_devices
+from wavequake.kernels.device.program import aligned_empty
+from wavequake.kernels.transforms.fourier import choose_fourier, fourier_2d
+from wavequake.kernels.transforms.fourier_source import factors, radices, row_lanes
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 CPUS = [device for device in OPENCL if device.kind == "cpu"]

@@ -7,13 +7,13 @@ import pytest
 from scipy.optimize import brentq
 from segmented_cases import NAMES, OPENCL, assert_same, poses
 
-from wavequake.kernels.devices import NUMPY
-from wavequake.kernels.example import two_mirrors
-from wavequake.kernels.figure_limits import figure_limits, train_limits
-from wavequake.kernels.ring import ring_order
-from wavequake.kernels.segmented import SegmentedTrain, trace_chief, trace_segmented
-from wavequake.kernels.sequence import Ring
-from wavequake.kernels.tiles import TILE
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.kernels.device.example import two_mirrors
+from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.trace.figure_limits import figure_limits, train_limits
+from wavequake.kernels.trace.ring import ring_order
+from wavequake.kernels.trace.segmented import SegmentedTrain, trace_chief, trace_segmented
+from wavequake.kernels.trace.sequence import Ring
 
 RADIUS, GAP, STEP = 600.0, 150.0, 1e-20
 CONICS = [(1.0 / 4000.0, -1.0), (-1.0 / 3000.0, 0.5)]  # curvature and conic constant of M1 and M2

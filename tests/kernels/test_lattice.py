@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wavequake.kernels.devices import list_devices
-from wavequake.kernels.lattice import lattice_images, lattice_kernel
-from wavequake.kernels.lattice_numpy import lattice_images_numpy, moment_waves
+from wavequake.kernels.device.devices import list_devices
+from wavequake.kernels.transforms.lattice import lattice_images, lattice_kernel
+from wavequake.kernels.transforms.lattice_numpy import lattice_images_numpy, moment_waves
 
 CPUS = [device for device in list_devices() if device.kind == "cpu"]
 TOLERANCE = {"float64": 5e-15, "float32": 2e-6}

@@ -4,10 +4,10 @@ import time
 
 import pytest
 
-from wavequake.kernels.devices import list_devices
-from wavequake.kernels.example import two_mirrors
-from wavequake.kernels.launches import count_launch, kernel_launches, launches_since
-from wavequake.kernels.segmented import trace_segmented
+from wavequake.kernels.device.devices import list_devices
+from wavequake.kernels.device.example import two_mirrors
+from wavequake.kernels.device.launches import count_launch, kernel_launches, launches_since
+from wavequake.kernels.trace.segmented import trace_segmented
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 

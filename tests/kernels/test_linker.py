@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.kernels import devices, linker
+from wavequake.kernels.device import devices, linker
 
 HAS_POCL = any(device.platform == "Portable Computing Language" for device in devices.list_devices())
 
@@ -33,7 +33,7 @@ def test_without_any_linker_the_user_learns_what_to_install(monkeypatch):
 def test_a_kernel_builds_without_a_compilers_libraries(tmp_path):
     """A process whose only ``ld`` on PATH is the wrapper compiles, links and runs a kernel."""
     script = (
-        "from wavequake.kernels import linker, devices\n"
+        "from wavequake.kernels.device import linker, devices\n"
         "linker.machine_can_link = lambda: False\n"
         "assert devices.self_test(devices.choose_device('cpu')) < 1e-9\n"
         "import os; print(os.environ['PATH'].split(os.pathsep)[0])\n"

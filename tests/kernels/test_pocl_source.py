@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from wavequake.kernels import program
-from wavequake.kernels.devices import NUMPY, POCL, list_devices
-from wavequake.kernels.fourier import fourier_2d
-from wavequake.kernels.pocl_source import for_pocl, has_wide_vectors
+from wavequake.kernels.device import program
+from wavequake.kernels.device.devices import NUMPY, POCL, list_devices
+from wavequake.kernels.device.pocl_source import for_pocl, has_wide_vectors
+from wavequake.kernels.transforms.fourier import fourier_2d
 
 KERNEL = """
 #define TWICE(a) (2.0 * (a))

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from wavequake.errors import UserError
-from wavequake.kernels import poses
-from wavequake.kernels.devices import NUMPY, Device, list_devices
-from wavequake.kernels.poses import surface_poses
+from wavequake.kernels.device.devices import NUMPY, Device, list_devices
+from wavequake.kernels.trace import poses
+from wavequake.kernels.trace.poses import surface_poses
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 OPENCL += [Device(device.name, "gpu", device.platform, 1) for device in OPENCL if device.kind == "cpu"]
@@ -81,7 +81,7 @@ def test_an_instant_does_not_depend_on_its_batch(device):
 
 @pytest.mark.parametrize("device", **NAMES)
 def test_numbers_of_any_kind_are_taken_as_double_precision(device, monkeypatch):
-    monkeypatch.setattr("wavequake.kernels.first_batch._TRUSTED", set())
+    monkeypatch.setattr("wavequake.kernels.device.first_batch._TRUSTED", set())
     position, rotation, motion = case(7, 9, 3, 1e-3)
     for taken in (motion.astype(np.float32), np.ones(motion.shape, int), motion.tolist()):
         expected = surface_poses(position, rotation, np.array(taken, np.float64))
@@ -92,7 +92,7 @@ def test_numbers_of_any_kind_are_taken_as_double_precision(device, monkeypatch):
 
 @pytest.mark.parametrize("device", OPENCL, ids=lambda device: device.kind)
 def test_a_device_that_turns_wrong_is_refused(device, monkeypatch):
-    monkeypatch.setattr("wavequake.kernels.first_batch._TRUSTED", set())
+    monkeypatch.setattr("wavequake.kernels.device.first_batch._TRUSTED", set())
     monkeypatch.setattr(poses, "run_steps", lambda *arguments: arguments[3]["found"].fill(0.5))
     with pytest.raises(UserError, match="instants of the first batch"):
         surface_poses(*case(5, 20, 3, 1e-3), device)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from wavequake.files import folder
-from wavequake.kernels.devices import NUMPY
-from wavequake.kernels.program import aligned_empties, aligned_empty, source, watch
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.kernels.device.program import aligned_empties, aligned_empty, source, watch
 
 
 def test_headers_are_pasted_into_the_source_that_binaries_are_cached_by():

@@ -8,11 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.kernels import first_batch, ray_sums
-from wavequake.kernels.devices import NUMPY, Device, list_devices
-from wavequake.kernels.ray_sums import ray_coefficients, ray_moments, tile_moments
-from wavequake.kernels.tiles import TILE
-from wavequake.optics.quality import peak_to_valley, spot
+from wavequake.kernels.device import first_batch
+from wavequake.kernels.device.devices import NUMPY, Device, list_devices
+from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.sums import ray_sums
+from wavequake.kernels.sums.ray_sums import ray_coefficients, ray_moments, tile_moments
+from wavequake.optics.wavefronts.quality import peak_to_valley, spot
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 OPENCL += [Device(device.name, "gpu", device.platform, 1) for device in OPENCL if device.kind == "cpu"]
@@ -201,7 +202,7 @@ def test_nothing_has_no_sums(device):
 
 @pytest.mark.parametrize("device", OPENCL, ids=lambda device: device.kind)
 def test_a_device_that_sums_wrong_is_refused(device, monkeypatch):
-    monkeypatch.setattr("wavequake.kernels.first_batch._TRUSTED", set())
+    monkeypatch.setattr("wavequake.kernels.device.first_batch._TRUSTED", set())
     real = ray_sums.run_steps
 
     def wrong(device, steps, inputs, outputs, scratch):

@@ -14,15 +14,16 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 
 from wavequake.errors import UserError
-from wavequake.kernels import first_batch, opd, resident
-from wavequake.kernels.devices import NUMPY, Device, list_devices
-from wavequake.kernels.example import lens
-from wavequake.kernels.launches import kernel_launches, launches_since
-from wavequake.kernels.opd import count_status, path_differences, without_planes
-from wavequake.kernels.program import device_copy, device_empty
-from wavequake.kernels.ray_sums import ray_coefficients, ray_moments
-from wavequake.kernels.resident import Resident, device_of, floats_for
-from wavequake.kernels.sequential import trace_sequence
+from wavequake.kernels.device import first_batch, resident
+from wavequake.kernels.device.devices import NUMPY, Device, list_devices
+from wavequake.kernels.device.example import lens
+from wavequake.kernels.device.launches import kernel_launches, launches_since
+from wavequake.kernels.device.program import device_copy, device_empty
+from wavequake.kernels.device.resident import Resident, device_of, floats_for
+from wavequake.kernels.sums import opd
+from wavequake.kernels.sums.opd import count_status, path_differences, without_planes
+from wavequake.kernels.sums.ray_sums import ray_coefficients, ray_moments
+from wavequake.kernels.trace.sequential import trace_sequence
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 # Processors pose as devices with memory of their own.

@@ -8,12 +8,12 @@ from matplotlib.path import Path
 from rotations import rotations
 from segmented_cases import NAMES, OPENCL, assert_close, assert_same, one_mirror, poses
 
-from wavequake.kernels import segmented
-from wavequake.kernels.devices import NUMPY
-from wavequake.kernels.example import two_mirrors
-from wavequake.kernels.segmented import trace_segmented
-from wavequake.kernels.tiles import TILE
-from wavequake.optics.polygons import edge_spans
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.kernels.device.example import two_mirrors
+from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.trace import segmented
+from wavequake.kernels.trace.segmented import trace_segmented
+from wavequake.optics.shapes.polygons import edge_spans
 
 
 @pytest.mark.parametrize("device", **NAMES)

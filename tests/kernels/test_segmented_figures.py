@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from segmented_cases import NAMES, OPENCL, assert_close
 
-from wavequake.kernels.devices import NUMPY
-from wavequake.kernels.example import two_mirrors
-from wavequake.kernels.segmented import trace_chief, trace_segmented
-from wavequake.kernels.sequence import Ring
-from wavequake.kernels.tiles import TILE
-from wavequake.kernels.train import vignetted
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.kernels.device.example import two_mirrors
+from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.trace.segmented import trace_chief, trace_segmented
+from wavequake.kernels.trace.sequence import Ring
+from wavequake.kernels.trace.train import vignetted
 
 
 def with_mirror_figure(arguments, degree, size, seed=1):

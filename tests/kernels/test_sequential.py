@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sequential_cases import IMAGE, NAMES, collimated, from_point, paraboloids, shifts, turned
 
-from wavequake.kernels.sequence import (
+from wavequake.kernels.trace.sequence import (
     DIVERGED,
     MISS,
     OK,
@@ -19,7 +19,7 @@ from wavequake.kernels.sequence import (
     Region,
     Sequence,
 )
-from wavequake.kernels.sequential import trace_sequence
+from wavequake.kernels.trace.sequential import trace_sequence
 
 
 @pytest.mark.parametrize("device", **NAMES)

@@ -6,10 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from wavequake.kernels.devices import NUMPY, list_devices
-from wavequake.kernels.ring import ring_order
-from wavequake.kernels.sequence import Element, Moving, Rays, Ring, Sequence
-from wavequake.kernels.sequential import trace_sequence
+from wavequake.kernels.device.devices import NUMPY, list_devices
+from wavequake.kernels.trace.ring import ring_order
+from wavequake.kernels.trace.sequence import Element, Moving, Rays, Ring, Sequence
+from wavequake.kernels.trace.sequential import trace_sequence
 
 ALL = [NUMPY, *(device for device in list_devices() if device.kind != "numpy")]
 LONG = np.longdouble

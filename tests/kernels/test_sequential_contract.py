@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rotations import rotations
 
-from wavequake.kernels.devices import NUMPY, Device, list_devices
-from wavequake.kernels.sequence import (
+from wavequake.kernels.device.devices import NUMPY, Device, list_devices
+from wavequake.kernels.trace.sequence import (
     DIVERGED,
     MISS,
     OK,
@@ -24,8 +24,8 @@ from wavequake.kernels.sequence import (
     Sequence,
     terms,
 )
-from wavequake.kernels.sequential import trace_sequence
-from wavequake.optics.polygons import edge_spans
+from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.optics.shapes.polygons import edge_spans
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 OPENCL += [Device(device.name, "gpu", device.platform, 1) for device in OPENCL if device.kind == "cpu"]

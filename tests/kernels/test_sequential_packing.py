@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.kernels import packing
-from wavequake.kernels.polynomial_numpy import polynomial
-from wavequake.kernels.sequence import Element, Grid, Moving, Polynomial, Ring, Sequence, terms
+from wavequake.kernels.trace import packing
+from wavequake.kernels.trace.polynomial_numpy import polynomial
+from wavequake.kernels.trace.sequence import Element, Grid, Moving, Polynomial, Ring, Sequence, terms
 
 
 def strongest_bend(slopes, radius, points, inner=0.0):
@@ -68,7 +68,7 @@ def test_powers_beyond_the_range_of_numbers_are_refused():
 
 
 def test_no_grid_bends_more_than_the_host_says():
-    from wavequake.kernels.grid_numpy import spline_grid
+    from wavequake.kernels.trace.grid_numpy import spline_grid
 
     random = np.random.default_rng(3)
     for _ in range(5):

@@ -7,8 +7,8 @@ import pytest
 from sequential_cases import IMAGE, NAMES, collimated, from_point, paraboloids, shifts
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY
-from wavequake.kernels.sequence import (
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.kernels.trace.sequence import (
     OK,
     Element,
     Grid,
@@ -18,8 +18,8 @@ from wavequake.kernels.sequence import (
     Ring,
     Sequence,
 )
-from wavequake.kernels.sequential import trace_sequence
-from wavequake.kernels.sequential_numpy import sag_and_slopes
+from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.kernels.trace.sequential_numpy import sag_and_slopes
 
 
 def surfaces():

@@ -4,8 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY, Device, list_devices
-from wavequake.kernels.strehl import strehl_ratios
+from wavequake.kernels.device.devices import NUMPY, Device, list_devices
+from wavequake.kernels.sums.strehl import strehl_ratios
 
 DEVICES = list_devices()
 DEVICES += [Device(device.name, "gpu", device.platform, 1) for device in DEVICES if device.kind == "cpu"]

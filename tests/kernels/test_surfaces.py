@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wavequake.kernels.surfaces import conic_path, conic_sag, conic_slopes
+from wavequake.kernels.trace.surfaces import conic_path, conic_sag, conic_slopes
 
 CURVATURES = st.floats(-1e-3, 1e-3).filter(lambda c: c == 0.0 or abs(c) > 1e-9)
 CONICS = st.floats(-4.0, 1.0)

@@ -7,15 +7,15 @@ import sys
 
 import pytest
 
-from wavequake.kernels import threads
-from wavequake.kernels.devices import POCL, list_devices
+from wavequake.kernels.device import threads
+from wavequake.kernels.device.devices import POCL, list_devices
 
 CPUS = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
 SCRIPT = """
 import json, os
-from wavequake.kernels.threads import running_threads
+from wavequake.kernels.device.threads import running_threads
 before = running_threads()
-from wavequake.kernels.devices import list_devices
+from wavequake.kernels.device.devices import list_devices
 list_devices()
 new = running_threads() - before
 print(json.dumps([[sorted(os.sched_getaffinity(t)) for t in some] for some in ([0, *before], new)]))

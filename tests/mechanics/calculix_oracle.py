@@ -12,8 +12,8 @@ import tempfile
 from math import inf
 from pathlib import Path
 
-from wavequake.mechanics.calculix import write_deck
-from wavequake.mechanics.mirrors import AnnularMirror, CircularMirror, HexagonalSegment, mirror_mesh
+from wavequake.mechanics.mirrors.deck import write_deck
+from wavequake.mechanics.mirrors.models import AnnularMirror, CircularMirror, HexagonalSegment, mirror_mesh
 
 DATA = Path(__file__).parents[1] / "data"
 PLATE = CircularMirror(focal_length=inf, mount_radius=0.5, core=1, rings=1)

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wavequake.mechanics.layout import SegmentLayout
+from wavequake.mechanics.disturbances.layout import SegmentLayout
 
 DATA = Path(__file__).parents[1] / "data"
 

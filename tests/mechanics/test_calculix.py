@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.mechanics.calculix import write_deck
-from wavequake.mechanics.eigen import eigenmodes
-from wavequake.mechanics.hexahedra import assemble
-from wavequake.mechanics.mirrors import (
+from wavequake.mechanics.mirrors.deck import write_deck
+from wavequake.mechanics.mirrors.hexahedra import assemble
+from wavequake.mechanics.mirrors.models import (
     CircularMirror,
     HexagonalSegment,
     annular_mirror,
@@ -22,6 +21,7 @@ from wavequake.mechanics.mirrors import (
     hexagonal_segment,
     mirror_mesh,
 )
+from wavequake.mechanics.vibration.eigen import eigenmodes
 
 DATA = Path(__file__).parents[1] / "data"
 

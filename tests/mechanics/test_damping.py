@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.mechanics.damping import with_modal_damping
 from wavequake.mechanics.model import ReducedModel
+from wavequake.mechanics.vibration.damping import with_modal_damping
 
 
 def coupled(rigid=0, order=5):

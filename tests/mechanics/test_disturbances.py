@@ -4,7 +4,8 @@ from pydantic import TypeAdapter, ValidationError
 from scipy import stats
 
 from wavequake.errors import UserError
-from wavequake.mechanics.disturbances import (
+from wavequake.mechanics.disturbances.motion import add, still
+from wavequake.mechanics.disturbances.registry import (
     Combine,
     Disturbance,
     draw,
@@ -13,8 +14,7 @@ from wavequake.mechanics.disturbances import (
     parts,
     time_axis,
 )
-from wavequake.mechanics.motion import add, still
-from wavequake.mechanics.static_random import StaticRandom
+from wavequake.mechanics.disturbances.static_random import StaticRandom
 
 adapter = TypeAdapter(Disturbance)
 

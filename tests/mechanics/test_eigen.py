@@ -8,14 +8,14 @@ from scipy.linalg import eigh
 from scipy.sparse import csc_array, diags_array, eye_array
 
 from wavequake.errors import UserError
-from wavequake.mechanics.eigen import (
+from wavequake.mechanics.mirrors.material import Material
+from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror, on_springs
+from wavequake.mechanics.model import FiniteElementModel, RayleighDamping, check_model
+from wavequake.mechanics.vibration.eigen import (
     eigenmodes,
     elastic_flexibility,
     mass_normalized_rigid_modes,
 )
-from wavequake.mechanics.material import Material
-from wavequake.mechanics.mirrors import CircularMirror, circular_mirror, on_springs
-from wavequake.mechanics.model import FiniteElementModel, RayleighDamping, check_model
 
 SMALL = CircularMirror(core=1, rings=2)
 

@@ -11,16 +11,16 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from wavequake.errors import UserError
-from wavequake.mechanics import history_facts, history_table
-from wavequake.mechanics.disturbances import Combine
-from wavequake.mechanics.element_history import SurfaceHistory, history_of, read_table
-from wavequake.mechanics.element_motion import (
+from wavequake.mechanics.disturbances import history_facts, history_table
+from wavequake.mechanics.disturbances.element_history import SurfaceHistory, history_of, read_table
+from wavequake.mechanics.disturbances.element_motion import (
     SurfaceDeformation,
     SurfaceRandom,
     draw_elements,
     figure_terms,
     instants_of,
 )
+from wavequake.mechanics.disturbances.registry import Combine
 
 TABLE = """# measured on a Tuesday
 time_s, L1 front.dx_um ,M1.rz_urad,M1.z3_nm,M1.z5_nm,L1 front.dz_um,line_of_sight.y_mas

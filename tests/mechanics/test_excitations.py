@@ -4,8 +4,9 @@ from pydantic import TypeAdapter, ValidationError
 from truss import truss
 
 from wavequake.errors import UserError
-from wavequake.mechanics.drive import values
-from wavequake.mechanics.excitations import (
+from wavequake.mechanics.disturbances.spectra import variance
+from wavequake.mechanics.vibration.drive import values
+from wavequake.mechanics.vibration.excitations import (
     AnyExcitation,
     ForceImpulse,
     RandomVibration,
@@ -15,9 +16,8 @@ from wavequake.mechanics.excitations import (
     read_record,
     vibration_spectrum,
 )
-from wavequake.mechanics.modal import modal_model
-from wavequake.mechanics.response import displacements, respond
-from wavequake.mechanics.spectra import variance
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.response import displacements, respond
 
 TIME = 1e-4 * np.arange(2001)
 

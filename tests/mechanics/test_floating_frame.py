@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from truss import TOWER, truss
 
 from wavequake.errors import UserError
-from wavequake.mechanics.drive import Drive, Impulse
-from wavequake.mechanics.floating_frame import floating_frame, momentum, split
-from wavequake.mechanics.mirrors import CircularMirror, circular_mirror
-from wavequake.mechanics.modal import modal_model
+from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror
 from wavequake.mechanics.model import rigid_modes
-from wavequake.mechanics.response import displacements, respond
+from wavequake.mechanics.multibody.floating_frame import floating_frame, momentum, split
+from wavequake.mechanics.vibration.drive import Drive, Impulse
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.response import displacements, respond
 
 WEIGHTS = 1.0 + 0.2 * np.arange(6)
 

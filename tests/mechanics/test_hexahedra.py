@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.mechanics.hexahedra import (
+from wavequake.mechanics.mirrors.hexahedra import (
     BOTTOM,
     CORNERS,
     EDGES,
@@ -17,8 +17,8 @@ from wavequake.mechanics.hexahedra import (
     serendipity,
     stiffness_matrices,
 )
-from wavequake.mechanics.material import ALUMINUM, Material
-from wavequake.mechanics.mirrors import CircularMirror, mirror_mesh
+from wavequake.mechanics.mirrors.material import ALUMINUM, Material
+from wavequake.mechanics.mirrors.models import CircularMirror, mirror_mesh
 from wavequake.mechanics.model import rigid_modes
 
 ONE = np.arange(20)[None]

@@ -9,11 +9,11 @@ import pytest
 from pydantic import ValidationError
 
 from wavequake.errors import UserError
-from wavequake.mechanics import history_arrays, history_facts
-from wavequake.mechanics.element_history import SurfaceHistory
-from wavequake.mechanics.element_motion import draw_elements, figure_grids, figure_terms
-from wavequake.mechanics.history_arrays import read_arrays
-from wavequake.mechanics.history_table import read_table
+from wavequake.mechanics.disturbances import history_arrays, history_facts
+from wavequake.mechanics.disturbances.element_history import SurfaceHistory
+from wavequake.mechanics.disturbances.element_motion import draw_elements, figure_grids, figure_terms
+from wavequake.mechanics.disturbances.history_arrays import read_arrays
+from wavequake.mechanics.disturbances.history_table import read_table
 
 TIME = np.array([0.5, 0.75, 2.0])
 COLUMNS = {

@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from wavequake.errors import UserError
 from wavequake.mechanics.importers import ImportedModel, import_model, load_model
-from wavequake.mechanics.mirrors import CircularMirror, circular_mirror
+from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror
 from wavequake.mechanics.model import rigid_modes
 
 DATA = Path(__file__).parents[1] / "data"

@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from truss import model, truss
 
 from wavequake.errors import UserError
-from wavequake.mechanics.linear_system import first_order, linear_system, poles, symmetric_and_skew
-from wavequake.mechanics.modal import modal_model
-from wavequake.mechanics.multibody import Bearing, Joint, Link, Place, assemble, assemble_system
-from wavequake.mechanics.state_space import state_space
+from wavequake.mechanics.multibody.joined import Bearing, Joint, Link, Place, assemble, assemble_system
+from wavequake.mechanics.multibody.linear_system import first_order, linear_system, poles, symmetric_and_skew
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.state_space import state_space
 from wavequake.reduction.reduce import reduce
 
 TURN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])

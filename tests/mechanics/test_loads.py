@@ -8,13 +8,13 @@ from test_nonlinear import WEIGHTS, tower
 from truss import truss
 
 from wavequake.errors import UserError
-from wavequake.mechanics.drive import Drive
-from wavequake.mechanics.flexible_body import flexible_body
-from wavequake.mechanics.floating_frame import floating_frame
-from wavequake.mechanics.loads import Gravity, NodeForce, NodeTorque
-from wavequake.mechanics.modal import modal_model
-from wavequake.mechanics.nonlinear import drive, energy, fly, momentum, positions
-from wavequake.mechanics.response import displacements, respond
+from wavequake.mechanics.multibody.flexible_body import flexible_body
+from wavequake.mechanics.multibody.floating_frame import floating_frame
+from wavequake.mechanics.multibody.loads import Gravity, NodeForce, NodeTorque
+from wavequake.mechanics.multibody.nonlinear import drive, energy, fly, momentum, positions
+from wavequake.mechanics.vibration.drive import Drive
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.response import displacements, respond
 
 TIME = np.linspace(0, 0.4, 41)
 STILL = np.zeros(3)

@@ -9,9 +9,8 @@ from scipy.optimize import brentq
 from scipy.special import ivp, jvp
 
 from wavequake.errors import UserError
-from wavequake.mechanics.eigen import eigenmodes
-from wavequake.mechanics.hexahedra import assemble
-from wavequake.mechanics.mirrors import (
+from wavequake.mechanics.mirrors.hexahedra import assemble
+from wavequake.mechanics.mirrors.models import (
     SEGMENT_SUPPORT,
     AnnularMirror,
     CircularMirror,
@@ -23,6 +22,7 @@ from wavequake.mechanics.mirrors import (
     on_springs,
 )
 from wavequake.mechanics.model import rigid_modes
+from wavequake.mechanics.vibration.eigen import eigenmodes
 
 BUILD = {
     CircularMirror: circular_mirror,

@@ -4,10 +4,10 @@ import scipy.linalg
 from truss import TOWER, model, truss
 
 from wavequake.errors import UserError
-from wavequake.mechanics.drive import Drive, Impulse
-from wavequake.mechanics.modal import modal_model
-from wavequake.mechanics.multibody import Joint, Link, Place, assemble
-from wavequake.mechanics.response import displacements, respond
+from wavequake.mechanics.multibody.joined import Joint, Link, Place, assemble
+from wavequake.mechanics.vibration.drive import Drive, Impulse
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.response import displacements, respond
 
 # Roots of cos x cosh x = 1: free-free Euler-Bernoulli beam.
 FREE_FREE = np.array([4.730040745, 7.853204624, 10.99560784])

@@ -5,14 +5,14 @@ from scipy.integrate import solve_ivp
 from truss import TOWER, truss
 
 from wavequake.errors import UserError
-from wavequake.mechanics.drive import Drive, Impulse
-from wavequake.mechanics.eigen import eigenmodes
-from wavequake.mechanics.flexible_body import flexible_body, from_model
-from wavequake.mechanics.floating_frame import floating_frame
-from wavequake.mechanics.mirrors import CircularMirror, circular_mirror
-from wavequake.mechanics.modal import modal_model
-from wavequake.mechanics.nonlinear import drive, energy, fly, momentum, positions
-from wavequake.mechanics.response import displacements, respond
+from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror
+from wavequake.mechanics.multibody.flexible_body import flexible_body, from_model
+from wavequake.mechanics.multibody.floating_frame import floating_frame
+from wavequake.mechanics.multibody.nonlinear import drive, energy, fly, momentum, positions
+from wavequake.mechanics.vibration.drive import Drive, Impulse
+from wavequake.mechanics.vibration.eigen import eigenmodes
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.response import displacements, respond
 
 WEIGHTS = 1.0 + 0.2 * np.arange(6)
 # The spin-up manoeuvre that Simo and Vu-Quoc (1987) made a benchmark: 10 m, EA 28 MN, EI 14 kN m^2, 1.2 kg/m,

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from truss import TOWER, model, oscillator, truss
 
 from wavequake.errors import UserError
-from wavequake.mechanics.drive import Drive, Harmonic, ramped_sine
-from wavequake.mechanics.modal import modal_model
 from wavequake.mechanics.model import rigid_modes
-from wavequake.mechanics.prescribed import static_lift
-from wavequake.mechanics.response import displacements, respond
+from wavequake.mechanics.vibration.drive import Drive, Harmonic, ramped_sine
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.prescribed import static_lift
+from wavequake.mechanics.vibration.response import displacements, respond
 
 ALL = np.ones(9, dtype=bool)
 FORCES = np.zeros(9, dtype=bool)

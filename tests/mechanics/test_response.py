@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from truss import model, oscillator, truss
 
 from wavequake.errors import UserError
-from wavequake.mechanics.drive import Drive, Harmonic, Impulse, ramped_sine, sampled, values
-from wavequake.mechanics.modal import modal_model
-from wavequake.mechanics.response import displacements, propagate, respond
+from wavequake.mechanics.vibration.drive import Drive, Harmonic, Impulse, ramped_sine, sampled, values
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.response import displacements, propagate, respond
 
 FORCES = np.zeros(9, dtype=bool)
 ALL = np.ones(9, dtype=bool)

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from wavequake.mechanics.disturbances import draw_case
-from wavequake.mechanics.segment_history import SegmentHistory
+from wavequake.mechanics.disturbances.registry import draw_case
+from wavequake.mechanics.disturbances.segment_history import SegmentHistory
 
 FINE = SegmentHistory(name="quake", instants=2048)
 

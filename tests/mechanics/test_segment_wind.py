@@ -3,8 +3,8 @@ import pytest
 from pydantic import ValidationError
 from scipy import integrate, signal, stats
 
-from wavequake.mechanics.disturbances import analytic_rms, draw_case, generator
-from wavequake.mechanics.segment_wind import (
+from wavequake.mechanics.disturbances.registry import analytic_rms, draw_case, generator
+from wavequake.mechanics.disturbances.segment_wind import (
     SegmentWind,
     _gusts,
     compliance,

@@ -5,11 +5,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from wavequake.mechanics.excitations import Sinusoid, drive_of
-from wavequake.mechanics.mirrors import CircularMirror, circular_mirror
-from wavequake.mechanics.modal import modal_model
+from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror
 from wavequake.mechanics.model import rigid_modes
-from wavequake.mechanics.response import displacements, respond
+from wavequake.mechanics.vibration.excitations import Sinusoid, drive_of
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.response import displacements, respond
 from wavequake.reduction.reduce import reduce
 
 TIME = 1e-4 * np.arange(201)

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy import integrate, signal, special, stats
 
 from wavequake.errors import UserError
-from wavequake.mechanics.motion import RAD_PER_MAS
-from wavequake.mechanics.spectra import (
+from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
+from wavequake.mechanics.disturbances.spectra import (
     Spectrum,
     band_variance,
     banded,

@@ -4,10 +4,10 @@ import scipy.signal
 from truss import oscillator, truss
 
 from wavequake.errors import UserError
-from wavequake.mechanics.drive import Drive
-from wavequake.mechanics.modal import modal_model
-from wavequake.mechanics.response import displacements, respond
-from wavequake.mechanics.state_space import state_space
+from wavequake.mechanics.vibration.drive import Drive
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.response import displacements, respond
+from wavequake.mechanics.vibration.state_space import state_space
 
 ALL = np.ones(9, dtype=bool)
 FORCES = np.zeros(9, dtype=bool)

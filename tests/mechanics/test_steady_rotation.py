@@ -6,14 +6,14 @@ import scipy.linalg
 from test_nonlinear import BENDING, LENGTH, LINE_MASS, beam, tower
 
 from wavequake.errors import UserError
-from wavequake.mechanics.eigen import eigenmodes
-from wavequake.mechanics.flexible_body import flexible_body, from_model
-from wavequake.mechanics.floating_frame import floating_frame
-from wavequake.mechanics.linear_system import poles
-from wavequake.mechanics.mirrors import CircularMirror, circular_mirror
-from wavequake.mechanics.multibody import Bearing, Link, Place, assemble_system
-from wavequake.mechanics.nonlinear import fly, positions
-from wavequake.mechanics.steady_rotation import steady_deformation, steady_rotation
+from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror
+from wavequake.mechanics.multibody.flexible_body import flexible_body, from_model
+from wavequake.mechanics.multibody.floating_frame import floating_frame
+from wavequake.mechanics.multibody.joined import Bearing, Link, Place, assemble_system
+from wavequake.mechanics.multibody.linear_system import poles
+from wavequake.mechanics.multibody.nonlinear import fly, positions
+from wavequake.mechanics.multibody.steady_rotation import steady_deformation, steady_rotation
+from wavequake.mechanics.vibration.eigen import eigenmodes
 
 NONE = np.zeros((0, 0))
 AXES = np.array([[0.5, 0, 0], [-0.5, 0, 0], [0, 0.5, 0], [0, -0.5, 0], [0, 0, 0.2], [0, 0, -0.2]])

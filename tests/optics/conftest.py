@@ -3,8 +3,8 @@
 import pytest
 from wavefront_cases import TERMS, WAVELENGTH, quadrature_rays, sunflower_rays
 
-from wavequake.optics.prepared import prepare
-from wavequake.optics.telescopes import telescope
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.prepared import prepare
 
 
 @pytest.fixture(scope="module")

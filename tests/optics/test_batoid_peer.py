@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from wavequake.kernels.sequential_numpy import trace_sequence_numpy
-from wavequake.optics.catalog import optical_system
-from wavequake.optics.packing import moving, pack
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.ray_aiming import pupil_rays
-from wavequake.optics.system import wavelength_of
-from wavequake.optics.system_kinematics import rest_states
+from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.optics.catalog.names import optical_system
+from wavequake.optics.rays.aiming import pupil_rays
+from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import wavelength_of
 
 batoid = pytest.importorskip("batoid", reason="batoid is the extra 'bench'")
 

@@ -6,16 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY
-from wavequake.optics.bodies import Body, beam_extents, beam_radii, rigid_body, with_bodies
-from wavequake.optics.catalog import optical_system
-from wavequake.optics.kinematics import cardan
-from wavequake.optics.paraxial import entrance_pupil_center, paraxial
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.shapes import Conic
-from wavequake.optics.system import OpticalSystem, Pupil, Surface
-from wavequake.optics.system_kinematics import moved_poses, rest_states
-from wavequake.optics.system_wavefront import measure_system, prepare_system
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.optics.catalog.names import optical_system
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.shapes.shapes import Conic
+from wavequake.optics.systems.bodies import Body, beam_extents, beam_radii, rigid_body, with_bodies
+from wavequake.optics.systems.kinematics import moved_poses, rest_states
+from wavequake.optics.systems.paraxial import entrance_pupil_center, paraxial
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
+from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
 
 LENS = replace(optical_system("double-gauss"), pupil=Pupil("f_number", 8.0))
 GLASS = tuple(surface.name for surface in LENS.surfaces[:-1])

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.kernels.sequence import Rays
-from wavequake.kernels.sequential_numpy import trace_sequence_numpy
-from wavequake.optics.catalog import optical_system, system_names
-from wavequake.optics.packing import moving, pack
-from wavequake.optics.paraxial import paraxial
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.quality import spot
-from wavequake.optics.ray_aiming import pupil_rays
-from wavequake.optics.shape_sag import shape_sag
-from wavequake.optics.system import wavelength_of
-from wavequake.optics.system_kinematics import rest_states
+from wavequake.kernels.trace.sequence import Rays
+from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.optics.catalog.names import optical_system, system_names
+from wavequake.optics.rays.aiming import pupil_rays
+from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.shapes.sag import shape_sag
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.paraxial import paraxial
+from wavequake.optics.systems.system import wavelength_of
+from wavequake.optics.wavefronts.quality import spot
 
 
 def traced(system, field, count=400, states=None):

@@ -10,15 +10,19 @@ from hypothesis import strategies as st
 
 import wavequake as wq
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY, choose_device
-from wavequake.optics.bodies import rigid_body
-from wavequake.optics.catalog import optical_system, system_names
+from wavequake.kernels.device.devices import NUMPY, choose_device
+from wavequake.optics.catalog.names import optical_system, system_names
 from wavequake.optics.checks import alike, all_within, array, number, require_fields, whole
-from wavequake.optics.gradient_index import axial, luneburg, selfoc
-from wavequake.optics.media import Medium, constant, glass, refractive_index
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.shape_sag import shape_sag
-from wavequake.optics.shapes import (
+from wavequake.optics.derivatives.sensitivity import figure_sensitivity
+from wavequake.optics.media.glasses import Medium, constant, glass, refractive_index
+from wavequake.optics.media.gradients import axial, luneburg, selfoc
+from wavequake.optics.polynomials.indices import nm_to_noll
+from wavequake.optics.polynomials.transforms import expansion_matrix, transform_coefficients
+from wavequake.optics.polynomials.zernike import annular_zernike, annular_zernike_gradient, noll_to_nm
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.shapes.sag import shape_sag
+from wavequake.optics.shapes.shapes import (
     Conic,
     EvenAsphere,
     ExtendedPolynomial,
@@ -28,14 +32,10 @@ from wavequake.optics.shapes import (
     ZernikeDeformation,
     ZernikeSag,
 )
-from wavequake.optics.system import OpticalSystem, Pupil, Surface
-from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequential
-from wavequake.optics.system_sensitivity import figure_sensitivity
-from wavequake.optics.system_wavefront import measure_system, prepare_system
-from wavequake.optics.telescopes import telescope
-from wavequake.optics.zernike import annular_zernike, annular_zernike_gradient, noll_to_nm
-from wavequake.optics.zernike_indices import nm_to_noll
-from wavequake.optics.zernike_transforms import expansion_matrix, transform_coefficients
+from wavequake.optics.systems.bodies import rigid_body
+from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
+from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
 
 GREGORIAN = optical_system("gregorian")
 PUPIL = sunflower(0.0, 1.0, 60)

@@ -10,15 +10,20 @@ from hypothesis import strategies as st
 from matplotlib.path import Path
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY, list_devices
-from wavequake.kernels.sequential_numpy import on_glass
-from wavequake.kernels.tiles import TILE
-from wavequake.kernels.train import GAP, OK
-from wavequake.optics.concave import crossing, signed_distance, triangles
-from wavequake.optics.modal_derivatives import modal_model
-from wavequake.optics.packing import opening_regions
-from wavequake.optics.polygon_table import read_polygons
-from wavequake.optics.polygons import (
+from wavequake.kernels.device.devices import NUMPY, list_devices
+from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.trace.sequential_numpy import on_glass
+from wavequake.kernels.trace.train import GAP, OK
+from wavequake.optics.rays.packing import opening_regions
+from wavequake.optics.rays.pupils import PupilRays, segment_rays
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.layout import areas, candidates, segments_on_conic
+from wavequake.optics.segments.modal_derivatives import modal_model
+from wavequake.optics.segments.prepared import prepare, trace_states
+from wavequake.optics.segments.states import rest
+from wavequake.optics.shapes.concave import crossing, signed_distance, triangles
+from wavequake.optics.shapes.polygon_table import read_polygons
+from wavequake.optics.shapes.polygons import (
     centroids,
     concave,
     distance_from_origin,
@@ -26,12 +31,7 @@ from wavequake.optics.polygons import (
     polygons_at,
     signed_areas,
 )
-from wavequake.optics.prepared import prepare, trace_states
-from wavequake.optics.pupils import PupilRays, segment_rays
-from wavequake.optics.segments import areas, candidates, segments_on_conic
-from wavequake.optics.shapes import Opening
-from wavequake.optics.states import rest
-from wavequake.optics.telescopes import telescope
+from wavequake.optics.shapes.shapes import Opening
 
 L = np.array([[0, 0], [3, 0], [3, 1], [1, 1], [1, 2], [0, 2.0]])
 COMB = np.array(

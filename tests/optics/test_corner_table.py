@@ -7,15 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY, list_devices
-from wavequake.kernels.tiles import TILE
-from wavequake.kernels.train import GAP, OK
-from wavequake.optics.corner_table import distorted
-from wavequake.optics.prepared import prepare, trace_states
-from wavequake.optics.pupils import PupilRays, segment_rays
-from wavequake.optics.segments import areas, candidates, tmt18_segments
-from wavequake.optics.states import rest
-from wavequake.optics.telescopes import telescope
+from wavequake.kernels.device.devices import NUMPY, list_devices
+from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.trace.train import GAP, OK
+from wavequake.optics.rays.pupils import PupilRays, segment_rays
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.layout import areas, candidates, tmt18_segments
+from wavequake.optics.segments.prepared import prepare, trace_states
+from wavequake.optics.segments.states import rest
+from wavequake.optics.shapes.corner_table import distorted
 
 DEVICES = [NUMPY, *(device for device in list_devices() if device.kind == "cpu")][:2]
 GAP_MM = 100.0

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY, choose_device
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.shapes import Conic, ZernikeDeformation
-from wavequake.optics.system import OpticalSystem, Pupil
-from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequential
-from wavequake.optics.system_wavefront import (
+from wavequake.kernels.device.devices import NUMPY, choose_device
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.shapes.shapes import Conic, ZernikeDeformation
+from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
+from wavequake.optics.systems.system import OpticalSystem, Pupil
+from wavequake.optics.wavefronts.wavefront import (
     measure_system,
     prepare_system,
     trace_system,

@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.optics.fits import fit_instants, pupil_fit
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.zernike import annular_zernike_gradient, noll_to_nm
-from wavequake.optics.zernike_indices import nm_to_noll
-from wavequake.optics.zernike_transforms import transform_coefficients
+from wavequake.optics.polynomials.indices import nm_to_noll
+from wavequake.optics.polynomials.transforms import transform_coefficients
+from wavequake.optics.polynomials.zernike import annular_zernike_gradient, noll_to_nm
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.wavefronts.fits import fit_instants, pupil_fit
 
 PUPIL = sunflower(0.0, 1.0, 60)
 EXACT = 120  # digits: the moments' matrix of 32 powers costs 50

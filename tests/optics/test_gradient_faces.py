@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wavequake.kernels.devices import NUMPY, list_devices
-from wavequake.kernels.sequence import OK, Rays
-from wavequake.kernels.sequential import trace_sequence
-from wavequake.optics.gradient_index import luneburg, selfoc
-from wavequake.optics.media import AIR
-from wavequake.optics.packing import moving, pack
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.shapes import Conic
-from wavequake.optics.system import OpticalSystem, Pupil
-from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequential
-from wavequake.optics.system_wavefront import measure_system, prepare_system
+from wavequake.kernels.device.devices import NUMPY, list_devices
+from wavequake.kernels.trace.sequence import OK, Rays
+from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.optics.media.glasses import AIR
+from wavequake.optics.media.gradients import luneburg, selfoc
+from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.shapes.shapes import Conic
+from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
+from wavequake.optics.systems.system import OpticalSystem, Pupil
+from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 DEVICES = [NUMPY, *OPENCL, *(replace(one, kind="gpu", vector_width=1) for one in OPENCL if one.kind == "cpu")]

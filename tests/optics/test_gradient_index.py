@@ -8,19 +8,28 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY, list_devices
-from wavequake.kernels.sequence import MISS, OK, TOTAL_REFLECTION, Element, Gradient, Moving, Rays, Sequence
-from wavequake.kernels.sequential import trace_sequence
-from wavequake.optics.gradient_index import GradientIndex, axial, luneburg, selfoc
-from wavequake.optics.kinematics import cardan
-from wavequake.optics.media import AIR, constant, glass, refractive_index
-from wavequake.optics.packing import moving, pack
-from wavequake.optics.paraxial import paraxial
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.shapes import Conic, ZernikeDeformation
-from wavequake.optics.system import OpticalSystem, Pupil, Surface
-from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequential
-from wavequake.optics.system_wavefront import measure_system, prepare_system
+from wavequake.kernels.device.devices import NUMPY, list_devices
+from wavequake.kernels.trace.sequence import (
+    MISS,
+    OK,
+    TOTAL_REFLECTION,
+    Element,
+    Gradient,
+    Moving,
+    Rays,
+    Sequence,
+)
+from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.optics.media.glasses import AIR, constant, glass, refractive_index
+from wavequake.optics.media.gradients import GradientIndex, axial, luneburg, selfoc
+from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.shapes.shapes import Conic, ZernikeDeformation
+from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
+from wavequake.optics.systems.paraxial import paraxial
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
+from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]
 # A processor once more in the shape of a GPU, which has one ray for each work-item.

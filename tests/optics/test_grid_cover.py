@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 
 from wavequake import load_study
 from wavequake.errors import UserError
-from wavequake.kernels.sequence import Rays
-from wavequake.kernels.sequential_numpy import trace_sequence_numpy
-from wavequake.optics.grid_cover import require_cover
-from wavequake.optics.packing import moving, pack
-from wavequake.optics.shape_sag import shape_sag
-from wavequake.optics.shapes import Conic, GridSag, Opening
-from wavequake.optics.system import OpticalSystem, Pupil
-from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequential
-from wavequake.workflows.campaign import run
+from wavequake.kernels.trace.sequence import Rays
+from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.shapes.grid_cover import require_cover
+from wavequake.optics.shapes.sag import shape_sag
+from wavequake.optics.shapes.shapes import Conic, GridSag, Opening
+from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
+from wavequake.optics.systems.system import OpticalSystem, Pupil
+from wavequake.workflows.run import run
 from wavequake.workflows.systems.system_bench import system_bench
 
 

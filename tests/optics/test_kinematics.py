@@ -6,10 +6,10 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from wavequake.errors import UserError
-from wavequake.kernels.tiles import TILE, from_tiles
-from wavequake.optics.kinematics import cardan, field_directions, segment_poses, surface_poses
-from wavequake.optics.segmented_telescope import ConicSurface, SegmentedTelescope
-from wavequake.optics.segments import Segments
+from wavequake.kernels.device.tiles import TILE, from_tiles
+from wavequake.optics.segments.kinematics import cardan, field_directions, segment_poses, surface_poses
+from wavequake.optics.segments.layout import Segments
+from wavequake.optics.segments.telescope import ConicSurface, SegmentedTelescope
 
 FLIP = np.diag([1.0, 1.0, -1.0])
 angles = st.floats(-3.0, 3.0)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.optics.media import AIR, ALIASES, Medium, constant, glass, glasses, refractive_index
+from wavequake.optics.media.glasses import AIR, ALIASES, Medium, constant, glass, glasses, refractive_index
 
 D_LINE, F_LINE, C_LINE = 587.5618e-6, 486.1327e-6, 656.2725e-6
 BK7_1980 = (2.2718929, -1.0108077e-2, 1.0592509e-2, 2.0816965e-4, -7.6472538e-6, 4.9240991e-7)

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY, list_devices
-from wavequake.kernels.tiles import TILE
-from wavequake.optics.prepared import chief_rays, prepare, trace_states
-from wavequake.optics.pupils import PupilRays
-from wavequake.optics.segmented_telescope import footprints
-from wavequake.optics.sensitivity import sensitivities
-from wavequake.optics.states import rest
-from wavequake.optics.telescopes import telescope
-from wavequake.optics.wavefront import analyse
-from wavequake.optics.zernike import annular_zernike
+from wavequake.kernels.device.devices import NUMPY, list_devices
+from wavequake.kernels.device.tiles import TILE
+from wavequake.optics.polynomials.zernike import annular_zernike
+from wavequake.optics.rays.pupils import PupilRays
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.prepared import chief_rays, prepare, trace_states
+from wavequake.optics.segments.sensitivity import sensitivities
+from wavequake.optics.segments.states import rest
+from wavequake.optics.segments.telescope import footprints
+from wavequake.optics.segments.wavefront import analyse
 
 WAVELENGTH = 550e-6
 M1 = -1 / 60e3, -1.0009535

@@ -9,15 +9,15 @@ import pytest
 from wavefront_cases import two_of_492
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY
-from wavequake.optics import modal
-from wavequake.optics.modal_derivatives import modal_model
-from wavequake.optics.prepared import prepare, trace_states
-from wavequake.optics.pupils import PupilRays, on_glass, segment_rays, sunflower
-from wavequake.optics.slopes import slope_fit
-from wavequake.optics.states import rest
-from wavequake.optics.telescopes import telescope
-from wavequake.optics.wavefront import measure
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.optics.rays.pupils import PupilRays, on_glass, segment_rays, sunflower
+from wavequake.optics.segments import modal
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.modal_derivatives import modal_model
+from wavequake.optics.segments.prepared import prepare, trace_states
+from wavequake.optics.segments.slopes import slope_fit
+from wavequake.optics.segments.states import rest
+from wavequake.optics.segments.wavefront import measure
 
 WAVELENGTH = 550e-6
 SEGMENTS, INSTANTS, TERMS = 18, 16, 6

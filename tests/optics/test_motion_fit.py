@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.optics import motion_fit as module
-from wavequake.optics.motion_fit import figures, motion_fit
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.shapes import Conic, EvenAsphere
-from wavequake.optics.surface_fit import apply, coefficients, surface_fit
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.shapes import motion_fit as module
+from wavequake.optics.shapes.fit import apply, coefficients, surface_fit
+from wavequake.optics.shapes.motion_fit import figures, motion_fit
+from wavequake.optics.shapes.shapes import Conic, EvenAsphere
 
 RADIUS, TERMS, INSTANTS = 500.0, 21, 400
 PARABOLA = Conic(-3400.0, -1.0)

@@ -5,12 +5,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from wavequake.errors import UserError
-from wavequake.kernels.sequence import Rays
-from wavequake.kernels.sequential_numpy import on_glass, sag_and_slopes, trace_sequence_numpy
-from wavequake.optics.media import AIR, Medium
-from wavequake.optics.packing import moving, opening_regions, pack
-from wavequake.optics.shape_sag import deformation_sag, shape_sag
-from wavequake.optics.shapes import (
+from wavequake.kernels.trace.sequence import Rays
+from wavequake.kernels.trace.sequential_numpy import on_glass, sag_and_slopes, trace_sequence_numpy
+from wavequake.optics.media.glasses import AIR, Medium
+from wavequake.optics.rays.packing import moving, opening_regions, pack
+from wavequake.optics.shapes.sag import deformation_sag, shape_sag
+from wavequake.optics.shapes.shapes import (
     Conic,
     EvenAsphere,
     ExtendedPolynomial,
@@ -20,8 +20,8 @@ from wavequake.optics.shapes import (
     ZernikeDeformation,
     ZernikeSag,
 )
-from wavequake.optics.system import OpticalSystem, Pupil, Surface
-from wavequake.optics.system_kinematics import Break, SurfaceRow, rest_poses, rest_states, sequential
+from wavequake.optics.systems.kinematics import Break, SurfaceRow, rest_poses, rest_states, sequential
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
 
 RNG = np.random.default_rng(8)
 X, Y = RNG.uniform(-28.0, 28.0, (2, 60))

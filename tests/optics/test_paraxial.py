@@ -7,14 +7,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY
-from wavequake.optics.media import Medium, constant
-from wavequake.optics.paraxial import entrance_pupil_center, paraxial
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.shapes import Conic, EvenAsphere, GridDeformation, ZernikeDeformation
-from wavequake.optics.system import OpticalSystem, Pupil, Surface
-from wavequake.optics.system_kinematics import Break, SurfaceRow, rest_states, sequential
-from wavequake.optics.system_wavefront import measure_system, prepare_system
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.optics.media.glasses import Medium, constant
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.shapes.shapes import Conic, EvenAsphere, GridDeformation, ZernikeDeformation
+from wavequake.optics.systems.kinematics import Break, SurfaceRow, rest_states, sequential
+from wavequake.optics.systems.paraxial import entrance_pupil_center, paraxial
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
+from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
 
 GLASS = Medium("glass", "constant", (1.5,))
 WATER = Medium("water", "constant", (1.33,))

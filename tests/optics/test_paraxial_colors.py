@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.optics.media import glass
-from wavequake.optics.paraxial import paraxial
-from wavequake.optics.shapes import Conic
-from wavequake.optics.system import OpticalSystem, Pupil
-from wavequake.optics.system_kinematics import SurfaceRow, sequential
+from wavequake.optics.media.glasses import glass
+from wavequake.optics.shapes.shapes import Conic
+from wavequake.optics.systems.kinematics import SurfaceRow, sequential
+from wavequake.optics.systems.paraxial import paraxial
+from wavequake.optics.systems.system import OpticalSystem, Pupil
 
 
 @pytest.mark.parametrize(

@@ -1,17 +1,17 @@
 import numpy as np
 import pytest
 
-from wavequake.kernels.sequential_numpy import trace_sequence_numpy
-from wavequake.optics.packing import moving, pack
-from wavequake.optics.paraxial import paraxial
-from wavequake.optics.parent import parent_system
-from wavequake.optics.ray_aiming import pupil_rays
-from wavequake.optics.segmented_telescope import Row, SegmentedTelescope, first_order, sequential_surfaces
-from wavequake.optics.segments import segments_on_conic
-from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.telescopes import telescope
-from wavequake.optics.zemax_export import write_zmx
-from wavequake.optics.zemax_import import read_zmx
+from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.optics.rays.aiming import pupil_rays
+from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.layout import segments_on_conic
+from wavequake.optics.segments.parent import parent_system
+from wavequake.optics.segments.telescope import Row, SegmentedTelescope, first_order, sequential_surfaces
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.paraxial import paraxial
+from wavequake.optics.zemax.export import write_zmx
+from wavequake.optics.zemax.read import read_zmx
 
 
 @pytest.mark.parametrize("name", ["tmt", "tmt-18", "tmt-thesis", "jwst"])

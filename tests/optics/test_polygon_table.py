@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.optics.polygon_table import read_polygons
+from wavequake.optics.shapes.polygon_table import read_polygons
 
 HEADER = "id,x1_m,y1_m,x2_m,y2_m,x3_m,y3_m,x4_m,y4_m\n"
 SQUARE = "A,0,0,1,0,1,1,0,1\n"

@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavequake.optics.polygons import (
+from wavequake.optics.segments.layout import jwst_segments, tmt18_segments, tmt_segments
+from wavequake.optics.shapes.polygons import (
     centroids,
     distance_from_origin,
     edge_lines,
@@ -13,7 +14,6 @@ from wavequake.optics.polygons import (
     protrusion,
     signed_areas,
 )
-from wavequake.optics.segments import jwst_segments, tmt18_segments, tmt_segments
 
 SETS = {
     "tmt": tmt_segments().corners,

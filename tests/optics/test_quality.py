@@ -9,13 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY
-from wavequake.kernels.tiles import TILE, from_tiles
-from wavequake.optics.prepared import prepare, trace_states
-from wavequake.optics.pupils import PupilRays, sunflower
-from wavequake.optics.quality import meets_marechal, meets_rayleigh, peak_to_valley, spot
-from wavequake.optics.states import rest
-from wavequake.optics.telescopes import telescope
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.kernels.device.tiles import TILE, from_tiles
+from wavequake.optics.rays.pupils import PupilRays, sunflower
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.prepared import prepare, trace_states
+from wavequake.optics.segments.states import rest
+from wavequake.optics.wavefronts.quality import meets_marechal, meets_rayleigh, peak_to_valley, spot
 
 REFERENCE = Path(__file__).parents[1] / "data" / "tmt_optics.json"
 

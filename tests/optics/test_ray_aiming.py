@@ -6,16 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.kernels.sequential_numpy import trace_sequence_numpy
-from wavequake.optics.catalog import optical_system, system_names
-from wavequake.optics.kinematics import cardan
-from wavequake.optics.media import Medium
-from wavequake.optics.packing import moving, pack
-from wavequake.optics.paraxial import paraxial
-from wavequake.optics.ray_aiming import pupil_rays
-from wavequake.optics.shapes import Conic, EvenAsphere, Opening
-from wavequake.optics.system import OpticalSystem, Pupil, Surface
-from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequential
+from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.optics.catalog.names import optical_system, system_names
+from wavequake.optics.media.glasses import Medium
+from wavequake.optics.rays.aiming import pupil_rays
+from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.shapes.shapes import Conic, EvenAsphere, Opening
+from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
+from wavequake.optics.systems.paraxial import paraxial
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
 
 GLASS = Medium("glass", "constant", (1.5,))
 X, Y = np.random.default_rng(4).uniform(-0.7, 0.7, (2, 30))

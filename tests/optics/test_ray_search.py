@@ -7,18 +7,23 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY
-from wavequake.kernels.sequence import TOTAL_REFLECTION, VIGNETTED
-from wavequake.optics.catalog import optical_system
-from wavequake.optics.media import Medium, refractive_index
-from wavequake.optics.paraxial import paraxial
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.ray_aiming import aimed_rays, pupil_rays
-from wavequake.optics.shapes import Conic, Opening
-from wavequake.optics.system import OpticalSystem, Pupil
-from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequential
-from wavequake.optics.system_wavefront import measure_system, prepare_system, with_fitted_sphere, with_slopes
-from wavequake.optics.zemax_import import read_zmx
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.kernels.trace.sequence import TOTAL_REFLECTION, VIGNETTED
+from wavequake.optics.catalog.names import optical_system
+from wavequake.optics.media.glasses import Medium, refractive_index
+from wavequake.optics.rays.aiming import aimed_rays, pupil_rays
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.shapes.shapes import Conic, Opening
+from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
+from wavequake.optics.systems.paraxial import paraxial
+from wavequake.optics.systems.system import OpticalSystem, Pupil
+from wavequake.optics.wavefronts.wavefront import (
+    measure_system,
+    prepare_system,
+    with_fitted_sphere,
+    with_slopes,
+)
+from wavequake.optics.zemax.read import read_zmx
 
 TRIPLET = read_zmx(Path(__file__).parents[1] / "data" / "cooke_triplet.zmx")
 GLASS = Medium("glass", "constant", (1.5,))

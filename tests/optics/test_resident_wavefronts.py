@@ -9,25 +9,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wavefront_cases import states_of
 
-from wavequake.kernels import resident, segmented, sequential
-from wavequake.kernels.devices import NUMPY, Device, list_devices
-from wavequake.kernels.launches import kernel_launches, launches_since
-from wavequake.kernels.resident import device_of
-from wavequake.kernels.tiles import TILE
-from wavequake.optics.catalog import optical_system
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.shapes import Opening
-from wavequake.optics.slopes import slope_fit
-from wavequake.optics.sphere_fit import reference_fit
-from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import (
+from wavequake.kernels.device import resident
+from wavequake.kernels.device.devices import NUMPY, Device, list_devices
+from wavequake.kernels.device.launches import kernel_launches, launches_since
+from wavequake.kernels.device.resident import device_of
+from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.trace import segmented, sequential
+from wavequake.optics.catalog.names import optical_system
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.segments.slopes import slope_fit
+from wavequake.optics.segments.wavefront import measure
+from wavequake.optics.shapes.shapes import Opening
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.wavefronts.sphere_fit import reference_fit
+from wavequake.optics.wavefronts.wavefront import (
     measure_system,
     prepare_system,
     trace_system,
     with_fitted_sphere,
     with_slopes,
 )
-from wavequake.optics.wavefront import measure
 
 CPU = next((device for device in list_devices() if device.kind == "cpu"), None)
 pytestmark = pytest.mark.skipif(CPU is None, reason="needs an OpenCL processor, which poses as a GPU")

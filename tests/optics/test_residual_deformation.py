@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY, choose_device
-from wavequake.optics.packing import moving, pack
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.shape_sag import deformation_sag
-from wavequake.optics.shapes import Conic, GridDeformation, ZernikeDeformation
-from wavequake.optics.surface_fit import coefficients, heights, residual, residual_grid, surface_fit
-from wavequake.optics.system import OpticalSystem, Pupil, Surface
-from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import prepare_system, trace_system
+from wavequake.kernels.device.devices import NUMPY, choose_device
+from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.shapes.fit import coefficients, heights, residual, residual_grid, surface_fit
+from wavequake.optics.shapes.sag import deformation_sag
+from wavequake.optics.shapes.shapes import Conic, GridDeformation, ZernikeDeformation
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
+from wavequake.optics.wavefronts.wavefront import prepare_system, trace_system
 
 A, F, TERMS = 100.0, 2000.0, 15
 GRID = GridDeformation(61, 81, 2.6, 3.5)

@@ -5,16 +5,16 @@ import pytest
 from pydantic import ValidationError
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY
-from wavequake.kernels.sequence import Rays
-from wavequake.kernels.sequential_numpy import trace_sequence_numpy
-from wavequake.optics.packing import moving, pack
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.sag_file import read_sag
-from wavequake.optics.shapes import GridSag
-from wavequake.optics.system_file import SystemSection, build, embed_file
-from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import measure_system, prepare_system
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.kernels.trace.sequence import Rays
+from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.shapes.sag_file import read_sag
+from wavequake.optics.shapes.shapes import GridSag
+from wavequake.optics.systems.file import SystemSection, build, embed_file
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
 
 HEIGHTS = np.arange(30.0).reshape(5, 6) ** 2 / 1e3
 
@@ -177,7 +177,7 @@ def test_a_spacing_is_given_once(tmp_path):
 
 def test_a_rod_of_varying_index_in_a_table():
     """f = 1 / (n0 g sin g L) with g = 0.05 per mm: n^2 = 2.56 (1 - g^2 r^2)."""
-    from wavequake.optics.paraxial import paraxial
+    from wavequake.optics.systems.paraxial import paraxial
 
     rod = {
         "entrance_diameter_mm": 1.0,

@@ -6,15 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.optics.segmented_telescope import (
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.layout import monolithic
+from wavequake.optics.segments.telescope import (
     Row,
     SegmentedTelescope,
     first_order,
     sequential_surfaces,
     surface_transforms,
 )
-from wavequake.optics.segments import monolithic
-from wavequake.optics.telescopes import telescope
 
 PLANE = float("inf")
 

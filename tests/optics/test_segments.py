@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.optics.segments import (
+from wavequake.optics.segments.layout import (
     areas,
     candidates,
     half_planes,

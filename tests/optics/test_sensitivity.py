@@ -7,16 +7,16 @@ import pytest
 from wavefront_cases import two_of_492
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY
-from wavequake.kernels.tiles import TILE
-from wavequake.optics.prepared import prepare
-from wavequake.optics.pupils import PupilRays, on_glass, sunflower
-from wavequake.optics.segmented_telescope import ConicSurface
-from wavequake.optics.sensitivity import DOFS, Steps, sensitivities
-from wavequake.optics.sphere_fit import reference_fit
-from wavequake.optics.states import rest
-from wavequake.optics.telescopes import telescope
-from wavequake.optics.wavefront import measure
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.kernels.device.tiles import TILE
+from wavequake.optics.rays.pupils import PupilRays, on_glass, sunflower
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.prepared import prepare
+from wavequake.optics.segments.sensitivity import DOFS, Steps, sensitivities
+from wavequake.optics.segments.states import rest
+from wavequake.optics.segments.telescope import ConicSurface
+from wavequake.optics.segments.wavefront import measure
+from wavequake.optics.wavefronts.sphere_fit import reference_fit
 
 DATA = Path(__file__).parents[1] / "data"
 WAVELENGTH = 550e-6

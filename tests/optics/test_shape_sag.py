@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.optics.shape_sag import deformation_sag, shape_sag, vertex_curvature
-from wavequake.optics.shapes import (
+from wavequake.optics.shapes.sag import deformation_sag, shape_sag, vertex_curvature
+from wavequake.optics.shapes.shapes import (
     Conic,
     EvenAsphere,
     ExtendedPolynomial,

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from sky_tracer import glass, huygens, jwst, tmt, whole
 
+from wavequake.campaign.contract import DONE
 from wavequake.errors import UserError
-from wavequake.kernels.devices import choose_device, list_devices
-from wavequake.mechanics.motion import still
-from wavequake.optics.prepared import trace_states
-from wavequake.workflows.contract import DONE
+from wavequake.kernels.device.devices import choose_device, list_devices
+from wavequake.mechanics.disturbances.motion import still
+from wavequake.optics.segments.prepared import trace_states
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.segment_study import SegmentStudy as Study

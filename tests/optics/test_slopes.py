@@ -5,18 +5,18 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY
-from wavequake.kernels.tiles import TILE
-from wavequake.kernels.train import MISS
-from wavequake.optics.prepared import chief_rays, prepare, trace_states
-from wavequake.optics.pupils import PupilRays, sunflower
-from wavequake.optics.segmented_telescope import Row, SegmentedTelescope, sequential_surfaces
-from wavequake.optics.segments import monolithic
-from wavequake.optics.slopes import slope_fit, wavefront_from_slopes
-from wavequake.optics.states import rest
-from wavequake.optics.telescopes import telescope
-from wavequake.optics.wavefront import analyse
-from wavequake.optics.zernike import annular_zernike
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.trace.train import MISS
+from wavequake.optics.polynomials.zernike import annular_zernike
+from wavequake.optics.rays.pupils import PupilRays, sunflower
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.layout import monolithic
+from wavequake.optics.segments.prepared import chief_rays, prepare, trace_states
+from wavequake.optics.segments.slopes import slope_fit, wavefront_from_slopes
+from wavequake.optics.segments.states import rest
+from wavequake.optics.segments.telescope import Row, SegmentedTelescope, sequential_surfaces
+from wavequake.optics.segments.wavefront import analyse
 
 WAVELENGTH = 550e-6
 FIVE_ARCMIN = np.deg2rad(5 / 60)

@@ -7,15 +7,15 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from wavequake.kernels.devices import NUMPY
-from wavequake.kernels.tiles import TILE
-from wavequake.optics.prepared import chief_rays, prepare, trace_states
-from wavequake.optics.pupils import PupilRays
-from wavequake.optics.slopes import sphere_points
-from wavequake.optics.sphere_fit import fit_sphere, reference_fit
-from wavequake.optics.states import rest
-from wavequake.optics.telescopes import telescope
-from wavequake.optics.wavefront import analyse
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.kernels.device.tiles import TILE
+from wavequake.optics.rays.pupils import PupilRays
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.prepared import chief_rays, prepare, trace_states
+from wavequake.optics.segments.slopes import sphere_points
+from wavequake.optics.segments.states import rest
+from wavequake.optics.segments.wavefront import analyse
+from wavequake.optics.wavefronts.sphere_fit import fit_sphere, reference_fit
 
 
 def cap(center, radius, sine, count=60, seed=0):

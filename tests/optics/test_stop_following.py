@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wavequake.kernels.devices import NUMPY
-from wavequake.kernels.sequence import Moving
-from wavequake.kernels.sequential_numpy import trace_sequence_numpy
-from wavequake.optics.catalog import optical_system
-from wavequake.optics.kinematics import cardan
-from wavequake.optics.packing import moving
-from wavequake.optics.paraxial import paraxial
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.shapes import Conic, Opening, ZernikeDeformation
-from wavequake.optics.stop_following import follow_stop, stays
-from wavequake.optics.system import OpticalSystem, Pupil
-from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequential
-from wavequake.optics.system_wavefront import incoming_light, measure_system, prepare_system
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.kernels.trace.sequence import Moving
+from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.optics.catalog.names import optical_system
+from wavequake.optics.rays.packing import moving
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.rays.stop_following import follow_stop, stays
+from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.shapes.shapes import Conic, Opening, ZernikeDeformation
+from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
+from wavequake.optics.systems.paraxial import paraxial
+from wavequake.optics.systems.system import OpticalSystem, Pupil
+from wavequake.optics.wavefronts.wavefront import incoming_light, measure_system, prepare_system
 
 POINTS = sunflower(0.0, 1.0, 120)
 LENSES = ["double-gauss", "six-lens", "euv", "gregorian"]

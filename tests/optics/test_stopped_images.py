@@ -6,9 +6,9 @@ from scipy.optimize import brentq
 from scipy.special import j0, j1
 from sky_tracer import Tracer, glass, huygens, whole
 
-from wavequake.kernels.devices import list_devices
-from wavequake.mechanics.motion import still
-from wavequake.workflows.contract import DONE
+from wavequake.campaign.contract import DONE
+from wavequake.kernels.device.devices import list_devices
+from wavequake.mechanics.disturbances.motion import still
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.segment_study import SegmentStudy

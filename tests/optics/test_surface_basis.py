@@ -7,11 +7,11 @@ from gram_schmidt import gram_schmidt
 from scipy.interpolate import RectBivariateSpline
 
 from wavequake.errors import UserError
-from wavequake.kernels.grid_numpy import spline_grid
-from wavequake.kernels.polynomial_numpy import polynomial
-from wavequake.kernels.sequence import Grid, Ring
-from wavequake.optics.surface_basis import spline_coefficients, zernike_basis
-from wavequake.optics.zernike import annular_zernike_gradient, noll_to_nm
+from wavequake.kernels.trace.grid_numpy import spline_grid
+from wavequake.kernels.trace.polynomial_numpy import polynomial
+from wavequake.kernels.trace.sequence import Grid, Ring
+from wavequake.optics.polynomials.zernike import annular_zernike_gradient, noll_to_nm
+from wavequake.optics.shapes.basis import spline_coefficients, zernike_basis
 
 RNG = np.random.default_rng(11)
 

@@ -9,13 +9,13 @@ from itertools import product
 import numpy as np
 import pytest
 
-from wavequake.kernels.devices import list_devices
-from wavequake.kernels.sequence import OK, Rays
-from wavequake.kernels.sequential import trace_sequence
-from wavequake.optics.media import AIR, constant
-from wavequake.optics.packing import moving, pack
-from wavequake.optics.shape_sag import deformation_sag, shape_sag
-from wavequake.optics.shapes import (
+from wavequake.kernels.device.devices import list_devices
+from wavequake.kernels.trace.sequence import OK, Rays
+from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.optics.media.glasses import AIR, constant
+from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.shapes.sag import deformation_sag, shape_sag
+from wavequake.optics.shapes.shapes import (
     Conic,
     EvenAsphere,
     ExtendedPolynomial,
@@ -24,7 +24,7 @@ from wavequake.optics.shapes import (
     ZernikeDeformation,
     ZernikeSag,
 )
-from wavequake.optics.system import OpticalSystem, Pupil, Surface, SystemStates
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface, SystemStates
 
 RNG = np.random.default_rng(11)
 SHAPES = {

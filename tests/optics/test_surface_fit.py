@@ -7,12 +7,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from wavequake.errors import UserError
-from wavequake.mechanics.eigen import eigenmodes
-from wavequake.mechanics.mirrors import CircularMirror, circular_mirror
-from wavequake.optics.kinematics import cardan
-from wavequake.optics.shape_sag import deformation_sag
-from wavequake.optics.shapes import Conic, EvenAsphere, GridDeformation
-from wavequake.optics.surface_fit import (
+from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror
+from wavequake.mechanics.vibration.eigen import eigenmodes
+from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.shapes.fit import (
     apply,
     coefficients,
     heights,
@@ -23,6 +21,8 @@ from wavequake.optics.surface_fit import (
     separate_pose,
     surface_fit,
 )
+from wavequake.optics.shapes.sag import deformation_sag
+from wavequake.optics.shapes.shapes import Conic, EvenAsphere, GridDeformation
 
 A = 500.0
 PARABOLA = Conic(3400.0, -1.0)

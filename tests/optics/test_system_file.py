@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from wavequake.errors import UserError
-from wavequake.kernels.sequence import Rays
-from wavequake.kernels.sequential_numpy import trace_sequence_numpy
-from wavequake.optics.catalog import optical_system
-from wavequake.optics.media import constant, glass
-from wavequake.optics.packing import moving, pack
-from wavequake.optics.shapes import (
+from wavequake.kernels.trace.sequence import Rays
+from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.optics.catalog.names import optical_system
+from wavequake.optics.media.glasses import constant, glass
+from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.shapes.shapes import (
     Conic,
     EvenAsphere,
     ExtendedPolynomial,
@@ -22,10 +22,10 @@ from wavequake.optics.shapes import (
     ZernikeDeformation,
     ZernikeSag,
 )
-from wavequake.optics.system import Pupil
-from wavequake.optics.system_file import SystemSection, build, embed_file
-from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.zemax_import import read_zmx
+from wavequake.optics.systems.file import SystemSection, build, embed_file
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import Pupil
+from wavequake.optics.zemax.read import read_zmx
 
 COOKE = Path(__file__).parents[1] / "data" / "cooke_triplet.zmx"
 

@@ -5,15 +5,15 @@ import pytest
 from scipy.special import jn_zeros
 
 from wavequake.errors import UserError
-from wavequake.optics.catalog import optical_system
-from wavequake.optics.media import Medium
-from wavequake.optics.packing import pack
-from wavequake.optics.parent import parent_system
-from wavequake.optics.shapes import Conic, EvenAsphere, Opening, ZernikeDeformation
-from wavequake.optics.system import OpticalSystem, Pupil, Surface
-from wavequake.optics.system_info import info
-from wavequake.optics.system_kinematics import Break, SurfaceRow, sequential
-from wavequake.optics.telescopes import telescope
+from wavequake.optics.catalog.names import optical_system
+from wavequake.optics.media.glasses import Medium
+from wavequake.optics.rays.packing import pack
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.parent import parent_system
+from wavequake.optics.shapes.shapes import Conic, EvenAsphere, Opening, ZernikeDeformation
+from wavequake.optics.systems.info import info
+from wavequake.optics.systems.kinematics import Break, SurfaceRow, sequential
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
 
 
 def line_of(text, start):

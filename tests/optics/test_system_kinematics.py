@@ -5,9 +5,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from wavequake.errors import UserError
-from wavequake.optics.shapes import Conic, GridDeformation, ZernikeDeformation
-from wavequake.optics.system import OpticalSystem, Pupil, Surface
-from wavequake.optics.system_kinematics import (
+from wavequake.optics.shapes.shapes import Conic, GridDeformation, ZernikeDeformation
+from wavequake.optics.systems.kinematics import (
     Break,
     SurfaceRow,
     absolute_poses,
@@ -19,6 +18,7 @@ from wavequake.optics.system_kinematics import (
     rest_states,
     sequential,
 )
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
 
 seeds = st.integers(0, 2**32 - 1)
 

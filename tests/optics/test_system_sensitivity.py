@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY
-from wavequake.optics.bodies import rigid_body
-from wavequake.optics.catalog import optical_system
-from wavequake.optics.catalog_lenses import TABLE_5_1
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.sensitivity import DOFS, Steps
-from wavequake.optics.shapes import Conic, Opening, ZernikeDeformation
-from wavequake.optics.system import OpticalSystem, Pupil, Surface
-from wavequake.optics.system_sensitivity import figure_sensitivity, rigid_sensitivity
-from wavequake.optics.system_wavefront import prepare_system
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.optics.catalog.lenses import TABLE_5_1
+from wavequake.optics.catalog.names import optical_system
+from wavequake.optics.derivatives.sensitivity import figure_sensitivity, rigid_sensitivity
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.segments.sensitivity import DOFS, Steps
+from wavequake.optics.shapes.shapes import Conic, Opening, ZernikeDeformation
+from wavequake.optics.systems.bodies import rigid_body
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
+from wavequake.optics.wavefronts.wavefront import prepare_system
 from wavequake.workflows.systems.system_bench import deformable
 
 DATA = json.loads((Path(__file__).parents[1] / "data" / "tmt_optics.json").read_text())

@@ -5,16 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wavequake.kernels.devices import NUMPY
-from wavequake.kernels.sequence import MISS
-from wavequake.kernels.sequential import trace_sequence
-from wavequake.optics.catalog import optical_system, system_names
-from wavequake.optics.media import constant
-from wavequake.optics.shapes import Conic, Opening
-from wavequake.optics.sphere_fit import fit_sphere
-from wavequake.optics.system import OpticalSystem, Pupil, Surface
-from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import (
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.kernels.trace.sequence import MISS
+from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.optics.catalog.names import optical_system, system_names
+from wavequake.optics.media.glasses import constant
+from wavequake.optics.polynomials.zernike import annular_zernike
+from wavequake.optics.shapes.shapes import Conic, Opening
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
+from wavequake.optics.wavefronts.sphere_fit import fit_sphere
+from wavequake.optics.wavefronts.wavefront import (
     analyse_system,
     incoming_light,
     line_of_sight,
@@ -24,7 +25,6 @@ from wavequake.optics.system_wavefront import (
     with_fitted_sphere,
     with_slopes,
 )
-from wavequake.optics.zernike import annular_zernike
 
 SEMI_MAJOR, ECCENTRICITY, INDEX, RADIUS = 100.0, 0.5, 1.5, 30.0
 NEAR = SEMI_MAJOR * (1 - ECCENTRICITY)  # of the mirror's vertex from its second focus: the image

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY
-from wavequake.optics.catalog import optical_system
-from wavequake.optics.fits import fit_instants
-from wavequake.optics.media import constant
-from wavequake.optics.parent import parent_system
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.shapes import Conic, Opening, ZernikeDeformation
-from wavequake.optics.system import OpticalSystem, Pupil, Surface, SystemStates
-from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequential
-from wavequake.optics.system_wavefront import measure_system, prepare_system, trace_system
-from wavequake.optics.telescopes import telescope
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.optics.catalog.names import optical_system
+from wavequake.optics.media.glasses import constant
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.parent import parent_system
+from wavequake.optics.shapes.shapes import Conic, Opening, ZernikeDeformation
+from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface, SystemStates
+from wavequake.optics.wavefronts.fits import fit_instants
+from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system, trace_system
 
 DATA = json.loads((Path(__file__).parents[1] / "data" / "tmt_optics.json").read_text())
 FOCAL_LENGTH, RADIUS = 1700.0, 500.0

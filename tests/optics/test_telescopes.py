@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.kernels.segmented import SegmentedTrain, trace_chief
-from wavequake.kernels.tiles import TILE
-from wavequake.optics.segmented_telescope import SegmentedTelescope, first_order, surface_transforms
-from wavequake.optics.segments import half_planes, tmt18_segments
-from wavequake.optics.telescopes import telescope
+from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.trace.segmented import SegmentedTrain, trace_chief
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.layout import half_planes, tmt18_segments
+from wavequake.optics.segments.telescope import SegmentedTelescope, first_order, surface_transforms
 
 NAMES = ["tmt", "tmt-18", "tmt-thesis", "jwst"]
 SURFACES = [
@@ -20,7 +20,7 @@ SURFACES = [
 
 
 def jwst_table():
-    return StringIO(files("wavequake.optics").joinpath("jwst_segments.csv").read_text())
+    return StringIO(files("wavequake.optics.segments").joinpath("jwst_segments.csv").read_text())
 
 
 def axial_rays(system: SegmentedTelescope, heights):

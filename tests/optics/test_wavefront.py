@@ -7,15 +7,15 @@ from hypothesis import strategies as st
 from wavefront_cases import TERMS, WAVELENGTH, each_device, states_of
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY, list_devices
-from wavequake.kernels.tiles import TILE, to_tiles
-from wavequake.kernels.train import Traced
-from wavequake.optics.prepared import chief_rays, prepare, trace_states
-from wavequake.optics.pupils import PupilRays
-from wavequake.optics.states import rest
-from wavequake.optics.telescopes import telescope
-from wavequake.optics.wavefront import analyse, measure
-from wavequake.optics.zernike import annular_zernike
+from wavequake.kernels.device.devices import NUMPY, list_devices
+from wavequake.kernels.device.tiles import TILE, to_tiles
+from wavequake.kernels.trace.train import Traced
+from wavequake.optics.polynomials.zernike import annular_zernike
+from wavequake.optics.rays.pupils import PupilRays
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.prepared import chief_rays, prepare, trace_states
+from wavequake.optics.segments.states import rest
+from wavequake.optics.segments.wavefront import analyse, measure
 
 
 def synthetic(prepared, waves, tiles=1):

@@ -14,11 +14,11 @@ from wavefront_cases import (
     states_of,
 )
 
-from wavequake.kernels.tiles import TILE, from_tiles
-from wavequake.optics.prepared import chief_rays, prepare, trace_states
-from wavequake.optics.pupils import PupilRays
-from wavequake.optics.telescopes import telescope
-from wavequake.optics.wavefront import analyse, los_eq339, measure
+from wavequake.kernels.device.tiles import TILE, from_tiles
+from wavequake.optics.rays.pupils import PupilRays
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.prepared import chief_rays, prepare, trace_states
+from wavequake.optics.segments.wavefront import analyse, los_eq339, measure
 
 
 @each_device

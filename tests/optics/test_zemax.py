@@ -7,21 +7,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.kernels.sequence import Rays
-from wavequake.kernels.sequential_numpy import on_glass, trace_sequence_numpy
-from wavequake.optics.kinematics import cardan
-from wavequake.optics.media import AIR, glass, refractive_index
-from wavequake.optics.packing import moving, opening_regions, pack
-from wavequake.optics.shapes import (
+from wavequake.kernels.trace.sequence import Rays
+from wavequake.kernels.trace.sequential_numpy import on_glass, trace_sequence_numpy
+from wavequake.optics.media.glasses import AIR, glass, refractive_index
+from wavequake.optics.polynomials.zernike import annular_zernike
+from wavequake.optics.rays.packing import moving, opening_regions, pack
+from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.shapes.shapes import (
     Opening,
     ZernikeSag,
 )
-from wavequake.optics.system import Pupil, require_system
-from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.zemax_export import zmx_text
-from wavequake.optics.zemax_import import parse_zmx, read_zmx
-from wavequake.optics.zemax_surfaces import cardan_angles
-from wavequake.optics.zernike import annular_zernike
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import Pupil, require_system
+from wavequake.optics.zemax.export import zmx_text
+from wavequake.optics.zemax.read import parse_zmx, read_zmx
+from wavequake.optics.zemax.surfaces import cardan_angles
 
 COOKE = Path(__file__).parents[1] / "data" / "cooke_triplet.zmx"
 

@@ -9,18 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.kernels.sequence import Rays
-from wavequake.kernels.sequential_numpy import trace_sequence_numpy
-from wavequake.optics.catalog import optical_system, system_names
-from wavequake.optics.gradient_index import selfoc
-from wavequake.optics.kinematics import cardan
-from wavequake.optics.media import AIR, constant, glass, glasses
-from wavequake.optics.packing import moving, pack
-from wavequake.optics.paraxial import paraxial
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.ray_aiming import pupil_rays
-from wavequake.optics.shape_sag import shape_sag
-from wavequake.optics.shapes import (
+from wavequake.kernels.trace.sequence import Rays
+from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.optics.catalog.names import optical_system, system_names
+from wavequake.optics.media.glasses import AIR, constant, glass, glasses
+from wavequake.optics.media.gradients import selfoc
+from wavequake.optics.rays.aiming import pupil_rays
+from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.shapes.sag import shape_sag
+from wavequake.optics.shapes.shapes import (
     Conic,
     EvenAsphere,
     ExtendedPolynomial,
@@ -29,11 +28,12 @@ from wavequake.optics.shapes import (
     ZernikeDeformation,
     ZernikeSag,
 )
-from wavequake.optics.system import OpticalSystem, Pupil, Surface
-from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.zemax_export import write_zmx, zmx_text
-from wavequake.optics.zemax_import import parse_zmx, read_zmx
-from wavequake.optics.zemax_surfaces import spider
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.paraxial import paraxial
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
+from wavequake.optics.zemax.export import write_zmx, zmx_text
+from wavequake.optics.zemax.read import parse_zmx, read_zmx
+from wavequake.optics.zemax.surfaces import spider
 
 COOKE = Path(__file__).parents[1] / "data" / "cooke_triplet.zmx"
 

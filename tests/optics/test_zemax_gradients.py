@@ -8,18 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.kernels.sequence import OK, Rays
-from wavequake.kernels.sequential_numpy import trace_sequence_numpy
-from wavequake.optics.gradient_index import GradientIndex, axial, luneburg, selfoc
-from wavequake.optics.kinematics import cardan
-from wavequake.optics.media import AIR, constant, glass
-from wavequake.optics.packing import moving, pack
-from wavequake.optics.paraxial import paraxial
-from wavequake.optics.shapes import Conic, EvenAsphere, Opening
-from wavequake.optics.system import OpticalSystem, Pupil
-from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequential
-from wavequake.optics.zemax_export import zmx_text
-from wavequake.optics.zemax_import import parse_zmx
+from wavequake.kernels.trace.sequence import OK, Rays
+from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.optics.media.glasses import AIR, constant, glass
+from wavequake.optics.media.gradients import GradientIndex, axial, luneburg, selfoc
+from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.shapes.shapes import Conic, EvenAsphere, Opening
+from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
+from wavequake.optics.systems.paraxial import paraxial
+from wavequake.optics.systems.system import OpticalSystem, Pupil
+from wavequake.optics.zemax.export import zmx_text
+from wavequake.optics.zemax.read import parse_zmx
 
 N0, G = 1.6, 0.05
 

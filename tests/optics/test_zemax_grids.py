@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.kernels.sequence import Rays
-from wavequake.kernels.sequential_numpy import trace_sequence_numpy
-from wavequake.optics.packing import moving, pack
-from wavequake.optics.shape_sag import shape_sag
-from wavequake.optics.shapes import Conic, GridSag
-from wavequake.optics.system import OpticalSystem, Pupil
-from wavequake.optics.system_kinematics import SurfaceRow, rest_states, sequential
-from wavequake.optics.zemax_export import zmx_text
-from wavequake.optics.zemax_import import parse_zmx
+from wavequake.kernels.trace.sequence import Rays
+from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.shapes.sag import shape_sag
+from wavequake.optics.shapes.shapes import Conic, GridSag
+from wavequake.optics.systems.kinematics import SurfaceRow, rest_states, sequential
+from wavequake.optics.systems.system import OpticalSystem, Pupil
+from wavequake.optics.zemax.export import zmx_text
+from wavequake.optics.zemax.read import parse_zmx
 
 
 def file(*lines, unit="MM"):

@@ -6,8 +6,8 @@ import pytest
 
 from wavequake import load_study
 from wavequake.errors import UserError
-from wavequake.optics.zemax_import import parse_zmx, read_zmx
-from wavequake.workflows.campaign import notices
+from wavequake.optics.zemax.read import parse_zmx, read_zmx
+from wavequake.workflows.run import notices
 
 COOKE = Path(__file__).parents[1] / "data" / "cooke_triplet.zmx"
 # What a current version writes before the surfaces, as far as it changes no light.

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.optics.zernike import annular_zernike, circular_zernike_xy, noll_to_nm
+from wavequake.optics.polynomials.zernike import annular_zernike, circular_zernike_xy, noll_to_nm
 
 REFERENCE = json.loads((Path(__file__).parents[1] / "data" / "zernike_annular.json").read_text())
 

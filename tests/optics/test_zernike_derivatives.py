@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.optics.zernike import annular_zernike, annular_zernike_gradient, noll_to_nm
+from wavequake.optics.polynomials.zernike import annular_zernike, annular_zernike_gradient, noll_to_nm
 
 TERMS = 231  # up to degree 20
 

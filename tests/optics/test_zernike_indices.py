@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.optics.zernike import annular_zernike, noll_to_nm
-from wavequake.optics.zernike_indices import (
+from wavequake.optics.polynomials.indices import (
     ansi_to_nm,
     convert_coefficients,
     fringe_to_nm,
@@ -16,6 +15,7 @@ from wavequake.optics.zernike_indices import (
     nm_to_noll,
     peak_amplitude,
 )
+from wavequake.optics.polynomials.zernike import annular_zernike, noll_to_nm
 
 # As tabulated by the standards, m < 0 for the sine.
 NOLL = "0,0 1,1 1,-1 2,0 2,-2 2,2 3,-1 3,1 3,-3 3,3 4,0 4,2 4,-2 4,4 4,-4 5,1 5,-1 5,3 5,-3 5,5 5,-5 6,0"

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.optics.zernike import annular_zernike, noll_to_nm
-from wavequake.optics.zernike_transforms import expansion_matrix, transform_coefficients
+from wavequake.optics.polynomials.transforms import expansion_matrix, transform_coefficients
+from wavequake.optics.polynomials.zernike import annular_zernike, noll_to_nm
 
 OBSCURATIONS = st.floats(0, 0.6)
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from wavequake.kernels.devices import NUMPY, list_devices
-from wavequake.kernels.tiles import TILE
-from wavequake.optics.prepared import prepare
-from wavequake.optics.pupils import PupilRays
-from wavequake.optics.segments import Segments
-from wavequake.optics.states import rest
-from wavequake.optics.telescopes import telescope
+from wavequake.kernels.device.devices import NUMPY, list_devices
+from wavequake.kernels.device.tiles import TILE
+from wavequake.optics.rays.pupils import PupilRays
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.layout import Segments
+from wavequake.optics.segments.prepared import prepare
+from wavequake.optics.segments.states import rest
 
 DATA = Path(__file__).parents[1] / "data"
 WAVELENGTH = 550e-6

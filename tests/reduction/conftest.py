@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csc_array
 
-from wavequake.mechanics.mirrors import AnnularMirror, CircularMirror, annular_mirror, circular_mirror
+from wavequake.mechanics.mirrors.models import AnnularMirror, CircularMirror, annular_mirror, circular_mirror
 from wavequake.mechanics.model import FiniteElementModel, RayleighDamping
 from wavequake.reduction.intermediate import intermediate
 

@@ -5,10 +5,10 @@ import pytest
 import scipy.linalg
 
 from wavequake.errors import UserError
-from wavequake.mechanics.drive import Drive, Harmonic
-from wavequake.mechanics.modal import modal_model
 from wavequake.mechanics.model import RayleighDamping
-from wavequake.mechanics.response import displacements, respond
+from wavequake.mechanics.vibration.drive import Drive, Harmonic
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.response import displacements, respond
 from wavequake.reduction.component_modes import MASSLESS_HZ
 from wavequake.reduction.intermediate import intermediate
 from wavequake.reduction.metrics import eps_mor, pseudo_frequencies, receptance

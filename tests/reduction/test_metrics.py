@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.mechanics.eigen import eigenmodes
 from wavequake.mechanics.model import RayleighDamping
+from wavequake.mechanics.vibration.eigen import eigenmodes
 from wavequake.reduction.metrics import (
     acceleration,
     eps_mor,

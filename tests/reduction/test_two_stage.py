@@ -5,7 +5,7 @@ import pytest
 from scipy.sparse import csc_array, diags_array
 
 from wavequake.errors import UserError
-from wavequake.mechanics.mirrors import CircularMirror, circular_mirror, on_springs
+from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror, on_springs
 from wavequake.mechanics.model import RayleighDamping
 from wavequake.reduction.intermediate import dense_structure, intermediate
 from wavequake.reduction.metrics import eps_mor, full_receptance, pseudo_frequencies, receptance

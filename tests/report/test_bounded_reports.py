@@ -9,11 +9,11 @@ import pytest
 import xarray as xr
 from dask.array import full
 
+from wavequake.campaign.contract import DONE
 from wavequake.report import exposures, mirror_exposures, mirror_traces, mirrors
 from wavequake.report.variants import few
-from wavequake.workflows.campaign import WORKFLOWS
-from wavequake.workflows.contract import DONE
 from wavequake.workflows.mirrors import model_store
+from wavequake.workflows.run import WORKFLOWS
 from wavequake.workflows.study import load_study
 
 MIRROR = {

@@ -7,10 +7,10 @@ import pytest
 import xarray as xr
 
 from wavequake import cli
+from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
 from wavequake.report.rerun import rerun_stored
-from wavequake.workflows.campaign import WORKFLOWS, run
-from wavequake.workflows.engine.store import open_store
+from wavequake.workflows.run import WORKFLOWS, run
 
 STUDY = """
 [study]

@@ -173,7 +173,7 @@ def test_fits_is_the_file_that_astropy_writes_of_arrays_in_memory(odd, tmp_path,
     first.header.update({"ORIGIN": "?", "STUDYID": "", "CREATED": ""})
     whole = fits.HDUList([first, fits.BinTableHDU.from_columns(columns, name="CASES"), *images])
     whole.writeto(tmp_path / "whole.fits", checksum=True)
-    monkeypatch.setattr("wavequake.workflows.statistics.blocks.BLOCK_BYTES", 40)  # a case at a time
+    monkeypatch.setattr("wavequake.campaign.statistics.blocks.BLOCK_BYTES", 40)  # a case at a time
     export(lazily(odd), tmp_path / "parts.fits")
     # Astropy's comments on checksums hold the time, which ours do not; the reader below recomputes them.
     one, two = (cards((tmp_path / name).read_bytes()) for name in ("whole.fits", "parts.fits"))

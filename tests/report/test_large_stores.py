@@ -8,21 +8,21 @@ import dask
 import numpy as np
 import pytest
 
-from wavequake.kernels.devices import choose_device
+from wavequake.campaign import provenance
+from wavequake.campaign.contract import ChunkResult
+from wavequake.campaign.statistics import blocks
+from wavequake.campaign.statistics.judged import judged_in
+from wavequake.campaign.statistics.until import Goal, quantiles_of
+from wavequake.campaign.store.arrays import array_of, open_group, write_chunk
+from wavequake.campaign.store.journal import Record, append
+from wavequake.campaign.store.store import create_store, open_store
+from wavequake.campaign.store.verify import verify_store
+from wavequake.kernels.device.devices import choose_device
 from wavequake.report.comparison import compare
 from wavequake.report.export import export
 from wavequake.report.tail import per_case
-from wavequake.workflows import provenance
-from wavequake.workflows.campaign import run_study
-from wavequake.workflows.contract import ChunkResult
-from wavequake.workflows.engine.arrays import array_of, open_group, write_chunk
-from wavequake.workflows.engine.journal import Record, append
-from wavequake.workflows.engine.store import create_store, open_store
-from wavequake.workflows.engine.verify import verify_store
+from wavequake.workflows.run import run_study
 from wavequake.workflows.segments import segment_disturbance
-from wavequake.workflows.statistics import blocks
-from wavequake.workflows.statistics.judged import judged_in
-from wavequake.workflows.statistics.until import Goal, quantiles_of
 from wavequake.workflows.study import load_study
 
 CASES, CHUNK = 8_000, 500
@@ -129,7 +129,7 @@ def test_a_csv_is_the_same_whatever_the_size_of_its_blocks(tmp_path, monkeypatch
     keys = {"telescope.name": "tmt-18", "optics.rays_per_segment": 6, "campaign.cases": 23}
     run_study(load_study("tmt-segments", {**keys, "imaging.enabled": False}), tmp_path / "s", on="serial")
     export(open_store(tmp_path / "s"), tmp_path / "one.csv")
-    monkeypatch.setattr("wavequake.workflows.statistics.blocks.BLOCK_BYTES", 2000)
+    monkeypatch.setattr("wavequake.campaign.statistics.blocks.BLOCK_BYTES", 2000)
     export(open_store(tmp_path / "s"), tmp_path / "many.csv")
     assert (tmp_path / "one.csv").read_bytes() == (tmp_path / "many.csv").read_bytes()
     assert len((tmp_path / "one.csv").read_text().splitlines()) == 24

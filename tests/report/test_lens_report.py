@@ -8,7 +8,7 @@ from wavequake.errors import UserError
 from wavequake.firmware.build import BOARDS, compiler_of
 from wavequake.report import lens
 from wavequake.report import lens_figures as draw
-from wavequake.workflows.campaign import run
+from wavequake.workflows.run import run
 
 
 @pytest.fixture(scope="module")

@@ -85,7 +85,7 @@ def test_the_report_is_one_page_with_figures_and_definitions(store):
 
 def test_errors_above_the_tolerance_are_not_passed_over(tmp_path, monkeypatch):
     """A bound that is far too small: the traces of the sample tell."""
-    from wavequake.optics import modal
+    from wavequake.optics.segments import modal
 
     monkeypatch.setattr(modal, "error_bound", lambda model, sizes: np.zeros(len(sizes)))
     store = made(tmp_path / "far", disturbance__swing__piston_nm=5e6)

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from wavequake.campaign.store.store import open_store, read_manifest
 from wavequake.cli import app
 from wavequake.report.comparison import compare
 from wavequake.report.mirrors import results_of
 from wavequake.report.segment_variants import detail
-from wavequake.workflows.campaign import run_study
-from wavequake.workflows.engine.store import open_store, read_manifest
 from wavequake.workflows.mirrors import model_store
+from wavequake.workflows.run import run_study
 from wavequake.workflows.segments.segment_mor_bench import model_of
 from wavequake.workflows.study import load_study
 

@@ -7,15 +7,15 @@ import pytest
 import xarray as xr
 from typer.testing import CliRunner
 
+from wavequake.campaign.contract import DONE
 from wavequake.cli import app
 from wavequake.errors import UserError
-from wavequake.optics.prepared import prepare
-from wavequake.optics.pupils import segment_rays
-from wavequake.optics.telescopes import telescope
+from wavequake.optics.rays.pupils import segment_rays
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.prepared import prepare
 from wavequake.report.vignetting import stopped_light
 from wavequake.workflows.budgets.budget import budget
-from wavequake.workflows.campaign import workflow_of
-from wavequake.workflows.contract import DONE
+from wavequake.workflows.run import workflow_of
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.vignetting import stopped_at_rest

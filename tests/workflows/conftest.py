@@ -3,8 +3,8 @@
 import pytest
 from small_histories import small_study
 
-from wavequake.workflows.campaign import run_study
 from wavequake.workflows.mirrors import model_store
+from wavequake.workflows.run import run_study
 from wavequake.workflows.study import study_with
 
 

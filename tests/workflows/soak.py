@@ -18,8 +18,8 @@ from concurrent.futures import ThreadPoolExecutor
 import psutil
 import toy
 
-from wavequake.workflows.engine.store import open_store
-from wavequake.workflows.engine.verify import verify_store
+from wavequake.campaign.store.store import open_store
+from wavequake.campaign.store.verify import verify_store
 
 CHUNK, MORE = 5, 60
 SLOW = {"sleep_s": 0.004}
@@ -28,8 +28,9 @@ SLOW = {"sleep_s": 0.004}
 # loaded everything.
 WRITER = """
 import json, os, pathlib, signal, sys
-import toy, wavequake.workflows.engine.driver
-from wavequake.workflows.engine import arrays, journal
+import toy, wavequake.campaign.engine.driver
+from wavequake.campaign.store import arrays
+from wavequake.campaign.store import journal
 left = [0]
 
 def touch():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.mechanics.disturbances import draw_case
+from wavequake.mechanics.disturbances.registry import draw_case
 from wavequake.workflows.budgets.budget import budget, open_budget, stored_budget, summed
 from wavequake.workflows.budgets.budget_segments import Factors, rings_of, variants
 from wavequake.workflows.segments.bench import bench_of

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from wavequake import cli
-from wavequake.mechanics.element_motion import draw_elements
-from wavequake.optics.pupils import sunflower
+from wavequake.mechanics.disturbances.element_motion import draw_elements
+from wavequake.optics.rays.pupils import sunflower
 from wavequake.report.budget import budget_figure, explanations
 from wavequake.workflows.budgets.budget import budget, stored_budget, summed
 from wavequake.workflows.budgets.budget_systems import variants

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import wavequake as wq
+from wavequake.campaign.contract import Template, Variable
+from wavequake.campaign.engine.chunk_size import default_chunk
+from wavequake.campaign.store.store import read_manifest
 from wavequake.errors import UserError
-from wavequake.workflows import campaign
-from wavequake.workflows.campaign import chunk_of, plan
-from wavequake.workflows.contract import Template, Variable
-from wavequake.workflows.engine.chunk_size import default_chunk
-from wavequake.workflows.engine.store import read_manifest
+from wavequake.workflows import run as campaign
+from wavequake.workflows.run import chunk_of, plan
 from wavequake.workflows.study import load_study
 
 SMALL = {

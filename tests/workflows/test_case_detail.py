@@ -7,13 +7,13 @@ import pytest
 import xarray as xr
 from small_histories import SMALL, SYSTEM
 
+from wavequake.campaign.contract import RAISED
+from wavequake.campaign.store.store import open_store
 from wavequake.control.bench import bench_modes
 from wavequake.report import case_detail
 from wavequake.report.rerun import rerun_stored
-from wavequake.workflows.campaign import run
-from wavequake.workflows.contract import RAISED
-from wavequake.workflows.engine.store import open_store
 from wavequake.workflows.lens.lens_experiment import bench_of
+from wavequake.workflows.run import run
 
 pytestmark = pytest.mark.usefixtures("mirror_models")
 

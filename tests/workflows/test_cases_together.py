@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_system_disturbance import study_of
 
-from wavequake.workflows.contract import DONE
+from wavequake.campaign.contract import DONE
 from wavequake.workflows.systems.system_disturbance import compute
 
 MOVED = """

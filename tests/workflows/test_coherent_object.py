@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
+from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
-from wavequake.imaging.image_formation import coherent_image, partially_coherent_image
-from wavequake.imaging.matrix_fourier import matrix_fourier
-from wavequake.imaging.objects import double_slit
-from wavequake.imaging.pupil_function import annular_pupil
-from wavequake.imaging.pupil_shape import PupilShape
-from wavequake.imaging.segment_basis import ray_basis
-from wavequake.imaging.segment_psf import psf
-from wavequake.workflows.campaign import run_study
-from wavequake.workflows.engine.store import open_store
+from wavequake.imaging.engines.matrix_fourier import matrix_fourier
+from wavequake.imaging.engines.segment_basis import ray_basis
+from wavequake.imaging.engines.segment_psf import psf
+from wavequake.imaging.objects.formation import coherent_image, partially_coherent_image
+from wavequake.imaging.objects.shapes import double_slit
+from wavequake.imaging.pupils.pupil_function import annular_pupil
+from wavequake.imaging.pupils.pupil_shape import PupilShape
 from wavequake.workflows.exposures.coherent_object import lit_by_cells, lit_object, mean_image, source_of
 from wavequake.workflows.exposures.exposed_object import ObjectSection, object_image
+from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 
 SAMPLING, PIXELS, FINE, BORDER = 0.25, 32, 3, 112

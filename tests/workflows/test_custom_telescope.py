@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from small_telescope import STUDY
 
+from wavequake.campaign.contract import DONE
 from wavequake.errors import UserError
-from wavequake.kernels.devices import list_devices
-from wavequake.optics.polygons import edge_lines
-from wavequake.optics.zernike import annular_zernike
-from wavequake.workflows.contract import DONE
+from wavequake.kernels.device.devices import list_devices
+from wavequake.optics.polynomials.zernike import annular_zernike
+from wavequake.optics.shapes.polygons import edge_lines
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.study import load_study, study_with

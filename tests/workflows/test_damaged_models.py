@@ -9,8 +9,8 @@ import scipy.linalg
 from typer.testing import CliRunner
 
 from wavequake import cli
+from wavequake.campaign.store.store import open_store
 from wavequake.mechanics.importers import import_model
-from wavequake.workflows.engine.store import open_store
 from wavequake.workflows.mirrors import model_store
 
 DATA = Path(__file__).parents[1] / "data"

@@ -7,12 +7,12 @@ import pytest
 import toy
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from wavequake.campaign.contract import ChunkResult, Workflow
+from wavequake.campaign.engine.chunks import BrokenWorkflowError
+from wavequake.campaign.engine.driver import run_campaign
+from wavequake.campaign.store.store import open_store, read_manifest
 from wavequake.cluster import places
 from wavequake.errors import UserError
-from wavequake.workflows.contract import ChunkResult, Workflow
-from wavequake.workflows.engine.chunks import BrokenWorkflowError
-from wavequake.workflows.engine.driver import run_campaign
-from wavequake.workflows.engine.store import open_store, read_manifest
 
 
 def test_a_serial_run_stores_what_the_workflow_computes(tmp_path):

@@ -5,17 +5,17 @@ import base64
 import numpy as np
 import pytest
 
+from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
-from wavequake.imaging.detector import pixel_means
-from wavequake.imaging.exposure import centroid
-from wavequake.imaging.matrix_fourier import matrix_fourier, psf
-from wavequake.imaging.mtf import ideal_mtf
-from wavequake.imaging.objects import resolution_chart
-from wavequake.imaging.pupil_function import annular_pupil
+from wavequake.imaging.engines.matrix_fourier import matrix_fourier, psf
+from wavequake.imaging.exposures.detector import pixel_means
+from wavequake.imaging.exposures.exposure import centroid
+from wavequake.imaging.exposures.mtf import ideal_mtf
+from wavequake.imaging.objects.shapes import resolution_chart
+from wavequake.imaging.pupils.pupil_function import annular_pupil
 from wavequake.report.campaign import report_store
-from wavequake.workflows.campaign import run_study
-from wavequake.workflows.engine.store import open_store
 from wavequake.workflows.exposures.exposed_object import ObjectSection, object_image
+from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 
 SAMPLING, PIXELS, AREA = 0.25, 48, np.pi / 4

@@ -12,9 +12,9 @@ import psutil
 import pytest
 import toy
 
+from wavequake.campaign.store.store import create_store, open_store
+from wavequake.campaign.store.verify import verify_store
 from wavequake.errors import UserError
-from wavequake.workflows.engine.store import create_store, open_store
-from wavequake.workflows.engine.verify import verify_store
 
 SLOW = {"sleep_s": 0.03}
 

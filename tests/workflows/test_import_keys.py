@@ -7,7 +7,7 @@ import pytest
 
 from wavequake import cli
 from wavequake.errors import UserError
-from wavequake.mechanics.mirrors import CircularMirror, circular_mirror
+from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror
 from wavequake.workflows.mirrors import model_store
 from wavequake.workflows.study import load_study
 

@@ -9,12 +9,12 @@ import pytest
 
 from wavequake import cli
 from wavequake.mechanics.importers import import_model
-from wavequake.mechanics.mirrors import CircularMirror, circular_mirror
+from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror
 from wavequake.reduction.intermediate import intermediate
-from wavequake.workflows.campaign import plan
 from wavequake.workflows.mirrors import model_store
 from wavequake.workflows.mirrors.imported_facts import facts, frequencies, hull_volume, total_mass
 from wavequake.workflows.mirrors.mirror_trace import template
+from wavequake.workflows.run import plan
 from wavequake.workflows.study import load_study
 
 DATA = Path(__file__).parents[1] / "data"

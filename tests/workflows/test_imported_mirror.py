@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from wavequake import cli
+from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
-from wavequake.workflows.campaign import run_study
-from wavequake.workflows.engine.store import open_store
 from wavequake.workflows.mirrors import model_store
 from wavequake.workflows.mirrors.mirror_trace import compute
+from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 
 DATA = Path(__file__).parents[1] / "data"

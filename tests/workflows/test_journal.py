@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from wavequake.campaign.store import journal
+from wavequake.campaign.store.journal import Record, append, digest, read_journal
 from wavequake.errors import StoreDamageError
-from wavequake.workflows.engine import journal
-from wavequake.workflows.engine.journal import Record, append, digest, read_journal
 
 RECORD = Record(
     20,

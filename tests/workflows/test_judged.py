@@ -10,16 +10,16 @@ import pytest
 import toy
 import xarray as xr
 
+from wavequake.campaign.statistics import pooled
+from wavequake.campaign.statistics.blocks import blocks
+from wavequake.campaign.statistics.judged import judged_in, judged_of_template, populations_of, selected
+from wavequake.campaign.statistics.quantiles import quantile
+from wavequake.campaign.statistics.until import Goal, goal_of, is_met, quantiles_of
+from wavequake.campaign.store.retention import stored_template
+from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
 from wavequake.report.tail import RareQuestion, per_case, rare_events
-from wavequake.workflows.campaign import WORKFLOWS, run_study
-from wavequake.workflows.engine.retention import stored_template
-from wavequake.workflows.engine.store import open_store
-from wavequake.workflows.statistics import pooled
-from wavequake.workflows.statistics.blocks import blocks
-from wavequake.workflows.statistics.judged import judged_in, judged_of_template, populations_of, selected
-from wavequake.workflows.statistics.quantiles import quantile
-from wavequake.workflows.statistics.until import Goal, goal_of, is_met, quantiles_of
+from wavequake.workflows.run import WORKFLOWS, run_study
 from wavequake.workflows.study import load_study, study_with
 
 pytestmark = pytest.mark.usefixtures("mirror_models")
@@ -271,7 +271,7 @@ def test_what_is_judged_is_read_once_and_a_part_of_it_held(monkeypatch, text, as
     reads = []
     data = lazily(reads)
     whole = data["x"].to_numpy()[:, -len(asked) :]
-    monkeypatch.setattr("wavequake.workflows.statistics.blocks.BLOCK_BYTES", 2**22)
+    monkeypatch.setattr("wavequake.campaign.statistics.blocks.BLOCK_BYTES", 2**22)
     reads.clear()
     with dask.config.set(scheduler="synchronous"):
         tracemalloc.start()
@@ -350,7 +350,7 @@ def test_goals_are_judged_by_blocks_with_the_same_answer(lens, monkeypatch):
     _, path = lens
     dataset, goal = open_store(path), Goal("image", 0.9, 0.1)
     whole = quantiles_of(goal, dataset)
-    monkeypatch.setattr("wavequake.workflows.statistics.blocks.BLOCK_BYTES", 20_000)
+    monkeypatch.setattr("wavequake.campaign.statistics.blocks.BLOCK_BYTES", 20_000)
     assert len(list(blocks([dataset["image"].variable]))) >= 3
     assert quantiles_of(goal, dataset) == whole
     monkeypatch.setattr(pooled, "HELD", 1000)

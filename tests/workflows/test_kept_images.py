@@ -5,15 +5,15 @@ import pytest
 import xarray as xr
 from small_histories import small_study
 
+from wavequake.campaign.contract import DONE, Template, Variable
+from wavequake.campaign.store.retention import kept_template, retention_of
+from wavequake.campaign.store.store import open_store
+from wavequake.campaign.store.verify import verify_store
 from wavequake.errors import UserError
 from wavequake.report.campaign import export_store, report_store, summary_table
 from wavequake.report.comparison import compare
 from wavequake.report.rerun import rerun_stored
-from wavequake.workflows.campaign import plan, run_study
-from wavequake.workflows.contract import DONE, Template, Variable
-from wavequake.workflows.engine.retention import kept_template, retention_of
-from wavequake.workflows.engine.store import open_store
-from wavequake.workflows.engine.verify import verify_store
+from wavequake.workflows.run import plan, run_study
 from wavequake.workflows.study import study_with
 
 pytestmark = pytest.mark.usefixtures("mirror_models")

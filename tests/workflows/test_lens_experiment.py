@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from wavequake.campaign.contract import DONE, RAISED
 from wavequake.control.bench import bench_modes, fitted_bench
 from wavequake.control.experiment import CONTROLLERS
 from wavequake.errors import UserError
-from wavequake.workflows.campaign import chunk_of, run
-from wavequake.workflows.contract import DONE, RAISED
 from wavequake.workflows.lens import lens_experiment
 from wavequake.workflows.lens.lens_experiment import WORKFLOW, case_table, compute, template
+from wavequake.workflows.run import chunk_of, run
 from wavequake.workflows.study import load_study
 
 SHORT = ["time.duration_s=2.0"]

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from wavequake import cli
+from wavequake.campaign.contract import DONE, RAISED
 from wavequake.control.experiment import CONTROLLERS
 from wavequake.errors import UserError
 from wavequake.firmware import kept
 from wavequake.firmware.build import BOARDS, compiler_of, image_hash
 from wavequake.firmware.gains import gains_of
-from wavequake.workflows.campaign import run
-from wavequake.workflows.contract import DONE, RAISED
 from wavequake.workflows.lens.lens_experiment import (
     WORKFLOW,
     chain_of,
@@ -21,6 +20,7 @@ from wavequake.workflows.lens.lens_experiment import (
     study_of,
     template,
 )
+from wavequake.workflows.run import run
 from wavequake.workflows.study import load_study
 
 ARITHMETIC = ("float", "q31", "q16")

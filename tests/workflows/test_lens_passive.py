@@ -7,8 +7,8 @@ from wavequake.control.bench import fitted_bench
 from wavequake.control.passive import objective
 from wavequake.errors import UserError
 from wavequake.report import lens_passive as report
-from wavequake.workflows.campaign import run
 from wavequake.workflows.lens.lens_passive import compute, start_of, study_of
+from wavequake.workflows.run import run
 from wavequake.workflows.study import load_study
 
 TEXT = load_study("lens-passive", ["passive.iterations=5"]).identity_text()

@@ -7,13 +7,13 @@ import pytest
 from small_mirrors import MOR, TRACE
 
 from wavequake import cli
+from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
-from wavequake.mechanics.drive import Drive, Harmonic
-from wavequake.workflows.campaign import plan, run_study
-from wavequake.workflows.engine.store import open_store
+from wavequake.mechanics.vibration.drive import Drive, Harmonic
 from wavequake.workflows.mirrors import mirror_trace
 from wavequake.workflows.mirrors.mirror_base import driven
 from wavequake.workflows.mirrors.mirror_bench import bench_of, check_variants_of, variant_of
+from wavequake.workflows.run import plan, run_study
 from wavequake.workflows.study import load_study
 
 pytestmark = pytest.mark.usefixtures("mirror_models")

@@ -10,18 +10,17 @@ from PIL import Image
 from small_mirrors import eleven
 from typer.testing import CliRunner
 
+from wavequake.campaign.contract import DONE, RAISED
+from wavequake.campaign.store.store import open_store, read_manifest
 from wavequake.cli import app
 from wavequake.errors import UserError
-from wavequake.imaging.matrix_fourier import matrix_fourier, psf
-from wavequake.imaging.mtf import ideal_mtf
-from wavequake.imaging.pupil_function import annular_pupil
-from wavequake.imaging.through_focus import through_focus
+from wavequake.imaging.engines.matrix_fourier import matrix_fourier, psf
+from wavequake.imaging.exposures.mtf import ideal_mtf
+from wavequake.imaging.exposures.through_focus import through_focus
+from wavequake.imaging.pupils.pupil_function import annular_pupil
 from wavequake.report import animation, mirror_exposures, psf_figures
 from wavequake.report.animation import animate_case
 from wavequake.report.campaign import report_store, summary_table
-from wavequake.workflows.campaign import run_study
-from wavequake.workflows.contract import DONE, RAISED
-from wavequake.workflows.engine.store import open_store, read_manifest
 from wavequake.workflows.exposures import mirror_exposure
 from wavequake.workflows.exposures.mirror_exposure import (
     WORKFLOW,
@@ -31,6 +30,7 @@ from wavequake.workflows.exposures.mirror_exposure import (
     template,
 )
 from wavequake.workflows.mirrors import model_store
+from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 
 SMALL = {

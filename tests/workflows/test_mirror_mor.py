@@ -11,14 +11,14 @@ from typer.testing import CliRunner
 
 import wavequake as wq
 from wavequake import cli
+from wavequake.campaign.store.store import open_store
 from wavequake.cli import app
-from wavequake.optics.pupils import sunflower
+from wavequake.optics.rays.pupils import sunflower
 from wavequake.reduction.reduce import reduce
 from wavequake.report.comparison import compare
-from wavequake.workflows.campaign import plan, run_study
-from wavequake.workflows.engine.store import open_store
 from wavequake.workflows.mirrors.mirror_bench import bench_of, build_model
 from wavequake.workflows.mirrors.mirror_mor import compute, exposures
+from wavequake.workflows.run import plan, run_study
 from wavequake.workflows.study import load_study
 
 pytestmark = pytest.mark.usefixtures("mirror_models")

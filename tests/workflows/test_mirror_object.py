@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from small_mirrors import eleven
 
+from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
-from wavequake.imaging.image_formation import coherent_image, incoherent_image, partially_coherent_image
-from wavequake.imaging.objects import double_slit
-from wavequake.imaging.pupil_shape import PupilShape
+from wavequake.imaging.objects.formation import coherent_image, incoherent_image, partially_coherent_image
+from wavequake.imaging.objects.shapes import double_slit
+from wavequake.imaging.pupils.pupil_shape import PupilShape
 from wavequake.report.campaign import report_store
-from wavequake.workflows.campaign import run_study
-from wavequake.workflows.engine.store import open_store
 from wavequake.workflows.exposures import mirror_exposure
 from wavequake.workflows.exposures.coherent_object import source_of
 from wavequake.workflows.exposures.mirror_exposure import (
@@ -24,6 +23,7 @@ from wavequake.workflows.exposures.mirror_exposure import (
 )
 from wavequake.workflows.mirrors import model_store
 from wavequake.workflows.mirrors.mirror_bench import bench_of
+from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 
 PIXELS, SAMPLING = 32, 0.25

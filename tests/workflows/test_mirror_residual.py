@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 from small_mirrors import TRACE
 
-from wavequake.kernels.devices import NUMPY, choose_device
-from wavequake.mechanics.excitations import drive_of
-from wavequake.mechanics.modal import modal_model
-from wavequake.mechanics.response import displacements, respond
-from wavequake.optics.motion_fit import motion_fit
-from wavequake.optics.surface_fit import apply, residual_grid
-from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import trace_light, trace_system
-from wavequake.workflows.campaign import run_study
-from wavequake.workflows.engine.store import open_store
+from wavequake.campaign.store.store import open_store
+from wavequake.kernels.device.devices import NUMPY, choose_device
+from wavequake.mechanics.vibration.excitations import drive_of
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.response import displacements, respond
+from wavequake.optics.shapes.fit import apply, residual_grid
+from wavequake.optics.shapes.motion_fit import motion_fit
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.wavefronts.wavefront import trace_light, trace_system
 from wavequake.workflows.mirrors.mirror_bench import bench_of, time_of, variant_of
 from wavequake.workflows.mirrors.mirror_optics import displacements_mm, with_deformation
 from wavequake.workflows.mirrors.mirror_residual import (
@@ -27,6 +26,7 @@ from wavequake.workflows.mirrors.mirror_residual import (
     rms_of,
 )
 from wavequake.workflows.mirrors.mirror_trace import STAGES, Clock, compute, modal_method, standard_method
+from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 
 FINE = TRACE | {"model.rings": 4, "optics.rays": 300}

@@ -5,15 +5,15 @@ import pytest
 import scipy.linalg
 from small_mirrors import MOR, eleven, wavefront_of
 
-from wavequake.optics.pupils import sunflower
+from wavequake.campaign.store.store import open_store
+from wavequake.optics.rays.pupils import sunflower
 from wavequake.report import mirror_shapes as draw
 from wavequake.report import mirrors
 from wavequake.report.deformed_body import bodies
-from wavequake.workflows.campaign import run_study
-from wavequake.workflows.engine.store import open_store
 from wavequake.workflows.mirrors.mirror_bench import bench_of, build_model, variant_of
 from wavequake.workflows.mirrors.mirror_mor import compute
 from wavequake.workflows.mirrors.mirror_shapes import mode_shapes, rim_node
+from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 
 pytestmark = pytest.mark.usefixtures("mirror_models")

@@ -6,22 +6,22 @@ from small_mirrors import TRACE
 from typer.testing import CliRunner
 
 from wavequake import cli
-from wavequake.kernels.devices import choose_device
-from wavequake.mechanics.excitations import drive_of
-from wavequake.mechanics.modal import modal_model
-from wavequake.mechanics.response import displacements, respond
-from wavequake.optics.motion_fit import motion_fit
-from wavequake.optics.surface_fit import apply
-from wavequake.workflows.campaign import WORKFLOWS, plan, run_study
-from wavequake.workflows.engine.journal import read_journal
-from wavequake.workflows.engine.rerun import retry_store, statuses
-from wavequake.workflows.engine.store import open_store
-from wavequake.workflows.engine.verify import verify_store
+from wavequake.campaign.engine.rerun import retry_store, statuses
+from wavequake.campaign.store.journal import read_journal
+from wavequake.campaign.store.store import open_store
+from wavequake.campaign.store.verify import verify_store
+from wavequake.kernels.device.devices import choose_device
+from wavequake.mechanics.vibration.excitations import drive_of
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.response import displacements, respond
+from wavequake.optics.shapes.fit import apply
+from wavequake.optics.shapes.motion_fit import motion_fit
 from wavequake.workflows.mirrors import mirror_trace
 from wavequake.workflows.mirrors.mirror_bench import bench_of, time_of, variant_of
 from wavequake.workflows.mirrors.mirror_optics import displacements_mm
 from wavequake.workflows.mirrors.mirror_residual import coordinates_of
 from wavequake.workflows.mirrors.mirror_trace import MODAL, STAGES, STANDARD, Clock, compute, standard_method
+from wavequake.workflows.run import WORKFLOWS, plan, run_study
 from wavequake.workflows.study import load_study
 
 pytestmark = pytest.mark.usefixtures("mirror_models")

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.mechanics.mirrors import CircularMirror, circular_mirror
+from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror
 from wavequake.reduction.intermediate import intermediate
 from wavequake.workflows.mirrors import model_store
 

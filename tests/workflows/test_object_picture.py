@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from matplotlib.image import imsave
 
+from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
-from wavequake.workflows.campaign import run_study
-from wavequake.workflows.engine.store import open_store
 from wavequake.workflows.exposures.exposed_object import ObjectSection, object_picture
 from wavequake.workflows.exposures.object_picture import in_frame, picture_of, read_picture
 from wavequake.workflows.exposures.telescope_control import segment_text
+from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 
 ARROW = np.array([[0.0, 0.5, 0.0], [1.0, 1.0, 1.0], [0.0, 0.25, 0.0], [0.0, 1.0, 0.0]])

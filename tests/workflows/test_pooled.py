@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wavequake.workflows.statistics import pooled
-from wavequake.workflows.statistics.quantiles import quantile, share_error
+from wavequake.campaign.statistics import pooled
+from wavequake.campaign.statistics.quantiles import quantile, share_error
 
 INF = np.inf
 ODD = [-INF, -1.7e308, -1.0, -5e-324, -0.0, 0.0, 5e-324, 0.1, 1.0, 1.7e308, INF, np.nan]

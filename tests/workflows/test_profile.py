@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import wavequake as wq
-from wavequake.kernels import devices
-from wavequake.kernels.devices import Device, list_devices, opencl_handle
-from wavequake.workflows.campaign import profile
+from wavequake.kernels.device import devices
+from wavequake.kernels.device.devices import Device, list_devices, opencl_handle
+from wavequake.workflows.run import profile
 
 SMALL = {"optics.rays": 40, "store.chunk_cases": 2}
 

@@ -3,8 +3,8 @@ import subprocess
 import numpy as np
 
 import wavequake
-from wavequake.kernels.devices import NUMPY, choose_device, list_devices
-from wavequake.workflows import provenance
+from wavequake.campaign import provenance
+from wavequake.kernels.device.devices import NUMPY, choose_device, list_devices
 
 
 def test_provenance_names_software_and_machine():

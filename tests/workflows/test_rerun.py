@@ -5,13 +5,13 @@ import pytest
 import toy
 from typer.testing import CliRunner
 
+from wavequake.campaign.engine.rerun import retry_store, statuses
+from wavequake.campaign.store.status import store_status
+from wavequake.campaign.store.store import extend_store, open_store
+from wavequake.campaign.store.verify import verify_store
 from wavequake.cli import app
 from wavequake.errors import StoreDamageError, UserError
-from wavequake.workflows.campaign import WORKFLOWS
-from wavequake.workflows.engine.rerun import retry_store, statuses
-from wavequake.workflows.engine.status import store_status
-from wavequake.workflows.engine.store import extend_store, open_store
-from wavequake.workflows.engine.verify import verify_store
+from wavequake.workflows.run import WORKFLOWS
 
 
 def workflow(flag, drift=0.0):

@@ -5,16 +5,16 @@ import pytest
 import toy
 from small_histories import SMALL
 
+from wavequake.campaign.contract import DIVERGED, DONE, Template, Variable, Workflow
+from wavequake.campaign.engine.chunks import Job, computed_alone, computed_chunk, opened_store
+from wavequake.campaign.statistics.judged import judged_in
+from wavequake.campaign.statistics.until import goal_of, quantiles_of
+from wavequake.campaign.store.retention import STATISTICS, kept_template, retention_of, stored_template
+from wavequake.campaign.store.store import create_store, open_store
 from wavequake.errors import UserError
 from wavequake.report.comparison import compare
 from wavequake.report.tail import per_case
-from wavequake.workflows.campaign import WORKFLOWS, run_study
-from wavequake.workflows.contract import DIVERGED, DONE, Template, Variable, Workflow
-from wavequake.workflows.engine.chunks import Job, computed_alone, computed_chunk, opened_store
-from wavequake.workflows.engine.retention import STATISTICS, kept_template, retention_of, stored_template
-from wavequake.workflows.engine.store import create_store, open_store
-from wavequake.workflows.statistics.judged import judged_in
-from wavequake.workflows.statistics.until import goal_of, quantiles_of
+from wavequake.workflows.run import WORKFLOWS, run_study
 from wavequake.workflows.study import STUDIES, load_study, study_with
 
 pytestmark = pytest.mark.usefixtures("mirror_models")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from small_histories import SMALL
 
+from wavequake.campaign.store.store import open_store
 from wavequake.report.campaign import export_store, report_store
-from wavequake.workflows.engine.store import open_store
 
 pytestmark = pytest.mark.usefixtures("mirror_models")
 

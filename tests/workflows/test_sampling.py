@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from wavequake.campaign.statistics.quantiles import quantile
+from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
-from wavequake.mechanics.streams import Coordinates
-from wavequake.workflows.campaign import run_study
-from wavequake.workflows.engine.store import open_store
+from wavequake.mechanics.disturbances.streams import Coordinates
+from wavequake.workflows.run import run_study
 from wavequake.workflows.sampling import Plan
 from wavequake.workflows.segments.segment_disturbance import compute
 from wavequake.workflows.segments.segment_draws import sampling_plan
-from wavequake.workflows.statistics.quantiles import quantile
 from wavequake.workflows.study import load_study
 
 SMALL = {"telescope.name": "tmt-18", "imaging.enabled": False, "optics.rays_per_segment": 6}
@@ -114,7 +114,7 @@ def test_a_case_depends_on_study_and_id_alone(tmp_path, method, optics):
     study = load_study("tmt-segments", keys)
     store = tmp_path / "shards"
     for shard in ("1/2", "0/2"):
-        from wavequake.workflows.engine.driver_lock import shard_of
+        from wavequake.campaign.engine.driver_lock import shard_of
 
         run_study(study, store, on="serial", shard=shard_of(shard))
     whole = open_store(store)
@@ -127,7 +127,7 @@ def test_a_case_depends_on_study_and_id_alone(tmp_path, method, optics):
 
 def test_pistons_of_a_study_are_stratified_and_wind_is_as_random_as_before():
     keys = {**SMALL, "campaign.sampling": "latin-hypercube", "campaign.cases": 64, "campaign.replicates": 1}
-    from wavequake.mechanics.disturbances import draw_case
+    from wavequake.mechanics.disturbances.registry import draw_case
     from wavequake.workflows.segments.bench import bench_of
     from wavequake.workflows.segments.segment_draws import draw_realization
 

@@ -5,12 +5,12 @@ import pytest
 from small_telescope import STUDY
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.contract import DONE, RAISED
 from wavequake.errors import UserError
-from wavequake.kernels.devices import choose_device, list_devices
-from wavequake.mechanics.edge_sensors import EdgeSensorNoise
-from wavequake.optics.prepared import trace_states
-from wavequake.optics.zernike import annular_zernike
-from wavequake.workflows.contract import DONE, RAISED
+from wavequake.kernels.device.devices import choose_device, list_devices
+from wavequake.mechanics.disturbances.edge_sensors import EdgeSensorNoise
+from wavequake.optics.polynomials.zernike import annular_zernike
+from wavequake.optics.segments.prepared import trace_states
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.images import energy_scale, image_axis

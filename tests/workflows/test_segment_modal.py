@@ -7,11 +7,11 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 import wavequake as wq
+from wavequake.campaign.contract import DONE, RAISED
+from wavequake.campaign.store.retention import STATISTICS, kept_result
 from wavequake.errors import UserError
-from wavequake.kernels.devices import list_devices
-from wavequake.workflows import campaign
-from wavequake.workflows.contract import DONE, RAISED
-from wavequake.workflows.engine.retention import STATISTICS, kept_result
+from wavequake.kernels.device.devices import list_devices
+from wavequake.workflows import run as campaign
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments import segment_modal
 from wavequake.workflows.segments.segment_modal import CERTIFIED, MODAL, TRACED, sampled

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from small_segments import text_of
 
+from wavequake.campaign.contract import DONE, RAISED
 from wavequake.errors import UserError
-from wavequake.workflows.contract import DONE, RAISED
 from wavequake.workflows.segments.segment_mor import case_table, check, compute, describe, template
 
 pytestmark = pytest.mark.usefixtures("mirror_models")

@@ -9,9 +9,9 @@ import pytest
 import scipy.linalg
 from small_segments import STUDY, text_of
 
-from wavequake.kernels.devices import choose_device
-from wavequake.mechanics.mirrors import HexagonalSegment, mirror_mesh
-from wavequake.optics.telescopes import telescope
+from wavequake.kernels.device.devices import choose_device
+from wavequake.mechanics.mirrors.models import HexagonalSegment, mirror_mesh
+from wavequake.optics.segments.catalog import telescope
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.segment_mor import launches, traced
 from wavequake.workflows.segments.segment_mor_bench import (

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import wavequake as wq
-from wavequake.optics.catalog import system_names
-from wavequake.optics.paraxial import paraxial
-from wavequake.optics.telescopes import telescope
+from wavequake.optics.catalog.names import system_names
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.systems.paraxial import paraxial
 from wavequake.workflows.sensitivity import open_sensitivity
 from wavequake.workflows.sensitivity_source import TELESCOPES, sensitivity_study
 from wavequake.workflows.study import bundled_studies, load_study

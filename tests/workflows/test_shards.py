@@ -3,11 +3,11 @@ import signal
 import pytest
 import toy
 
+from wavequake.campaign.engine.driver_lock import Shard, shard_of
+from wavequake.campaign.store.store import open_store
+from wavequake.campaign.store.verify import verify_store
 from wavequake.errors import UserError
-from wavequake.workflows.campaign import run
-from wavequake.workflows.engine.driver_lock import Shard, shard_of
-from wavequake.workflows.engine.store import open_store
-from wavequake.workflows.engine.verify import verify_store
+from wavequake.workflows.run import run
 
 SLOW = {"sleep_s": 0.02}
 

@@ -13,10 +13,10 @@ import psutil
 import pytest
 import toy
 
+from wavequake.campaign.store.verify import verify_store
 from wavequake.cluster.places import place_of
 from wavequake.errors import UserError
 from wavequake.files import folder
-from wavequake.workflows.engine.verify import verify_store
 
 CONFIGURATION = """\
 ClusterName=loop

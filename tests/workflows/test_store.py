@@ -11,11 +11,11 @@ import toy
 import xarray as xr
 import zarr
 
+from wavequake.campaign.contract import ChunkResult, Variable
+from wavequake.campaign.store import arrays, journal, store
+from wavequake.campaign.store.status import store_status
+from wavequake.campaign.store.store import create_store, extend_store, open_store, read_manifest
 from wavequake.errors import StoreDamageError, UserError
-from wavequake.workflows.contract import ChunkResult, Variable
-from wavequake.workflows.engine import arrays, journal, store
-from wavequake.workflows.engine.status import store_status
-from wavequake.workflows.engine.store import create_store, extend_store, open_store, read_manifest
 
 
 def new(path, cases=40, chunk=10, **options):

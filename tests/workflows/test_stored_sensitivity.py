@@ -7,8 +7,8 @@ import xarray as xr
 
 import wavequake as wq
 from wavequake.errors import StoreDamageError, UserError
-from wavequake.kernels.devices import NUMPY
-from wavequake.optics.sensitivity import sensitivities
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.optics.segments.sensitivity import sensitivities
 from wavequake.workflows import sensitivity as module
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.sensitivity import open_sensitivity, stored_sensitivity

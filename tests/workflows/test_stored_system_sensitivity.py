@@ -3,11 +3,11 @@ import pytest
 
 import wavequake as wq
 from wavequake import cli
-from wavequake.kernels.devices import NUMPY
-from wavequake.optics.bodies import rigid_body
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.system_sensitivity import rigid_sensitivity
-from wavequake.optics.system_wavefront import prepare_system
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.optics.derivatives.sensitivity import rigid_sensitivity
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.systems.bodies import rigid_body
+from wavequake.optics.wavefronts.wavefront import prepare_system
 
 STUDY = """
 [study]

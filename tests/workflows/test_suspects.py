@@ -12,15 +12,16 @@ import pytest
 import toy
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from wavequake.campaign import provenance
+from wavequake.campaign.engine import chunks, isolation
+from wavequake.campaign.engine.chunks import Job, compute_chunk
+from wavequake.campaign.engine.stream import limit_of
+from wavequake.campaign.store import arrays, journal
+from wavequake.campaign.store.status import store_status
+from wavequake.campaign.store.store import create_store, open_store, read_manifest
+from wavequake.campaign.store.verify import verify_store
 from wavequake.cluster import local
 from wavequake.errors import UserError
-from wavequake.workflows import provenance
-from wavequake.workflows.engine import arrays, chunks, isolation, journal
-from wavequake.workflows.engine.chunks import Job, compute_chunk
-from wavequake.workflows.engine.status import store_status
-from wavequake.workflows.engine.store import create_store, open_store, read_manifest
-from wavequake.workflows.engine.stream import limit_of
-from wavequake.workflows.engine.verify import verify_store
 
 
 def others_are_kept(stored, guilty):
@@ -56,12 +57,12 @@ def test_a_case_that_hangs_in_a_serial_run_is_quarantined_alone(tmp_path):
 
 
 SERIAL = """
-import toy, wavequake.workflows.engine.series as series
+import toy, wavequake.campaign.engine.series as series
 series._GRACE_S = 0.5
 toy.run({path!r}, {options!r}, timeout_s=1.0)
 """
 GUARDED = """
-import toy, wavequake.workflows.engine.series as series
+import toy, wavequake.campaign.engine.series as series
 series._GRACE_S = 0.5
 if __name__ == "__main__":
     print(toy.run({path!r}, {options!r}, timeout_s=1.0).quarantined)

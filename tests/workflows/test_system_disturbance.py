@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import wavequake as wq
+from wavequake.campaign.contract import DONE, RAISED
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY
-from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import measure_system
-from wavequake.workflows.contract import DONE, RAISED
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.wavefronts.wavefront import measure_system
 from wavequake.workflows.study import load_study
 from wavequake.workflows.systems.system_bench import failure, system_bench
 from wavequake.workflows.systems.system_disturbance import (

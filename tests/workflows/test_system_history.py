@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from wavequake.campaign.contract import DONE, RAISED
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY
-from wavequake.mechanics.element_motion import draw_elements, instants_of, single_parts
-from wavequake.mechanics.motion import RAD_PER_MAS
-from wavequake.optics.bodies import rigid_body, with_bodies
-from wavequake.optics.catalog import optical_system
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.system import SystemStates
-from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_sensitivity import figure_sensitivity, rigid_sensitivity
-from wavequake.optics.system_wavefront import measure_system, prepare_system
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.mechanics.disturbances.element_motion import draw_elements, instants_of, single_parts
+from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
+from wavequake.optics.catalog.names import optical_system
+from wavequake.optics.derivatives.sensitivity import figure_sensitivity, rigid_sensitivity
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.systems.bodies import rigid_body, with_bodies
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import SystemStates
+from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
 from wavequake.report.rerun import rerun_stored
 from wavequake.workflows.budgets.budget import summed
 from wavequake.workflows.budgets.budget_systems import experiment, variants
-from wavequake.workflows.campaign import notices, plan, run, run_study
-from wavequake.workflows.contract import DONE, RAISED
+from wavequake.workflows.run import notices, plan, run, run_study
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.study import load_study, study_with
 from wavequake.workflows.systems import system_measure

@@ -5,18 +5,18 @@ import pytest
 import xarray as xr
 from test_system_history import HEAD, MOTION, RANDOM, TIME, written
 
+from wavequake.campaign.contract import DONE
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY
-from wavequake.mechanics.element_motion import draw_elements, single_parts
-from wavequake.optics.shapes import GridDeformation
-from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import measure_system
-from wavequake.optics.zernike import annular_zernike
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.mechanics.disturbances.element_motion import draw_elements, single_parts
+from wavequake.optics.polynomials.zernike import annular_zernike
+from wavequake.optics.shapes.shapes import GridDeformation
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.wavefronts.wavefront import measure_system
 from wavequake.report.rerun import rerun_stored
 from wavequake.workflows.budgets.budget import summed
 from wavequake.workflows.budgets.budget_systems import elements_of, variants
-from wavequake.workflows.campaign import run
-from wavequake.workflows.contract import DONE
+from wavequake.workflows.run import run
 from wavequake.workflows.sensitivity import sensitivity
 from wavequake.workflows.study import load_study
 from wavequake.workflows.systems import system_measure

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, expon, genpareto, norm, pareto, uniform
 
+from wavequake.campaign.statistics import tail
+from wavequake.campaign.statistics.tail import exceedance, fit_tail, rare_value, steadiness
 from wavequake.errors import UserError
-from wavequake.workflows.statistics import tail
-from wavequake.workflows.statistics.tail import exceedance, fit_tail, rare_value, steadiness
 
 RARE = 1e-4
 

@@ -5,11 +5,11 @@ import re
 import numpy as np
 import pytest
 
+from wavequake.campaign.contract import DONE, RAISED
 from wavequake.errors import UserError
-from wavequake.kernels.devices import choose_device
-from wavequake.kernels.tiles import from_tiles
-from wavequake.optics.sensitivity import sensitivities
-from wavequake.workflows.contract import DONE, RAISED
+from wavequake.kernels.device.devices import choose_device
+from wavequake.kernels.device.tiles import from_tiles
+from wavequake.optics.segments.sensitivity import sensitivities
 from wavequake.workflows.exposures import telescope_exposure as workflow
 from wavequake.workflows.exposures.telescope_control import (
     CONTROLLERS,

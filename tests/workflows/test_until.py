@@ -6,10 +6,10 @@ import toy
 import xarray as xr
 from scipy.stats import norm
 
+from wavequake.campaign.statistics.until import Goal, goal_of, is_met, looks, quantiles_of
+from wavequake.campaign.store.status import store_status
 from wavequake.errors import UserError
-from wavequake.workflows.campaign import run_study
-from wavequake.workflows.engine.status import store_status
-from wavequake.workflows.statistics.until import Goal, goal_of, is_met, looks, quantiles_of
+from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 
 TEMPLATE = toy.template(toy.study())

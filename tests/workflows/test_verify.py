@@ -8,10 +8,10 @@ import pytest
 import toy
 import zarr
 
+from wavequake.campaign.store.journal import append, read_journal
+from wavequake.campaign.store.status import store_status
+from wavequake.campaign.store.verify import verify_store
 from wavequake.errors import StoreDamageError
-from wavequake.workflows.engine.journal import append, read_journal
-from wavequake.workflows.engine.status import store_status
-from wavequake.workflows.engine.verify import verify_store
 
 
 def delete(file):

@@ -6,10 +6,10 @@ import xarray as xr
 
 import wavequake as wq
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY
-from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import trace_system
-from wavequake.optics.zernike import annular_zernike
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.optics.polynomials.zernike import annular_zernike
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.wavefronts.wavefront import trace_system
 from wavequake.workflows.study import load_study
 from wavequake.workflows.systems.system_bench import system_bench
 from wavequake.workflows.systems.system_disturbance import compute, template

@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 
 INSTANTS, TERMS = 4, 3
 
@@ -103,8 +103,8 @@ TOY = Workflow("toy", template, case_table, compute)
 
 def run(path, options=None, *, cases=40, chunk=10, on="serial", workers=None, **keywords):
     """Run a toy campaign with these study options."""
-    from wavequake.workflows.engine.driver import run_campaign
-    from wavequake.workflows.engine.driver_lock import shard_of
+    from wavequake.campaign.engine.driver import run_campaign
+    from wavequake.campaign.engine.driver_lock import shard_of
 
     if "shard" in keywords:
         keywords["shard"] = shard_of(keywords["shard"])
@@ -125,7 +125,7 @@ def run(path, options=None, *, cases=40, chunk=10, on="serial", workers=None, **
 
 def digests(path):
     """Digests of every chunk of a store; equal digests mean equal bits."""
-    from wavequake.workflows.engine.journal import read_journal
+    from wavequake.campaign.store.journal import read_journal
 
     return {chunk: dict(record.digests) for chunk, record in read_journal(path / "done").records.items()}
 

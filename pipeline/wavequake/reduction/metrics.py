@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csc_array
 
 from wavequake.errors import UserError
-from wavequake.mechanics.eigen import factorize
 from wavequake.mechanics.model import Array, FiniteElementModel, ReducedModel
+from wavequake.mechanics.vibration.eigen import factorize
 
 Complex = NDArray[np.complex128]
 

@@ -17,8 +17,8 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from wavequake.errors import UserError
-from wavequake.mechanics.eigen import factorize, mass_normalized_rigid_modes
 from wavequake.mechanics.model import Array, FiniteElementModel, Integers, RayleighDamping
+from wavequake.mechanics.vibration.eigen import factorize, mass_normalized_rigid_modes
 from wavequake.reduction.limits import DENSE, Size
 
 Solver = Callable[[NDArray[Any]], NDArray[Any]]

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from PIL import Image
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.store.store import read_manifest
 from wavequake.errors import UserError
-from wavequake.imaging.exposure_models import cut, full_exposure
-from wavequake.kernels.devices import choose_device
-from wavequake.optics.zernike import annular_zernike
+from wavequake.imaging.exposures.exposure_models import cut, full_exposure
+from wavequake.kernels.device.devices import choose_device
+from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.report.figures import STYLE
-from wavequake.workflows.engine.store import read_manifest
 from wavequake.workflows.exposures import mirror_exposure, telescope_exposure
 from wavequake.workflows.exposures.mirror_exposure import aberrations_of, study_of
 from wavequake.workflows.exposures.mirror_exposure import local_images as local_mirror_images

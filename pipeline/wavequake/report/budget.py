@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from wavequake.campaign.store.store import BUDGET
 from wavequake.report.figures import COLORS, STYLE, WIDTH
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import MISSING, number
 from wavequake.workflows.budgets.budget import UNITS, open_budget
-from wavequake.workflows.engine.store import BUDGET
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -7,8 +7,10 @@ from types import ModuleType
 
 from rich.table import Table
 
+from wavequake.campaign.store.store import JOURNAL, REPORT, Manifest, open_store, read_manifest
+from wavequake.campaign.store.verify import verify_store
 from wavequake.errors import StoreDamageError, UserError
-from wavequake.kernels.devices import choose_device
+from wavequake.kernels.device.devices import choose_device
 from wavequake.report import (
     exposures,
     lens,
@@ -21,8 +23,6 @@ from wavequake.report import (
     systems,
 )
 from wavequake.report.export import export, target_of
-from wavequake.workflows.engine.store import JOURNAL, REPORT, Manifest, open_store, read_manifest
-from wavequake.workflows.engine.verify import verify_store
 
 # Each has table_of(store, dataset) and write_report_of(store, dataset, target, device).
 _REPORTS: dict[str, ModuleType] = {

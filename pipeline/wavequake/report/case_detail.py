@@ -6,16 +6,16 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from wavequake.kernels.devices import choose_device
-from wavequake.mechanics.drive import values
-from wavequake.mechanics.element_motion import instants_of
-from wavequake.mechanics.excitations import drive_of
-from wavequake.mechanics.modal import modal_model
-from wavequake.mechanics.response import respond
-from wavequake.optics.motion_fit import figures, motion_fit
-from wavequake.optics.system_wavefront import trace_system
+from wavequake.campaign.store.store import Manifest
+from wavequake.kernels.device.devices import choose_device
+from wavequake.mechanics.disturbances.element_motion import instants_of
+from wavequake.mechanics.vibration.drive import values
+from wavequake.mechanics.vibration.excitations import drive_of
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.response import respond
+from wavequake.optics.shapes.motion_fit import figures, motion_fit
+from wavequake.optics.wavefronts.wavefront import trace_system
 from wavequake.report.segments import detail
-from wavequake.workflows.engine.store import Manifest
 from wavequake.workflows.exposures.telescope_control import CONTROLLERS, control_bench_of, measured_opd
 from wavequake.workflows.exposures.telescope_exposure import case_blocks, scaled_draw
 from wavequake.workflows.lens import lens_experiment as lens

@@ -21,11 +21,11 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from wavequake.campaign.contract import DONE
+from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
 from wavequake.report.figures import STYLE
 from wavequake.report.table import MISSING, number
-from wavequake.workflows.contract import DONE
-from wavequake.workflows.engine.store import open_store
 
 CONFIDENCE = 0.95
 # Coordinates over which measures are averaged, so that two stores must have the same.

@@ -7,7 +7,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from wavequake.optics.zernike import annular_zernike
+from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.report.figures import STYLE, WIDTH
 from wavequake.report.table import number
 from wavequake.report.variants import VariantResult

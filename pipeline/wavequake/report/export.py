@@ -11,8 +11,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from wavequake.campaign.statistics.blocks import blocks
 from wavequake.errors import UserError
-from wavequake.workflows.statistics.blocks import blocks
 
 _LABELS = ("case", "seed", "disturbance", "springs", "realization", "replicate", "status", "message")
 # Dimensions of which each entry has a column of its own: by its name, or by its number from 1.

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from wavequake.campaign.contract import DONE
 from wavequake.report import exposure_figures as draw
 from wavequake.report.page import Picture, picture
 from wavequake.report.psf_figures import image_row, log_psf, mtf_curves
 from wavequake.report.table import number
-from wavequake.workflows.contract import DONE
 
 Array = NDArray[np.float64]
 Row = Mapping[str, tuple[str, str]]

@@ -9,7 +9,7 @@ import xarray as xr
 from astropy.io import fits
 from numpy.typing import NDArray
 
-from wavequake.workflows.statistics.blocks import blocks, pieces
+from wavequake.campaign.statistics.blocks import blocks, pieces
 
 _BLOCK = 2880  # bytes: everything in FITS begins at a multiple
 _TITLES = (("ORIGIN", "title"), ("STUDYID", "study_sha256"), ("CREATED", "created"))

@@ -11,13 +11,13 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from wavequake.campaign.contract import DONE
 from wavequake.report import lens_figures as draw
 from wavequake.report.histories import has_all_instants, what_is_kept
 from wavequake.report.lens_firmware import Firmware, firmware_of, left_beside, off_exact
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number
-from wavequake.workflows.contract import DONE
 from wavequake.workflows.lens.lens_experiment import bench_of, stage_of, study_of
 
 Array = NDArray[np.float64]

@@ -9,12 +9,12 @@ from matplotlib.figure import Figure
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from wavequake.campaign.contract import DONE
 from wavequake.control.bench import LENSES, Bench, bench_modes, fitted_bench
 from wavequake.control.passive import modal_amplitudes
 from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
 from wavequake.report.page import Page, Section, picture, render_page, write_page
 from wavequake.report.table import number
-from wavequake.workflows.contract import DONE
 from wavequake.workflows.lens.lens_passive import PARAMETERS
 
 _NAMES = {

@@ -13,7 +13,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from wavequake.optics.zernike import annular_zernike
+from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.report.deformed_body import bodies
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
 from wavequake.report.histories import has_all_instants

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from wavequake.workflows.statistics.blocks import pieces
+from wavequake.campaign.statistics.blocks import pieces
 
 _LAYOUT_BYTES = 2**20  # more than names, attributes and dimensions take
 

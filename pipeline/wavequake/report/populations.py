@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from wavequake.campaign.contract import DONE, STATUS_MEANINGS, TODO
 from wavequake.errors import UserError
 from wavequake.report.statistics import Jitter, Quantile, case_rms, jitter, quantile
-from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
 
 _SERIES = ("wfe_rms", "wfe_rms_raw", "segment_piston_rms", "strehl", "los", "centroid")
 _VERDICTS = ("rayleigh", "marechal")

@@ -8,7 +8,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from wavequake.imaging.mtf import ideal_mtf, modulation_transfer
+from wavequake.imaging.exposures.mtf import ideal_mtf, modulation_transfer
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
 
 Array = NDArray[np.float64]

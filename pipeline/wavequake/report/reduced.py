@@ -13,7 +13,9 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from wavequake.mechanics.disturbances import analytic_rms
+from wavequake.campaign.contract import DONE
+from wavequake.campaign.store.store import read_manifest
+from wavequake.mechanics.disturbances.registry import analytic_rms
 from wavequake.report import budget
 from wavequake.report.histories import what_is_kept
 from wavequake.report.page import Page, Picture, picture, render_page, write_page
@@ -22,8 +24,6 @@ from wavequake.report.statistics import Quantile, case_rms, quantile
 from wavequake.report.system_figures import distributions
 from wavequake.report.table import MISSING, interval, number, share
 from wavequake.report.vignetting import stopped_light
-from wavequake.workflows.contract import DONE
-from wavequake.workflows.engine.store import read_manifest
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.segment_modal import CERTIFIED, TRACED
 

@@ -13,16 +13,16 @@ import xarray as xr
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.contract import DONE, RAISED, STATUS_MEANINGS, TODO, ChunkResult, Template
+from wavequake.campaign.engine.chunks import checked
+from wavequake.campaign.store.journal import digest
+from wavequake.campaign.store.retention import kept_result, stored_template
+from wavequake.campaign.store.store import open_store, read_manifest
 from wavequake.errors import UserError
 from wavequake.report.campaign import device_at_hand
 from wavequake.report.case_detail import detail_of
 from wavequake.report.export import export, target_of
-from wavequake.workflows.campaign import WORKFLOWS
-from wavequake.workflows.contract import DONE, RAISED, STATUS_MEANINGS, TODO, ChunkResult, Template
-from wavequake.workflows.engine.chunks import checked
-from wavequake.workflows.engine.journal import digest
-from wavequake.workflows.engine.retention import kept_result, stored_template
-from wavequake.workflows.engine.store import open_store, read_manifest
+from wavequake.workflows.run import WORKFLOWS
 
 
 @dataclass(frozen=True)

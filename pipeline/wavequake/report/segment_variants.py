@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from wavequake.kernels.devices import choose_device
+from wavequake.campaign.store.store import read_manifest
+from wavequake.kernels.device.devices import choose_device
 from wavequake.report import mirror_figures as draw
 from wavequake.report import mirrors
 from wavequake.report.detail import Detail
@@ -17,7 +18,6 @@ from wavequake.report.figures import opd_map, segment_map
 from wavequake.report.histories import has_all_instants, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.variants import ModelResult, VariantResult, left_out, representatives
-from wavequake.workflows.engine.store import read_manifest
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench
 from wavequake.workflows.segments.segment_mor import SHAKEN, at_rest, launches
 from wavequake.workflows.segments.segment_mor_bench import (

@@ -6,10 +6,11 @@ import numpy as np
 import xarray as xr
 from rich.table import Table
 
-from wavequake.kernels.devices import choose_device
-from wavequake.kernels.tiles import from_tiles
-from wavequake.mechanics.disturbances import analytic_rms
-from wavequake.optics.prepared import trace_states
+from wavequake.campaign.store.store import read_manifest
+from wavequake.kernels.device.devices import choose_device
+from wavequake.kernels.device.tiles import from_tiles
+from wavequake.mechanics.disturbances.registry import analytic_rms
+from wavequake.optics.segments.prepared import trace_states
 from wavequake.report import budget, reduced
 from wavequake.report.detail import Detail
 from wavequake.report.histories import what_is_kept
@@ -17,7 +18,6 @@ from wavequake.report.html import write_report
 from wavequake.report.populations import Summary, populations, representatives, summarize
 from wavequake.report.table import terminal_table
 from wavequake.report.vignetting import stopped_light
-from wavequake.workflows.engine.store import read_manifest
 from wavequake.workflows.segments.bench import MAS_PER_RAD, bench_of
 from wavequake.workflows.segments.segment_disturbance import draw, surface_states
 

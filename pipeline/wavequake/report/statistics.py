@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
-from wavequake.workflows.statistics.quantiles import (
+from wavequake.campaign.statistics.quantiles import (
     CONFIDENCE,
     Quantile,
     quantile,

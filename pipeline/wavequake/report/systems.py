@@ -12,10 +12,13 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from wavequake.kernels.devices import choose_device
-from wavequake.mechanics.element_motion import instants_of
-from wavequake.optics.paraxial import paraxial
-from wavequake.optics.system_wavefront import trace_system
+from wavequake.campaign.contract import DONE
+from wavequake.campaign.store.retention import STATISTICS
+from wavequake.campaign.store.store import read_manifest
+from wavequake.kernels.device.devices import choose_device
+from wavequake.mechanics.disturbances.element_motion import instants_of
+from wavequake.optics.systems.paraxial import paraxial
+from wavequake.optics.wavefronts.wavefront import trace_system
 from wavequake.report import budget
 from wavequake.report import system_figures as draw_figures
 from wavequake.report.histories import has_histories, what_is_kept
@@ -23,9 +26,6 @@ from wavequake.report.page import Page, Picture, Section, picture, render_page, 
 from wavequake.report.populations import left_out
 from wavequake.report.statistics import Jitter, Quantile, case_rms, jitter_of_cases, quantile
 from wavequake.report.table import interval, number, share
-from wavequake.workflows.contract import DONE
-from wavequake.workflows.engine.retention import STATISTICS
-from wavequake.workflows.engine.store import read_manifest
 from wavequake.workflows.systems.system_bench import (
     SystemBench,
     at_instant,

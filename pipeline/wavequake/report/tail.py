@@ -12,13 +12,13 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from wavequake.campaign.contract import DONE
+from wavequake.campaign.statistics.judged import Judged, judged_in, populations_of, selected, title
+from wavequake.campaign.statistics.quantiles import Quantile
+from wavequake.campaign.statistics.tail import Tail, exceedance, fit_tail, rare_value, steadiness
+from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
 from wavequake.report.table import MISSING, number
-from wavequake.workflows.contract import DONE
-from wavequake.workflows.engine.store import open_store
-from wavequake.workflows.statistics.judged import Judged, judged_in, populations_of, selected, title
-from wavequake.workflows.statistics.quantiles import Quantile
-from wavequake.workflows.statistics.tail import Tail, exceedance, fit_tail, rare_value, steadiness
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from wavequake.campaign.contract import DONE, STATUS_MEANINGS, TODO
 from wavequake.report.populations import Excluded
-from wavequake.workflows.contract import DONE, STATUS_MEANINGS, TODO
 
 Array = NDArray[np.float64]
 Item = TypeVar("Item")

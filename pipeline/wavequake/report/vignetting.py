@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from wavequake.workflows.engine.store import read_manifest
+from wavequake.campaign.store.store import read_manifest
 from wavequake.workflows.segments.bench import bench_of
 
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from wavequake.errors import UserError
-from wavequake.mechanics.motion import generator
-from wavequake.mechanics.streams import Coordinates, Random, Streams, own_streams
+from wavequake.mechanics.disturbances.motion import generator
+from wavequake.mechanics.disturbances.streams import Coordinates, Random, Streams, own_streams
 from wavequake.workflows.schema import CampaignSection
 
 Array = NDArray[np.float64]

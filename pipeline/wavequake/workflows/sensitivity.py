@@ -12,15 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from wavequake.errors import StoreDamageError, UserError
-from wavequake.kernels.devices import Device, choose_device
-from wavequake.optics.checks import whole
-from wavequake.optics.prepared import prepare
-from wavequake.optics.sensitivity import DOFS, Sensitivities, SensitivityMatrix, sensitivities
-from wavequake.optics.zernike import MOST_TERMS
-from wavequake.workflows.engine import arrays
-from wavequake.workflows.engine.journal import digest, flush
-from wavequake.workflows.engine.store import (
+from wavequake.campaign.provenance import collect
+from wavequake.campaign.store import arrays
+from wavequake.campaign.store.journal import digest, flush
+from wavequake.campaign.store.store import (
     MANIFEST,
     SENSITIVITY,
     read_manifest,
@@ -28,9 +23,14 @@ from wavequake.workflows.engine.store import (
     refuse_other,
     write_errors_explained,
 )
+from wavequake.errors import StoreDamageError, UserError
+from wavequake.kernels.device.devices import Device, choose_device
+from wavequake.optics.checks import whole
+from wavequake.optics.polynomials.zernike import MOST_TERMS
+from wavequake.optics.segments.prepared import prepare
+from wavequake.optics.segments.sensitivity import DOFS, Sensitivities, SensitivityMatrix, sensitivities
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.exposures.telescope_control import segment_text
-from wavequake.workflows.provenance import collect
 from wavequake.workflows.schema import Study
 from wavequake.workflows.segments.bench import MM_PER_M, Bench, bench_of
 from wavequake.workflows.segments.segment_mor_bench import telescope_study

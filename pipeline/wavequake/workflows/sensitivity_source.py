@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from wavequake.errors import UserError
-from wavequake.optics.catalog import system_names
+from wavequake.optics.catalog.names import system_names
 from wavequake.workflows.schema import Study
 from wavequake.workflows.study import bundled_studies, load_study, split_overrides, study_of
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from wavequake.errors import UserError
 from wavequake.optics.checks import array
-from wavequake.optics.zernike_indices import Scheme, convert_coefficients
-from wavequake.optics.zernike_transforms import known_transformed
+from wavequake.optics.polynomials.indices import Scheme, convert_coefficients
+from wavequake.optics.polynomials.transforms import known_transformed
 
 if TYPE_CHECKING:
     import xarray as xr

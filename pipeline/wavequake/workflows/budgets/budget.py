@@ -13,13 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wavequake.errors import UserError
-from wavequake.kernels.devices import choose_device
-from wavequake.mechanics.disturbances import Combine
-from wavequake.workflows.budgets import budget_segments, budget_systems
-from wavequake.workflows.budgets.budget_factors import Experiment
-from wavequake.workflows.budgets.indices import Estimate, removed_shares, variance_shares
-from wavequake.workflows.engine.store import (
+from wavequake.campaign.provenance import code, collect
+from wavequake.campaign.store.store import (
     BUDGET,
     MANIFEST,
     read_manifest,
@@ -27,7 +22,12 @@ from wavequake.workflows.engine.store import (
     refuse_other,
     write_errors_explained,
 )
-from wavequake.workflows.provenance import code, collect
+from wavequake.errors import UserError
+from wavequake.kernels.device.devices import choose_device
+from wavequake.mechanics.disturbances.registry import Combine
+from wavequake.workflows.budgets import budget_segments, budget_systems
+from wavequake.workflows.budgets.budget_factors import Experiment
+from wavequake.workflows.budgets.indices import Estimate, removed_shares, variance_shares
 from wavequake.workflows.schema import Study
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.sensitivity import read_dataset, write_dataset

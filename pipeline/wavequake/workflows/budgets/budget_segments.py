@@ -7,8 +7,12 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.mechanics.common_history import CommonHistory
-from wavequake.mechanics.disturbances import (
+from wavequake.campaign.contract import DONE
+from wavequake.mechanics.disturbances.common_history import CommonHistory
+from wavequake.mechanics.disturbances.edge_sensors import EdgeSensorNoise
+from wavequake.mechanics.disturbances.layout import SegmentLayout
+from wavequake.mechanics.disturbances.motion import Motion, add
+from wavequake.mechanics.disturbances.registry import (
     Combine,
     SingleDisturbance,
     draw,
@@ -16,14 +20,10 @@ from wavequake.mechanics.disturbances import (
     stream_of,
     time_axis,
 )
-from wavequake.mechanics.edge_sensors import EdgeSensorNoise
-from wavequake.mechanics.layout import SegmentLayout
-from wavequake.mechanics.motion import Motion, add
-from wavequake.mechanics.segment_history import SegmentHistory
-from wavequake.mechanics.segment_wind import SegmentWind
-from wavequake.mechanics.static_random import StaticRandom
+from wavequake.mechanics.disturbances.segment_history import SegmentHistory
+from wavequake.mechanics.disturbances.segment_wind import SegmentWind
+from wavequake.mechanics.disturbances.static_random import StaticRandom
 from wavequake.workflows.budgets.budget_factors import AGAIN, Experiment, Factor
-from wavequake.workflows.contract import DONE
 from wavequake.workflows.segments.bench import Bench, bench_of
 from wavequake.workflows.segments.segment_disturbance import CaseDraw, trace_draws
 from wavequake.workflows.segments.segment_study import SegmentStudy

@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.kernels.devices import choose_device
-from wavequake.mechanics.disturbances import Combine
-from wavequake.mechanics.element_motion import (
+from wavequake.kernels.device.devices import choose_device
+from wavequake.mechanics.disturbances.element_motion import (
     ElementMotion,
     SingleElementDisturbance,
     draw_elements,
     instants_of,
     single_parts,
 )
+from wavequake.mechanics.disturbances.registry import Combine
 from wavequake.workflows.budgets.budget_factors import AGAIN, Experiment, Factor
 from wavequake.workflows.systems.system_bench import SystemBench, system_bench
 from wavequake.workflows.systems.system_measure import measured

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.imaging import matrix_fourier, segment_psf
-from wavequake.imaging.image_formation import Source, disk_source
-from wavequake.imaging.matrix_fourier import MatrixFourier
-from wavequake.imaging.segment_basis import SegmentBasis, ray_basis
+from wavequake.imaging.engines import matrix_fourier, segment_psf
+from wavequake.imaging.engines.matrix_fourier import MatrixFourier
+from wavequake.imaging.engines.segment_basis import SegmentBasis, ray_basis
+from wavequake.imaging.objects.formation import Source, disk_source
 from wavequake.workflows.exposures.exposed_object import ObjectSection, object_picture
 
 Array = NDArray[np.float64]

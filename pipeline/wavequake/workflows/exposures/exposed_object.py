@@ -7,12 +7,12 @@ import scipy
 from numpy.typing import NDArray
 from pydantic import Field
 
+from wavequake.campaign.contract import Variable
 from wavequake.errors import UserError
-from wavequake.imaging import objects
-from wavequake.imaging.detector import pixel_means
-from wavequake.imaging.exposure_models import cut
-from wavequake.imaging.image_formation import star_field_image
-from wavequake.workflows.contract import Variable
+from wavequake.imaging.exposures.detector import pixel_means
+from wavequake.imaging.exposures.exposure_models import cut
+from wavequake.imaging.objects import shapes as objects
+from wavequake.imaging.objects.formation import star_field_image
 from wavequake.workflows.exposures.object_picture import in_frame, picture_of
 from wavequake.workflows.schema import Section
 

@@ -5,7 +5,7 @@ from typing import Any
 
 from pydantic import Field, model_validator
 
-from wavequake.optics.zernike import MOST_TERMS
+from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.workflows.exposures.exposed_object import ObjectSection
 from wavequake.workflows.exposures.object_picture import read_picture
 from wavequake.workflows.mirrors.mirror_study import MirrorStudy

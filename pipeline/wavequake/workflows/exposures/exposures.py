@@ -5,15 +5,15 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.imaging.exposure import encircled_energy_radius
-from wavequake.imaging.exposure_models import (
+from wavequake.campaign.contract import Variable
+from wavequake.imaging.exposures.exposure import encircled_energy_radius
+from wavequake.imaging.exposures.exposure_models import (
     cut,
     exposure_error,
     full_exposure,
     gaussian_exposure,
     los_exposure,
 )
-from wavequake.workflows.contract import Variable
 from wavequake.workflows.exposures.exposed_object import ObjectSection, object_image, object_variable
 
 Array = NDArray[np.float64]

@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.errors import UserError
-from wavequake.imaging.exposure_models import cut
-from wavequake.imaging.matrix_fourier import matrix_fourier
-from wavequake.imaging.nyquist import too_coarse, zernike_samples_for
-from wavequake.imaging.pupil_function import annular_pupil
-from wavequake.imaging.zernike_psf import ZernikeImager, zernike_imager, zernike_images, zernike_sum
-from wavequake.kernels.devices import NUMPY, Device, choose_device
-from wavequake.optics.zernike import annular_zernike
-from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.imaging.engines.matrix_fourier import matrix_fourier
+from wavequake.imaging.engines.zernike_psf import ZernikeImager, zernike_imager, zernike_images, zernike_sum
+from wavequake.imaging.exposures.exposure_models import cut
+from wavequake.imaging.pupils.nyquist import too_coarse, zernike_samples_for
+from wavequake.imaging.pupils.pupil_function import annular_pupil
+from wavequake.kernels.device.devices import NUMPY, Device, choose_device
+from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.workflows.exposures.coherent_object import LitObject, lit_by_cells, mean_image
 from wavequake.workflows.exposures.exposed_object import check_object, object_at_rest, object_image
 from wavequake.workflows.exposures.exposure_study import MirrorExposureStudy

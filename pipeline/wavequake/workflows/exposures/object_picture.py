@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.imaging.image_formation import checked_intensity
+from wavequake.imaging.objects.formation import checked_intensity
 
 Array = NDArray[np.float64]
 

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
-from wavequake.imaging.segment_basis import SegmentBasis, ray_basis
-from wavequake.imaging.segment_psf import psf
-from wavequake.kernels.devices import Device, choose_device
-from wavequake.kernels.tiles import TILE, from_tiles, padded
-from wavequake.kernels.train import Traced
-from wavequake.optics.prepared import PreparedTrace, chief_rays, prepare, trace_states
-from wavequake.optics.sensitivity import TOLERANCE
-from wavequake.optics.states import SurfaceStates, rest
-from wavequake.optics.wavefront import Wavefront, analyse
+from wavequake.imaging.engines.segment_basis import SegmentBasis, ray_basis
+from wavequake.imaging.engines.segment_psf import psf
+from wavequake.kernels.device.devices import Device, choose_device
+from wavequake.kernels.device.tiles import TILE, from_tiles, padded
+from wavequake.kernels.trace.train import Traced
+from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, prepare, trace_states
+from wavequake.optics.segments.sensitivity import TOLERANCE
+from wavequake.optics.segments.states import SurfaceStates, rest
+from wavequake.optics.segments.wavefront import Wavefront, analyse
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.exposures.exposures import CANVAS, FOCUS
 from wavequake.workflows.schema import study_from_identity

@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.errors import UserError
-from wavequake.imaging.exposure_models import cut, full_exposure
-from wavequake.imaging.nyquist import ray_samples_for, too_few_rays
-from wavequake.kernels.devices import Device, choose_device
-from wavequake.kernels.tiles import TILE
-from wavequake.kernels.train import Traced
-from wavequake.optics.states import SurfaceStates
-from wavequake.optics.wavefront import Wavefront
-from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.imaging.exposures.exposure_models import cut, full_exposure
+from wavequake.imaging.pupils.nyquist import ray_samples_for, too_few_rays
+from wavequake.kernels.device.devices import Device, choose_device
+from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.trace.train import Traced
+from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.segments.wavefront import Wavefront
 from wavequake.workflows.exposures.coherent_object import LitObject, lit_object, mean_image
 from wavequake.workflows.exposures.exposed_object import check_object
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy

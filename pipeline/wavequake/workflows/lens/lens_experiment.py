@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.control.bench import Bench, bench_modes, fitted_bench
 from wavequake.control.camera import Camera, CameraError
 from wavequake.control.experiment import (
@@ -40,8 +41,7 @@ from wavequake.errors import UserError
 from wavequake.firmware.gains import gains_of
 from wavequake.firmware.kept import host_image
 from wavequake.firmware.units import FirmwareUnit
-from wavequake.mechanics.motion import generator
-from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.mechanics.disturbances.motion import generator
 from wavequake.workflows.lens.lens_study import LensStudy
 from wavequake.workflows.schema import study_from_identity
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.contract import DONE, ChunkResult, Template, Variable, Workflow
 from wavequake.control.bench import LENSES, Bench, bench_modes, fitted_bench
 from wavequake.control.passive import modal_amplitudes, optimize
 from wavequake.control.plant import swing
-from wavequake.mechanics.motion import generator
-from wavequake.workflows.contract import DONE, ChunkResult, Template, Variable, Workflow
+from wavequake.mechanics.disturbances.motion import generator
 from wavequake.workflows.schema import CampaignSection, Section, StoreSection, Study, study_from_identity
 
 Array = NDArray[np.float64]

@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
-from wavequake.imaging.matrix_fourier import MatrixFourier, matrix_fourier
-from wavequake.imaging.pupil_function import annular_pupil
-from wavequake.mechanics.excitations import drive_of
-from wavequake.mechanics.material import Material
-from wavequake.mechanics.mirrors import AnnularMirror, CircularMirror, annular_mirror, circular_mirror
-from wavequake.mechanics.modal import modal_model
+from wavequake.imaging.engines.matrix_fourier import MatrixFourier, matrix_fourier
+from wavequake.imaging.pupils.pupil_function import annular_pupil
+from wavequake.mechanics.mirrors.material import Material
+from wavequake.mechanics.mirrors.models import AnnularMirror, CircularMirror, annular_mirror, circular_mirror
 from wavequake.mechanics.model import FiniteElementModel, RayleighDamping, ReducedModel
-from wavequake.mechanics.response import displacements, respond
-from wavequake.optics.zernike import annular_zernike
+from wavequake.mechanics.vibration.excitations import drive_of
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.response import displacements, respond
+from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.reduction.intermediate import Intermediate, intermediate
 from wavequake.reduction.metrics import eps_mor, full_receptance, receptance
 from wavequake.reduction.names import Variant, parse

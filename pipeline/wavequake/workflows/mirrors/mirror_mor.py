@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.errors import UserError
-from wavequake.imaging.matrix_fourier import psf
+from wavequake.imaging.engines.matrix_fourier import psf
 from wavequake.mechanics.model import ReducedModel
 from wavequake.reduction.metrics import eps_mor, frobenius, mac, pseudo_frequencies, receptance, surface_modes
 from wavequake.reduction.names import parse
-from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.mirrors.mirror_bench import (
     Answers,
     Bench,

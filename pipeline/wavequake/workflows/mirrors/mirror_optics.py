@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY, Device, choose_device
+from wavequake.kernels.device.devices import NUMPY, Device, choose_device
 from wavequake.mechanics.model import ReducedModel
-from wavequake.optics.packing import pack
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.shapes import Conic, GridDeformation, ZernikeDeformation
-from wavequake.optics.surface_fit import (
+from wavequake.optics.rays.packing import pack
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.shapes.fit import (
     SurfaceFit,
     apply,
     coefficients,
@@ -25,9 +24,10 @@ from wavequake.optics.surface_fit import (
     relative_residual,
     surface_fit,
 )
-from wavequake.optics.system import OpticalSystem, Pupil, Surface
-from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import PreparedSystem, measure_system, prepare_system
+from wavequake.optics.shapes.shapes import Conic, GridDeformation, ZernikeDeformation
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
+from wavequake.optics.wavefronts.wavefront import PreparedSystem, measure_system, prepare_system
 from wavequake.reduction.intermediate import Intermediate
 from wavequake.reduction.metrics import surface_modes
 from wavequake.workflows.mirrors.mirror_study import AnyMirrorStudy

@@ -9,23 +9,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.kernels.devices import Device
-from wavequake.kernels.sequence import Moving
+from wavequake.kernels.device.devices import Device
+from wavequake.kernels.trace.sequence import Moving
 from wavequake.mechanics.model import ReducedModel
-from wavequake.mechanics.response import Response, displacements
-from wavequake.optics.fits import fit_instants
-from wavequake.optics.motion_fit import MotionFit
-from wavequake.optics.shapes import GridDeformation
-from wavequake.optics.surface_basis import spline_coefficients
-from wavequake.optics.surface_fit import (
+from wavequake.mechanics.vibration.response import Response, displacements
+from wavequake.optics.shapes.basis import spline_coefficients
+from wavequake.optics.shapes.fit import (
     coefficients,
     heights,
     relative_residual,
     residual,
     residual_grid,
 )
-from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import incoming_light, line_of_sight, trace_light
+from wavequake.optics.shapes.motion_fit import MotionFit
+from wavequake.optics.shapes.shapes import GridDeformation
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.wavefronts.fits import fit_instants
+from wavequake.optics.wavefronts.wavefront import incoming_light, line_of_sight, trace_light
 from wavequake.workflows.mirrors.mirror_optics import NM_PER_MM, Optics, displacements_mm, with_deformation
 
 Array = NDArray[np.float64]

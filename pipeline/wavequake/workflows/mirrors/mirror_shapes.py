@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.mechanics.model import ReducedModel
-from wavequake.optics.surface_fit import apply, coefficients, heights
+from wavequake.optics.shapes.fit import apply, coefficients, heights
 from wavequake.reduction.metrics import pseudo_frequencies, surface_modes
 from wavequake.workflows.mirrors.mirror_optics import Optics, displacements_mm
 

@@ -1,10 +1,10 @@
 """The workflow "mirror-trace": every instant traced, or sensitivities times modal coordinates.
 
 A case is one reduced model of one mirror. For each excitation the standard method fits the displaced nodes of
-every instant (`wavequake.optics.motion_fit`) and traces all rays; the modal method adds up what each mode
-does to the light (Störkle 2018, Sections 4.1 and 4.5.2). A third way, the linear fit traced, tells where the
-two part: in the sag that is taken at the displaced x and y, or in the optics. Where the polynomials of the
-fit miss much of the deformation, both methods add what they leave, as a grid (Eq. 4.11).
+every instant (`wavequake.optics.shapes.motion_fit`) and traces all rays; the modal method adds up what each
+mode does to the light (Störkle 2018, Sections 4.1 and 4.5.2). A third way, the linear fit traced, tells where
+the two part: in the sag that is taken at the displaced x and y, or in the optics. Where the polynomials of
+the fit miss much of the deformation, both methods add what they leave, as a grid (Eq. 4.11).
 """
 
 import time
@@ -16,18 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.errors import UserError
-from wavequake.kernels.devices import Device, choose_device
-from wavequake.mechanics.excitations import drive_of
-from wavequake.mechanics.modal import modal_model
-from wavequake.mechanics.response import Response, respond
-from wavequake.optics.fits import fit_instants
-from wavequake.optics.motion_fit import MotionFit, figures, motion_fit
-from wavequake.optics.surface_fit import apply
-from wavequake.optics.system_wavefront import PreparedSystem, line_of_sight, trace_light
+from wavequake.kernels.device.devices import Device, choose_device
+from wavequake.mechanics.vibration.excitations import drive_of
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.response import Response, respond
+from wavequake.optics.shapes.fit import apply
+from wavequake.optics.shapes.motion_fit import MotionFit, figures, motion_fit
+from wavequake.optics.wavefronts.fits import fit_instants
+from wavequake.optics.wavefronts.wavefront import PreparedSystem, line_of_sight, trace_light
 from wavequake.reduction.metrics import pseudo_frequencies
 from wavequake.reduction.names import parse
-from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
 from wavequake.workflows.mirrors.mirror_base import driven
 from wavequake.workflows.mirrors.mirror_bench import (
     Bench,

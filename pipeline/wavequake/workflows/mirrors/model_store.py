@@ -20,11 +20,11 @@ from platformdirs import user_cache_path
 from pydantic import ValidationError
 from scipy.sparse import csc_array, issparse
 
+from wavequake.campaign.provenance import code
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.model import ImportedModel, load_model
 from wavequake.mechanics.model import FiniteElementModel, RayleighDamping, check_model
 from wavequake.reduction.intermediate import Intermediate
-from wavequake.workflows.provenance import code
 
 Arrays = dict[str, NDArray[Any]]
 Kind = TypeVar("Kind", FiniteElementModel, Intermediate)

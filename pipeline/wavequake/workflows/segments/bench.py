@@ -10,23 +10,23 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import choose_device
-from wavequake.kernels.tiles import TILE
-from wavequake.kernels.train import OK
-from wavequake.mechanics.disturbances import Disturbance
-from wavequake.mechanics.layout import SegmentLayout
-from wavequake.optics.corner_table import distorted
-from wavequake.optics.fits import tells_apart
-from wavequake.optics.prepared import PreparedTrace, chief_rays, prepare, trace_states
-from wavequake.optics.pupils import PupilRays, on_glass, segment_rays, sunflower
-from wavequake.optics.segmented_telescope import FirstOrder, SegmentedTelescope, first_order, footprints
-from wavequake.optics.segments import areas, is_monolithic
-from wavequake.optics.slopes import slope_fit
-from wavequake.optics.sphere_fit import reference_fit
-from wavequake.optics.states import SurfaceStates, rest
-from wavequake.optics.telescopes import telescope
-from wavequake.optics.wavefront import Wavefront, analyse
-from wavequake.optics.zernike_transforms import known_transformed
+from wavequake.kernels.device.devices import choose_device
+from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.trace.train import OK
+from wavequake.mechanics.disturbances.layout import SegmentLayout
+from wavequake.mechanics.disturbances.registry import Disturbance
+from wavequake.optics.polynomials.transforms import known_transformed
+from wavequake.optics.rays.pupils import PupilRays, on_glass, segment_rays, sunflower
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.layout import areas, is_monolithic
+from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, prepare, trace_states
+from wavequake.optics.segments.slopes import slope_fit
+from wavequake.optics.segments.states import SurfaceStates, rest
+from wavequake.optics.segments.telescope import FirstOrder, SegmentedTelescope, first_order, footprints
+from wavequake.optics.segments.wavefront import Wavefront, analyse
+from wavequake.optics.shapes.corner_table import distorted
+from wavequake.optics.wavefronts.fits import tells_apart
+from wavequake.optics.wavefronts.sphere_fit import reference_fit
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.segments.vignetting import Stopped, refuse_dark_segment, stopped_at_rest

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.imaging.matrix_fourier import samples_needed
-from wavequake.imaging.nyquist import too_few_rays
-from wavequake.imaging.placement import place
-from wavequake.imaging.segment_basis import SegmentBasis, ray_basis, segment_basis
-from wavequake.imaging.segment_psf import amplitude_images, psf, shift_phase, truncation_error
-from wavequake.kernels.tiles import TILE, from_tiles
-from wavequake.kernels.train import Traced, vignetted
-from wavequake.optics.wavefront import Wavefront
+from wavequake.imaging.engines.matrix_fourier import samples_needed
+from wavequake.imaging.engines.segment_basis import SegmentBasis, ray_basis, segment_basis
+from wavequake.imaging.engines.segment_psf import amplitude_images, psf, shift_phase, truncation_error
+from wavequake.imaging.exposures.placement import place
+from wavequake.imaging.pupils.nyquist import too_few_rays
+from wavequake.kernels.device.tiles import TILE, from_tiles
+from wavequake.kernels.trace.train import Traced, vignetted
+from wavequake.optics.segments.wavefront import Wavefront
 from wavequake.workflows.segments.bench import Bench, bench_of, monolithic
 
 Array = NDArray[np.float64]

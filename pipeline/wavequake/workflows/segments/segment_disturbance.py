@@ -12,19 +12,20 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Workflow
+from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.errors import UserError
-from wavequake.imaging.exposure import encircled_energy_radius
-from wavequake.kernels.devices import choose_device
-from wavequake.kernels.tiles import TILE, padded
-from wavequake.mechanics.disturbances import Disturbance, Motion, analytic_rms, draw_case, time_axis
-from wavequake.mechanics.edge_sensors import EdgeSensorNoise, unseen_motions
-from wavequake.mechanics.population import Population
-from wavequake.optics.prepared import chief_rays, trace_states
-from wavequake.optics.quality import meets_marechal, meets_rayleigh
-from wavequake.optics.states import SurfaceStates
-from wavequake.optics.wavefront import Wavefront, analyse
-from wavequake.optics.zernike import noll_to_nm
-from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Workflow
+from wavequake.imaging.exposures.exposure import encircled_energy_radius
+from wavequake.kernels.device.devices import choose_device
+from wavequake.kernels.device.tiles import TILE, padded
+from wavequake.mechanics.disturbances.edge_sensors import EdgeSensorNoise, unseen_motions
+from wavequake.mechanics.disturbances.population import Population
+from wavequake.mechanics.disturbances.registry import Disturbance, Motion, analytic_rms, draw_case, time_axis
+from wavequake.optics.polynomials.zernike import noll_to_nm
+from wavequake.optics.segments.prepared import chief_rays, trace_states
+from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.segments.wavefront import Wavefront, analyse
+from wavequake.optics.wavefronts.quality import meets_marechal, meets_rayleigh
 from wavequake.workflows.sampling import replicate_labels
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis, monolithic
@@ -40,7 +41,6 @@ from wavequake.workflows.segments.segment_modal import modal_cases, model_of
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.segments.segment_template import template, traced
 from wavequake.workflows.segments.vignetting import require_all_rays
-from wavequake.workflows.stopwatch import Stopwatch
 
 Array = NDArray[np.float64]
 

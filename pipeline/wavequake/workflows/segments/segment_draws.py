@@ -2,8 +2,8 @@
 
 from functools import lru_cache
 
-from wavequake.mechanics.disturbances import Combine, Disturbance, Motion, draw_case
-from wavequake.mechanics.streams import Streams
+from wavequake.mechanics.disturbances.registry import Combine, Disturbance, Motion, draw_case
+from wavequake.mechanics.disturbances.streams import Streams
 from wavequake.workflows.sampling import NEVER_STRATIFIED, Plan, plan_of
 from wavequake.workflows.segments.bench import Bench, bench_of
 

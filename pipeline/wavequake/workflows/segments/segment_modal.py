@@ -12,21 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wavequake.kernels.devices import choose_device
-from wavequake.kernels.tiles import TILE, padded
-from wavequake.mechanics.common_history import CommonHistory, amplitude_generator, amplitudes, history
-from wavequake.mechanics.disturbances import Disturbance, Motion, draw_case, time_axis
-from wavequake.mechanics.static_random import StaticRandom
-from wavequake.optics import modal
-from wavequake.optics.modal import COMMON, RIGID, Forms, ModalModel
-from wavequake.optics.modal_derivatives import modal_model
-from wavequake.optics.quality import meets_marechal
-from wavequake.workflows.contract import DONE, ChunkResult
+from wavequake.campaign.contract import DONE, ChunkResult
+from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.kernels.device.devices import choose_device
+from wavequake.kernels.device.tiles import TILE, padded
+from wavequake.mechanics.disturbances.common_history import (
+    CommonHistory,
+    amplitude_generator,
+    amplitudes,
+    history,
+)
+from wavequake.mechanics.disturbances.registry import Disturbance, Motion, draw_case, time_axis
+from wavequake.mechanics.disturbances.static_random import StaticRandom
+from wavequake.optics.segments import modal
+from wavequake.optics.segments.modal import COMMON, RIGID, Forms, ModalModel
+from wavequake.optics.segments.modal_derivatives import modal_model
+from wavequake.optics.wavefronts.quality import meets_marechal
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis
 from wavequake.workflows.segments.case_pattern import slots
 from wavequake.workflows.segments.segment_draws import draw_realization, sampling_plan
 from wavequake.workflows.segments.segment_template import computed
-from wavequake.workflows.stopwatch import Stopwatch
 
 Array = NDArray[np.float64]
 Cases = NDArray[np.int64]

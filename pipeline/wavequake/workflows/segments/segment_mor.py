@@ -12,18 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Workflow
+from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.errors import UserError
-from wavequake.kernels.devices import Device, choose_device
-from wavequake.kernels.tiles import TILE, padded
-from wavequake.kernels.train import Traced
+from wavequake.kernels.device.devices import Device, choose_device
+from wavequake.kernels.device.tiles import TILE, padded
+from wavequake.kernels.trace.train import Traced
 from wavequake.mechanics.model import ReducedModel
-from wavequake.optics.prepared import PreparedTrace, chief_rays, trace_states
-from wavequake.optics.states import SurfaceStates
-from wavequake.optics.wavefront import Wavefront, analyse
+from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, trace_states
+from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.segments.wavefront import Wavefront, analyse
 from wavequake.reduction.metrics import eps_mor, frobenius, pseudo_frequencies, receptance
 from wavequake.reduction.names import parse
 from wavequake.reduction.two_stage import check_variants
-from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Workflow
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.segments.bench import Bench, bench_of
 from wavequake.workflows.segments.images import summed_images
@@ -41,7 +42,6 @@ from wavequake.workflows.segments.segment_mor_bench import (
 )
 from wavequake.workflows.segments.segment_mor_study import SegmentMorStudy
 from wavequake.workflows.segments.segment_mor_template import template
-from wavequake.workflows.stopwatch import Stopwatch
 
 Array = NDArray[np.float64]
 

@@ -9,19 +9,19 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
-from wavequake.mechanics.drive import Drive
-from wavequake.mechanics.excitations import AnyExcitation, RandomVibration, drive_of
-from wavequake.mechanics.material import Material
-from wavequake.mechanics.mirrors import HexagonalSegment, hexagonal_segment, on_springs
-from wavequake.mechanics.modal import modal_model
+from wavequake.mechanics.disturbances.motion import generator
+from wavequake.mechanics.disturbances.static_random import StaticRandom
+from wavequake.mechanics.mirrors.material import Material
+from wavequake.mechanics.mirrors.models import HexagonalSegment, hexagonal_segment, on_springs
 from wavequake.mechanics.model import FiniteElementModel, RayleighDamping, ReducedModel
-from wavequake.mechanics.motion import generator
-from wavequake.mechanics.response import displacements, respond
-from wavequake.mechanics.static_random import StaticRandom
-from wavequake.optics.segmented_telescope import SegmentedTelescope
-from wavequake.optics.segments import Segments, is_monolithic
-from wavequake.optics.shapes import Conic
-from wavequake.optics.surface_fit import SurfaceFit, apply, separate_pose, surface_fit
+from wavequake.mechanics.vibration.drive import Drive
+from wavequake.mechanics.vibration.excitations import AnyExcitation, RandomVibration, drive_of
+from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.response import displacements, respond
+from wavequake.optics.segments.layout import Segments, is_monolithic
+from wavequake.optics.segments.telescope import SegmentedTelescope
+from wavequake.optics.shapes.fit import SurfaceFit, apply, separate_pose, surface_fit
+from wavequake.optics.shapes.shapes import Conic
 from wavequake.reduction.intermediate import Intermediate, intermediate
 from wavequake.reduction.metrics import eps_mor, full_receptance, receptance
 from wavequake.reduction.names import parse

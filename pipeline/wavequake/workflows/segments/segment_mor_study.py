@@ -5,9 +5,9 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from wavequake.mechanics.material import GLASS_CERAMIC
-from wavequake.mechanics.mirrors import SEGMENT_SUPPORT
-from wavequake.optics.zernike import MOST_TERMS
+from wavequake.mechanics.mirrors.material import GLASS_CERAMIC
+from wavequake.mechanics.mirrors.models import SEGMENT_SUPPORT
+from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.workflows.mirrors.mirror_study import (
     CriterionSection,
     Excitations,

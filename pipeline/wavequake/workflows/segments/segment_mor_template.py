@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.workflows.contract import Template, Variable
+from wavequake.campaign.contract import Template, Variable
 from wavequake.workflows.segments.segment_mor_bench import (
     frequencies_of,
     spot_check,

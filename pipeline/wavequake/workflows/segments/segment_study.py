@@ -6,9 +6,9 @@ from typing import Any, Literal, get_args
 
 from pydantic import BaseModel, Field, field_validator, model_validator
 
-from wavequake.mechanics.disturbances import Disturbance
-from wavequake.optics.polygon_table import read_polygons
-from wavequake.optics.zernike import MOST_TERMS
+from wavequake.mechanics.disturbances.registry import Disturbance
+from wavequake.optics.polynomials.zernike import MOST_TERMS
+from wavequake.optics.shapes.polygon_table import read_polygons
 from wavequake.workflows.sampling import SampledCampaignSection, whole_sets
 from wavequake.workflows.schema import Section, StoreSection, Study, text_of
 

@@ -6,8 +6,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.workflows.contract import Template, Variable
-from wavequake.workflows.engine.chunk_size import stored_bytes
+from wavequake.campaign.contract import Template, Variable
+from wavequake.campaign.engine.chunk_size import stored_bytes
 from wavequake.workflows.segments.bench import Bench, bench_of, in_basis
 from wavequake.workflows.segments.images import image_axis
 from wavequake.workflows.segments.segment_study import SegmentStudy

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.train import MISS, OK
-from wavequake.optics.prepared import PreparedTrace
-from wavequake.optics.segmented_telescope import SegmentedTelescope
+from wavequake.kernels.trace.train import MISS, OK
+from wavequake.optics.segments.prepared import PreparedTrace
+from wavequake.optics.segments.telescope import SegmentedTelescope
 
 Codes = NDArray[np.int8]
 
@@ -68,7 +68,7 @@ def _percent(count: int, total: int) -> str:
 
 
 def stopped_at_rest(prepared: PreparedTrace, status: Codes) -> Stopped:
-    """Count what the status (N,) of the rays at rest, as `wavequake.kernels.train.Traced` has it, says."""
+    """Count what the status (N,) of the rays at rest, as `kernels.trace.train.Traced` has it, says."""
     mirrors = prepared.system.surfaces[:-1]
     counts = [int(np.count_nonzero(status == MISS + index)) for index in range(len(mirrors))]
     dark = (status >= MISS) & (status < MISS + len(mirrors))

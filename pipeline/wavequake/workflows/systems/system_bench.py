@@ -10,25 +10,30 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from wavequake.errors import UserError
-from wavequake.kernels.devices import NUMPY
-from wavequake.kernels.sequence import OK
-from wavequake.kernels.sequential import trace_sequence
-from wavequake.mechanics.element_motion import ElementMotion, figure_grids, figure_terms, single_parts
-from wavequake.optics.bodies import (
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.kernels.trace.sequence import OK
+from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.mechanics.disturbances.element_motion import (
+    ElementMotion,
+    figure_grids,
+    figure_terms,
+    single_parts,
+)
+from wavequake.optics.rays.aiming import LOSSES, losses, point_name
+from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.shapes.grid_cover import require_cover
+from wavequake.optics.shapes.shapes import GridDeformation, ZernikeDeformation
+from wavequake.optics.systems.bodies import (
     Body,
     beam_radii,
     rigid_body,
     surface_index,
     with_bodies,
 )
-from wavequake.optics.grid_cover import require_cover
-from wavequake.optics.pupils import sunflower
-from wavequake.optics.ray_aiming import LOSSES, losses, point_name
-from wavequake.optics.shapes import GridDeformation, ZernikeDeformation
-from wavequake.optics.system import OpticalSystem, SystemStates
-from wavequake.optics.system_file import build
-from wavequake.optics.system_kinematics import rest_states
-from wavequake.optics.system_wavefront import (
+from wavequake.optics.systems.file import build
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.system import OpticalSystem, SystemStates
+from wavequake.optics.wavefronts.wavefront import (
     PreparedSystem,
     SystemWavefront,
     incoming_light,

@@ -12,25 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wavequake.kernels.devices import choose_device
-from wavequake.kernels.sequence import bends
-from wavequake.mechanics.disturbances import Combine
-from wavequake.mechanics.element_motion import (
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.kernels.device.devices import choose_device
+from wavequake.kernels.trace.sequence import bends
+from wavequake.mechanics.disturbances.element_motion import (
     ElementDisturbance,
     ElementMotion,
     draw_elements,
     instants_of,
 )
-from wavequake.mechanics.streams import Streams
-from wavequake.optics.packing import moving
-from wavequake.optics.system_file import build
-from wavequake.optics.system_kinematics import rest_states
-from wavequake.workflows.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.mechanics.disturbances.registry import Combine
+from wavequake.mechanics.disturbances.streams import Streams
+from wavequake.optics.rays.packing import moving
+from wavequake.optics.systems.file import build
+from wavequake.optics.systems.kinematics import rest_states
 from wavequake.workflows.sampling import Plan, plan_of, replicate_labels
 from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segments.segment_disturbance import slot
 from wavequake.workflows.segments.segment_template import wavefront_source
-from wavequake.workflows.stopwatch import Stopwatch
 from wavequake.workflows.systems.system_bench import (
     NM_PER_MM,
     SystemBench,

@@ -5,22 +5,22 @@ from dataclasses import fields
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.kernels.devices import Device
-from wavequake.kernels.sequence import Moving
-from wavequake.kernels.sequential_numpy import moving_part
-from wavequake.kernels.tiles import TILE
-from wavequake.mechanics.element_motion import ElementMotion
-from wavequake.optics.packing import moving
-from wavequake.optics.quality import meets_marechal, meets_rayleigh
-from wavequake.optics.system_wavefront import (
+from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.kernels.device.devices import Device
+from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.trace.sequence import Moving
+from wavequake.kernels.trace.sequential_numpy import moving_part
+from wavequake.mechanics.disturbances.element_motion import ElementMotion
+from wavequake.optics.polynomials.transforms import known_transformed
+from wavequake.optics.rays.packing import moving
+from wavequake.optics.wavefronts.quality import meets_marechal, meets_rayleigh
+from wavequake.optics.wavefronts.wavefront import (
     PreparedSystem,
     SystemWavefront,
     analyse_system,
     incoming_lights,
     trace_lights,
 )
-from wavequake.optics.zernike_transforms import known_transformed
-from wavequake.workflows.stopwatch import Stopwatch
 from wavequake.workflows.systems.system_bench import NM_PER_MM, SystemBench, failure, system_states
 
 Array = NDArray[np.float64]

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from wavequake.errors import UserError
-from wavequake.optics.catalog import optical_system, system_names
-from wavequake.optics.parent import parent_system
-from wavequake.optics.system import OpticalSystem
-from wavequake.optics.system_file import build
-from wavequake.optics.zemax_import import read_zmx
+from wavequake.optics.catalog.names import optical_system, system_names
+from wavequake.optics.segments.parent import parent_system
+from wavequake.optics.systems.file import build
+from wavequake.optics.systems.system import OpticalSystem
+from wavequake.optics.zemax.read import read_zmx
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.exposures.telescope_control import segment_text
 from wavequake.workflows.segments.bench import bench_of

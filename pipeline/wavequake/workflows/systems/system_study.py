@@ -6,13 +6,13 @@ from typing import Any, Literal, get_args
 from pydantic import BaseModel, Field, field_validator, model_validator
 
 from wavequake.errors import UserError
-from wavequake.mechanics.disturbances import Combine
-from wavequake.mechanics.element_history import SurfaceHistory, own_axis
-from wavequake.mechanics.element_motion import ElementDisturbance, instants_of, single_parts
-from wavequake.mechanics.line_of_sight import LineOfSight
-from wavequake.mechanics.vibration_lines import VibrationLines
-from wavequake.optics.system_file import SystemSection, embed_file
-from wavequake.optics.zernike import MOST_TERMS
+from wavequake.mechanics.disturbances.element_history import SurfaceHistory, own_axis
+from wavequake.mechanics.disturbances.element_motion import ElementDisturbance, instants_of, single_parts
+from wavequake.mechanics.disturbances.line_of_sight import LineOfSight
+from wavequake.mechanics.disturbances.registry import Combine
+from wavequake.mechanics.disturbances.vibration_lines import VibrationLines
+from wavequake.optics.polynomials.zernike import MOST_TERMS
+from wavequake.optics.systems.file import SystemSection, embed_file
 from wavequake.workflows.sampling import SampledCampaignSection, whole_sets
 from wavequake.workflows.schema import Section, Study, base64_of, text_of
 from wavequake.workflows.segments.segment_study import require_path_lengths

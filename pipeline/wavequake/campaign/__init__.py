@@ -1,0 +1,1 @@
+"""Campaigns: run the cases of any workflow, keep them, judge them. Knows no physics."""

@@ -1,0 +1,1 @@
+"""Compute the cases of a campaign: chunks, tasks, scheduling, isolation."""

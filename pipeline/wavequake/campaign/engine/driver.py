@@ -1,0 +1,291 @@
+"""Run a campaign: compute the chunks of a store that its journal does not list, on one process or many.
+
+Dask's scheduler does all scheduling, and its state is disposable: tasks carry a path and two numbers, results
+are a few scalars, and after any crash the next run computes the plan minus the journal.
+"""
+
+import time
+import uuid
+from collections.abc import Callable, Mapping
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+from logging import Logger
+from pathlib import Path
+
+from wavequake.campaign import provenance
+from wavequake.campaign.contract import Workflow
+from wavequake.campaign.engine.chunks import Job, Outcome
+from wavequake.campaign.engine.driver_lock import Shard, driver_lock, others_at_work, this_process
+from wavequake.campaign.engine.isolation import NoProcessError, compute_isolated
+from wavequake.campaign.engine.runlog import run_log
+from wavequake.campaign.engine.series import in_series, left_open, unmark
+from wavequake.campaign.engine.stream import limit_of, stream
+from wavequake.campaign.store import store, verify
+from wavequake.campaign.store.journal import Chunk, Record, read_journal
+from wavequake.campaign.store.store import Manifest
+from wavequake.cluster.local import leave_if_imported_by_a_worker
+from wavequake.cluster.places import Opener, elsewhere, place_of
+from wavequake.errors import StoreDamageError, UserError
+from wavequake.kernels.device.devices import choose_device
+
+Progress = Callable[[int, int, int], None]
+
+
+@dataclass(frozen=True)
+class CampaignSummary:
+    """What a run did: cases done before, computed now, quarantined in all, chunks computed, times in s.
+
+    ``goal`` says in words how well what `campaign.until` asks for is known.
+    """
+
+    done_before: int
+    computed: int
+    quarantined: int
+    chunks: int
+    seconds: float
+    compute_seconds: float
+    write_seconds: float
+    goal: tuple[str, ...] = ()
+
+    def followed_by(self, later: "CampaignSummary") -> "CampaignSummary":
+        """Return what both runs did together."""
+        return CampaignSummary(
+            self.done_before,
+            self.computed + later.computed,
+            later.quarantined,
+            self.chunks + later.chunks,
+            self.seconds + later.seconds,
+            self.compute_seconds + later.compute_seconds,
+            self.write_seconds + later.write_seconds,
+        )
+
+
+def run_campaign(
+    workflow: Workflow,
+    study: str,
+    path: Path | str,
+    *,
+    cases: int,
+    chunk: int,
+    device: str,
+    on: str = "local",
+    workers: int | None = None,
+    progress: Progress | None = None,
+    recompute: AbstractSet[Chunk] = frozenset(),
+    retry: bool = False,
+    title: str = "",
+    timeout_s: float | None = None,
+    allow_mixed: bool = False,
+    repair: bool = False,
+    dashboard: Callable[[str], None] | None = None,
+    shard: Shard | None = None,
+    cluster: Path | None = None,
+) -> CampaignSummary:
+    """Compute what the store at `path` lacks of `cases` cases; the store is made or extended if need be.
+
+    Parameters
+    ----------
+    workflow, study
+        What to compute; `study` is the canonical JSON text that identifies the study.
+    path : Path or str
+        Folder of the store.
+    cases, chunk : int
+        Number of cases wanted, and of cases per chunk if the store is new.
+    device : str
+        The device that runs the kernels.
+    on : str
+        "serial" (in this process), "local" (worker processes), "slurm", "ssh", "kubernetes", or
+        "tcp://HOST:PORT" or "tls://HOST:PORT" (a Dask scheduler).
+    workers : int, optional
+        Number of worker processes of "local" and "slurm"; by default one per CPU, and one on a GPU.
+    progress : callable, optional
+        Called with the numbers of cases done, wanted and quarantined, at first and after every chunk.
+    recompute : set of (int, int)
+        Chunks to compute again although they are done.
+    retry : bool
+        Compute the chunks of `recompute` only, and change no case of them that is done.
+    title : str
+        Of the study, which is no part of its identity; a new store keeps it.
+    timeout_s : float, optional
+        Longest time that a chunk, or a case tried alone, may take; by default 20 times the median chunk's, at
+        least half an hour. A case that exceeds it is quarantined.
+    allow_mixed : bool
+        Go on with a store that other versions of the code began; the journal keeps what computed each chunk.
+    repair : bool
+        Read the whole store first; put back metadata and labels, and compute chunks again, that are damaged.
+    dashboard : callable, optional
+        Start Dask's dashboard and call this with its link.
+    shard : Shard, optional
+        Compute the chunks of this shard only, while other processes, perhaps on other machines, compute the
+        others. All give the same number of cases.
+    cluster : Path, optional
+        A cluster file, which says what to ask Slurm for, the hosts of ssh, or the certificates of TLS.
+
+    Raises
+    ------
+    UserError
+        If the store belongs to another study, kind of device or version, is in use or cannot be written, or
+        `on` is unknown.
+    StoreDamageError
+        If two runs of a chunk gave different numbers, or `retry` would change a case that is done.
+    KeyboardInterrupt
+        On Ctrl-C, with all workers gone; finished chunks stay, and the next run continues.
+    """
+    leave_if_imported_by_a_worker()
+    start, path = time.perf_counter(), Path(path).absolute()
+    place = place_of(on, cluster)
+    kind = choose_device(device).kind
+    with driver_lock(path, shard) as setup:
+        others = others_at_work(path, shard)
+        _refuse_growth(path, cases, others)
+        manifest = _prepared(workflow, study, path, cases, chunk, device, kind, title, repair, not others)
+        if not others:
+            _sweep(path)
+        setup.close()
+        ours = [p for p in manifest.plan() if p[0] < cases and (not shard or shard.owns(p, manifest.chunk))]
+        wanted = [p for p in ours if p in recompute or not retry]
+        records = store.done_records(manifest, read_journal(path / store.JOURNAL))
+        if repair:
+            recompute = recompute | verify.verify_store(path).chunks
+        again = recompute | verify.lost_chunks(path, manifest, records)
+        todo = [piece for piece in wanted if piece not in records or piece in again]
+        kept = {piece: records[piece] for piece in wanted if piece in records and piece not in again}
+        tally = _Tally(wanted, kept, progress)
+        done_before = tally.done
+        if todo:
+            if not allow_mixed:
+                store.refuse_mixed(path, manifest, provenance.code())
+            code = provenance.code() if elsewhere(on) and not allow_mixed else ""
+            job = Job(workflow, str(path), device, uuid.uuid4().hex, code, retry)
+            with run_log(path / store.LOG) as tally.log:
+                tally.log.info("%s on %s; on=%s, device %s", provenance.code(), this_process(), on, device)
+                tally.log.info("%d cases wanted, %d done before", tally.total, tally.done)
+                processes = workers or (1 if (on, kind) == ("local", "gpu") else None)
+                _compute(job, todo, place, processes, tally, timeout_s, dashboard)
+        records = store.done_records(manifest, read_journal(path / store.JOURNAL))
+        lacking = [piece for piece in wanted if piece not in records]
+    if lacking:
+        raise StoreDamageError(
+            f"the journal of {path} lacks {len(lacking)} chunks that were computed, first {lacking[0]}"
+        )
+    return CampaignSummary(
+        done_before,
+        tally.done - done_before,
+        sum(records[piece].quarantined for piece in ours if piece in records),
+        len(todo),
+        time.perf_counter() - start,
+        tally.compute_s,
+        tally.write_s,
+    )
+
+
+class _Tally:
+    """Counts of a run, told to the caller's progress and to the log after each chunk."""
+
+    def __init__(
+        self, wanted: list[Chunk], before: Mapping[Chunk, Record], progress: Progress | None
+    ) -> None:
+        self.total = sum(last - first for first, last in wanted)
+        self.done = sum(last - first for first, last in before)
+        self.quarantined = sum(record.quarantined for record in before.values())
+        self.chunk_seconds = [record.timings.get("compute_s", 0.0) for record in before.values()]
+        self.compute_s = self.write_s = 0.0
+        self.log = Logger("nothing yet")
+        self._progress = progress or (lambda done, total, quarantined: None)
+        self._progress(self.done, self.total, self.quarantined)
+
+    def add(self, outcome: Outcome) -> None:
+        first, last = outcome.chunk
+        self.done += last - first
+        self.quarantined += outcome.quarantined
+        self.compute_s += outcome.compute_s
+        self.write_s += outcome.write_s
+        self.chunk_seconds.append(outcome.compute_s)
+        self.log.info(
+            "cases %d to %d: computed in %.3f s, written in %.3f s, %d quarantined",
+            *(first, last - 1, outcome.compute_s, outcome.write_s, outcome.quarantined),
+        )
+        self._progress(self.done, self.total, self.quarantined)
+
+
+def _prepared(
+    workflow: Workflow,
+    study: str,
+    path: Path,
+    cases: int,
+    chunk: int,
+    device: str,
+    kind: str,
+    title: str,
+    repair: bool,
+    alone: bool,
+) -> Manifest:
+    """Create the store, or check that it is ours and extend it.
+
+    One that another version made, and in which nobody has computed anything, is made anew.
+    """
+    manifest = store.read_manifest(path) if (path / store.MANIFEST).exists() else None
+    if manifest is None or (alone and _is_blank(path, manifest)):
+        sources = {"study_title": title, **provenance.collect(choose_device(device))}
+        return store.create_store(path, workflow, study, cases, chunk, device, sources)
+    store.refuse_other(path, manifest, workflow.name, study, kind)
+    if repair or store.lost_layout(path, manifest):
+        store.mend_layout(path, manifest, workflow)
+    return store.extend_store(path, workflow, cases)
+
+
+def _is_blank(path: Path, manifest: Manifest) -> bool:
+    """Return whether another version made a store, and no chunk of it was computed."""
+    by_another = manifest.provenance.get("code", "") not in ("", provenance.code())
+    return by_another and not any((path / store.JOURNAL).glob("*.jsonl"))
+
+
+def _refuse_growth(path: Path, cases: int, others: list[str]) -> None:
+    """Raise UserError if a store would be extended under the hands of those who compute other shards."""
+    if others and (path / store.MANIFEST).exists() and (there := store.read_manifest(path).cases) < cases:
+        raise UserError(
+            f"{path} is being computed to {there} cases (shard {others[0]}): give all shards the same "
+            "campaign.cases, or wait."
+        )
+
+
+def _sweep(path: Path) -> None:
+    """Remove the unfinished files of writers that were killed; nobody else may be writing."""
+    for name in (path / store.DATA).rglob("*.partial"):
+        name.unlink(missing_ok=True)
+
+
+def _compute(
+    job: Job,
+    todo: list[Chunk],
+    place: Opener | None,
+    workers: int | None,
+    tally: _Tally,
+    timeout_s: float | None,
+    dashboard: Callable[[str], None] | None,
+) -> None:
+    def limit() -> float:
+        return limit_of(timeout_s, tally.chunk_seconds)
+
+    if place is None:
+        path = Path(job.path)
+        died = left_open(path, todo)
+        for piece in died:
+            tally.log.warning(
+                "the run before died in cases %d to %d: each is tried alone", piece[0], piece[1] - 1
+            )
+        rest = [piece for piece in todo if piece not in died]
+        suspects = in_series(job, rest, tally.add, limit, tally.log)
+        for piece in died:
+            try:
+                tally.add(compute_isolated(job, *piece, limit()))
+            except NoProcessError:  # most likely it was killed, and no case is guilty
+                suspects += in_series(job, [piece], tally.add, limit, tally.log)
+            unmark(path, piece)
+    else:
+        with place(workers and min(workers, len(todo)), dashboard is not None) as client:
+            if dashboard is not None:
+                dashboard(client.dashboard_link)
+            suspects = stream(client, job, todo, tally.add, limit, tally.log)
+    for piece in suspects:
+        tally.add(compute_isolated(job, *piece, limit()))

@@ -1,0 +1,209 @@
+"""The zarr arrays of a store: how they are laid out, and the one way in which numbers enter them.
+
+Every array of numbers per case is cut along ``case`` into pieces of K cases, one file each. Reading a file
+that is missing or empty gives fill values without any error, so that only the journal can say what was
+written.
+"""
+
+import asyncio
+import os
+import uuid
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from math import prod
+from pathlib import Path
+from typing import Any, cast
+
+import google_crc32c
+import numpy as np
+import zarr
+from numpy.typing import NDArray
+from zarr.abc.codec import BytesBytesCodec
+from zarr.codecs import Crc32cCodec, ZstdCodec
+from zarr.core.buffer import Buffer
+from zarr.core.sync import sync
+from zarr.errors import ZarrUserWarning
+from zarr.storage import LocalStore
+
+from wavequake.campaign.contract import STATUS_MEANINGS, ChunkResult, Variable
+from wavequake.campaign.store.journal import Chunk, digest, flush
+from wavequake.errors import StoreDamageError
+
+Array = zarr.Array[Any]
+
+_LABELS_PER_FILE = 65536  # cases per file of the coordinates, which the driver alone writes
+_EVEN = (ZstdCodec(level=1),)  # labels count on or repeat, and fill a file of a small store with nothing
+_PLAIN_BYTES, _INNER_BYTES = 2**24, 2**20  # a larger piece is a shard of inner chunks of about this size
+
+_STATUS = {
+    "long_name": "how the case ended; its numbers are valid where this is 1",
+    "flag_values": list(range(6)),
+    "flag_meanings": STATUS_MEANINGS,
+}
+ENGINE_VARIABLES = {
+    "message": Variable((), (), {"long_name": "why the case has no valid numbers"}, dtype="str"),
+    "status": Variable((), (), cast(Mapping[str, str], _STATUS), dtype="int8"),
+}
+
+
+class DurableStore(LocalStore):
+    """A zarr store whose files survive a loss of power once `set` has returned."""
+
+    async def set(self, key: str, value: Buffer) -> None:
+        """Write a file atomically and durably."""
+        self._check_writable()
+        # In threads: a disk flushes many files in little more than the time of one.
+        await asyncio.to_thread(_put, self.root / key, [memoryview(value.as_buffer_like()).cast("B")])
+
+
+def _put(path: Path, parts: Iterable[bytes | memoryview]) -> None:
+    """Write a file that gets its name when it is whole and on the disk."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f"{path.name}.{uuid.uuid4().hex}.partial")
+    try:
+        with partial.open("wb", buffering=0) as file:
+            for part in parts:
+                content = memoryview(part)
+                while content:
+                    content = content[file.write(content) :]
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise
+    flush(path.parent)
+
+
+@contextmanager
+def damage_explained(what: object) -> Iterator[None]:
+    """Turn the errors of reading broken zarr metadata or data into StoreDamageError."""
+    try:
+        yield
+    except (FileNotFoundError, ValueError, KeyError, TypeError, RuntimeError) as error:
+        raise StoreDamageError(f"{what} is missing or damaged: {error}.") from None
+
+
+def create_group(folder: Path, attributes: dict[str, Any]) -> zarr.Group:
+    """Create the group that holds the arrays of a store."""
+    return zarr.create_group(DurableStore(folder), zarr_format=3, attributes=attributes)
+
+
+def open_group(folder: Path, *, read_only: bool = False) -> zarr.Group:
+    """Open the arrays of a store; raises StoreDamageError if their metadata is damaged."""
+    with damage_explained(folder):
+        store = DurableStore(folder, read_only=read_only)
+        return zarr.open_group(store, mode="r" if read_only else "r+", zarr_format=3, use_consolidated=False)
+
+
+def consolidate(folder: Path) -> None:
+    """Copy the metadata of all arrays to where plain `xarray.open_zarr` looks; we read the originals."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ZarrUserWarning)  # that other zarr libraries may not know of it
+        zarr.consolidate_metadata(DurableStore(folder), zarr_format=3)
+
+
+def array_of(group: zarr.Group, name: str) -> Array:
+    """Return an array of a store; raises StoreDamageError if its metadata is missing or damaged."""
+    with damage_explained(f"the metadata of the array {name!r}"):
+        array = cast(Array, group[name])
+    # A file per chunk even if all of its cases failed: a missing one is a loss. (Metadata do not hold this.)
+    return array.with_config({"write_empty_chunks": array.dtype.kind not in "OUT"})
+
+
+def create_per_case(group: zarr.Group, name: str, variable: Variable, cases: int, chunk: int) -> None:
+    """Create an array with a row per case, of which `chunk` share a file."""
+    text = variable.dtype == "str"
+    row_bytes = prod(variable.shape) * (8 if text else np.dtype(variable.dtype).itemsize)
+    inner = chunk
+    if chunk * row_bytes > _PLAIN_BYTES:
+        fitting = [n for n in range(1, chunk + 1) if chunk % n == 0 and n * row_bytes <= _INNER_BYTES]
+        inner = max(fitting, default=1)
+    group.create_array(
+        name,
+        shape=(cases, *variable.shape),
+        shards=(chunk, *variable.shape) if inner < chunk else None,
+        chunks=(inner, *variable.shape),
+        dimension_names=("case", *variable.dims),
+        # Messages are rare: a chunk without any has no file.
+        config={"write_empty_chunks": not text},
+        attributes=dict(variable.attrs),
+        **_encoding(variable.dtype),
+    )
+
+
+def create_fixed(
+    group: zarr.Group, name: str, dims: tuple[str, ...], values: NDArray[Any], attrs: Mapping[str, str]
+) -> None:
+    """Write an array that does not depend on the case, or the labels of the cases, which may grow later."""
+    text = values.dtype.kind in "OUT"
+    array = group.create_array(
+        name,
+        shape=values.shape,
+        chunks=(_LABELS_PER_FILE,) if dims == ("case",) else tuple(max(1, size) for size in values.shape),
+        dimension_names=dims,
+        config={"write_empty_chunks": True},
+        attributes=dict(attrs),
+        **_encoding("str" if text else str(values.dtype), _EVEN),
+    )
+    array[...] = values.astype(object) if text else values
+
+
+def _encoding(dtype: str, compression: tuple[BytesBytesCodec, ...] = ()) -> dict[str, Any]:
+    """Return type, fill and codecs: a checksum, but no compression of numbers, as noise does not repay it."""
+    fill: Any = "" if dtype == "str" else np.nan if np.dtype(dtype).kind in "fc" else 0
+    return {
+        "dtype": str if dtype == "str" else dtype,
+        "fill_value": fill,
+        "compressors": (*compression, Crc32cCodec()),
+        "chunk_key_encoding": {"name": "default", "separator": "."},  # all files of an array in one folder
+    }
+
+
+def chunk_file(folder: Path, array: Array, first: int) -> Path:
+    """Return the file of an array, in the zarr folder, that holds the cases from `first`."""
+    size = (array.shards or array.chunks)[0]
+    return folder / array.basename / ".".join(["c", str(first // size), *["0"] * (array.ndim - 1)])
+
+
+def write_chunk(arrays: Mapping[str, Array], chunk: Chunk, result: ChunkResult) -> dict[str, str]:
+    """Write the numbers of one chunk, each array in one file and the status last; return their digests.
+
+    The arrays are written at the same time: one after the other, most of the time would go to waiting.
+
+    Only a whole piece may be written: two writers of one file would lose each other's cases without any
+    error.
+    """
+    first, last = chunk
+    messages = np.array(result.messages, dtype=object)
+    values = {**result.arrays, "message": messages, "status": result.status}
+    for name, array in arrays.items():
+        size = (array.shards or array.chunks)[0]
+        if first % size or last != min(first + size, array.shape[0]):
+            raise AssertionError(
+                f"cases {first} to {last} are not one piece of {name!r} ({array.shape[0]} cases, K = {size})"
+            )
+
+    async def write(names: Iterable[str]) -> None:
+        ends = await asyncio.gather(
+            *(_write(arrays[name], first, last, values[name]) for name in names),
+            return_exceptions=True,  # none is under way any more when this returns
+        )
+        for error in filter(None, ends):
+            raise error
+
+    sync(write(arrays.keys() - {"status"}))
+    sync(write(arrays.keys() & {"status"}))
+    return {name: digest(values[name]) for name in arrays}
+
+
+async def _write(array: Array, first: int, last: int, values: NDArray[Any]) -> None:
+    """Write whole cases; a whole piece without zarr, whose many small steps take longer than the disk."""
+    plain = (array.shards, array.filters, array.compressors) == (None, (), (Crc32cCodec(),))
+    if not plain or array.dtype.kind in "OUT" or last - first != array.chunks[0]:
+        await array.async_array.setitem(slice(first, last), values)
+        return
+    content = np.ascontiguousarray(values, dtype=array.dtype.newbyteorder("<")).reshape(-1).view(np.uint8)
+    parts = [content.data, google_crc32c.value(content).to_bytes(4, "little")]
+    folder = cast(DurableStore, array.store).root
+    await asyncio.to_thread(_put, chunk_file(folder, array, first), parts)

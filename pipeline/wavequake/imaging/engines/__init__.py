@@ -1,0 +1,1 @@
+"""Engines of point spread functions, and the choice between them."""

@@ -1,0 +1,1 @@
+"""Exposures over time, detectors, resolution and contrast."""

@@ -1,0 +1,1 @@
+"""Extended objects and how their images form."""

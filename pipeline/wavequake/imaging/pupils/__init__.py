@@ -1,0 +1,1 @@
+"""Pupil functions: outlines, coverage, phases, sampling."""

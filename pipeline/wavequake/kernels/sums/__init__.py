@@ -1,0 +1,1 @@
+"""Sums over rays: path differences, fits, moments, Strehl ratios."""

@@ -1,0 +1,1 @@
+"""Fourier transforms of pupils, with their NumPy twins."""

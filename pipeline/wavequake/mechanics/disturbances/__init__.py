@@ -1,0 +1,1 @@
+"""Disturbances: what draws motion, spectra, histories and streams of random numbers."""

@@ -1,0 +1,1 @@
+"""Built-in finite-element models of mirrors."""

@@ -1,0 +1,1 @@
+"""Elastic bodies that are joined, free, rotating or in large motion."""

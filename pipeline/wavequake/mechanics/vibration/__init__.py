@@ -1,0 +1,1 @@
+"""Vibration of linear models: modes, damping, excitation, exact response."""

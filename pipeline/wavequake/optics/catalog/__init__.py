@@ -1,0 +1,1 @@
+"""Bundled optical systems by name."""

@@ -1,0 +1,1 @@
+"""Kinematic-optical sensitivities of any system."""

@@ -1,0 +1,1 @@
+"""Zernike polynomials: values, indices, transforms between pupils."""

@@ -1,0 +1,1 @@
+"""Segmented telescopes: glass, states, traces, wavefronts and their modal model."""

@@ -1,0 +1,46 @@
+"""The monolithic parent of a segmented telescope as a general optical system."""
+
+from math import isfinite
+
+import numpy as np
+
+from wavequake.optics.segments.telescope import SegmentedTelescope
+from wavequake.optics.shapes.shapes import Conic, Opening
+from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
+
+
+def parent_system(telescope: SegmentedTelescope, wavelength: float = 550e-6) -> OpticalSystem:
+    """Return the telescope with a primary mirror of one piece: the annulus of its pupil.
+
+    The stop is a surface of its own in the plane of M1's rim, before the mirror; the frame stays that of M1.
+    Mirrors after M1 keep their edges, and stop what light they stop in the telescope.
+
+    Parameters
+    ----------
+    telescope : SegmentedTelescope
+    wavelength : float
+        mm.
+    """
+    inner, outer = telescope.pupil_inner, telescope.pupil_outer
+    annulus = Opening(outer, inner)
+    stop = Surface("stop", position=np.array([0.0, 0.0, telescope.stop_z]), opening=annulus)
+    primary = Surface("M1", Conic(telescope.primary_radius, telescope.primary_conic), action="reflect")
+    others = [
+        Surface(
+            surface.name,
+            Conic(surface.radius, surface.conic),
+            surface.position,
+            surface.rotation,
+            "reflect" if surface.reflects else "pass",
+            opening=Opening(surface.semi_diameter) if isfinite(surface.semi_diameter) else None,
+        )
+        for surface in telescope.surfaces
+    ]
+    return OpticalSystem(
+        name=telescope.name,
+        surfaces=(stop, primary, *others),
+        stop=0,
+        pupil=Pupil("entrance_diameter", 2.0 * outer, inner / outer),
+        wavelengths=np.array([wavelength]),
+        note=telescope.note,
+    )

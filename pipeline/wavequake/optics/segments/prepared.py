@@ -1,0 +1,296 @@
+"""What a telescope, its rays and a wavelength determine once for all instants, and the trace of a batch.
+
+`prepare` collects what does not change from instant to instant; `trace_states` traces a batch of instants.
+The optics are in mm.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from wavequake.errors import UserError
+from wavequake.kernels.device.devices import Device
+from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.trace.segmented import SegmentedTrain, Traced, trace_chief, trace_segmented
+from wavequake.optics.polynomials.zernike import annular_zernike
+from wavequake.optics.rays.pupils import PupilRays
+from wavequake.optics.segments.kinematics import field_directions, segment_poses, surface_poses
+from wavequake.optics.segments.layout import candidates, edges_of
+from wavequake.optics.segments.states import SurfaceStates, rest
+from wavequake.optics.segments.telescope import SegmentedTelescope, first_order, footprints
+from wavequake.optics.shapes.basis import ZernikeBasis, zernike_basis
+from wavequake.optics.wavefronts.fits import (
+    MORE_SEGMENT_RAYS,
+    Fit,
+    segment_planes,
+    weighted_fit,
+    well_determined,
+)
+
+Array = NDArray[np.float64]
+
+_NO_FIGURE = ZernikeBasis(-1, np.zeros((0, 0)))
+
+
+@dataclass(frozen=True)
+class PreparedTrace:
+    """What a telescope, its rays and a wavelength determine once for all instants; lengths in mm.
+
+    Attributes
+    ----------
+    system : SegmentedTelescope
+    rays : PupilRays
+        The N rays that meet glass in the reference configuration.
+    wavelength : float
+    train : SegmentedTrain
+    candidates : ndarray of int32, shape (N, C)
+        Segments that a ray may meet while motions stay below `margin`.
+    margin : float
+    weight : ndarray, shape (N,)
+        Share of the pupil that each ray stands for; the sum is 1.
+    zernike : Fit
+        Of the annular Noll Zernike polynomials.
+    plane : Fit
+        Of piston, x and y over the outer pupil radius.
+    segment_fit : csr_matrix, shape (3 S, N)
+        Values to piston at the center, slope in x and slope in y (1/mm) of each segment.
+    figure_matrix : ndarray, shape (S, M, terms)
+        From Noll coefficients (heights along the segment's normal, to the sky) to coefficients of the
+        kernel's polynomials (heights along z, with the light); M = 0 without a figure.
+    mirror_matrix : ndarray, shape (M', terms)
+        From Noll coefficients of a mirror after M1 (heights along its z axis) to those of its polynomials.
+    obscuration, numerical_aperture, focal_length : float
+    chief : ndarray, shape (2,)
+        Image point of the virtual chief ray in the reference configuration.
+    slopes : Fit, optional
+        From `slopes.slope_fit`: coefficients come from where rays meet the image, not from path lengths.
+    sphere : Fit, optional
+        From `sphere_fit.reference_fit`: the reference sphere is about the image point of the sphere that fits
+        the wavefront best, not about that of the chief ray.
+    """
+
+    system: SegmentedTelescope
+    rays: PupilRays
+    wavelength: float
+    train: SegmentedTrain
+    candidates: NDArray[np.int32]
+    margin: float
+    weight: Array
+    zernike: Fit
+    plane: Fit
+    segment_fit: csr_matrix
+    figure_matrix: Array
+    mirror_matrix: Array
+    obscuration: float
+    numerical_aperture: float
+    focal_length: float
+    chief: Array
+    slopes: Fit | None = None
+    sphere: Fit | None = None
+
+
+def prepare(
+    system: SegmentedTelescope,
+    rays: PupilRays,
+    wavelength: float,
+    terms: int,
+    figure_terms: int = 0,
+    mirror_terms: int = 0,
+    margin: float = 5.0,
+) -> PreparedTrace:
+    """Collect what does not change from instant to instant.
+
+    Parameters
+    ----------
+    system : SegmentedTelescope
+    rays : PupilRays
+        Those that meet no segment are left out.
+    wavelength : float
+        In mm.
+    terms : int
+        Number of annular Noll Zernike polynomials, at least 3.
+    figure_terms : int
+        Number of circular Noll Zernike polynomials of each segment's figure.
+    mirror_terms : int
+        The same of each mirror after M1, over the axial beam's footprint (`footprints`).
+    margin : float
+        How far (mm) a ray may wander across M1 before its candidate segments are searched anew.
+
+    Raises
+    ------
+    UserError
+        If the wavelength is not positive, no ray meets glass, or the rays determine not all Zernike terms
+        or not the tilt of every segment.
+    """
+    if not (np.isfinite(wavelength) and wavelength > 0.0):
+        raise UserError(f"the wavelength is {wavelength} mm, it must be a positive number")
+    if terms < 3:
+        raise UserError(f"{terms} Zernike terms were asked for, the line of sight needs at least 3")
+    used = (rays.segment >= 0) & (rays.weight > 0.0)
+    if not used.any():
+        raise UserError(
+            f"none of the {len(rays.x)} rays meets a segment of {system.name}, so there is no wavefront"
+        )
+    rays = PupilRays(rays.x[used], rays.y[used], rays.weight[used], rays.segment[used])
+    weight = rays.weight / np.sum(rays.weight)
+    x, y = rays.x / system.pupil_outer, rays.y / system.pupil_outer
+    obscuration = system.pupil_inner / system.pupil_outer
+    optics = first_order(system)
+    figure, mirror = (zernike_basis(count) if count else _NO_FIGURE for count in (figure_terms, mirror_terms))
+    train = _train(system, figure, mirror, optics.exit_pupil_distance)
+    rows, solved = segment_planes(rays.x, rays.y, weight, rays.segment, system.segments.centers[:, :2])
+    if not solved.all():
+        name = system.segments.names[int(np.argmin(solved))]
+        raise UserError(
+            f"segment {name} has too few rays for its tilt (at least 3 not in a line); raise optics.rays."
+        )
+    places = np.add.outer(np.arange(3), 3 * rays.segment).ravel(), np.tile(np.arange(len(x)), 3)
+    still = rest(TILE, len(system.segments), len(system.surfaces))
+    at_rest = surface_poses(system, still.surface_motion)
+    return PreparedTrace(
+        system=system,
+        rays=rays,
+        wavelength=wavelength,
+        train=train,
+        candidates=candidates(system.segments, rays.x, rays.y, margin),
+        margin=margin,
+        weight=weight,
+        zernike=well_determined(
+            weighted_fit(annular_zernike(x, y, terms, obscuration), weight, MORE_SEGMENT_RAYS)
+        ),
+        plane=weighted_fit(np.stack([np.ones_like(x), x, y], axis=1), weight, MORE_SEGMENT_RAYS),
+        segment_fit=csr_matrix((rows.ravel(), places), shape=(3 * len(system.segments), len(x))),
+        figure_matrix=figure.matrix / -system.segments.axes[:, 2, 2, None, None],
+        mirror_matrix=mirror.matrix,
+        obscuration=obscuration,
+        numerical_aperture=optics.numerical_aperture,
+        focal_length=optics.focal_length,
+        chief=trace_chief(train, at_rest, field_directions(still.field), system.stop_z)[0, :2, 0],
+    )
+
+
+def _train(
+    system: SegmentedTelescope, figure: ZernikeBasis, mirror: ZernikeBasis, sphere_radius: float
+) -> SegmentedTrain:
+    """Pack the parts of a system that do not move."""
+    segments = system.segments
+    along = segments.axes[:, :2, 0]  # the local x axis, projected
+    along = along / np.linalg.norm(along, axis=1, keepdims=True) / _radii(system)[:, None]
+    return SegmentedTrain(
+        primary_curvature=1.0 / system.primary_radius,
+        primary_conic=system.primary_conic,
+        edges=edges_of(segments),
+        figure_frames=np.concatenate([segments.centers[:, :2], along], axis=1),
+        figure_degree=figure.degree,
+        surface_curvatures=np.array([1.0 / surface.radius for surface in system.surfaces]),
+        surface_conics=np.array([surface.conic for surface in system.surfaces]),
+        sphere_radius=sphere_radius,
+        semi_diameters=np.array([surface.semi_diameter for surface in system.surfaces]),
+        mirror_degree=mirror.degree,
+        mirror_radii=footprints(system) if mirror.degree >= 0 else None,
+        figure_basis=figure.basis,
+        mirror_basis=mirror.basis,
+    )
+
+
+def _radii(system: SegmentedTelescope) -> Array:
+    """Return the radius of each segment's circumscribed circle; a mirror without corners fills the pupil."""
+    segments = system.segments
+    if segments.corners.shape[1] == 0:
+        return np.full(len(segments), system.pupil_outer)
+    radii: Array = np.linalg.norm(segments.corners - segments.centers[:, None, :2], axis=2).max(axis=1)
+    return radii
+
+
+def chief_rays(prepared: PreparedTrace, states: SurfaceStates) -> Array:
+    """Return the virtual chief ray of every instant, shape (T, 3, 16), mm.
+
+    It has image x, y and the path length to the reference sphere, and is traced through the undisturbed
+    parent of M1 and the displaced surfaces after it.
+    """
+    poses = surface_poses(prepared.system, states.surface_motion)
+    return trace_chief(
+        prepared.train,
+        poses,
+        field_directions(states.field),
+        prepared.system.stop_z,
+        mirror_figure=_mirror_figure(prepared, states),
+    )
+
+
+def _mirror_figure(prepared: PreparedTrace, states: SurfaceStates) -> Array | None:
+    """Return the coefficients (T, L - 1, M, 16) of the figures of the mirrors after M1."""
+    mirrors, terms = len(prepared.system.surfaces) - 1, prepared.mirror_matrix.shape[1]
+    if not terms and states.mirror_figure is None:
+        return None
+    shape = (len(states), mirrors, terms)
+    found = None if states.mirror_figure is None else states.mirror_figure.shape
+    if found != shape:
+        raise UserError(f"the mirror figures have the shape {found}, it must be {shape}")
+    assert states.mirror_figure is not None
+    lanes_last = states.mirror_figure.reshape(-1, TILE, *shape[1:]).transpose(0, 2, 3, 1)
+    coefficients: Array = np.matmul(prepared.mirror_matrix, lanes_last)
+    return coefficients
+
+
+def trace_states(prepared: PreparedTrace, states: SurfaceStates, device: Device) -> Traced:
+    """Trace all rays at all instants in one launch.
+
+    Parameters
+    ----------
+    prepared : PreparedTrace
+    states : SurfaceStates
+        The batch is a whole number of tiles; NaN motions lose the rays that they concern.
+    device : Device
+
+    Raises
+    ------
+    UserError
+        If the states do not fit the telescope.
+    """
+    system = prepared.system
+    if not len(states) or len(states) % TILE or states.field.shape != (len(states), 2):
+        raise UserError(
+            f"the fields have the shape {states.field.shape}, it must be (whole number of tiles of {TILE}, 2)"
+        )
+    shape = (len(states), *prepared.figure_matrix.shape[::2])
+    if states.segment_figure.shape != shape:
+        raise UserError(
+            f"the segment figures have the shape {states.segment_figure.shape}, it must be {shape}"
+        )
+    figure = None
+    if prepared.figure_matrix.size:
+        lanes_last = states.segment_figure.reshape(-1, TILE, *shape[1:]).transpose(0, 2, 3, 1)
+        figure = np.matmul(prepared.figure_matrix, lanes_last)
+    wander = _wander(system, states)
+    chosen = prepared.candidates
+    if wander > prepared.margin:
+        chosen = candidates(system.segments, prepared.rays.x, prepared.rays.y, wander)
+    return trace_segmented(
+        prepared.train,
+        prepared.rays.x,
+        prepared.rays.y,
+        system.stop_z,
+        chosen,
+        segment_poses(system.segments, states.segment_motion),
+        figure,
+        surface_poses(system, states.surface_motion),
+        field_directions(states.field),
+        chief_rays(prepared, states),
+        device,
+        _mirror_figure(prepared, states),
+    )
+
+
+def _wander(system: SegmentedTelescope, states: SurfaceStates) -> float:
+    """Return a bound (mm) of how far rays wander across segments by the motions and the field angles."""
+    motion, angle = np.abs(states.segment_motion), np.abs(states.field)
+    for magnitudes in (motion, angle):
+        magnitudes[~np.isfinite(magnitudes)] = 0.0  # such rays are lost anyhow
+    largest = motion.max(axis=0).max(axis=0)  # twice: instants first is five times as fast as both at once
+    steepest = np.sqrt(2.0) * np.tan(angle.max())
+    radius = _radii(system).max()
+    depth = np.abs(system.segments.centers[:, 2] - system.stop_z).max() + radius
+    return float(np.sum(largest[:3]) + np.sum(largest[3:]) * radius + steepest * depth)

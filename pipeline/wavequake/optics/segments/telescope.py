@@ -1,0 +1,241 @@
+"""Segmented telescopes: a segmented (or monolithic) primary mirror followed by conic surfaces."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.errors import UserError
+from wavequake.kernels.trace.surfaces import conic_path, conic_slopes
+from wavequake.optics.segments.layout import Segments
+
+Array = NDArray[np.float64]
+
+_AXIS = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class ConicSurface:
+    """One rotationally symmetric surface in the optics frame of M1 (z along the incoming light, mm).
+
+    ``radius`` is infinite for a plane and positive if the center of curvature lies on the surface's +z side.
+    ``position`` (3,) is the vertex, ``rotation`` (3, 3) turns the surface's frame into the optics frame. The
+    image plane does not reflect. Light that meets a mirror farther than ``semi_diameter`` from its vertex is
+    vignetted.
+    """
+
+    name: str
+    radius: float
+    conic: float
+    position: NDArray[np.float64]
+    rotation: NDArray[np.float64]
+    reflects: bool = True
+    semi_diameter: float = float("inf")
+
+
+@dataclass(frozen=True)
+class SegmentedTelescope:
+    """A telescope in a reference configuration; lengths in mm.
+
+    ``primary_radius``/``primary_conic`` describe the parent surface of M1 (vertex at the origin),
+    ``segments`` its glass, ``surfaces`` M2, M3, ... and last the image plane. ``pupil_inner``/``pupil_outer``
+    are the radii of the annulus that normalizes the Zernike polynomials; ``stop_z`` is the plane in which
+    rays start (that of M1's rim). ``note`` says which of its numbers are assumed or approximate.
+    """
+
+    name: str
+    segments: Segments
+    primary_radius: float
+    primary_conic: float
+    surfaces: tuple[ConicSurface, ...]
+    stop_z: float
+    pupil_inner: float
+    pupil_outer: float
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of a prescription: where the next surface stands and what it is.
+
+    ``distance`` is the way of the light from the previous surface, mm. ``tilt`` turns a mirror about its y
+    axis, rad; what follows turns by twice as much, so that it stands on the folded beam. Light beyond
+    ``semi_diameter`` (mm, from the vertex in the surface's x and y) is vignetted.
+    """
+
+    name: str
+    radius: float
+    conic: float
+    distance: float
+    tilt: float = 0.0
+    semi_diameter: float = float("inf")
+
+
+@dataclass(frozen=True)
+class FirstOrder:
+    """Paraxial properties of a system, and the numerical aperture of its real marginal ray.
+
+    Attributes
+    ----------
+    focal_length : float
+        mm; an angle on the sky times it is a length in the image.
+    back_focus : float
+        From the last mirror's vertex to the paraxial focus, mm along the light.
+    defocus : float
+        From the paraxial focus to the image plane, mm along the light.
+    exit_pupil_distance : float
+        From the paraxial image of the stop plane to the image plane, mm along the light: the reference
+        sphere's radius.
+    numerical_aperture : float
+        Sine of the angle between the chief ray and the real ray from the pupil's outer rim.
+    """
+
+    focal_length: float
+    back_focus: float
+    defocus: float
+    exit_pupil_distance: float
+    numerical_aperture: float
+
+
+def sequential_surfaces(rows: Iterable[Row]) -> tuple[ConicSurface, ...]:
+    """Place the surfaces after M1 one by one along the beam; the last one is the image plane.
+
+    The light meets M2 against the z axis of M1 and turns round at each mirror. Surfaces keep the z axis of
+    the incoming light, folds apart, as in Table 4.2 of Störkle 2018.
+    """
+    prescription = list(rows)
+    surfaces = []
+    position, frame, sense = np.zeros(3), np.eye(3), -1.0
+    for row in prescription:
+        position = position + sense * row.distance * frame[:, 2]
+        half_turn = _about_y(row.tilt)
+        rotation = frame @ half_turn
+        surfaces.append(
+            ConicSurface(
+                *(row.name, row.radius, row.conic, position, rotation),
+                reflects=row is not prescription[-1],
+                semi_diameter=row.semi_diameter,
+            )
+        )
+        frame, sense = rotation @ half_turn, -sense
+    return tuple(surfaces)
+
+
+def _about_y(angle: float) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def surface_transforms(system: SegmentedTelescope) -> Array:
+    """Return the transforms (L, 12) from each surface's frame to the next in the reference configuration.
+
+    A point p of the previous frame (first: the optics frame of M1) has the coordinates ``A p + o``: nine
+    entries of ``A = R_i^T R_(i-1)`` by rows, then ``o = R_i^T (p_(i-1) - p_i)``.
+    """
+    transforms = []
+    position, rotation = np.zeros(3), np.eye(3)
+    for surface in system.surfaces:
+        inverse = surface.rotation.T
+        shift = inverse @ (position - surface.position)
+        transforms.append(np.concatenate([(inverse @ rotation).ravel(), shift]))
+        position, rotation = surface.position, surface.rotation
+    return np.array(transforms)
+
+
+def first_order(system: SegmentedTelescope) -> FirstOrder:
+    """Trace a system paraxially from the stop plane to the image, and its marginal ray really.
+
+    The paraxial trace follows the vertex ray, so folds by plane mirrors do not matter; the power of a curved
+    mirror is taken as if it stood upright.
+
+    Raises
+    ------
+    UserError
+        If the system has no focus, its exit pupil does not lie before the image, or the marginal ray misses a
+        surface.
+    """
+    matrix = np.eye(2)
+    distance = 0.0
+    for distance, power in _unfolded(system):
+        matrix = np.array([[1.0, 0.0], [-power, 1.0]]) @ np.array([[1.0, distance], [0.0, 1.0]]) @ matrix
+    (height, stop_height), (slope, stop_slope) = matrix
+    infinite = 1e9 * abs(system.primary_radius)  # rounding leaves nothing exactly at infinity
+    if abs(slope) * infinite < 1.0:
+        raise UserError(f"The telescope {system.name} is afocal; it must form an image.")
+    pupil = stop_height / stop_slope if stop_slope else np.inf
+    if not 0.0 < pupil < infinite:
+        raise UserError(
+            f"The exit pupil of the telescope {system.name} lies {pupil:g} mm before the image; "
+            "the reference sphere needs it at a finite positive distance."
+        )
+    defocus = height / slope
+    return FirstOrder(
+        focal_length=float(-1.0 / slope),
+        back_focus=float(distance - defocus),
+        defocus=float(defocus),
+        exit_pupil_distance=float(pupil),
+        numerical_aperture=_marginal_sine(system),
+    )
+
+
+def _unfolded(system: SegmentedTelescope) -> Iterator[tuple[float, float]]:
+    """Yield the way to each surface from its predecessor (first: from the stop plane to M1) and its power."""
+    yield -system.stop_z, -2.0 / system.primary_radius
+    position, direction = np.zeros(3), -_AXIS
+    for surface in system.surfaces:
+        normal = surface.rotation[:, 2]
+        way = float(direction @ (surface.position - position))
+        yield way, -2.0 / surface.radius * float(np.sign(direction @ normal)) if surface.reflects else 0.0
+        position = surface.position
+        direction = direction - 2.0 * (direction @ normal) * normal
+
+
+def _marginal_sine(system: SegmentedTelescope) -> float:
+    """Return the sine of the angle between the real rays of the pupil's rim and center at the image."""
+    marginal, chief = (_final_direction(system, y) for y in (system.pupil_outer, 0.0))
+    if not np.isfinite(marginal).all():
+        raise UserError(
+            f"The ray at the outer pupil radius of {system.pupil_outer:g} mm misses a surface "
+            f"of {system.name}; the surfaces must reach out to it."
+        )
+    return float(np.linalg.norm(np.cross(marginal, chief)))
+
+
+def _final_direction(system: SegmentedTelescope, y: float) -> Array:
+    """Return the direction at the image of the axial ray at height y; NaN if it misses a surface."""
+    position, direction = np.array([0.0, y, system.stop_z]), _AXIS
+    primary = ConicSurface("M1", system.primary_radius, system.primary_conic, np.zeros(3), np.eye(3))
+    for surface in (primary, *system.surfaces):
+        if surface.reflects:
+            local, along = (position - surface.position) @ surface.rotation, direction @ surface.rotation
+            hit = local + conic_path(local, along, 1.0 / surface.radius, surface.conic) * along
+            slope_x, slope_y = conic_slopes(hit[0], hit[1], 1.0 / surface.radius, surface.conic)
+            normal = np.array([-slope_x, -slope_y, 1.0])
+            along = along - 2.0 * (along @ normal) / (normal @ normal) * normal
+            position, direction = surface.position + surface.rotation @ hit, surface.rotation @ along
+    return direction
+
+
+def footprints(system: SegmentedTelescope) -> Array:
+    """Return the radii (L - 1,) of the axial beam on the mirrors after M1, from each vertex, mm.
+
+    That is where the light of the rim of the pupil arrives; on a fold, its farthest point. NaN where that
+    light misses a mirror.
+    """
+    azimuth = 2.0 * np.pi * np.arange(64) / 64
+    rim = system.pupil_outer
+    position = np.stack([rim * np.cos(azimuth), rim * np.sin(azimuth), np.full(64, system.stop_z)])
+    direction = np.broadcast_to(_AXIS[:, None], position.shape)
+    primary = ConicSurface("M1", system.primary_radius, system.primary_conic, np.zeros(3), np.eye(3))
+    radii = []
+    for surface in (primary, *system.surfaces[:-1]):
+        frame, curvature = surface.rotation, 1.0 / surface.radius
+        local, along = frame.T @ (position - surface.position[:, None]), frame.T @ direction
+        hit = local + conic_path(local, along, curvature, surface.conic) * along
+        radii.append(np.hypot(hit[0], hit[1]).max())
+        slope_x, slope_y = conic_slopes(hit[0], hit[1], curvature, surface.conic)
+        normal = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)])
+        twice = 2.0 * np.sum(along * normal, axis=0) / np.sum(normal**2, axis=0)
+        position, direction = surface.position[:, None] + frame @ hit, frame @ (along - twice * normal)
+    return np.array(radii[1:])

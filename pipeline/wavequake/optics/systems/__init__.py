@@ -1,0 +1,1 @@
+"""Sequential optical systems: surfaces, stop, fields; study files, kinematics, first-order optics."""

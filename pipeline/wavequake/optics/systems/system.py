@@ -1,0 +1,272 @@
+"""Any sequential optical system: surfaces, stop, pupil, fields and wavelengths. Lengths in mm, angles in rad.
+
+The z axis runs along the incoming light and keeps its sense after a reflection, as in Table 4.2 of Störkle
+2018: a surface that follows an odd number of mirrors stands at smaller z.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+from weakref import WeakValueDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.errors import UserError
+from wavequake.optics.checks import number, require_fields, require_kind
+from wavequake.optics.media.glasses import AIR, Medium
+from wavequake.optics.media.gradients import GradientIndex, require_gradient
+from wavequake.optics.shapes.sag import require_shape
+from wavequake.optics.shapes.shapes import (
+    Conic,
+    Deformation,
+    Opening,
+    Shape,
+    SurfaceAction,
+    ZernikeDeformation,
+)
+
+Array = NDArray[np.float64]
+
+_SMALLEST, LARGEST = 1e-9, 1e12  # apertures and distances, mm: products of some of them do not overflow
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One surface: its shape, where its vertex stands (3,), how it is turned (3, 3), and what it does.
+
+    ``rotation`` turns the surface's frame into the system's. ``medium`` follows a refracting surface; one
+    with a gradient starts at its vertex and moves with it.
+    """
+
+    name: str
+    shape: Shape = field(default_factory=Conic)
+    position: Array = field(default_factory=lambda: np.zeros(3))
+    rotation: Array = field(default_factory=lambda: np.eye(3))
+    action: SurfaceAction = "pass"
+    medium: Medium | GradientIndex = AIR
+    opening: Opening | None = None
+    deformation: Deformation | None = None
+
+
+@dataclass(frozen=True)
+class Pupil:
+    """How wide the beam is: one number, of the kind that the system is specified by.
+
+    "entrance_diameter" (mm), "image_na", "object_na", "f_number" (paraxial image-space), or "stop" (the stop
+    surface's opening limits the beam; ``value`` is its radius in mm). ``obscuration`` is the inner radius as
+    a fraction of the outer.
+    """
+
+    kind: Literal["entrance_diameter", "image_na", "object_na", "f_number", "stop"]
+    value: float
+    obscuration: float = 0.0
+
+
+@dataclass(frozen=True)
+class OpticalSystem:
+    """A sequential system; the last surface is the image.
+
+    Attributes
+    ----------
+    name : str
+    surfaces : tuple of Surface
+    stop : int
+        Index of the surface that is the aperture stop.
+    pupil : Pupil
+    object_distance : float
+        From the object plane to the first surface's vertex; infinite for a star.
+    fields : ndarray, shape (F, 2)
+        Angles (tan of them is the slope) for an infinite object, heights in mm for a finite one.
+    wavelengths : ndarray, shape (W,)
+        mm.
+    primary_wavelength : int
+    telecentric : bool
+        The entrance pupil is at infinity: chief rays leave a finite object parallel to the axis.
+    medium : Medium
+        Before the first surface.
+    note : str
+        Which of its numbers are assumed or approximate, in a sentence; `info` shows it.
+    """
+
+    name: str
+    surfaces: tuple[Surface, ...]
+    stop: int
+    pupil: Pupil
+    object_distance: float = np.inf
+    fields: Array = field(default_factory=lambda: np.zeros((1, 2)))
+    wavelengths: Array = field(default_factory=lambda: np.array([550e-6]))
+    primary_wavelength: int = 0
+    telecentric: bool = False
+    medium: Medium = AIR
+    note: str = ""
+
+    def info(self) -> str:
+        """Return a table of first-order data, fields, wavelengths and surfaces as plain text."""
+        from wavequake.optics.systems.info import info  # it builds on this module
+
+        return info(self)
+
+
+def wavelength_of(system: OpticalSystem, wavelength: float | None = None) -> float:
+    """Return a wavelength in mm: the one that is given, or else the primary one of the system.
+
+    Raises
+    ------
+    UserError
+        If the system has no such wavelength.
+    """
+    if wavelength is not None:
+        return number(wavelength, "the wavelength")
+    if not 0 <= system.primary_wavelength < len(system.wavelengths):
+        raise UserError(
+            f"the primary wavelength of {system.name} is number {system.primary_wavelength}, counted from 0; "
+            f"it has {len(system.wavelengths)}"
+        )
+    return float(system.wavelengths[system.primary_wavelength])
+
+
+# Systems whose fields are known to hold what they should: looking takes as long as a small trace.
+_OF_RIGHT_KIND: WeakValueDictionary[int, OpticalSystem] = WeakValueDictionary()
+
+
+def require_system(system: OpticalSystem) -> None:
+    """Check a system before anything is computed from it.
+
+    Raises
+    ------
+    UserError
+        If an index, shape or number is out of range or of another kind; the message names the surface.
+    """
+    if id(system) not in _OF_RIGHT_KIND:
+        hint = ", such as load_system('double-gauss') returns"
+        require_kind(system, OpticalSystem, "the system", hint)
+        require_fields(system, f"the system {system.name}")
+        _OF_RIGHT_KIND[id(system)] = system
+    count, name = len(system.surfaces), system.name
+    if count == 0:
+        raise UserError(f"the system {name} has no surfaces; it needs at least an image plane")
+    if not 0 <= system.stop < count:
+        raise UserError(
+            f"the stop of {name} is surface {system.stop}; it must be one of its surfaces 0 to {count - 1}"
+        )
+    if 0 < system.stop == count - 1:
+        raise UserError(
+            f"the stop of {name} is its image, which leaves no exit pupil; choose another surface"
+        )
+    wavelength_of(system)
+    waves = np.asarray(system.wavelengths)
+    if not ((waves >= _SMALLEST) & (waves <= LARGEST)).all():
+        raise UserError(
+            f"the wavelengths of {name} must be positive numbers in mm, from {_SMALLEST:g} to {LARGEST:g}"
+        )
+    if system.fields.ndim != 2 or system.fields.shape[1:] != (2,) or not np.isfinite(system.fields).all():
+        raise UserError(f"the fields of {name} must be an array (fields, 2) of finite numbers")
+    if not len(system.fields):
+        raise UserError(f"{name} has no field; the axis is the field (0, 0)")
+    if np.isnan(system.object_distance):
+        raise UserError(f"the object distance of {name} is not a number; a star's is infinite")
+    if np.isinf(system.object_distance) and system.telecentric:
+        raise UserError(
+            f"{name} is telecentric in the object space, where its object is at infinity; give the object a "
+            "finite distance"
+        )
+    if np.isinf(system.object_distance) and not (np.abs(system.fields) < np.pi / 2.0).all():
+        raise UserError(f"a field of {name} lies 90 degrees or more off the axis; its light does not come in")
+    _require_pupil(system)
+    medium: Medium | GradientIndex = system.medium
+    for surface in system.surfaces:
+        _require_surface(name, surface)
+        medium = surface.medium if surface.action == "refract" else medium
+    if isinstance(medium, GradientIndex):
+        raise UserError(
+            f"the image of {name} lies in the medium {medium.name}, whose index varies; add a refracting "
+            "surface that ends it (at no distance from the image, if need be)"
+        )
+    if system.surfaces[-1].action != "pass":
+        raise UserError(
+            f"the last surface of {name}, {surface.name}, is the image: its action must be 'pass', "
+            f"not {surface.action!r}"
+        )
+
+
+def _require_pupil(system: OpticalSystem) -> None:
+    pupil = system.pupil
+    if not _SMALLEST <= pupil.value <= LARGEST:
+        raise UserError(
+            f"the {pupil.kind} of {system.name} is {pupil.value}; it must be positive, from {_SMALLEST:g} to "
+            f"{LARGEST:g}"
+        )
+    if not 0.0 <= pupil.obscuration < 1.0:
+        raise UserError(
+            f"the pupil of {system.name} is obscured to {pupil.obscuration} of its radius; light passes "
+            "where that is at least 0 and less than 1"
+        )
+
+
+def _require_surface(system: str, surface: Surface) -> None:
+    where = f"the surface {surface.name} of {system}"
+    try:
+        require_shape(surface.shape)
+    except UserError as error:
+        raise UserError(f"{where}: {error}") from error
+    _require_deformation(where, surface.deformation)
+    if surface.position.shape != (3,) or not (np.abs(surface.position) <= LARGEST).all():
+        raise UserError(f"the position of {where} must be 3 finite numbers, of at most {LARGEST:g} mm")
+    turn = surface.rotation
+    if (
+        turn.shape != (3, 3)
+        or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-9)
+        or np.linalg.det(turn) < 0
+    ):
+        raise UserError(f"the rotation of {where} must be a rotation matrix (3, 3)")
+    if surface.action not in ("reflect", "refract", "pass"):
+        raise UserError(f"{where} does {surface.action!r}; it can reflect, refract or pass")
+    if isinstance(surface.medium, GradientIndex):
+        try:
+            require_gradient(surface.medium)
+        except UserError as error:
+            raise UserError(f"{where}: {error}") from error
+    opening = surface.opening
+    if opening is not None and not 0.0 <= opening.inner < opening.outer:
+        raise UserError(
+            f"the opening of {where} reaches from radius {opening.inner:g} to {opening.outer:g} mm; it needs "
+            "0 <= inner < outer"
+        )
+
+
+def _require_deformation(where: str, form: Deformation | None) -> None:
+    if isinstance(form, ZernikeDeformation):
+        if not (form.terms >= 1 and np.isfinite(form.pupil_radius) and form.pupil_radius > 0.0):
+            raise UserError(
+                f"{where} deforms by {form.terms} Zernike terms over a radius of {form.pupil_radius} mm; it "
+                "needs at least 1 term and a positive radius"
+            )
+        if not 0.0 <= form.obscuration < 1.0:
+            raise UserError(f"{where} deforms over an annulus of {form.obscuration}; it must lie in [0, 1)")
+        form = form.residual
+    if form is not None and not (min(form.rows, form.columns) >= 4 and form.dx > 0.0 and form.dy > 0.0):
+        raise UserError(
+            f"{where} deforms on a grid of {form.rows} rows and {form.columns} columns, {form.dx} and "
+            f"{form.dy} mm apart; it needs at least 4 of each and positive spacings"
+        )
+
+
+@dataclass(frozen=True)
+class SystemStates:
+    """What moves and deforms at T instants.
+
+    Attributes
+    ----------
+    surface_motion : ndarray, shape (T, L, 6)
+        Displacement along and rotation about the axes of each surface's own frame at rest (mm, rad), Cardan
+        angles x-y-z about its vertex.
+    deformations : tuple of (ndarray or None), one per surface
+        (T, terms) Noll coefficients, followed by the heights of their residual grid where there is one, or
+        (T, rows, columns) grid heights; mm, along the surface's z.
+    line_of_sight : ndarray, shape (T, 2)
+        Rotation of the whole incoming bundle, as an angle on the sky along x and y, rad.
+    """
+
+    surface_motion: Array
+    deformations: tuple[Array | None, ...]
+    line_of_sight: Array

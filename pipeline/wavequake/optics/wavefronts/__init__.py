@@ -1,0 +1,1 @@
+"""From traced rays to wavefronts: fits, slopes, reference spheres, quality."""

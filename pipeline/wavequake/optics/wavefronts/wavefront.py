@@ -1,0 +1,400 @@
+"""Wavefronts of any optical system: OPD, Zernike coefficients, line of sight, spots.
+
+The counterpart of `wavequake.optics.segments.wavefront` for an `OpticalSystem`. The chief ray goes through
+the center of the stop, wherever that has moved, and virtually where it is obscured; its image point is the
+center of the reference sphere, whose radius is the distance of the paraxial exit pupil. Wavefronts in waves.
+
+Coefficients come from path lengths, or with `with_slopes` from where the rays meet the image. With
+`with_fitted_sphere` the reference sphere is centered on the image point of the one that fits best. Of rays
+that a GPU traced no more than these numbers come from it, see `wavequake.kernels.device.resident`.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import compress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.errors import UserError
+from wavequake.kernels.device.devices import NUMPY, Device
+from wavequake.kernels.sums.opd import count_status, path_differences, without_planes
+from wavequake.kernels.sums.ray_sums import ray_moments
+from wavequake.kernels.trace.sequence import VIGNETTED, Moving, Rays, Sequence, TracedRays
+from wavequake.kernels.trace.sequential import launches_of, trace_sequence
+from wavequake.kernels.trace.sequential_numpy import joined_moving, moving_part
+from wavequake.kernels.trace.sequential_source import OUTPUTS
+from wavequake.optics.checks import alike, whole
+from wavequake.optics.polynomials.zernike import MOST_TERMS
+from wavequake.optics.rays.aiming import aimed_rays, losses, pupil_rays
+from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.rays.stop_following import follow_stop, stays, steering
+from wavequake.optics.shapes.sag import shape_sag
+from wavequake.optics.systems.image_aperture import image_cosines, image_index, require_flat_image
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.paraxial import paraxial
+from wavequake.optics.systems.system import OpticalSystem, SystemStates, wavelength_of
+from wavequake.optics.wavefronts.fits import MORE_RAYS, Fit, fit_instants, pupil_fit
+from wavequake.optics.wavefronts.slopes import (
+    SystemSlopes,
+    on_sphere,
+    shifted_pupil,
+    slope_coefficients,
+    system_slopes,
+)
+from wavequake.optics.wavefronts.sphere_fit import sphere_basis_fit
+
+Array = NDArray[np.float64]
+Traced = tuple[Array, TracedRays, Array]  # see `trace_light`
+
+# Radius of the reference sphere where the exit pupil is at infinity, and of one far away (rounding), mm.
+_TELECENTRIC_RADIUS, _LARGEST_RADIUS = 1e5, 1e6
+_PLANE = 3  # terms, without which there is no line of sight
+
+
+@dataclass(frozen=True)
+class PreparedSystem:
+    """What a system, a field, a wavelength and the rays determine once for all instants.
+
+    Attributes
+    ----------
+    system : OpticalSystem
+    sequence : Sequence
+    rays, chief : Rays
+        The N rays of the pupil, and the one through the center of the stop.
+    pupil : ndarray, shape (N, 2)
+        Where the rays pass the pupil, in units of its outer radius.
+    fit : Fit
+        Of the Noll Zernike polynomials, annular where the pupil is obscured.
+    wavelength, sphere_radius : float
+        mm; the radius is negative where the exit pupil lies behind the image.
+    image_index : float
+        Refractive index before the image.
+    cosines : ndarray, shape (2, 2)
+        Change of the direction cosines (u, v) in the image frame from the pupil's center to its rim, for x
+        (first column) and y: the numerical aperture with its signs.
+    field : int
+        Index of the field point.
+    steering : ndarray, shape (2, 2)
+        How the light moves where the stop does, see `wavequake.optics.rays.stop_following`.
+    status, surface : ndarray of int8, shape (N,)
+        0 and -1, or why and where light ends that no ray brings to its point of the stop at rest; such a ray
+        is NaN and lost at all instants.
+    slopes : SystemSlopes, optional
+        Takes the coefficients from image points and directions instead of path lengths.
+    sphere : Fit, optional
+        Finds the image point of the best-fit sphere: across the chief ray, times the numerical aperture, by
+        its second and third coefficients.
+    """
+
+    system: OpticalSystem
+    sequence: Sequence
+    rays: Rays
+    chief: Rays
+    pupil: Array
+    fit: Fit
+    wavelength: float
+    sphere_radius: float
+    image_index: float
+    cosines: Array
+    field: int
+    steering: Array
+    status: NDArray[np.int8]
+    surface: NDArray[np.int8]
+    slopes: SystemSlopes | None = None
+    sphere: Fit | None = None
+
+
+@dataclass(frozen=True)
+class SystemWavefront:
+    """Numbers of T wavefronts.
+
+    Attributes
+    ----------
+    zernike : ndarray, shape (T, J)
+        Noll coefficients, waves. The first one is NaN if they come from slopes.
+    rms, rms_raw : ndarray, shape (T,)
+        Rms of the terms j >= 4, and rms over the rays without piston; waves.
+    rms_flat, pv : ndarray, shape (T,)
+        Rms and peak to valley over the rays about the best-fit plane, waves.
+    chief, los, centroid : ndarray, shape (T, 2)
+        Image point of the chief ray, of the best-fit plane (Störkle 2018, Eq. 3.39) and of the rays' center;
+        mm in the frame of the image.
+    spot_rms : ndarray, shape (T,)
+        Rms distance of the rays' image points from their center, mm.
+    strehl : ndarray, shape (T,)
+        Squared modulus of the mean of exp(2 pi i OPD) about the best-fit plane: the intensity in the plane's
+        direction, relative to that of a perfect wavefront.
+    lost, vignetted : ndarray of int, shape (T,)
+        Rays that do not arrive, and those of them that an opening stops.
+    """
+
+    zernike: Array
+    rms: Array
+    rms_raw: Array
+    rms_flat: Array
+    pv: Array
+    chief: Array
+    los: Array
+    centroid: Array
+    spot_rms: Array
+    strehl: Array
+    lost: NDArray[np.int64]
+    vignetted: NDArray[np.int64]
+
+
+def prepare_system(
+    system: OpticalSystem,
+    x: Array,
+    y: Array,
+    weight: Array,
+    terms: int,
+    field: int = 0,
+    wavelength: float | None = None,
+) -> PreparedSystem:
+    """Collect what does not change from instant to instant.
+
+    Parameters
+    ----------
+    system : OpticalSystem
+    x, y, weight : ndarray, shape (N,)
+        Where the rays pass the pupil, in units of its outer radius, and the share of the light of each.
+    terms : int
+        Number of Noll Zernike polynomials: 3, for the line of sight, to 2016.
+    field : int
+        Index of the field point.
+    wavelength : float, optional
+        mm; the system's primary one by default.
+
+    Raises
+    ------
+    UserError
+        If the field does not exist, `pupil_fit` refuses the rays, the chief ray or all rays do not arrive at
+        the stop, those about it do not at the image, or the rays arrive there parallel to each other.
+    """
+    x, y, weight = alike("the rays in the pupil and their weights", x, y, weight)
+    first_order, wavelength = paraxial(system, wavelength), wavelength_of(system, wavelength)
+    sequence = pack(system, wavelength)
+    if not 0 <= whole(field, "the index of the field") < len(system.fields):
+        raise UserError(f"{system.name} has {len(system.fields)} fields; there is no field {field}")
+    if whole(terms, "the number of Zernike terms") < _PLANE:
+        raise UserError(f"the number of Zernike terms is {terms}; it must be from {_PLANE} to {MOST_TERMS}")
+    fit = pupil_fit(x, y, weight, terms, system.pupil.obscuration)
+    point = system.fields[field]
+    chief = pupil_rays(system, point, wavelength, np.zeros(1), np.zeros(1))
+    cosines = image_cosines(system, sequence, point, wavelength)
+    aimed = aimed_rays(system, point, wavelength, x, y)
+    if aimed.lost.all():
+        raise UserError(
+            f"no ray of {system.name} reaches its point of the stop: they are lost, "
+            f"{losses(system, aimed.status, aimed.surface)}; make the pupil or the field smaller"
+        )
+    exit_pupil = first_order.exit_pupil if np.isfinite(first_order.exit_pupil) else -_TELECENTRIC_RADIUS
+    return PreparedSystem(
+        system=system,
+        sequence=sequence,
+        rays=aimed.rays,
+        chief=chief,
+        pupil=np.stack([x, y], axis=1),
+        fit=fit,
+        wavelength=wavelength,
+        sphere_radius=float(np.clip(-exit_pupil, -_LARGEST_RADIUS, _LARGEST_RADIUS)),
+        image_index=image_index(sequence),
+        cosines=cosines,
+        field=field,
+        steering=steering(system, sequence, chief),
+        status=aimed.status,
+        surface=aimed.surface,
+    )
+
+
+def with_slopes(prepared: PreparedSystem) -> PreparedSystem:
+    """Return the same with coefficients from ray slopes (Störkle 2018, Eq. 4.13-4.20), not path lengths.
+
+    Their piston is NaN. Line of sight and `SystemWavefront.rms` follow the coefficients; all else remains
+    that of path lengths. Both methods agree to 4e-7 waves as far as the polynomials describe the wavefront.
+
+    Raises
+    ------
+    UserError
+        If the image is curved, or the rays that arrive do not determine the coefficients.
+    """
+    require_flat_image(prepared.system, "wavefront.method = 'slopes'")
+    distance, points = _sphere_points(prepared, *shifted_pupil(prepared.pupil))
+    slopes = system_slopes(
+        prepared.pupil,
+        points.reshape(2, len(prepared.pupil), -1),
+        distance.reshape(len(prepared.pupil), -1)[:, 0],
+        prepared.fit,
+        prepared.sphere_radius,
+        prepared.wavelength / prepared.image_index,
+        prepared.system.pupil.obscuration,
+    )
+    return replace(prepared, slopes=slopes)
+
+
+def with_fitted_sphere(prepared: PreparedSystem) -> PreparedSystem:
+    """Return the same with OPDs about the sphere that fits the wavefront best (Störkle 2018, section 3.3.3).
+
+    The line from the pupil's center to the sphere's replaces the chief ray: what was tilt is in its image
+    point. `SystemWavefront.chief` remains where the chief ray arrives.
+
+    Raises
+    ------
+    UserError
+        If the image is curved, or the rays that arrive determine no sphere.
+    """
+    require_flat_image(prepared.system, "wavefront.reference = 'fitted'")
+    _, points = _sphere_points(prepared, *prepared.pupil.T)
+    rest = moving(prepared.system, rest_states(prepared.system))
+    traced = trace_sequence(prepared.sequence, prepared.chief, rest, NUMPY, ignore_apertures=True)
+    chief = np.concatenate([traced.u[0], traced.v[0]])
+    known = np.isfinite(points[0])  # the others' OPDs are NaN, too
+    toward = np.where(known[:, None], -points.T / prepared.sphere_radius, chief)
+    weight = np.where(known, prepared.fit.weight, 0.0)
+    return replace(prepared, sphere=sphere_basis_fit(toward, chief, _aperture(prepared), weight, MORE_RAYS))
+
+
+def _aperture(prepared: PreparedSystem) -> float:
+    """Return the sine of the largest angle between a ray of the rim and the chief ray, about."""
+    return float(np.linalg.norm(prepared.cosines, 2))
+
+
+def _sphere_points(prepared: PreparedSystem, x: Array, y: Array) -> tuple[Array, Array]:
+    """Return where rays of the pupil meet the reference sphere at rest: distances (N,), x and y (2, N).
+
+    Those that do not arrive are NaN.
+    """
+    system, rest = prepared.system, moving(prepared.system, rest_states(prepared.system))
+    aimed = aimed_rays(system, system.fields[prepared.field], prepared.wavelength, x, y)
+    traced = trace_sequence(prepared.sequence, aimed.rays, rest, NUMPY, ignore_apertures=True)
+    chief, _ = chief_points(prepared, rest)
+    points, distance = on_sphere(traced, chief, prepared.sphere_radius)
+    return distance[0], points[:, 0]
+
+
+def incoming_light(prepared: PreparedSystem, states: SystemStates, device: Device = NUMPY) -> Moving:
+    """Return what moves, with light that fills the stop where it stands at each instant."""
+    return incoming_lights(prepared, [states], [moving(prepared.system, states, device=device)])[0]
+
+
+def incoming_lights(
+    prepared: PreparedSystem, states: list[SystemStates], lights: list[Moving]
+) -> list[Moving]:
+    """Return what moves in several cases (`moving`), each with light that fills the stop where it stands."""
+    goes = [not stays(prepared.system, prepared.chief, one) for one in states]
+    chosen = list(compress(lights, goes))
+    if not chosen:
+        return lights
+    light, parts = joined_moving(chosen)
+    followed = follow_stop(prepared.system, prepared.sequence, prepared.chief, prepared.steering, light)
+    moved = iter(parts)
+    return [moving_part(followed, next(moved)) if go else one for go, one in zip(goes, lights, strict=True)]
+
+
+def chief_points(prepared: PreparedSystem, light: Moving) -> tuple[Array, Array]:
+    """Return the image points (T, 2) of the chief ray and its paths (T,) to the reference sphere, mm."""
+    traced = trace_sequence(prepared.sequence, prepared.chief, light, NUMPY, ignore_apertures=True)
+    path = traced.path[:, 0] - prepared.image_index * prepared.sphere_radius
+    return np.stack([traced.x[:, 0], traced.y[:, 0]], axis=1), path
+
+
+def trace_system(prepared: PreparedSystem, states: SystemStates, device: Device) -> Traced:
+    """Trace all rays at all instants; returns as `trace_light`."""
+    return trace_light(prepared, incoming_light(prepared, states, device), device)
+
+
+def trace_light(prepared: PreparedSystem, light: Moving, device: Device) -> Traced:
+    """Trace all rays at all instants of what moves.
+
+    Returns
+    -------
+    opd : ndarray, shape (T, N)
+        Waves: the chief ray's path less the ray's, at the reference sphere; NaN for a lost ray.
+    traced : TracedRays
+    chief : ndarray, shape (T, 2)
+        Image point of the chief ray, mm.
+    """
+    return next(trace_lights(prepared, [light], device))
+
+
+def trace_lights(prepared: PreparedSystem, lights: list[Moving], device: Device) -> Iterator[Traced]:
+    """Return for each of several cases what `trace_light` does, traced as it is asked for.
+
+    Their chief rays are traced at once: the bits of a case do not depend on the others.
+    """
+    joined, parts = joined_moving(lights)
+    chiefs, paths = chief_points(prepared, joined)
+    cases = zip(lights, parts, strict=True)
+    return (_about(prepared, light, chiefs[part], paths[part], device) for light, part in cases)
+
+
+def _about(prepared: PreparedSystem, light: Moving, chief: Array, path: Array, device: Device) -> Traced:
+    # Without a chief ray there is no sphere: the instant's rays are lost, and say so.
+    center = np.where(np.isfinite(chief), chief, 0.0)
+    height, *_ = shape_sag(prepared.system.surfaces[-1].shape, center[:, :1], center[:, 1:])
+    about = replace(light, spheres=np.hstack([center, height, np.full_like(height, prepared.sphere_radius)]))
+    traced = trace_sequence(prepared.sequence, prepared.rays, about, device, outputs=_outputs(prepared))
+    return path_differences(traced.path, path, prepared.wavelength), traced, chief
+
+
+def _outputs(prepared: PreparedSystem) -> tuple[str, ...]:
+    return OUTPUTS if prepared.slopes is not None else OUTPUTS[:3]  # directions take a tenth of the time
+
+
+def measure_system(prepared: PreparedSystem, states: SystemStates, device: Device) -> SystemWavefront:
+    """Trace a batch of instants and reduce it to its wavefronts, those of one launch at a time.
+
+    Raises
+    ------
+    UserError
+        If the states do not fit the system.
+    """
+    light = incoming_light(prepared, states, device)
+    lights = [part for _, part in launches_of(prepared.rays, light, _outputs(prepared))]
+    found = [analyse_system(prepared, *traced, device) for traced in trace_lights(prepared, lights, device)]
+    if len(found) == 1:
+        return found[0]
+    return SystemWavefront(*map(np.concatenate, zip(*(vars(one).values() for one in found), strict=True)))
+
+
+def analyse_system(
+    prepared: PreparedSystem, opd: Array, traced: TracedRays, chief: Array, device: Device = NUMPY
+) -> SystemWavefront:
+    """Reduce what `trace_system` returns to the numbers of its wavefronts."""
+    point, weight = chief, prepared.fit.weight
+    if prepared.sphere is not None:
+        tilt = fit_instants(prepared.sphere, opd, device)[:, 1:3]
+        opd = without_planes(opd, np.ascontiguousarray(prepared.sphere.basis[:, 1:3].T), tilt)
+        point = chief + tilt * (prepared.wavelength / prepared.image_index / _aperture(prepared))
+    zernike = fit_instants(prepared.fit, opd, device)
+    slopes = np.ascontiguousarray(prepared.fit.basis[:, 1:3].T)
+    found = ray_moments(opd, traced.x, traced.y, weight, slopes, zernike[:, 1:3], device)
+    if prepared.slopes is not None:
+        zernike = slope_coefficients(prepared.slopes, traced, chief)
+    return SystemWavefront(
+        zernike=zernike,
+        rms=np.sqrt(np.sum(zernike[:, 3:] ** 2, axis=1)),
+        rms_raw=found.rms_raw,
+        rms_flat=found.rms_flat,
+        pv=found.pv,
+        chief=chief,
+        los=line_of_sight(prepared, point, zernike),
+        centroid=found.centroid,
+        spot_rms=found.spot_rms,
+        strehl=found.strehl,
+        lost=weight.size - found.arrived,
+        vignetted=count_status(traced.status, VIGNETTED) + np.count_nonzero(prepared.status == VIGNETTED),
+    )
+
+
+def line_of_sight(prepared: PreparedSystem, chief: Array, zernike: Array) -> Array:
+    """Return the image point of the best-fit plane, shape (T, 2), mm (Störkle 2018, Eq. 3.39).
+
+    A tilt that grows by W waves from the pupil's center to its rim moves the image by W wavelengths over the
+    numerical aperture there; the signs of the aperture's direction cosines hold for folded and inverting
+    systems. The tilt of an annular polynomial is steeper by 1 / sqrt(1 + eps^2) (see `los_eq339`).
+    """
+    slope = 2.0 / np.sqrt(1.0 + prepared.system.pupil.obscuration**2) * prepared.wavelength * zernike[:, 1:3]
+    shift: Array = slope @ np.linalg.inv(prepared.cosines) / prepared.image_index
+    return chief + shift

@@ -1,0 +1,1 @@
+"""Zemax's sequential lens files: reading and writing."""

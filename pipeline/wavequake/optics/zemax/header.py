@@ -1,0 +1,106 @@
+"""The header of a .zmx file: what changes the light but is not supported, and what is not understood."""
+
+from collections.abc import Mapping, Sequence
+
+from wavequake.optics.zemax.rows import Line, as_integer, as_number, fail
+
+PUPILS = ("ENPD", "FNUM", "OBNA", "FLOA")
+_USED = (
+    *("MODE", "NAME", "UNIT", "FTYP", "XFLN", "YFLN", "XFLD", "YFLD", "WAVM", "WAVL", "PWAV", "MNUM"),
+    *("ENVD", "GFAC"),
+)
+# Those with a Z before them are of older files.
+_VIGNETTING = ("VDXN", "VDYN", "VCXN", "VCYN", "VANN", "ZVDX", "ZVDY", "ZVCX", "ZVCY", "ZVAN")
+# Version, notes, preferences, catalogs, names of other files; how rays are aimed (here always at the real
+# stop) and path lengths referred; margins of drawn semi-diameters; weights and tolerances; polarization,
+# which coatings need to act; settings of rays that have no sequence.
+_HARMLESS = (
+    *("VERS", "NOTE", "PFIL", "LANG", "GCAT", "COFN", "GLRS", "PICB", "BLNK", "LUID", "DMFS"),
+    *("RAIM", "PUSH", "ROPD", "HYPR", "SDMA", "OMMA", "GSTD", "POLS", "NSCD"),
+    *("FWGN", "FWGT", "WWGN", "WWGT", "WAVN", "TOL", "MOFF"),
+)
+_KNOWN = frozenset((*_USED, *PUPILS, *_VIGNETTING, *_HARMLESS))
+_APODIZATIONS = {1: "Gaussian", 2: "cosine cubed"}
+_REFERENCE = (20.0, 1.0)  # degrees Celsius and atmospheres to which indices of catalogs belong
+_NAMED = 8
+
+
+def require_supported(header: Mapping[str, Sequence[Line]]) -> None:
+    """Refuse what changes the light, but not as an `OpticalSystem` does.
+
+    Parameters
+    ----------
+    header : mapping of str to sequence of Line
+        The lines outside of surfaces by keyword.
+
+    Raises
+    ------
+    UserError
+        If there is such a line; the message names it.
+    """
+    for line in header.get("MODE", [])[:1]:
+        if line.words[:1] != ["SEQ"]:
+            fail(line, f"the mode {line.rest!r} is not supported, only SEQ is")
+    for line in header.get("MNUM", [])[:1]:
+        if as_integer(line, 0) > 1:
+            fail(line, "several configurations are not supported; save the wanted one alone")
+    for keyword in _VIGNETTING:
+        for line in header.get(keyword, []):
+            if any(as_number(line, index) for index in range(len(line.words))):
+                fail(
+                    line, "vignetting factors are not supported; set them to zero and give apertures instead"
+                )
+    for line in header.get("ENVD", []):
+        _require_reference_environment(line)
+    for line in header.get("GFAC", []):
+        _require_uniform(line)
+
+
+def _require_reference_environment(line: Line) -> None:
+    """Refuse temperatures and pressures if indices are to follow them."""
+    if len(line.words) < 3 or not as_integer(line, 2):
+        return
+    temperature, pressure = as_number(line, 0), as_number(line, 1)
+    if (temperature, pressure) != _REFERENCE:
+        fail(
+            line,
+            f"indices that are adjusted to an environment of {temperature:g} degrees Celsius and "
+            f"{pressure:g} atmospheres are not supported, only those at {_REFERENCE[0]:g} and "
+            f"{_REFERENCE[1]:g} are; switch the adjustment off, or give indices as model glasses",
+        )
+
+
+def _require_uniform(line: Line) -> None:
+    """Refuse a beam that is not uniform over the pupil: ``GFAC factor type``."""
+    kind = as_integer(line, 1) if len(line.words) > 1 else 0
+    if kind == 0 or (kind == 1 and not as_number(line, 0)):
+        return
+    name = _APODIZATIONS.get(kind, f"type {kind}")
+    fail(line, f"the apodization of the pupil ({name}) is not supported; choose a uniform one")
+
+
+def left_aside(header: Mapping[str, Sequence[Line]], first_surface: int) -> str:
+    """Return a sentence that names what is not understood; empty if all is.
+
+    Lines behind the surfaces hold merit functions, tolerances and configurations, which change no light.
+
+    Parameters
+    ----------
+    header : mapping of str to sequence of Line
+        The lines outside of surfaces by keyword.
+    first_surface : int
+        The number of the first surface's line.
+    """
+    lines = [
+        found[0]
+        for keyword, found in header.items()
+        if keyword not in _KNOWN and found[0].number < first_surface
+    ]
+    if not lines:
+        return ""
+    names = [f"{line.keyword[:12]} (line {line.number})" for line in lines[:_NAMED]]
+    more = f" and {len(lines) - _NAMED} more" if len(lines) > _NAMED else ""
+    return (
+        f"The lens file's header has lines that are not understood and were left aside: {', '.join(names)}"
+        f"{more}. If they change the light, this system is another."
+    )

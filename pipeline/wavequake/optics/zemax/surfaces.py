@@ -1,0 +1,166 @@
+"""One row of Zemax's lens data editor: its shape, aperture and coordinate break."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from wavequake.optics.polynomials.indices import convert_coefficients
+from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.shapes.shapes import Conic, EvenAsphere, ExtendedPolynomial, Opening, Shape, ZernikeSag
+from wavequake.optics.systems.kinematics import Break
+from wavequake.optics.zemax.gradients import GRADIENTS
+from wavequake.optics.zemax.grids import grid_sag
+from wavequake.optics.zemax.rows import (
+    OPENINGS,
+    Row,
+    as_count,
+    as_number,
+    fail,
+    require_no_numbers,
+)
+
+MAX_EVEN_TERMS = 8
+MAX_TERMS = {"XPOLYNOM": 230, "SZERNSAG": 231, "FZERNSAG": 37}  # both lists end with degree 20
+
+_FRINGE_TERMS = 36
+
+_Builder = Callable[[Row, float, float, float], Shape]
+
+
+def shape(row: Row, scale: float) -> Shape:
+    """Return the shape of a surface in mm; `scale` is mm per unit of the file."""
+    curvature, conic = row.one("CURV"), row.one("CONI")
+    c = as_number(curvature, 0) if curvature else 0.0
+    radius = scale / c if c else math.inf
+    kappa = as_number(conic, 0) if conic else 0.0
+    builders: dict[str, _Builder] = {
+        "EVENASPH": _even_asphere,
+        "XPOLYNOM": _extended_polynomial,
+        "SZERNSAG": _zernike,
+        "FZERNSAG": _zernike,
+        "GRID_SAG": grid_sag,
+    }
+    if row.type in builders:
+        return builders[row.type](row, scale, radius, kappa)
+    if row.type in GRADIENTS:  # their parameters are those of the medium
+        return Conic(radius, kappa)
+    if row.type != "STANDARD":
+        fail(
+            row.one("TYPE") or row.line,
+            f"{row.label} is of the type {row.type}, which is not supported; STANDARD, COORDBRK, "
+            f"{', '.join((*builders, *GRADIENTS))} are",
+        )
+    require_no_numbers(row, "PARM", row.table("PARM"))
+    return Conic(radius, kappa)
+
+
+def _even_asphere(row: Row, scale: float, radius: float, conic: float) -> EvenAsphere:
+    given = row.table("PARM")
+    require_no_numbers(row, "PARM", {k: v for k, v in given.items() if not 1 <= k <= MAX_EVEN_TERMS})
+    count = max((k for k in given if 1 <= k <= MAX_EVEN_TERMS), default=0)
+    terms = tuple(given.get(k, 0.0) * scale ** (1 - 2 * k) for k in range(1, count + 1))
+    return EvenAsphere(radius, conic, terms)
+
+
+def _extended_polynomial(row: Row, scale: float, radius: float, conic: float) -> ExtendedPolynomial:
+    require_no_numbers(row, "PARM", row.table("PARM"))
+    coefficients, norm = _extra_data(row, scale)
+    return ExtendedPolynomial(radius, conic, coefficients, norm)
+
+
+def _zernike(row: Row, scale: float, radius: float, conic: float) -> ZernikeSag:
+    # Parameters 1-8 add an even asphere, 9 and 10 shift the polynomials; 0 only extrapolates.
+    require_no_numbers(row, "PARM", {k: v for k, v in row.table("PARM").items() if k})
+    coefficients, norm = _extra_data(row, scale)
+    if row.type == "FZERNSAG":
+        coefficients = _from_fringe(row, coefficients)
+    return ZernikeSag(radius, conic, coefficients, norm)
+
+
+def _from_fringe(row: Row, coefficients: tuple[float, ...]) -> tuple[float, ...]:
+    """Return Noll coefficients for up to 37 Fringe ones, the last of which is term 49 of the full set."""
+    fringe = np.array(coefficients[:_FRINGE_TERMS])
+    if any(coefficients[_FRINGE_TERMS:]):
+        fringe = np.concatenate([fringe, np.zeros(12), coefficients[_FRINGE_TERMS:]])
+    return tuple(float(value) for value in convert_coefficients(fringe, "fringe", "noll"))
+
+
+def _extra_data(row: Row, scale: float) -> tuple[tuple[float, ...], float]:
+    """Return the coefficients and the normalization radius that a surface's extra data hold, in mm."""
+    data = row.table("XDAT")
+    count, norm = data.get(1, 0.0), data.get(2, 0.0)
+    if not (norm > 0 and count == int(count) and count >= 0):
+        fail(
+            row.line,
+            f"{row.label} needs a number of terms (XDAT 1) and a positive normalization radius (XDAT 2)",
+        )
+    if count > MAX_TERMS[row.type]:
+        fail(
+            row.line,
+            f"{row.label} has {count:g} terms; a surface of the type {row.type} has at most "
+            f"{MAX_TERMS[row.type]}",
+        )
+    return tuple(data.get(3 + k, 0.0) * scale for k in range(int(count))), norm * scale
+
+
+def opening(row: Row, scale: float) -> Opening | None:
+    """Return the aperture of a surface in mm."""
+    given = [line for keyword in OPENINGS for line in row.lines.get(keyword, [])]
+    if not given:
+        return None
+    if len(given) > 1:
+        fail(given[1], f"{row.label} has a second aperture; one is supported")
+    line = given[0]
+    shift = row.one("OBDC")
+    center = (as_number(shift, 0) * scale, as_number(shift, 1) * scale) if shift else (0.0, 0.0)
+    if line.keyword == "SPID":
+        width, count = as_number(line, 0) * scale, as_count(line, 1)
+        if not width > 0:
+            fail(line, f"{row.label} has a spider whose arms are {width:g} mm wide, not a positive number")
+        return Opening(arms=spider(width, count), center=center)
+    low, high = as_number(line, 0) * scale, as_number(line, 1) * scale
+    if line.keyword == "SQAP":
+        return Opening(corners=((-low, -high), (low, -high), (low, high), (-low, high)), center=center)
+    if not 0 <= low < high:
+        fail(
+            line,
+            f"{row.label} has an aperture from radius {low:g} to {high:g} mm; they must increase from >= 0",
+        )
+    if line.keyword == "OBSC":
+        if low:
+            fail(line, f"{row.label} has a ring-shaped obscuration, which is not supported")
+        return Opening(inner=high, center=center)
+    return Opening(outer=high, inner=low, center=center)
+
+
+def spider(width: float, count: int) -> tuple[tuple[float, float], ...]:
+    """Return equally spaced arms of one width, the first along x."""
+    return tuple((2.0 * math.pi * arm / count, width) for arm in range(count))
+
+
+def coordinate_break(row: Row, scale: float, thickness: float) -> Break:
+    """Return a coordinate break; tilts are right-handed about x, y and z, in this order.
+
+    With the order flag the turns are about z, y and x, before the shift, which undoes a break of opposite
+    numbers.
+    """
+    given = row.table("PARM")
+    shift = (given.get(1, 0.0) * scale, given.get(2, 0.0) * scale, 0.0)
+    angles = np.deg2rad([given.get(3, 0.0), given.get(4, 0.0), given.get(5, 0.0)])
+    if not given.get(6, 0.0):
+        return Break(shift, (float(angles[0]), float(angles[1]), float(angles[2])), False, thickness)
+    return Break(shift, cardan_angles(cardan(-angles).T), True, thickness)
+
+
+def cardan_angles(rotation: np.ndarray) -> tuple[float, float, float]:
+    """Return the angles about x, y and z (rad) of R = Rx Ry Rz; where two coincide the last is zero."""
+    slant = math.hypot(rotation[0, 0], rotation[0, 1])
+    beta = math.atan2(rotation[0, 2], slant)
+    if slant < 1e-9:
+        return math.atan2(rotation[2, 1], rotation[1, 1]), beta, 0.0
+    return (
+        math.atan2(-rotation[1, 2], rotation[2, 2]),
+        beta,
+        math.atan2(-rotation[0, 1], rotation[0, 0]),
+    )

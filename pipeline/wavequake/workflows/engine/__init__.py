@@ -1,1 +1,0 @@
-"""Run the cases of a campaign and keep them: chunks, tasks, the journal, the store, its repair."""

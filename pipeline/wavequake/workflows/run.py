@@ -1,0 +1,309 @@
+"""Run and plan a study: the few calls behind ``wavequake run`` and ``wavequake.run``."""
+
+import resource
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from wavequake.campaign.contract import Workflow
+from wavequake.campaign.engine.chunk_size import default_chunk, stored_bytes
+from wavequake.campaign.engine.driver import CampaignSummary, run_campaign
+from wavequake.campaign.engine.driver_lock import Shard, shard_of
+from wavequake.campaign.statistics.until import Goal, described, goal_of, is_met, looks, quantiles_of
+from wavequake.campaign.store.journal import read_journal
+from wavequake.campaign.store.retention import stored_template
+from wavequake.campaign.store.store import JOURNAL, MANIFEST, done_records, open_store, read_manifest
+from wavequake.errors import UserError
+from wavequake.kernels.device.devices import choose_device
+from wavequake.workflows.exposures.mirror_exposure import WORKFLOW as MIRROR_EXPOSURE
+from wavequake.workflows.exposures.telescope_exposure import WORKFLOW as TELESCOPE_EXPOSURE
+from wavequake.workflows.lens.lens_experiment import WORKFLOW as LENS_EXPERIMENT
+from wavequake.workflows.lens.lens_passive import WORKFLOW as LENS_PASSIVE
+from wavequake.workflows.mirrors.mirror_mor import WORKFLOW as MIRROR_MOR
+from wavequake.workflows.mirrors.mirror_trace import WORKFLOW as MIRROR_TRACE
+from wavequake.workflows.schema import Study
+from wavequake.workflows.segments.segment_disturbance import WORKFLOW as SEGMENT_DISTURBANCE
+from wavequake.workflows.segments.segment_mor import WORKFLOW as SEGMENT_MOR
+from wavequake.workflows.study import load_study, study_with
+from wavequake.workflows.systems.system_disturbance import WORKFLOW as SYSTEM_DISTURBANCE
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Progress = Callable[[int, int, int], None]
+
+_PILOT_S = 0.05  # a pilot that is shorter says little: it is repeated with more cases
+_WHOLE_S = 5.0  # a pilot of a whole chunk may take that long
+# Engine and store shall take at most 2 % of a chunk; but a chunk is what a crash may cost, and the least that
+# a worker takes on.
+_CHUNK_S = (2.0, 10.0)
+
+WORKFLOWS: dict[str, Workflow] = {
+    workflow.name: workflow
+    for workflow in (
+        SEGMENT_DISTURBANCE,
+        MIRROR_MOR,
+        MIRROR_TRACE,
+        SEGMENT_MOR,
+        SYSTEM_DISTURBANCE,
+        TELESCOPE_EXPOSURE,
+        MIRROR_EXPOSURE,
+        LENS_EXPERIMENT,
+        LENS_PASSIVE,
+    )
+}
+
+
+def workflow_of(study: Study) -> Workflow:
+    """Return the workflow that a study asks for."""
+    return WORKFLOWS[study.study.workflow]
+
+
+def run_study(
+    study: Study,
+    path: Path,
+    *,
+    on: str = "local",
+    workers: int | None = None,
+    progress: Progress | None = None,
+    repair: bool = False,
+    allow_mixed: bool = False,
+    dashboard: Callable[[str], None] | None = None,
+    shard: Shard | None = None,
+    cluster: Path | None = None,
+) -> CampaignSummary:
+    """Compute what of `study` the store at `path` lacks; with `repair`, also what is damaged there.
+
+    With `campaign.until`, cases are added until the goal is met, at most `campaign.cases`. Further arguments
+    are those of :func:`wavequake.campaign.engine.driver.run_campaign`.
+
+    Raises
+    ------
+    UserError
+        If the store belongs to another study, is in use or cannot be written, the device does not exist, or
+        a shard is asked to judge statistics of all cases.
+    """
+    if shard and study.campaign.until is not None:
+        raise UserError("campaign.until judges all cases together, which no shard has: leave out one.")
+    workflow = workflow_of(study)
+    text = study.identity_text()
+    device = choose_device(study.campaign.device)
+    workflow.check(text)  # a study that cannot work says so before a store is made or a worker started
+
+    chunk = chunk_of(study, path)
+
+    def run_to(cases: int) -> CampaignSummary:
+        return run_campaign(
+            workflow,
+            text,
+            path,
+            cases=cases,
+            chunk=chunk,
+            device=device.name,
+            on=on,
+            workers=workers,
+            progress=progress,
+            title=study.study.title,
+            timeout_s=study.campaign.timeout_s,
+            allow_mixed=allow_mixed,
+            repair=repair,
+            dashboard=dashboard,
+            shard=shard,
+            cluster=cluster,
+        )
+
+    if study.campaign.until is None:
+        return run_to(study.cases)
+    goal = goal_of(study.campaign.until, stored_template(workflow, text))
+    return _run_until(goal, study, path, looks(study.cases, chunk), run_to)
+
+
+def chunk_of(study: Study, path: Path | None = None) -> int:
+    """Return the number of cases per chunk: of the store at `path` if there is one, or of a new one."""
+    if path is not None and (path / MANIFEST).exists():
+        return read_manifest(path).chunk
+    if study.store.chunk_cases is not None:
+        return study.store.chunk_cases
+    return default_chunk(study.cases, stored_template(workflow_of(study), study.identity_text()))
+
+
+def _run_until(
+    goal: Goal,
+    study: Study,
+    path: Path,
+    steps: Iterable[int],
+    run_to: Callable[[int], CampaignSummary],
+) -> CampaignSummary:
+    """Add cases until the goal is met; the summary is of all steps together."""
+    total: CampaignSummary | None = None
+    for cases in steps:
+        step = run_to(cases)
+        total = step if total is None else total.followed_by(step)
+        found = quantiles_of(goal, open_store(path).isel(case=slice(cases)))
+        words = "is met" if is_met(goal, found) else "is not met"
+        total = replace(
+            total, goal=(f"{study.campaign.until} {words} after {cases} cases", *described(goal, found))
+        )
+        if is_met(goal, found):
+            break
+    assert total is not None
+    return total
+
+
+def run(
+    study: str | Path | Study,
+    *,
+    cases: int | None = None,
+    store: str | Path | None = None,
+    on: str = "serial",
+    workers: int | None = None,
+    allow_mixed: bool = False,
+    shard: str | None = None,
+    cluster: str | Path | None = None,
+    **overrides: Any,
+) -> "xr.Dataset":
+    """Run a study and return its results as a labelled lazy dataset.
+
+    Parameters
+    ----------
+    study : str, Path or Study
+        Name of a bundled study, path of a study file, or a loaded study.
+    cases : int, optional
+        Number of cases (``campaign.cases``).
+    store : str or Path, optional
+        Folder of the store; by default ``runs/<name>-<identity>``. What it already holds is not computed
+        again.
+    on : {"serial", "local", "slurm", "ssh", "kubernetes", "tcp://HOST:PORT", "tls://HOST:PORT"}
+        Where to run. ``local`` starts worker processes: a script then needs ``if __name__ == "__main__"``.
+    workers : int, optional
+        Worker processes of ``local``; one per CPU by default.
+    allow_mixed : bool
+        Go on with a store that another version of the code began.
+    shard : str, optional
+        ``"i/n"``, from ``"0/n"``: compute every n-th chunk only, while n - 1 others compute the rest.
+    cluster : str or Path, optional
+        A cluster file (``docs/clusters.md``) for ``slurm``, ``ssh`` and ``tls://``.
+    **overrides
+        Further keys with double underscores for dots, e.g. ``optics__wavelength_nm=1000.0``.
+
+    Returns
+    -------
+    xarray.Dataset
+        What :func:`wavequake.open_store` gives.
+
+    Raises
+    ------
+    UserError
+        For a study, a key or a store that cannot be used; says which and what would be right.
+    """
+    keys = {key.replace("__", "."): value for key, value in overrides.items()}
+    if cases is not None:
+        keys["campaign.cases"] = cases
+    loaded = study_with(study, keys) if isinstance(study, Study) else load_study(study, keys)
+    path = loaded.folder(store)
+    part = None if shard is None else shard_of(shard)
+    file = None if cluster is None else Path(cluster)
+    run_study(loaded, path, on=on, workers=workers, allow_mixed=allow_mixed, shard=part, cluster=file)
+    return open_store(path)
+
+
+def plan(study: str | Path | Study) -> dict[str, str]:
+    """Describe what running `study` would take: a pilot of a few cases gives the time; nothing is stored."""
+    study = study if isinstance(study, Study) else load_study(study)
+    workflow, text = workflow_of(study), study.identity_text()
+    cases, chunk = study.cases, chunk_of(study)
+    workflow.check(text)
+    template = stored_template(workflow, text)
+    if study.campaign.until is not None:
+        goal_of(study.campaign.until, template)  # says what is wrong with it
+    per_case = stored_bytes(template)
+    device = choose_device(study.campaign.device)
+    whole = min(cases, chunk)
+    pilot = min(whole, 8)
+    workflow.compute(text, np.arange(cases - pilot, cases), device.name)  # builds kernels and tables
+    while True:
+        start = time.perf_counter()
+        workflow.compute(text, np.arange(cases - pilot, cases), device.name)  # the first ones may be special
+        each = (time.perf_counter() - start) / pilot
+        if pilot == whole or (each * pilot > _PILOT_S and each * whole > _WHOLE_S):
+            break
+        pilot = whole if each * whole < _WHOLE_S else min(whole, 8 * pilot)
+    note = "\n".join(notices(study))
+    return {
+        **({"note": note} if note else {}),
+        "study": f"{study.study.name} ({study.identity()[:12]})",
+        "cases": f"{cases} in {-(-cases // chunk)} chunks of {chunk}",
+        "device": f"{device.name} ({device.kind})",
+        "store": f"{cases * per_case / 1e6:.1f} MB, {per_case / 1e3:.1f} kB per case",
+        "memory": f"{_peak_memory_mb():.0f} MB in the pilot's process, which is what each worker needs",
+        "one case": f"{each * 1e3:.3g} ms in one process (pilot of {pilot} cases, after set-up)",
+        "one chunk": _chunk_advice(cases, chunk, each),
+        "estimate": f"{cases * each:.0f} s of one process",
+        **workflow.describe(text),
+    }
+
+
+def notices(study: Study) -> Iterator[str]:
+    """Yield what the user should read before a run, such as size, mass and doubtful units of a model."""
+    return workflow_of(study).notices(study.identity_text())
+
+
+def _chunk_advice(cases: int, chunk: int, each: float) -> str:
+    """Say how long a chunk takes, and if that is unsuitable, which number of cases would do."""
+    least, most = _CHUNK_S
+    words = f"{each * min(chunk, cases):.3g} s"
+    if chunk > 1 and each * chunk > most:
+        return f"{words}; a crash costs less with store.chunk_cases={max(1, int(most / each))}"
+    if chunk < cases and each * chunk < least and each * cases > 10 * least:
+        return f"{words}; the store takes a smaller share with store.chunk_cases={round(least / each)}"
+    return words
+
+
+def _peak_memory_mb() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def profile(path: Path | str) -> dict[str, str]:
+    """Say where the time of a store's chunks went, from its journal.
+
+    That is the share of each kind of work, rates, the time and launches of every OpenCL kernel by the
+    device's clock, and what was copied to and from a device that has memory of its own.
+
+    Raises
+    ------
+    UserError
+        If there is no store at `path`.
+    """
+    manifest = read_manifest(path)
+    records = done_records(manifest, read_journal(Path(path) / JOURNAL))
+    seconds: dict[str, float] = {}
+    for record in records.values():
+        for name, value in record.timings.items():
+            seconds[name] = seconds.get(name, 0.0) + value
+    total = seconds.pop("compute_s", 0.0) + seconds.get("write_s", 0.0)
+    if not total:
+        return {"profile": "nothing was computed yet"}
+    seconds["write"] = seconds.pop("write_s", 0.0)
+    kernels, launches, copied = (
+        {name.removeprefix(kind): seconds.pop(name) for name in sorted(seconds) if name.startswith(kind)}
+        for kind in ("kernel ", "launches ", "bytes ")
+    )
+    seconds["rest"] = total - sum(seconds.values())
+    lines = {name: f"{value:8.2f} s  {value / total:6.1%}" for name, value in seconds.items()}
+    work = WORKFLOWS[manifest.workflow].work(manifest.study, sum(last - first for first, last in records))
+    rates = {
+        f"{name} rate": f"{count / seconds[name] / 1e6:8.1f} M {unit}/s"
+        for name, (count, unit) in work.items()
+        if seconds.get(name)  # a store of an earlier version may lack it
+    }
+    ran = {
+        f"kernel {name}": f"{value:8.2f} s  {value / total:6.1%}  {launches[name]:.0f} x "
+        f"{1e3 * value / launches[name]:.3g} ms"
+        for name, value in sorted(kernels.items(), key=lambda item: -item[1])
+    }
+    moved = {f"copied {way}": f"{1e-6 * count:8.1f} MB" for way, count in copied.items()}
+    return {**lines, "all chunks": f"{total:8.2f} s of process time", **rates, **ran, **moved}
