@@ -29,10 +29,21 @@ ALLOWED = {
     "report": BASE | PHYSICS | {"campaign", "kernels", "workflows"},
     "terminal": set(),
     "cli_firmware": BASE | {"campaign", "control", "firmware", "workflows", "terminal"},
+    "cli_sensitivity": BASE | {"campaign", "kernels", "workflows", "report", "terminal"},
     "cli_statistics": BASE | {"campaign", "workflows", "report", "terminal"},
     "cli": BASE
     | PHYSICS
-    | {"campaign", "kernels", "workflows", "report", "cluster", "terminal", "cli_firmware", "cli_statistics"},
+    | {
+        "campaign",
+        "kernels",
+        "workflows",
+        "report",
+        "cluster",
+        "terminal",
+        "cli_firmware",
+        "cli_sensitivity",
+        "cli_statistics",
+    },
     "__main__": {"cli"},
 }
 # The package's front door imports lazily, for users; provenance may ask it for the version.

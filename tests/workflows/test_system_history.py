@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 
 from wavequake.campaign.contract import DONE, RAISED
+from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
 from wavequake.mechanics.disturbances.element_motion import draw_elements, instants_of, single_parts
@@ -22,7 +23,6 @@ from wavequake.report.rerun import rerun_stored
 from wavequake.workflows.budgets.budget import summed
 from wavequake.workflows.budgets.budget_systems import experiment, variants
 from wavequake.workflows.run import notices, plan, run, run_study
-from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.study import load_study, study_with
 from wavequake.workflows.systems import system_measure
 from wavequake.workflows.systems.system_bench import deformable, system_bench

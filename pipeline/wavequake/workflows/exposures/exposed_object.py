@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from wavequake.campaign.contract import Variable
+from wavequake.campaign.schema import Section
 from wavequake.errors import UserError
 from wavequake.imaging.exposures.detector import pixel_means
 from wavequake.imaging.exposures.exposure_models import cut
 from wavequake.imaging.objects import shapes as objects
 from wavequake.imaging.objects.formation import star_field_image
 from wavequake.workflows.exposures.object_picture import in_frame, picture_of
-from wavequake.workflows.schema import Section
 
 Array = NDArray[np.float64]
 

@@ -5,11 +5,11 @@ from typing import Any
 
 from pydantic import Field, model_validator
 
+from wavequake.campaign.schema import Section
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.workflows.exposures.exposed_object import ObjectSection
 from wavequake.workflows.exposures.object_picture import read_picture
 from wavequake.workflows.mirrors.mirror_study import MirrorStudy
-from wavequake.workflows.schema import Section
 from wavequake.workflows.segments.segment_study import SegmentStudy
 
 

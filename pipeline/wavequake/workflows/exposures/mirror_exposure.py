@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
 from wavequake.errors import UserError
 from wavequake.imaging.engines.matrix_fourier import matrix_fourier
 from wavequake.imaging.engines.zernike_psf import ZernikeImager, zernike_imager, zernike_images, zernike_sum
@@ -325,4 +325,6 @@ def notices(study_text: str) -> Iterator[str]:
             yield f"{name}: {text}; raise imaging.pupil_samples or lower imaging.scale"
 
 
-WORKFLOW = Workflow("mirror-exposure", template, case_table, compute, check=check, notices=notices)
+KIND = StudyKind(
+    "mirror-exposure", template, case_table, compute, check=check, notices=notices, model=MirrorExposureStudy
+)

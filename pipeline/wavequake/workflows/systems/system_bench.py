@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
 from wavequake.kernels.trace.sequence import OK
@@ -42,7 +43,6 @@ from wavequake.optics.wavefronts.wavefront import (
     with_fitted_sphere,
     with_slopes,
 )
-from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.systems.system_study import SystemStudy
 
 Array = NDArray[np.float64]

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
+from wavequake.campaign.schema import study_from_identity
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.trace.sequence import bends
@@ -28,7 +29,6 @@ from wavequake.optics.rays.packing import moving
 from wavequake.optics.systems.file import build
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.workflows.sampling import Plan, plan_of, replicate_labels
-from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segments.segment_disturbance import slot
 from wavequake.workflows.segments.segment_template import wavefront_source
 from wavequake.workflows.systems.system_bench import (
@@ -315,4 +315,6 @@ def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
     return {"trace": (cases * instants * beams * rays * len(bench.system.surfaces), "ray-surfaces")}
 
 
-WORKFLOW = Workflow("system-disturbance", template, case_table, compute, describe, work, check, notices)
+KIND = StudyKind(
+    "system-disturbance", template, case_table, compute, describe, work, check, notices, model=SystemStudy
+)

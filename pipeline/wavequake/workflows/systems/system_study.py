@@ -5,6 +5,7 @@ from typing import Any, Literal, get_args
 
 from pydantic import BaseModel, Field, field_validator, model_validator
 
+from wavequake.campaign.schema import Section, Study, base64_of, text_of
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.element_history import SurfaceHistory, own_axis
 from wavequake.mechanics.disturbances.element_motion import ElementDisturbance, instants_of, single_parts
@@ -14,7 +15,6 @@ from wavequake.mechanics.disturbances.vibration_lines import VibrationLines
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.systems.file import SystemSection, embed_file
 from wavequake.workflows.sampling import SampledCampaignSection, whole_sets
-from wavequake.workflows.schema import Section, Study, base64_of, text_of
 from wavequake.workflows.segments.segment_study import require_path_lengths
 
 
