@@ -205,12 +205,12 @@ RECORDED = {
 def compute(name):
     """Return every number of a recording's study by its name, without what a stopwatch measured."""
     import wavequake as wq
-    from wavequake.workflows.run import workflow_of
+    from wavequake.workflows.run import kind_of
 
     small = RECORDED[name]
     cases = {} if small.cases is None else {"campaign.cases": small.cases}
     study = wq.load_study(small.study, small.keys | cases | {"campaign.device": "cpu"})
-    per_case = workflow_of(study).template(study.identity_text()).per_case
+    per_case = kind_of(study).template(study.identity_text()).per_case
     with TemporaryDirectory() as folder:
         dataset = wq.run(study, store=Path(folder) / "store").load()
     return {
