@@ -26,13 +26,16 @@ ALLOWED = {
     "cluster": BASE,
     "campaign": BASE | {"cluster", "kernels", "memory"},
     "workflows": BASE | PHYSICS | {"campaign", "kernels", "firmware"},
-    "report": BASE | PHYSICS | {"campaign", "kernels", "workflows"},
+    "drawing": BASE | PHYSICS | {"kernels", "workflows"},
+    "report": BASE | PHYSICS | {"campaign", "drawing", "kernels", "workflows"},
     "terminal": set(),
     "cli_firmware": BASE | {"campaign", "control", "firmware", "workflows", "terminal"},
     "cli_statistics": BASE | {"campaign", "workflows", "report", "terminal"},
+    "cli_pictures": BASE | {"drawing", "workflows", "terminal"},
     "cli": BASE
     | PHYSICS
-    | {"campaign", "kernels", "workflows", "report", "cluster", "terminal", "cli_firmware", "cli_statistics"},
+    | {"campaign", "kernels", "workflows", "report", "cluster", "terminal"}
+    | {"cli_firmware", "cli_pictures", "cli_statistics"},
     "__main__": {"cli"},
 }
 # The package's front door imports lazily, for users; provenance may ask it for the version.

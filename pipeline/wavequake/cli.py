@@ -11,7 +11,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from wavequake import __version__, cli_firmware, cli_statistics
+from wavequake import __version__, cli_firmware, cli_pictures, cli_statistics
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.terminal import EXIT_INTERRUPTED, err, fail, interrupted, live_progress, out, print_pairs
 from wavequake.words import are, counted
@@ -25,6 +25,8 @@ app = typer.Typer(
     add_completion=False,
 )
 app.add_typer(cli_firmware.app, name="firmware")
+app.command()(cli_pictures.info)
+app.command()(cli_pictures.draw)
 app.command()(cli_statistics.budget)
 app.command()(cli_statistics.tail)
 StudyArgument = Annotated[str, typer.Argument(help="Name of a bundled study or path of a .toml file.")]
@@ -184,19 +186,6 @@ def plan(
     from wavequake.workflows.study import load_study
 
     print_pairs(plan_study(load_study(study, overrides or [])))
-
-
-@app.command()
-def info(
-    system: Annotated[
-        str, typer.Argument(help="Optical system or telescope by name, FILE.zmx, or a study by name or path.")
-    ],
-    overrides: OverridesArgument = None,
-) -> None:
-    """Print first-order data, fields, wavelengths and surfaces of an optical system."""
-    from wavequake.workflows.systems.system_source import load_system
-
-    out.print(load_system(system, overrides or []).info(), markup=False, soft_wrap=True)
 
 
 @app.command()
