@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib.collections import PolyCollection
 
 from wavequake.drawing.draw import draw, look
@@ -15,6 +16,7 @@ from wavequake.mechanics.mirrors.models import annular_mirror, circular_mirror
 from wavequake.optics.catalog.names import optical_system, system_names
 from wavequake.optics.segments.catalog import telescope
 from wavequake.reduction.reduce import reduce
+from wavequake.report.layout_picture import layout_picture
 from wavequake.workflows.study import bundled_studies, load_study
 
 FACTS = Path(__file__).parents[1] / "data" / "tmt_segments.csv"
@@ -131,3 +133,14 @@ def test_files_of_the_command_line(wavequake, tmp_path, monkeypatch):
     assert (code, "must end in .svg" in err) == (2, True)
     code, _, err = wavequake("draw", "six-lens", "-o", "no/such/folder.svg")
     assert (code, "cannot be written" in err) == (2, True)
+
+
+@pytest.mark.parametrize("name", bundled_studies())
+def test_every_report_begins_with_what_it_is_about(name):
+    """The store keeps the study's identity alone, and that is enough."""
+    study = load_study(name, {"model.rings": 3} if name.startswith("mirror") else {})
+    (first,) = layout_picture(xr.Dataset(attrs={"study": study.identity_text()}))
+    assert (first.id, "</svg>" in first.svg) == ("layout", True)
+    assert first.points > 300
+    assert list(layout_picture(xr.Dataset(attrs={"study": '{"study": {"workflow": "another"}}'}))) == []
+    assert list(layout_picture(xr.Dataset())) == []
