@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array
+from wavequake.reduction.directions import turn_equal
 from wavequake.reduction.structure import Structure, elastic_modes
 
 Bands = tuple[tuple[float, float, float], ...]
@@ -34,7 +35,8 @@ def balanced(body: Structure, count: int, bands: Bands) -> Array:
     key = ("balanced", bands)
     if key not in body.cache:
         squared, dampings, inputs = oscillators(body)
-        body.cache[key] = np.linalg.eigh(position_gramian(squared, dampings, inputs, bands))[1][:, ::-1]
+        energies, turn = np.linalg.eigh(position_gramian(squared, dampings, inputs, bands))
+        body.cache[key] = turn_equal(energies[::-1], turn[:, ::-1], inputs.T @ turn[:, ::-1])
     directions: Array = body.cache[key]
     if count > directions.shape[1]:
         raise UserError(f"The model {body.name} has only {directions.shape[1]} elastic coordinates.")

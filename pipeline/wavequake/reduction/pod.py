@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array
 from wavequake.reduction.balanced import oscillators
+from wavequake.reduction.directions import turn_equal
 from wavequake.reduction.structure import Structure, elastic_modes
 
 # Instants of generated snapshots, and how long they last in periods of the lowest elastic mode.
@@ -46,8 +47,9 @@ def pod(body: Structure, count: int, snapshots: Array) -> Array:
             f"The {snapshots.shape[1]} snapshots of the model {body.name} span {known} elastic directions, "
             f"fewer than the {count} wanted; give more snapshots or a lower order."
         )
-    basis: Array = elastic @ (turn[:, ::-1][:, :count] / np.sqrt(energies[::-1][:count]))
-    return basis
+    energies, turn = energies[::-1][:known], turn[:, ::-1][:, :known]
+    basis = elastic @ (turn / np.sqrt(energies))
+    return turn_equal(energies, basis, basis[body.interface])[:, :count]
 
 
 def generated(body: Structure, frequency: float | None) -> Array:
