@@ -22,7 +22,7 @@ def reduce(
     a large one (built for bands of 1200 Hz, or as high as the variant's own).
 
     A body of threefold symmetry has pairs of modes of equal frequency. A method that truncates modes between
-    the two keeps an arbitrary one of them: prefer orders that keep pairs together.
+    the two keeps that which moves the interface's first coordinates most; prefer orders that keep pairs together.
 
     Parameters
     ----------
