@@ -17,7 +17,7 @@ from scipy.sparse import csc_array
 
 from wavequake.reduction.directions import orthonormalize, turn_equal
 from wavequake.reduction.intermediate import intermediate
-from wavequake.reduction.krylov import krylov
+from wavequake.reduction.methods.krylov import krylov
 from wavequake.reduction.metrics import eps_mor, full_receptance, pseudo_frequencies, receptance
 from wavequake.reduction.reduce import reduce
 from wavequake.reduction.structure import structure

@@ -8,7 +8,7 @@ are those of inertia relief, and elastic modes hold no trace of rigid ones.
 import weakref
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -20,16 +20,32 @@ from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, Integers, RayleighDamping
 from wavequake.mechanics.vibration.eigen import factorize, mass_normalized_rigid_modes
 from wavequake.reduction.directions import turn_equal
-from wavequake.reduction.limits import DENSE, Size
 
 Solver = Callable[[NDArray[Any]], NDArray[Any]]
 
+# Below this order dense algebra is faster than sparse.
+DENSE = 600
 # Factorizations at expansion points that are kept.
 _KEPT = 8
 # Modes that are computed beyond those asked for, at least.
 _SPARE = 4
 # An expansion point nearer than this to an eigenfrequency is moved to this distance, Hz.
 NEAREST = 1e-3
+
+
+class Size(NamedTuple):
+    """What of a model limits its variants.
+
+    ``freedoms`` degrees of freedom, ``interface`` interface directions (3 k), ``rigid`` motions (0 to 6);
+    ``dense`` where all modes are at hand.
+    """
+
+    name: str
+    freedoms: int
+    interface: int
+    rigid: int
+    damping: RayleighDamping
+    dense: bool
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array
 from wavequake.reduction.directions import orthonormalize, turn_equal
+from wavequake.reduction.method import Method, Variant, register
 from wavequake.reduction.structure import Structure, shifted
 
 # Where an order is filled, a direction of which so little is new gives way to the next moment.
@@ -87,3 +88,10 @@ def _sorted(body: Structure, block: Array, share: Array, basis: Array, least: fl
     turn, parts, _ = np.linalg.svd(fresh.T @ (body.mass @ block) @ share)
     fresh = fresh @ turn
     return turn_equal(parts, fresh, fresh[body.interface])
+
+
+def _basis(body: Structure, variant: Variant, count: int) -> Array:
+    return krylov(body, None if variant.order is None else count, variant.points, variant.moments)
+
+
+register(Method("krylov", _basis, arguments="points"))
