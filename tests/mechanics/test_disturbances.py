@@ -14,7 +14,7 @@ from wavequake.mechanics.disturbances.registry import (
     parts,
     time_axis,
 )
-from wavequake.mechanics.disturbances.static_random import StaticRandom
+from wavequake.mechanics.disturbances.sources.static_random import StaticRandom
 
 adapter = TypeAdapter(Disturbance)
 

@@ -10,11 +10,11 @@ from pydantic import ValidationError
 
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances import history_arrays, history_facts
-from wavequake.mechanics.disturbances.element_history import SurfaceHistory
 from wavequake.mechanics.disturbances.element_motion import draw_elements
 from wavequake.mechanics.disturbances.history_arrays import read_arrays
 from wavequake.mechanics.disturbances.history_table import read_table
 from wavequake.mechanics.disturbances.layout import NO_SEGMENTS
+from wavequake.mechanics.disturbances.sources.element_history import SurfaceHistory
 
 TIME = np.array([0.5, 0.75, 2.0])
 COLUMNS = {

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from wavequake.errors import UserError
-from wavequake.mechanics.disturbances.element_history import own_axis, same_instants
 from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.motion import (
     Motion,
@@ -19,8 +18,9 @@ from wavequake.mechanics.disturbances.motion import (
     piston_rms_nm,
 )
 from wavequake.mechanics.disturbances.population import Population, time_axis
-from wavequake.mechanics.disturbances.segment_wind import segment_wind_rms_nm
 from wavequake.mechanics.disturbances.source import AnySource, Randoms, SegmentSource, Source
+from wavequake.mechanics.disturbances.sources.element_history import own_axis, same_instants
+from wavequake.mechanics.disturbances.sources.segment_wind import segment_wind_rms_nm
 from wavequake.mechanics.disturbances.streams import Streams, own_streams
 
 __all__ = [

@@ -149,7 +149,7 @@ def time_axis_of(source: Source) -> Array:
 Kind = TypeVar("Kind", bound=type[Source])
 SOURCES: Registry[type[Source]] = Registry(
     "disturbance",
-    "wavequake.mechanics.disturbances",
+    "wavequake.mechanics.disturbances.sources",
     "wavequake.sources",
     lambda source: str(source.model_fields["model"].default),
 )

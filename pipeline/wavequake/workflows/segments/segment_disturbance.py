@@ -18,7 +18,6 @@ from wavequake.errors import UserError
 from wavequake.imaging.exposures.exposure import encircled_energy_radius
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import TILE, padded
-from wavequake.mechanics.disturbances.edge_sensors import EdgeSensorNoise, unseen_motions
 from wavequake.mechanics.disturbances.population import Population
 from wavequake.mechanics.disturbances.registry import (
     Disturbance,
@@ -27,6 +26,7 @@ from wavequake.mechanics.disturbances.registry import (
     draw_case,
     instants_of,
 )
+from wavequake.mechanics.disturbances.sources.edge_sensors import EdgeSensorNoise, unseen_motions
 from wavequake.optics.polynomials.zernike import noll_to_nm
 from wavequake.optics.segments.kinematics import in_optics_frame
 from wavequake.optics.segments.prepared import chief_rays, trace_states

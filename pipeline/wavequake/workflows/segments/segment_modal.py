@@ -16,14 +16,14 @@ from wavequake.campaign.contract import DONE, ChunkResult
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import TILE, padded
-from wavequake.mechanics.disturbances.common_history import (
+from wavequake.mechanics.disturbances.registry import Disturbance, Motion, draw_case, instants_of, time_axis
+from wavequake.mechanics.disturbances.sources.common_history import (
     CommonHistory,
     amplitude_generator,
     amplitudes,
     history,
 )
-from wavequake.mechanics.disturbances.registry import Disturbance, Motion, draw_case, instants_of, time_axis
-from wavequake.mechanics.disturbances.static_random import StaticRandom
+from wavequake.mechanics.disturbances.sources.static_random import StaticRandom
 from wavequake.optics.segments import modal
 from wavequake.optics.segments.modal import COMMON, RIGID, Forms, ModalModel
 from wavequake.optics.segments.modal_derivatives import modal_model
