@@ -175,8 +175,8 @@ class AnySource:
 
     def models(self) -> tuple[type[Population], ...]:
         """Return the models among which the key ``model`` chooses."""
-        fitting = (source for source in SOURCES.entries().values() if self._optics in source.fits)
-        return (*fitting, self._combined)
+        found = sorted(SOURCES.entries().items())  # whatever was imported first
+        return (*(source for _, source in found if self._optics in source.fits), self._combined)
 
     def __get_pydantic_core_schema__(self, kind: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Choose the model when a study is read: more may have been registered by then."""
