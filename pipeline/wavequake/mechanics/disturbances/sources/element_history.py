@@ -42,8 +42,8 @@ class SurfaceHistory(Source):
         exclude=True,
         description="required: CSV of time_s and columns SURFACE.dx_um, .dy_um, .dz_um, .rx_urad, .ry_urad, "
         ".rz_urad, SURFACE.zN_nm (Noll coefficient N of its figure) and line_of_sight.x_mas, .y_mas, for any "
-        "surface, body or segment; or an .npz of arrays of these names, and of SURFACE.grid_nm (instants, rows, "
-        "columns) with SURFACE.grid_spacing_mm (read when the study is loaded)",
+        "surface, body or segment; or an .npz of arrays of these names, and of SURFACE.grid_nm (instants, "
+        "rows, columns) with SURFACE.grid_spacing_mm (read when the study is loaded)",
     )
     file_csv: str | None = Field(default=None, description="the text of that file")
     file_npz: str | None = Field(default=None, description="that file in base64")
