@@ -153,7 +153,7 @@ def test_a_shape_without_a_surface_type_is_refused_by_name(monkeypatch):
     [
         (
             "cylinder_radius_mm = 'long'",
-            r"system.surface.mirror.cylinder_radius_mm: input should be a valid number",
+            r"surface.mirror.cylinder_radius_mm: input should be a valid number",
         ),
         (
             "cylinder_radius_mm = 10.0\neven_asphere = [1.0]",
