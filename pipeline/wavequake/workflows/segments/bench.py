@@ -16,6 +16,7 @@ from wavequake.kernels.trace.train import OK
 from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.registry import Disturbance, parts
 from wavequake.mechanics.disturbances.source import SegmentSource
+from wavequake.optics.derivatives.central import SIGNS, checked_derivative
 from wavequake.optics.polynomials.transforms import known_transformed
 from wavequake.optics.rays.pupils import PupilRays, on_glass, segment_rays, sunflower
 from wavequake.optics.segments.catalog import telescope
@@ -232,8 +233,8 @@ def _reference(
     step = 1e-6
     still = rest(TILE, len(system.segments), len(system.surfaces), terms)
     motion = still.surface_motion.copy()
-    for lane, (axis, sign) in enumerate([(3, 1), (3, -1), (4, 1), (4, -1)], start=1):
-        motion[lane, 0, axis] = sign * step
+    for place, axis in enumerate((3, 4)):
+        motion[1 + place : 9 : 2, 0, axis] = SIGNS * step
     states = SurfaceStates(still.segment_motion, still.segment_figure, motion, still.field + field)
     traced = trace_states(prepared, states, choose_device("numpy"))
     wavefront = analyse(prepared, traced, chief_rays(prepared, states))
@@ -247,6 +248,6 @@ def _reference(
         )
     if not system.surfaces[0].reflects:
         return wavefront, stopped, np.zeros((2, 2))
-    los = wavefront.los
-    per_tilt = np.stack([los[1] - los[2], los[3] - los[4]], axis=1) / (2 * step)
+    los = wavefront.los[1:9].reshape(4, 2, 2)
+    per_tilt = checked_derivative(los, step, "M2's tilt", "take other optics.rays").T
     return wavefront, stopped, np.asarray(np.linalg.inv(per_tilt / prepared.focal_length), dtype=np.float64)
