@@ -151,7 +151,10 @@ def test_a_shape_without_a_surface_type_is_refused_by_name(monkeypatch):
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ("cylinder_radius_mm = 'long'", r"cylinder_radius_mm of the surface mirror: .* valid number"),
+        (
+            "cylinder_radius_mm = 'long'",
+            r"surface.mirror.cylinder_radius_mm: input should be a valid number",
+        ),
         (
             "cylinder_radius_mm = 10.0\neven_asphere = [1.0]",
             r"even_asphere and cylinder_radius_mm; choose one",

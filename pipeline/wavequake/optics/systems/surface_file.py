@@ -12,7 +12,6 @@ from pydantic import (
     ModelWrapValidatorHandler,
     PrivateAttr,
     SerializerFunctionWrapHandler,
-    ValidationError,
     field_validator,
     model_serializer,
     model_validator,
@@ -128,13 +127,7 @@ class SurfaceSection(FileSection):
         other = next((key for key in _SHAPES if getattr(section, key)), section.sag_file and "sag_file")
         if other:
             raise ValueError(f"the surface {section.name} has {' and '.join([other, *own])}; choose one")
-        try:
-            section._own = shape, found[0].keys.model_validate(own)
-        except ValidationError as error:
-            first = error.errors()[0]
-            key = ".".join(map(str, first["loc"])) or next(iter(own))
-            message = first["msg"].removeprefix("Value error, ")
-            raise ValueError(f"{key} of the surface {section.name}: {message}") from None
+        section._own = shape, found[0].keys.model_validate(own)
         return section
 
     @model_serializer(mode="wrap")
