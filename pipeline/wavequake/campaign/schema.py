@@ -18,6 +18,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from wavequake.errors import UserError
+from wavequake.mechanics.disturbances.source import SOURCES, Source
 
 Location = Sequence[str | int]
 
@@ -181,6 +182,18 @@ def base64_of(path: Path, key: str) -> str:
         raise UserError(f"{key}: the file {path} cannot be read ({error.strerror}).") from None
 
 
+def read_source_files(record: Mapping[str, Any], base: Path) -> None:
+    """Add what the files of the disturbances in a study's record hold, where their sources want it."""
+    sources = SOURCES.entries()
+    for entry in record.get("disturbance") or ():
+        if not (isinstance(entry, dict) and isinstance(entry.get("file"), str)):
+            continue
+        source = sources.get(str(entry.get("model")), Source)
+        key, kind = source.file_key(entry["file"])
+        read = base64_of if kind == "base64" else text_of
+        entry[key] = read(base / entry["file"], f"disturbance.{entry.get('name')}.file")
+
+
 def describe(error: ValidationError, record: Mapping[str, Any], model: type[BaseModel]) -> str:
     """Turn the first error of a validation into one sentence: where, what, what would be right."""
     found = error.errors(include_url=False)
@@ -249,6 +262,9 @@ def _descent(model: type[BaseModel], location: Location) -> Iterator[tuple[type[
 
 def _models(annotation: Any) -> list[type[BaseModel]]:
     """Return the models that an annotation speaks of: itself, or inside Annotated, unions and tuples."""
+    for choice in getattr(annotation, "__metadata__", ()):
+        if hasattr(choice, "models"):  # of a registry
+            return list(choice.models())
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     if get_origin(annotation) in (Annotated, Union, UnionType, tuple):

@@ -100,7 +100,8 @@ def _middles(points: Array) -> Array:
     """Return the mean (S, 3) of the rays (S, 3, N) that are there; NaN where none is."""
     there = np.isfinite(points)
     count = there.sum(axis=2)
-    return np.where(count, np.where(there, points, 0.0).sum(axis=2), np.nan) / np.maximum(count, 1)
+    sums = np.where(count, np.where(there, points, 0.0).sum(axis=2), np.nan)
+    return np.asarray(sums / np.maximum(count, 1), dtype=np.float64)
 
 
 def _layout(system: OpticalSystem, rims: list[Way], across: Array, count: int) -> Layout:

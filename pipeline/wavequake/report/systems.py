@@ -13,7 +13,7 @@ from rich.text import Text
 
 from wavequake.campaign.store.store import read_manifest
 from wavequake.kernels.device.devices import choose_device
-from wavequake.mechanics.disturbances.element_motion import instants_of
+from wavequake.mechanics.disturbances.registry import instants_of
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.wavefronts.wavefront import trace_system
 from wavequake.report import budget, system_images

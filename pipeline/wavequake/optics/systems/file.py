@@ -28,11 +28,9 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from wavequake.errors import UserError
+from wavequake.optics.sections import MM_PER_NM, FileSection, Pair
 from wavequake.optics.segments.kinematics import cardan
 from wavequake.optics.systems.surface_file import (
-    MM_PER_NM,
-    FileSection,
-    Pair,
     SurfaceSection,
     deformation_of,
     embed_sag,

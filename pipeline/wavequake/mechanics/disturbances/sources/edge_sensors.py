@@ -7,7 +7,7 @@ whole mirror, which neighbors hardly feel, dominate it.
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import scipy.linalg
@@ -19,18 +19,22 @@ from pydantic import Field
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.motion import Motion, still
-from wavequake.mechanics.disturbances.population import Population
+from wavequake.mechanics.disturbances.source import Randoms, Source, register
 from wavequake.mechanics.disturbances.streams import Random
 
 Array = NDArray[np.float64]
 
 
-class EdgeSensorNoise(Population):
+@register
+class EdgeSensorNoise(Source):
     """White noise of two edge sensors per shared edge, independent at every instant (control step).
 
     A sensor reads the difference of height across the gap, where it sits, plus the dihedral angle times its
     arm. It sits where those of the TMT do; its noise and arm are no published figures of the TMT: set them.
     """
+
+    fits: ClassVar = ("segments",)
+    stratified: ClassVar = False
 
     model: Literal["edge-sensor-noise"] = "edge-sensor-noise"
     duration_s: float = Field(
@@ -41,6 +45,14 @@ class EdgeSensorNoise(Population):
         default=0.05, ge=0, le=10, description="reading per dihedral angle; 0: heights only"
     )
     sensor_offset_m: float = Field(default=0.100722, ge=0, description="from the end of the edge, gap closed")
+
+    def draw(self, layout: SegmentLayout, time: Array, randoms: Randoms) -> Motion:
+        """Draw one realization."""
+        return draw_edge_noise(self, layout, time, randoms(self.name))
+
+    def analytic_rms(self, layout: SegmentLayout) -> tuple[float, Literal["mas", "nm"]]:
+        """Return that of the pistons."""
+        return edge_noise_rms_nm(self, layout), "nm"
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS, Motion, line_of_sight_motion
-from wavequake.mechanics.disturbances.population import Population
+from wavequake.mechanics.disturbances.source import Randoms, Source, register
 from wavequake.mechanics.disturbances.spectra import Bands, resonance, split, synthesize, total
 from wavequake.mechanics.disturbances.streams import Random
 
@@ -48,7 +49,8 @@ class Line(BaseModel):
 _KECK = Line(frequency_hz=29.71, fwhm_hz=6.77, rms_mas=6.7)
 
 
-class VibrationLines(Population):
+@register
+class VibrationLines(Source):
     """Independent vibration lines, listed one by one or as a named set.
 
     ``keck``: the 29.71 Hz line, 6.77 Hz wide, 6.7 mas rms (or `rms_mas`). ``vlt-eris`` and
@@ -81,6 +83,14 @@ class VibrationLines(Population):
                 f"the unit of {self.set} is not proven, so it gives the shape only; state its rms_mas"
             )
         return self
+
+    def draw(self, layout: SegmentLayout, time: NDArray[np.float64], randoms: Randoms) -> Motion:
+        """Draw one realization."""
+        return draw_lines(self, len(layout), time, randoms(self.name))
+
+    def analytic_rms(self, layout: SegmentLayout) -> tuple[float, Literal["mas", "nm"]]:
+        """Return that of all lines."""
+        return lines_rms_mas(self), "mas"
 
 
 def lines_of(parameters: VibrationLines) -> tuple[Line, ...]:

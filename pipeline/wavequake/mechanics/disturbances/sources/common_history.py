@@ -4,7 +4,7 @@ All that is linear in the motion is then needed once per case, not once per inst
 of many cases are drawn at once: made for campaigns of a million cases.
 """
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,18 +13,22 @@ from scipy.special import ndtri
 
 from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.motion import Motion, counted_generator, still
-from wavequake.mechanics.disturbances.population import Population
+from wavequake.mechanics.disturbances.population import time_axis
+from wavequake.mechanics.disturbances.source import Randoms, SegmentSource, register
 from wavequake.mechanics.disturbances.streams import Random
 
 _WORDS = 4  # 64-bit numbers by each step of Philox's counter
 
 
-class CommonHistory(Population):
+@register
+class CommonHistory(SegmentSource):
     """Pistons (along the segments' normals) of independent amplitudes that all swing alike, from rest.
 
     The displacement of a segment is its amplitude times sin(2 pi frequency t), swung in within `ramp_s`. The
     random numbers of a realization are addressed by a counter, so that any run of cases is drawn at once.
     """
+
+    independent: ClassVar = "element"
 
     model: Literal["common-history"] = "common-history"
     piston_nm: float = Field(default=20.0, ge=0, description="rms over segments and cases of the amplitude")
@@ -33,6 +37,18 @@ class CommonHistory(Population):
     )
     frequency_hz: float = Field(default=10.0, gt=0, le=1e5, description="of the common history")
     ramp_s: float = Field(default=0.02, ge=0, description="time in which the motion swings in")
+
+    def draw(self, layout: SegmentLayout, time: NDArray[np.float64], randoms: Randoms) -> Motion:
+        """Draw one realization."""
+        return draw_common(self, layout, time, randoms(self.name))
+
+    def generator(self, stream: str, segments: int, seed: int, realization: int) -> np.random.Generator:
+        """Return numbers that are addressed by a counter."""
+        return amplitude_generator(self, segments, seed, realization)
+
+    def analytic_rms(self, layout: SegmentLayout) -> tuple[float, Literal["mas", "nm"]]:
+        """Return that of the pistons over the instants."""
+        return self.piston_nm * float(np.sqrt(np.mean(history(self, time_axis(self)) ** 2))), "nm"
 
 
 def history(parameters: CommonHistory, time: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,14 +8,15 @@ from pydantic import Field, model_validator
 
 from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.motion import Motion, still
-from wavequake.mechanics.disturbances.population import Population
+from wavequake.mechanics.disturbances.source import Randoms, SegmentSource, register
 from wavequake.mechanics.disturbances.streams import Random
 
 _HARMONICS = 12
 _GRID = 256
 
 
-class SegmentHistory(Population):
+@register
+class SegmentHistory(SegmentSource):
     """Motion in the global z direction of the kind of Störkle 2018, Fig. 4.38: +-70 nm within 100 ms.
 
     The text gives the amplitude, the duration and a plot only. Here the history of each segment is
@@ -38,6 +39,10 @@ class SegmentHistory(Population):
             most = f"{_GRID // 16} periods of high_hz"
             raise ValueError(f"{self.duration_s:g} s hold more than {most}; shorten it or lower high_hz")
         return self
+
+    def draw(self, layout: SegmentLayout, time: NDArray[np.float64], randoms: Randoms) -> Motion:
+        """Draw one realization."""
+        return draw_history(self, layout, time, randoms(self.name))
 
 
 def draw_history(

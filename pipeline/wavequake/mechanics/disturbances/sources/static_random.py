@@ -1,6 +1,6 @@
 """Random but constant misalignment and figure of the segments: what alignment and polishing leave behind."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,14 +8,18 @@ from pydantic import Field
 
 from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.motion import Motion, still
-from wavequake.mechanics.disturbances.population import NonNegative, Population
+from wavequake.mechanics.disturbances.population import NonNegative
+from wavequake.mechanics.disturbances.source import Randoms, SegmentSource, register
 from wavequake.mechanics.disturbances.streams import Random
 
 NollIndex = Annotated[int, Field(ge=4, le=66, strict=False)]
 
 
-class StaticRandom(Population):
+@register
+class StaticRandom(SegmentSource):
     """Independent random rigid motion and figure of every segment, constant over the instants of a case."""
+
+    independent: ClassVar = "element"
 
     model: Literal["static-random"] = "static-random"
     piston_nm: float = Field(default=0.0, ge=0, description="rms of dz along the segment's normal")
@@ -31,6 +35,14 @@ class StaticRandom(Population):
         description="surface rms by Noll index j >= 4, over the segment's circumscribed circle; "
         "exposures of figured segments are sums over rays",
     )
+
+    def draw(self, layout: SegmentLayout, time: NDArray[np.float64], randoms: Randoms) -> Motion:
+        """Draw one realization."""
+        return draw_static(self, layout, time, randoms(self.name))
+
+    def analytic_rms(self, layout: SegmentLayout) -> tuple[float, Literal["mas", "nm"]]:
+        """Return that of the pistons."""
+        return self.piston_nm, "nm"
 
 
 def draw_static(

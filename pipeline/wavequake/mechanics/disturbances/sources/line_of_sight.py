@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from wavequake.errors import UserError
+from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS, Motion, line_of_sight_motion
-from wavequake.mechanics.disturbances.population import Population
+from wavequake.mechanics.disturbances.source import Randoms, Source, register
 from wavequake.mechanics.disturbances.spectra import (
     Bands,
     Spectrum,
@@ -27,7 +28,8 @@ from wavequake.mechanics.disturbances.streams import Random
 _PERCENTILE_POWER = {50: 1.0, 75: 28 / 13}
 
 
-class LineOfSight(Population):
+@register
+class LineOfSight(Source):
     """Line-of-sight motion along one direction on the sky.
 
     ``tmt-windshake``: A f^2 / [(1 + (f/f0)^2)^2 |1 + i xi f/f1 - (f/f1)^2|^2], along the wind; 18.96 mas
@@ -84,6 +86,14 @@ class LineOfSight(Population):
         except UserError as error:
             raise ValueError(str(error)) from None
         return self
+
+    def draw(self, layout: SegmentLayout, time: NDArray[np.float64], randoms: Randoms) -> Motion:
+        """Draw one realization."""
+        return draw_sight(self, len(layout), time, randoms(self.name))
+
+    def analytic_rms(self, layout: SegmentLayout) -> tuple[float, Literal["mas", "nm"]]:
+        """Return that of the spectrum."""
+        return sight_rms_mas(self), "mas"
 
 
 def sight_spectrum(parameters: LineOfSight) -> Spectrum:

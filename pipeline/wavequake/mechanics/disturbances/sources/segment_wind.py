@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 import scipy.linalg
@@ -13,7 +13,8 @@ from pydantic import Field, model_validator
 
 from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.motion import Motion, still
-from wavequake.mechanics.disturbances.population import Population, Positive
+from wavequake.mechanics.disturbances.population import Positive
+from wavequake.mechanics.disturbances.source import Randoms, Source, register
 from wavequake.mechanics.disturbances.spectra import (
     Bands,
     Spectrum,
@@ -34,7 +35,8 @@ _INCOHERENT_BANDS = 20
 _NO_COHERENCE = 1e-3
 
 
-class SegmentWind(Population):
+@register
+class SegmentWind(Source):
     """Piston of every segment under gusts, along its normal.
 
     force = density x drag x area x mean speed x gust, the fluctuating part of the drag to first order in the
@@ -44,6 +46,9 @@ class SegmentWind(Population):
     modes 40, 90, 120 Hz). Wind speed, turbulence and drag inside the dome depend on the site and its vents,
     damping on the control: those defaults are plausible, not measured.
     """
+
+    fits: ClassVar = ("segments",)
+    stratified: ClassVar = False
 
     model: Literal["segment-wind"] = "segment-wind"
     duration_s: float = Field(default=60.0, gt=0, le=1e5, description="tens of seconds: gusts are slow")
@@ -79,6 +84,14 @@ class SegmentWind(Population):
                 f"{len(self.modes_hz)} modes_hz need as many damping_ratios, not {len(self.damping_ratios)}"
             )
         return self
+
+    def draw(self, layout: SegmentLayout, time: Array, randoms: Randoms) -> Motion:
+        """Draw one realization."""
+        return draw_wind(self, layout, time, randoms(self.name))
+
+    def analytic_rms(self, layout: SegmentLayout) -> tuple[float, Literal["mas", "nm"]]:
+        """Return that of the pistons."""
+        return float(np.sqrt(np.mean(segment_wind_rms_nm(self, layout) ** 2))), "nm"
 
 
 def compliance(parameters: SegmentWind, frequency_hz: Array) -> NDArray[np.complex128]:

@@ -1,6 +1,7 @@
 """Motions and figures over time that were computed or measured elsewhere, as a disturbance of a study."""
 
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,9 +9,16 @@ from pydantic import Field, model_validator
 
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.history_arrays import read_arrays
-from wavequake.mechanics.disturbances.history_facts import COLUMNS, MOST_INSTANTS, ElementHistory
+from wavequake.mechanics.disturbances.history_facts import (
+    COLUMNS,
+    MOST_INSTANTS,
+    ElementHistory,
+    GridHistory,
+)
 from wavequake.mechanics.disturbances.history_table import read_table
-from wavequake.mechanics.disturbances.population import Population
+from wavequake.mechanics.disturbances.layout import SegmentLayout
+from wavequake.mechanics.disturbances.motion import Motion, still
+from wavequake.mechanics.disturbances.source import Randoms, Source, register
 
 Array = NDArray[np.float64]
 
@@ -18,11 +26,14 @@ Array = NDArray[np.float64]
 _SAME = 1e-9
 
 
-class SurfaceHistory(Population):
+@register
+class SurfaceHistory(Source):
     """Given motion and figures of surfaces and bodies over time, the same in every case.
 
     The instants are those of the file, so `instants` and `duration_s` are left out.
     """
+
+    independent: ClassVar = "element"
 
     model: Literal["surface-history"] = "surface-history"
     instants: int = Field(default=16, ge=1, le=MOST_INSTANTS)
@@ -31,8 +42,8 @@ class SurfaceHistory(Population):
         exclude=True,
         description="required: CSV of time_s and columns SURFACE.dx_um, .dy_um, .dz_um, .rx_urad, .ry_urad, "
         ".rz_urad, SURFACE.zN_nm (Noll coefficient N of its figure) and line_of_sight.x_mas, .y_mas, for any "
-        "surface or body; or an .npz of arrays of these names, and of SURFACE.grid_nm (instants, rows, "
-        "columns) with SURFACE.grid_spacing_mm (read when the study is loaded)",
+        "surface, body or segment; or an .npz of arrays of these names, and of SURFACE.grid_nm (instants, "
+        "rows, columns) with SURFACE.grid_spacing_mm (read when the study is loaded)",
     )
     file_csv: str | None = Field(default=None, description="the text of that file")
     file_npz: str | None = Field(default=None, description="that file in base64")
@@ -53,8 +64,33 @@ class SurfaceHistory(Population):
 
     @property
     def of(self) -> tuple[str, ...]:
-        """Names of the surfaces and bodies that move or deform."""
+        """Names of the surfaces, bodies and segments that move or deform."""
         return history_of(self).names
+
+    def draw(self, layout: SegmentLayout, time: Array, randoms: Randoms) -> Motion:
+        """Return what is given."""
+        self.elements(layout)  # the names are known
+        found = history_of(self)
+        heights = {name: one.heights for name, one in found.grid.items()}
+        motion = still(len(time), len(layout), rigid=found.rigid, figure=found.figure, grid=heights)
+        return replace(motion, mount=found.sight)
+
+    def instants_of_file(self) -> Array:
+        """Return those of the file."""
+        return history_of(self).time
+
+    def figure_terms(self, layout: SegmentLayout) -> dict[str, int]:
+        """Return how many coefficients are given, by surface."""
+        return {name: form.shape[1] for name, form in history_of(self).figure.items()}
+
+    def figure_grids(self) -> dict[str, GridHistory]:
+        """Return the grids that are given, by surface."""
+        return history_of(self).grid
+
+    @classmethod
+    def file_key(cls, file: str) -> tuple[str, Literal["text", "base64"]]:
+        """Return where tables and arrays go."""
+        return ("file_npz", "base64") if file.lower().endswith(".npz") else ("file_csv", "text")
 
 
 def own_axis(time: Array, given: dict[str, Any], what: str) -> dict[str, Any]:
