@@ -45,6 +45,7 @@ class Slurm(_Section):
     python: PathText | None = None
     local_directory: PathText | None = None
     log_directory: PathText | None = None
+    shared_directory: PathText = "~"
     tls: Tls | None = None
 
 
@@ -112,11 +113,16 @@ def tls_settings(tls: Tls | None) -> dict[str, object]:
         paths[name] = str(Path(text).expanduser().absolute())
         if not Path(paths[name]).is_file():
             raise UserError(f"There is no file {text}, which the cluster file names as tls.{name}.")
-    pair = {"cert": paths["certificate"], "key": paths["key"]}
+    return tls_paths(paths["ca"], paths["certificate"], paths["key"])
+
+
+def tls_paths(ca: str, certificate: str, key: str) -> dict[str, object]:
+    """Return Dask's settings for the files of certificates at these paths, here or on other hosts."""
+    pair = {"cert": certificate, "key": key}
     return {
         "distributed.comm.default-scheme": "tls",
         "distributed.comm.require-encryption": True,
-        "distributed.comm.tls.ca-file": paths["ca"],
+        "distributed.comm.tls.ca-file": ca,
         "distributed.comm.tls.scheduler": pair,
         "distributed.comm.tls.worker": pair,
         "distributed.comm.tls.client": pair,
