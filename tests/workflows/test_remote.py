@@ -203,7 +203,7 @@ def test_hosts_that_ssh_reaches_give_the_bits_of_a_serial_run(tmp_path, host, ma
             (client.scheduler.address.replace("tls", "tcp"), Security(require_encryption=False)),
             (client.scheduler.address, make_security(make_certificate())),
         ):
-            with pytest.raises(OSError, match=r"address|timed out|closed"):
+            with pytest.raises(OSError, match=r"certificate|address|timed out|closed"):
                 Client(address, security=security, timeout=1, set_as_default=False)
         kept = list(Path("/tmp").glob("wavequake-*"))
         assert len(kept) == (made == "for the run")
