@@ -10,6 +10,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from wavequake.errors import UserError
+from wavequake.user_files import read_text
 
 Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.:@+/-]*$", max_length=255)]
 PathText = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.~/+@-]+$", max_length=4096)]
@@ -70,6 +71,8 @@ class Address(_Section):
     tls: Tls | None = None
 
 
+_MOST_TEXT = 100_000
+
 Kind = TypeVar("Kind", Slurm, Ssh, Address)
 
 
@@ -82,10 +85,14 @@ def read_template(kind: type[Kind], path: Path) -> Kind:
         If it cannot be read, is no plain YAML, or a key is unknown or has a value that does not fit.
     """
     try:
-        entries = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UserError(f"The cluster file {path} cannot be read ({error.strerror}).") from None
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        text = read_text(path)
+    except UserError as error:
+        raise UserError(f"The cluster file {error}") from None
+    if len(text) > _MOST_TEXT:
+        raise UserError(f"The cluster file {path} has {len(text)} characters, {_MOST_TEXT} are possible.")
+    try:
+        entries = yaml.safe_load(text)
+    except Exception as error:  # PyYAML raises all sorts
         words = " ".join(str(error).split())
         raise UserError(f"The cluster file {path} is no plain YAML: {words}.") from None
     if not isinstance(entries, dict):
