@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from wavequake.errors import UserError
-from wavequake.mechanics.disturbances.source import SOURCES, Source
+from wavequake.user_files import read_bytes, read_text
 
 Location = Sequence[str | int]
 
@@ -167,31 +167,17 @@ def study_from_identity(model: type[Kind], text: str) -> Kind:
 def text_of(path: Path, key: str) -> str:
     """Return the text of a file that the study names under `key`; UserError if it cannot be read."""
     try:
-        return path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(
-            f"{key}: the file {path} cannot be read ({getattr(error, 'strerror', None) or error})."
-        ) from None
+        return read_text(path)
+    except UserError as error:
+        raise UserError(f"{key}: the file {error}") from None
 
 
 def base64_of(path: Path, key: str) -> str:
     """Return a file that the study names under `key` in base64; UserError if it cannot be read."""
     try:
-        return b64encode(path.read_bytes()).decode()
-    except OSError as error:
-        raise UserError(f"{key}: the file {path} cannot be read ({error.strerror}).") from None
-
-
-def read_source_files(record: Mapping[str, Any], base: Path) -> None:
-    """Add what the files of the disturbances in a study's record hold, where their sources want it."""
-    sources = SOURCES.entries()
-    for entry in record.get("disturbance") or ():
-        if not (isinstance(entry, dict) and isinstance(entry.get("file"), str)):
-            continue
-        source = sources.get(str(entry.get("model")), Source)
-        key, kind = source.file_key(entry["file"])
-        read = base64_of if kind == "base64" else text_of
-        entry[key] = read(base / entry["file"], f"disturbance.{entry.get('name')}.file")
+        return b64encode(read_bytes(path)).decode()
+    except UserError as error:
+        raise UserError(f"{key}: the file {error}") from None
 
 
 def describe(error: ValidationError, record: Mapping[str, Any], model: type[BaseModel]) -> str:

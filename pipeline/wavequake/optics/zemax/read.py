@@ -24,6 +24,7 @@ from wavequake.optics.zemax.header import PUPILS, left_aside, require_supported
 from wavequake.optics.zemax.media import medium_after
 from wavequake.optics.zemax.rows import Line, Row, as_count, as_integer, as_number, fail
 from wavequake.optics.zemax.surfaces import coordinate_break, opening, shape
+from wavequake.user_files import read_bytes
 
 MM_PER_UNIT = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}
 
@@ -60,9 +61,9 @@ def read_text(path: str | Path) -> str:
     if not isinstance(path, str | Path):
         raise UserError(f"The lens file is {path!r}; it must be the path of a file, as text.")
     try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise UserError(f"The lens file {path} cannot be read: {error.strerror}.") from None
+        data = read_bytes(path)
+    except UserError as error:
+        raise UserError(f"The lens file {error}") from None
     encodings = ("utf-16",) if data[:2] in (b"\xff\xfe", b"\xfe\xff") else ("utf-8-sig", "latin-1")
     for encoding in encodings:
         try:

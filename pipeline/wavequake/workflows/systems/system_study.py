@@ -5,11 +5,12 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from wavequake.campaign.schema import Section, Study, read_source_files
+from wavequake.campaign.schema import Section, Study
 from wavequake.chain.images.extended import ObjectSection, check_object
 from wavequake.chain.images.picture import embed_picture
 from wavequake.chain.images.system import SystemImagingSection
 from wavequake.chain.sampling import SampledCampaignSection, whole_sets
+from wavequake.chain.sources import read_source_files
 from wavequake.mechanics.disturbances.element_motion import ElementDisturbance
 from wavequake.mechanics.disturbances.registry import parts, with_own_axes
 from wavequake.optics.polynomials.zernike import MOST_TERMS
