@@ -6,14 +6,12 @@ from dataclasses import dataclass, field
 from wavequake.errors import UserError
 from wavequake.optics.media.glasses import (
     AIR,
-    ALIASES,
     Catalogues,
     Medium,
     catalogue,
     catalogues,
     constant,
     glass,
-    glasses,
     refractive_index,
 )
 from wavequake.optics.media.gradients import GradientIndex
@@ -63,7 +61,7 @@ class GlassShelf:
         for shelf in self.named:
             table = catalogue(shelf, known)
             if table is not None and key in table:
-                return _crystal_if_same(table[key])
+                return table[key]
         try:
             found = glass(name)
         except UserError as error:
@@ -92,15 +90,6 @@ class GlassShelf:
     def _note(self, sentence: str) -> None:
         if sentence not in self.notes:
             self.notes.append(sentence)
-
-
-def _crystal_if_same(medium: Medium) -> Medium:
-    """Return the crystal of the same name where the tables of lens designers mean it."""
-    own = glasses().get(ALIASES.get(medium.name.upper(), medium.name.upper()), medium)
-    if own.catalogue or medium == own or not (_knows_d(medium) and _knows_d(own)):
-        return medium
-    difference = abs(refractive_index(own, _D_LINE) - refractive_index(medium, _D_LINE))
-    return own if difference < 1e-6 else medium
 
 
 def _knows_d(medium: Medium) -> bool:
