@@ -61,7 +61,7 @@ def test_every_glass_of_the_makers_has_its_published_index_and_abbe_number():
         if of_index > 1.2e-5 or of_abbe > (0.06 if row["catalogue"] == "SUMITA" else 0.015):
             far.append(row["name"])
     assert len(rows) > 2600
-    assert len(far) < 0.02 * len(rows)
+    assert len(far) < 0.03 * len(rows)
 
 
 UNPRINTED = {"ZERODUR"}
