@@ -2,9 +2,9 @@
 
 from functools import lru_cache
 
+from wavequake.chain.sampling import NEVER_STRATIFIED, Plan, plan_of
 from wavequake.mechanics.disturbances.registry import Combine, Disturbance, Motion, draw_case
 from wavequake.mechanics.disturbances.streams import Streams
-from wavequake.workflows.sampling import NEVER_STRATIFIED, Plan, plan_of
 from wavequake.workflows.segments.bench import Bench, bench_of
 
 
