@@ -3,7 +3,8 @@
 Its ``.dof`` lists the displacements of all nodes of the expansion by the number of the node that they come
 from (CalculiX CrunchiX user's manual, sections on beam and shell elements). The mean of these is the
 displacement of the beam's axis or of the shell's middle; it takes the place of the first, and the others
-become inner coordinates, their distances from the mean.
+become inner coordinates, their distances from the mean. Where beams or shells meet at an angle the program
+adds nodes of its own, for rotations; they are inner coordinates too.
 """
 
 import numpy as np
@@ -49,19 +50,25 @@ def refuse_repeated(table: Integers, expanded: Integers | None, source: str) -> 
 
 
 def averaged(
-    stiffness: csc_array, mass: csc_array, table: Integers, notes: list[str]
+    stiffness: csc_array, mass: csc_array, table: Integers, known: Integers, notes: list[str]
 ) -> tuple[csc_array, csc_array, Integers]:
     """Return matrices and degrees of freedom with one displacement per node; see the module.
 
-    A node has its three displacements in a row for each node of its expansion. Where constraints have taken
-    some of them (supports, loads), the mean is not known, and all are inner coordinates.
+    `known` are the nodes of the deck. A node has its three displacements in a row for each node of its
+    expansion. Where constraints have taken some of them (supports, loads), the mean is not known, and all are
+    inner coordinates.
     """
     size = len(table)
+    added = ~np.isin(table[:, 0], known)
+    table = np.where(added[:, None], INNER, table)
+    if added.any():
+        notes.append(
+            f"{int(added.sum())} degrees of freedom of nodes that CalculiX adds are inner coordinates"
+        )
     _, owner, count = np.unique(table, axis=0, return_inverse=True, return_counts=True)
-    repeated = np.unique(table[count[owner] > 1, 0])
+    repeated = np.unique(table[(count[owner] > 1) & ~added, 0])
     if not len(repeated):
         return stiffness, mass, table
-    table = table.copy()
     rows, columns, values = [np.arange(size)], [np.arange(size)], [np.ones(size)]
     unknown = []
     for node in repeated:

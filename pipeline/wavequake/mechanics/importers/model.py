@@ -193,7 +193,9 @@ def _matrices(
     if len(free) < len(table):
         K, M, table = csc_array(K[free][:, free]), csc_array(M[free][:, free]), table[free]
     check_mass(M, K, table, (mass.source, stiffness.source), notes)
-    return averaged(K, M, table, notes) if calculix else (K, M, table)
+    if calculix and len(grid.expanded):
+        return averaged(K, M, table, grid.labels, notes)
+    return K, M, table
 
 
 def _read(path: Path) -> Contents:

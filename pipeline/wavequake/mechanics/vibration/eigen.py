@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, eigh, qr, solve_triangular
+from scipy.linalg import cholesky, eigh, eigvalsh, qr, solve_triangular
 from scipy.sparse.linalg import LinearOperator, eigsh, norm
 
 from wavequake.errors import UserError
@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 RIGID = 1e-10
 # Squared period of motions without mass, as a share of the longest one.
 MASSLESS = 1e-13
+# Smallest eigenvalue, over the diagonal, of a mass matrix by which one may divide.
+SINGULAR = 1e-11
 # Below this order all modes are computed densely.
 DENSE = 200
 
@@ -181,12 +183,12 @@ def dense_modes(stiffness: Array, mass: Array, wanted: int | None = None) -> tup
     UserError
         If a motion has neither mass nor stiffness.
     """
-    chosen = None if wanted is None else (0, min(wanted, len(mass)) - 1)
-    try:
-        squares, modes = eigh(stiffness, mass, subset_by_index=chosen)
+    scale = 1.0 / np.sqrt(np.maximum(mass.diagonal(), MASSLESS * mass.diagonal().max()))
+    if eigvalsh(mass * scale[:, None] * scale, subset_by_index=(0, 0))[0] > SINGULAR:
+        squares, modes = eigh(
+            stiffness, mass, subset_by_index=None if wanted is None else (0, min(wanted, len(mass)) - 1)
+        )
         return squares, modes
-    except np.linalg.LinAlgError:
-        pass
     try:
         inverse, shapes = eigh(mass, stiffness)
     except np.linalg.LinAlgError as error:

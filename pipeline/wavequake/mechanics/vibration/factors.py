@@ -176,13 +176,14 @@ class _Multifrontal:
     def refined(self, load: NDArray[Any]) -> NDArray[Any]:
         """Return the solutions, with one step of refinement: pivots came from their own blocks only."""
         found = self._substituted(load, self._forward, self._back)
-        return found + self._substituted(load - self.matrix @ found, self._forward, self._back)
+        rest = self._substituted(load - self.matrix @ found, self._forward, self._back)
+        return np.asarray(found + rest)
 
     def _substituted(self, load: NDArray[Any], forward: Any, back: Any) -> NDArray[Any]:
         values: NDArray[Any] = np.asfortranarray(load.reshape(len(load), -1)[self.dissection.order])
         if np.iscomplexobj(values) and not np.iscomplexobj(self.matrix.data):
-            parts = [self._substituted(part, forward, back) for part in (load.real, load.imag)]
-            return parts[0] + 1j * parts[1]
+            real, imaginary = (self._substituted(part, forward, back) for part in (load.real, load.imag))
+            return np.asarray(real + 1j * imaginary)
         values = values.astype(self.matrix.dtype)
         for front, block in zip(self.dissection.fronts, self.blocks, strict=True):
             forward(values, front, block)
