@@ -90,6 +90,12 @@ class Study(Section):
     campaign: CampaignSection = CampaignSection()
     store: StoreSection = StoreSection()
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.study.name}: {self.cases} cases of {self.study.workflow}>"
+
+    def __str__(self) -> str:
+        return repr(self)
+
     @property
     def cases(self) -> int:
         """Number of cases to run."""
