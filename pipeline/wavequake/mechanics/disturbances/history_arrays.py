@@ -5,7 +5,6 @@ import binascii
 import io
 import zipfile
 import zlib
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from wavequake.mechanics.disturbances.history_facts import (
     place_of,
     require_distinct,
 )
+from wavequake.prepared import prepared
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ _UNREADABLE = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError, No
 _MOST_BYTES = 9 * MOST_NUMBERS  # of all arrays, unpacked
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def read_arrays(text: str) -> ElementHistory:
     """Read the base64 text of an .npz file.
 

@@ -9,12 +9,12 @@ import csv
 import difflib
 import math
 from dataclasses import dataclass
-from functools import cache
 from importlib.resources import files
 from typing import Literal
 
 from wavequake.errors import UserError
 from wavequake.optics.checks import number, require_kind
+from wavequake.prepared import prepared
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def glass(name: str) -> Medium:
     )
 
 
-@cache
+@prepared(maxsize=None)
 def glasses() -> dict[str, Medium]:
     """Return the catalogue: media by their name."""
     text = (files("wavequake.optics.media") / "glasses.csv").read_text(encoding="utf-8")

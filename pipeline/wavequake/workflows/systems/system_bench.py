@@ -3,7 +3,6 @@
 import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +42,7 @@ from wavequake.optics.wavefronts.wavefront import (
     with_fitted_sphere,
     with_slopes,
 )
+from wavequake.prepared import prepared
 from wavequake.workflows.systems.system_study import SystemStudy
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ class SystemBench:
     static: tuple[tuple[SystemWavefront, ...], ...]
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def system_bench(study_text: str) -> SystemBench:
     """Prepare the study with this identity text.
 

@@ -6,7 +6,6 @@ all fields and wavelengths.
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +27,7 @@ from wavequake.mechanics.disturbances.streams import Streams
 from wavequake.optics.rays.packing import moving
 from wavequake.optics.systems.file import build
 from wavequake.optics.systems.kinematics import rest_states
+from wavequake.prepared import prepared
 from wavequake.workflows.sampling import Plan, plan_of, replicate_labels
 from wavequake.workflows.segments.segment_disturbance import slot
 from wavequake.workflows.segments.segment_template import wavefront_source
@@ -56,7 +56,7 @@ def draw(bench: SystemBench, case: int) -> tuple[ElementDisturbance, ElementMoti
     return population, draw_elements(study.disturbance, population, study.study.seed, realization, streams)
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def sampling_plan(study_text: str) -> Plan:
     """Return what spreads the random numbers of the study with this identity text.
 
