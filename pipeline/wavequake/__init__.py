@@ -14,6 +14,7 @@ from wavequake.errors import StoreDamageError, UserError
 if TYPE_CHECKING:
     from wavequake.campaign.schema import Study
     from wavequake.campaign.store.store import open_store
+    from wavequake.drawing.draw import draw
     from wavequake.optics.zemax.export import write_zmx
     from wavequake.workflows.run import plan, run
     from wavequake.workflows.sensitivity import sensitivity
@@ -27,6 +28,7 @@ __all__ = [
     "Study",
     "UserError",
     "convert_zernike",
+    "draw",
     "load_study",
     "load_system",
     "open_store",
@@ -41,6 +43,7 @@ __all__ = [
 _HOMES = {
     "Study": "wavequake.campaign.schema",
     "convert_zernike": "wavequake.workflows.zernike_arrays",
+    "draw": "wavequake.drawing.draw",
     "load_study": "wavequake.workflows.study",
     "load_system": "wavequake.workflows.systems.system_source",
     "open_store": "wavequake.campaign.store.store",

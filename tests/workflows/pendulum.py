@@ -53,7 +53,7 @@ def compute(bench, table, device, clock):
     return Block({"time": np.tile(time, (len(kick), 1)), "angle": angle, "omega": omega}, messages=broken)
 
 
-def measures(study):
+def measures(bench):
     return [
         Measure("time_s", "s", "time of the instant", ("time",), lambda r: r["time"], coordinate=True),
         Measure("angle", "rad", "angle of the pendulum", ("time",), lambda r: r["angle"], over_time="max"),

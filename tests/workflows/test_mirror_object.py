@@ -7,13 +7,13 @@ import pytest
 from small_mirrors import eleven
 
 from wavequake.campaign.store.store import open_store
+from wavequake.chain.images.coherent import source_of
 from wavequake.errors import UserError
 from wavequake.imaging.objects.formation import coherent_image, incoherent_image, partially_coherent_image
 from wavequake.imaging.objects.shapes import double_slit
 from wavequake.imaging.pupils.pupil_shape import PupilShape
 from wavequake.report.campaign import report_store
 from wavequake.workflows.exposures import mirror_exposure
-from wavequake.workflows.exposures.coherent_object import source_of
 from wavequake.workflows.exposures.mirror_exposure import (
     KIND,
     aberrations_of,

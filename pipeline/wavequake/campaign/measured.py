@@ -35,7 +35,7 @@ class Block:
     """What was computed of some cases: ``result`` is what the measures read.
 
     ``rows`` are their places among the cases that were asked for, by default all; ``messages`` say why a case
-    failed, by its place in ``rows``.
+    failed, by its place in ``rows``; where all failed nothing is measured of the result.
     """
 
     result: Any
@@ -55,6 +55,10 @@ def _no_fixed(bench: Any) -> Mapping[str, Fixed]:
 
 
 def _no_words(bench: Any) -> Mapping[str, str]:
+    return {}
+
+
+def _no_amounts(bench: Any, cases: int) -> dict[str, tuple[float, str]]:
     return {}
 
 
@@ -79,6 +83,7 @@ class _Parts:
     axes: Callable[[Any], Mapping[str, Axis]]
     fixed: Callable[[Any], Mapping[str, Fixed]]
     describe: Callable[[Any], Mapping[str, str]]
+    work: Callable[[Any, int], dict[str, tuple[float, str]]]
     notices: Callable[[Any], Iterable[str]]
     pictures: Callable[[Any, Any], Iterable[Drawn]]
 
@@ -94,6 +99,7 @@ def study_kind(
     axes: Callable[[Any], Mapping[str, Axis]] = _no_axes,
     fixed: Callable[[Any], Mapping[str, Fixed]] = _no_fixed,
     describe: Callable[[Any], Mapping[str, str]] = _no_words,
+    work: Callable[[Any, int], dict[str, tuple[float, str]]] = _no_amounts,
     notices: Callable[[Any], Iterable[str]] = _no_lines,
     pictures: Callable[[Any, Any], Iterable[Drawn]] = _no_pictures,
     compared: tuple[str, ...] = ("disturbance",),
@@ -115,22 +121,25 @@ def study_kind(
         From the bench, the case table (the labels and ``case``, the ids), the device's name and a stopwatch
         to a block of results, or several in any order. A case's numbers depend on its id and labels alone.
     measures : callable
-        The measures of a study.
+        From the bench to the measures of a study.
     axes, fixed : callable
         From the bench to the dimensions of measures, and to further arrays that do not depend on the case.
-    describe, notices, pictures : callable
-        Lines of the plan (bench), what the user should read before a run (study), pictures of the report
-        (bench, dataset).
+    describe, work, notices, pictures : callable
+        Lines of the plan (bench), amounts of work by kind of a number of cases (bench, cases), what the user
+        should read before a run (study), pictures of the report (bench, dataset).
     compared : tuple of str
         Labels of cases that reports tell apart.
     """
-    parts = _Parts(name, model, prepare, cases, compute, measures, axes, fixed, describe, notices, pictures)
+    parts = _Parts(
+        name, model, prepare, cases, compute, measures, axes, fixed, describe, work, notices, pictures
+    )
     return StudyKind(
         name,
         partial(_template, parts),
         partial(_case_table, parts),
         partial(_compute, parts),
         partial(_describe, parts),
+        partial(_work, parts),
         check=partial(_check, parts),
         notices=partial(_notices, parts),
         model=model,
@@ -146,8 +155,8 @@ def _bench(parts: _Parts, text: str) -> Any:
 
 @prepared(maxsize=8)
 def _template(parts: _Parts, text: str) -> Template:
-    study, bench = study_from_identity(parts.model, text), _bench(parts, text)
-    return template_of(parts.measures(study), parts.axes(bench), parts.fixed(bench))
+    bench = _bench(parts, text)
+    return template_of(parts.measures(bench), parts.axes(bench), parts.fixed(bench))
 
 
 def _case_table(parts: _Parts, text: str, first: int, last: int) -> CaseTable:
@@ -156,7 +165,7 @@ def _case_table(parts: _Parts, text: str, first: int, last: int) -> CaseTable:
 
 def _compute(parts: _Parts, text: str, cases: NDArray[np.int64], device: str) -> ChunkResult:
     study, bench, clock = study_from_identity(parts.model, text), _bench(parts, text), Stopwatch()
-    template, measures = _template(parts, text), tuple(parts.measures(study))
+    template, measures = _template(parts, text), tuple(parts.measures(bench))
     arrays = {
         name: np.full(
             (len(cases), *variable.shape),
@@ -169,7 +178,7 @@ def _compute(parts: _Parts, text: str, cases: NDArray[np.int64], device: str) ->
     blocks = parts.compute(bench, {"case": cases, **parts.cases(study, cases)}, device, clock)
     for block in [blocks] if isinstance(blocks, Block) else blocks:
         rows = np.arange(len(cases)) if block.rows is None else np.asarray(block.rows)
-        for measure in measures:
+        for measure in measures if len(block.messages) < len(rows) else ():
             shape = template.per_case[measure.name].shape
             arrays[measure.name][rows] = evaluate(measure, block.result, len(rows), shape)
         status[rows] = DONE
@@ -186,6 +195,10 @@ def _compute(parts: _Parts, text: str, cases: NDArray[np.int64], device: str) ->
 
 def _describe(parts: _Parts, text: str) -> dict[str, str]:
     return dict(parts.describe(_bench(parts, text)))
+
+
+def _work(parts: _Parts, text: str, cases: int) -> dict[str, tuple[float, str]]:
+    return parts.work(_bench(parts, text), cases)
 
 
 def _check(parts: _Parts, text: str) -> None:

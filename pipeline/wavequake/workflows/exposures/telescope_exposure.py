@@ -15,6 +15,15 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
 from wavequake.campaign.schema import study_from_identity
+from wavequake.chain.images.coherent import LitObject, lit_object, mean_image
+from wavequake.chain.images.extended import check_object
+from wavequake.chain.images.shortcuts import (
+    CANVAS,
+    FOCUS,
+    exposed,
+    exposure_variables,
+    frame_coordinates,
+)
 from wavequake.errors import UserError
 from wavequake.imaging.exposures.exposure_models import cut, full_exposure
 from wavequake.imaging.pupils.nyquist import ray_samples_for, too_few_rays
@@ -23,16 +32,7 @@ from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.train import Traced
 from wavequake.optics.segments.states import SurfaceStates
 from wavequake.optics.segments.wavefront import Wavefront
-from wavequake.workflows.exposures.coherent_object import LitObject, lit_object, mean_image
-from wavequake.workflows.exposures.exposed_object import check_object
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
-from wavequake.workflows.exposures.exposures import (
-    CANVAS,
-    FOCUS,
-    exposed,
-    exposure_variables,
-    frame_coordinates,
-)
 from wavequake.workflows.exposures.telescope_control import (
     CONTROLLERS,
     DISTURBED,

@@ -1,9 +1,9 @@
 """What a case of a segmented telescope draws: motions by generators, or by a sampling plan."""
 
+from wavequake.chain.sampling import NEVER_STRATIFIED, Plan, plan_of
 from wavequake.mechanics.disturbances.registry import Combine, Disturbance, Motion, draw_case
 from wavequake.mechanics.disturbances.streams import Streams
 from wavequake.prepared import prepared
-from wavequake.workflows.sampling import NEVER_STRATIFIED, Plan, plan_of
 from wavequake.workflows.segments.bench import Bench, bench_of
 
 

@@ -7,10 +7,10 @@ from typing import Any, Literal, get_args
 from pydantic import BaseModel, Field, field_validator, model_validator
 
 from wavequake.campaign.schema import Section, StoreSection, Study, text_of
+from wavequake.chain.sampling import SampledCampaignSection, whole_sets
 from wavequake.mechanics.disturbances.registry import Disturbance
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.shapes.polygon_table import read_polygons
-from wavequake.workflows.sampling import SampledCampaignSection, whole_sets
 
 
 class SurfaceSection(Section):

@@ -6,6 +6,10 @@ from typing import Any, Literal, get_args
 from pydantic import BaseModel, Field, field_validator, model_validator
 
 from wavequake.campaign.schema import Section, Study, base64_of, text_of
+from wavequake.chain.images.extended import ObjectSection, check_object
+from wavequake.chain.images.picture import embed_picture
+from wavequake.chain.images.system import SystemImagingSection
+from wavequake.chain.sampling import SampledCampaignSection, whole_sets
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.element_history import SurfaceHistory, own_axis
 from wavequake.mechanics.disturbances.element_motion import ElementDisturbance, instants_of, single_parts
@@ -14,7 +18,6 @@ from wavequake.mechanics.disturbances.registry import Combine
 from wavequake.mechanics.disturbances.vibration_lines import VibrationLines
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.systems.file import SystemSection, embed_file
-from wavequake.workflows.sampling import SampledCampaignSection, whole_sets
 from wavequake.workflows.segments.segment_study import require_path_lengths
 
 
@@ -82,6 +85,8 @@ class SystemStudy(Study):
     disturbance: tuple[ElementDisturbance, ...] = Field(min_length=1, strict=False)
     optics: SystemOpticsSection = SystemOpticsSection()
     wavefront: SystemWavefrontSection = SystemWavefrontSection()
+    imaging: SystemImagingSection | None = None
+    object: ObjectSection | None = None
 
     @field_validator("disturbance")
     @classmethod
@@ -108,6 +113,15 @@ class SystemStudy(Study):
         if not any(entry.share for entry in value):
             raise ValueError("every disturbance has share 0, so there is nothing to run")
         return tuple(_with_own_axis(value, entry) for entry in value)
+
+    @model_validator(mode="after")
+    def _objects_have_images(self) -> "SystemStudy":
+        if self.object is not None:
+            if self.imaging is None:
+                raise ValueError("an object is seen in images: add the section [imaging], or leave it out")
+            self.object.chosen()
+            check_object(self.object, self.imaging.pixels, self.imaging.sampling)
+        return self
 
     @model_validator(mode="after")
     def _bodies_have_names_of_their_own(self) -> "SystemStudy":
@@ -143,11 +157,17 @@ class SystemStudy(Study):
         """Number of instants of the shortest case."""
         return min(entry.instants for entry in self.disturbance if entry.share)
 
+    @property
+    def stores_images(self) -> bool:
+        """Whether exposures are computed."""
+        return self.imaging is not None
+
     @classmethod
     def read_files(cls, record: dict[str, Any], base: Path) -> None:
         """Read the lens file, the spectra of the line of sight, and histories."""
         if isinstance(record.get("system"), dict):
             embed_file(record["system"], base)
+        embed_picture(record, base)
         for entry in record.get("disturbance") or ():
             if isinstance(entry, dict) and isinstance(entry.get("file"), str):
                 key = f"disturbance.{entry.get('name')}.file"
