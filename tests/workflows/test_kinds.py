@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wavequake.campaign import plugins
+from wavequake.campaign import extra, plugins
 from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
 from wavequake.workflows import kinds
@@ -28,6 +28,7 @@ chunk_cases = 4
 @pytest.fixture(autouse=True)
 def _nothing_is_left_behind(monkeypatch):
     monkeypatch.setattr(kinds, "_registered", {})
+    monkeypatch.setattr(extra, "_registered", {})
     monkeypatch.setattr(plugins, "_loaded", {})
 
 
@@ -145,3 +146,73 @@ def test_bundled_names_are_taken():
     assert set(kind_names()) == set(kinds._BUNDLED)
     with pytest.raises(UserError, match="did you mean 'mirror-mor'"):
         find_kind("miror-mor")
+
+
+COMA = """
+import numpy as np
+from wavequake.campaign.extra import register
+from wavequake.campaign.measures import Measure
+
+def coma(numbers):
+    if {fails}:
+        raise ValueError("no coma today")
+    return np.hypot(numbers["zernike"][..., 6], numbers["zernike"][..., 7])
+
+register(Measure("coma", "nm", "rms of the coma terms j = 7 and 8", {dims}, coma, over_time="max"))
+"""
+
+
+def coma_file(tmp_path, fails=False, dims=("time", "field", "wavelength")):
+    file = tmp_path / "coma.py"
+    file.write_text(COMA.format(fails=fails, dims=dims))
+    return file
+
+
+def test_one_record_adds_a_number_to_any_kind(tmp_path, wavequake):
+    """It is computed, stored, reduced, judged and exported; stores that do not ask for it have none."""
+    plugin, store = ("--plugin", coma_file(tmp_path)), tmp_path / "store"
+    words = ["run", "double-gauss", "campaign.cases=4", "optics.rays=100", "--on", "serial"]
+    code, out, err = wavequake(*words, "store.measures=['coma']", "--store", store, *plugin)
+    assert (code, err) == (0, ""), out
+    dataset = open_store(store)
+    zernike = dataset["zernike"].to_numpy()
+    np.testing.assert_array_equal(dataset["coma"].to_numpy(), np.hypot(zernike[..., 6], zernike[..., 7]))
+    assert dataset["coma"].attrs["long_name"] == "rms of the coma terms j = 7 and 8"
+    assert wavequake("rerun", store, "--case", "1", *plugin)[0] == 0
+    summary = tmp_path / "summary"
+    keys = ("store.measures=['coma']", "store.reduce=summary", "--store", summary)
+    assert wavequake(*words, *keys, *plugin)[0] == 0
+    assert open_store(summary)["coma"].dims == ("case", "statistic", "field", "wavelength")
+    assert wavequake(*words, "--store", tmp_path / "plain", *plugin)[0] == 0
+    assert "coma" not in open_store(tmp_path / "plain")
+
+
+@pytest.mark.parametrize(
+    ("keys", "code", "words"),
+    [
+        ({"fails": True}, 3, "the measure 'coma' failed: ValueError: no coma today"),
+        ({"dims": ("time",)}, 3, "the measure 'coma' has the shape"),
+        ({"dims": ("time", "mode")}, 2, "has the dimension 'mode', which is none of the axes"),
+    ],
+)
+def test_measures_that_fail_cost_a_sentence(tmp_path, wavequake, keys, code, words):
+    run = ["run", "double-gauss", "campaign.cases=2", "optics.rays=100", "--on", "serial"]
+    given = (
+        "store.measures=['coma']",
+        "--store",
+        tmp_path / "store",
+        "--plugin",
+        coma_file(tmp_path, **keys),
+    )
+    found, out, err = wavequake(*run, *given)
+    said = err + " ".join(wavequake("status", tmp_path / "store")[1:] if code == 3 else ())
+    assert found == code, out + err
+    assert words in re.sub(r"\s+", " ", said)
+
+
+def test_an_unknown_measure_is_named(tmp_path, wavequake):
+    words = ("run", "double-gauss", "store.measures=['comma']", "--store", tmp_path / "store")
+    code, _, err = wavequake(*words)
+    assert code == 2
+    assert "there is no measure 'comma'" in re.sub(r"\s+", " ", err)
+    assert not (tmp_path / "store").exists()

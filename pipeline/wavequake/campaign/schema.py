@@ -78,6 +78,13 @@ class StoreSection(Section):
         "of encircled energy",
     )
 
+    measures: tuple[str, ...] = Field(
+        default=(),
+        strict=False,
+        description="further measures to keep, by name: those that a plug-in or an installed package adds "
+        "(docs/extending.md)",
+    )
+
     def identity_record(self) -> dict[str, object]:
         """Return the keys of this section that say what is kept, where that is not everything."""
         return self.model_dump(mode="json", exclude={"path", "chunk_cases"}, exclude_defaults=True)
@@ -168,6 +175,11 @@ Kind = TypeVar("Kind", bound=Study)
 def study_from_identity(model: type[Kind], text: str) -> Kind:
     """Rebuild a study from its identity text, as workers do."""
     return model.model_validate_json(text, strict=False)
+
+
+def store_measures(text: str) -> tuple[str, ...]:
+    """Return which further measures the study with an identity text keeps."""
+    return tuple(json.loads(text).get("store", {}).get("measures", ()))
 
 
 def text_of(path: Path, key: str) -> str:

@@ -6,6 +6,7 @@ from importlib import import_module
 from importlib.metadata import entry_points
 
 from wavequake.campaign.contract import StudyKind
+from wavequake.campaign.extra import with_extra
 from wavequake.errors import UserError
 
 _GROUP = "wavequake.studies"
@@ -52,15 +53,13 @@ def find_kind(name: str) -> StudyKind:
     UserError
         If there is none; names the nearest one, and says how a plug-in is given.
     """
-    if name in _registered:
-        return _registered[name]
-    if name in _BUNDLED:
-        found: StudyKind = import_module(_BUNDLED[name]).KIND
-        return found
-    if name in _installed():
+    if name in _BUNDLED and name not in _registered:
+        return with_extra(import_module(_BUNDLED[name]).KIND)
+    if name not in _registered and name in _installed():
         (entry,) = entry_points(group=_GROUP, name=name)
         register(entry.load())
-        return _registered[name]
+    if name in _registered:
+        return with_extra(_registered[name])
     near = difflib.get_close_matches(str(name), kind_names(), n=1)
     hint = f": did you mean {near[0]!r}?" if near else "."
     raise UserError(
