@@ -63,6 +63,18 @@ def matrices(path: Path) -> object:
     return READERS[path.suffix](path)
 
 
+def model(path: Path) -> object:
+    """Read stiffness, mass, degrees of freedom or mesh from `path`, by its first bytes, and join all."""
+    from wavequake.mechanics.importers.model import import_model
+
+    files = {key: DATA / f"brick.{end}" for key, end in (("mass", "mas"), ("dofs", "dof"), ("mesh", "inp"))}
+    damaged = path.read_bytes()[:1]
+    file = DATA / "brick.sti" if damaged == b"*" else path
+    if damaged == b"*":
+        files["mesh"] = path.rename(path.with_suffix(".inp"))
+    return import_model(file, **files, units="m,kg,s,N", interfaces="MOUNT", surface="MIRROR")
+
+
 def matrix_market(path: Path) -> object:
     from wavequake.mechanics.importers import abaqus, matrix_market
 
@@ -268,6 +280,7 @@ READERS = {
     "msh": Reader(".msh", mesh, (gmsh(binary=True), gmsh(binary=False))),
     "vtu": Reader(".vtu", mesh, (through_meshio(".vtu"), through_meshio(".vtu", binary=False))),
     "sti": Reader(".sti", matrices, data("brick.sti")),
+    "model": Reader(".sti", model, data("brick.sti", "brick.inp")),
     "dof": Reader(".dof", dofs, data("brick.dof")),
     "mtx": Reader(".mtx", matrix_market, (market,)),
     "mtx-abaqus": Reader(".mtx", matrix_market, text("1,1, 1,1, 2.0\n1,2, 1,2, 2.0\n1,1, 1,2, -1.0\n")),
