@@ -10,7 +10,7 @@ from typing import Annotated, NoReturn
 import typer
 from rich.table import Table
 
-from wavequake import __version__, cli_firmware, cli_sensitivity, cli_statistics
+from wavequake import __version__, cli_firmware, cli_pictures, cli_sensitivity, cli_statistics
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.terminal import EXIT_INTERRUPTED, err, fail, interrupted, live_progress, out, print_pairs
 from wavequake.words import are, counted
@@ -24,6 +24,8 @@ app = typer.Typer(
     add_completion=False,
 )
 app.add_typer(cli_firmware.app, name="firmware")
+app.command()(cli_pictures.info)
+app.command()(cli_pictures.draw)
 app.command()(cli_statistics.budget)
 app.command()(cli_statistics.tail)
 app.command()(cli_sensitivity.sensitivity)
@@ -209,19 +211,6 @@ def plan(
     from wavequake.workflows.study import load_study
 
     print_pairs(plan_study(load_study(study, overrides or [])))
-
-
-@app.command()
-def info(
-    system: Annotated[
-        str, typer.Argument(help="Optical system or telescope by name, FILE.zmx, or a study by name or path.")
-    ],
-    overrides: OverridesArgument = None,
-) -> None:
-    """Print first-order data, fields, wavelengths and surfaces of an optical system."""
-    from wavequake.workflows.systems.system_source import load_system
-
-    out.print(load_system(system, overrides or []).info(), markup=False, soft_wrap=True)
 
 
 @app.command()

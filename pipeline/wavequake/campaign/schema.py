@@ -90,6 +90,12 @@ class Study(Section):
     campaign: CampaignSection = CampaignSection()
     store: StoreSection = StoreSection()
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.study.name}: {self.cases} cases of {self.study.workflow}>"
+
+    def __str__(self) -> str:
+        return repr(self)
+
     @property
     def cases(self) -> int:
         """Number of cases to run."""
@@ -248,6 +254,9 @@ def _descent(model: type[BaseModel], location: Location) -> Iterator[tuple[type[
 
 def _models(annotation: Any) -> list[type[BaseModel]]:
     """Return the models that an annotation speaks of: itself, or inside Annotated, unions and tuples."""
+    for choice in getattr(annotation, "__metadata__", ()):
+        if hasattr(choice, "models"):  # of a registry
+            return list(choice.models())
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     if get_origin(annotation) in (Annotated, Union, UnionType, tuple):

@@ -2,7 +2,6 @@
 
 import base64
 import binascii
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from wavequake.mechanics.disturbances.history_facts import (
     place_of,
     require_distinct,
 )
+from wavequake.prepared import prepared
 from wavequake.user_files import read_npz
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ _GRID, _SPACING = "grid_nm", "grid_spacing_mm"
 _MOST_BYTES = 9 * MOST_NUMBERS  # of all arrays, unpacked
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def read_arrays(text: str) -> ElementHistory:
     """Read the base64 text of an .npz file.
 
