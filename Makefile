@@ -9,11 +9,12 @@ comma := ,
 LINKER := $(shell command -v ld >/dev/null || echo '[linker]')
 export PYTHONUNBUFFERED := 1
 
-.PHONY: help run test soak slurm lint bench wheel clean
+.PHONY: help run test soak fuzz slurm lint bench wheel clean
 help:
 	@echo "make run    run the bundled study $(STUDY) and write its report"
 	@echo "make test   run the tests"
 	@echo "make soak   kill campaigns at 200 random moments; nothing may be lost (a few minutes)"
+	@echo "make fuzz   give 2000 damaged files to every reader of files (about five minutes)"
 	@echo "make slurm  test campaigns on a Slurm of two nodes on loopback (root, Debian's slurm-wlm and munge)"
 	@echo "make lint   ruff and mypy"
 	@echo "make bench  run the benchmarks"
@@ -27,6 +28,9 @@ test: $(VENV)/.dev
 
 soak: $(VENV)/.dev
 	SOAK_KILLS=$${SOAK_KILLS:-200} $(BIN)/python -m pytest -q -s tests/workflows/test_soak.py
+
+fuzz: $(VENV)/.dev
+	$(BIN)/python tests/fuzz/fuzz.py $${FUZZ_FILES:-2000}
 
 slurm: $(VENV)/.dev
 	WAVEQUAKE_SLURM=1 $(BIN)/python -m pytest -q -rs tests/workflows/test_slurm.py

@@ -33,7 +33,11 @@ _NUMBERS = "biufc"
 _DEEPEST = 40  # tables and lists of a study file within each other
 _STUDY_MB = 64.0
 # A key of more parts than any study has: reading one of 100,000 takes minutes.
-_LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){40}""")
+_MOST_PARTS = 40
+_LONG_KEY = re.compile(
+    rf"""(?:^|[\[{{,])[ \t]*+(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_MOST_PARTS}}}""",
+    re.MULTILINE,
+)
 
 
 def most_bytes() -> float:
@@ -127,7 +131,7 @@ def read_toml(text: str) -> dict[str, Any]:
     long = _LONG_KEY.search(text)
     if long:
         line = text.count("\n", 0, long.start()) + 1
-        raise UserError(f"line {line}: a key has more than 40 parts between dots")
+        raise UserError(f"line {line}: a key has more than {_MOST_PARTS} parts between dots")
     try:
         record = tomllib.loads(text)
     except RecursionError:
@@ -221,10 +225,10 @@ def read_hdf5(path: Path) -> Arrays:
 
     found: dict[str, Any] = {}
 
-    def collect(name: str, item: Any) -> None:
+    def collect(name: str | bytes, item: Any) -> None:
         if isinstance(item, h5py.Dataset):
             if item.shape is not None and item.dtype.kind in _NUMBERS:
-                found[name] = item
+                found[name if isinstance(name, str) else name.decode(errors="replace")] = item
             if len(found) > MOST_ARRAYS:
                 raise UserError(f"it holds more than {MOST_ARRAYS} arrays")
 

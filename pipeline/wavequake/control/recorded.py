@@ -34,6 +34,13 @@ def read_recorded(text: str, name: str) -> Record:
         If a column is missing, a value is no finite number, instants do not increase evenly, or the run was
         controlled; names file and line.
     """
+    try:
+        return _parsed(text, name)
+    except csv.Error as error:
+        raise UserError(f"{name} is no table in CSV: {error}.") from None
+
+
+def _parsed(text: str, name: str) -> Record:
     lines = (line for line in io.StringIO(text) if line.strip() and not line.startswith("#"))
     reader = csv.DictReader(lines, skipinitialspace=True)
     header = [one.strip() for one in reader.fieldnames or ()]

@@ -15,6 +15,7 @@ from wavequake.files import folder
 from wavequake.user_files import read_text, read_toml
 from wavequake.workflows.kinds import find_kind, kind_names
 
+_MOST_DOTS = 40  # in the key of an override
 # Keys that name files.
 _FILES = ("file", "mass", "dofs", "mesh", "polygons", "corners", "picture")
 
@@ -164,8 +165,8 @@ def _split(text: str) -> tuple[str, Any]:
             f"{text!r} is not an override; write section.key=value, for example campaign.cases=40."
         )
     try:
-        return key.strip(), tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+        return key.strip(), read_toml(f"value = {value}")["value"]
+    except UserError:
         return key.strip(), value
 
 
@@ -189,6 +190,8 @@ def _override(record: dict[str, Any], key: str, value: Any, model: type[Study]) 
             f"study.workflow is {record['study']['workflow']!r} and decides which sections a study has; "
             f"for {value!r} write a study file of that workflow."
         )
+    if key.count(".") > _MOST_DOTS:
+        raise UserError(f"The key {key[:40]}... has {key.count('.') + 1} parts; write section.key=value.")
     *parents, last = key.split(".")
     homes = [
         name

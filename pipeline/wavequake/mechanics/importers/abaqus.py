@@ -7,10 +7,8 @@ of freedom a row is must come from a ``.dof`` file. Fixed degrees of freedom car
 
 from pathlib import Path
 
-import numpy as np
-
 from wavequake.errors import UserError
-from wavequake.mechanics.importers.entries import DIRECTIONS, Contents, Entries, numbers, whole_lines
+from wavequake.mechanics.importers.entries import DIRECTIONS, Contents, Entries, numbers, whole, whole_lines
 
 
 def read_matrix(path: Path) -> Contents:
@@ -29,7 +27,7 @@ def read_matrix(path: Path) -> Contents:
             "(FORMAT=MATRIX INPUT) or 3 (FORMAT=COORDINATE)"
         )
     table = numbers(body, path.name, width, first)
-    places = np.rint(table[:, :-1]).astype(np.int64)
+    places = whole(table[:, :-1], path.name)
     if width == 3:
         entries = Entries(path.name, places[:, 0] - 1, places[:, 1] - 1, table[:, 2], int(places.max()), True)
     else:

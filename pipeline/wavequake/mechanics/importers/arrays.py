@@ -110,6 +110,8 @@ def _real(values: NDArray[Any], axes: int, label: str, columns: int | None = Non
 
 def _whole(values: NDArray[Any], axes: int, label: str, columns: int | None = None) -> Integers:
     """Return whole numbers in an array as `_real` does."""
+    if values.dtype.kind in "iu" and values.ndim == axes and (not columns or values.shape[-1] == columns):
+        return values.astype(np.int64)
     numbers = _real(values, axes, label, columns)
     if not (np.abs(numbers) < 2.0**53).all() or (numbers != np.rint(numbers)).any():
         raise UserError(f"{label} must be whole numbers")

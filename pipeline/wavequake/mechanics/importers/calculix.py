@@ -6,10 +6,16 @@ Each line of the matrices is ``row column value`` of the upper triangle; line k 
 
 from pathlib import Path
 
-import numpy as np
-
 from wavequake.errors import UserError
-from wavequake.mechanics.importers.entries import Contents, Entries, Integers, numbers, triples, whole_lines
+from wavequake.mechanics.importers.entries import (
+    Contents,
+    Entries,
+    Integers,
+    numbers,
+    triples,
+    whole,
+    whole_lines,
+)
 
 
 def read_matrix(path: Path) -> Contents:
@@ -46,4 +52,4 @@ def read_dofs(path: Path) -> Integers:
     """
     data = whole_lines(path)
     # The point is no decimal point: 7.1 is node 7, direction 1.
-    return np.rint(numbers(data.replace(b".", b" "), path.name, 2)).astype(np.int64)
+    return whole(numbers(data.replace(b".", b" "), path.name, 2), path.name)

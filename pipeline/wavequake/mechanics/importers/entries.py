@@ -136,6 +136,14 @@ def numbers(data: bytes, source: str, columns: int, first_line: int = 1) -> Arra
     )
 
 
+def whole(values: Array, source: str) -> Integers:
+    """Return numbers of nodes, directions or rows; UserError if they are not whole or too large for one."""
+    if not (np.abs(values) < 2.0**53).all() or (values != np.rint(values)).any():
+        bad = values[~((np.abs(values) < 2.0**53) & (values == np.rint(values)))][0]
+        raise UserError(f"{source}: {bad:g} is no number of a node, direction or row")
+    return values.astype(np.int64)
+
+
 def triples(data: bytes, source: str, size: int, first_line: int = 1) -> tuple[Integers, Integers, Array]:
     """Return rows, columns (from 0) and values of lines ``row column value``; several times 100 MB/s.
 
@@ -151,9 +159,10 @@ def triples(data: bytes, source: str, size: int, first_line: int = 1) -> tuple[I
         matrix = mmread(io.BytesIO(head + data), spmatrix=False)
     except (ValueError, OverflowError):
         table = numbers(data, source, 3, first_line)
-        bad = np.flatnonzero(((table[:, :2] < 1) | (table[:, :2] > size)).any(axis=1))
+        bad = np.flatnonzero(~((table[:, :2] >= 1) & (table[:, :2] <= size)).all(axis=1))
         if not len(bad):
-            return (table[:, 0].astype(np.int64) - 1, table[:, 1].astype(np.int64) - 1, table[:, 2])
+            places = whole(table[:, :2], source) - 1
+            return places[:, 0], places[:, 1], table[:, 2]
         raise UserError(
             f"{source}, line {bad[0] + first_line}: row {table[bad[0], 0]:.0f}, column "
             f"{table[bad[0], 1]:.0f} lies outside the matrix of order {size}"
@@ -173,7 +182,7 @@ def _bad_line(data: bytes, columns: int) -> tuple[int, bytes]:
 
 def _is_number(word: bytes) -> bool:
     return (
-        re.fullmatch(rb"[+-]?(\d+\.?\d*([eEdD][+-]?\d+)?|\.\d+([eEdD][+-]?\d+)?|nan|inf\w*)", word)
+        re.fullmatch(rb"[+-]?(\d+\.?\d*([eEdD][+-]?\d+)?|\.\d+([eEdD][+-]?\d+)?|nan|inf(inity)?)", word)
         is not None
     )
 

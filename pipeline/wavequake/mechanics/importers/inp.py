@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from wavequake.errors import UserError
-from wavequake.mechanics.importers.entries import Array, Integers, numbers, read_bytes
+from wavequake.mechanics.importers.entries import Array, Integers, numbers, read_bytes, whole
 
+MOST_NODES = 20_000_000
 Block = tuple[str, dict[str, str], bytes, int]  # keyword, options, data lines, first line
 
 # Nodes of solid, shell, plane and beam elements, by the names of meshio.
@@ -51,7 +52,7 @@ def read_deck(path: Path) -> tuple[Integers, Array, dict[str, Integers], dict[st
     for keyword, options, data, line in _blocks(path):
         if keyword == "NODE" and data:
             table = _padded(data, path.name, line)
-            labels.append(table[:, 0].astype(np.int64))
+            labels.append(whole(table[:, 0], path.name))
             points.append(table[:, 1:4])
             if "NSET" in options:
                 sets.setdefault(options["NSET"], []).append(labels[-1])
@@ -133,7 +134,10 @@ def _set(
     """Return the numbers of a node set given by numbers, ranges (GENERATE) and names of earlier sets."""
     if "GENERATE" in options:
         ranges = [[int(word) for word in row.split(b",") if word.strip()] for row in data.split(b"\n")]
-        return np.concatenate([np.arange(row[0], row[1] + 1, *row[2:3]) for row in ranges])
+        spans = [range(row[0], row[1] + 1, *row[2:3]) for row in ranges]
+        if max((max(abs(one.start), abs(one.stop)) for one in spans), default=0) > MOST_NODES:
+            raise UserError(f"{place[0]}, line {place[1]}: node numbers go up to {MOST_NODES}")
+        return np.concatenate([np.arange(span.start, span.stop, span.step) for span in spans])
     words = data.replace(b",", b" ").split()
     names = [word.decode().upper() for word in words if not word.isdigit()]
     unknown = [name for name in names if name not in sets]

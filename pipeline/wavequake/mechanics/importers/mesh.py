@@ -1,7 +1,10 @@
 """Node coordinates, node sets and elements of a mesh file: ``.inp`` decks and whatever meshio reads."""
 
 import difflib
+import io
+import re
 from collections.abc import Mapping, Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -56,7 +59,7 @@ def read_mesh(path: Path) -> MeshFile:
         If the file cannot be read, or coordinates are not finite.
     """
     deck = path.suffix.lower() == ".inp"
-    mesh = MeshFile(path.name, *read_deck(path)) if deck else _through_meshio(path)
+    mesh = _from_deck(path) if deck else _through_meshio(path)
     bad = np.flatnonzero(~np.isfinite(mesh.points).all(axis=1))
     if len(bad):
         raise UserError(f"{path.name}: node {mesh.labels[bad[0]]} has no finite coordinates")
@@ -65,14 +68,40 @@ def read_mesh(path: Path) -> MeshFile:
     return mesh
 
 
+def _from_deck(path: Path) -> MeshFile:
+    try:
+        return MeshFile(path.name, *read_deck(path))
+    except RecursionError:
+        raise UserError(f"{path.name} includes itself") from None
+    except (ValueError, OverflowError, IndexError, MemoryError) as error:
+        raise UserError(f"{path.name} cannot be read ({error}); the file may be damaged") from None
+
+
+def _require_end(data: bytes, path: Path) -> None:
+    """Raise UserError for what meshio reads without end."""
+    if path.suffix.lower() in (".bdf", ".fem", ".nas"):
+        begin = re.search(rb"^\s*BEGIN BULK", data, re.MULTILINE)
+        if begin and not re.search(rb"^(?!\$|//|#).{4}", data[begin.end() :], re.MULTILINE):
+            raise UserError(f"{path.name} holds no cards after BEGIN BULK")
+    if path.suffix.lower() == ".msh" and re.search(rb"^\$[!-~]{200}", data, re.MULTILINE):
+        raise UserError(f"{path.name} has a section whose name is longer than 200 characters")
+
+
 def _through_meshio(path: Path) -> MeshFile:
     import meshio
 
-    read_bytes(path)
+    _require_end(read_bytes(path), path)
+    said = io.StringIO()  # meshio prints what is wrong, and exits
     try:
-        mesh = meshio.read(path)
-    except (Exception, SystemExit) as error:  # meshio raises all sorts, and exits on some formats
-        raise UserError(f"meshio cannot read {path.name}: {error}") from error
+        with redirect_stdout(said), redirect_stderr(said):
+            # It would take .msh for a file of Fluent first, and read that without end where it is cut off.
+            return _from_meshio(path, meshio.read(path, "gmsh" if path.suffix.lower() == ".msh" else None))
+    except (Exception, SystemExit) as error:
+        words = " ".join((said.getvalue() or str(error) or type(error).__name__).split())
+        raise UserError(f"meshio cannot read {path.name}: {words}") from None
+
+
+def _from_meshio(path: Path, mesh: Any) -> MeshFile:
     points = np.zeros((len(mesh.points), 3))
     points[:, : mesh.points.shape[1]] = mesh.points
     given = getattr(mesh, "points_id", None)  # of Nastran decks

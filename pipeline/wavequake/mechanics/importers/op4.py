@@ -32,7 +32,7 @@ def read_matrices(path: Path) -> Contents:
     binary = min(data[:4]) == 0
     try:
         matrices = _binary(data, path.name) if binary else _text(data, path.name)
-    except (IndexError, ValueError) as error:
+    except (IndexError, ValueError, OverflowError) as error:
         raise UserError(f"{path.name} is no OUTPUT4 file, or is cut off: {error}") from error
     if not matrices:
         raise UserError(f"{path.name} holds no matrix")

@@ -270,6 +270,13 @@ def read_record(text: str, name: str) -> tuple[Array, Array]:
         If a row is not as many finite numbers as the first one, the instants do not increase, or there are
         fewer than two rows; names the file and the line.
     """
+    try:
+        return _parsed(text, name)
+    except csv.Error as error:
+        raise UserError(f"{name} is no table in CSV: {error}.") from None
+
+
+def _parsed(text: str, name: str) -> tuple[Array, Array]:
     rows: list[list[float]] = []
     reader = csv.reader(io.StringIO(text))
     for cells in reader:

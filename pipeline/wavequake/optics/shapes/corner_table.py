@@ -5,7 +5,6 @@ import difflib
 import io
 from collections.abc import Sequence
 from dataclasses import replace
-from math import isfinite
 from pathlib import Path
 from typing import TextIO
 
@@ -20,6 +19,7 @@ from wavequake.user_files import read_text
 
 Array = NDArray[np.float64]
 
+_FARTHEST_MM = 1e9
 _COLUMNS = ("segment", "corner", "dx_mm", "dy_mm")
 
 
@@ -100,7 +100,7 @@ def _parsed(segments: Segments, row: list[str], line: str) -> tuple[int, int, tu
         near = difflib.get_close_matches(name, segments.names, n=1, cutoff=0.0)
         raise UserError(f"{line}: there is no segment {name!r}; the nearest is {near[0]!r}.")
     most = segments.corners.shape[1]
-    if not (corner.isdecimal() and 1 <= int(corner) <= most):
+    if not (corner.isdecimal() and len(corner) < 10 and 1 <= int(corner) <= most):
         raise UserError(f"{line}: {corner!r} is not a corner; write a number from 1 to {most}.")
     return segments.names.index(name), int(corner) - 1, (_length(move[0], line), _length(move[1], line))
 
@@ -110,7 +110,7 @@ def _length(text: str, line: str) -> float:
         value = float(text)
     except ValueError:
         value = float("nan")
-    if not isfinite(value):
+    if not abs(value) < _FARTHEST_MM:
         raise UserError(f"{line}: {text!r} is not a number; write millimeters, such as -0.5.")
     return value
 

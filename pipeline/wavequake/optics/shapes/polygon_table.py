@@ -3,7 +3,6 @@
 import csv
 import io
 from collections.abc import Sequence
-from math import isfinite
 from pathlib import Path
 from typing import TextIO
 
@@ -18,6 +17,7 @@ from wavequake.user_files import read_text
 Array = NDArray[np.float64]
 
 _MM_PER_M = 1e3
+_FARTHEST_M = 1e6
 
 
 def read_polygons(source: str | Path | TextIO) -> tuple[list[str], Array, Array | None]:
@@ -129,9 +129,10 @@ def _point(row: list[str], columns: tuple[int, int], line: str) -> tuple[float, 
             value = float(text)
         except ValueError:
             value = float("nan")
-        if not isfinite(value):
+        if not abs(value) < _FARTHEST_M:
             raise UserError(
-                f"{line}, column {column + 1}: {text!r} is not a number; write meters, such as 1.25."
+                f"{line}, column {column + 1}: {text!r} is not a number below {_FARTHEST_M:g}; write meters, "
+                "such as 1.25."
             )
         values.append(value * _MM_PER_M)
     return values[0], values[1]

@@ -1,0 +1,304 @@
+"""Every reader of users' files, each with small valid files."""
+
+import base64
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+DATA = Path(__file__).parents[1] / "data"
+
+
+@dataclass(frozen=True)
+class Reader:
+    """What reads a file of the suffix, and makers of valid files."""
+
+    suffix: str
+    read: Callable[[Path], object]
+    valid: tuple[Callable[[], bytes], ...]
+
+
+def data(*names: str) -> tuple[Callable[[], bytes], ...]:
+    return tuple((DATA / name).read_bytes for name in names)
+
+
+def text(content: str) -> tuple[Callable[[], bytes], ...]:
+    return (content.encode,)
+
+
+def head(name: str, lines: int) -> Callable[[], bytes]:
+    return lambda: b"".join((DATA / name).read_bytes().splitlines(keepends=True)[:lines])
+
+
+def study(path: Path) -> object:
+    from wavequake.workflows.study import load_study
+
+    return load_study(path)
+
+
+def bundled(name: str) -> Callable[[], bytes]:
+    from wavequake.files import folder
+
+    return (folder("workflows") / f"{name}.toml").read_bytes
+
+
+def cluster(path: Path) -> object:
+    from wavequake.cluster.template import Slurm, read_template
+
+    return read_template(Slurm, path)
+
+
+def mesh(path: Path) -> object:
+    from wavequake.mechanics.importers.mesh import read_mesh
+
+    return read_mesh(path)
+
+
+def matrices(path: Path) -> object:
+    from wavequake.mechanics.importers.model import READERS
+
+    return READERS[path.suffix](path)
+
+
+def model(path: Path) -> object:
+    """Read stiffness, mass, degrees of freedom or mesh from `path`, by its first bytes, and join all."""
+    from wavequake.mechanics.importers.model import import_model
+
+    files = {key: DATA / f"brick.{end}" for key, end in (("mass", "mas"), ("dofs", "dof"), ("mesh", "inp"))}
+    damaged = path.read_bytes()[:1]
+    file = DATA / "brick.sti" if damaged == b"*" else path
+    if damaged == b"*":
+        files["mesh"] = path.rename(path.with_suffix(".inp"))
+    return import_model(file, **files, units="m,kg,s,N", interfaces="MOUNT", surface="MIRROR")
+
+
+def matrix_market(path: Path) -> object:
+    from wavequake.mechanics.importers import abaqus, matrix_market
+
+    if matrix_market.is_matrix_market(path):
+        return matrix_market.read_matrix(path)
+    return abaqus.read_matrix(path)
+
+
+def dofs(path: Path) -> object:
+    from wavequake.mechanics.importers.calculix import read_dofs
+
+    return read_dofs(path)
+
+
+def sag(path: Path) -> object:
+    from wavequake.optics.shapes.sag_file import read_sag
+
+    return read_sag(path)
+
+
+def polygons(path: Path) -> object:
+    from wavequake.optics.shapes.polygon_table import read_polygons
+
+    return read_polygons(path)
+
+
+@lru_cache
+def telescope():
+    from wavequake.optics.segments.layout import tmt18_segments
+
+    return tmt18_segments()
+
+
+def corners(path: Path) -> object:
+    from wavequake.optics.shapes.corner_table import distorted
+
+    return distorted(telescope(), path)
+
+
+def corner_table() -> bytes:
+    names = telescope().names
+    rows = [f"{names[k]},{1 + k % 6},{1e-4 * k},-2e-4" for k in range(4)]
+    return "\n".join(["segment,corner,dx_mm,dy_mm", *rows, ""]).encode()
+
+
+def picture(path: Path) -> object:
+    from wavequake.chain.images.picture import read_picture
+
+    return read_picture(path)
+
+
+def through_text(parse: Callable[[str, str], object]) -> Callable[[Path], object]:
+    def read(path: Path) -> object:
+        from wavequake.user_files import read_text
+
+        return parse(read_text(path), path.name)
+
+    return read
+
+
+def history_table(content: str, name: str) -> object:
+    from wavequake.mechanics.disturbances.history_table import read_table
+
+    return read_table(content)
+
+
+def spectrum(content: str, name: str) -> object:
+    from wavequake.mechanics.disturbances.spectra import tabulated
+
+    return tabulated(content, name)
+
+
+def forces(content: str, name: str) -> object:
+    from wavequake.mechanics.vibration.excitations import read_record
+
+    return read_record(content, name)
+
+
+def blow(content: str, name: str) -> object:
+    from wavequake.control.recorded import read_recorded
+
+    return read_recorded(content, name)
+
+
+def history_arrays(path: Path) -> object:
+    from wavequake.mechanics.disturbances.history_arrays import read_arrays
+
+    return read_arrays(base64.b64encode(path.read_bytes()).decode())
+
+
+def squares() -> tuple[np.ndarray, np.ndarray]:
+    stiffness = 4.0 * np.eye(6) - np.eye(6, k=1) - np.eye(6, k=-1)
+    return stiffness, np.eye(6)
+
+
+def dense_npz() -> bytes:
+    stiffness, mass = squares()
+    nodes = np.array([[node, direction] for node in (1, 2) for direction in (1, 2, 3)])
+    return packed(stiffness=stiffness, mass=mass, dofs=nodes, nodes=np.eye(2, 3), node_numbers=[1, 2])
+
+
+def packed(**arrays: object) -> bytes:
+    out = io.BytesIO()
+    np.savez(out, **arrays)
+    return out.getvalue()
+
+
+def sparse_npz() -> bytes:
+    from scipy.sparse import csc_array
+
+    parts = {}
+    for name, matrix in zip(("stiffness", "mass"), map(csc_array, squares()), strict=True):
+        parts |= {f"{name}_{part}": getattr(matrix, part) for part in ("data", "indices", "indptr")}
+    return packed(**parts)
+
+
+def scipy_npz() -> bytes:
+    from scipy.sparse import csr_array, save_npz
+
+    out = io.BytesIO()
+    save_npz(out, csr_array(squares()[0]))
+    return out.getvalue()
+
+
+def hdf5() -> bytes:
+    import h5py
+
+    out = io.BytesIO()
+    with h5py.File(out, "w") as file:
+        file["stiffness"], file["mass"] = squares()
+        file.create_dataset("nodes", data=np.eye(2, 3), compression="gzip", chunks=True)
+        file["note"] = "text"
+    return out.getvalue()
+
+
+def market() -> bytes:
+    from scipy.io import mmwrite
+    from scipy.sparse import coo_array
+
+    out = io.BytesIO()
+    mmwrite(out, coo_array(squares()[0]))
+    return out.getvalue()
+
+
+def through_meshio(suffix: str, **options: object) -> Callable[[], bytes]:
+    def make() -> bytes:
+        import tempfile
+
+        import meshio
+
+        points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
+        solid = meshio.Mesh(points, [("tetra", [[0, 1, 2, 3], [1, 2, 3, 4]])])
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / f"mesh{suffix}"
+            meshio.write(file, solid, **options)
+            return file.read_bytes()
+
+    return make
+
+
+def gmsh(**options: object) -> Callable[[], bytes]:
+    return through_meshio(".msh", file_format="gmsh", **options)
+
+
+def history_npz() -> bytes:
+    time = np.linspace(0.0, 1.0, 5)
+    heights = np.random.default_rng(1).normal(size=(5, 4, 4))
+    return packed(**{"time_s": time, "M1.dx_um": time, "M1.grid_nm": heights, "M1.grid_spacing_mm": 10.0})
+
+
+def npy() -> bytes:
+    out = io.BytesIO()
+    np.save(out, np.arange(24.0).reshape(4, 6))
+    return out.getvalue()
+
+
+def png() -> bytes:
+    from PIL import Image
+
+    out = io.BytesIO()
+    Image.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8)).save(out, "PNG")
+    return out.getvalue()
+
+
+SAG = "# mm\n" + "\n".join(",".join(f"{row * column:.3f}" for column in range(5)) for row in range(4)) + "\n"
+GRID = "4 4 10.0 10.0 0 0 0\n" + "".join(f"{k * 0.01:.4f} 0 0 0\n" for k in range(16))
+HISTORY = "time_s,M1.dx_um,M1.rx_urad\n" + "".join(f"{k / 10},{k},{-k}\n" for k in range(8))
+SPECTRUM = "frequency_hz,psd\n" + "".join(f"{k},{1 / k}\n" for k in range(1, 9))
+RECORD = "time_s,command_mm,sensor_mm,image_mm\n" + "".join(
+    f"{k / 1000},0,{0.1 * k},{'' if k % 2 else 0.2 * k}\n" for k in range(40)
+)
+FORCES = "time_s,force_n\n" + "".join(f"{k / 100},{k % 3}\n" for k in range(30))
+CLUSTER = "interface: ib0\njobs: 2\nprocesses: 4\nmemory: 4 GiB\nwalltime: '01:00:00'\nmodules: [gcc/13]\n"
+OP4 = [f"truss_{form}.op4" for form in (
+    "big_endian", "bigmat_binary", "bigmat_text", "dense_binary", "dense_text", "nonbigmat_binary",
+    "nonbigmat_text")]  # fmt: skip
+
+READERS = {
+    "study": Reader(".toml", study, (bundled("tmt-segments"), bundled("mirror-mor"))),
+    "cluster": Reader(".yaml", cluster, text(CLUSTER)),
+    "inp": Reader(".inp", mesh, data("brick.inp")),
+    "bdf": Reader(".bdf", mesh, (through_meshio(".bdf"),)),
+    "msh": Reader(".msh", mesh, (gmsh(binary=True), gmsh(binary=False))),
+    "vtu": Reader(".vtu", mesh, (through_meshio(".vtu"), through_meshio(".vtu", binary=False))),
+    "sti": Reader(".sti", matrices, data("brick.sti")),
+    "model": Reader(".sti", model, data("brick.sti", "brick.inp")),
+    "dof": Reader(".dof", dofs, data("brick.dof")),
+    "mtx": Reader(".mtx", matrix_market, (market,)),
+    "mtx-abaqus": Reader(".mtx", matrix_market, text("1,1, 1,1, 2.0\n1,2, 1,2, 2.0\n1,1, 1,2, -1.0\n")),
+    "pch": Reader(".pch", matrices, data("truss.pch")),
+    "op4": Reader(".op4", matrices, data(*OP4)),
+    "npz": Reader(".npz", matrices, (dense_npz, sparse_npz, scipy_npz)),
+    "h5": Reader(".h5", matrices, (hdf5,)),
+    "history-csv": Reader(".csv", through_text(history_table), text(HISTORY)),
+    "history-npz": Reader(".npz", history_arrays, (history_npz,)),
+    "spectrum": Reader(".csv", through_text(spectrum), text(SPECTRUM)),
+    "forces": Reader(".csv", through_text(forces), text(FORCES)),
+    "rec": Reader(".csv", through_text(blow), text(RECORD)),
+    "sag-csv": Reader(".csv", sag, text(SAG)),
+    "sag-npy": Reader(".npy", sag, (npy,)),
+    "sag-dat": Reader(".dat", sag, text(GRID)),
+    "polygons": Reader(".csv", polygons, (head("tmt_sector.csv", 12),)),
+    "corners": Reader(".csv", corners, (corner_table,)),
+    "picture-png": Reader(".png", picture, (png,)),
+    "picture-npy": Reader(".npy", picture, (npy,)),
+    "picture-csv": Reader(".csv", picture, text(SAG)),
+}
