@@ -45,7 +45,18 @@ WorkersOption = Annotated[int | None, typer.Option(min=1, help="Worker processes
 DashboardOption = Annotated[
     bool, typer.Option("--dashboard", help="Serve Dask's dashboard on this machine and show its link.")
 ]
-StoreOption = Annotated[Path | None, typer.Option("--store", help="Folder of the store (store.path).")]
+
+
+def _folder(text: str) -> Path:
+    if not str(text).strip():
+        raise UserError("--store is empty: give the path of a folder, or leave --store out.")
+    return Path(text)
+
+
+StoreOption = Annotated[
+    Path | None,
+    typer.Option("--store", parser=_folder, metavar="FOLDER", help="Folder of the store (store.path)."),
+]
 
 
 def main(came: Sequence[float] = ()) -> None:

@@ -123,6 +123,15 @@ def run(path, options=None, *, cases=40, chunk=10, on="serial", workers=None, **
     )
 
 
+def job(path, workflow=TOY, **fields):
+    """Begin a run of a store and return its job, as workers get it."""
+    from wavequake.campaign.engine.chunks import Job
+    from wavequake.campaign.store.fence import begin
+
+    latest = begin(path, "", (), 0)
+    return Job(workflow, str(path), "numpy", latest.runs[""], epoch=latest.epoch, **fields)
+
+
 def digests(path):
     """Digests of every chunk of a store; equal digests mean equal bits."""
     from wavequake.campaign.store.journal import read_journal

@@ -7,7 +7,7 @@ store.
 
 import errno
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -18,7 +18,8 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.campaign import provenance
 from wavequake.campaign.contract import DIVERGED, DONE, RAISED, ChunkResult, Template, Workflow
-from wavequake.campaign.store import journal
+from wavequake.campaign.engine.commit import commit
+from wavequake.campaign.store import fence, journal
 from wavequake.campaign.store.arrays import Array, array_of, open_group, write_chunk
 from wavequake.campaign.store.journal import Chunk, Record
 from wavequake.campaign.store.retention import kept_result, kept_template, retention_of
@@ -51,8 +52,9 @@ Answer = TypeVar("Answer")
 class Job:
     """What the chunks of a run share; it travels with every task and is small: functions go by reference.
 
-    Where ``code`` is not empty, a worker that runs other code refuses to compute. A ``guarded`` job changes
-    no case that is done.
+    ``run`` is the token by which the store's fence admits its writers, ``epoch`` is that run's. Where
+    ``code`` is not empty, a worker that runs other code refuses to compute. A ``guarded`` job changes no case
+    that is done; records of the chunks that begin at ``settled`` cases stand against earlier ones.
     """
 
     workflow: Workflow
@@ -61,6 +63,9 @@ class Job:
     run: str
     code: str = ""
     guarded: bool = False
+    epoch: int = 0
+    settled: frozenset[int] = frozenset()
+    shard: str = ""
 
 
 @dataclass(frozen=True)
@@ -122,6 +127,7 @@ def compute_chunk(job: Job, first: int, last: int) -> Outcome:
             f"A worker computes with {provenance.code()}, the driver with {job.code}: install the same "
             "versions everywhere, or give --allow-mixed."
         )
+    patiently(lambda: fence.admit(Path(job.path), job.run))
     return store_chunk(job, (first, last), *computed_chunk(job, first, last))
 
 
@@ -234,22 +240,51 @@ def joined(parts: Sequence[ChunkResult]) -> ChunkResult:
 def store_chunk(job: Job, chunk: Chunk, result: ChunkResult, compute_s: float) -> Outcome:
     """Write the data of a chunk, and once it is on disk its record."""
     opened, path = opened_store(job.workflow, job.path, job.run), Path(job.path)
-    if job.guarded:
-        _refuse_changes(opened, chunk, result)
-    start = time.perf_counter()
-    with write_errors_explained(path):
-        digests = patiently(lambda: write_chunk(opened.arrays, chunk, result))
-        write_s = time.perf_counter() - start
-        timings = {"compute_s": compute_s, "write_s": write_s, **result.timings}
-        codes = result.status.tolist()
-        counts = tuple(codes.count(code) for code in range(DIVERGED + 1))
-        failures = {
-            chunk[0] + row: (code, result.messages[row]) for row, code in enumerate(codes) if code != DONE
-        }
+    codes = result.status.tolist()
+    record = Record(
+        *chunk,
+        {},
+        tuple(codes.count(code) for code in range(DIVERGED + 1)),
+        {chunk[0] + row: (code, result.messages[row]) for row, code in enumerate(codes) if code != DONE},
+        {},
+        code=provenance.code(),
+        epoch=job.epoch,
+        settles=chunk[0] in job.settled,
+    )
+    disk = _Disk(job, opened, result, record, compute_s)
+    with write_errors_explained(path), fence.writing(path):
+        for _ in commit(disk):
+            pass
+    return Outcome(chunk, record.quarantined, compute_s, disk.write_s)
+
+
+@dataclass
+class _Disk:
+    """What :func:`commit` does to the disk for one chunk."""
+
+    job: Job
+    opened: Opened
+    result: ChunkResult
+    record: Record
+    compute_s: float
+    write_s: float = 0.0
+
+    def admit(self) -> None:
+        patiently(lambda: fence.admit(Path(self.job.path), self.job.run))
+
+    def write(self) -> Iterator[None]:
+        if self.job.guarded:
+            _refuse_changes(self.opened, self.record.chunk, self.result)
+        start = time.perf_counter()
+        digests = patiently(lambda: write_chunk(self.opened.arrays, self.record.chunk, self.result))
+        self.write_s = time.perf_counter() - start
+        timings = {"compute_s": self.compute_s, "write_s": self.write_s, **self.result.timings}
         rounded = {name: round(seconds, 4) for name, seconds in timings.items()}
-        record = Record(*chunk, digests, counts, failures, rounded, code=provenance.code())
-        patiently(lambda: journal.append(path / JOURNAL, record))
-    return Outcome(chunk, record.quarantined, compute_s, write_s)
+        self.record = replace(self.record, digests=digests, timings=rounded)
+        yield
+
+    def append(self) -> None:
+        patiently(lambda: journal.append(Path(self.job.path) / JOURNAL, self.record))
 
 
 def _refuse_changes(opened: Opened, chunk: Chunk, result: ChunkResult) -> None:

@@ -5,10 +5,9 @@ are a few scalars, and after any crash the next run computes the plan minus the 
 """
 
 import time
-import uuid
 from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from logging import Logger
 from pathlib import Path
 
@@ -17,11 +16,13 @@ from wavequake.campaign.contract import Workflow
 from wavequake.campaign.engine.chunks import Job, Outcome
 from wavequake.campaign.engine.driver_lock import Shard, driver_lock, others_at_work, this_process
 from wavequake.campaign.engine.isolation import NoProcessError, compute_isolated
+from wavequake.campaign.engine.plan import pieces_of, todo_of
 from wavequake.campaign.engine.runlog import run_log
 from wavequake.campaign.engine.series import in_series, left_open, unmark
 from wavequake.campaign.engine.stream import limit_of, stream
-from wavequake.campaign.store import store, verify
-from wavequake.campaign.store.journal import Chunk, Record, read_journal
+from wavequake.campaign.store import fence, layout, store, verify
+from wavequake.campaign.store import manifest as manifests
+from wavequake.campaign.store.journal import Chunk, Record, read_journal, scan_journal
 from wavequake.campaign.store.store import Manifest
 from wavequake.cluster.local import leave_if_imported_by_a_worker
 from wavequake.cluster.places import Opener, elsewhere, place_of
@@ -138,45 +139,56 @@ def run_campaign(
     with driver_lock(path, shard) as setup:
         others = others_at_work(path, shard)
         _refuse_growth(path, cases, others)
+        with store.write_errors_explained(path):
+            run = fence.begin(path, str(shard or ""), others, _latest_epoch(path))
         manifest = _prepared(workflow, study, path, cases, chunk, device, kind, title, repair, not others)
         if not others:
             _sweep(path)
         setup.close()
-        ours = [p for p in manifest.plan() if p[0] < cases and (not shard or shard.owns(p, manifest.chunk))]
+        ours = pieces_of(manifest.plan(), cases, manifest.chunk, shard)
         wanted = [p for p in ours if p in recompute or not retry]
-        records = store.done_records(manifest, read_journal(path / store.JOURNAL))
+        journal = (scan_journal if repair else read_journal)(path / store.JOURNAL)
         if repair:
-            recompute = recompute | verify.verify_store(path).chunks
-        again = recompute | verify.lost_chunks(path, manifest, records)
-        todo = [piece for piece in wanted if piece not in records or piece in again]
-        kept = {piece: records[piece] for piece in wanted if piece in records and piece not in again}
-        tally = _Tally(wanted, kept, progress)
-        done_before = tally.done
+            recompute = recompute | verify.examined(path, manifest, journal).chunks
+        records = store.done_records(manifest, journal)
+        todo = todo_of(wanted, records, recompute | verify.lost_chunks(path, manifest, records))
+        tally = _Tally(wanted, {p: records[p] for p in wanted if p not in todo}, progress)
+        done_before, chunks = tally.done, len(todo)
         if todo:
             if not allow_mixed:
-                store.refuse_mixed(path, manifest, provenance.code())
+                manifests.refuse_mixed(path, manifest, provenance.code())
             code = provenance.code() if elsewhere(on) and not allow_mixed else ""
-            job = Job(workflow, str(path), device, uuid.uuid4().hex, code, retry)
+            settled = frozenset(first for first, _ in journal.contested)
+            key = str(shard or "")
+            job = Job(workflow, str(path), device, run.runs[key], code, retry, run.epoch, settled, key)
             with run_log(path / store.LOG) as tally.log:
                 tally.log.info("%s on %s; on=%s, device %s", provenance.code(), this_process(), on, device)
                 tally.log.info("%d cases wanted, %d done before", tally.total, tally.done)
                 processes = workers or (1 if (on, kind) == ("local", "gpu") else None)
                 _compute(job, todo, place, processes, tally, timeout_s, dashboard)
         records = store.done_records(manifest, read_journal(path / store.JOURNAL))
-        lacking = [piece for piece in wanted if piece not in records]
+        lacking = todo_of(wanted, records, frozenset())
     if lacking:
         raise StoreDamageError(
-            f"the journal of {path} lacks {len(lacking)} chunks that were computed, first {lacking[0]}"
+            f"the journal of {path} lacks {len(lacking)} chunks that were computed, first {lacking[0]}: run "
+            "the same command again"
         )
     return CampaignSummary(
         done_before,
         tally.done - done_before,
         sum(records[piece].quarantined for piece in ours if piece in records),
-        len(todo),
+        chunks,
         time.perf_counter() - start,
         tally.compute_s,
         tally.write_s,
     )
+
+
+def _latest_epoch(path: Path) -> int:
+    """Return the latest epoch of any record, if the fence does not say it."""
+    if fence.read_fence(path) is not None:
+        return 0
+    return max((record.epoch for record in scan_journal(path / store.JOURNAL).records.values()), default=0)
 
 
 class _Tally:
@@ -228,9 +240,9 @@ def _prepared(
     if manifest is None or (alone and _is_blank(path, manifest)):
         sources = {"study_title": title, **provenance.collect(choose_device(device))}
         return store.create_store(path, workflow, study, cases, chunk, device, sources)
-    store.refuse_other(path, manifest, workflow.name, study, kind)
-    if repair or store.lost_layout(path, manifest):
-        store.mend_layout(path, manifest, workflow)
+    manifests.refuse_other(path, manifest, workflow.name, study, kind)
+    if repair or layout.lost_layout(path, manifest):
+        layout.mend_layout(path, manifest, workflow)
     return store.extend_store(path, workflow, cases)
 
 
@@ -287,5 +299,13 @@ def _compute(
             if dashboard is not None:
                 dashboard(client.dashboard_link)
             suspects = stream(client, job, todo, tally.add, limit, tally.log)
+    if suspects:  # a worker that was given up may go on: what it writes now would not be what is recorded
+        job = _renewed(job)
     for piece in suspects:
         tally.add(compute_isolated(job, *piece, limit()))
+
+
+def _renewed(job: Job) -> Job:
+    """Begin anew, so that the workers of the job until now are shut out."""
+    run = fence.begin(Path(job.path), job.shard, None, 0)
+    return replace(job, run=run.runs[job.shard], epoch=run.epoch)

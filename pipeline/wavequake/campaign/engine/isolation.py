@@ -5,6 +5,7 @@ to its process (crash, hang, take all memory) it does to one that does nothing e
 """
 
 import multiprocessing
+import os
 import resource
 import signal
 import time
@@ -82,7 +83,7 @@ def _in_process(job: Job, cases: range, limit_s: float) -> tuple[list[ChunkResul
             if not ours.poll(patience):
                 return results, _End(TIMED_OUT, f"it took longer than {patience:g} s (campaign.timeout_s)")
             answer = ours.recv()
-            if isinstance(answer, FATAL):
+            if isinstance(answer, Exception):
                 raise answer
             started = True
             if answer is not None:
@@ -103,7 +104,11 @@ def _in_process(job: Job, cases: range, limit_s: float) -> tuple[list[ChunkResul
 
 def _serve(connection: Connection, job: Job, cases: range, memory: int) -> None:
     """Be the process of :func:`_in_process`: say None when ready, and then the result of each case."""
-    opened = opened_store(job.workflow, job.path, job.run)
+    try:
+        opened = opened_store(job.workflow, job.path, job.run)
+    except Exception as error:
+        connection.send(error)
+        return
     resource.setrlimit(resource.RLIMIT_DATA, (memory, resource.getrlimit(resource.RLIMIT_DATA)[1]))
     connection.send(None)
     with threadpool_limits(1):
@@ -113,6 +118,8 @@ def _serve(connection: Connection, job: Job, cases: range, memory: int) -> None:
             except FATAL as error:
                 connection.send(error)
                 return
+            except BaseException:  # out of memory as it sends: nobody wants a traceback on the terminal
+                os._exit(1)
 
 
 def _death(code: int) -> str:

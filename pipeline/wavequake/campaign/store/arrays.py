@@ -59,7 +59,7 @@ class DurableStore(LocalStore):
 
 def _put(path: Path, parts: Iterable[bytes | memoryview]) -> None:
     """Write a file that gets its name when it is whole and on the disk."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    path.parent.mkdir(exist_ok=True)  # not its parents: a store that was moved leaves nothing where it was
     partial = path.with_name(f"{path.name}.{uuid.uuid4().hex}.partial")
     try:
         with partial.open("wb", buffering=0) as file:
@@ -86,6 +86,7 @@ def damage_explained(what: object) -> Iterator[None]:
 
 def create_group(folder: Path, attributes: dict[str, Any]) -> zarr.Group:
     """Create the group that holds the arrays of a store."""
+    folder.mkdir(parents=True, exist_ok=True)
     return zarr.create_group(DurableStore(folder), zarr_format=3, attributes=attributes)
 
 

@@ -1,0 +1,33 @@
+"""The order in which a chunk enters a store, apart from the disk, which a simulation replaces."""
+
+from collections.abc import Iterator
+from typing import Protocol
+
+
+class Disk(Protocol):
+    """What a writer asks of a store for one chunk; the fence's lock is held while it does."""
+
+    def admit(self) -> None:
+        """Raise ShutOutError if a later run has begun."""
+        ...
+
+    def write(self) -> Iterator[None]:
+        """Write the files of every array, the status last; each step may be the last one before a death."""
+        ...
+
+    def append(self) -> None:
+        """Append the record of what was written."""
+        ...
+
+
+def commit(disk: Disk) -> Iterator[None]:
+    """Write a chunk and then its record, in steps between which a process may die or be stopped.
+
+    Whether the run may still write is asked before each: a file system may have no locks.
+    """
+    disk.admit()
+    yield
+    yield from disk.write()
+    disk.admit()
+    yield
+    disk.append()
