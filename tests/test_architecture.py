@@ -27,7 +27,7 @@ ALLOWED = {
     "campaign": BASE | {"cluster", "kernels", "memory"},
     "workflows": BASE | PHYSICS | {"campaign", "kernels", "firmware"},
     "report": BASE | PHYSICS | {"campaign", "kernels", "workflows"},
-    "terminal": set(),
+    "terminal": {"words"},
     "cli_firmware": BASE | {"campaign", "control", "firmware", "workflows", "terminal"},
     "cli_statistics": BASE | {"campaign", "workflows", "report", "terminal"},
     "cli": BASE

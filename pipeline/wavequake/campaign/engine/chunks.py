@@ -27,6 +27,7 @@ from wavequake.campaign.store.store import DATA, JOURNAL, Manifest, read_manifes
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.device.launches import kernel_launches, launches_since
 from wavequake.memory import keep_freed_memory
+from wavequake.words import printable, shortened
 
 
 class BrokenWorkflowError(Exception):
@@ -240,6 +241,7 @@ def joined(parts: Sequence[ChunkResult]) -> ChunkResult:
 def store_chunk(job: Job, chunk: Chunk, result: ChunkResult, compute_s: float) -> Outcome:
     """Write the data of a chunk, and once it is on disk its record."""
     opened, path = opened_store(job.workflow, job.path, job.run), Path(job.path)
+    result = replace(result, messages=tuple(shortened(printable(text)) for text in result.messages))
     codes = result.status.tolist()
     record = Record(
         *chunk,
