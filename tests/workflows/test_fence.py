@@ -49,7 +49,7 @@ def test_a_worker_that_is_overtaken_as_it_writes_records_nothing(tmp_path, monke
     answer, write = computed_chunk(job, 50, 57), arrays.write_chunk
     before = toy.records(tmp_path / "s")
     if not locks:
-        monkeypatch.setattr(fence.fcntl, "flock", lambda *_: (_ for _ in ()).throw(OSError(95, "none")))
+        monkeypatch.setattr(fence.fcntl, "fcntl", lambda *_: (_ for _ in ()).throw(OSError(95, "none")))
 
     def overtaken(*arguments):
         digests = write(*arguments)
@@ -67,7 +67,7 @@ def test_a_run_waits_for_writers_and_writers_for_nobody(tmp_path):
     inside, go_on = threading.Event(), threading.Event()
 
     def write():
-        with writing(tmp_path), writing(tmp_path):
+        with writing(tmp_path, 0), writing(tmp_path, 10):
             inside.set()
             go_on.wait(10)
 
@@ -179,3 +179,22 @@ def test_workers_of_a_store_that_is_moved_leave_nothing_where_it_was(tmp_path):
     time.sleep(0.3)
     assert not path.exists()
     assert toy.run(there, {"sleep_s": 0.02}, cases=100).done_before >= 20
+
+
+def test_two_writers_of_one_chunk_take_turns_and_the_first_record_of_a_run_stands(tmp_path):
+    """As when a worker was believed to be lost, and its chunk fared otherwise on the next one."""
+    path = tmp_path / "s"
+    toy.run(path, cases=20)
+    job = toy.job(path)
+    result, seconds = computed_chunk(job, 10, 20)
+    other = dataclasses.replace(result, status=np.full(10, 2, dtype=np.int8))
+    with (
+        writing(path, 10),
+        pytest.raises(UserError, match="perhaps because it is stopped"),
+        fence._locked(path, (10, 1), 0.05),
+    ):
+        pass
+    assert store_chunk(job, (10, 20), other, seconds).quarantined == 10
+    assert store_chunk(job, (10, 20), result, seconds).quarantined == 10
+    assert toy.records(path) == 3
+    assert verify_store(path).ok

@@ -20,7 +20,7 @@ from wavequake.campaign import provenance
 from wavequake.campaign.contract import DIVERGED, DONE, RAISED, ChunkResult, Template, Workflow
 from wavequake.campaign.engine.commit import commit
 from wavequake.campaign.store import fence, journal
-from wavequake.campaign.store.arrays import Array, array_of, open_group, write_chunk
+from wavequake.campaign.store.arrays import Array, array_of, chunk_file, open_group, write_chunk
 from wavequake.campaign.store.journal import Chunk, Record
 from wavequake.campaign.store.retention import kept_result, kept_template, retention_of
 from wavequake.campaign.store.store import DATA, JOURNAL, Manifest, read_manifest, write_errors_explained
@@ -254,10 +254,10 @@ def store_chunk(job: Job, chunk: Chunk, result: ChunkResult, compute_s: float) -
         settles=chunk[0] in job.settled,
     )
     disk = _Disk(job, opened, result, record, compute_s)
-    with write_errors_explained(path), fence.writing(path):
+    with write_errors_explained(path), fence.writing(path, chunk[0]):
         for _ in commit(disk):
             pass
-    return Outcome(chunk, record.quarantined, compute_s, disk.write_s)
+    return Outcome(chunk, disk.record.quarantined, compute_s, disk.write_s)
 
 
 @dataclass
@@ -271,12 +271,33 @@ class _Disk:
     compute_s: float
     write_s: float = 0.0
 
-    def admit(self) -> None:
-        patiently(lambda: fence.admit(Path(self.job.path), self.job.run))
+    @property
+    def path(self) -> Path:
+        return Path(self.job.path)
 
-    def write(self) -> Iterator[None]:
+    def admit(self) -> None:
+        patiently(lambda: fence.admit(self.path, self.job.run))
+
+    def reopen(self) -> None:
         if self.job.guarded:
             _refuse_changes(self.opened, self.record.chunk, self.result)
+        first, last = self.record.chunk
+        counts = (last - first, *[0] * DIVERGED)
+        opened = replace(self.record, digests={}, counts=counts, failures={}, settles=False)
+        patiently(lambda: journal.append(self.path / JOURNAL, opened))
+
+    def is_begun(self) -> bool:
+        arrays = self.opened.arrays.values()
+        return any(chunk_file(self.path / DATA, array, self.record.first).exists() for array in arrays)
+
+    def is_recorded(self) -> bool:
+        if not self.is_begun():  # which spares a look at the whole journal
+            return False
+        found = journal.record_of(self.path / JOURNAL, self.record.chunk, self.job.epoch)
+        self.record = found or self.record
+        return found is not None
+
+    def write(self) -> Iterator[None]:
         start = time.perf_counter()
         digests = patiently(lambda: write_chunk(self.opened.arrays, self.record.chunk, self.result))
         self.write_s = time.perf_counter() - start
@@ -286,7 +307,7 @@ class _Disk:
         yield
 
     def append(self) -> None:
-        patiently(lambda: journal.append(Path(self.job.path) / JOURNAL, self.record))
+        patiently(lambda: journal.append(self.path / JOURNAL, self.record))
 
 
 def _refuse_changes(opened: Opened, chunk: Chunk, result: ChunkResult) -> None:

@@ -2,7 +2,7 @@
 
 A worker may outlive its run: it was stopped, or cut off by the network, and goes on when another run has
 extended the store or computed its chunk. So every run has a token, which its writers look up before and after
-they write; they do so under a lock that many writers share and a run that begins has alone. Where a file
+they write; they do so under a lock of their chunk, and a run begins under the locks of all. Where a file
 system has no locks, looking up still leaves but the moment of the write itself.
 
 Each run also has an epoch, one more than that of the run before. Records carry it, and the later one holds:
@@ -13,6 +13,7 @@ import errno
 import fcntl
 import json
 import os
+import struct
 import time
 import uuid
 from collections.abc import Collection, Iterator, Mapping
@@ -24,7 +25,8 @@ from wavequake.errors import UserError
 
 FENCE, WRITERS = "fence.json", "writers.lock"
 _WAIT_S, _LOOK_S = 60.0, 0.01
-_NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}
+_NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
+_ALL = (0, 0)
 
 
 class ShutOutError(UserError):
@@ -84,7 +86,7 @@ def begin(
     UserError
         If a writer does not come to its end.
     """
-    with _locked(path, fcntl.LOCK_EX, wait_s):
+    with _locked(path, _ALL, wait_s):
         before = read_fence(path) or Fence()
         fence = shut(Fence(max(before.epoch, least), before.runs), shard, others, uuid.uuid4().hex)
         partial = path / f"{FENCE}.partial-{uuid.uuid4().hex}"
@@ -108,27 +110,30 @@ def admit(path: Path, token: str) -> None:
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Keep runs from beginning while this process writes and records a chunk."""
-    with _locked(path, fcntl.LOCK_SH, _WAIT_S):
+def writing(path: Path, first: int) -> Iterator[None]:
+    """Keep runs from beginning, and others from this chunk, while this process writes and records it."""
+    with _locked(path, (first, 1), _WAIT_S):
         yield
 
 
 @contextmanager
-def _locked(path: Path, kind: int, wait_s: float) -> Iterator[None]:
+def _locked(path: Path, part: tuple[int, int], wait_s: float) -> Iterator[None]:
     # A folder that has gone does not come back by this: the file is made in one that is there.
     handle = os.open(path / WRITERS, os.O_RDWR | os.O_CREAT, 0o644)
     try:
-        _lock(handle, kind, time.monotonic() + wait_s, path)
+        _lock(handle, part, time.monotonic() + wait_s, path)
         yield
     finally:
         os.close(handle)
 
 
-def _lock(handle: int, kind: int, end: float, path: Path) -> None:
+def _lock(handle: int, part: tuple[int, int], end: float, path: Path) -> None:
+    """Lock a part (first byte and number) of an open file, byte by byte as chunks are; 0 bytes are all."""
+    request = struct.pack("hhqqi", fcntl.F_WRLCK, os.SEEK_SET, *part, 0)
     while True:
         try:
-            fcntl.flock(handle, kind | fcntl.LOCK_NB)
+            # Of the open file and not of the process, in which threads may write.
+            fcntl.fcntl(handle, fcntl.F_OFD_SETLK, request)
             return
         except BlockingIOError:
             if time.monotonic() > end:

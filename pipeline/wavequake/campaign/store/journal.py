@@ -24,7 +24,7 @@ import google_crc32c
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.campaign.contract import DONE, STATUS_MEANINGS
+from wavequake.campaign.contract import DONE, STATUS_MEANINGS, TODO
 from wavequake.errors import StoreDamageError
 
 # Text of exceptions may hold addresses, and a stopwatch reads otherwise in every run: neither is a number of
@@ -63,6 +63,11 @@ class Record:
     def chunk(self) -> Chunk:
         """The chunk's first case and the case after its last."""
         return self.first, self.last
+
+    @property
+    def reopens(self) -> bool:
+        """Whether this says that the chunk is about to be written anew, so that earlier records are void."""
+        return self.counts[TODO] > 0
 
     @property
     def quarantined(self) -> int:
@@ -157,13 +162,28 @@ def scan_journal(folder: Path) -> Journal:
     return judged(records, torn)
 
 
+def record_of(folder: Path, chunk: Chunk, epoch: int) -> Record | None:
+    """Return the record that a run has made of a chunk, if there is one; parses no other lines."""
+    sign = b'{"first":%d,"last":%d,' % chunk
+    for path in folder.glob("*.jsonl"):
+        content = path.read_bytes()
+        place = content.find(sign)
+        while place >= 0:
+            record = _parse(content[place:].split(b"\n", 1)[0])
+            if record and record.epoch == epoch and not record.reopens:
+                return record
+            place = content.find(sign, place + 1)
+    return None
+
+
 def judged(records: Iterable[Record], torn: int = 0) -> Journal:
     """Return which records hold.
 
     A chunk may have run twice (a lost connection, a repair): both must agree. Only a chunk whose cases fared
     differently (a crash that was tried again) may change; then the record of the latest epoch holds, and
     where one epoch has both, none does, as nobody knows which data were written last. Nor does a record hold
-    if, later, fewer cases of the same file were recorded. A record that settles an argument ends it.
+    if, later, fewer cases of the same file were recorded, or the chunk was opened to be written anew. A
+    record that settles an argument ends it.
     """
     files: dict[int, list[Record]] = {}
     for record in records:
@@ -172,8 +192,8 @@ def judged(records: Iterable[Record], torn: int = 0) -> Journal:
     contested: dict[Chunk, str] = {}
     for of_file in files.values():
         of_file.sort(key=_order)
-        for last in {record.last for record in of_file}:
-            same = [record for record in of_file if record.last == last]
+        for last in {record.last for record in of_file if not record.reopens}:
+            same = [record for record in of_file if record.last == last and not record.reopens]
             newest = same[-1]
             same = same[max((i for i, record in enumerate(same) if record.settles), default=0) :]
             if sentence := _contradiction(same):
@@ -189,6 +209,8 @@ def _order(record: Record) -> tuple[int, float]:
 
 def _overwrites(other: Record, record: Record) -> bool:
     """Return whether the data of a record may be those of another one that is not earlier."""
+    if other.reopens:
+        return other.epoch > record.epoch
     if other.epoch == record.epoch == 0:  # of a version that knew clocks only
         return other.time > record.time and other.last < record.last
     shorter, differs = (
