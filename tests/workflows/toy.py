@@ -18,7 +18,7 @@ def study(**options):
     """Canonical study text.
 
     Options: seed, sleep_s (per case), folder, and ids of cases in poison, reasons, crash, once, wait,
-    hang, hoard and blow.
+    hang, hoard and blow; liar is the folder of a flag.
     """
     return json.dumps({"study": {"name": "toy", "seed": 7}, **options}, sort_keys=True, separators=(",", ":"))
 
@@ -61,6 +61,8 @@ def compute(text, cases, device):
         raise ValueError("the segment broke")
     _misbehave(options, cases)
     zernike = np.stack([numbers(int(case)) for case in cases])
+    if "liar" in options and _is_liar(options["liar"]):
+        zernike = np.nextafter(zernike, 9.0)
     status = np.full(len(cases), DONE, dtype=np.int8)
     messages = [""] * len(cases)
     for row, case in enumerate(cases):
@@ -75,6 +77,18 @@ def compute(text, cases, device):
         "count": cases.astype(np.int32) * 3,
     }
     return ChunkResult(arrays, status, tuple(messages), {"trace_s": 0.25})
+
+
+def _is_liar(folder):
+    """The first process that asks is a machine that computes wrong, and so it stays."""
+    flag = os.path.join(folder, "liar")
+    try:
+        with open(flag, "x") as file:
+            file.write(str(os.getpid()))
+    except FileExistsError:
+        time.sleep(0.02)  # until it is written
+    with open(flag) as file:
+        return file.read() == str(os.getpid())
 
 
 def _misbehave(options, cases):

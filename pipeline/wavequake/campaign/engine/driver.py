@@ -7,7 +7,7 @@ are a few scalars, and after any crash the next run computes the plan minus the 
 import time
 from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from logging import Logger
 from pathlib import Path
 
@@ -15,8 +15,9 @@ from wavequake.campaign import provenance
 from wavequake.campaign.contract import Workflow
 from wavequake.campaign.engine.chunks import Job, Outcome
 from wavequake.campaign.engine.driver_lock import Shard, driver_lock, others_at_work, this_process
-from wavequake.campaign.engine.isolation import NoProcessError, compute_isolated
+from wavequake.campaign.engine.isolation import NoProcessError, compute_isolated, renewed
 from wavequake.campaign.engine.plan import pieces_of, todo_of
+from wavequake.campaign.engine.recheck import Check
 from wavequake.campaign.engine.runlog import run_log
 from wavequake.campaign.engine.series import in_series, left_open, unmark
 from wavequake.campaign.engine.stream import limit_of, stream
@@ -36,7 +37,8 @@ Progress = Callable[[int, int, int], None]
 class CampaignSummary:
     """What a run did: cases done before, computed now, quarantined in all, chunks computed, times in s.
 
-    ``goal`` says in words how well what `campaign.until` asks for is known.
+    ``goal`` says in words how well what `campaign.until` asks for is known, ``rechecked``
+    what came of computing chunks again.
     """
 
     done_before: int
@@ -47,6 +49,7 @@ class CampaignSummary:
     compute_seconds: float
     write_seconds: float
     goal: tuple[str, ...] = ()
+    rechecked: tuple[str, ...] = ()
 
     def followed_by(self, later: "CampaignSummary") -> "CampaignSummary":
         """Return what both runs did together."""
@@ -58,6 +61,7 @@ class CampaignSummary:
             self.seconds + later.seconds,
             self.compute_seconds + later.compute_seconds,
             self.write_seconds + later.write_seconds,
+            rechecked=later.rechecked,
         )
 
 
@@ -81,6 +85,7 @@ def run_campaign(
     dashboard: Callable[[str], None] | None = None,
     shard: Shard | None = None,
     cluster: Path | None = None,
+    recheck: float = 0.0,
 ) -> CampaignSummary:
     """Compute what the store at `path` lacks of `cases` cases; the store is made or extended if need be.
 
@@ -121,6 +126,9 @@ def run_campaign(
         others. All give the same number of cases.
     cluster : Path, optional
         A cluster file, which says what to ask Slurm for, the hosts of ssh, or the certificates of TLS.
+    recheck : float
+        Share of the chunks that is computed again by other workers and compared bit by bit; a process that
+        computes wrong is named, and its chunks are computed again by the others.
 
     Raises
     ------
@@ -154,7 +162,9 @@ def run_campaign(
         todo = todo_of(wanted, records, recompute | verify.lost_chunks(path, manifest, records))
         tally = _Tally(wanted, {p: records[p] for p in wanted if p not in todo}, progress)
         done_before, chunks = tally.done, len(todo)
-        if todo:
+        check = Check(path, manifest, wanted, recheck)
+        told: tuple[str, ...] = ()
+        if todo or recheck:
             if not allow_mixed:
                 manifests.refuse_mixed(path, manifest, provenance.code())
             code = provenance.code() if elsewhere(on) and not allow_mixed else ""
@@ -165,7 +175,7 @@ def run_campaign(
                 tally.log.info("%s on %s; on=%s, device %s", provenance.code(), this_process(), on, device)
                 tally.log.info("%d cases wanted, %d done before", tally.total, tally.done)
                 processes = workers or (1 if (on, kind) == ("local", "gpu") else None)
-                _compute(job, todo, place, processes, tally, timeout_s, dashboard)
+                told = _compute(job, todo, place, processes, tally, timeout_s, dashboard, check)
         records = store.done_records(manifest, read_journal(path / store.JOURNAL))
         lacking = todo_of(wanted, records, frozenset())
     if lacking:
@@ -181,6 +191,7 @@ def run_campaign(
         time.perf_counter() - start,
         tally.compute_s,
         tally.write_s,
+        rechecked=told,
     )
 
 
@@ -275,7 +286,10 @@ def _compute(
     tally: _Tally,
     timeout_s: float | None,
     dashboard: Callable[[str], None] | None,
-) -> None:
+    check: Check,
+) -> tuple[str, ...]:
+    """Compute chunks, and then a share of all again; return what came of that, in words."""
+
     def limit() -> float:
         return limit_of(timeout_s, tally.chunk_seconds)
 
@@ -295,17 +309,17 @@ def _compute(
                 suspects += in_series(job, [piece], tally.add, limit, tally.log)
             unmark(path, piece)
     else:
-        with place(workers and min(workers, len(todo)), dashboard is not None) as client:
+        with place(
+            workers and min(workers, max(2 if check.share else 1, len(todo))), dashboard is not None
+        ) as client:
             if dashboard is not None:
                 dashboard(client.dashboard_link)
-            suspects = stream(client, job, todo, tally.add, limit, tally.log)
+            suspects = stream(client, job, todo, tally.add, limit, tally.log) if todo else []
+            told, job = check(job, client, limit, tally.log)
     if suspects:  # a worker that was given up may go on: what it writes now would not be what is recorded
-        job = _renewed(job)
+        job = renewed(job)
     for piece in suspects:
         tally.add(compute_isolated(job, *piece, limit()))
-
-
-def _renewed(job: Job) -> Job:
-    """Begin anew, so that the workers of the job until now are shut out."""
-    run = fence.begin(Path(job.path), job.shard, None, 0)
-    return replace(job, run=run.runs[job.shard], epoch=run.epoch)
+    if place is None:
+        told, job = check(job, None, limit, tally.log)
+    return told

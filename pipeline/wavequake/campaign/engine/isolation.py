@@ -9,8 +9,9 @@ import os
 import resource
 import signal
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
+from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
@@ -25,6 +26,7 @@ from wavequake.campaign.engine.chunks import (
     opened_store,
     store_chunk,
 )
+from wavequake.campaign.store import fence
 from wavequake.cluster.local import GUARDED, interrupts_blocked, memory_limit, worker_environment
 from wavequake.errors import UserError
 
@@ -43,6 +45,12 @@ class _End:
     message: str
 
 
+def renewed(job: Job) -> Job:
+    """Begin anew, so that the workers of the job until now are shut out."""
+    run = fence.begin(Path(job.path), job.shard, None, 0)
+    return replace(job, run=run.runs[job.shard], epoch=run.epoch)
+
+
 def compute_isolated(job: Job, first: int, last: int, limit_s: float) -> Outcome:
     """Compute a chunk case by case in processes of its own, and write and record it.
 
@@ -50,8 +58,14 @@ def compute_isolated(job: Job, first: int, last: int, limit_s: float) -> Outcome
     CRASHED. A case that takes longer than `limit_s` is TIMED_OUT. One that asks for more memory than there is
     raises MemoryError.
     """
-    template = opened_store(job.workflow, job.path, job.run).template
     start = time.perf_counter()
+    result = result_of_its_own(job, first, last, limit_s)
+    return store_chunk(job, (first, last), result, time.perf_counter() - start)
+
+
+def result_of_its_own(job: Job, first: int, last: int, limit_s: float) -> ChunkResult:
+    """Return the result of :func:`compute_isolated` without storing it."""
+    template = opened_store(job.workflow, job.path, job.run).template
     parts: list[ChunkResult] = []
     while first + len(parts) < last:
         done, end = _in_process(job, range(first + len(parts), last), limit_s)
@@ -64,7 +78,7 @@ def compute_isolated(job: Job, first: int, last: int, limit_s: float) -> Outcome
             parts += done or [failed(template, end.status, end.message)]
         else:
             parts.append(failed(template, end.status, end.message))
-    return store_chunk(job, (first, last), joined(parts), time.perf_counter() - start)
+    return joined(parts)
 
 
 def _in_process(job: Job, cases: range, limit_s: float) -> tuple[list[ChunkResult], _End]:

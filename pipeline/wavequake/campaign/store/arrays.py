@@ -176,8 +176,7 @@ def write_chunk(arrays: Mapping[str, Array], chunk: Chunk, result: ChunkResult) 
     error.
     """
     first, last = chunk
-    messages = np.array(result.messages, dtype=object)
-    values = {**result.arrays, "message": messages, "status": result.status}
+    values = _values(result)
     for name, array in arrays.items():
         size = (array.shards or array.chunks)[0]
         if first % size or last != min(first + size, array.shape[0]):
@@ -196,6 +195,16 @@ def write_chunk(arrays: Mapping[str, Array], chunk: Chunk, result: ChunkResult) 
     sync(write(arrays.keys() - {"status"}))
     sync(write(arrays.keys() & {"status"}))
     return {name: digest(values[name]) for name in arrays}
+
+
+def digests_of(result: ChunkResult) -> dict[str, str]:
+    """Return the digests that :func:`write_chunk` would return."""
+    return {name: digest(values) for name, values in _values(result).items()}
+
+
+def _values(result: ChunkResult) -> dict[str, NDArray[Any]]:
+    messages = np.array(result.messages, dtype=object)
+    return {**result.arrays, "message": messages, "status": result.status}
 
 
 async def _write(array: Array, first: int, last: int, values: NDArray[Any]) -> None:
