@@ -13,7 +13,7 @@ export PYTHONUNBUFFERED := 1
 help:
 	@echo "make run    run the bundled study $(STUDY) and write its report"
 	@echo "make test   run the tests"
-	@echo "make soak   kill campaigns at 200 random moments; nothing may be lost (a few minutes)"
+	@echo "make soak   kill campaigns at 200 random moments, simulate 100,000; nothing may be lost (half an hour)"
 	@echo "make fuzz   give 2000 damaged files to every reader of files (about five minutes)"
 	@echo "make slurm  test campaigns on a Slurm of two nodes on loopback (root, Debian's slurm-wlm and munge)"
 	@echo "make lint   ruff and mypy"
@@ -27,7 +27,8 @@ test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 soak: $(VENV)/.dev
-	SOAK_KILLS=$${SOAK_KILLS:-200} $(BIN)/python -m pytest -q -s tests/workflows/test_soak.py
+	SOAK_KILLS=$${SOAK_KILLS:-200} SOAK_SEEDS=$${SOAK_SEEDS:-100000} \
+	  $(BIN)/python -m pytest -q -s tests/workflows/test_soak.py tests/workflows/test_simulation.py
 
 fuzz: $(VENV)/.dev
 	$(BIN)/python tests/fuzz/fuzz.py $${FUZZ_FILES:-2000}

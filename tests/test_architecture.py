@@ -36,7 +36,7 @@ ALLOWED = {
     "notebook": BASE | {"drawing"},
     "plot": BASE | {"drawing"},
     "doors": BASE | PHYSICS | {"campaign", "notebook", "report", "workflows"},
-    "terminal": set(),
+    "terminal": {"words"},
     "cli_firmware": BASE | {"campaign", "control", "firmware", "workflows", "terminal"},
     "cli_sensitivity": BASE | {"campaign", "kernels", "workflows", "report", "terminal"},
     "cli_statistics": BASE | {"campaign", "workflows", "report", "terminal"},

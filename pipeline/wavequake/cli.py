@@ -48,7 +48,18 @@ WorkersOption = Annotated[int | None, typer.Option(min=1, help="Worker processes
 DashboardOption = Annotated[
     bool, typer.Option("--dashboard", help="Serve Dask's dashboard on this machine and show its link.")
 ]
-StoreOption = Annotated[Path | None, typer.Option("--store", help="Folder of the store (store.path).")]
+
+
+def _folder(text: str) -> Path:
+    if not str(text).strip():
+        raise UserError("--store is empty: give the path of a folder, or leave --store out.")
+    return Path(text)
+
+
+StoreOption = Annotated[
+    Path | None,
+    typer.Option("--store", parser=_folder, metavar="FOLDER", help="Folder of the store (store.path)."),
+]
 
 
 def main(came: Sequence[float] = ()) -> None:
@@ -145,16 +156,22 @@ def run(
     allow_mixed: Annotated[
         bool, typer.Option("--allow-mixed", help="Go on with a store that other versions of the code began.")
     ] = False,
+    recheck: Annotated[
+        str,
+        typer.Option(metavar="SHARE", help="Compute this share of the chunks again elsewhere, such as 1%."),
+    ] = "0",
     dashboard: DashboardOption = False,
     profile: Annotated[bool, typer.Option("--profile", help="Say where the time went.")] = False,
 ) -> None:
     """Run a study, or what of it is not done yet, and write its report. Safe to repeat and to interrupt."""
     from wavequake.campaign.engine.driver_lock import shard_of
+    from wavequake.campaign.engine.recheck import share_of
     from wavequake.workflows.run import notices, run_study
     from wavequake.workflows.run import profile as profile_of
     from wavequake.workflows.study import load_study
 
     part = None if shard is None else shard_of(shard)
+    share = share_of(recheck)
     loaded = load_study(study, overrides or [])
     path = store or Path(loaded.store.path or loaded.default_store())
     out.print(f"{loaded.study.name}  {loaded.cases} cases  ->  {path}", markup=False, soft_wrap=True)
@@ -172,6 +189,7 @@ def run(
             dashboard=_show_link if dashboard else None,
             shard=part,
             cluster=cluster,
+            recheck=share,
         )
     if summary.computed:
         rate = summary.computed / max(summary.seconds, 1e-9)
@@ -179,7 +197,7 @@ def run(
         out.print(f"{counted(summary.computed, 'case')} computed in {spent}")
     else:
         out.print(f"All done already ({counted(summary.done_before, 'case')}); nothing was computed.")
-    for line in summary.goal:
+    for line in (*summary.goal, *summary.rechecked):
         out.print(line, markup=False, soft_wrap=True)
     if part:
         words = shlex.join(["wavequake", "report", str(path)])

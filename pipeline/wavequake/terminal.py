@@ -7,17 +7,29 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
+
+from wavequake.words import printable, shortened
 
 EXIT_INTERRUPTED = 130
 
+
+class _Console(Console):
+    """A console that shows what names and files hold, and does not obey it."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Make a text of a string."""
+        return super().render_str(printable(text), **options)
+
+
 # Where the output is no terminal (a log, a pipe), lines have room for the table.
-out = Console(highlight=False, width=None if sys.stdout and sys.stdout.isatty() else 110)
-err = Console(stderr=True, highlight=False)
+out = _Console(highlight=False, width=None if sys.stdout and sys.stdout.isatty() else 110)
+err = _Console(stderr=True, highlight=False)
 
 
 def print_pairs(pairs: dict[str, str]) -> None:
@@ -42,7 +54,7 @@ def fail(message: str, code: int, debug: bool) -> NoReturn:
     """End with a message and an exit code."""
     if debug:
         err.print_exception()
-    err.print(message, markup=False, soft_wrap=True)
+    err.print(shortened(printable(message)), markup=False, soft_wrap=True)
     sys.exit(code)
 
 

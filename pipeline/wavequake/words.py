@@ -1,4 +1,37 @@
-"""Words for numbers of things."""
+"""Words for numbers of things, and words of others made fit to be shown."""
+
+import re
+
+MOST = 600  # characters of a message
+
+# What terminals obey instead of showing it, what turns the direction of text, and what no file can hold:
+# control characters but line feed and tab, bidirectional marks, separators of lines, halves of characters.
+_OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def printable(text: str) -> str:
+    r"""Return a text in which characters that terminals obey are written as escapes.
+
+    Examples
+    --------
+    >>> print(printable("a" + chr(27) + "[2Jb" + chr(0x202E)))
+    a\x1b[2Jb\u202e
+    """
+    return _OBEYED.sub(lambda found: ascii(found[0])[1:-1], text)
+
+
+def shortened(text: str, most: int = MOST) -> str:
+    """Return a text of at most `most` characters; of a longer one the middle is left out.
+
+    Examples
+    --------
+    >>> shortened("what is wrong, in many words, and what would be right", 30)
+    'what is wrong,  ... d be right'
+    """
+    if len(text) <= most:
+        return text
+    tail = most // 3
+    return f"{text[: most - tail - 5]} ... {text[-tail:]}"
 
 
 def counted(number: int, noun: str) -> str:

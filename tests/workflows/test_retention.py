@@ -6,7 +6,7 @@ import toy
 from small_histories import SMALL
 
 from wavequake.campaign.contract import DIVERGED, DONE, StudyKind, Template, Variable
-from wavequake.campaign.engine.chunks import Job, computed_alone, computed_chunk, opened_store
+from wavequake.campaign.engine.chunks import computed_alone, computed_chunk, opened_store
 from wavequake.campaign.statistics.judged import judged_in
 from wavequake.campaign.statistics.until import goal_of, quantiles_of
 from wavequake.campaign.store.retention import STATISTICS, kept_template, retention_of, stored_template
@@ -190,7 +190,7 @@ def test_every_workflow_is_tested_here():
 def toy_store(tmp_path, **options):
     text = toy.study(**options)
     create_store(tmp_path / "s", toy.TOY, text, 6, 6, "numpy", {})
-    return Job(toy.TOY, str(tmp_path / "s"), "numpy", "run"), text
+    return toy.job(tmp_path / "s"), text
 
 
 @pytest.mark.parametrize("store", [{"every": 4}, {"reduce": "summary"}])

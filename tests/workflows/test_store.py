@@ -160,7 +160,7 @@ def test_an_extension_keeps_earlier_cases_and_adds_labels(tmp_path):
 
 def test_an_interrupted_extension_is_completed_by_the_next(tmp_path, monkeypatch):
     new(tmp_path / "s", cases=40)
-    monkeypatch.setattr(store, "_write_manifest", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(store, "write_manifest", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         extend_store(tmp_path / "s", toy.TOY, 80)
     monkeypatch.undo()
@@ -172,7 +172,7 @@ def test_an_interrupted_extension_is_completed_by_the_next(tmp_path, monkeypatch
 
 
 def test_an_interrupted_creation_is_begun_anew(tmp_path, monkeypatch):
-    monkeypatch.setattr(store, "_write_manifest", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(store, "write_manifest", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         new(tmp_path / "s", cases=40)
     monkeypatch.undo()

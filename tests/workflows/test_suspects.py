@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from wavequake.campaign import provenance
 from wavequake.campaign.engine import chunks, isolation
-from wavequake.campaign.engine.chunks import Job, compute_chunk
+from wavequake.campaign.engine.chunks import compute_chunk
 from wavequake.campaign.engine.stream import limit_of
 from wavequake.campaign.store import arrays, journal
 from wavequake.campaign.store.status import store_status
@@ -164,7 +164,7 @@ def test_what_is_unknown_by_intent_does_not_diverge(tmp_path, unknown, quarantin
 
     create_store(tmp_path / "s", toy.TOY, toy.study(), 10, 10, "numpy", {})
     workflow = toy.StudyKind("toy", slopes, toy.case_table, without_piston)
-    found = compute_chunk(Job(workflow, str(tmp_path / "s"), "numpy", "run"), 0, 10)
+    found = compute_chunk(toy.job(tmp_path / "s", workflow), 0, 10)
     assert found.quarantined == quarantined
 
 
@@ -178,7 +178,7 @@ def test_instants_that_a_case_does_not_have_do_not_diverge(tmp_path):
 
     create_store(tmp_path / "s", toy.TOY, toy.study(), 10, 10, "numpy", {})
     short = toy.StudyKind("toy", toy.template, toy.case_table, shorter)
-    assert compute_chunk(Job(short, str(tmp_path / "s"), "numpy", "run"), 0, 10).quarantined == 0
+    assert compute_chunk(toy.job(tmp_path / "s", short), 0, 10).quarantined == 0
 
 
 @pytest.mark.parametrize("times", [1, 3, 4])
@@ -252,7 +252,7 @@ def test_a_worker_with_other_code_refuses(tmp_path):
     with pytest.raises(
         UserError, match=r"A worker computes with wavequake .* the driver with wavequake 9: inst"
     ):
-        compute_chunk(Job(toy.TOY, str(tmp_path / "s"), "numpy", "run", code="wavequake 9"), 0, 10)
+        compute_chunk(toy.job(tmp_path / "s", code="wavequake 9"), 0, 10)
 
 
 def test_every_run_that_computes_leaves_a_log(tmp_path):

@@ -18,7 +18,7 @@ def study(**options):
     """Canonical study text.
 
     Options: seed, sleep_s (per case), folder, and ids of cases in poison, reasons, crash, once, wait,
-    hang, hoard and blow.
+    hang, hoard and blow; liar is the folder of a flag.
     """
     return json.dumps({"study": {"name": "toy", "seed": 7}, **options}, sort_keys=True, separators=(",", ":"))
 
@@ -61,6 +61,8 @@ def compute(text, cases, device):
         raise ValueError("the segment broke")
     _misbehave(options, cases)
     zernike = np.stack([numbers(int(case)) for case in cases])
+    if "liar" in options and _is_liar(options["liar"]):
+        zernike = np.nextafter(zernike, 9.0)
     status = np.full(len(cases), DONE, dtype=np.int8)
     messages = [""] * len(cases)
     for row, case in enumerate(cases):
@@ -75,6 +77,18 @@ def compute(text, cases, device):
         "count": cases.astype(np.int32) * 3,
     }
     return ChunkResult(arrays, status, tuple(messages), {"trace_s": 0.25})
+
+
+def _is_liar(folder):
+    """The first process that asks is a machine that computes wrong, and so it stays."""
+    flag = os.path.join(folder, "liar")
+    try:
+        with open(flag, "x") as file:
+            file.write(str(os.getpid()))
+    except FileExistsError:
+        time.sleep(0.02)  # until it is written
+    with open(flag) as file:
+        return file.read() == str(os.getpid())
 
 
 def _misbehave(options, cases):
@@ -123,6 +137,15 @@ def run(path, options=None, *, cases=40, chunk=10, on="serial", workers=None, **
     )
 
 
+def job(path, workflow=TOY, **fields):
+    """Begin a run of a store and return its job, as workers get it."""
+    from wavequake.campaign.engine.chunks import Job
+    from wavequake.campaign.store.fence import begin
+
+    latest = begin(path, "", (), 0)
+    return Job(workflow, str(path), "numpy", latest.runs[""], epoch=latest.epoch, **fields)
+
+
 def digests(path):
     """Digests of every chunk of a store; equal digests mean equal bits."""
     from wavequake.campaign.store.journal import read_journal
@@ -152,9 +175,9 @@ def driver(path, options=None, **keywords):
 
 
 def records(path):
-    """Number of records in the journal, duplicates counted."""
+    """Number of records of finished chunks in the journal, duplicates counted."""
     lines = [line for file in (path / "done").glob("*.jsonl") for line in file.read_text().splitlines()]
-    return sum(bool(line) for line in lines)
+    return sum('"counts":[0,' in line or bool(line and '"counts":' not in line) for line in lines)
 
 
 def wait_for_records(path, count, timeout_s=15.0):

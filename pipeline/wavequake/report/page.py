@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from wavequake.errors import UserError
 from wavequake.report import figures
 from wavequake.report.populations import Excluded
+from wavequake.words import printable
 
 LISTED = 200
 _WIDE = 1.2 * 72.0 * figures.WIDTH  # points
@@ -94,6 +95,7 @@ def render_page(dataset: xr.Dataset, page: Page) -> str:
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
+        finalize=lambda value: printable(value) if type(value) is str else value,  # markup is ours
         undefined=StrictUndefined,
         trim_blocks=True,
     )

@@ -52,6 +52,7 @@ def run_study(
     dashboard: Callable[[str], None] | None = None,
     shard: Shard | None = None,
     cluster: Path | None = None,
+    recheck: float = 0.0,
 ) -> CampaignSummary:
     """Compute what of `study` the store at `path` lacks; with `repair`, also what is damaged there.
 
@@ -91,6 +92,7 @@ def run_study(
             dashboard=dashboard,
             shard=shard,
             cluster=cluster,
+            recheck=recheck,
         )
 
     if study.campaign.until is None:

@@ -7,7 +7,7 @@ store.
 
 import errno
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -16,8 +16,9 @@ import numpy as np
 
 from wavequake.campaign import provenance
 from wavequake.campaign.contract import DIVERGED, DONE, RAISED, ChunkResult, StudyKind, Template
-from wavequake.campaign.store import journal
-from wavequake.campaign.store.arrays import Array, array_of, open_group, write_chunk
+from wavequake.campaign.engine.commit import commit
+from wavequake.campaign.store import fence, journal
+from wavequake.campaign.store.arrays import Array, array_of, chunk_file, open_group, write_chunk
 from wavequake.campaign.store.journal import Chunk, Record
 from wavequake.campaign.store.retention import kept_result, kept_template, retention_of
 from wavequake.campaign.store.store import DATA, JOURNAL, Manifest, read_manifest, write_errors_explained
@@ -25,6 +26,7 @@ from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.device.launches import kernel_launches, launches_since
 from wavequake.memory import keep_freed_memory
 from wavequake.prepared import one_thread, prepared
+from wavequake.words import printable, shortened
 
 
 class BrokenWorkflowError(Exception):
@@ -50,8 +52,9 @@ Answer = TypeVar("Answer")
 class Job:
     """What the chunks of a run share; it travels with every task and is small: functions go by reference.
 
-    Where ``code`` is not empty, a worker that runs other code refuses to compute. A ``guarded`` job changes
-    no case that is done.
+    ``run`` is the token by which the store's fence admits its writers, ``epoch`` is that run's. Where
+    ``code`` is not empty, a worker that runs other code refuses to compute. A ``guarded`` job changes no case
+    that is done; records of the chunks that begin at ``settled`` cases stand against earlier ones.
     """
 
     workflow: StudyKind
@@ -60,6 +63,9 @@ class Job:
     run: str
     code: str = ""
     guarded: bool = False
+    epoch: int = 0
+    settled: frozenset[int] = frozenset()
+    shard: str = ""
 
 
 @dataclass(frozen=True)
@@ -121,6 +127,7 @@ def compute_chunk(job: Job, first: int, last: int) -> Outcome:
             f"A worker computes with {provenance.code()}, the driver with {job.code}: install the same "
             "versions everywhere, or give --allow-mixed."
         )
+    patiently(lambda: fence.admit(Path(job.path), job.run))
     return store_chunk(job, (first, last), *computed_chunk(job, first, last))
 
 
@@ -233,22 +240,73 @@ def joined(parts: Sequence[ChunkResult]) -> ChunkResult:
 def store_chunk(job: Job, chunk: Chunk, result: ChunkResult, compute_s: float) -> Outcome:
     """Write the data of a chunk, and once it is on disk its record."""
     opened, path = opened_store(job.workflow, job.path, job.run), Path(job.path)
-    if job.guarded:
-        _refuse_changes(opened, chunk, result)
-    start = time.perf_counter()
-    with write_errors_explained(path):
-        digests = patiently(lambda: write_chunk(opened.arrays, chunk, result))
-        write_s = time.perf_counter() - start
-        timings = {"compute_s": compute_s, "write_s": write_s, **result.timings}
-        codes = result.status.tolist()
-        counts = tuple(codes.count(code) for code in range(DIVERGED + 1))
-        failures = {
-            chunk[0] + row: (code, result.messages[row]) for row, code in enumerate(codes) if code != DONE
-        }
+    result = replace(result, messages=tuple(shortened(printable(text)) for text in result.messages))
+    codes = result.status.tolist()
+    record = Record(
+        *chunk,
+        {},
+        tuple(codes.count(code) for code in range(DIVERGED + 1)),
+        {chunk[0] + row: (code, result.messages[row]) for row, code in enumerate(codes) if code != DONE},
+        {},
+        code=provenance.code(),
+        epoch=job.epoch,
+        settles=chunk[0] in job.settled,
+    )
+    disk = _Disk(job, opened, result, record, compute_s)
+    with write_errors_explained(path), fence.writing(path, chunk[0]):
+        for _ in commit(disk):
+            pass
+    return Outcome(chunk, disk.record.quarantined, compute_s, disk.write_s)
+
+
+@dataclass
+class _Disk:
+    """What :func:`commit` does to the disk for one chunk."""
+
+    job: Job
+    opened: Opened
+    result: ChunkResult
+    record: Record
+    compute_s: float
+    write_s: float = 0.0
+
+    @property
+    def path(self) -> Path:
+        return Path(self.job.path)
+
+    def admit(self) -> None:
+        patiently(lambda: fence.admit(self.path, self.job.run))
+
+    def reopen(self) -> None:
+        if self.job.guarded:
+            _refuse_changes(self.opened, self.record.chunk, self.result)
+        first, last = self.record.chunk
+        counts = (last - first, *[0] * DIVERGED)
+        opened = replace(self.record, digests={}, counts=counts, failures={}, settles=False)
+        patiently(lambda: journal.append(self.path / JOURNAL, opened))
+
+    def is_begun(self) -> bool:
+        arrays = self.opened.arrays.values()
+        return any(chunk_file(self.path / DATA, array, self.record.first).exists() for array in arrays)
+
+    def is_recorded(self) -> bool:
+        if not self.is_begun():  # which spares a look at the whole journal
+            return False
+        found = journal.record_of(self.path / JOURNAL, self.record.chunk, self.job.epoch)
+        self.record = found or self.record
+        return found is not None
+
+    def write(self) -> Iterator[None]:
+        start = time.perf_counter()
+        digests = patiently(lambda: write_chunk(self.opened.arrays, self.record.chunk, self.result))
+        self.write_s = time.perf_counter() - start
+        timings = {"compute_s": self.compute_s, "write_s": self.write_s, **self.result.timings}
         rounded = {name: round(seconds, 4) for name, seconds in timings.items()}
-        record = Record(*chunk, digests, counts, failures, rounded, code=provenance.code())
-        patiently(lambda: journal.append(path / JOURNAL, record))
-    return Outcome(chunk, record.quarantined, compute_s, write_s)
+        self.record = replace(self.record, digests=digests, timings=rounded)
+        yield
+
+    def append(self) -> None:
+        patiently(lambda: journal.append(self.path / JOURNAL, self.record))
 
 
 def _refuse_changes(opened: Opened, chunk: Chunk, result: ChunkResult) -> None:

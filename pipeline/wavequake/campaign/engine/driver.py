@@ -5,7 +5,6 @@ are a few scalars, and after any crash the next run computes the plan minus the 
 """
 
 import time
-import uuid
 from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
@@ -16,12 +15,15 @@ from wavequake.campaign import provenance
 from wavequake.campaign.contract import StudyKind
 from wavequake.campaign.engine.chunks import Job, Outcome
 from wavequake.campaign.engine.driver_lock import Shard, driver_lock, others_at_work, this_process
-from wavequake.campaign.engine.isolation import NoProcessError, compute_isolated
+from wavequake.campaign.engine.isolation import NoProcessError, compute_isolated, renewed
+from wavequake.campaign.engine.plan import pieces_of, todo_of
+from wavequake.campaign.engine.recheck import Check
 from wavequake.campaign.engine.runlog import run_log
 from wavequake.campaign.engine.series import in_series, left_open, unmark
 from wavequake.campaign.engine.stream import limit_of, stream
-from wavequake.campaign.store import store, verify
-from wavequake.campaign.store.journal import Chunk, Record, read_journal
+from wavequake.campaign.store import fence, layout, store, verify
+from wavequake.campaign.store import manifest as manifests
+from wavequake.campaign.store.journal import Chunk, Record, read_journal, scan_journal
 from wavequake.campaign.store.store import Manifest
 from wavequake.cluster.local import leave_if_imported_by_a_worker
 from wavequake.cluster.places import Opener, elsewhere, place_of
@@ -35,7 +37,8 @@ Progress = Callable[[int, int, int], None]
 class CampaignSummary:
     """What a run did: cases done before, computed now, quarantined in all, chunks computed, times in s.
 
-    ``goal`` says in words how well what `campaign.until` asks for is known.
+    ``goal`` says in words how well what `campaign.until` asks for is known, ``rechecked``
+    what came of computing chunks again.
     """
 
     done_before: int
@@ -46,6 +49,7 @@ class CampaignSummary:
     compute_seconds: float
     write_seconds: float
     goal: tuple[str, ...] = ()
+    rechecked: tuple[str, ...] = ()
 
     def followed_by(self, later: "CampaignSummary") -> "CampaignSummary":
         """Return what both runs did together."""
@@ -57,6 +61,7 @@ class CampaignSummary:
             self.seconds + later.seconds,
             self.compute_seconds + later.compute_seconds,
             self.write_seconds + later.write_seconds,
+            rechecked=later.rechecked,
         )
 
 
@@ -80,6 +85,7 @@ def run_campaign(
     dashboard: Callable[[str], None] | None = None,
     shard: Shard | None = None,
     cluster: Path | None = None,
+    recheck: float = 0.0,
 ) -> CampaignSummary:
     """Compute what the store at `path` lacks of `cases` cases; the store is made or extended if need be.
 
@@ -120,6 +126,9 @@ def run_campaign(
         others. All give the same number of cases.
     cluster : Path, optional
         A cluster file, which says what to ask Slurm for, the hosts of ssh, or the certificates of TLS.
+    recheck : float
+        Share of the chunks that is computed again by other workers and compared bit by bit; a process that
+        computes wrong is named, and its chunks are computed again by the others.
 
     Raises
     ------
@@ -138,45 +147,59 @@ def run_campaign(
     with driver_lock(path, shard) as setup:
         others = others_at_work(path, shard)
         _refuse_growth(path, cases, others)
+        with store.write_errors_explained(path):
+            run = fence.begin(path, str(shard or ""), others, _latest_epoch(path))
         manifest = _prepared(workflow, study, path, cases, chunk, device, kind, title, repair, not others)
         if not others:
             _sweep(path)
         setup.close()
-        ours = [p for p in manifest.plan() if p[0] < cases and (not shard or shard.owns(p, manifest.chunk))]
+        ours = pieces_of(manifest.plan(), cases, manifest.chunk, shard)
         wanted = [p for p in ours if p in recompute or not retry]
-        records = store.done_records(manifest, read_journal(path / store.JOURNAL))
+        journal = (scan_journal if repair else read_journal)(path / store.JOURNAL)
         if repair:
-            recompute = recompute | verify.verify_store(path).chunks
-        again = recompute | verify.lost_chunks(path, manifest, records)
-        todo = [piece for piece in wanted if piece not in records or piece in again]
-        kept = {piece: records[piece] for piece in wanted if piece in records and piece not in again}
-        tally = _Tally(wanted, kept, progress)
-        done_before = tally.done
-        if todo:
+            recompute = recompute | verify.examined(path, manifest, journal).chunks
+        records = store.done_records(manifest, journal)
+        todo = todo_of(wanted, records, recompute | verify.lost_chunks(path, manifest, records))
+        tally = _Tally(wanted, {p: records[p] for p in wanted if p not in todo}, progress)
+        done_before, chunks = tally.done, len(todo)
+        check = Check(path, manifest, wanted, recheck)
+        told: tuple[str, ...] = ()
+        if todo or recheck:
             if not allow_mixed:
-                store.refuse_mixed(path, manifest, provenance.code())
+                manifests.refuse_mixed(path, manifest, provenance.code())
             code = provenance.code() if elsewhere(on) and not allow_mixed else ""
-            job = Job(workflow, str(path), device, uuid.uuid4().hex, code, retry)
+            settled = frozenset(first for first, _ in journal.contested)
+            key = str(shard or "")
+            job = Job(workflow, str(path), device, run.runs[key], code, retry, run.epoch, settled, key)
             with run_log(path / store.LOG) as tally.log:
                 tally.log.info("%s on %s; on=%s, device %s", provenance.code(), this_process(), on, device)
                 tally.log.info("%d cases wanted, %d done before", tally.total, tally.done)
                 processes = workers or (1 if (on, kind) == ("local", "gpu") else None)
-                _compute(job, todo, place, processes, tally, timeout_s, dashboard)
+                told = _compute(job, todo, place, processes, tally, timeout_s, dashboard, check)
         records = store.done_records(manifest, read_journal(path / store.JOURNAL))
-        lacking = [piece for piece in wanted if piece not in records]
+        lacking = todo_of(wanted, records, frozenset())
     if lacking:
         raise StoreDamageError(
-            f"the journal of {path} lacks {len(lacking)} chunks that were computed, first {lacking[0]}"
+            f"the journal of {path} lacks {len(lacking)} chunks that were computed, first {lacking[0]}: run "
+            "the same command again"
         )
     return CampaignSummary(
         done_before,
         tally.done - done_before,
         sum(records[piece].quarantined for piece in ours if piece in records),
-        len(todo),
+        chunks,
         time.perf_counter() - start,
         tally.compute_s,
         tally.write_s,
+        rechecked=told,
     )
+
+
+def _latest_epoch(path: Path) -> int:
+    """Return the latest epoch of any record, if the fence does not say it."""
+    if fence.read_fence(path) is not None:
+        return 0
+    return max((record.epoch for record in scan_journal(path / store.JOURNAL).records.values()), default=0)
 
 
 class _Tally:
@@ -228,9 +251,9 @@ def _prepared(
     if manifest is None or (alone and _is_blank(path, manifest)):
         sources = {"study_title": title, **provenance.collect(choose_device(device))}
         return store.create_store(path, workflow, study, cases, chunk, device, sources)
-    store.refuse_other(path, manifest, workflow.name, study, kind)
-    if repair or store.lost_layout(path, manifest):
-        store.mend_layout(path, manifest, workflow)
+    manifests.refuse_other(path, manifest, workflow.name, study, kind)
+    if repair or layout.lost_layout(path, manifest):
+        layout.mend_layout(path, manifest, workflow)
     return store.extend_store(path, workflow, cases)
 
 
@@ -263,7 +286,10 @@ def _compute(
     tally: _Tally,
     timeout_s: float | None,
     dashboard: Callable[[str], None] | None,
-) -> None:
+    check: Check,
+) -> tuple[str, ...]:
+    """Compute chunks, and then a share of all again; return what came of that, in words."""
+
     def limit() -> float:
         return limit_of(timeout_s, tally.chunk_seconds)
 
@@ -283,9 +309,17 @@ def _compute(
                 suspects += in_series(job, [piece], tally.add, limit, tally.log)
             unmark(path, piece)
     else:
-        with place(workers and min(workers, len(todo)), dashboard is not None) as client:
+        with place(
+            workers and min(workers, max(2 if check.share else 1, len(todo))), dashboard is not None
+        ) as client:
             if dashboard is not None:
                 dashboard(client.dashboard_link)
-            suspects = stream(client, job, todo, tally.add, limit, tally.log)
+            suspects = stream(client, job, todo, tally.add, limit, tally.log) if todo else []
+            told, job = check(job, client, limit, tally.log)
+    if suspects:  # a worker that was given up may go on: what it writes now would not be what is recorded
+        job = renewed(job)
     for piece in suspects:
         tally.add(compute_isolated(job, *piece, limit()))
+    if place is None:
+        told, job = check(job, None, limit, tally.log)
+    return told

@@ -7,13 +7,14 @@ import fcntl
 import os
 import re
 import socket
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
 from wavequake.campaign.store import store
+from wavequake.campaign.store.folder import withdraw as withdraw_store
 from wavequake.campaign.store.journal import Chunk
 from wavequake.errors import UserError
 
@@ -68,10 +69,9 @@ def driver_lock(path: Path, shard: Shard | None) -> Iterator[ExitStack]:
     """
     store.refuse_foreign(path)
     with ExitStack() as held, ExitStack() as setup:
-        with store.write_errors_explained(path):
-            path.mkdir(parents=True, exist_ok=True)
-            file = held.enter_context((path / store.LOCK).open("a+", encoding="utf-8"))
-        _hold(file, fcntl.LOCK_SH if shard else fcntl.LOCK_EX, str(path))
+        was_there = os.path.exists(path)
+        file = _held_file(path, shard, held)
+        held.push(_withdrawal(path, file, was_there))
         if shard:
             folder = path / store.SHARDS
             with store.write_errors_explained(path):
@@ -83,6 +83,39 @@ def driver_lock(path: Path, shard: Shard | None) -> Iterator[ExitStack]:
             _sign(own, path, this_process())
         _sign(file, path, f"a run of shard {shard}, {this_process()}" if shard else this_process())
         yield setup
+
+
+def _held_file(path: Path, shard: Shard | None, held: ExitStack) -> IO[str]:
+    while True:
+        with store.write_errors_explained(path):
+            path.mkdir(parents=True, exist_ok=True)
+            file = held.enter_context((path / store.LOCK).open("a+", encoding="utf-8"))
+        _hold(file, fcntl.LOCK_SH if shard else fcntl.LOCK_EX, str(path))
+        if _is_named(file, path / store.LOCK):  # else its store was withdrawn as we opened it
+            return file
+
+
+def _is_named(file: IO[str], path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except OSError:
+        return False
+
+
+def _withdrawal(path: Path, file: IO[str], folder_was_there: bool) -> Callable[..., None]:
+    """Return what takes a store back that a run makes, if it ends in an error and nothing was computed."""
+    was_there = (path / store.MANIFEST).exists()
+
+    def withdraw(kind: type[BaseException] | None, *details: object) -> None:
+        if kind is None or was_there:
+            return
+        with suppress(OSError):  # the error is told, and what stays is no harm
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # no other shard is at work
+            withdraw_store(path)
+            if not folder_was_there:
+                path.rmdir()
+
+    return withdraw
 
 
 def _file_of(folder: Path, shard: Shard) -> Path:

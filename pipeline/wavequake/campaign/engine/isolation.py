@@ -5,11 +5,13 @@ to its process (crash, hang, take all memory) it does to one that does nothing e
 """
 
 import multiprocessing
+import os
 import resource
 import signal
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
+from pathlib import Path
 
 from wavequake.campaign.contract import CRASHED, TIMED_OUT, ChunkResult
 from wavequake.campaign.engine.chunks import (
@@ -22,6 +24,7 @@ from wavequake.campaign.engine.chunks import (
     opened_store,
     store_chunk,
 )
+from wavequake.campaign.store import fence
 from wavequake.cluster.local import GUARDED, interrupts_blocked, memory_limit, worker_environment
 from wavequake.errors import UserError
 from wavequake.prepared import one_thread
@@ -41,6 +44,12 @@ class _End:
     message: str
 
 
+def renewed(job: Job) -> Job:
+    """Begin anew, so that the workers of the job until now are shut out."""
+    run = fence.begin(Path(job.path), job.shard, None, 0)
+    return replace(job, run=run.runs[job.shard], epoch=run.epoch)
+
+
 def compute_isolated(job: Job, first: int, last: int, limit_s: float) -> Outcome:
     """Compute a chunk case by case in processes of its own, and write and record it.
 
@@ -48,8 +57,14 @@ def compute_isolated(job: Job, first: int, last: int, limit_s: float) -> Outcome
     CRASHED. A case that takes longer than `limit_s` is TIMED_OUT. One that asks for more memory than there is
     raises MemoryError.
     """
-    template = opened_store(job.workflow, job.path, job.run).template
     start = time.perf_counter()
+    result = result_of_its_own(job, first, last, limit_s)
+    return store_chunk(job, (first, last), result, time.perf_counter() - start)
+
+
+def result_of_its_own(job: Job, first: int, last: int, limit_s: float) -> ChunkResult:
+    """Return the result of :func:`compute_isolated` without storing it."""
+    template = opened_store(job.workflow, job.path, job.run).template
     parts: list[ChunkResult] = []
     while first + len(parts) < last:
         done, end = _in_process(job, range(first + len(parts), last), limit_s)
@@ -62,7 +77,7 @@ def compute_isolated(job: Job, first: int, last: int, limit_s: float) -> Outcome
             parts += done or [failed(template, end.status, end.message)]
         else:
             parts.append(failed(template, end.status, end.message))
-    return store_chunk(job, (first, last), joined(parts), time.perf_counter() - start)
+    return joined(parts)
 
 
 def _in_process(job: Job, cases: range, limit_s: float) -> tuple[list[ChunkResult], _End]:
@@ -81,7 +96,7 @@ def _in_process(job: Job, cases: range, limit_s: float) -> tuple[list[ChunkResul
             if not ours.poll(patience):
                 return results, _End(TIMED_OUT, f"it took longer than {patience:g} s (campaign.timeout_s)")
             answer = ours.recv()
-            if isinstance(answer, FATAL):
+            if isinstance(answer, Exception):
                 raise answer
             started = True
             if answer is not None:
@@ -102,7 +117,11 @@ def _in_process(job: Job, cases: range, limit_s: float) -> tuple[list[ChunkResul
 
 def _serve(connection: Connection, job: Job, cases: range, memory: int) -> None:
     """Be the process of :func:`_in_process`: say None when ready, and then the result of each case."""
-    opened = opened_store(job.workflow, job.path, job.run)
+    try:
+        opened = opened_store(job.workflow, job.path, job.run)
+    except Exception as error:
+        connection.send(error)
+        return
     resource.setrlimit(resource.RLIMIT_DATA, (memory, resource.getrlimit(resource.RLIMIT_DATA)[1]))
     connection.send(None)
     with one_thread():
@@ -112,6 +131,8 @@ def _serve(connection: Connection, job: Job, cases: range, memory: int) -> None:
             except FATAL as error:
                 connection.send(error)
                 return
+            except BaseException:  # out of memory as it sends: nobody wants a traceback on the terminal
+                os._exit(1)
 
 
 def _death(code: int) -> str:

@@ -7,6 +7,8 @@ from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
+from wavequake.words import printable, shortened
+
 
 class _QuietHandler(logging.FileHandler):
     """Writes lines to a file, and never disturbs the run: its disk may be full."""
@@ -20,6 +22,19 @@ class _QuietHandler(logging.FileHandler):
             super().close()
 
 
+class _Formatter(logging.Formatter):
+    """Writes one line for each message, whatever names and files hold."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 (the name is logging's)
+        """Return the line of a message."""
+        record.message = shortened(record.message.replace("\n", "\\n"))
+        return super().formatMessage(record)
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line, and the traceback if there is one."""
+        return printable(super().format(record))
+
+
 @contextmanager
 def run_log(folder: Path) -> Iterator[logging.Logger]:
     """Make a new file in `folder`, write what is logged to it, and at last how the run ended."""
@@ -31,7 +46,7 @@ def run_log(folder: Path) -> Iterator[logging.Logger]:
         handler = _QuietHandler(folder / f"{start:%Y%m%dT%H%M%SZ}-{os.getpid()}.log", encoding="utf-8")
     except OSError:
         pass  # what cannot be written, the data will say
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)-7s %(message)s"))
+    handler.setFormatter(_Formatter("%(asctime)s %(levelname)-7s %(message)s"))
     logger.addHandler(handler)
     try:
         yield logger

@@ -4,13 +4,13 @@ import time
 from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
-from itertools import islice
 from logging import Logger
 from queue import Empty, SimpleQueue
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from wavequake.campaign.engine.chunks import Job, Outcome, compute_chunk
+from wavequake.campaign.engine.plan import Feed
 from wavequake.campaign.store.journal import Chunk
 from wavequake.errors import UserError
 
@@ -88,46 +88,45 @@ def stream(
     from distributed import CancelledError
     from distributed.scheduler import KilledWorker
 
-    waiting, suspects = iter(todo), list[Chunk]()
-    pieces: dict[Any, tuple[Chunk, Future]] = {}
+    feed = Feed(todo, max(32, 4 * sum(client.nthreads().values())))
+    futures: dict[Any, Future] = {}
     arrived: SimpleQueue[Future] = SimpleQueue()
     watchdog = _Watchdog(client, limit)
 
     def submit() -> None:
-        for piece in islice(waiting, 1):
+        for piece in feed.fill():
             # Tuple keys with a common first part: the scheduler keeps the tasks in its queue, and does not
             # assign them to workers that may die with them.
             key = (f"chunk-{job.run}", piece[0])
-            future = client.submit(compute_chunk, job, *piece, key=key, pure=False)
-            pieces[key] = piece, future
-            future.add_done_callback(arrived.put)
+            futures[key] = client.submit(compute_chunk, job, *piece, key=key, pure=False)
+            futures[key].add_done_callback(arrived.put)
 
-    for _ in range(max(32, 4 * sum(client.nthreads().values()))):
-        submit()
-    while pieces:
-        for worker, key in watchdog.overdue(pieces.keys()).items():
-            piece, future = pieces.pop(key)
-            log.warning("cases %d to %d ran for too long on %s, which is restarted", *piece, worker)
-            suspects.append(piece)
-            future.cancel()
+    submit()
+    while feed.at_work:
+        for worker, key in watchdog.overdue(futures.keys()).items():
+            piece = feed.suspected(key[1])
+            log.warning("cases %d to %d ran for too long on %s, which is restarted", *piece or key, worker)
+            futures.pop(key).cancel()
             watchdog.end(worker)
             submit()
         try:
             future = arrived.get(timeout=min(1.0, limit() / 4))
         except Empty:
             continue
-        if future.key not in pieces:
+        if futures.pop(future.key, None) is None:
             continue
-        piece, _ = pieces.pop(future.key)
         try:
-            done(future.result())
+            outcome = future.result()
         except KilledWorker as death:
-            log.warning("cases %d to %d killed their worker twice: %s", *piece, death)
-            suspects.append(piece)
+            piece = feed.suspected(future.key[1])
+            log.warning("cases %d to %d killed their worker twice: %s", *piece or future.key, death)
         except CancelledError:
             raise UserError(
                 "The Dask scheduler went away; what is done is kept, so run the same command again."
             ) from None
+        else:
+            if feed.answered(outcome.chunk[0]):
+                done(outcome)
         future.release()
         submit()
-    return suspects
+    return feed.suspects

@@ -59,7 +59,7 @@ class DurableStore(LocalStore):
 
 def _put(path: Path, parts: Iterable[bytes | memoryview]) -> None:
     """Write a file that gets its name when it is whole and on the disk."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    path.parent.mkdir(exist_ok=True)  # not its parents: a store that was moved leaves nothing where it was
     partial = path.with_name(f"{path.name}.{uuid.uuid4().hex}.partial")
     try:
         with partial.open("wb", buffering=0) as file:
@@ -86,6 +86,7 @@ def damage_explained(what: object) -> Iterator[None]:
 
 def create_group(folder: Path, attributes: dict[str, Any]) -> zarr.Group:
     """Create the group that holds the arrays of a store."""
+    folder.mkdir(parents=True, exist_ok=True)
     return zarr.create_group(DurableStore(folder), zarr_format=3, attributes=attributes)
 
 
@@ -175,8 +176,7 @@ def write_chunk(arrays: Mapping[str, Array], chunk: Chunk, result: ChunkResult) 
     error.
     """
     first, last = chunk
-    messages = np.array(result.messages, dtype=object)
-    values = {**result.arrays, "message": messages, "status": result.status}
+    values = _values(result)
     for name, array in arrays.items():
         size = (array.shards or array.chunks)[0]
         if first % size or last != min(first + size, array.shape[0]):
@@ -195,6 +195,16 @@ def write_chunk(arrays: Mapping[str, Array], chunk: Chunk, result: ChunkResult) 
     sync(write(arrays.keys() - {"status"}))
     sync(write(arrays.keys() & {"status"}))
     return {name: digest(values[name]) for name in arrays}
+
+
+def digests_of(result: ChunkResult) -> dict[str, str]:
+    """Return the digests that :func:`write_chunk` would return."""
+    return {name: digest(values) for name, values in _values(result).items()}
+
+
+def _values(result: ChunkResult) -> dict[str, NDArray[Any]]:
+    messages = np.array(result.messages, dtype=object)
+    return {**result.arrays, "message": messages, "status": result.status}
 
 
 async def _write(array: Array, first: int, last: int, values: NDArray[Any]) -> None:

@@ -1,0 +1,147 @@
+"""What of the zarr folder no chunk writes: metadata, labels, fixed arrays; how they are found and mended."""
+
+import json
+import shutil
+import uuid
+from collections.abc import Mapping
+from dataclasses import replace
+from hashlib import blake2b
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.campaign.contract import StudyKind, Template
+from wavequake.campaign.store import arrays
+from wavequake.campaign.store.folder import DATA, write_errors_explained
+from wavequake.campaign.store.journal import flush
+from wavequake.campaign.store.manifest import MOST_CASES, Manifest, write_manifest
+from wavequake.campaign.store.retention import stored_template
+
+_MOST_LABELS = 2**33  # numbers of an array that is no case's
+
+
+def write_layout(folder: Path, manifest: Manifest, workflow: StudyKind) -> None:
+    """Write everything of the zarr folder that no chunk writes: metadata, labels, fixed arrays."""
+    template = stored_template(workflow, manifest.study)
+    labels = labels_of(workflow, manifest.study, 0, manifest.cases)
+    group = arrays.create_group(folder, _attributes(manifest, template, tuple(labels)))
+    for name, variable in {**template.per_case, **arrays.ENGINE_VARIABLES}.items():
+        arrays.create_per_case(group, name, variable, manifest.cases, manifest.chunk)
+    for name, (dims, values, attrs) in template.fixed.items():
+        arrays.create_fixed(group, name, dims, np.asarray(values), attrs)
+    for name, values in labels.items():
+        arrays.create_fixed(group, name, ("case",), values, {"long_name": name.replace("_", " ")})
+    arrays.consolidate(folder)
+
+
+def lost_layout(path: Path, manifest: Manifest) -> list[Path]:
+    """Return the files of metadata, labels and fixed arrays that are missing, empty or no longer agree.
+
+    The root of the zarr folder has a copy of all metadata. Numbers are not read, only the sizes of files.
+    """
+    data = path / DATA
+    entries = _consolidated(data)
+    if not entries.keys() >= set(manifest.variables):
+        return [data / "zarr.json"]
+    try:
+        if manifest.metadata not in ("", metadata_digest(data)):
+            return [data / "zarr.json"]
+        return _lost_files(data, entries, manifest)
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError):  # what is no metadata raises
+        return [data / "zarr.json"]
+
+
+def metadata_digest(data: Path) -> str:
+    """Return the digest of all that describes the arrays of a zarr folder, but for the number of cases."""
+    root = _metadata(data)
+    entries = {
+        name: {**entry, "shape": entry["shape"][entry["dimension_names"][:1] == ["case"] :]}
+        for name, entry in root["consolidated_metadata"]["metadata"].items()
+    }
+    described = json.dumps([root["attributes"], entries], sort_keys=True)
+    return blake2b(described.encode(), digest_size=16).hexdigest()
+
+
+def _lost_files(data: Path, entries: Mapping[str, dict[str, Any]], manifest: Manifest) -> list[Path]:
+    lost = [
+        data / name / "zarr.json" for name, entry in entries.items() if not _fits(data, name, entry, manifest)
+    ]
+    for name in entries.keys() - set(manifest.variables):
+        sizes, pieces = entries[name]["shape"], entries[name]["chunk_grid"]["configuration"]["chunk_shape"]
+        if prod(sizes) > _MOST_LABELS:
+            lost.append(data / name / "zarr.json")
+            continue
+        grid = [-(-size // piece) for size, piece in zip(sizes, pieces, strict=True)]
+        files = [data / name / ".".join(["c", *map(str, index)]) for index in np.ndindex(*grid)]
+        lost += [file for file in files if not file.is_file() or not file.stat().st_size]
+    return sorted(lost)
+
+
+def _fits(data: Path, name: str, entry: dict[str, Any], manifest: Manifest) -> bool:
+    """Return whether both copies of an array's metadata agree, and it has room for all cases."""
+    per_case = entry["dimension_names"][:1] == ["case"]
+    room = not per_case or manifest.cases <= entry["shape"][0] <= MOST_CASES
+    return room and _metadata(data / name) == entry
+
+
+def _metadata(folder: Path) -> dict[str, Any]:
+    try:
+        found = json.loads((folder / "zarr.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _consolidated(folder: Path) -> dict[str, dict[str, Any]]:
+    try:
+        return dict(_metadata(folder)["consolidated_metadata"]["metadata"])
+    except (KeyError, TypeError, ValueError):
+        return {}
+
+
+def mend_layout(path: Path, manifest: Manifest, workflow: StudyKind) -> list[str]:
+    """Put back metadata, labels and fixed arrays that differ from what a new store would hold.
+
+    Chunks of numbers are left alone. Returns the names of the files that were replaced.
+    """
+    fresh = path / f"{DATA}.partial-{uuid.uuid4().hex}"
+    replaced = []
+    with write_errors_explained(path):
+        try:
+            write_layout(fresh, manifest, workflow)
+            for file in sorted(file for file in fresh.rglob("*") if file.is_file()):
+                target = path / DATA / file.relative_to(fresh)
+                if not target.is_file() or target.read_bytes() != file.read_bytes():
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    file.replace(target)
+                    flush(target.parent)
+                    replaced.append(str(target.relative_to(path)))
+            fresh_digest = metadata_digest(path / DATA)
+            if manifest.metadata != fresh_digest:
+                write_manifest(path, replace(manifest, metadata=fresh_digest))
+        finally:
+            shutil.rmtree(fresh, ignore_errors=True)
+    return replaced
+
+
+def labels_of(workflow: StudyKind, study: str, first: int, last: int) -> dict[str, NDArray[Any]]:
+    """Return what labels the cases first <= id < last."""
+    return {"case": np.arange(first, last), **workflow.case_table(study, first, last)}
+
+
+def _attributes(manifest: Manifest, template: Template, labels: tuple[str, ...]) -> dict[str, Any]:
+    coordinates = [name for name, variable in template.per_case.items() if variable.coordinate]
+    return {
+        "title": f"Wavequake campaign {manifest.workflow}",
+        "study": manifest.study,
+        "study_sha256": manifest.identity,
+        "store_schema": manifest.schema,
+        "cases_per_chunk": manifest.chunk,
+        "device": f"{manifest.device} ({manifest.device_kind})",
+        **manifest.provenance,
+        # The CF way to say which arrays label others.
+        "coordinates": " ".join([*(name for name in labels if name != "case"), *coordinates]),
+    }
