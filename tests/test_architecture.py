@@ -26,14 +26,19 @@ ALLOWED = {
     "firmware": BASE | {"control"},
     "cluster": BASE,
     "campaign": BASE | {"cluster", "kernels", "memory"},
-    "workflows": BASE | PHYSICS | {"campaign", "kernels", "firmware"},
-    "report": BASE | PHYSICS | {"campaign", "kernels", "workflows"},
+    "chain": BASE | PHYSICS | {"campaign", "kernels"},
+    "workflows": BASE | PHYSICS | {"campaign", "chain", "kernels", "firmware"},
+    "drawing": BASE | PHYSICS | {"campaign", "chain", "kernels", "workflows"},
+    "report": BASE | PHYSICS | {"campaign", "chain", "drawing", "kernels", "workflows"},
     "terminal": set(),
     "cli_firmware": BASE | {"campaign", "control", "firmware", "workflows", "terminal"},
+    "cli_sensitivity": BASE | {"campaign", "kernels", "workflows", "report", "terminal"},
     "cli_statistics": BASE | {"campaign", "workflows", "report", "terminal"},
+    "cli_pictures": BASE | {"drawing", "workflows", "terminal"},
     "cli": BASE
     | PHYSICS
-    | {"campaign", "kernels", "workflows", "report", "cluster", "terminal", "cli_firmware", "cli_statistics"},
+    | {"campaign", "chain", "kernels", "workflows", "report", "cluster", "terminal"}
+    | {"cli_firmware", "cli_pictures", "cli_sensitivity", "cli_statistics"},
     "__main__": {"cli"},
 }
 # The package's front door imports lazily, for users; provenance may ask it for the version.

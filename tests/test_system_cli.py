@@ -8,7 +8,7 @@ import pytest
 
 import wavequake as wq
 from wavequake import cli
-from wavequake.workflows.systems.system_disturbance import check
+from wavequake.workflows.systems.system_disturbance import KIND
 
 STUDY = """
 [study]
@@ -264,5 +264,5 @@ def test_info_of_what_there_is_not(wavequake, words, sentence):
 @pytest.mark.parametrize("name", ["double-gauss", "euv"])
 def test_bundled_systems_are_sound(name):
     study = wq.load_study(name, ["optics.rays=60"])
-    check(study.identity_text())
+    KIND.check(study.identity_text())
     assert study.study.name == name

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 from wavequake.errors import StoreDamageError, UserError
 
 if TYPE_CHECKING:
+    from wavequake.campaign.schema import Study
     from wavequake.campaign.store.store import open_store
+    from wavequake.drawing.draw import draw
     from wavequake.optics.zemax.export import write_zmx
     from wavequake.workflows.run import plan, run
-    from wavequake.workflows.schema import Study
     from wavequake.workflows.sensitivity import sensitivity
     from wavequake.workflows.study import load_study
     from wavequake.workflows.systems.system_source import load_system
@@ -27,6 +28,7 @@ __all__ = [
     "Study",
     "UserError",
     "convert_zernike",
+    "draw",
     "load_study",
     "load_system",
     "open_store",
@@ -39,8 +41,9 @@ __all__ = [
 # Heavy modules are imported when a name is first used, so that `import wavequake` and `wavequake --version`
 # stay quick.
 _HOMES = {
-    "Study": "wavequake.workflows.schema",
+    "Study": "wavequake.campaign.schema",
     "convert_zernike": "wavequake.workflows.zernike_arrays",
+    "draw": "wavequake.drawing.draw",
     "load_study": "wavequake.workflows.study",
     "load_system": "wavequake.workflows.systems.system_source",
     "open_store": "wavequake.campaign.store.store",

@@ -7,9 +7,9 @@ import pytest
 from matplotlib.image import imsave
 
 from wavequake.campaign.store.store import open_store
+from wavequake.chain.images.extended import ObjectSection, object_picture
+from wavequake.chain.images.picture import in_frame, picture_of, read_picture
 from wavequake.errors import UserError
-from wavequake.workflows.exposures.exposed_object import ObjectSection, object_picture
-from wavequake.workflows.exposures.object_picture import in_frame, picture_of, read_picture
 from wavequake.workflows.exposures.telescope_control import segment_text
 from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study

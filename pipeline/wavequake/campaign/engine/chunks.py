@@ -17,7 +17,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from wavequake.campaign import provenance
-from wavequake.campaign.contract import DIVERGED, DONE, RAISED, ChunkResult, Template, Workflow
+from wavequake.campaign.contract import DIVERGED, DONE, RAISED, ChunkResult, StudyKind, Template
 from wavequake.campaign.store import journal
 from wavequake.campaign.store.arrays import Array, array_of, open_group, write_chunk
 from wavequake.campaign.store.journal import Chunk, Record
@@ -55,7 +55,7 @@ class Job:
     no case that is done.
     """
 
-    workflow: Workflow
+    workflow: StudyKind
     path: str
     device: str
     run: str
@@ -84,7 +84,7 @@ class Opened:
 
 
 @lru_cache(maxsize=2)
-def opened_store(workflow: Workflow, path: str, run: str) -> Opened:
+def opened_store(workflow: StudyKind, path: str, run: str) -> Opened:
     """Open the store once per process and run; a later run may have extended it."""
     keep_freed_memory()
     manifest = patiently(lambda: read_manifest(path))

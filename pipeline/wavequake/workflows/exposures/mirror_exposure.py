@@ -13,7 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
+from wavequake.chain.images.coherent import LitObject, lit_by_cells, mean_image
+from wavequake.chain.images.extended import check_object, object_at_rest, object_image
+from wavequake.chain.images.shortcuts import (
+    CANVAS,
+    FOCUS,
+    exposed,
+    exposure_variables,
+    frame_coordinates,
+)
 from wavequake.errors import UserError
 from wavequake.imaging.engines.matrix_fourier import matrix_fourier
 from wavequake.imaging.engines.zernike_psf import ZernikeImager, zernike_imager, zernike_images, zernike_sum
@@ -22,16 +31,7 @@ from wavequake.imaging.pupils.nyquist import too_coarse, zernike_samples_for
 from wavequake.imaging.pupils.pupil_function import annular_pupil
 from wavequake.kernels.device.devices import NUMPY, Device, choose_device
 from wavequake.optics.polynomials.zernike import annular_zernike
-from wavequake.workflows.exposures.coherent_object import LitObject, lit_by_cells, mean_image
-from wavequake.workflows.exposures.exposed_object import check_object, object_at_rest, object_image
 from wavequake.workflows.exposures.exposure_study import MirrorExposureStudy
-from wavequake.workflows.exposures.exposures import (
-    CANVAS,
-    FOCUS,
-    exposed,
-    exposure_variables,
-    frame_coordinates,
-)
 from wavequake.workflows.mirrors import mirror_bench
 from wavequake.workflows.mirrors.mirror_bench import (
     aberrations_over_time,
@@ -325,4 +325,6 @@ def notices(study_text: str) -> Iterator[str]:
             yield f"{name}: {text}; raise imaging.pupil_samples or lower imaging.scale"
 
 
-WORKFLOW = Workflow("mirror-exposure", template, case_table, compute, check=check, notices=notices)
+KIND = StudyKind(
+    "mirror-exposure", template, case_table, compute, check=check, notices=notices, model=MirrorExposureStudy
+)

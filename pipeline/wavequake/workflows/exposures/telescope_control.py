@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.schema import study_from_identity
+from wavequake.chain.images.shortcuts import CANVAS, FOCUS
 from wavequake.errors import UserError
 from wavequake.imaging.engines.segment_basis import SegmentBasis, ray_basis
 from wavequake.imaging.engines.segment_psf import psf
@@ -23,8 +25,6 @@ from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, prepar
 from wavequake.optics.segments.states import SurfaceStates, rest
 from wavequake.optics.segments.wavefront import Wavefront, analyse
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
-from wavequake.workflows.exposures.exposures import CANVAS, FOCUS
-from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segments.bench import Bench, bench_of, monolithic
 from wavequake.workflows.segments.images import energy_scale
 from wavequake.workflows.segments.vignetting import require_all_rays

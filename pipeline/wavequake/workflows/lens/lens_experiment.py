@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
+from wavequake.campaign.schema import study_from_identity
 from wavequake.control.bench import Bench, bench_modes, fitted_bench
 from wavequake.control.camera import Camera, CameraError
 from wavequake.control.experiment import (
@@ -43,7 +44,6 @@ from wavequake.firmware.kept import host_image
 from wavequake.firmware.units import FirmwareUnit
 from wavequake.mechanics.disturbances.motion import generator
 from wavequake.workflows.lens.lens_study import LensStudy
-from wavequake.workflows.schema import study_from_identity
 
 Array = NDArray[np.float64]
 
@@ -385,4 +385,4 @@ def check(study_text: str) -> None:
                 pass
 
 
-WORKFLOW = Workflow("lens-experiment", template, case_table, compute, describe, check=check)
+KIND = StudyKind("lens-experiment", template, case_table, compute, describe, check=check, model=LensStudy)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
 from wavequake.imaging.engines.matrix_fourier import MatrixFourier, matrix_fourier
 from wavequake.imaging.pupils.pupil_function import annular_pupil
@@ -35,7 +36,6 @@ from wavequake.workflows.mirrors.model_store import (
     kept_model,
     kept_notes,
 )
-from wavequake.workflows.schema import study_from_identity
 
 Array = NDArray[np.float64]
 

@@ -2,10 +2,10 @@
 
 from functools import lru_cache
 
+from wavequake.chain.sampling import Plan, plan_of
 from wavequake.mechanics.disturbances.registry import Disturbance, Motion, draw_case
 from wavequake.mechanics.disturbances.source import Source
 from wavequake.mechanics.disturbances.streams import Streams
-from wavequake.workflows.sampling import Plan, plan_of
 from wavequake.workflows.segments.bench import Bench, bench_of
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Workflow
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device, choose_device
@@ -284,4 +284,4 @@ def check(study_text: str) -> None:
         motions(study, model, model.reference, first)
 
 
-WORKFLOW = Workflow("segment-mor", template, case_table, compute, describe, check=check)
+KIND = StudyKind("segment-mor", template, case_table, compute, describe, check=check, model=SegmentMorStudy)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.motion import generator
 from wavequake.mechanics.disturbances.sources.static_random import StaticRandom
@@ -28,7 +29,6 @@ from wavequake.reduction.names import parse
 from wavequake.reduction.two_stage import covers, reduce_variants, reference
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.mirrors.model_store import digest, kept_arrays, kept_intermediate
-from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segments.bench import Bench, bench_of
 from wavequake.workflows.segments.segment_mor_study import SegmentMorStudy
 from wavequake.workflows.segments.segment_study import (

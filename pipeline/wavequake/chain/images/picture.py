@@ -4,6 +4,7 @@ import base64
 import binascii
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,3 +99,10 @@ def _csv(path: Path) -> NDArray[np.generic]:
         if length != lengths[0]:
             raise ValueError(f"row 1 has {lengths[0]} values, row {number} has {length}")
     return np.loadtxt(io.StringIO(text), delimiter=",", ndmin=2)
+
+
+def embed_picture(record: dict[str, Any], base: Path) -> None:
+    """Read the picture that the section ``object`` of a study names into the study."""
+    shown = record.get("object")
+    if isinstance(shown, dict) and isinstance(shown.get("picture"), str):
+        shown["picture_data"] = read_picture(base / shown["picture"])

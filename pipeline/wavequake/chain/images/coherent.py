@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.chain.images.extended import ObjectSection, object_picture
 from wavequake.imaging.engines import matrix_fourier, segment_psf
 from wavequake.imaging.engines.matrix_fourier import MatrixFourier
 from wavequake.imaging.engines.segment_basis import SegmentBasis, ray_basis
 from wavequake.imaging.objects.formation import Source, disk_source
-from wavequake.workflows.exposures.exposed_object import ObjectSection, object_picture
 
 Array = NDArray[np.float64]
 

@@ -15,11 +15,11 @@ import scipy
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from wavequake.campaign.schema import CampaignSection
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.motion import generator
 from wavequake.mechanics.disturbances.source import Source
 from wavequake.mechanics.disturbances.streams import Coordinates, Random, Streams, own_streams
-from wavequake.workflows.schema import CampaignSection
 
 Array = NDArray[np.float64]
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.campaign.contract import Variable
+from wavequake.chain.images.extended import ObjectSection, object_image, object_variable
 from wavequake.imaging.exposures.exposure import encircled_energy_radius
 from wavequake.imaging.exposures.exposure_models import (
     cut,
@@ -14,7 +15,6 @@ from wavequake.imaging.exposures.exposure_models import (
     gaussian_exposure,
     los_exposure,
 )
-from wavequake.workflows.exposures.exposed_object import ObjectSection, object_image, object_variable
 
 Array = NDArray[np.float64]
 

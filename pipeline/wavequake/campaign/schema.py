@@ -18,7 +18,6 @@ from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from wavequake.errors import UserError
-from wavequake.mechanics.disturbances.source import SOURCES, Source
 
 Location = Sequence[str | int]
 
@@ -180,18 +179,6 @@ def base64_of(path: Path, key: str) -> str:
         return b64encode(path.read_bytes()).decode()
     except OSError as error:
         raise UserError(f"{key}: the file {path} cannot be read ({error.strerror}).") from None
-
-
-def read_source_files(record: Mapping[str, Any], base: Path) -> None:
-    """Add what the files of the disturbances in a study's record hold, where their sources want it."""
-    sources = SOURCES.entries()
-    for entry in record.get("disturbance") or ():
-        if not (isinstance(entry, dict) and isinstance(entry.get("file"), str)):
-            continue
-        source = sources.get(str(entry.get("model")), Source)
-        key, kind = source.file_key(entry["file"])
-        read = base64_of if kind == "base64" else text_of
-        entry[key] = read(base / entry["file"], f"disturbance.{entry.get('name')}.file")
 
 
 def describe(error: ValidationError, record: Mapping[str, Any], model: type[BaseModel]) -> str:

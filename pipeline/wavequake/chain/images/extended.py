@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from wavequake.campaign.contract import Variable
+from wavequake.campaign.schema import Section
+from wavequake.chain.images.picture import in_frame, picture_of
 from wavequake.errors import UserError
 from wavequake.imaging.exposures.detector import pixel_means
 from wavequake.imaging.exposures.exposure_models import cut
 from wavequake.imaging.objects import shapes as objects
 from wavequake.imaging.objects.formation import star_field_image
-from wavequake.workflows.exposures.object_picture import in_frame, picture_of
-from wavequake.workflows.schema import Section
 
 Array = NDArray[np.float64]
 
@@ -127,17 +127,18 @@ def check_object(section: ObjectSection, pixels: int, sampling: float) -> None:
 
 def object_variable(shown: ObjectSection, dim: str, count: int, pixels: int) -> dict[str, Variable]:
     """Describe the images of an object for each of `count` entries of the dimension `dim`."""
-    attrs = {"units": "1", "long_name": "exposed image of " + _lit_object(shown)}
+    attrs = {"units": "1", "long_name": "exposed image of " + lit_object_words(shown)}
     return {"object_image": Variable((dim, "y", "x"), (count, pixels, pixels), attrs)}
 
 
 def object_at_rest(shown: ObjectSection, pixels: int) -> dict[str, Variable]:
     """Describe the image of an object while nothing moves."""
-    attrs = {"units": "1", "long_name": "image at rest of " + _lit_object(shown)}
+    attrs = {"units": "1", "long_name": "image at rest of " + lit_object_words(shown)}
     return {"object_static": Variable(("y", "x"), (pixels, pixels), attrs)}
 
 
-def _lit_object(shown: ObjectSection) -> str:
+def lit_object_words(shown: ObjectSection) -> str:
+    """Say what an object is lit by, and what 1 means in its image."""
     light = "partially coherent" if shown.light == "partial" else shown.light
     one = "an evenly lit plane" + ("" if light == "incoherent" else " whose light all passes the pupil")
     return f"the object in {light} light; 1 = {one}"
