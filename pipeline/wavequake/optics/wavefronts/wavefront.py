@@ -20,10 +20,11 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY, Device
 from wavequake.kernels.sums.opd import count_status, path_differences, without_planes
 from wavequake.kernels.sums.ray_sums import ray_moments
-from wavequake.kernels.trace.sequence import VIGNETTED, Moving, Rays, Sequence, TracedRays
+from wavequake.kernels.trace.sequence import Moving, Rays, Sequence, TracedRays
 from wavequake.kernels.trace.sequential import launches_of, trace_sequence
 from wavequake.kernels.trace.sequential_numpy import joined_moving, moving_part
 from wavequake.kernels.trace.sequential_source import OUTPUTS
+from wavequake.kernels.trace.status import VIGNETTED
 from wavequake.optics.checks import alike, whole
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.rays.aiming import aimed_rays, losses, pupil_rays
