@@ -7,7 +7,6 @@ what is known of an estimate's error is the scatter between sets.
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -20,6 +19,7 @@ from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.motion import generator
 from wavequake.mechanics.disturbances.source import Source
 from wavequake.mechanics.disturbances.streams import Coordinates, Random, Streams, own_streams
+from wavequake.prepared import prepared
 
 Array = NDArray[np.float64]
 
@@ -218,12 +218,12 @@ class _Sobol:
         return np.asarray(self._engine.random(1)[0] + 0.5 / _MOST_POINTS)
 
 
-@lru_cache(maxsize=32)
+@prepared(maxsize=32)
 def _sobol(seed: int, replicate: int, dimensions: int) -> _Sobol:
     return _Sobol(seed, replicate, dimensions)
 
 
-@lru_cache(maxsize=32)
+@prepared(maxsize=32)
 def _hypercube(seed: int, replicate: int, dimensions: int, points: int) -> Array:
     engine = scipy.stats.qmc.LatinHypercube(dimensions, rng=generator(seed, _STREAM, replicate))
     drawn: Array = engine.random(points)

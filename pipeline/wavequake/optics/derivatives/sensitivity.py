@@ -28,6 +28,7 @@ from wavequake.optics.systems.bodies import Body, with_bodies
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import OpticalSystem, SystemStates
+from wavequake.optics.wavefronts.reaiming import stop_slopes, trace_aimed
 from wavequake.optics.wavefronts.wavefront import PreparedSystem, analyse_system, trace_system
 
 Array = NDArray[np.float64]
@@ -177,12 +178,13 @@ def _matrix(
 ) -> SensitivityMatrix:
     """Return the matrix; `faint` are scales (D,) of derivatives of waves and of millimeters."""
     lost = ~np.isfinite(trace_system(prepared, rest_states(prepared.system), device)[0][0])
+    slopes = stop_slopes(prepared)
 
     def pairs(element: Indices, dof: Indices, size: Array) -> Differences:
         count = len(element)
         column = np.repeat(np.minimum(np.arange(_PAIRS), count - 1), 2)
         states = move(element[column], dof[column], np.tile([1.0, -1.0], _PAIRS) * size[column])
-        return _differences(prepared, trace_system(prepared, states, device), lost).first(count)
+        return _differences(prepared, trace_aimed(prepared, slopes, states, device), lost).first(count)
 
     return sensitivity_matrix(pairs, _PAIRS, elements, dofs, sizes, faint)
 

@@ -8,7 +8,7 @@ from pydantic import Field, field_validator, model_validator
 
 from wavequake.campaign.schema import Section, StoreSection, Study, text_of
 from wavequake.chain.sampling import SampledCampaignSection, whole_sets
-from wavequake.chain.source_files import read_source_files
+from wavequake.chain.sources import read_source_files
 from wavequake.kernels.trace.status import MOST_SURFACES
 from wavequake.mechanics.disturbances.registry import Combine, Disturbance, with_own_axes
 from wavequake.optics.polynomials.zernike import MOST_TERMS

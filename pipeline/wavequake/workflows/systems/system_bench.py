@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +39,7 @@ from wavequake.optics.wavefronts.wavefront import (
     with_fitted_sphere,
     with_slopes,
 )
+from wavequake.prepared import prepared
 from wavequake.workflows.systems.system_study import SystemStudy
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ class SystemBench:
     imager: SystemImager | None = None
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def system_bench(study_text: str) -> SystemBench:
     """Prepare the study with this identity text.
 
@@ -124,7 +124,7 @@ def _arrives(prepared: PreparedSystem, rest: SystemStates) -> NDArray[np.bool_]:
     return np.asarray((prepared.status == OK) & (traced.status[0] == OK), dtype=np.bool_)
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def imager_on(study_text: str, device: str) -> SystemImager | None:
     """Return what makes the exposures of a study, with transforms on a device."""
     imager = system_bench(study_text).imager

@@ -5,7 +5,6 @@ all fields and wavelengths.
 """
 
 from collections.abc import Iterator
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +28,7 @@ from wavequake.mechanics.disturbances.streams import Streams
 from wavequake.optics.rays.packing import moving
 from wavequake.optics.systems.file import build
 from wavequake.optics.systems.kinematics import rest_states
+from wavequake.prepared import prepared
 from wavequake.workflows.segments.segment_disturbance import slot
 from wavequake.workflows.systems.system_bench import (
     NM_PER_MM,
@@ -61,7 +61,7 @@ def draw(bench: SystemBench, case: int) -> tuple[ElementDisturbance, ElementMoti
     return population, drawn
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def sampling_plan(study_text: str) -> Plan:
     """Return what spreads the random numbers of the study with this identity text.
 

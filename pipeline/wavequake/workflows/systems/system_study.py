@@ -10,7 +10,7 @@ from wavequake.chain.images.extended import ObjectSection, check_object
 from wavequake.chain.images.picture import embed_picture
 from wavequake.chain.images.system import SystemImagingSection
 from wavequake.chain.sampling import SampledCampaignSection, whole_sets
-from wavequake.chain.source_files import read_source_files
+from wavequake.chain.sources import read_source_files
 from wavequake.mechanics.disturbances.element_motion import ElementDisturbance
 from wavequake.mechanics.disturbances.registry import parts, with_own_axes
 from wavequake.optics.polynomials.zernike import MOST_TERMS

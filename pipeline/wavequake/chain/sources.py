@@ -1,4 +1,4 @@
-"""Files that disturbances name: read when the study is loaded, and a part of it from then on."""
+"""What the disturbances of a study file read from files."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,20 +9,7 @@ from wavequake.mechanics.disturbances.source import SOURCES, Source
 
 
 def read_source_files(record: Mapping[str, Any], base: Path) -> None:
-    """Add what the files of the disturbances in a study's record hold, where their sources want it.
-
-    Parameters
-    ----------
-    record : mapping
-        Of the study file; its entries change.
-    base : Path
-        Where paths start.
-
-    Raises
-    ------
-    UserError
-        If a file cannot be read.
-    """
+    """Add what the files of the disturbances in a study's record hold, where their sources want it."""
     sources = SOURCES.entries()
     for entry in record.get("disturbance") or ():
         if not (isinstance(entry, dict) and isinstance(entry.get("file"), str)):

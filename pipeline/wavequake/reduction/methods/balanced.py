@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array
-from wavequake.reduction.structure import Structure, elastic_modes
+from wavequake.reduction.directions import turn_equal
+from wavequake.reduction.method import Method, Variant, register
+from wavequake.reduction.structure import Size, Structure, elastic_modes
 
 Bands = tuple[tuple[float, float, float], ...]
 
@@ -34,7 +36,8 @@ def balanced(body: Structure, count: int, bands: Bands) -> Array:
     key = ("balanced", bands)
     if key not in body.cache:
         squared, dampings, inputs = oscillators(body)
-        body.cache[key] = np.linalg.eigh(position_gramian(squared, dampings, inputs, bands))[1][:, ::-1]
+        energies, turn = np.linalg.eigh(position_gramian(squared, dampings, inputs, bands))
+        body.cache[key] = turn_equal(energies[::-1], turn[:, ::-1], inputs.T @ turn[:, ::-1])
     directions: Array = body.cache[key]
     if count > directions.shape[1]:
         raise UserError(f"The model {body.name} has only {directions.shape[1]} elastic coordinates.")
@@ -96,3 +99,21 @@ def _overlap(squared: Array, dampings: Array, low: float, high: float) -> Array:
             weights: NDArray[np.complex128] = residues[first][:, None] * residues[second].conj()
             result -= (weights * (logs[first][:, None] + logs[second].conj()) / (a + c)).real
     return result / np.pi
+
+
+def check_damping(size: Size, variant: Variant) -> None:
+    """Refuse a model without damping: energies of its responses are infinite."""
+    if size.damping.mass == 0 == size.damping.stiffness:
+        raise UserError(
+            f"{variant}: balanced truncation, IRKA and POD need positive damping of every elastic mode, and "
+            f"the model {size.name} has none; set its Rayleigh damping, or choose craigb, rubin or krylov."
+        )
+
+
+def _basis(body: Structure, variant: Variant, count: int) -> Array:
+    return balanced(body, count, variant.bands)
+
+
+register(Method("bt", _basis, dense=True, check=check_damping))
+register(Method("flbt", _basis, arguments="bands", dense=True, check=check_damping))
+register(Method("fwbt", _basis, arguments="bands", dense=True, check=check_damping))

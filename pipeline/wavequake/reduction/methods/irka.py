@@ -12,7 +12,8 @@ from scipy.optimize import linear_sum_assignment
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array
-from wavequake.reduction.balanced import oscillators
+from wavequake.reduction.method import Method, Variant, register
+from wavequake.reduction.methods.balanced import check_damping, oscillators
 from wavequake.reduction.structure import Structure, elastic_modes
 
 _ITERATIONS = 300
@@ -84,3 +85,10 @@ def _interpolating(
     solutions = (inputs @ directions.T) / (squared[:, None] + dampings[:, None] * shifts + shifts**2)
     columns = np.stack([solutions.real, solutions.imag], axis=2).reshape(len(squared), -1)[:, :count]
     return np.linalg.qr(columns / np.linalg.norm(columns, axis=0))[0]
+
+
+def _basis(body: Structure, _: Variant, count: int) -> Array:
+    return irka(body, count)
+
+
+register(Method("irka", _basis, dense=True, check=check_damping))

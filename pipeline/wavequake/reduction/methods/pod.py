@@ -5,7 +5,9 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array
-from wavequake.reduction.balanced import oscillators
+from wavequake.reduction.directions import turn_equal
+from wavequake.reduction.method import Method, Variant, register
+from wavequake.reduction.methods.balanced import check_damping, oscillators
 from wavequake.reduction.structure import Structure, elastic_modes
 
 # Instants of generated snapshots, and how long they last in periods of the lowest elastic mode.
@@ -46,8 +48,9 @@ def pod(body: Structure, count: int, snapshots: Array) -> Array:
             f"The {snapshots.shape[1]} snapshots of the model {body.name} span {known} elastic directions, "
             f"fewer than the {count} wanted; give more snapshots or a lower order."
         )
-    basis: Array = elastic @ (turn[:, ::-1][:, :count] / np.sqrt(energies[::-1][:count]))
-    return basis
+    energies, turn = energies[::-1][:known], turn[:, ::-1][:, :known]
+    basis = elastic @ (turn / np.sqrt(energies))
+    return turn_equal(energies, basis, basis[body.interface])[:, :count]
 
 
 def generated(body: Structure, frequency: float | None) -> Array:
@@ -101,3 +104,23 @@ def _sine(squared: Array, dampings: Array, instants: Array, omega: float) -> Arr
     ]
     response: Array = forced.imag + (free[0] + free[1]).real
     return response
+
+
+def _basis(body: Structure, variant: Variant, count: int) -> Array:
+    return pod(body, count, generated(body, variant.points[0].real if variant.points else None))
+
+
+def _of_snapshots(snapshots: Array) -> Method:
+    return Method("pod", lambda body, _, count: pod(body, count, snapshots), arguments="frequency")
+
+
+register(
+    Method(
+        "pod",
+        _basis,
+        arguments="frequency",
+        dense=True,
+        check=check_damping,
+        of_snapshots=_of_snapshots,
+    )
+)

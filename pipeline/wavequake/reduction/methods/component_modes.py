@@ -4,11 +4,16 @@ Each function returns the elastic part of a basis, shape (n, count); `wavequake.
 rigid motions, which every basis but that of fixed-interface modes contains.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, Integers
+from wavequake.reduction.method import Method, NormalModes, Variant, register
 from wavequake.reduction.structure import (
+    Size,
     Structure,
     clamped,
     elastic_flexibility,
@@ -146,3 +151,46 @@ def hintz(body: Structure, count: int) -> Array:
     squared, shapes = fixed_modes(body, count - static.shape[1], fixed)
     residual = static - shapes @ (shapes[body.interface[loaded]].T / squared[:, None])
     return body.remove_rigid(np.hstack([shapes, residual]))
+
+
+def _check_damping(size: Size, variant: Variant) -> None:
+    if size.damping.stiffness == 0:
+        raise UserError(
+            f"{variant}: shapes without mass ring when they are struck, unless the damping has a part "
+            f"proportional to the stiffness, and that of the model {size.name} has none; choose rubin."
+        )
+
+
+def _interface(size: Size) -> int:
+    return size.interface
+
+
+def _rigid(size: Size) -> int:
+    return size.rigid
+
+
+def _register(name: str, basis: Callable[[Structure, int], Array], modes: NormalModes, **more: Any) -> None:
+    def elastic(body: Structure, _: Variant, count: int) -> Array:
+        return basis(body, count)
+
+    register(Method(name, elastic, modes=modes, **more))
+
+
+_ATTACHED = NormalModes(static=lambda size: size.rigid + size.interface, kind="attachment")
+_CONSTRAINED = NormalModes(static=_interface, at_rest=_interface, kind="constraint")
+_register("modal", modal, NormalModes(static=_rigid))
+_register("guyan", guyan, _CONSTRAINED, order=_interface)
+_register("modalfix", fixed_interface, NormalModes(static=lambda _: 0, at_rest=_interface), rigid=False)
+_register("craigb", craig_bampton, _CONSTRAINED)
+_register("rubin", rubin, _ATTACHED)
+_register(
+    "macneal",
+    lambda body, count: macneal(body, count)[1],
+    _ATTACHED,
+    check=_check_damping,
+    spectrum=lambda body, _, count: macneal(body, count),
+)
+_register("dualcb", rubin, _ATTACHED)
+_register("inertia", inertia_relief, _ATTACHED)
+# Its modes hold six directions, and those of an intermediate model all or none.
+_register("hintz", hintz, NormalModes(static=_interface, at_rest=_rigid, kind="attachment", covered=0.5))
