@@ -9,13 +9,12 @@
 
 #include "lanes.h"
 #include "rays.h"
+#include "status.h"
 
 #define TERMS(degree) (((degree) + 1) * ((degree) + 2) / 2)
 
 // Of an edge.
 #define NUMBERS (CONVEX ? 3 : 5)
-
-enum { OK = 0, GAP = 1, MISS = 2 };
 
 #define NEWTON_STEPS 30
 // Newton's iteration ends with the step after one this short: its square leaves only rounding.
@@ -48,9 +47,7 @@ enum { OK = 0, GAP = 1, MISS = 2 };
 #include "figure.h"
 #endif
 
-// Why a ray is lost is a number that is the larger, the earlier the loss: masks that are combined with one
-// another cost processors without 512-bit vectors as much as the trace itself.
-#define LOSS(status) (256.0 - (status))
+#define AT_M1 (-1) // of which the surfaces after it are 0, 1, ...
 
 // The rays of a work-item take turns at every step, so that one hides the other's waiting.
 #define EACH_TURN _Pragma("unroll") for (int k = 0; k < RAYS; ++k)
@@ -75,7 +72,7 @@ INLINE meeting meet_conic(const ray *r, __global const double *pose, double c, d
 INLINE void keep_if_on_glass(sighting *s, const meeting *m, __global const double *pose,
                              __global const double *line)
 {
-    real beyond = larger(m->lean.z, LOSS(GAP) - s->loss);
+    real beyond = larger(m->lean.z, LOSS(GAP, AT_M1) - s->loss);
 #if CONVEX
     #pragma unroll
     for (int edge = 0; edge < EDGES; ++edge)
@@ -205,7 +202,7 @@ __kernel void segmented(
         r[k].length = 1.0;
         r[k].path = dot3(r[k].position, light);
         s[k].step = 0.0;
-        s[k].loss = LOSS(GAP);
+        s[k].loss = LOSS(GAP, AT_M1);
         s[k].normal.x = 0.0;
         s[k].normal.y = 0.0;
         s[k].normal.z = -1.0;
@@ -270,17 +267,17 @@ __kernel void segmented(
             if (plane || MIRROR_DEGREE < 0)
                 advance(&r[k], step[k]);
             if (plane) {
-                loss[k] = lose_unless(finite(step[k]), loss[k], LOSS(MISS + i));
+                loss[k] = lose_unless(finite(step[k]), loss[k], LOSS(MISS, i));
                 if (i < SURFACES - 1)
                     r[k].direction.z = -r[k].direction.z;
             } else {
                 if (MIRROR_DEGREE < 0)
                     normal[k] = conic_normal(r[k].position, curvatures[i], conics_plus_1[i]);
-                loss[k] = lose_unless(normal[k].z + poison(step[k]) < 0.0, loss[k], LOSS(MISS + i));
+                loss[k] = lose_unless(normal[k].z + poison(step[k]) < 0.0, loss[k], LOSS(MISS, i));
                 reflect(&r[k], normal[k]);
             }
             if (EDGED >> i & 1)
-                loss[k] = lose_beyond(&r[k], clear_squares[i], loss[k], LOSS(MISS + i));
+                loss[k] = lose_beyond(&r[k], clear_squares[i], loss[k], LOSS(VIGNETTED, i));
         }
     }
 
@@ -288,11 +285,11 @@ __kernel void segmented(
         const size_t out = (tile * rays + n + k) * 16 + lane;
         const real back = back_to_sphere(&r[k], LOAD(chief), LOAD(chief + 16), sphere_square);
         const real opd = LOAD(chief + 32) - (r[k].path - back);
-        loss[k] = lose_unless(finite(opd), loss[k], LOSS(MISS + SURFACES));
+        loss[k] = lose_unless(finite(opd), loss[k], LOSS(MISS, SURFACES));
         const mask lost = loss[k] > 0.0;
         STORE(EITHER(lost, (real)NAN, opd), out_opd + out);
         STORE(EITHER(lost, (real)NAN, r[k].position.x), out_x + out);
         STORE(EITHER(lost, (real)NAN, r[k].position.y), out_y + out);
-        STORE_STATUS(to_integers(EITHER(lost, LOSS(loss[k]), (real)OK)), out_status + out);
+        STORE_STATUS(status_of(loss[k]) + 8 * (surface_of(loss[k]) + 1), out_status + out);
     }
 }

@@ -6,21 +6,12 @@
 
 #include "lanes.h"
 #include "rays.h"
-
-// Why a ray is lost at a surface, the first reason the largest; STATUS_OF names them as the host does.
-enum { TOTAL_REFLECTION = 1, VIGNETTED = 2, DIVERGED = 3, MISS = 4 };
-#define STATUS_OF(reason) ((integers)(0x24130) >> 4 * (reason) & 15)
-// Losses are numbers that fall from surface to surface, so that a ray keeps its largest: masks that are
-// combined with one another cost processors without 512-bit vectors as much as the trace itself.
-#define LOSS(reason, surface) (8.0 * (255 - (surface)) + (reason))
+#include "status.h"
 
 #define NEWTON_STEPS 30
 // Newton's iteration ends with a step this short, or this short for a surface of radius 1.
 #define CONVERGED 1e-12
 #define ROUNDING 4e-15
-
-INLINE integers status_of(real loss) { return STATUS_OF(to_integers(loss) & 7); }
-INLINE integers surface_of(real loss) { return -1 - (to_integers(loss) >> 3); }
 
 // A pose is q = A p + o: nine entries of A row by row, then three of o.
 INLINE void shift(ray *r, __global const double *pose)

@@ -53,10 +53,6 @@ class Registry(Generic[Entry]):
         self._entries[name] = entry
         return entry
 
-    def remove(self, name: str) -> None:
-        """Forget an entry."""
-        self._entries.pop(name, None)
-
     def known(self) -> Mapping[str, Entry]:
         """Return the entries that have been added so far, without looking for others."""
         return self._entries
@@ -87,4 +83,7 @@ class Registry(Generic[Entry]):
 
 
 def _origin(entry: object) -> str:
-    return f"{getattr(entry, '__module__', '')}.{getattr(entry, '__qualname__', type(entry).__name__)}"
+    """Return the module and name of an entry; a plug-in's new text takes the place of its former one."""
+    module = str(getattr(entry, "__module__", ""))
+    place = "a plug-in" if module.startswith("wavequake_plugin_") else module
+    return f"{place}.{getattr(entry, '__qualname__', type(entry).__name__)}"

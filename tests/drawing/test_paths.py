@@ -5,8 +5,9 @@ import pytest
 
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.trace.paths import trace_paths
-from wavequake.kernels.trace.sequence import MISS, TOTAL_REFLECTION, VIGNETTED, Rays
+from wavequake.kernels.trace.sequence import Rays
 from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.kernels.trace.status import MISS, TOTAL_REFLECTION, VIGNETTED
 from wavequake.optics.catalog.names import optical_system, system_names
 from wavequake.optics.media.glasses import AIR, constant, refractive_index
 from wavequake.optics.media.gradients import selfoc

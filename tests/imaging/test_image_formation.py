@@ -114,7 +114,7 @@ def test_partially_coherent_light_is_hopkins_double_sum():
         ]
     ) / (rows * columns)
     passed = np.array(
-        [[coherent_transfer(pupil, a + x / 2, b + y / 2) for a, b in orders] for x, y in source.points]
+        [[coherent_transfer(pupil, a - x / 2, b - y / 2) for a, b in orders] for x, y in source.points]
     )
     cross = np.einsum("s,sk,sl->kl", source.weights, passed, passed.conj())
     image = partially_coherent_image(field, pitch, pupil, source)
@@ -155,9 +155,9 @@ def test_a_very_large_source_is_incoherent():
 
 
 def test_a_tilted_wavefront_moves_all_images_alike():
-    """An OPD that falls by one wave over the radius moves the image by +2."""
+    """An OPD that rises by one wave over the radius moves the image by +2."""
     pixels, pitch, shift = 64, 0.25, 8
-    tilted = PupilShape(0.0, lambda x, y: -x)
+    tilted = PupilShape(0.0, lambda x, y: x)
     for image, tolerance in ((coherent_image, 1e-13), (incoherent_image, 1e-6)):
         straight, moved = (image(point(pixels), pitch, pupil) for pupil in (PERFECT, tilted))
         np.testing.assert_allclose(moved, np.roll(straight, shift, axis=1), rtol=0, atol=tolerance)

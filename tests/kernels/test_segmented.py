@@ -13,7 +13,10 @@ from wavequake.kernels.device.example import two_mirrors
 from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace import segmented
 from wavequake.kernels.trace.segmented import trace_segmented
+from wavequake.kernels.trace.status import GAP, MISS, lost_at
 from wavequake.optics.shapes.polygons import edge_spans
+
+IN_GAP, MISSES_M2, MISSES_SPHERE = lost_at(GAP, -1), lost_at(MISS, 0), lost_at(MISS, 2)
 
 
 @pytest.mark.parametrize("device", **NAMES)
@@ -90,7 +93,7 @@ def test_a_ray_beside_the_glass_is_in_a_gap(device):
     traced = trace_segmented(**arguments | rays | {"directions": parallel}, device=device)
     assert train.edges.shape == (6, 6, 3)
     assert (traced.status[0, 0] == 0).all()
-    assert (traced.status[0, 1] == 1).all()
+    assert (traced.status[0, 1] == IN_GAP).all()
     assert np.isnan([traced.opd[0, 1], traced.x[0, 1], traced.y[0, 1]]).all()
 
 
@@ -109,7 +112,7 @@ def test_glass_that_is_not_convex_holds_what_an_even_odd_rule_says(device):
     hull = [Path(corners[segment][:3]).contains_point(ray) for segment, ray in zip(own, rays, strict=True)]
     assert 5 < np.count_nonzero(inside) < np.count_nonzero(hull) < len(rays) - 5
     np.testing.assert_array_equal((traced.status[0] == 0).all(axis=1), inside)
-    np.testing.assert_array_equal((traced.status[0] == 1).all(axis=1), ~np.array(inside))
+    np.testing.assert_array_equal((traced.status[0] == IN_GAP).all(axis=1), ~np.array(inside))
     whole = trace_segmented(**arguments, device=device)
     np.testing.assert_array_equal(traced.opd[:, inside], whole.opd[:, inside])
 
@@ -123,7 +126,7 @@ def test_the_candidates_order_does_not_matter_and_none_is_a_gap(device):
     assert_same(trace_segmented(**arguments | {"candidates": several}, device=device), expected)
     for columns in (0, 2):
         none = np.full((own.size, columns), -1, dtype=np.int32)
-        assert (trace_segmented(**arguments | {"candidates": none}, device=device).status == 1).all()
+        assert (trace_segmented(**arguments | {"candidates": none}, device=device).status == IN_GAP).all()
 
 
 @pytest.mark.parametrize("device", **NAMES)
@@ -168,7 +171,7 @@ def test_the_back_of_a_sphere_is_not_glass(device):
     one_ray = {"ray_y": np.zeros(1), "candidates": np.zeros((1, 1), np.int32)}
     one_ray["directions"] = np.broadcast_to(direction[:, None], (1, 3, TILE)).copy()
     primary = one_mirror(curvature=1.0 / 100.0) | one_ray | {"ray_x": start[:1].copy()}
-    assert (trace_segmented(**primary, device=device).status == 1).all()
+    assert (trace_segmented(**primary, device=device).status == IN_GAP).all()
 
     # The same after a plane primary, which the ray meets in the origin.
     flat = one_mirror() | one_ray | {"ray_x": np.array([-20.0 * np.tan(1.4)])}
@@ -176,7 +179,7 @@ def test_the_back_of_a_sphere_is_not_glass(device):
     flat["train"] = replace(flat["train"], **surfaces)
     turn = np.diag([1.0, -1.0, -1.0])
     flat["surface_poses"] = poses((turn, entry - 300.0 * direction), (np.eye(3), np.zeros(3)))
-    assert (trace_segmented(**flat, device=device).status == 2).all()
+    assert (trace_segmented(**flat, device=device).status == MISSES_M2).all()
 
 
 @pytest.mark.parametrize("device", **NAMES)
@@ -191,12 +194,12 @@ def test_lost_rays_say_which_surface_they_miss_and_are_nan(device):
     nowhere = {"chief": np.full_like(arguments["chief"], np.nan)}
     axis = np.zeros(1)
     cases = [
-        ({"train": small}, 2),
-        ({"train": replace(train, sphere_radius=1e-6)}, 4),
-        (nowhere, 4),
-        ({"surface_poses": np.full_like(poses_, np.nan)}, 2),
-        ({"segment_poses": np.full_like(lost_pose, np.inf)}, 1),
-        ({"directions": np.full_like(arguments["directions"], np.nan)}, 1),
+        ({"train": small}, MISSES_M2),
+        ({"train": replace(train, sphere_radius=1e-6)}, MISSES_SPHERE),
+        (nowhere, MISSES_SPHERE),
+        ({"surface_poses": np.full_like(poses_, np.nan)}, MISSES_M2),
+        ({"segment_poses": np.full_like(lost_pose, np.inf)}, IN_GAP),
+        ({"directions": np.full_like(arguments["directions"], np.nan)}, IN_GAP),
     ]
     for change, status in cases:
         traced = trace_segmented(**arguments | change, device=device)
@@ -205,11 +208,11 @@ def test_lost_rays_say_which_surface_they_miss_and_are_nan(device):
     # A ray parallel to the image plane: along the axis, over a mirror without an edge.
     plane = one_mirror() | {"ray_x": axis, "ray_y": axis, "candidates": np.zeros((1, 1), np.int32)}
     plane["surface_poses"] = poses(([[0, 0, 1], [0, 1, 0], [-1, 0, 0]], [0.0, 0.0, 5.0]))
-    assert (trace_segmented(**plane, device=device).status == 2).all()
+    assert (trace_segmented(**plane, device=device).status == MISSES_M2).all()
 
     traced = trace_segmented(**arguments | {"segment_poses": lost_pose}, device=device)
     own = arguments["candidates"][:, 0] == 2
-    assert (traced.status[:, own] == 1).all()
+    assert (traced.status[:, own] == IN_GAP).all()
     assert (traced.status[:, ~own] == 0).all()
     np.testing.assert_array_equal(np.isnan(traced.opd), traced.status != 0)
 

@@ -9,6 +9,7 @@ from wavequake.kernels.device.example import two_mirrors
 from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.segmented import trace_chief, trace_segmented
 from wavequake.kernels.trace.sequence import Ring
+from wavequake.kernels.trace.status import VIGNETTED, lost_at
 from wavequake.kernels.trace.train import vignetted
 
 
@@ -115,7 +116,7 @@ def test_light_beyond_a_mirrors_edge_is_vignetted(device):
     assert (clear & (radius < edge)).any()
     edged = replace(train, semi_diameters=np.array([edge, np.inf]))
     traced = trace_segmented(**arguments | {"train": edged}, device=device)
-    gone = traced.status == 2
+    gone = traced.status == lost_at(VIGNETTED, 0)
     np.testing.assert_array_equal(gone, vignetted(edged, traced.status))
     assert (gone | (traced.status == 0)).all()
     np.testing.assert_array_equal(gone[clear], (radius > edge)[clear])

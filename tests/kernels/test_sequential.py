@@ -6,20 +6,9 @@ import numpy as np
 import pytest
 from sequential_cases import IMAGE, NAMES, collimated, from_point, paraboloids, shifts, turned
 
-from wavequake.kernels.trace.sequence import (
-    DIVERGED,
-    MISS,
-    OK,
-    TOTAL_REFLECTION,
-    VIGNETTED,
-    Element,
-    Moving,
-    Polynomial,
-    Rays,
-    Region,
-    Sequence,
-)
+from wavequake.kernels.trace.sequence import Element, Moving, Polynomial, Rays, Region, Sequence
 from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.kernels.trace.status import DIVERGED, MISS, OK, TOTAL_REFLECTION, VIGNETTED
 
 
 @pytest.mark.parametrize("device", **NAMES)

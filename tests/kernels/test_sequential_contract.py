@@ -8,11 +8,6 @@ from rotations import rotations
 
 from wavequake.kernels.device.devices import NUMPY, Device, list_devices
 from wavequake.kernels.trace.sequence import (
-    DIVERGED,
-    MISS,
-    OK,
-    TOTAL_REFLECTION,
-    VIGNETTED,
     Element,
     Gradient,
     Grid,
@@ -25,6 +20,7 @@ from wavequake.kernels.trace.sequence import (
     terms,
 )
 from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.kernels.trace.status import DIVERGED, MISS, OK, TOTAL_REFLECTION, VIGNETTED
 from wavequake.optics.shapes.polygons import edge_spans
 
 OPENCL = [device for device in list_devices() if device.kind != "numpy"]

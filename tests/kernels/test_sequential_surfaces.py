@@ -8,18 +8,10 @@ from sequential_cases import IMAGE, NAMES, collimated, from_point, paraboloids, 
 
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
-from wavequake.kernels.trace.sequence import (
-    OK,
-    Element,
-    Grid,
-    Moving,
-    Polynomial,
-    Rays,
-    Ring,
-    Sequence,
-)
+from wavequake.kernels.trace.sequence import Element, Grid, Moving, Polynomial, Rays, Ring, Sequence
 from wavequake.kernels.trace.sequential import trace_sequence
 from wavequake.kernels.trace.sequential_numpy import sag_and_slopes
+from wavequake.kernels.trace.status import OK
 
 
 def surfaces():

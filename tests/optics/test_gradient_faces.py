@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from wavequake.kernels.device.devices import NUMPY, list_devices
-from wavequake.kernels.trace.sequence import OK, Rays
+from wavequake.kernels.trace.sequence import Rays
 from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.kernels.trace.status import OK
 from wavequake.optics.media.glasses import AIR
 from wavequake.optics.media.gradients import luneburg, selfoc
 from wavequake.optics.rays.packing import moving, pack

@@ -9,17 +9,9 @@ from scipy.integrate import solve_ivp
 
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY, list_devices
-from wavequake.kernels.trace.sequence import (
-    MISS,
-    OK,
-    TOTAL_REFLECTION,
-    Element,
-    Gradient,
-    Moving,
-    Rays,
-    Sequence,
-)
+from wavequake.kernels.trace.sequence import Element, Gradient, Moving, Rays, Sequence
 from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.kernels.trace.status import MISS, OK, TOTAL_REFLECTION
 from wavequake.optics.media.glasses import AIR, constant, glass, refractive_index
 from wavequake.optics.media.gradients import GradientIndex, axial, luneburg, selfoc
 from wavequake.optics.rays.packing import moving, pack

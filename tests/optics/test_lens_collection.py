@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.kernels.trace.sequence import OK, Rays
+from wavequake.kernels.trace.sequence import Rays
 from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.kernels.trace.status import OK
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.paraxial import paraxial

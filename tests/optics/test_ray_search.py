@@ -8,7 +8,7 @@ import pytest
 
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
-from wavequake.kernels.trace.sequence import TOTAL_REFLECTION, VIGNETTED
+from wavequake.kernels.trace.status import TOTAL_REFLECTION, VIGNETTED
 from wavequake.optics.catalog.names import optical_system
 from wavequake.optics.media.glasses import Medium, refractive_index
 from wavequake.optics.rays.aiming import aimed_rays, pupil_rays

@@ -12,8 +12,9 @@ import wavequake as wq
 from wavequake.campaign.contract import DONE
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY, list_devices
-from wavequake.kernels.trace.sequence import OK, Rays
+from wavequake.kernels.trace.sequence import Rays
 from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.kernels.trace.status import OK
 from wavequake.optics.media.glasses import constant
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.rays.pupils import sunflower

@@ -7,7 +7,7 @@ import pytest
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
 from wavequake.kernels.device.tiles import TILE
-from wavequake.kernels.trace.train import MISS
+from wavequake.kernels.trace.status import MISS, lost_at
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.rays.pupils import PupilRays, sunflower
 from wavequake.optics.segments.catalog import telescope
@@ -143,9 +143,9 @@ def test_lost_rays_are_left_out(thesis):
     fit = slope_fit(thesis)
     expected = wavefront_from_slopes(fit, traced, chief)
     status = traced.status.copy()
-    status[0, ::7, 3] = MISS
-    status[0, 5:, 4] = MISS
-    status[0, :, 5] = MISS
+    status[0, ::7, 3] = lost_at(MISS, 1)
+    status[0, 5:, 4] = lost_at(MISS, 1)
+    status[0, :, 5] = lost_at(MISS, 1)
     lost = status != 0
     x, y = (np.where(lost, np.nan, values) for values in (traced.x, traced.y))
     coefficients = wavefront_from_slopes(fit, replace(traced, x=x, y=y, status=status), chief)

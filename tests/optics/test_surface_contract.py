@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from wavequake.kernels.device.devices import list_devices
-from wavequake.kernels.trace.sequence import OK, Rays
+from wavequake.kernels.trace.sequence import Rays
 from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.kernels.trace.status import OK
 from wavequake.optics.media.glasses import AIR, constant
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.shapes.sag import deformation_sag, shape_sag

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from wavequake.kernels.device.devices import NUMPY
-from wavequake.kernels.trace.sequence import MISS
 from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.kernels.trace.status import MISS
 from wavequake.optics.catalog.names import optical_system, system_names
 from wavequake.optics.media.glasses import constant
 from wavequake.optics.polynomials.zernike import annular_zernike

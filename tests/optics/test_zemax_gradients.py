@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.kernels.trace.sequence import OK, Rays
+from wavequake.kernels.trace.sequence import Rays
 from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.kernels.trace.status import OK
 from wavequake.optics.media.glasses import AIR, constant, glass
 from wavequake.optics.media.gradients import GradientIndex, axial, luneburg, selfoc
 from wavequake.optics.rays.packing import moving, pack

@@ -52,7 +52,7 @@ def test_rays_and_cells_image_as_transfer_functions_do(light, of):
     found = image(section, waves(GRID.x, GRID.y)[None], of)
     picture = double_slit((PIXELS, PIXELS), SAMPLING, 0.75, 2.25)
     fine = np.kron(np.pad(picture, BORDER), np.ones((FINE, FINE)))
-    pupil = PupilShape(0.0, lambda x, y: waves(-x, -y))  # an OPD there falls where the phase here grows
+    pupil = PupilShape(0.0, waves)
     if section.sigma is None:
         expected = coherent_image(fine, SAMPLING / FINE, pupil)
     else:

@@ -88,7 +88,8 @@ def test_one_instant_images_as_a_transfer_function_does(light):
     opd = study.imaging.scale * last[5:] / study.optics.wavelength_nm
 
     def wavefront(x, y):
-        return eleven(x, y)[:, 3:] @ opd - 0.5 * (los[0] * x + los[1] * y)
+        # Images have the axes of the image plane, to whose +x an OPD moves light that falls along +x.
+        return 0.5 * (los[0] * x + los[1] * y) - eleven(x, y)[:, 3:] @ opd
 
     still = imaged(study, None)
     np.testing.assert_allclose(found["object_static"], still, rtol=0, atol=0.04 * still.max())

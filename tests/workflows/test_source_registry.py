@@ -1,13 +1,14 @@
 """What every registered source owes, and one that a file outside adds, in both kinds of optics."""
 
 import pickle
-import sys
-from pathlib import Path
 
+import creaking_source
 import numpy as np
 import pytest
+from creaking_source import Creaking
 
 import wavequake as wq
+from wavequake.campaign import plugins
 from wavequake.campaign.contract import DONE
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
@@ -31,9 +32,6 @@ from wavequake.workflows.study import load_study
 from wavequake.workflows.systems.system_bench import system_bench
 from wavequake.workflows.systems.system_disturbance import draw as draw_system
 from wavequake.workflows.systems.system_disturbance import sampling_plan as system_plan
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "mechanics"))
-from creaking_source import Creaking
 
 SEGMENTS = """
 [study]
@@ -297,3 +295,26 @@ def test_a_figure_that_no_mirror_of_a_telescope_takes_is_refused(tmp_path):
     )
     with pytest.raises(UserError, match=r"'given' deforms 'M2' of the telescope .*: only segments deform"):
         bench_of(load_study(path).identity_text())
+
+
+@pytest.mark.parametrize("optics", OPTICS)
+def test_a_plugin_adds_a_source_to_workers_too(tmp_path, optics, wavequake, monkeypatch):
+    text, element = OPTICS[optics]
+    known = dict(SOURCES.entries())
+    del known["creaking"]
+    monkeypatch.setattr(SOURCES, "_entries", known)
+    monkeypatch.setattr(plugins, "_loaded", {})
+    path = tmp_path / "creaking.toml"
+    path.write_text((text + entry("creaking", EXAMPLES["creaking"], "creak", 2)).replace("NAME", element))
+    store, plugin = tmp_path / "store", ("--plugin", creaking_source.__file__)
+    code, out, err = wavequake("run", path, "--store", store, "--workers", 2, *plugin)
+    assert (code, err) == (0, ""), (out, err)
+    assert (wq.open_store(store)["status"] == DONE).all()
+    for words in (("report", store), ("rerun", store, "--case", 1), ("verify", store)):
+        code, out, err = wavequake(*words, *plugin)
+        assert code == 0, (words, out, err)
+    known.pop("creaking")
+    monkeypatch.setattr(plugins, "_loaded", {})
+    code, _, err = wavequake("run", path, "--store", tmp_path / "other")
+    assert code == 2
+    assert "disturbance.creak.model: there is no model 'creaking'" in " ".join(err.split())

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.trace.paths import trace_paths
-from wavequake.kernels.trace.sequence import OK, Rays
+from wavequake.kernels.trace.sequence import Rays
+from wavequake.kernels.trace.status import OK
 from wavequake.optics.rays.aiming import aimed_rays, point_name
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.systems.kinematics import rest_states

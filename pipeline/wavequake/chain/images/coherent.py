@@ -76,7 +76,7 @@ def lit_object(
     source = source_of(section)
     spectra: list[NDArray[np.complex128]] = []
     for across, up in source.points:
-        fx, fy = x / diameter + 0.5 * across, y / diameter + 0.5 * up
+        fx, fy = x / diameter - 0.5 * across, y / diameter - 0.5 * up
         along_x, along_y = (_along(f, pixels, sampling) for f in (fx, fy))
         spectra.append(_squares(sampling, fx, fy) * ((along_x @ picture.T) * along_y).sum(axis=1))
     basis = ray_basis(x, y, weight, pixels, sampling, diameter)
@@ -94,7 +94,7 @@ def lit_by_cells(section: ObjectSection, transform: MatrixFourier) -> LitObject:
     source = source_of(section)
     spectra: list[NDArray[np.complex128]] = []
     for across, up in source.points:  # of whole cells: their spectrum is separable
-        fx, fy = 0.5 * (pupil.axis + across), 0.5 * (pupil.axis + up)
+        fx, fy = 0.5 * (pupil.axis - across), 0.5 * (pupil.axis - up)
         grid = _along(fy, len(axis), sampling) @ picture @ _along(fx, len(axis), sampling).T
         spectra.append((_squares(sampling, fx, fy[:, None]) * grid).ravel()[pupil.cells])
     share = pupil.light.sum() / len(pupil.axis) ** 2

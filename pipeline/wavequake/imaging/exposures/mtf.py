@@ -104,8 +104,8 @@ def _response(pupil: PupilShape) -> tuple[Real, Real]:
     if pupil.wavefront is not None:
         _check_steepness(grid.cells, waves)
     field = pupil_function(grid, 2.0 * np.pi * waves[None])[0]
-    # The transform of exp(+2 pi i f x): +x is where falling OPDs move the image.
-    image = np.abs(np.fft.ifft2(field, s=(2 * _SAMPLES, 2 * _SAMPLES))) ** 2
+    # The transform by exp(-2 pi i f x): +x is where rising OPDs move the image.
+    image = np.abs(np.fft.fft2(field, s=(2 * _SAMPLES, 2 * _SAMPLES))) ** 2
     # The square of a rim cell's mean amplitude is not the mean square: only zero frequency would notice.
     energy = image.sum() * grid.amplitude.sum() / np.sum(grid.amplitude**2)
     return fftshift(image / energy), fftshift(fftfreq(2 * _SAMPLES, 1.0 / _SAMPLES))

@@ -215,8 +215,8 @@ def _frequencies(shape: tuple[int, ...], sampling: float) -> tuple[Real, Real]:
 
 
 def _through(spectrum: Complex, sampling: float, pupil: PupilShape, x: float, y: float) -> Real:
-    """Return the irradiance of a spectrum that passes the pupil shifted by the frequencies x and y."""
+    """Return the irradiance of a spectrum whose zero frequency passes the pupil at twice x and y."""
     _check_sampling(sampling)
     along_x, along_y = _frequencies(spectrum.shape, sampling)
-    image = ifft2(spectrum * coherent_transfer(pupil, along_x + x, along_y + y))
+    image = ifft2(spectrum * coherent_transfer(pupil, along_x - x, along_y - y))
     return np.asarray(image.real**2 + image.imag**2)

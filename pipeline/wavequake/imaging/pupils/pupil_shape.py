@@ -24,7 +24,8 @@ class PupilShape:
     obscuration : float
         Inner over outer radius.
     wavefront : callable, optional
-        OPD in waves at x and y in pupil radii, arrays of one shape; none is a perfect system.
+        OPD in waves at x and y in pupil radii, arrays of one shape; none is a perfect system. Where it rises
+        along +x, the image moves to +x.
     """
 
     obscuration: float = 0.0
@@ -56,15 +57,16 @@ class PupilShape:
 def coherent_transfer(pupil: PupilShape, x: Real, y: Real) -> Complex:
     """Return the coherent transfer function at frequencies x and y, which broadcast, per wavelength/diameter.
 
-    It is 1 within the pupil, 1/2 on its rims and 0 outside, times exp(2 pi i W): the OPD of an
-    image that is moved to +x falls along +x.
+    It is 1 within the pupil, 1/2 on its rims and 0 outside, times exp(+2 pi i W). An image is the transform
+    of the pupil by exp(-2 pi i f x), so that a frequency passes at the opposite place of the pupil, and an
+    OPD that rises along +x moves the image to +x.
 
     Raises
     ------
     UserError
         If the wavefront is not finite somewhere in the pupil, or has another shape than the places.
     """
-    across, down = np.broadcast_arrays(2.0 * np.asarray(x), 2.0 * np.asarray(y))
+    across, down = np.broadcast_arrays(-2.0 * np.asarray(x), -2.0 * np.asarray(y))
     radius = np.hypot(across, down)
     passed = _step(1.0 - radius)
     if pupil.obscuration:

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.kernels.trace.sequence import DIVERGED, MISS, OK, Moving, Rays, Sequence
+from wavequake.kernels.trace.sequence import Moving, Rays, Sequence
 from wavequake.kernels.trace.sequential_numpy import LOST_RAYS_ARE_DATA, walk
+from wavequake.kernels.trace.status import DIVERGED, MISS, OK
 
 Array = NDArray[np.float64]
 

@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.ring import ring_polynomial
 from wavequake.kernels.trace.sequence import Basis
+from wavequake.kernels.trace.status import GAP, MISS, OK, VIGNETTED, lost_at
 from wavequake.kernels.trace.surfaces import conic_path, conic_sag, conic_slopes
-from wavequake.kernels.trace.train import GAP, MISS, OK, SegmentedTrain, Traced, check_train
+from wavequake.kernels.trace.train import SegmentedTrain, Traced, check_train
 
 Array = NDArray[np.float64]
 _NEWTON_STEPS = 30
+_GAP = lost_at(GAP, -1)
 # Newton's iteration ends with the step after one this short: its square leaves only rounding.
 _SHORT = 1e-7
 _LOST_RAYS_ARE_DATA = np.errstate(invalid="ignore", divide="ignore", over="ignore")
@@ -52,7 +54,7 @@ def trace_segmented_numpy(
         )
         opl_sphere = opl - _back_to_sphere(position, direction, chief[tile], train.sphere_radius)
         opd = chief[tile, 2] - opl_sphere
-        sphere_miss = MISS + train.surface_curvatures.size
+        sphere_miss = lost_at(MISS, train.surface_curvatures.size)
         status[(status == OK) & ~np.isfinite(opd)] = sphere_miss
         for out, values in ((traced.opd, opd), (traced.x, position[0]), (traced.y, position[1])):
             out[tile] = np.where(status == OK, values, np.nan)
@@ -121,9 +123,9 @@ def _reflect_at_primary(
     """Reflect each ray at the first of its candidate segments whose glass it meets."""
     out_position, out_direction = np.full(position.shape, np.nan), np.full(position.shape, np.nan)
     path = np.full(position.shape[1:], np.nan)
-    status = np.full(position.shape[1:], GAP, dtype=np.int8)
+    status = np.full(position.shape[1:], _GAP, dtype=np.int8)
     for column in candidates.T:
-        rays = np.flatnonzero((column >= 0) & (status == GAP).any(axis=-1))
+        rays = np.flatnonzero((column >= 0) & (status == _GAP).any(axis=-1))
         segments = column[rays]
         pose = poses[segments]
         local, local_direction = _into(pose, position[:, rays], direction[:, rays])
@@ -135,7 +137,7 @@ def _reflect_at_primary(
             *(coefficients, local, local_direction),
         )
         hit = local + step * local_direction
-        inside = _on_glass(train.edges[segments], hit) & (status[rays] == GAP)
+        inside = _on_glass(train.edges[segments], hit) & (status[rays] == _GAP)
         back_position, back_direction = _back(pose, hit, _reflected(local_direction, *slopes))
         for out, values in ((out_position, back_position), (out_direction, back_direction)):
             out[:, rays] = np.where(inside, values, out[:, rays])
@@ -241,7 +243,9 @@ def _through_surfaces(
         path, slopes = _meet((c, kappa), frames, form, figure, position, direction)
         position, opl = position + path * direction, opl + path
         clear = position[0] ** 2 + position[1] ** 2 <= clear_squares[surface]  # not where there is no path
-        status = np.where((status == OK) & ~clear, np.int8(MISS + surface), status)
+        missed, beyond = (np.int8(lost_at(reason, surface)) for reason in (MISS, VIGNETTED))
+        reason = np.where(np.isnan(path), missed, beyond)
+        status = np.where((status == OK) & ~clear, reason, status)
         if surface < last:
             direction = _reflected(direction, *slopes)
     return position, direction, opl, status

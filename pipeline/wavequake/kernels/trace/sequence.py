@@ -13,15 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.kernels.trace.status import VIGNETTED
 
 Array = NDArray[np.float64]
 Action = Literal["reflect", "refract", "pass"]
-
-OK = 0
-VIGNETTED = 1  # hits the surface outside its aperture
-MISS = 2  # does not hit the surface
-TOTAL_REFLECTION = 3
-DIVERGED = 4  # the iteration finds no point of the surface: it folds over
 
 
 @dataclass(frozen=True)
@@ -176,7 +171,8 @@ class TracedRays:
 
     ``path`` is the optical path length to the reference sphere (to the image without one), ``u`` and ``v``
     are x and y of the unit direction, whose z has the sign ``w_sign`` (T, N). ``status`` is 0 or says why a
-    ray is lost, ``surface`` at which element (-1: none; L: it misses the reference sphere). A device with
+    ray is lost (`wavequake.kernels.trace.status`), ``surface`` at which element (-1: none; L: it misses the
+    reference sphere). A device with
     memory of its own keeps what it traced until NumPy asks for it, see `wavequake.kernels.device.resident`.
     """
 

@@ -15,19 +15,8 @@ from numpy.typing import NDArray
 from wavequake.kernels.trace.gradient_numpy import Space, follow, local_index, space_of
 from wavequake.kernels.trace.grid_numpy import spline_grid
 from wavequake.kernels.trace.polynomial_numpy import polynomial
-from wavequake.kernels.trace.sequence import (
-    DIVERGED,
-    MISS,
-    OK,
-    TOTAL_REFLECTION,
-    VIGNETTED,
-    Element,
-    Moving,
-    Rays,
-    Region,
-    Sequence,
-    TracedRays,
-)
+from wavequake.kernels.trace.sequence import Element, Moving, Rays, Region, Sequence, TracedRays
+from wavequake.kernels.trace.status import DIVERGED, MISS, OK, TOTAL_REFLECTION, VIGNETTED
 from wavequake.kernels.trace.surfaces import conic_path, conic_sag, conic_slopes, even_sag_and_slopes
 
 Array = NDArray[np.float64]

@@ -8,12 +8,9 @@ from numpy.typing import NDArray
 
 from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.sequence import Basis
+from wavequake.kernels.trace.status import MOST_SURFACES, surface_of
 
 Array = NDArray[np.float64]
-
-OK = 0
-GAP = 1
-MISS = 2
 
 
 @dataclass(frozen=True)
@@ -90,8 +87,9 @@ class Traced:
     x, y : ndarray, shape (T, N, 16)
         Position in the image frame, mm.
     status : ndarray of int8, shape (T, N, 16)
-        0 = ok, 1 = meets no candidate segment (a gap), 2 + i = misses surface i after M1 or its
-        semi-diameter (i = L: the reference sphere).
+        0, or why and where a ray is lost, see `wavequake.kernels.trace.status.lost_at`: in a gap of M1, at
+        a surface after it that it misses or meets beyond the semi-diameter, or at the reference sphere
+        (surface L).
     """
 
     opd: Array
@@ -102,7 +100,8 @@ class Traced:
 
 def vignetted(train: SegmentedTrain, status: NDArray[np.int8]) -> NDArray[np.bool_]:
     """Return which rays of a `Traced.status` pass by a mirror after M1."""
-    return np.asarray((status >= MISS) & (status < MISS + train.surface_curvatures.size - 1))
+    surface = surface_of(status)
+    return np.asarray((surface >= 0) & (surface < train.surface_curvatures.size - 1))
 
 
 def figure_terms(degree: int) -> int:
@@ -121,6 +120,8 @@ def check_train(train: SegmentedTrain) -> None:
     surfaces = train.surface_curvatures.size
     _require("surface_curvatures", train.surface_curvatures, (surfaces,))
     _require("surface_conics", train.surface_conics, (surfaces,))
+    if surfaces > MOST_SURFACES:
+        raise ValueError(f"the train has {surfaces} surfaces after M1; it can have {MOST_SURFACES}")
     if surfaces == 0 or train.surface_curvatures[-1] != 0.0:
         raise ValueError("the last of surface_curvatures must be 0: it is the image plane")
     if train.semi_diameters is not None:

@@ -7,17 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.trace.sequence import (
-    DIVERGED,
-    MISS,
-    OK,
-    TOTAL_REFLECTION,
-    VIGNETTED,
-    Moving,
-    Rays,
-    Sequence,
-)
+from wavequake.kernels.trace.sequence import Moving, Rays, Sequence
 from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.kernels.trace.status import DIVERGED, MISS, OK, TOTAL_REFLECTION, VIGNETTED
 from wavequake.optics.media.glasses import refractive_index
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.rays.search import ends, search

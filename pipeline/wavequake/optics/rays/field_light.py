@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.kernels.trace.sequence import OK, VIGNETTED
+from wavequake.kernels.trace.status import OK, VIGNETTED
 from wavequake.optics.rays.aiming import AimedRays, aimed_rays
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import OpticalSystem

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from wavequake.kernels.trace.sequence import MISS, OK
 from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.kernels.trace.status import MISS, OK
 from wavequake.optics.rays.stop_map import AIMED, Aim, determinant, newton, solved
 
 Array = NDArray[np.float64]

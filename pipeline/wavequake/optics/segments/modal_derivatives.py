@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device
 from wavequake.kernels.device.tiles import TILE, from_tiles, padded
-from wavequake.kernels.trace.train import OK
+from wavequake.kernels.trace.status import OK
 from wavequake.optics.derivatives.central import central, checked_derivative
 from wavequake.optics.segments.kinematics import field_directions
 from wavequake.optics.segments.modal import COMMON, RIGID, ModalModel, layout_of

@@ -28,7 +28,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
 from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.segmented import Traced, trace_segmented
-from wavequake.kernels.trace.train import OK
+from wavequake.kernels.trace.status import OK
 from wavequake.optics.polynomials.zernike import annular_zernike_gradient
 from wavequake.optics.segments.kinematics import cardan, field_directions, surface_poses
 from wavequake.optics.segments.prepared import PreparedTrace, chief_rays

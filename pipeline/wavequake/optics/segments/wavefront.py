@@ -17,7 +17,8 @@ from wavequake.kernels.device.resident import device_of
 from wavequake.kernels.device.tiles import TILE, from_tiles
 from wavequake.kernels.sums.ray_sums import tile_moments
 from wavequake.kernels.trace.segmented import Traced
-from wavequake.kernels.trace.train import OK, vignetted
+from wavequake.kernels.trace.status import OK
+from wavequake.kernels.trace.train import vignetted
 from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, trace_states
 from wavequake.optics.segments.slopes import wavefront_from_slopes
 from wavequake.optics.segments.states import SurfaceStates

@@ -5,8 +5,9 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
-from wavequake.kernels.trace.sequence import OK, Sequence, TracedRays
+from wavequake.kernels.trace.sequence import Sequence, TracedRays
 from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.kernels.trace.status import OK
 from wavequake.optics.rays.aiming import aimed_rays, losses
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.shapes.sag import shape_sag

@@ -19,10 +19,11 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY, Device
 from wavequake.kernels.sums.opd import count_status, path_differences, without_planes
 from wavequake.kernels.sums.ray_sums import ray_moments
-from wavequake.kernels.trace.sequence import VIGNETTED, Moving, Rays, Sequence, TracedRays
+from wavequake.kernels.trace.sequence import Moving, Rays, Sequence, TracedRays
 from wavequake.kernels.trace.sequential import launches_of, trace_sequence
 from wavequake.kernels.trace.sequential_numpy import joined_moving, moving_part
 from wavequake.kernels.trace.sequential_source import OUTPUTS
+from wavequake.kernels.trace.status import VIGNETTED
 from wavequake.optics.checks import alike, whole
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.rays.aiming import losses, pupil_rays
@@ -35,6 +36,7 @@ from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import OpticalSystem, SystemStates, wavelength_of
 from wavequake.optics.wavefronts.fits import MORE_RAYS, Fit, fit_instants, pupil_fit
+from wavequake.optics.wavefronts.sight import line_of_sight
 from wavequake.optics.wavefronts.slopes import (
     SystemSlopes,
     on_sphere,
@@ -391,15 +393,3 @@ def analyse_system(
         lost=weight.size - found.arrived,
         vignetted=count_status(traced.status, VIGNETTED) + np.count_nonzero(prepared.status == VIGNETTED),
     )
-
-
-def line_of_sight(prepared: PreparedSystem, chief: Array, zernike: Array) -> Array:
-    """Return the image point of the best-fit plane, shape (T, 2), mm (Störkle 2018, Eq. 3.39).
-
-    A tilt that grows by W waves from the pupil's center to its rim moves the image by W wavelengths over the
-    numerical aperture there; the signs of the aperture's direction cosines hold for folded and inverting
-    systems. The tilt of an annular polynomial is steeper by 1 / sqrt(1 + eps^2) (see `los_eq339`).
-    """
-    slope = 2.0 / np.sqrt(1.0 + prepared.system.pupil.obscuration**2) * prepared.wavelength * zernike[:, 1:3]
-    shift: Array = slope @ np.linalg.inv(prepared.cosines) / prepared.image_index
-    return chief + shift

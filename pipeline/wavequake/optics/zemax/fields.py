@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.trace.sequence import OK
 from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.kernels.trace.status import OK
 from wavequake.optics.rays.aiming import pupil_rays
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.systems.kinematics import rest_states

@@ -13,7 +13,7 @@ from wavequake.kernels.device.devices import Device
 from wavequake.kernels.trace.sequence import Moving
 from wavequake.mechanics.model import ReducedModel
 from wavequake.mechanics.vibration.response import Response, displacements
-from wavequake.optics.derivatives.central import SIGNS, central, checked_derivative
+from wavequake.optics.derivatives.central import SIGNS, checked_derivative
 from wavequake.optics.shapes.basis import spline_coefficients
 from wavequake.optics.shapes.fit import (
     coefficients,
@@ -26,7 +26,8 @@ from wavequake.optics.shapes.motion_fit import MotionFit
 from wavequake.optics.shapes.shapes import GridDeformation
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.fits import fit_instants
-from wavequake.optics.wavefronts.wavefront import incoming_light, line_of_sight, trace_light
+from wavequake.optics.wavefronts.sight import line_of_sight
+from wavequake.optics.wavefronts.wavefront import incoming_light, trace_light
 from wavequake.workflows.mirrors.mirror_optics import NM_PER_MM, Optics, displacements_mm, with_deformation
 
 Array = NDArray[np.float64]
@@ -147,8 +148,9 @@ def residual_of(optics: Optics, left: Left, device: Device) -> Residual:
     opd, _, chief = trace_light(prepared, light, device)
     remedy = "it is too fast for its number of rays or terms"
     opd, chief = (values.reshape(len(SIGNS), len(steps), -1) for values in (opd, chief))
-    opd = checked_derivative(opd, _STEP, "the mirror's residual", remedy) * largest[:, None]
-    chief = central(chief, _STEP) * largest[:, None]  # it may hardly move at all
+    checked_derivative(opd, _STEP, "the mirror's residual", remedy)  # the chief ray may hardly move at all
+    per_unit = (largest / (2.0 * _STEP))[:, None]
+    opd, chief = ((values[0] - values[1]) * per_unit for values in (opd, chief))
     zernike = fit_instants(prepared.fit, opd, device)
     to_nm = prepared.wavelength * NM_PER_MM
     root = np.sqrt(prepared.fit.weight / prepared.fit.weight.sum())

@@ -12,7 +12,7 @@ from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import TILE
-from wavequake.kernels.trace.train import OK
+from wavequake.kernels.trace.status import OK
 from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.registry import Disturbance, parts
 from wavequake.mechanics.disturbances.source import SegmentSource

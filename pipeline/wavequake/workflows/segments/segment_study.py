@@ -9,6 +9,7 @@ from pydantic import Field, field_validator, model_validator
 from wavequake.campaign.schema import Section, StoreSection, Study, text_of
 from wavequake.chain.sampling import SampledCampaignSection, whole_sets
 from wavequake.chain.sources import read_source_files
+from wavequake.kernels.trace.status import MOST_SURFACES
 from wavequake.mechanics.disturbances.registry import Combine, Disturbance, with_own_axes
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.shapes.polygon_table import read_polygons
@@ -50,7 +51,7 @@ class TelescopeSection(Section):
         default=None, lt=0, description="custom: radius of M1, concave < 0"
     )
     primary_conic: float = -1.0
-    surfaces: tuple[SurfaceSection, ...] = Field(default=(), strict=False)
+    surfaces: tuple[SurfaceSection, ...] = Field(default=(), strict=False, max_length=MOST_SURFACES)
 
     @model_validator(mode="after")
     def _keys_fit_the_telescope(self) -> "TelescopeSection":

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.trace.train import MISS, OK
+from wavequake.kernels.trace.status import OK, surface_of
 from wavequake.optics.segments.prepared import PreparedTrace
 from wavequake.optics.segments.telescope import SegmentedTelescope
 
@@ -70,8 +70,9 @@ def _percent(count: int, total: int) -> str:
 def stopped_at_rest(prepared: PreparedTrace, status: Codes) -> Stopped:
     """Count what the status (N,) of the rays at rest, as `kernels.trace.train.Traced` has it, says."""
     mirrors = prepared.system.surfaces[:-1]
-    counts = [int(np.count_nonzero(status == MISS + index)) for index in range(len(mirrors))]
-    dark = (status >= MISS) & (status < MISS + len(mirrors))
+    where = surface_of(status)
+    counts = [int(np.count_nonzero(where == index)) for index in range(len(mirrors))]
+    dark = (where >= 0) & (where < len(mirrors))
     return Stopped(
         rays=len(status),
         by_mirror=tuple((one.name, count) for one, count in zip(mirrors, counts, strict=True) if count),
@@ -106,8 +107,8 @@ def refuse_dark_segment(prepared: PreparedTrace, status: Codes, lost_segments: N
 
 def _where(system: SegmentedTelescope, own: Codes) -> str:
     """Say where most of a segment's rays end, and what would let them pass."""
-    ends, counts = np.unique(own[own != OK], return_counts=True)
-    end = int(ends[np.argmax(counts)]) - MISS
+    ends, counts = np.unique(surface_of(own[own != OK]), return_counts=True)
+    end = int(ends[np.argmax(counts)])
     count = f"{counts.max()} of {len(own)}"
     if not 0 <= end < len(system.surfaces) - 1:
         return f"{count} pass beside the glass or the image; check telescope and optics.field_arcmin"

@@ -11,8 +11,8 @@ from wavequake.campaign.schema import study_from_identity
 from wavequake.chain.images.system import SystemImager, on_device, prepare_images
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY, choose_device
-from wavequake.kernels.trace.sequence import OK
 from wavequake.kernels.trace.sequential import trace_sequence
+from wavequake.kernels.trace.status import OK
 from wavequake.mechanics.disturbances.element_motion import ElementMotion
 from wavequake.mechanics.disturbances.layout import NO_SEGMENTS, SegmentLayout
 from wavequake.mechanics.disturbances.registry import parts
