@@ -104,12 +104,12 @@ def other_file(write):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("", "it is no .npz file of arrays"),
-        ("%%%", "it is no .npz file of arrays"),
-        (base64.b64encode(b"time_s,M1.dx_um\n0,1\n").decode(), "it is no .npz file of arrays"),
-        (packed(GRID)[:400], "it is no .npz file of arrays"),
-        (packed({"time_s": np.array([None, 1])}), "it is no .npz file of arrays .*allow_pickle"),
-        (other_file(lambda file: file.writestr("time_s", "0,1")), "'time_s' holds no array"),
+        ("", "it is no"),
+        ("%%%", "it is no"),
+        (base64.b64encode(b"time_s,M1.dx_um\n0,1\n").decode(), "it is no"),
+        (packed(GRID)[:400], "it is no"),
+        (packed({"time_s": np.array([None, 1])}), "'time_s.npy' is no array .*object, not numbers"),
+        (other_file(lambda file: file.writestr("time_s", "0,1")), "'time_s' is no array"),
         (other_file(lambda file: None), "it lacks time_s, the instants; it holds nothing"),
     ],
 )
@@ -123,7 +123,7 @@ def test_what_is_no_file_of_arrays_is_refused(text, complaint):
     [
         (history_arrays, "MOST_INSTANTS", 2, "more than 2 instants"),
         (history_arrays, "MOST_TEXT", 100, "MB as text"),
-        (history_arrays, "_MOST_BYTES", 100, "MB of numbers"),
+        (history_arrays, "_MOST_BYTES", 100, "MB are possible"),
         (history_facts, "MOST_NUMBERS", 59, "3 instants of .* 20 heights are 60 numbers; 59 are possible"),
     ],
 )

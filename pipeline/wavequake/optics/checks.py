@@ -3,7 +3,6 @@
 import operator
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
-from functools import cache
 from numbers import Integral, Real
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wavequake.errors import UserError
+from wavequake.prepared import prepared
 
 Array = NDArray[np.float64]
 
@@ -85,7 +85,7 @@ def require_fields(record: Any, what: str) -> None:
         raise UserError(f"{what}: {path.removeprefix('.')} is {_shown(value)}; it must be {words}")
 
 
-@cache
+@prepared(maxsize=None)
 def _hints(kind: Any) -> dict[str, Any]:
     return {entry.name: hint for entry in fields(kind) for hint in [get_type_hints(kind)[entry.name]]}
 

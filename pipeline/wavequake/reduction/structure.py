@@ -17,8 +17,9 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from wavequake.errors import UserError
-from wavequake.mechanics.model import Array, FiniteElementModel, Integers, RayleighDamping
-from wavequake.mechanics.vibration.eigen import factorize, mass_normalized_rigid_modes
+from wavequake.mechanics.model import Array, FiniteElementModel, Integers, RayleighDamping, places
+from wavequake.mechanics.vibration.eigen import dense_modes, mass_normalized_rigid_modes
+from wavequake.mechanics.vibration.factors import factorize
 from wavequake.reduction.directions import turn_equal
 
 Solver = Callable[[NDArray[Any]], NDArray[Any]]
@@ -109,7 +110,7 @@ def structure(model: FiniteElementModel) -> Structure:
     Raises
     ------
     UserError
-        If the mass matrix is singular or an entry is not finite.
+        If an entry is not finite, or an interface node cannot move.
     """
     known = _structures.get(id(model))
     if known is not None and known[0]() is model:
@@ -117,18 +118,10 @@ def structure(model: FiniteElementModel) -> Structure:
     for label, matrix in (("mass", model.mass), ("stiffness", model.stiffness)):
         if not np.isfinite(matrix.data).all():
             raise UserError(f"The {label} matrix of the model {model.name} has entries that are not finite.")
-    place = np.full((len(model.nodes), 3), -1, dtype=np.int64)
-    place[model.dof_node, model.dof_direction] = np.arange(model.order)
-    interface = place[model.interfaces].ravel()
+    interface = places(model)[model.interfaces, :3].ravel()
     if not len(interface) or (interface < 0).any():
         raise UserError(f"The model {model.name} needs interface nodes that can move in x, y and z.")
     mass, stiffness = model.mass, model.stiffness
-    masses = mass.diagonal()
-    if not (masses > 0).all():
-        raise UserError(
-            f"The mass matrix of the model {model.name} is singular: degree of freedom "
-            f"{int(np.argmin(masses))} has no mass; drop it or give it one."
-        )
     rigid = mass_normalized_rigid_modes(model)
     if model.order <= DENSE:
         mass, stiffness = mass.toarray(), stiffness.toarray()
@@ -209,10 +202,10 @@ def _positive_definite(body: Structure, matrix: Any) -> Solver:
         solver: Solver = lambda force: scipy.linalg.cho_solve(factor, force)  # noqa: E731
     else:
         try:
-            sparse = factorize(matrix)
+            sparse = factorize(matrix, definite=True)
         except UserError:
             raise UserError(message) from None
-        pivots = sparse.U.diagonal()
+        pivots = sparse.pivots
         solver = sparse.solve
     if not pivots.min() > 1e-14 * pivots.max():
         raise UserError(message)
@@ -353,11 +346,11 @@ def _dense_modes(body: Structure, fixed: Integers | None) -> tuple[Array, Array]
             if count
             else np.eye(body.order)
         )
-        squared, inner = scipy.linalg.eigh(basis.T @ body.stiffness @ basis, basis.T @ body.mass @ basis)
+        squared, inner = dense_modes(basis.T @ body.stiffness @ basis, basis.T @ body.mass @ basis)
         return squared, basis @ inner
     free = np.setdiff1d(np.arange(body.order), fixed)
-    squared, inner = scipy.linalg.eigh(body.stiffness[np.ix_(free, free)], body.mass[np.ix_(free, free)])
-    shapes = np.zeros((body.order, len(free)))
+    squared, inner = dense_modes(body.stiffness[np.ix_(free, free)], body.mass[np.ix_(free, free)])
+    shapes = np.zeros((body.order, len(squared)))
     shapes[free] = inner
     return squared, shapes
 

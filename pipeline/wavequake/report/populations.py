@@ -1,5 +1,6 @@
 """From a store to the populations of its report: one per disturbance model, without the cases that failed."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -215,15 +216,25 @@ def excluded(dataset: xr.Dataset) -> tuple[Excluded, ...]:
     )
 
 
-def left_out(dataset: xr.Dataset, label: str = "disturbance", most: int | None = None) -> list[Excluded]:
-    """Return the cases that failed (the first `most` of them), with the reason; `label` names them."""
+def left_out(
+    dataset: xr.Dataset, labels: str | Sequence[str] = "disturbance", most: int | None = None
+) -> list[Excluded]:
+    """Return the cases that failed (the first `most` of them), with the reason; `labels` name them."""
     status, meanings = dataset["status"].to_numpy(), STATUS_MEANINGS.split()
     rows = np.flatnonzero((status != DONE) & (status != TODO))[:most]
-    failed = dataset[["message", label, "realization"]].isel(case=rows)
-    columns = (failed[name].to_numpy() for name in ("case", label, "realization", "message"))
+    failed = dataset.isel(case=rows)
+    names = [failed[name].to_numpy() for name in ([labels] if isinstance(labels, str) else labels)]
+    ids, messages = failed["case"].to_numpy(), failed["message"].to_numpy()
+    realizations = failed["realization"].to_numpy() if "realization" in failed.coords else None
     return [
-        Excluded(int(case), str(name), int(realization), meanings[status[row]], str(message))
-        for row, case, name, realization, message in zip(rows, *columns, strict=True)
+        Excluded(
+            int(ids[place]),
+            " / ".join(str(values[place]) for values in names),
+            None if realizations is None else int(realizations[place]),
+            meanings[status[row]],
+            str(messages[place]),
+        )
+        for place, row in enumerate(rows)
     ]
 
 

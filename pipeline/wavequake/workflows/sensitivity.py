@@ -13,6 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.provenance import collect
+from wavequake.campaign.schema import Study
 from wavequake.campaign.store import arrays
 from wavequake.campaign.store.journal import digest, flush
 from wavequake.campaign.store.store import (
@@ -32,7 +33,6 @@ from wavequake.optics.segments.prepared import prepare
 from wavequake.optics.segments.sensitivity import Sensitivities, sensitivities
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.exposures.telescope_control import segment_text
-from wavequake.workflows.schema import Study
 from wavequake.workflows.segments.bench import MM_PER_M, Bench, bench_of
 from wavequake.workflows.segments.segment_mor_bench import telescope_study
 from wavequake.workflows.segments.segment_mor_study import SegmentMorStudy

@@ -2,7 +2,6 @@
 
 import sys
 from dataclasses import replace
-from functools import lru_cache
 from math import cos, isfinite, sin
 
 import numpy as np
@@ -23,6 +22,7 @@ from wavequake.optics.shapes.shapes import GridDeformation, Opening, ZernikeDefo
 from wavequake.optics.systems.kinematics import relative_poses, require_motion, rest_poses
 from wavequake.optics.systems.paraxial import entrance_pupil_center
 from wavequake.optics.systems.system import LARGEST, OpticalSystem, Surface, SystemStates, require_system
+from wavequake.prepared import prepared
 
 Array = NDArray[np.float64]
 
@@ -244,7 +244,7 @@ def _poses(system: OpticalSystem, motion: Array, line_of_sight: Array, device: D
     return found
 
 
-@lru_cache(maxsize=64)
+@prepared(maxsize=64)
 def _steps_at_rest(position: bytes, rotation: bytes) -> tuple[Array, Array]:
     """Return `relative_poses`, which are asked for again with every batch of one system."""
     return relative_poses(np.frombuffer(position).reshape(-1, 3), np.frombuffer(rotation).reshape(-1, 3, 3))

@@ -131,9 +131,8 @@ def opening(row: Row, scale: float) -> Opening | None:
             f"{row.label} has an aperture from radius {low:g} to {high:g} mm; they must increase from >= 0",
         )
     if line.keyword == "OBSC":
-        if low:
-            fail(line, f"{row.label} has a ring-shaped obscuration, which is not supported")
-        return Opening(inner=high, center=center)
+        # A ring that is dark from `low` on: what passes outside of it, if anything, is stopped, too.
+        return Opening(outer=low, center=center) if low else Opening(inner=high, center=center)
     return Opening(outer=high, inner=low, center=center)
 
 

@@ -6,12 +6,13 @@ The target motion is the inverse of the kinematic-optical sensitivities times th
 
 import json
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.schema import study_from_identity
+from wavequake.chain.images.shortcuts import CANVAS, FOCUS
 from wavequake.errors import UserError
 from wavequake.imaging.engines.segment_basis import SegmentBasis, ray_basis
 from wavequake.imaging.engines.segment_psf import psf
@@ -22,9 +23,8 @@ from wavequake.optics.derivatives.central import SIGNS, checked_derivative
 from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, prepare, trace_states
 from wavequake.optics.segments.states import SurfaceStates, rest
 from wavequake.optics.segments.wavefront import Wavefront, analyse
+from wavequake.prepared import prepared
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
-from wavequake.workflows.exposures.exposures import CANVAS, FOCUS
-from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segments.bench import Bench, bench_of, monolithic
 from wavequake.workflows.segments.images import energy_scale
 from wavequake.workflows.segments.vignetting import require_all_rays
@@ -99,7 +99,7 @@ def segment_text(study_text: str) -> str:
     return json.dumps(record, sort_keys=True, separators=(",", ":"))
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def control_bench_of(study_text: str) -> ControlBench:
     """Prepare an exposure study, on one BLAS thread and in NumPy so that all workers have the same bits.
 

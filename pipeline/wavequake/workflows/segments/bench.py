@@ -3,12 +3,12 @@
 import io
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import TILE
@@ -29,7 +29,7 @@ from wavequake.optics.segments.wavefront import Wavefront, analyse
 from wavequake.optics.shapes.corner_table import distorted
 from wavequake.optics.wavefronts.fits import tells_apart
 from wavequake.optics.wavefronts.sphere_fit import reference_fit
-from wavequake.workflows.schema import study_from_identity
+from wavequake.prepared import prepared
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.segments.vignetting import Stopped, refuse_dark_segment, stopped_at_rest
 
@@ -61,7 +61,7 @@ class Bench:
     field: NDArray[np.float64]
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def bench_of(study_text: str) -> Bench:
     """Prepare the study with this identity text.
 

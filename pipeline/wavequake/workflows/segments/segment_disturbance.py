@@ -12,8 +12,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Workflow
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind
+from wavequake.campaign.schema import study_from_identity
 from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.chain.sampling import replicate_labels
 from wavequake.errors import UserError
 from wavequake.imaging.exposures.exposure import encircled_energy_radius
 from wavequake.kernels.device.devices import choose_device
@@ -33,8 +35,6 @@ from wavequake.optics.segments.prepared import chief_rays, trace_states
 from wavequake.optics.segments.states import SurfaceStates
 from wavequake.optics.segments.wavefront import Wavefront, analyse
 from wavequake.optics.wavefronts.quality import meets_marechal, meets_rayleigh
-from wavequake.workflows.sampling import replicate_labels
-from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis, monolithic
 from wavequake.workflows.segments.case_pattern import slots
 from wavequake.workflows.segments.images import (
@@ -338,4 +338,6 @@ def _coarse_figures(bench: Bench) -> Iterator[str]:
         )
 
 
-WORKFLOW = Workflow("segment-disturbance", template, case_table, compute, describe, work, check, notices)
+KIND = StudyKind(
+    "segment-disturbance", template, case_table, compute, describe, work, check, notices, model=SegmentStudy
+)

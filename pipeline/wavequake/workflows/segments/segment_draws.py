@@ -1,15 +1,14 @@
 """What a case of a segmented telescope draws: motions by generators, or by a sampling plan."""
 
-from functools import lru_cache
-
+from wavequake.chain.sampling import Plan, plan_of
 from wavequake.mechanics.disturbances.registry import Disturbance, Motion, draw_case
 from wavequake.mechanics.disturbances.source import Source
 from wavequake.mechanics.disturbances.streams import Streams
-from wavequake.workflows.sampling import Plan, plan_of
+from wavequake.prepared import prepared
 from wavequake.workflows.segments.bench import Bench, bench_of
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def sampling_plan(study_text: str) -> Plan:
     """Return what spreads the random numbers of the study with this identity text.
 

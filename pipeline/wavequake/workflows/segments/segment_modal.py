@@ -6,7 +6,6 @@ whose motion is too large for the model is traced in full instead. Both depend o
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +27,7 @@ from wavequake.optics.segments import modal
 from wavequake.optics.segments.modal import COMMON, RIGID, Forms, ModalModel
 from wavequake.optics.segments.modal_derivatives import modal_model
 from wavequake.optics.wavefronts.quality import meets_marechal
+from wavequake.prepared import prepared
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis
 from wavequake.workflows.segments.case_pattern import slots
 from wavequake.workflows.segments.segment_draws import draw_realization, sampling_plan
@@ -59,7 +59,7 @@ class _Found:
     known: NDArray[np.bool_]
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def model_of(study_text: str, device_name: str) -> ModalModel:
     """Return the modal model of a study, for the degrees of freedom in which its disturbances move segments.
 

@@ -6,11 +6,12 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from wavequake.campaign.schema import Section, StoreSection, Study, text_of
+from wavequake.chain.sampling import SampledCampaignSection, whole_sets
+from wavequake.chain.sources import read_source_files
 from wavequake.mechanics.disturbances.registry import Combine, Disturbance, with_own_axes
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.shapes.polygon_table import read_polygons
-from wavequake.workflows.sampling import SampledCampaignSection, whole_sets
-from wavequake.workflows.schema import Section, StoreSection, Study, read_source_files, text_of
 
 
 class SurfaceSection(Section):

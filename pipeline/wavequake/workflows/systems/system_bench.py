@@ -2,14 +2,15 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.schema import study_from_identity
+from wavequake.chain.images.system import SystemImager, on_device, prepare_images
 from wavequake.errors import UserError
-from wavequake.kernels.device.devices import NUMPY
+from wavequake.kernels.device.devices import NUMPY, choose_device
 from wavequake.kernels.trace.sequence import OK
 from wavequake.kernels.trace.sequential import trace_sequence
 from wavequake.mechanics.disturbances.element_motion import ElementMotion
@@ -38,7 +39,7 @@ from wavequake.optics.wavefronts.wavefront import (
     with_fitted_sphere,
     with_slopes,
 )
-from wavequake.workflows.schema import study_from_identity
+from wavequake.prepared import prepared
 from wavequake.workflows.systems.system_study import SystemStudy
 
 Array = NDArray[np.float64]
@@ -53,6 +54,7 @@ class SystemBench:
 
     ``text`` is the study's identity text; ``layout`` names what may move; ``prepared`` and ``static`` hold,
     per field and wavelength in that order, what the trace takes and the wavefront at rest (one instant).
+    ``imager`` makes exposures, if any.
     """
 
     text: str
@@ -62,9 +64,10 @@ class SystemBench:
     bodies: tuple[Body, ...]
     prepared: tuple[tuple[PreparedSystem, ...], ...]
     static: tuple[tuple[SystemWavefront, ...], ...]
+    imager: SystemImager | None = None
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def system_bench(study_text: str) -> SystemBench:
     """Prepare the study with this identity text.
 
@@ -93,7 +96,39 @@ def system_bench(study_text: str) -> SystemBench:
         for row, found in zip(prepared, static, strict=True):
             for one, wavefront in zip(row, found, strict=True):
                 _require_light(one, wavefront, rest)
-    return SystemBench(study_text, study, system, layout, bodies, prepared, static)
+        imager = _imager(study, prepared, static, rest)
+    return SystemBench(study_text, study, system, layout, bodies, prepared, static, imager)
+
+
+def _imager(
+    study: SystemStudy,
+    prepared: tuple[tuple[PreparedSystem, ...], ...],
+    static: tuple[tuple[SystemWavefront, ...], ...],
+    rest: SystemStates,
+) -> SystemImager | None:
+    """Return what makes the exposures of a study, if any; light that is stopped at rest is dark in them."""
+    if study.imaging is None:
+        return None
+    lit = {
+        (field, index): _arrives(one, rest)
+        for field, row in enumerate(prepared)
+        for index, one in enumerate(row)
+        if static[field][index].lost[0]
+    }
+    return prepare_images(study.imaging, prepared, static, lit, study.object)
+
+
+def _arrives(prepared: PreparedSystem, rest: SystemStates) -> NDArray[np.bool_]:
+    """Return which rays (N,) arrive at rest."""
+    traced = trace_sequence(prepared.sequence, prepared.rays, incoming_light(prepared, rest), NUMPY)
+    return np.asarray((prepared.status == OK) & (traced.status[0] == OK), dtype=np.bool_)
+
+
+@prepared(maxsize=4)
+def imager_on(study_text: str, device: str) -> SystemImager | None:
+    """Return what makes the exposures of a study, with transforms on a device."""
+    imager = system_bench(study_text).imager
+    return None if imager is None else on_device(imager, choose_device(device))
 
 
 def prepared_fields(

@@ -5,12 +5,16 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from wavequake.campaign.schema import Section, Study
+from wavequake.chain.images.extended import ObjectSection, check_object
+from wavequake.chain.images.picture import embed_picture
+from wavequake.chain.images.system import SystemImagingSection
+from wavequake.chain.sampling import SampledCampaignSection, whole_sets
+from wavequake.chain.sources import read_source_files
 from wavequake.mechanics.disturbances.element_motion import ElementDisturbance
 from wavequake.mechanics.disturbances.registry import parts, with_own_axes
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.systems.file import SystemSection, embed_file
-from wavequake.workflows.sampling import SampledCampaignSection, whole_sets
-from wavequake.workflows.schema import Section, Study, read_source_files
 from wavequake.workflows.segments.segment_study import require_path_lengths
 
 
@@ -78,6 +82,8 @@ class SystemStudy(Study):
     disturbance: tuple[ElementDisturbance, ...] = Field(min_length=1, strict=False)
     optics: SystemOpticsSection = SystemOpticsSection()
     wavefront: SystemWavefrontSection = SystemWavefrontSection()
+    imaging: SystemImagingSection | None = None
+    object: ObjectSection | None = None
 
     @field_validator("disturbance")
     @classmethod
@@ -104,6 +110,15 @@ class SystemStudy(Study):
         if not any(entry.share for entry in value):
             raise ValueError("every disturbance has share 0, so there is nothing to run")
         return with_own_axes(value)
+
+    @model_validator(mode="after")
+    def _objects_have_images(self) -> "SystemStudy":
+        if self.object is not None:
+            if self.imaging is None:
+                raise ValueError("an object is seen in images: add the section [imaging], or leave it out")
+            self.object.chosen()
+            check_object(self.object, self.imaging.pixels, self.imaging.sampling)
+        return self
 
     @model_validator(mode="after")
     def _bodies_have_names_of_their_own(self) -> "SystemStudy":
@@ -139,9 +154,15 @@ class SystemStudy(Study):
         """Number of instants of the shortest case."""
         return min(entry.instants for entry in self.disturbance if entry.share)
 
+    @property
+    def stores_images(self) -> bool:
+        """Whether exposures are computed."""
+        return self.imaging is not None
+
     @classmethod
     def read_files(cls, record: dict[str, Any], base: Path) -> None:
         """Read the lens file, the spectra of the line of sight, and histories."""
         if isinstance(record.get("system"), dict):
             embed_file(record["system"], base)
+        embed_picture(record, base)
         read_source_files(record, base)

@@ -6,7 +6,6 @@ whole mirror, which neighbors hardly feel, dominate it.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -21,6 +20,7 @@ from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.motion import Motion, still
 from wavequake.mechanics.disturbances.source import Randoms, Source, register
 from wavequake.mechanics.disturbances.streams import Random
+from wavequake.prepared import prepared
 
 Array = NDArray[np.float64]
 
@@ -180,7 +180,7 @@ class Shaping:
     piston_gain: float
 
 
-@lru_cache(maxsize=3)
+@prepared(maxsize=3)
 def shaping(layout: SegmentLayout, dihedral_arm_m: float, sensor_offset_m: float) -> Shaping:
     """Invert the sensor matrix, leaving out the modes that it does not see.
 

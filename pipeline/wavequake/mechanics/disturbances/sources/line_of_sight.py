@@ -1,6 +1,5 @@
 """Motion of the whole line of sight with a given spectrum: wind shake and vibration, by mount or by M2."""
 
-from functools import lru_cache
 from typing import Literal, Self
 
 import numpy as np
@@ -23,6 +22,7 @@ from wavequake.mechanics.disturbances.spectra import (
     windshake,
 )
 from wavequake.mechanics.disturbances.streams import Random
+from wavequake.prepared import prepared
 
 # The TMT wind shake's PSD at the 75th percentile of the wind over that at the 50th.
 _PERCENTILE_POWER = {50: 1.0, 75: 28 / 13}
@@ -128,7 +128,7 @@ def sight_rms_mas(parameters: LineOfSight) -> float:
     return float(np.sqrt(_bands(parameters).variances.sum())) / RAD_PER_MAS
 
 
-@lru_cache(maxsize=64)
+@prepared(maxsize=64)
 def _bands(parameters: LineOfSight) -> Bands:
     return split(sight_spectrum(parameters))
 

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
 from typing import ClassVar, Literal, Self
 
@@ -25,6 +24,7 @@ from wavequake.mechanics.disturbances.spectra import (
     von_karman,
 )
 from wavequake.mechanics.disturbances.streams import Random
+from wavequake.prepared import prepared
 
 Array = NDArray[np.float64]
 
@@ -164,7 +164,7 @@ class _Gusts:
     apart: Bands
 
 
-@lru_cache(maxsize=3)
+@prepared(maxsize=3)
 def _gusts(parameters: SegmentWind, layout: SegmentLayout) -> _Gusts:
     spectrum = piston_spectrum(parameters, float(layout.areas_m2.mean()))
     separation = np.linalg.norm(layout.centers_m[:, None] - layout.centers_m, axis=2)

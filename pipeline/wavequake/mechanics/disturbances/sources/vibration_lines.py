@@ -1,6 +1,5 @@
 """Narrow vibration lines in the line of sight: pumps, coolers, structural modes."""
 
-from functools import lru_cache
 from typing import Literal, Self
 
 import numpy as np
@@ -12,6 +11,7 @@ from wavequake.mechanics.disturbances.motion import RAD_PER_MAS, Motion, line_of
 from wavequake.mechanics.disturbances.source import Randoms, Source, register
 from wavequake.mechanics.disturbances.spectra import Bands, resonance, split, synthesize, total
 from wavequake.mechanics.disturbances.streams import Random
+from wavequake.prepared import prepared
 
 # Line frequencies in Hz along (tip) and across (tilt), from the spectra that the AO simulator TIPTOP ships.
 # The unit of those files is not proven, so they give places of lines and nothing else.
@@ -114,7 +114,7 @@ def lines_rms_mas(parameters: VibrationLines) -> float:
     return float(np.sqrt(sum(line.rms_mas**2 for line in lines_of(parameters))))
 
 
-@lru_cache(maxsize=64)
+@prepared(maxsize=64)
 def _bands(parameters: VibrationLines, across: bool) -> Bands | None:
     chosen = [line for line in lines_of(parameters) if line.across == across]
     if not chosen:
