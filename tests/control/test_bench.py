@@ -94,8 +94,8 @@ def test_image_motion_after_a_blow_is_as_published():
     target = -runs.image[0] / SENSITIVITIES[4]
     assert 0.1 < np.abs(np.gradient(target, runs.time)).max() < 0.2
     assert 4e-3 < np.ptp(target) < 6e-3
-    # Section 5.4.3, Fig. 5.38: about as large with the changed, softer springs.
-    assert np.ptp(runs.image[1]) == pytest.approx(np.ptp(runs.image[0]), rel=0.2)
+    # The same blow moves softer springs farther; the text, of unknown masses, has less (Section 5.4.3).
+    assert 1.0 < np.ptp(runs.image[1]) / np.ptp(runs.image[0]) < 1.2
     slower = bench_modes(fitted_bench("changed")).omega / bench_modes(fitted_bench()).omega
     assert ((slower > 0.85) & (slower < 1)).all()
 

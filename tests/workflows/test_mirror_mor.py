@@ -184,6 +184,15 @@ def test_labels_shapes_and_the_check_of_the_sweep(store, study):
     assert store["spot_frequency"].attrs["units"] == "Hz"
 
 
+def test_pairs_of_aberrations_respond_alike_and_the_two_trefoils_do_not(store):
+    """Three mounts 120 degrees apart: cos and sin of one or two angles are a pair, of three angles not."""
+    response = _case(store, "full")["frf_zernike"]
+    terms = {int(j): float(response.sel(noll=j).max()) for j in store["noll"].values}
+    for first, second in ((2, 3), (5, 6), (7, 8)):
+        assert terms[first] == pytest.approx(terms[second], rel=1e-3)  # of few nodes; 1e-7 of many
+    assert terms[10] > 5 * terms[9]
+
+
 def test_krylov_is_best_below_250_hz_and_useless_above_400_in_the_light_too(tmp_path):
     """Störkle 2018, Section 4.4.2: krylov36 against craigb36; defocus near 300 Hz."""
     keys = MOR | {"model.rings": 3, "reduction.variants": ["craigb36", "krylov36(150)"]}

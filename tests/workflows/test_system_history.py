@@ -127,7 +127,10 @@ def test_a_history_gives_what_the_same_states_give_in_python(tmp_path):
 
 
 def test_small_motions_act_by_the_sensitivities(tmp_path):
-    """Line of sight and coefficients are matrices times what moves: of a lens, a surface and a figure."""
+    """Line of sight and coefficients are matrices times what moves: of a lens, a surface and a figure.
+
+    The light of a case follows the stop as a whole, that of a matrix ray by ray: 1.9e-4 in this lens.
+    """
     time = np.arange(1, 30) / 1000.0
     motion = {
         "L1 front.dx_um": 0.03 * np.sin(400 * time),
@@ -152,7 +155,7 @@ def test_small_motions_act_by_the_sensitivities(tmp_path):
         )
         size = np.abs(expected).max()
         assert size > 1e-5
-        np.testing.assert_allclose(found["los_mm"][0, :, field, 0], expected, rtol=0, atol=1e-4 * size)
+        np.testing.assert_allclose(found["los_mm"][0, :, field, 0], expected, rtol=0, atol=3e-4 * size)
 
 
 DEFORMED = (("L1 front", 5), ("L4 back", 2))

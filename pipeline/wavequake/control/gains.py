@@ -1,16 +1,32 @@
-"""Feedback and observer gains by pole placement or optimal for a quadratic cost (Störkle 2018, Fig. 2.2)."""
+"""Feedback and observer gains by pole placement or optimal for a quadratic cost (Störkle 2018, Fig. 2.2).
 
+States in SI units differ by many orders of magnitude. Equations are solved in units of the states, inputs and
+outputs that balance them, and refined there by Newton's iteration, so that gains do not depend on the units.
+"""
+
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
-from scipy.linalg import solve_continuous_are, solve_discrete_are
+from scipy.linalg import (
+    matrix_balance,
+    schur,
+    solve_continuous_lyapunov,
+    solve_discrete_are,
+    solve_discrete_lyapunov,
+    solve_triangular,
+)
 
 from wavequake.control.linear import Array, LinearModel
 from wavequake.control.modes import check_controllable, check_observable, check_stable, modes
 from wavequake.errors import UserError
+
+_REFINEMENTS = 3
+# Poles farther from where they are wanted, as a share of the largest, are not placed.
+_PLACED = 1e-6
 
 
 def regulator_gain(model: LinearModel, q: ArrayLike, r: ArrayLike) -> Array:
@@ -86,13 +102,12 @@ def kalman_gain(a: Array, c: Array, q: ArrayLike, r: ArrayLike) -> Array:
     weight, noise = _weight(q, len(a), "Q"), _weight(r, len(c), "R")
     _positive(noise, "R")
     try:
-        solution = solve_discrete_are(a.T, c.T, weight, noise)
+        solution = _discrete_riccati(a.T, c.T, weight, noise)
     except (np.linalg.LinAlgError, ValueError):
         raise UserError(
             "The sampled filter cannot be designed: the measurement does not see a mode that does not decay."
         ) from None
-    gain: Array = np.linalg.solve(c @ solution @ c.T + noise, c @ solution).T
-    return gain
+    return np.asarray(np.linalg.solve(c @ solution @ c.T + noise, c @ solution).T, dtype=np.float64)
 
 
 def placed_regulator(model: LinearModel, poles: Sequence[complex]) -> Array:
@@ -117,33 +132,92 @@ def _placed(a: Array, b: Array, poles: Sequence[complex]) -> Array:
     wanted = np.asarray(poles, dtype=np.complex128)
     if len(wanted) != len(a):
         raise UserError(f"{len(wanted)} poles are given; a model of {len(a)} states needs as many.")
+    scale = _balance(a, b @ b.T, np.zeros_like(a))
+    a, b = a * scale / scale[:, None], b / scale[:, None]
+    sizes = np.asarray(np.linalg.norm(b, axis=0), dtype=np.float64)
+    b = b / sizes
     try:
-        gain: Array = scipy.signal.place_poles(a, b, wanted).gain_matrix
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that robustness could still grow
+            gain = scipy.signal.place_poles(a, b, wanted).gain_matrix
     except ValueError as error:
         raise UserError(f"The poles cannot be placed: {str(error).rstrip('.')}.") from None
-    return gain
+    apart = np.abs(wanted[:, None] - np.linalg.eigvals(a - b @ gain))
+    pairs = scipy.optimize.linear_sum_assignment(apart)
+    missed = float(apart[pairs].max() / np.abs(wanted).max())
+    if not missed <= _PLACED:
+        raise UserError(
+            f"The poles cannot be placed: rounding leaves them off by {missed:.1e} of the largest; give some "
+            "that are nearer to those of the model."
+        )
+    return np.asarray(gain / sizes[:, None] / scale, dtype=np.float64)
 
 
 def _weight(value: ArrayLike, count: int, name: str) -> Array:
     given = np.asarray(value, dtype=np.float64)
     matrix = given * np.eye(count) if given.ndim == 0 else np.diag(given) if given.ndim == 1 else given
-    if matrix.shape != (count, count) or not np.allclose(matrix, matrix.T):
+    largest = np.abs(matrix).max(initial=0.0)
+    if matrix.shape != (count, count) or np.abs(matrix - matrix.T).max(initial=0.0) > 1e-8 * largest:
         raise UserError(f"{name} must be a number, {count} numbers or a symmetric ({count}, {count}) matrix.")
-    if not np.isfinite(matrix).all() or np.linalg.eigvalsh(matrix)[0] < -1e-12 * np.abs(matrix).max():
+    matrix = (matrix + matrix.T) / 2.0
+    if not np.isfinite(matrix).all() or np.linalg.eigvalsh(matrix)[0] < -1e-12 * largest:
         raise UserError(f"{name} must be finite and without negative eigenvalues.")
     return matrix
 
 
 def _positive(matrix: Array, name: str) -> None:
-    if np.linalg.eigvalsh(matrix)[0] <= 0:
+    sizes = np.sqrt(np.abs(np.diag(matrix)))
+    if not (sizes > 0).all() or np.linalg.eigvalsh(matrix / sizes / sizes[:, None])[0] <= 0:
         raise UserError(f"{name} must be positive definite.")
 
 
+def _balance(a: Array, g: Array, q: Array) -> Array:
+    """Return units t of the states, x = t z, that balance [[A, G], [Q, A']] (Benner 2001)."""
+    pencil = np.abs(np.block([[a, g], [q, a.T]]))
+    np.fill_diagonal(pencil, 0.0)
+    sizes = matrix_balance(pencil, permute=False, separate=True)[1][0]
+    count = len(a)
+    units: Array = 2.0 ** np.round(np.log2(sizes[:count] / sizes[count:]) / 2.0)
+    return units
+
+
+def _scaled(a: Array, b: Array, q: Array, r: Array) -> tuple[Array, Array, Array, Array]:
+    """Return A, B, Q in balanced units with a cost of inputs of 1, and the units of the states."""
+    b = solve_triangular(np.linalg.cholesky(r), b.T, lower=True).T
+    units = _balance(a, b @ b.T, q)
+    return a * units / units[:, None], b / units[:, None], q * units * units[:, None], units
+
+
 def _riccati(a: Array, b: Array, q: Array, r: Array) -> Array:
+    """Return X of A'X + XA - X B R^-1 B' X + Q = 0 with A - B R^-1 B' X stable, by the Schur vectors."""
+    a, b, q, units = _scaled(a, b, q, r)
+    count, g = len(a), b @ b.T
+    hamiltonian = np.block([[a, -g], [-q, -a.T]])
     try:
-        return np.asarray(solve_continuous_are(a, b, q, r))
+        _, vectors, stable = schur(hamiltonian, sort="lhp")
+        if stable != count:
+            raise np.linalg.LinAlgError
+        x = np.linalg.solve(vectors[:count, :count].T, vectors[count:, :count].T)
+        for _ in range(_REFINEMENTS):
+            x = (x + x.T) / 2.0
+            rest = a.T @ x + x @ a - x @ g @ x + q
+            x = x + solve_continuous_lyapunov((a - g @ x).T, -rest)
     except (np.linalg.LinAlgError, ValueError):
         raise UserError(
             "The Riccati equation has no stabilizing solution: a mode neither decays nor is weighted, or "
             "is hidden; give Q for it."
         ) from None
+    return np.asarray((x + x.T) / 2.0 / units / units[:, None])
+
+
+def _discrete_riccati(a: Array, b: Array, q: Array, r: Array) -> Array:
+    """Return X of A'XA - X - A'XB (R + B'XB)^-1 B'XA + Q = 0 with a stable closed loop."""
+    a, b, q, units = _scaled(a, b, q, r)
+    cost = np.eye(b.shape[1])
+    x = solve_discrete_are(a, b, (q + q.T) / 2.0, cost)
+    for _ in range(_REFINEMENTS):
+        x = (x + x.T) / 2.0
+        closed = a - b @ np.linalg.solve(cost + b.T @ x @ b, b.T @ x @ a)
+        rest = a.T @ x @ closed - x + q
+        x = x + solve_discrete_lyapunov(closed.T, rest)
+    return np.asarray((x + x.T) / 2.0 / units / units[:, None])

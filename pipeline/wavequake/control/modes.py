@@ -84,10 +84,15 @@ def _near(value: complex, norm: float) -> float:
 
 
 def _seen(a: NDArray[np.float64], rows: NDArray[np.float64], value: complex, norm: float) -> float:
-    """Return the smallest share of a unit vector in the null space of a - value that `rows` sees."""
-    size = float(np.linalg.norm(rows, 2)) if rows.size else 0.0
-    if size == 0.0:
+    """Return the smallest share of a unit vector in the null space of a - value that `rows` sees.
+
+    Every row counts alike, whatever its unit.
+    """
+    sizes = np.linalg.norm(rows, axis=1)
+    rows = rows[sizes > 0.0] / sizes[sizes > 0.0, None]
+    if not rows.size:
         return 0.0
+    size = float(np.linalg.norm(rows, 2))
     _, singular, right = np.linalg.svd(a - value * np.eye(len(a)))
     space = right[singular <= max(3 * _near(value, norm), singular[-1])].conj().T
     if space.shape[1] > len(rows):
