@@ -113,7 +113,7 @@ def test_glasses_are_those_of_the_catalogues_that_the_file_names():
     )
     stale = read("GCAT SCHOTT\nFTYP 0", glass="N-BK7 0 0 1.62 36.4")
     assert (
-        stale.note == "The index of N-BK7 is 1.5168 by its catalogue (taken) and 1.62 by line 7 of the file."
+        stale.note == "The index of N-BK7 is 1.5168 by its catalogue (taken) and 1.62 by line 9 of the file."
     )
     assert read("GCAT SCHOTT\nFTYP 0", glass="N-BK7 0 0 1.5 40").note == ""  # what is written for unknown
 
