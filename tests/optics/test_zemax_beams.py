@@ -154,3 +154,37 @@ def test_operands_behind_the_surfaces_are_no_header():
     assert read("FTYP 0", behind="ENPD 0 0 0\nFNUM 1\nMNUM 3 2\n").note == (
         "The file has 3 configurations; this is number 2, in which it was saved."
     )
+
+
+def rows(radii, thicknesses, glasses, stop):
+    """The surfaces of a file, stop counted from 1."""
+    lines = []
+    for number, (radius, thickness, name) in enumerate(
+        zip(radii, thicknesses, glasses, strict=True), start=1
+    ):
+        lines += [f"SURF {number}", f"  CURV {1 / radius!r}", f"  DISZ {thickness!r}"]
+        lines += [f"  GLAS {name} 0 0"] if name else []
+        lines += ["  STOP"] if number == stop else []
+    return "SURF 0\n  DISZ INFINITY\n" + "\n".join(lines) + f"\nSURF {len(radii) + 1}\n"
+
+
+def test_figures_that_opticstudio_prints():
+    """A Cooke triplet and a singlet, as published in Optiland's issue 710."""
+    radii = (22.01359, -435.76044, -22.21328, 20.29192, 79.68360, -18.39533)
+    glasses = ("SK16", "", "F2", "", "SK16", "")
+    between = (3.25896, 6.00755, 0.99997, 4.75041, 2.95208, 42.20778)
+    header = "GCAT SCHOTT\nENPD 10\nWAVM 1 0.48 1\nWAVM 2 0.55 1\nWAVM 3 0.65 1\nPWAV 2\n"
+    header += "FTYP 0 0 3 3\nYFLN 0 14 20\n"
+    of_hikari = {"SK16": glass("HIKARI:SK16")}
+    cooke = paraxial(parse_zmx(header + rows(radii, between, glasses, 4), "lens.zmx", of_hikari))
+    assert cooke.focal_length == pytest.approx(49.99978307143194, rel=1e-12)
+    assert cooke.entrance_pupil == pytest.approx(11.51215867374679, rel=1e-12)
+    header = "GCAT HOYA\nENPD 25\nWAVM 1 0.4861327 1\nWAVM 2 0.5875618 1\nWAVM 3 0.6562725 1\n"
+    header += "PWAV 2\nFTYP 0\n"
+    text = rows((63.73364157, 653.2939232), (10.0, 92.7383463), ("LAC9", ""), 2)
+    singlet = paraxial(parse_zmx(header + text, "lens.zmx"))
+    assert singlet.focal_length == pytest.approx(101.501826, abs=5e-7)
+    assert singlet.entrance_pupil == pytest.approx(6.318809, abs=5e-7)
+    assert singlet.exit_pupil_diameter == pytest.approx(23.39711, abs=5e-6)
+    assert singlet.f_number == pytest.approx(4.060073, abs=5e-7)
+    assert -singlet.defocus == pytest.approx(2.255622, abs=5e-7)
