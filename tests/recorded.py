@@ -9,13 +9,14 @@ Rounding is magnified where numbers are errors of something (`modal_error_los`),
 rounding chooses (a pair of equal modes): another BLAS kernel changes them by more than their size. So all is
 computed with the kernels of AVX2 processors (`SAME`), which every newer one can run. With these the numbers
 are the same to the bit whichever processor OpenCL's compiler is told (AVX2, AVX-512, Zen 3), which cache
-sizes OpenBLAS is told, and with one or two threads of BLAS, but for hashes.
+size OpenBLAS is told, and with one or two threads of BLAS.
 """
 
 import os
 import subprocess
 import sys
 from dataclasses import dataclass, field
+from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -25,17 +26,14 @@ FOLDER = Path(__file__).parent / "data" / "recorded"
 WHOLE, SAMPLES, SUMS = 96, 24, 8
 # The largest difference, as a share of the largest number of a variable, of two computations that agree.
 AGREED = 1e-12
-# Kernels of BLAS and NumPy (two generations of names) that every processor with AVX2 has, on one thread.
+# Kernels of BLAS and NumPy (two generations of names) that every processor with AVX2 has.
 SAME = {
     "OPENBLAS_CORETYPE": "Haswell",
-    "OPENBLAS_NUM_THREADS": "1",
-    "OMP_NUM_THREADS": "1",
     "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR "
     "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL",
     "POCL_MAX_PTHREAD_COUNT": "1",
 }
-# What differs by more on another machine of that kind, by recording and variable; none is known.
-EXCEPTIONS: dict[str, dict[str, float]] = {}
+MARK = "WAVEQUAKE_RECORDS"  # set where the environment is that of `SAME`
 
 EXPOSED = {
     "model.rings": 2,
@@ -210,7 +208,11 @@ def compute(name):
     small = RECORDED[name]
     cases = {} if small.cases is None else {"campaign.cases": small.cases}
     study = wq.load_study(small.study, small.keys | cases | {"campaign.device": "cpu"})
-    per_case = kind_of(study).template(study.identity_text()).per_case
+    kind, text = kind_of(study), study.identity_text()
+    # What the command line asks before it computes, and what may prepare something in this process.
+    kind.check(text)
+    per_case = kind.template(text).per_case
+    _ = [*kind.notices(text)], kind.describe(text), kind.case_table(text, 0, 1)
     with TemporaryDirectory() as folder:
         dataset = wq.run(study, store=Path(folder) / "store").load()
     return {
@@ -239,16 +241,13 @@ def condense(values):
     }
 
 
-def load(name):
-    """Return a recording as {variable and suffix: array}."""
-    with np.load(FOLDER / f"{name}.npz") as kept:
-        return dict(kept)
-
-
-def make(name):
-    """Return what today's code would record."""
-    parts = {key: condense(values) for key, values in compute(name).items()}
-    return {key + suffix: part for key, found in parts.items() for suffix, part in found.items()}
+def digest(numbers):
+    """Return the SHA-256 of the bits of named arrays."""
+    found = sha256()
+    for key, values in sorted(numbers.items()):
+        found.update(f"{key} {values.shape}".encode())
+        found.update(values.tobytes() if values.dtype.kind in "fiub" else repr(values.tolist()).encode())
+    return found.hexdigest()
 
 
 def difference(kept, key, values):
@@ -269,49 +268,36 @@ def difference(kept, key, values):
     return float(apart / np.abs(largest).max(initial=0.0)) if apart else 0.0
 
 
-def differences(name):
-    """Return the difference of every array of a recording to today's; inf where one lacks the other."""
-    kept, now = load(name), make(name)
-    return {
-        key: difference(kept, key, now[key]) if key in kept and key in now else np.inf
-        for key in sorted(kept | now)
-    }
-
-
-def record(name):
-    """Record a study, keep what agrees with an earlier recording; return what has changed in words."""
-    path, now = FOLDER / f"{name}.npz", make(name)
-    kept = load(name) if path.exists() else {}
-    changes = [f"{key} is gone" for key in kept if key not in now]
+def changes(kept, now):
+    """Return what has changed of a recording, in words, by the name of the array."""
+    found = {key: "is gone" for key in kept if key not in now}
     for key, values in now.items():
-        apart = difference(kept, key, values) if key in kept else np.inf
-        if apart <= AGREED:
-            now[key] = kept[key]
-        else:
-            changes.append(f"{key} moves by {apart:.1e} of its scale" if key in kept else f"{key} is new")
-    if changes:
+        if key not in kept:
+            found[key] = "is new"
+        elif not (apart := difference(kept, key, values)) <= AGREED:
+            found[key] = f"moves by {apart:.1e} of its scale"
+    return found
+
+
+def compare(name, *, record):
+    """Return the bits of a study as a digest, and what has changed since it was recorded, in words."""
+    numbers, path = compute(name), FOLDER / f"{name}.npz"
+    now = {key + suffix: part for key, values in numbers.items() for suffix, part in condense(values).items()}
+    kept = dict(np.load(path)) if path.exists() else {}
+    changed = changes(kept, now)
+    if record and changed:
         path.parent.mkdir(exist_ok=True)
-        np.savez_compressed(path, **now)
-    return changes
+        np.savez_compressed(path, **{key: now[key] if key in changed else kept[key] for key in now})
+    return digest(numbers), "; ".join(f"{key} {words}" for key, words in changed.items())
 
 
-def compare(name):
-    """Return what of a study is not as it was recorded, in words."""
-    limits = EXCEPTIONS.get(name, {})
-    return [
-        f"{key} is {apart:.1e} of its scale off"
-        for key, apart in differences(name).items()
-        if not apart <= limits.get(key.partition("|")[0], AGREED)
-    ]
-
-
-def run_alike(*words):
+def run_alike(*words, threads=1):
     """Run this module on its own with the kernels of every AVX2 processor and no models of earlier runs."""
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     with TemporaryDirectory() as folder:
         kept = {"XDG_CACHE_HOME": folder, "POCL_CACHE_DIR": str(home / "pocl" / "kcache")}
         command = [sys.executable, "-m", "tests.recorded", *words]
-        environment = {**os.environ, **kept, **SAME, "WAVEQUAKE_RECORDS": "1"}
+        environment = {**os.environ, **kept, **SAME, "OPENBLAS_NUM_THREADS": str(threads), MARK: "1"}
         return subprocess.run(command, env=environment, capture_output=True, text=True)
 
 
@@ -320,16 +306,16 @@ def main(*words):
     names = [word for word in words if word != "--compare"] or list(RECORDED)
     if unknown := set(names) - set(RECORDED):
         sys.exit(f"There is no recording {', '.join(sorted(unknown))}; there are {', '.join(RECORDED)}.")
-    work, changed = (compare if "--compare" in words else record), False
+    same = True
     for name in names:
-        changes = work(name)
-        changed = changed or bool(changes)
-        print(f"{name}: {'; '.join(changes) or 'agrees'}", flush=True)
-    return int(changed and work is compare)
+        bits, changed = compare(name, record="--compare" not in words)
+        same = same and not changed
+        print(f"{name}: {changed or 'agrees'} {bits[:16]}", flush=True)
+    return int("--compare" in words and not same)
 
 
 if __name__ == "__main__":
-    if os.environ.get("WAVEQUAKE_RECORDS"):
+    if os.environ.get(MARK):
         sys.exit(main(*sys.argv[1:]))
     done = run_alike(*sys.argv[1:])
     print(done.stdout, done.stderr, sep="", end="")

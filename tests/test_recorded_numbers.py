@@ -20,15 +20,30 @@ def comparable():
     return list(recorded.RECORDED)
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(
-    " avx2 " not in Path("/proc/cpuinfo").read_text(), reason="recordings are made with the kernels of AVX2"
-)
-def test_every_bundled_study_gives_the_recorded_numbers():
+@pytest.fixture(scope="module")
+def compared():
+    """What the recordings say of a process with one thread of BLAS, line by line."""
+    if " avx2 " not in Path("/proc/cpuinfo").read_text():
+        pytest.skip("recordings are made with the kernels of AVX2")
     done = recorded.run_alike("--compare", *comparable())
-    changed = [line for line in done.stdout.splitlines() if not line.endswith(": agrees")]
+    assert not done.stderr
+    return done.stdout.splitlines()
+
+
+@pytest.mark.slow
+def test_every_bundled_study_gives_the_recorded_numbers(compared):
+    assert len(compared) == len(comparable())
+    changed = [line for line in compared if ": agrees " not in line]
     assert not changed, "\n".join(changed)
-    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+def test_bits_do_not_depend_on_how_many_threads_a_process_has(compared):
+    """What commands prepare in the client with all threads is what workers prepare with one."""
+    names = [name for name in comparable() if name in bundled_studies()]
+    done = recorded.run_alike("--compare", *names, threads=2)
+    assert len(names) >= len(bundled_studies()) - 1, done.stderr
+    assert done.stdout.splitlines() == [line for line in compared if line.partition(":")[0] in names]
 
 
 def test_every_bundled_study_is_recorded_and_small():

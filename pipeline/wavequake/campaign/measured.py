@@ -6,12 +6,11 @@ measures that are taken of it; template, padding, statuses and errors follow.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.contract import (
     DONE,
@@ -26,6 +25,7 @@ from wavequake.campaign.measures import Axis, Measure, evaluate, template_of
 from wavequake.campaign.schema import Study, study_from_identity
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.errors import UserError
+from wavequake.prepared import prepared
 
 CaseTable = dict[str, NDArray[Any]]
 
@@ -148,13 +148,12 @@ def study_kind(
     )
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def _bench(parts: _Parts, text: str) -> Any:
-    with threadpool_limits(1):  # whoever prepares gets the same bits
-        return parts.prepare(study_from_identity(parts.model, text))
+    return parts.prepare(study_from_identity(parts.model, text))
 
 
-@lru_cache(maxsize=8)
+@prepared(maxsize=8)
 def _template(parts: _Parts, text: str) -> Template:
     bench = _bench(parts, text)
     return template_of(parts.measures(bench), parts.axes(bench), parts.fixed(bench))

@@ -3,8 +3,7 @@
 from pathlib import Path
 
 from wavequake.errors import UserError
-
-MOST_BYTES = 100_000_000
+from wavequake.user_files import read_bytes
 
 
 def read_text(path: str | Path, what: str = "lens file") -> str:
@@ -15,17 +14,14 @@ def read_text(path: str | Path, what: str = "lens file") -> str:
     Raises
     ------
     UserError
-        If it cannot be read, is larger than 100 MB, or says that it is UTF-16 and is not.
+        As `wavequake.user_files.read_bytes`, and if it says that it is UTF-16 and is not.
     """
     if not isinstance(path, str | Path):
         raise UserError(f"The {what} is {path!r}; it must be the path of a file, as text.")
     try:
-        with Path(path).open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-    except OSError as error:
-        raise UserError(f"The {what} {path} cannot be read: {error.strerror}.") from None
-    if len(data) > MOST_BYTES:
-        raise UserError(f"The {what} {path} is larger than {MOST_BYTES // 1_000_000} MB.")
+        data = read_bytes(path)
+    except UserError as error:
+        raise UserError(f"The {what} {error}") from None
     for encoding in _encodings(data):
         try:
             return data.decode(encoding).removeprefix("\ufeff")

@@ -11,12 +11,12 @@ import difflib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from importlib.resources import files
 
 from wavequake.errors import UserError
 from wavequake.optics.checks import number, require_kind
 from wavequake.optics.media.dispersion import FORMULAS
+from wavequake.prepared import prepared
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ def catalogue(name: str, known: Catalogues) -> Mapping[str, Medium] | None:
     return None
 
 
-@cache
+@prepared(maxsize=None)
 def glasses() -> dict[str, Medium]:
     """Return what a name alone means: crystals and silica, then the makers' glasses in their order."""
     found = dict(_crystals())
@@ -179,7 +179,7 @@ def glasses() -> dict[str, Medium]:
     return found
 
 
-@cache
+@prepared(maxsize=None)
 def _crystals() -> dict[str, Medium]:
     keys = ("B1", "C1", "B2", "C2", "B3", "C3")
     return {
@@ -193,7 +193,7 @@ def _crystals() -> dict[str, Medium]:
     }
 
 
-@cache
+@prepared(maxsize=None)
 def catalogues() -> dict[str, dict[str, Medium]]:
     """Return the makers' catalogues that come with Wavequake, in their order."""
     found: dict[str, dict[str, Medium]] = {}

@@ -30,12 +30,10 @@ from pydantic import Field, model_validator
 
 from wavequake.errors import UserError
 from wavequake.optics.media.glasses import Medium
+from wavequake.optics.sections import MM_PER_NM, FileSection, Pair
 from wavequake.optics.segments.kinematics import cardan
 from wavequake.optics.systems.glass_file import GlassSection, embed_glasses, own_glasses
 from wavequake.optics.systems.surface_file import (
-    MM_PER_NM,
-    FileSection,
-    Pair,
     SurfaceSection,
     deformation_of,
     embed_sag,

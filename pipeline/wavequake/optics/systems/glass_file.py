@@ -23,7 +23,7 @@ from wavequake.optics.media.agf import read_agf
 from wavequake.optics.media.dispersion import FORMULAS
 from wavequake.optics.media.glasses import Medium
 from wavequake.optics.media.model_glass import model_glass
-from wavequake.optics.systems.surface_file import FileSection, Pair
+from wavequake.optics.sections import FileSection, Pair
 
 _LENS_FILE_GLASS = re.compile(r"^\s*GLAS\s+(\S+)", re.MULTILINE)
 

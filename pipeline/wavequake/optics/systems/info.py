@@ -12,7 +12,7 @@ from wavequake.optics.media.gradients import GradientIndex
 from wavequake.optics.rays.aiming import require_light
 from wavequake.optics.rays.packing import pack
 from wavequake.optics.shapes.grid_cover import require_cover
-from wavequake.optics.shapes.shapes import Conic, Opening
+from wavequake.optics.shapes.shapes import Opening
 from wavequake.optics.systems.image_aperture import real_apertures
 from wavequake.optics.systems.paraxial import Paraxial, oblique_surfaces, paraxial
 from wavequake.optics.systems.system import OpticalSystem, Surface, wavelength_of
@@ -152,7 +152,7 @@ def _surfaces(surfaces: Sequence[Surface], stop: int) -> list[tuple[str, ...]]:
         ("surface", "radius (mm)", "conic", "z (mm)", "action", "shape", "opening (mm)")
     ]
     for number, surface in enumerate(surfaces):
-        shape = "" if isinstance(surface.shape, Conic) else type(surface.shape).__name__
+        shape = surface.shape.words()
         deforms = " deforms" if surface.deformation is not None else ""
         action = surface.action + (f" {_medium(surface)}" if surface.action == "refract" else "")
         rows.append(

@@ -24,6 +24,7 @@ from wavequake.optics.shapes.shapes import (
     SurfaceAction,
     ZernikeDeformation,
 )
+from wavequake.words import counted
 
 Array = NDArray[np.float64]
 
@@ -62,7 +63,7 @@ class Pupil:
     obscuration: float = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class OpticalSystem:
     """A sequential system; the last surface is the image.
 
@@ -104,6 +105,14 @@ class OpticalSystem:
     medium: Medium = AIR
     note: str = ""
     vignetting: tuple[tuple[float, float, float, float, float], ...] = ()
+
+    def __repr__(self) -> str:
+        parts = (
+            counted(len(self.surfaces), "surface"),
+            counted(len(self.fields), "field"),
+            counted(len(self.wavelengths), "wavelength"),
+        )
+        return f"<OpticalSystem {self.name}: {', '.join(parts)}>"
 
     def info(self) -> str:
         """Return a table of first-order data, fields, wavelengths and surfaces as plain text."""

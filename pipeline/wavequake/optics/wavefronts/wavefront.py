@@ -330,12 +330,17 @@ def trace_lights(prepared: PreparedSystem, lights: list[Moving], device: Device)
 
 
 def _about(prepared: PreparedSystem, light: Moving, chief: Array, path: Array, device: Device) -> Traced:
+    about = about_chief(prepared, light, chief)
+    traced = trace_sequence(prepared.sequence, prepared.rays, about, device, outputs=_outputs(prepared))
+    return path_differences(traced.path, path, prepared.wavelength), traced, chief
+
+
+def about_chief(prepared: PreparedSystem, light: Moving, chief: Array) -> Moving:
+    """Return what moves, with reference spheres about the image points (T, 2) of the chief ray."""
     # Without a chief ray there is no sphere: the instant's rays are lost, and say so.
     center = np.where(np.isfinite(chief), chief, 0.0)
     height, *_ = shape_sag(prepared.system.surfaces[-1].shape, center[:, :1], center[:, 1:])
-    about = replace(light, spheres=np.hstack([center, height, np.full_like(height, prepared.sphere_radius)]))
-    traced = trace_sequence(prepared.sequence, prepared.rays, about, device, outputs=_outputs(prepared))
-    return path_differences(traced.path, path, prepared.wavelength), traced, chief
+    return replace(light, spheres=np.hstack([center, height, np.full_like(height, prepared.sphere_radius)]))
 
 
 def _outputs(prepared: PreparedSystem) -> tuple[str, ...]:

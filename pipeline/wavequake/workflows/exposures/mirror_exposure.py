@@ -6,7 +6,6 @@ excitation, as in Störkle 2018, Fig. 4.32.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -31,6 +30,7 @@ from wavequake.imaging.pupils.nyquist import too_coarse, zernike_samples_for
 from wavequake.imaging.pupils.pupil_function import annular_pupil
 from wavequake.kernels.device.devices import NUMPY, Device, choose_device
 from wavequake.optics.polynomials.zernike import annular_zernike
+from wavequake.prepared import prepared
 from wavequake.workflows.exposures.exposure_study import MirrorExposureStudy
 from wavequake.workflows.mirrors import mirror_bench
 from wavequake.workflows.mirrors.mirror_bench import (
@@ -104,7 +104,7 @@ def study_of(study_text: str) -> MirrorExposureStudy:
     return study
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def aberrations_of(study_text: str, model: str, variant: str) -> Array:
     """Return what a variant does over time, (excitation, time, 2 + J): line of sight in mm, terms in nm."""
     with threadpool_limits(1):
@@ -157,7 +157,7 @@ def _waves(study: MirrorExposureStudy, optics: Optics, history: Array, placed: b
     return np.asarray(waves)
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def _imager(
     samples: int, pixels: int, sampling: float, terms: int, obscuration: float, device: Device
 ) -> ZernikeImager:
@@ -186,7 +186,7 @@ class SeenObject:
             yield waves[first : first + _BLOCK] @ self.modes.T
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def seen_object(study_text: str, model: str, device: Device = NUMPY) -> SeenObject | None:
     """Return the object of a study, if there is one whose light is coherent or partially so."""
     study, optics = study_of(study_text), bench_of(study_text, model).optics

@@ -5,7 +5,6 @@ dimension inside the case (Störkle 2018, Chapter 5).
 """
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +42,7 @@ from wavequake.firmware.gains import gains_of
 from wavequake.firmware.kept import host_image
 from wavequake.firmware.units import FirmwareUnit
 from wavequake.mechanics.disturbances.motion import generator
+from wavequake.prepared import prepared
 from wavequake.workflows.lens.lens_study import LensStudy
 
 Array = NDArray[np.float64]
@@ -126,14 +126,14 @@ def settings_of(study: LensStudy) -> Settings:
     )
 
 
-@lru_cache(maxsize=8)
+@prepared(maxsize=8)
 def designs_of(study_text: str, springs: str) -> Designs:
     """Design the controllers of a configuration, once per process."""
     study = study_of(study_text)
     return design(bench_of(study, springs), stage_of(study), settings_of(study))
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def _camera_of(study_text: str) -> CameraError:
     study = study_of(study_text)
     return camera_of(Camera(unsteadiness=study.errors.camera_um * 1e-6), study.study.seed)

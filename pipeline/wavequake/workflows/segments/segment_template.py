@@ -1,13 +1,13 @@
 """What a store of the workflow ``segment-disturbance`` holds: names, dimensions, units."""
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.campaign.contract import Template, Variable
 from wavequake.campaign.engine.chunk_size import stored_bytes
+from wavequake.prepared import prepared
 from wavequake.workflows.segments.bench import Bench, bench_of, in_basis
 from wavequake.workflows.segments.images import image_axis
 from wavequake.workflows.segments.segment_study import SegmentStudy
@@ -26,7 +26,7 @@ def template(study_text: str) -> Template:
     return replace(found, fixed=_fixed(bench), working_bytes=stored_bytes(found) + motion)
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def computed(study_text: str) -> dict[str, Variable]:
     """Return what is computed of each case, over all of its instants."""
     variables = traced(study_text)
@@ -35,7 +35,7 @@ def computed(study_text: str) -> dict[str, Variable]:
     return {name: one for name, one in variables.items() if name not in TRACED_ONLY} | _modal()
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def traced(study_text: str) -> dict[str, Variable]:
     """Return what full traces, and images if the study wants them, tell of each case."""
     bench = bench_of(study_text)
