@@ -113,7 +113,7 @@ def test_a_case_as_a_lens_file_has_the_surfaces_and_light_of_the_case(tmp_path):
             light = replace(light, position=light.position + first)
             ours = traced(bench.system, wavelength, light, still)
             for one, other in zip(ours, theirs, strict=True):
-                np.testing.assert_allclose(one, other, rtol=0, atol=2e-11)
+                np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
             turn, _ = bundle_rotation(bench.system, states.line_of_sight)
             toward = turn[0] @ [*np.tan(bench.system.fields[field]), 1.0]
             np.testing.assert_allclose(
