@@ -15,6 +15,7 @@ from wavequake.optics.media.glasses import Medium
 from wavequake.optics.segments.parent import parent_system
 from wavequake.optics.systems.file import build
 from wavequake.optics.systems.system import OpticalSystem
+from wavequake.optics.zemax.codev import read_seq
 from wavequake.optics.zemax.lens_file import LensFileError
 from wavequake.optics.zemax.read import read_zmx
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
@@ -54,12 +55,14 @@ def load_system(
     if not isinstance(source, str | Path):
         raise UserError(f"An optical system is loaded by name or path, not by {type(source).__name__}.")
     name, keys = str(source), dict(split_overrides(overrides))
-    is_file, is_system = name.lower().endswith(".zmx"), name in system_names()
+    is_file, is_system = name.lower().endswith((".zmx", ".seq")), name in system_names()
     is_study = name in bundled_studies() or name.endswith(".toml") or Path(name).is_file()
     if is_file or (is_system and not (keys and is_study)):
         if keys:
             raise UserError(f"{name} is no study, so it has no keys to set, such as {next(iter(keys))!r}.")
-        return read_zmx(name, glasses) if is_file else optical_system(name)
+        if not is_file:
+            return optical_system(name)
+        return (read_seq if name.lower().endswith(".seq") else read_zmx)(name, glasses)
     is_telescope = name in TELESCOPES
     if not (is_study or is_telescope):
         known = _names()
