@@ -292,11 +292,25 @@ def report(
 def export(
     store: StoreArgument,
     file: Annotated[
-        Path, typer.Argument(help="FILE.nc or FILE.fits (every array), or FILE.csv (one row per case).")
+        Path,
+        typer.Argument(
+            help="FILE.nc or FILE.fits (every array), FILE.csv (one row per case), FILE.zmx (one case)."
+        ),
     ],
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE.")] = False,
+    case: Annotated[int | None, typer.Option(help="Case of FILE.zmx.")] = None,
+    instant: Annotated[int, typer.Option(help="Instant of that case, counted from 0.")] = 0,
 ) -> None:
-    """Write a store to one NetCDF, FITS or CSV file for other programs."""
+    """Write a store to one NetCDF, FITS or CSV file, or a disturbed system to a lens file."""
+    if file.suffix.lower() == ".zmx":
+        from wavequake.report.case_lens_file import export_case
+
+        if case is None:
+            raise UserError("A lens file holds one case of the store; say --case ID, too.")
+        out.print(
+            f"Written: {export_case(store, file, case, instant, overwrite)}", markup=False, soft_wrap=True
+        )
+        return
     from wavequake.report.campaign import export_store
 
     out.print(f"Written: {export_store(store, file, overwrite)}", markup=False, soft_wrap=True)

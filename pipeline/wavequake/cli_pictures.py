@@ -26,11 +26,14 @@ def info(
     figure: Annotated[
         Path | None, typer.Option("--figure", help="Draw it, too, into this file (.svg, .png, .pdf, .html).")
     ] = None,
+    glass: Annotated[
+        Path | None, typer.Option(help="Catalogue of glasses for a lens file (.agf), before all others.")
+    ] = None,
 ) -> None:
     """Print first-order data, fields, wavelengths and surfaces of an optical system."""
-    from wavequake.workflows.systems.system_source import load_system
+    from wavequake.workflows.systems.system_source import described
 
-    out.print(load_system(system, overrides or []).info(), markup=False, soft_wrap=True)
+    out.print(described(system, overrides or [], glass), markup=False, soft_wrap=True)
     if figure is not None:
         _draw(system, overrides, figure, solid=False)
 

@@ -19,6 +19,7 @@ Distances run along the light from the surface before. Angles follow the right h
 the axis on which the later surfaces stand; every other tilt and decenter moves its own surface alone.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -28,8 +29,10 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from wavequake.errors import UserError
+from wavequake.optics.media.glasses import Medium
 from wavequake.optics.sections import MM_PER_NM, FileSection, Pair
 from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.systems.glass_file import GlassSection, embed_glasses, own_glasses
 from wavequake.optics.systems.surface_file import (
     SurfaceSection,
     deformation_of,
@@ -66,6 +69,10 @@ class SystemSection(FileSection):
     )
     file_text: str | None = Field(default=None, description="the text of that file")
     surface: tuple[SurfaceSection, ...] = Field(default=(), strict=False)
+    glass: dict[str, GlassSection] = Field(default={}, description="glasses of your own, by name")
+    glass_file: str | None = Field(
+        default=None, exclude=True, description="a catalogue of glasses, .agf (read when the study is loaded)"
+    )
     entrance_diameter_mm: float | None = Field(default=None, gt=0)
     f_number: float | None = Field(default=None, gt=0, description="paraxial, in the image space")
     object_na: float | None = Field(default=None, gt=0)
@@ -128,7 +135,13 @@ def embed_file(record: dict[str, Any], base: Path) -> None:
     if isinstance(record.get("file"), str):
         path = base / record["file"]
         record["file_text"] = read_text(path)
-        parse_zmx(record["file_text"], str(path))  # here an error can name the file
+    embed_glasses(record, base)
+    if isinstance(record.get("file"), str):
+        try:
+            glasses = {name: GlassSection(**one) for name, one in (record.get("glass") or {}).items()}
+        except (TypeError, ValueError, AttributeError):
+            return  # the schema says it better
+        parse_zmx(record["file_text"], str(base / record["file"]), own_glasses(glasses))  # names the file
 
 
 def build(section: SystemSection) -> OpticalSystem:
@@ -140,10 +153,11 @@ def build(section: SystemSection) -> OpticalSystem:
         If the bundled system or a glass is unknown, the lens file is not supported, or the section's parts
         do not fit each other.
     """
+    glasses = own_glasses(section.glass)
     if section.file_text is not None:
-        system = parse_zmx(section.file_text, section.file or "system.file_text")
+        system = parse_zmx(section.file_text, section.file or "system.file_text", glasses)
     elif section.file is not None:
-        system = read_zmx(section.file)
+        system = read_zmx(section.file, glasses)
     elif section.surface:
         system = _inline(section)
     else:
@@ -156,7 +170,7 @@ def build(section: SystemSection) -> OpticalSystem:
 def _inline(section: SystemSection) -> OpticalSystem:
     return OpticalSystem(
         name=section.name or "custom",
-        surfaces=_surfaces(section.surface),
+        surfaces=_surfaces(section.surface, own_glasses(section.glass)),
         stop=next(index for index, one in enumerate(section.surface) if one.stop),
         pupil=Pupil("entrance_diameter", 1.0),  # replaced: the section is valid only with one of its own
     )
@@ -217,14 +231,14 @@ def _fields(system: OpticalSystem, section: SystemSection, infinite: bool) -> Ar
     return system.fields
 
 
-def _surfaces(sections: tuple[SurfaceSection, ...]) -> tuple[Surface, ...]:
+def _surfaces(sections: tuple[SurfaceSection, ...], glasses: Mapping[str, Medium]) -> tuple[Surface, ...]:
     """Place the surfaces along the light; the first one's distance moves it from the origin."""
     axis, turn, sense = np.zeros(3), np.eye(3), 1.0
     surfaces = []
     for section in sections:
         axis = axis + sense * section.distance_mm * turn[:, 2]
         rotation = turn @ cardan(np.deg2rad(section.tilt_deg))
-        action, medium = medium_after(section)
+        action, medium = medium_after(section, glasses)
         surfaces.append(
             Surface(
                 section.name,

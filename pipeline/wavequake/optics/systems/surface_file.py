@@ -1,6 +1,7 @@
 """One surface of an optical system as a study file gives it (see `wavequake.optics.systems.file`)."""
 
 import difflib
+from collections.abc import Mapping
 from dataclasses import replace
 from math import isinf
 from pathlib import Path
@@ -196,9 +197,11 @@ class SurfaceSection(FileSection):
         return self
 
 
-def medium_after(section: SurfaceSection) -> tuple[SurfaceAction, Medium | GradientIndex]:
-    """Return what a surface does and the medium after it."""
-    action, medium = _glass(section)
+def medium_after(
+    section: SurfaceSection, glasses: Mapping[str, Medium]
+) -> tuple[SurfaceAction, Medium | GradientIndex]:
+    """Return what a surface does and the medium after it; the user's `glasses` go before the catalogue's."""
+    action, medium = _glass(section, glasses)
     if not (section.gradient_radial or section.gradient_axial):
         return action, medium
     name = f"{medium.name} with a gradient"
@@ -206,7 +209,7 @@ def medium_after(section: SurfaceSection) -> tuple[SurfaceAction, Medium | Gradi
     return action, GradientIndex(name, medium, section.gradient_radial, section.gradient_axial, step)
 
 
-def _glass(section: SurfaceSection) -> tuple[SurfaceAction, Medium]:
+def _glass(section: SurfaceSection, glasses: Mapping[str, Medium]) -> tuple[SurfaceAction, Medium]:
     if section.glass is None:
         return "pass", AIR
     if section.glass == "mirror":
@@ -215,6 +218,8 @@ def _glass(section: SurfaceSection) -> tuple[SurfaceAction, Medium]:
         return "refract", constant(section.glass)
     if section.glass.lower() == "air":
         return "refract", AIR
+    if section.glass.upper() in glasses:
+        return "refract", glasses[section.glass.upper()]
     try:
         return "refract", glass(section.glass)
     except UserError as error:

@@ -1,11 +1,8 @@
 """Wavefronts of any optical system: OPD, Zernike coefficients, line of sight, spots.
 
-As `wavequake.optics.segments.wavefront`, for an `OpticalSystem`; in waves. The chief ray goes through the
-center of the stop, wherever that moves, and virtually where it is obscured; its image point is the center
-of the reference sphere, whose radius is the distance of the paraxial exit pupil.
-Coefficients come from path lengths, or with `with_slopes` from where the rays meet the image. With
-`with_fitted_sphere` the reference sphere is centered on the image point of the one that fits best. Of rays
-that a GPU traced no more than these numbers come from it, see `wavequake.kernels.device.resident`.
+In waves. The chief ray goes through the center of the stop, wherever that moves, and virtually where it is
+obscured; it ends at the center of the reference sphere, whose radius is the paraxial exit pupil's distance.
+Of rays that a GPU traced no more than these numbers come from it: `wavequake.kernels.device.resident`.
 """
 
 from collections.abc import Iterator
@@ -60,8 +57,7 @@ class PreparedSystem:
 
     Attributes
     ----------
-    system : OpticalSystem
-    sequence : Sequence
+    system, sequence : OpticalSystem, Sequence
     rays, chief : Rays
         The N rays of the pupil, and the one through the center of the stop.
     pupil : ndarray, shape (N, 2)
@@ -85,8 +81,7 @@ class PreparedSystem:
     slopes : SystemSlopes, optional
         Takes the coefficients from image points and directions instead of path lengths.
     sphere : Fit, optional
-        Finds the image point of the best-fit sphere: across the chief ray, times the numerical aperture, by
-        its second and third coefficients.
+        Its second and third coefficients are the best-fit sphere's image point times the aperture.
     """
 
     system: OpticalSystem

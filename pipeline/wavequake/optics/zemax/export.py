@@ -13,6 +13,7 @@ import uuid
 from collections.abc import Sequence
 from dataclasses import replace
 from decimal import Decimal
+from itertools import islice, permutations
 from pathlib import Path
 from typing import TypeGuard
 
@@ -20,7 +21,7 @@ import numpy as np
 
 from wavequake.errors import UserError
 from wavequake.optics.checks import require_fields, require_kind
-from wavequake.optics.media.glasses import AIR, Medium, glasses
+from wavequake.optics.media.glasses import AIR, Medium, catalogues, glasses, medium_label
 from wavequake.optics.media.gradients import GradientIndex
 from wavequake.optics.polynomials.transforms import transform_coefficients
 from wavequake.optics.shapes.shapes import (
@@ -36,7 +37,7 @@ from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import OpticalSystem, Surface, wavelength_of
 from wavequake.optics.zemax.gradients import gradient_lines
 from wavequake.optics.zemax.grids import grid_lines
-from wavequake.optics.zemax.media import MODEL_GLASS
+from wavequake.optics.zemax.media import MODEL_GLASS, GlassShelf
 from wavequake.optics.zemax.rows import written
 from wavequake.optics.zemax.surfaces import MAX_EVEN_TERMS, MAX_TERMS, cardan_angles, spider
 
@@ -85,6 +86,7 @@ def zmx_text(system: OpticalSystem) -> str:
     require_fields(system, f"the system {system.name}")
     _require_one_line(system.name, "the system")
     lines = ["MODE SEQ", f"NAME {system.name}", "UNIT MM X W X CM MR CPMM", *_pupil(system), *_fields(system)]
+    lines += [*_catalogues(system), "RAIM 0 2 1 1 0 0 0 0 0 1"]  # rays are aimed at the real stop
     lines += [*_wavelengths(system), *_note(system)]
     infinite = math.isinf(system.object_distance)
     distance = "INFINITY" if infinite else written(system.object_distance)
@@ -142,10 +144,26 @@ def _wavelengths(system: OpticalSystem) -> list[str]:
     return [*lines, f"PWAV {system.primary_wavelength + 1}"]
 
 
+def _catalogues(system: OpticalSystem) -> list[str]:
+    """Return the line that names the makers of the glasses, in an order in which each is found."""
+    media = (system.medium, *(surface.medium for surface in system.surfaces))
+    used = [one for one in media if isinstance(one, Medium) and one == _of_maker(one)]
+    makers = [name for name in catalogues() if any(one.catalogue == name for one in used)]
+    for order in islice(permutations(makers), 1000):
+        shelf = GlassShelf({}, order)
+        if all(shelf.find(one.name) == one for one in used):
+            return ["GCAT " + " ".join(order)] if order else []
+    names = ", ".join(sorted({medium_label(one) for one in used}))
+    raise UserError(
+        f"{system.name} has glasses of equal names of several makers ({names}), which a lens file cannot "
+        "tell apart."
+    )
+
+
 def _glass(medium: Medium, name: str) -> list[str]:
     if medium == AIR:
         return []
-    if glasses().get(medium.name.upper()) == medium:
+    if medium in (glasses().get(medium.name.upper()), _of_maker(medium)):
         return [f"GLAS {medium.name} 0 0 1.5 40 0 0 0 0 0 0"]
     if medium.formula == "constant":
         return [f"GLAS {MODEL_GLASS} 1 0 {written(medium.coefficients[0])} 0 0 0 0 0 0 0"]
@@ -153,6 +171,10 @@ def _glass(medium: Medium, name: str) -> list[str]:
         f"The medium {medium.name} of {name} is no glass of the catalogue, and a lens file holds no "
         "coefficients."
     )
+
+
+def _of_maker(medium: Medium) -> Medium | None:
+    return catalogues().get(medium.catalogue, {}).get(medium.name.upper())
 
 
 def _rows(

@@ -57,6 +57,8 @@ class GlassShelf:
         key = name.upper()
         if key in self.own:
             return self.own[key]
+        if ":" in key:
+            return glass(key)
         known: Catalogues = catalogues()
         for shelf in self.named:
             table = catalogue(shelf, known)

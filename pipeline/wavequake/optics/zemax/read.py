@@ -54,7 +54,12 @@ def read_zmx(path: str | Path, glasses: Mapping[str, Medium] | None = None) -> O
 
 def parse_zmx(text: str, where: str, glasses: Mapping[str, Medium] | None = None) -> OpticalSystem:
     """Return the system that the text of a .zmx file describes; `where` names it in messages."""
-    file, problems = parsed(text, where), Problems()
+    return system_of(parsed(text, where), glasses)
+
+
+def system_of(file: LensFile, glasses: Mapping[str, Medium] | None = None) -> OpticalSystem:
+    """Return the system that the lines of a lens file describe; raises as `read_zmx`."""
+    where, problems = file.where, Problems()
     catalogues = file.first("GCAT")
     shelf = GlassShelf(glasses or {}, tuple(catalogues.words) if catalogues else ())
     with problems.collected():

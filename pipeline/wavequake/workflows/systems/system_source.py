@@ -10,9 +10,13 @@ import numpy as np
 
 from wavequake.errors import UserError
 from wavequake.optics.catalog.names import optical_system, system_names
+from wavequake.optics.media.agf import read_agf
+from wavequake.optics.media.glasses import Medium
 from wavequake.optics.segments.parent import parent_system
 from wavequake.optics.systems.file import build
 from wavequake.optics.systems.system import OpticalSystem
+from wavequake.optics.zemax.codev import read_seq
+from wavequake.optics.zemax.lens_file import LensFileError
 from wavequake.optics.zemax.read import read_zmx
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.exposures.telescope_control import segment_text
@@ -25,7 +29,11 @@ from wavequake.workflows.systems.system_study import SystemStudy
 MM_PER_NM = 1e-6
 
 
-def load_system(source: str | Path, overrides: Mapping[str, Any] | Iterable[str] = ()) -> OpticalSystem:
+def load_system(
+    source: str | Path,
+    overrides: Mapping[str, Any] | Iterable[str] = (),
+    glasses: Mapping[str, Medium] | None = None,
+) -> OpticalSystem:
     """Return an optical system by the name of a bundled one or a telescope, a lens file, or a study.
 
     Parameters
@@ -36,6 +44,8 @@ def load_system(source: str | Path, overrides: Mapping[str, Any] | Iterable[str]
         piece.
     overrides : mapping or iterable of ``"section.key=value"``
         Of a study or a telescope that is no bundled system, as `wavequake.load_study` takes them.
+    glasses : mapping of str to Medium, optional
+        The user's glasses for a lens file, as `wavequake.optics.media.agf.read_agf` returns them.
 
     Raises
     ------
@@ -45,12 +55,14 @@ def load_system(source: str | Path, overrides: Mapping[str, Any] | Iterable[str]
     if not isinstance(source, str | Path):
         raise UserError(f"An optical system is loaded by name or path, not by {type(source).__name__}.")
     name, keys = str(source), dict(split_overrides(overrides))
-    is_file, is_system = name.lower().endswith(".zmx"), name in system_names()
+    is_file, is_system = name.lower().endswith((".zmx", ".seq")), name in system_names()
     is_study = name in bundled_studies() or name.endswith(".toml") or Path(name).is_file()
     if is_file or (is_system and not (keys and is_study)):
         if keys:
             raise UserError(f"{name} is no study, so it has no keys to set, such as {next(iter(keys))!r}.")
-        return read_zmx(name) if is_file else optical_system(name)
+        if not is_file:
+            return optical_system(name)
+        return (read_seq if name.lower().endswith(".seq") else read_zmx)(name, glasses)
     is_telescope = name in TELESCOPES
     if not (is_study or is_telescope):
         known = _names()
@@ -74,6 +86,20 @@ def load_system(source: str | Path, overrides: Mapping[str, Any] | Iterable[str]
             note="; ".join(filter(None, (bench.system.note, bench.stopped.words()))),
         )
     raise UserError(f"The workflow {study.study.workflow} of {name} has no optical system to describe.")
+
+
+def described(source: str, overrides: Iterable[str], catalogue: Path | None = None) -> str:
+    """Return what `OpticalSystem.info` says of a system, with the glasses of the user's `catalogue`.
+
+    Raises
+    ------
+    UserError
+        As `load_system`; of a lens file that cannot be traced it shows what could be read.
+    """
+    try:
+        return load_system(source, overrides, read_agf(catalogue) if catalogue else None).info()
+    except LensFileError as error:
+        raise UserError(f"{error}\n\nWhat the file holds, in its own unit:\n{error.read}") from None
 
 
 def _names() -> tuple[str, ...]:
