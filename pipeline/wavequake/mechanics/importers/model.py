@@ -10,7 +10,16 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.sparse import csc_array, diags_array
 
 from wavequake.errors import UserError
-from wavequake.mechanics.importers import abaqus, ansys, arrays, calculix, matrix_market, nastran, op4
+from wavequake.mechanics.importers import (
+    abaqus,
+    ansys,
+    arrays,
+    calculix,
+    matrix_market,
+    nastran,
+    op4,
+    superelement,
+)
 from wavequake.mechanics.importers.areas import area_shares
 from wavequake.mechanics.importers.checks import Triangle, assemble, free_dofs
 from wavequake.mechanics.importers.copies import averaged, real_part, refuse_repeated
@@ -208,7 +217,8 @@ def _read(path: Path) -> Contents:
             f"{path.name}: no reader for {suffix or 'a file without suffix'}, known are .mtx, "
             f"{', '.join(READERS)}"
         )
-    return READERS[suffix](path)
+    contents = READERS[suffix](path)
+    return superelement.with_rows(contents, path) if suffix == ".op4" else contents
 
 
 def _pair(contents: Contents, file: Path, mass: Path | None) -> tuple[Entries, Entries]:
@@ -233,6 +243,8 @@ def _named(contents: Contents, letter: str, path: Path) -> Entries:
     if len(contents.matrices) == 1:
         return next(iter(contents.matrices.values()))
     fits = [name for name in contents.matrices if name.upper().startswith(words)]
+    # Of Nastran's the one of the analysis set, beside which K4AA is a damping.
+    fits = [name for name in fits if name.upper() in {letter + of for of in ("AA", "AAX", "XX")}] or fits
     if len(fits) != 1:
         what = {"K": "stiffness", "M": "mass"}[letter]
         raise UserError(
