@@ -26,6 +26,7 @@ from wavequake.mechanics.importers.copies import averaged, real_part, refuse_rep
 from wavequake.mechanics.importers.entries import DIRECTIONS, Contents, Entries, Integers
 from wavequake.mechanics.importers.mass import check_mass
 from wavequake.mechanics.importers.mesh import MeshFile, chosen_nodes, positions, read_mesh
+from wavequake.mechanics.importers.pads import PadKind, with_pads
 from wavequake.mechanics.importers.units import si_factors
 from wavequake.mechanics.model import FiniteElementModel, RayleighDamping
 
@@ -42,6 +43,7 @@ READERS = {
 MESHES = (".inp", ".msh", ".vtu", ".bdf", ".nas", ".fem", ".cdb", ".vtk", ".med")
 TRIANGLE = "'upper' or 'lower': half of the matrix is in the file, in a format that does not say so"
 ZERO_ROWS = "'drop': displacements whose rows are empty are fixed, and left out"
+PADS = "'average' or 'rigid': each node set of interfaces is one pad, moved by its mean or as a rigid body"
 NodeChoice = str | Sequence[int | str]
 Nodes = Annotated[tuple[int | str, ...], Field(strict=False)]  # a study file has lists
 
@@ -63,6 +65,7 @@ class ImportedModel(BaseModel):
     surface: str | Nodes = Field(description="node set, or node numbers, of the optical surface")
     triangle: Triangle | None = Field(default=None, description=TRIANGLE)
     zero_rows: Literal["drop"] | None = Field(default=None, description=ZERO_ROWS)
+    pads: PadKind | None = Field(default=None, description=PADS)
     damping_alpha: float = Field(default=0.0, ge=0, description="1/s, times the mass")
     damping_beta: float = Field(default=5e-6, ge=0, description="s, times the stiffness")
 
@@ -95,6 +98,7 @@ def load_model(section: ImportedModel, folder: Path) -> Imported:
         surface=section.surface,
         triangle=section.triangle,
         zero_rows=section.zero_rows,
+        pads=section.pads,
         damping=RayleighDamping(section.damping_alpha, section.damping_beta),
     )
 
@@ -110,6 +114,7 @@ def import_model(
     mesh: Path | str | None = None,
     triangle: Triangle | None = None,
     zero_rows: Literal["drop"] | None = None,
+    pads: PadKind | None = None,
     damping: RayleighDamping | None = None,
 ) -> Imported:
     """Read matrices and mesh of a finite-element program into a model in SI units.
@@ -131,6 +136,9 @@ def import_model(
     zero_rows : "drop", optional
         Displacements whose rows are empty in both matrices are fixed, and left out. CalculiX and Ansys need
         not say so.
+    pads : {"average", "rigid"}, optional
+        Each node set of `interfaces` is one interface node, at the center of its area: the mean of its nodes
+        moves, or all move as one rigid body. Node numbers stay nodes.
     damping : RayleighDamping, optional
         In SI units.
 
@@ -175,6 +183,11 @@ def import_model(
         surface_weights=area_shares(grid, optical),
         node_sets={name: positions(grid, nodes, name) for name, nodes in grid.sets.items()},
     )
+    if pads is not None:
+        chosen = [interfaces] if isinstance(interfaces, str) else list(interfaces)
+        areas = [chosen_nodes(grid, [part], "interfaces") for part in chosen]
+        model = with_pads(model, grid, areas, pads)
+        notes.append(f"{len(areas)} pads ({pads}) of {len(mounts)} nodes are the interface")
     return Imported(model, tuple(notes))
 
 
