@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from wavequake.workflows.exposures.coherent_object import lit_by_cells, lit_object, mean_image
+from wavequake.workflows.exposures.exposed_object import ObjectSection
 
 from wavequake.imaging.engines import matrix_fourier, segment_psf
 from wavequake.imaging.engines.choice import SegmentedPupil, point_spread, prepare_psf
@@ -23,8 +25,6 @@ from wavequake.imaging.pupils.pupil_shape import PupilShape
 from wavequake.imaging.pupils.wavefront_phase import ray_phase, segment_phase, zernike_phase
 from wavequake.kernels.device.devices import list_devices
 from wavequake.optics.polynomials.zernike import annular_zernike
-from wavequake.workflows.exposures.coherent_object import lit_by_cells, lit_object, mean_image
-from wavequake.workflows.exposures.exposed_object import ObjectSection
 
 PIXELS, SAMPLING = 64, 0.25
 GRID = annular_pupil(96)

@@ -1,5 +1,7 @@
 """Large factors by nested dissection against dense solutions, and their cost against what was forecast."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -9,6 +11,7 @@ from wavequake.errors import UserError
 from wavequake.mechanics.vibration import factors
 from wavequake.mechanics.vibration.dissection import LEAF, dissect
 from wavequake.mechanics.vibration.factors import NotDefiniteError, factorize
+from wavequake.mechanics.vibration.forecast import forecast
 
 
 def path(count):
@@ -116,6 +119,38 @@ def test_factors_hold_as_many_numbers_as_forecast():
         held = sum(part.size for block in found.blocks for part in block)
         assert held == plan.entries
         assert plan.entries <= plan.peak
+
+
+def test_memory_is_that_of_the_forecast():
+    """On three sizes, traced as it is allocated; small ones have more of what is not numbers."""
+    for count in (12, 20, 28):
+        matrix = grid(count, count, 4)
+        plan = dissect(matrix)
+        tracemalloc.start()
+        kept = factors._Multifrontal(matrix, plan, True)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert kept.blocks
+        assert forecast(matrix).memory == pytest.approx(peak, rel=0.2)
+
+
+def test_forecast_counts_entries_and_operations():
+    dense = MATRICES["dense"]  # one block: n^2 numbers held, n^3 / 3 operations
+    small = csc_array(dense[:90][:, :90])
+    plan = dissect(small)
+    assert plan.entries == 90**2
+    assert plan.operations(True) == pytest.approx(90**3 / 3)
+    told = str(forecast(small))
+    assert told.startswith("a factorization of 90 unknowns (0.0081 million entries) holds 0.0081 million")
+
+
+def test_what_does_not_fit_the_memory_is_refused_with_what_it_needs(monkeypatch):
+    class Memory:
+        available = 10_000
+
+    monkeypatch.setattr(factors.psutil, "virtual_memory", Memory)
+    with pytest.raises(UserError, match=r"1512 unknowns needs 0\.\d+ GB of memory, and 1e-05 GB are free"):
+        factorize(MATRICES["grid"])
 
 
 def test_dissection_fills_as_theory_says():

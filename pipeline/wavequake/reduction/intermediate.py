@@ -12,6 +12,7 @@ import numpy as np
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, Integers, RayleighDamping
+from wavequake.mechanics.vibration.factors import LARGE
 from wavequake.reduction.directions import orthonormalize
 from wavequake.reduction.methods.component_modes import constraint_modes
 from wavequake.reduction.methods.krylov import krylov
@@ -131,7 +132,10 @@ def _inner_basis(body: Structure, modes: int, highest: float) -> Array:
     free = elastic_modes(body, min(modes, body.order - body.rigid.shape[1]))[1]
     points = tuple(complex(highest * part) for part in (0.0, 0.25, 0.5, 0.75, 1.0))
     chosen = body.order if body.order <= 2 * modes else None
-    moments = krylov(body, None, points, (4,) * len(points)) if chosen is None else free[:, :0]
+    # The factors of a large model fill the memory: one point after the other.
+    turns = [points] if body.order < LARGE else [(point,) for point in points]
+    chains = [krylov(body, None, turn, (4,) * len(turn)) for turn in turns if chosen is None]
+    moments = np.hstack([free[:, :0], *chains])
     rest = np.hstack([free, moments])
     rest = rest - constraint_modes(body, interface) @ rest[interface]
     rest[interface] = 0.0

@@ -19,7 +19,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, Integers, RayleighDamping, places
 from wavequake.mechanics.vibration.eigen import dense_modes, mass_normalized_rigid_modes
-from wavequake.mechanics.vibration.factors import factorize
+from wavequake.mechanics.vibration.factors import LARGE, factorize
 from wavequake.reduction.directions import turn_equal
 
 Solver = Callable[[NDArray[Any]], NDArray[Any]]
@@ -237,7 +237,7 @@ def shifted(body: Structure, point: complex) -> Solver:
     key = ("shifted", point)
     if key not in body.cache:
         kept = [other for other in body.cache if isinstance(other, tuple) and other[0] == "shifted"]
-        for other in kept[: max(0, len(kept) + 1 - _KEPT)]:
+        for other in kept[: max(0, len(kept) + 1 - (_KEPT if body.order < LARGE else 1))]:
             del body.cache[other]
         body.cache[key] = _shifted(body, point)
     solver: Solver = body.cache[key]

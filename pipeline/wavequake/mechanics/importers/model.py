@@ -10,13 +10,23 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.sparse import csc_array, diags_array
 
 from wavequake.errors import UserError
-from wavequake.mechanics.importers import abaqus, ansys, arrays, calculix, matrix_market, nastran, op4
+from wavequake.mechanics.importers import (
+    abaqus,
+    ansys,
+    arrays,
+    calculix,
+    matrix_market,
+    nastran,
+    op4,
+    superelement,
+)
 from wavequake.mechanics.importers.areas import area_shares
 from wavequake.mechanics.importers.checks import Triangle, assemble, free_dofs
 from wavequake.mechanics.importers.copies import averaged, real_part, refuse_repeated
 from wavequake.mechanics.importers.entries import DIRECTIONS, Contents, Entries, Integers
 from wavequake.mechanics.importers.mass import check_mass
 from wavequake.mechanics.importers.mesh import MeshFile, chosen_nodes, positions, read_mesh
+from wavequake.mechanics.importers.pads import PadKind, with_pads
 from wavequake.mechanics.importers.units import si_factors
 from wavequake.mechanics.model import FiniteElementModel, RayleighDamping
 
@@ -33,6 +43,7 @@ READERS = {
 MESHES = (".inp", ".msh", ".vtu", ".bdf", ".nas", ".fem", ".cdb", ".vtk", ".med")
 TRIANGLE = "'upper' or 'lower': half of the matrix is in the file, in a format that does not say so"
 ZERO_ROWS = "'drop': displacements whose rows are empty are fixed, and left out"
+PADS = "'average' or 'rigid': each node set of interfaces is one pad, moved by its mean or as a rigid body"
 NodeChoice = str | Sequence[int | str]
 Nodes = Annotated[tuple[int | str, ...], Field(strict=False)]  # a study file has lists
 
@@ -54,6 +65,7 @@ class ImportedModel(BaseModel):
     surface: str | Nodes = Field(description="node set, or node numbers, of the optical surface")
     triangle: Triangle | None = Field(default=None, description=TRIANGLE)
     zero_rows: Literal["drop"] | None = Field(default=None, description=ZERO_ROWS)
+    pads: PadKind | None = Field(default=None, description=PADS)
     damping_alpha: float = Field(default=0.0, ge=0, description="1/s, times the mass")
     damping_beta: float = Field(default=5e-6, ge=0, description="s, times the stiffness")
 
@@ -86,6 +98,7 @@ def load_model(section: ImportedModel, folder: Path) -> Imported:
         surface=section.surface,
         triangle=section.triangle,
         zero_rows=section.zero_rows,
+        pads=section.pads,
         damping=RayleighDamping(section.damping_alpha, section.damping_beta),
     )
 
@@ -101,6 +114,7 @@ def import_model(
     mesh: Path | str | None = None,
     triangle: Triangle | None = None,
     zero_rows: Literal["drop"] | None = None,
+    pads: PadKind | None = None,
     damping: RayleighDamping | None = None,
 ) -> Imported:
     """Read matrices and mesh of a finite-element program into a model in SI units.
@@ -122,6 +136,9 @@ def import_model(
     zero_rows : "drop", optional
         Displacements whose rows are empty in both matrices are fixed, and left out. CalculiX and Ansys need
         not say so.
+    pads : {"average", "rigid"}, optional
+        Each node set of `interfaces` is one interface node, at the center of its area: the mean of its nodes
+        moves, or all move as one rigid body. Node numbers stay nodes.
     damping : RayleighDamping, optional
         In SI units.
 
@@ -166,6 +183,11 @@ def import_model(
         surface_weights=area_shares(grid, optical),
         node_sets={name: positions(grid, nodes, name) for name, nodes in grid.sets.items()},
     )
+    if pads is not None:
+        chosen = [interfaces] if isinstance(interfaces, str) else list(interfaces)
+        areas = [chosen_nodes(grid, [part], "interfaces") for part in chosen]
+        model = with_pads(model, grid, areas, pads)
+        notes.append(f"{len(areas)} pads ({pads}) of {len(mounts)} nodes are the interface")
     return Imported(model, tuple(notes))
 
 
@@ -208,7 +230,8 @@ def _read(path: Path) -> Contents:
             f"{path.name}: no reader for {suffix or 'a file without suffix'}, known are .mtx, "
             f"{', '.join(READERS)}"
         )
-    return READERS[suffix](path)
+    contents = READERS[suffix](path)
+    return superelement.with_rows(contents, path) if suffix == ".op4" else contents
 
 
 def _pair(contents: Contents, file: Path, mass: Path | None) -> tuple[Entries, Entries]:
@@ -233,6 +256,8 @@ def _named(contents: Contents, letter: str, path: Path) -> Entries:
     if len(contents.matrices) == 1:
         return next(iter(contents.matrices.values()))
     fits = [name for name in contents.matrices if name.upper().startswith(words)]
+    # Of Nastran's the one of the analysis set, beside which K4AA is a damping.
+    fits = [name for name in fits if name.upper() in {letter + of for of in ("AA", "AAX", "XX")}] or fits
     if len(fits) != 1:
         what = {"K": "stiffness", "M": "mass"}[letter]
         raise UserError(

@@ -26,12 +26,12 @@ SQUARE, SYMMETRIC = 1, 6
 
 
 def read_matrices(path: Path) -> Contents:
-    """Return the matrices of a punch file by their names.
+    """Return the square real matrices of a punch file by their names; others (PAX, VAX, ...) are passed over.
 
     Raises
     ------
     UserError
-        If there is no DMIG card, a matrix is complex or rectangular, or a card cannot be read.
+        If there is no DMIG card, all matrices are complex or rectangular, or a card cannot be read.
     """
     source = path.name
     lines = [line.rstrip() for line in whole_lines(path).upper().split(b"\n")]
@@ -47,8 +47,12 @@ def read_matrices(path: Path) -> Contents:
     if not head.any():
         raise UserError(f"{source} holds no matrix: no DMIG card with its header was found")
     matrices = {}
+    refused = []
     for card in text[head]:
-        name, symmetric = _header(card[None], source)
+        name, symmetric, refusal = _header(card[None], source)
+        if refusal:
+            refused.append(refusal)
+            continue
         large = np.char.startswith(first, b"DMIG*") & (np.char.strip(_field(text, 8, 24)) == name)
         small = (first == b"DMIG") & (np.char.strip(_field(text, 8, 16)) == name) & ~head
         wide, narrow = text[large[owner]], text[small[owner]]
@@ -56,20 +60,21 @@ def read_matrices(path: Path) -> Contents:
         rows, columns, values = (np.concatenate(pair) for pair in zip(*parts, strict=True))
         label = f"{name.decode()} of {source}"
         matrices[name.decode()] = Entries(label, rows, columns, values, None, symmetric)
+    if not matrices:
+        raise UserError(refused[0])
     return Contents(matrices)
 
 
-def _header(card: NDArray[np.bytes_], source: str) -> tuple[bytes, bool]:
-    """Return the name, and whether the matrix is symmetric."""
+def _header(card: NDArray[np.bytes_], source: str) -> tuple[bytes, bool, str]:
+    """Return the name, whether the matrix is symmetric, and why it is refused, if it is."""
     name = _field(card, 8, 16)[0].strip()
     form, kind = (_integers(_field(card, a, a + 8), source, blank=1)[0] for a in (24, 32))
+    refusal = ""
     if kind not in (1, 2):
-        raise UserError(f"{source}: the matrix {name.decode()} is complex (TIN {kind}), a real one is needed")
-    if form not in (SQUARE, SYMMETRIC):
-        raise UserError(
-            f"{source}: the matrix {name.decode()} is rectangular (IFO {form}), it must be square"
-        )
-    return name, bool(form == SYMMETRIC)
+        refusal = f"{source}: the matrix {name.decode()} is complex (TIN {kind}), a real one is needed"
+    elif form not in (SQUARE, SYMMETRIC):
+        refusal = f"{source}: the matrix {name.decode()} is rectangular (IFO {form}), it must be square"
+    return name, bool(form == SYMMETRIC), refusal
 
 
 def _large(text: Texts, begins: NDArray[np.bool_], source: str) -> tuple[Integers, Integers, Array]:

@@ -84,6 +84,10 @@ class Dissection:
             held -= sum(len(self.fronts[child].border) ** 2 for child in front.children)
         return most
 
+    def memory(self, itemsize: int) -> int:
+        """Return the bytes that a factorization holds at most, for numbers of `itemsize` bytes."""
+        return self.peak * itemsize + 8 * sum(len(front.border) for front in self.fronts)
+
     def _sizes(self) -> list[tuple[Front, int]]:
         return [(front, front.last - front.first) for front in self.fronts]
 

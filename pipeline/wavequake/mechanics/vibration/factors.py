@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import psutil  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
 from scipy.sparse import csc_array
@@ -75,13 +76,15 @@ def factorize(matrix: csc_array, definite: bool = False) -> Factors:
     Raises
     ------
     UserError
-        If the matrix is singular; `NotDefiniteError` if a large one is said to be definite and is not.
+        If the matrix is singular or its factors would not fit the free memory; `NotDefiniteError` if a large
+        one is said to be definite and is not.
     """
     matrix = csc_array(matrix)
     if matrix.shape[0] < LARGE:
         return _superlu(matrix, 0.0 if definite else 0.01)
     matrix.sum_duplicates()
     dissection = dissect(matrix)
+    _require_memory(dissection.memory(matrix.dtype.itemsize), matrix.shape[0])
     if definite:
         return _Multifrontal(matrix, dissection, True).factors
     try:
@@ -94,6 +97,15 @@ def factorize(matrix: csc_array, definite: bool = False) -> Factors:
         pass
     # A block was singular that the whole matrix does not make so: pivots must come from everywhere.
     return _superlu(matrix, 1.0, "COLAMD")
+
+
+def _require_memory(needed: int, order: int) -> None:
+    available = int(psutil.virtual_memory().available)
+    if needed > available:
+        raise UserError(
+            f"a factorization of {order} unknowns needs {needed / 1e9:.3g} GB of memory, and "
+            f"{available / 1e9:.3g} GB are free; take a coarser mesh, or a machine with more memory"
+        )
 
 
 def _superlu(matrix: csc_array, threshold: float, order: str = "MMD_AT_PLUS_A") -> Factors:
@@ -125,7 +137,7 @@ class _Multifrontal:
             own = front.last - front.first
             dense = self._assembled(front, place)
             for child in front.children:
-                _add(dense, passed.pop(child), dissection.fronts[child].border, front)
+                extend(dense, passed.pop(child), dissection.fronts[child].border, front)
             rest = self._eliminate(dense, own, front)
             if len(front.border):
                 passed[index] = rest
@@ -146,17 +158,13 @@ class _Multifrontal:
 
     def _eliminate(self, dense: NDArray[Any], own: int, front: Front) -> NDArray[Any]:
         """Keep the factors of a front (its lower triangle counts), return what is left of its border."""
-        pivot, below = np.asfortranarray(dense[:own, :own]), np.asfortranarray(dense[own:, :own])
-        rest = np.asfortranarray(dense[own:, own:])
         if self.definite:
-            lower, info = lapack.dpotrf(pivot, lower=1, overwrite_a=1)
+            lower, below, rest, info = eliminate_definite(dense, own)
             if info:
                 raise NotDefiniteError(int(self.dissection.order[front.first + info - 1]))
-            if len(below):
-                below = blas.dtrsm(1.0, lower, below, side=1, lower=1, trans_a=1, overwrite_b=1)
-                rest = blas.dsyrk(-1.0, below, beta=1.0, c=rest, lower=1, overwrite_c=1)
             self.blocks.append((lower, below))
             return rest
+        pivot, below, rest = _parts(dense, own)
         pivot = np.tril(pivot) + np.tril(pivot, -1).T
         getrf, getrs = lapack.get_lapack_funcs(("getrf", "getrs"), (pivot,))
         block, swaps, info = getrf(pivot, overwrite_a=1)
@@ -235,7 +243,23 @@ def _local(places: Integers, front: Front) -> Integers:
     return np.where(places < front.last, places - front.first, inside)
 
 
-def _add(dense: NDArray[Any], part: NDArray[Any], border: Integers, front: Front) -> None:
+def _parts(dense: NDArray[Any], own: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    parts = (dense[:own, :own], dense[own:, :own], dense[own:, own:])
+    pivot, below, rest = (np.asfortranarray(part) for part in parts)
+    return pivot, below, rest
+
+
+def eliminate_definite(dense: Array, own: int) -> tuple[Array, Array, Array, int]:
+    """Return L11, L21 and what is left of a front (its lower triangle), and the row of a failure (or 0)."""
+    pivot, below, rest = _parts(dense, own)
+    lower, info = lapack.dpotrf(pivot, lower=1, overwrite_a=1)
+    if not info and len(below):
+        below = blas.dtrsm(1.0, lower, below, side=1, lower=1, trans_a=1, overwrite_b=1)
+        rest = blas.dsyrk(-1.0, below, beta=1.0, c=rest, lower=1, overwrite_c=1)
+    return lower, below, rest, int(info)
+
+
+def extend(dense: NDArray[Any], part: NDArray[Any], border: Integers, front: Front) -> None:
     """Add the lower triangle that a child passes on."""
     rows = _local(border, front)
     for column, row in enumerate(rows):  # a third of the time of indexing both at once

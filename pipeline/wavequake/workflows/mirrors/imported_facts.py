@@ -8,6 +8,8 @@ from scipy.spatial import ConvexHull, QhullError
 
 from wavequake.mechanics.model import Array, FiniteElementModel
 from wavequake.mechanics.vibration.eigen import rigid_motions
+from wavequake.mechanics.vibration.factors import LARGE
+from wavequake.mechanics.vibration.forecast import forecast
 from wavequake.reduction.intermediate import Intermediate
 
 # Sizes in m and densities in kg/m^3 (of all mass in the convex hull of all nodes) beyond which the units are
@@ -34,6 +36,8 @@ def facts(model: FiniteElementModel, units: str, notes: tuple[str, ...] = ()) ->
         f"{' x '.join(f'{1e3 * size:.4g}' for size in extent)} mm, {mass:.4g} kg (units {units})"
     )
     yield from (f"imported model: {note}" for note in notes)
+    if model.order >= LARGE:
+        yield f"imported model: {forecast(model.stiffness)}"
     doubt = f"are model.units = '{units}' those of the files?"
     if not _SIZES[0] <= extent.max() <= _SIZES[1]:
         yield f"warning: the model is {1e3 * extent.max():.3g} mm wide; {doubt}"

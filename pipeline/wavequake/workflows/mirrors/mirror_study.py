@@ -8,7 +8,8 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from wavequake.campaign.schema import CampaignSection, Section, StoreSection, Study, text_of
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.checks import Triangle
-from wavequake.mechanics.importers.model import TRIANGLE, ZERO_ROWS, ImportedModel, Nodes
+from wavequake.mechanics.importers.model import PADS, TRIANGLE, ZERO_ROWS, ImportedModel, Nodes
+from wavequake.mechanics.importers.pads import PadKind
 from wavequake.mechanics.vibration.excitations import AnyExcitation
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.reduction.names import parse
@@ -57,13 +58,14 @@ class ModelSection(Section):
     zero_rows: Literal["drop"] | None = Field(
         default=None, exclude=True, description=f"of a file: {ZERO_ROWS}"
     )
+    pads: PadKind | None = Field(default=None, exclude=True, description=f"of a file: {PADS}")
     content: str | None = Field(
         default=None, description="SHA-256 of the imported model; filled in when the study is loaded"
     )
 
     @model_validator(mode="after")
     def _a_file_says_what_it_is(self) -> "ModelSection":
-        keys = ("mass", "dofs", "mesh", "units", "interfaces", "surface", "triangle", "zero_rows")
+        keys = ("mass", "dofs", "mesh", "units", "interfaces", "surface", "triangle", "zero_rows", "pads")
         given = [key for key in keys if getattr(self, key) is not None]
         if self.content is None and given:
             raise ValueError(f"{given[0]} belongs to a model file; give file, too")

@@ -1,0 +1,131 @@
+"""External superelements of Nastran (EXTSEOUT): matrices in ``.op4``, what their rows are in ``.pch``.
+
+The punch file lists the rows in cards EXTRN (points and their components; SPOINT with component 0 are the
+coordinates of modes) and the boundary points in cards GRID, whose displacements may stand in axes of their
+own, CORD2R (MSC Nastran Quick Reference Guide).
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from wavequake.errors import UserError
+from wavequake.mechanics.importers.entries import Array, Contents, Entries, Integers, whole_lines
+
+Card = list[str]
+
+
+def with_rows(contents: Contents, path: Path) -> Contents:
+    """Return the matrices of an ``.op4`` file with what the punch file beside it says of their rows.
+
+    Without such a file, or cards EXTRN in it, they stay as they are.
+
+    Raises
+    ------
+    UserError
+        If the cards cannot be read, or points stand in axes that are not supported.
+    """
+    punch = path.with_suffix(".pch")
+    if not punch.is_file():
+        return contents
+    cards = _cards(punch)
+    table = _rows([card for card in cards if card[0] == "EXTRN"], punch.name)
+    if not len(table):
+        return contents
+    axes = {card[1]: _axes(card, punch.name) for card in cards if card[0] == "CORD2R"}
+    grids = [card for card in cards if card[0] == "GRID"]
+    numbers = np.array([int(card[1]) for card in grids], dtype=np.int64)
+    if any(card[2] not in ("", "0") for card in grids):
+        raise UserError(f"{punch.name}: points in axes of their own (GRID, field CP) are not read")
+    points = np.array([[_real(word, punch.name) for word in card[3:6]] for card in grids]).reshape(-1, 3)
+    if missing := sorted(set(table[table[:, 1] > 0, 0]) - set(numbers.tolist())):
+        raise UserError(f"{punch.name} has no GRID card of point {missing[0]}, which its card EXTRN lists")
+    turn = np.eye(len(table))
+    for card in grids:
+        frame = card[6] if len(card) > 6 and card[6] else "0"
+        if frame == "0":
+            continue
+        if frame not in axes:
+            raise UserError(f"{punch.name}: point {card[1]} moves in the axes {frame}, which are no CORD2R")
+        for first in (1, 4):
+            rows = _triple(table, int(card[1]), first, punch.name)
+            if len(rows):
+                turn[np.ix_(rows, rows)] = axes[frame]
+    matrices = {
+        name: _turned(entries, turn) if entries.size == len(table) else entries
+        for name, entries in contents.matrices.items()
+    }
+    return replace(contents, matrices=matrices, dofs=table, node_numbers=numbers, coordinates=points)
+
+
+def _triple(table: Integers, node: int, first: int, source: str) -> Integers:
+    """Return the rows of a point's displacements (first 1) or rotations (first 4), none if it has none."""
+    rows = np.flatnonzero((table[:, 0] == node) & (table[:, 1] >= first) & (table[:, 1] < first + 3))
+    if len(rows) not in (0, 3):
+        raise UserError(f"{source}: point {node} has axes of its own and not all three directions")
+    return rows[np.argsort(table[rows, 1])]
+
+
+def _turned(entries: Entries, turn: Array) -> Entries:
+    """Return a matrix in the axes of the coordinates; superelements are small, so it may be dense."""
+    dense = np.zeros(turn.shape)
+    dense[entries.rows, entries.columns] = entries.values
+    if entries.one_triangle and not (
+        dense[np.tril_indices(len(dense), -1)].any() and np.triu(dense, 1).any()
+    ):
+        dense = dense + dense.T - np.diag(dense.diagonal())
+    dense = turn @ dense @ turn.T
+    rows, columns = dense.nonzero()
+    return Entries(entries.source, rows, columns, dense[rows, columns], len(dense), True)
+
+
+def _rows(cards: list[Card], source: str) -> Integers:
+    rows = []
+    for card in cards:
+        words = [word for word in card[1:] if word]
+        for node, components in zip(words[::2], words[1::2], strict=True):
+            if not (node.isdigit() and components.isdigit()):
+                raise UserError(f"{source}: {node!r} with {components!r} is no row (card EXTRN)")
+            rows += [(int(node), int(component)) for component in components]
+    return np.array(rows, dtype=np.int64).reshape(-1, 2)
+
+
+def _axes(card: Card, source: str) -> Array:
+    """Return the unit vectors of a CORD2R card as columns."""
+    if card[2] not in ("", "0"):
+        raise UserError(f"{source}: the axes {card[1]} stand in other axes (CORD2R, field RID): not read")
+    origin, above, beside = np.array([_real(word, source) for word in card[3:12]]).reshape(3, 3)
+    z = (above - origin) / np.linalg.norm(above - origin)
+    x = (beside - origin) - (beside - origin) @ z * z
+    x = x / np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def _real(word: str, source: str) -> float:
+    """Return a number as Nastran writes it: ``1.5+3`` is 1500."""
+    text = word.upper().replace("D", "E")
+    if "E" not in text:
+        head, sign = text[:1], max(text[1:].rfind("+"), text[1:].rfind("-"))
+        text = head + (text[1:] if sign < 0 else f"{text[1:][:sign]}E{text[1:][sign:]}")
+    try:
+        return float(text)
+    except ValueError as error:
+        raise UserError(f"{source}: {word!r} is not a number; the file may be cut off") from error
+
+
+def _cards(path: Path) -> list[Card]:
+    """Return the cards of a bulk data file in fixed fields, continuations joined."""
+    cards: list[Card] = []
+    for line in whole_lines(path).decode("latin-1").upper().splitlines():
+        if not line.strip() or line.startswith("$"):
+            continue
+        width = 16 if "*" in line[:8] else 8
+        fields = [line[k : k + width].strip() for k in range(8, min(len(line.rstrip()), 72), width)]
+        fields += [""] * (64 // width - len(fields))
+        name = line[:8].strip(" *")
+        if name and not name.startswith("+"):
+            cards.append([name, *fields])
+        elif cards:
+            cards[-1] += fields
+    return cards
