@@ -153,14 +153,14 @@ def answer(summaries: Iterable[Summary]) -> str:
         lost = sum(summary.quarantined + summary.incomplete for summary in summaries)
         return f"No case is done: all {lost} that were computed failed." if lost else "No case is done yet."
     worst = max(known, key=lambda summary: summary.wfe_raw_p95.value)
-    jitter = max(known, key=lambda summary: summary.los_jitter.radial)
+    shaken = max(known, key=lambda summary: summary.los_jitter.radial)
     several = len(known) > 1
     lead = f"Of {len(known)} disturbances, {worst.name} costs the most" if several else worst.name
-    where = f" ({jitter.name})" if several else ""
+    where = f", the most, under {shaken.name}" if several else ""
     return (
         f"{lead}: 95 % of its {worst.cases} cases stay below {number(worst.wfe_raw_p95.value)} nm rms of "
         f"wavefront error, and 95 % of its instants above a Strehl ratio of {number(worst.strehl_p5.value)}. "
-        f"The largest line-of-sight jitter is {number(jitter.los_jitter.radial)} mas rms{where}."
+        f"The line of sight scatters by {number(shaken.los_jitter.radial)} mas rms{where}."
     )
 
 
