@@ -28,7 +28,9 @@ def test_an_amplitude_that_nobody_means_is_doubted(study, key, value, words):
 
 def test_the_command_line_says_so_before_it_runs(wavequake, tmp_path):
     keys = ["disturbance.history.peak_nm=1e300", "campaign.cases=1", "optics.rays=200", "imaging.pixels=8"]
-    code, said, trouble = wavequake("run", "tmt18-history", *keys, "--on", "serial", "--store", tmp_path / "s")
+    code, said, trouble = wavequake(
+        "run", "tmt18-history", *keys, "--on", "serial", "--store", tmp_path / "s"
+    )
     assert code == 3
     assert "is nm its unit?" in " ".join(said.split())
     assert "Traceback" not in trouble
