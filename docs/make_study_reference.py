@@ -33,6 +33,9 @@ def table(model: type[BaseModel], skip: frozenset[str] = frozenset()) -> str:
 
 def models(annotation: Any) -> list[type[BaseModel]]:
     """Return the models that an annotation speaks of: itself, or inside Annotated, unions and tuples."""
+    for choice in getattr(annotation, "__metadata__", ()):
+        if hasattr(choice, "models"):  # of a registry
+            return [model for model in choice.models() if model.__module__.startswith("wavequake.")]
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     if get_origin(annotation) in (Annotated, Union, UnionType, tuple):
@@ -70,7 +73,7 @@ def kinds(heading: str, found: list[type[BaseModel]]) -> Iterator[tuple[str, str
         yield f"`{heading}`", f"{words(found[0])}\n\n{table(found[0])}"
         return
     tag = next(key for key in TAGS if key in found[0].model_fields)
-    shared = found[0].__mro__[1]
+    shared = next(base for base in found[0].__mro__ if all(issubclass(model, base) for model in found))
     common: frozenset[str] = frozenset()
     if issubclass(shared, BaseModel) and len(shared.model_fields) > 0:
         common = frozenset(shared.model_fields)

@@ -8,14 +8,16 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "pipeline" / "wavequake"
 PHYSICS = {"mechanics", "reduction", "optics", "imaging", "control"}
-BASE = {"errors", "files", "prepared", "words"}
+BASE = {"errors", "files", "prepared", "registry", "user_files", "words"}
 
 # What each package may import of ours, besides itself.
 ALLOWED = {
     "errors": set(),
     "files": set(),
+    "user_files": {"errors"},
     "words": set(),
     "memory": set(),
+    "registry": {"errors"},
     "prepared": set(),
     "kernels": BASE,
     "mechanics": BASE | {"kernels"},
@@ -30,6 +32,9 @@ ALLOWED = {
     "workflows": BASE | PHYSICS | {"campaign", "chain", "kernels", "firmware"},
     "drawing": BASE | PHYSICS | {"campaign", "chain", "kernels", "workflows"},
     "report": BASE | PHYSICS | {"campaign", "chain", "drawing", "kernels", "workflows"},
+    "notebook": BASE | {"drawing"},
+    "plot": BASE | {"drawing"},
+    "doors": BASE | PHYSICS | {"campaign", "notebook", "report", "workflows"},
     "terminal": set(),
     "cli_firmware": BASE | {"campaign", "control", "firmware", "workflows", "terminal"},
     "cli_sensitivity": BASE | {"campaign", "kernels", "workflows", "report", "terminal"},

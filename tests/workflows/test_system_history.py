@@ -10,8 +10,9 @@ from wavequake.campaign.contract import DONE, RAISED
 from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
-from wavequake.mechanics.disturbances.element_motion import draw_elements, instants_of, single_parts
+from wavequake.mechanics.disturbances.element_motion import draw_elements
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
+from wavequake.mechanics.disturbances.registry import instants_of, parts
 from wavequake.optics.catalog.names import optical_system
 from wavequake.optics.derivatives.sensitivity import figure_sensitivity, rigid_sensitivity
 from wavequake.optics.rays.pupils import sunflower
@@ -308,7 +309,7 @@ def test_what_is_not_random_has_one_case(tmp_path):
 def test_without_its_history_a_combination_keeps_the_instants(tmp_path):
     text = (HEAD + "share = 0\n" + RANDOM).replace('"shake",', '"shake", "hum",') + VIBRATION
     study = written(tmp_path, text)
-    sources = single_parts(study.disturbance, summed(study, None))
+    sources = parts(study.disturbance, summed(study, None))
     assert [part.name for part in sources] == ["askew", "shake", "hum", "figure"]
     whole, _, _, unshaken, *_ = variants(summed(study, None), sources, study.study.seed, 2)
     assert unshaken.rigid["lens 3"].shape == (len(TIME), 6)

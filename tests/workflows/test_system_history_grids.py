@@ -8,7 +8,8 @@ from test_system_history import HEAD, MOTION, RANDOM, TIME, written
 from wavequake.campaign.contract import DONE
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
-from wavequake.mechanics.disturbances.element_motion import draw_elements, single_parts
+from wavequake.mechanics.disturbances.element_motion import draw_elements
+from wavequake.mechanics.disturbances.registry import parts
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.shapes.shapes import GridDeformation
 from wavequake.optics.systems.kinematics import rest_states
@@ -140,7 +141,7 @@ def test_sensitivities_are_those_without_a_history(tmp_path):
 def test_a_budget_takes_grids_away_with_their_surface(tmp_path):
     text = (ARRAYS + "share = 0\n" + RANDOM).replace("L1 front", "L3 front")
     study = study_of(tmp_path, grid(ROUGH, "L3 front"), text)
-    sources = single_parts(study.disturbance, summed(study, None))
+    sources = parts(study.disturbance, summed(study, None))
     assert elements_of(sources) == ["lens 3", "L3 front"]
     whole, again, no_askew, no_shake, no_figure, no_body, no_surface, *_ = variants(
         summed(study, None), sources, 1, 0

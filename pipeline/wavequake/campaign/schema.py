@@ -18,6 +18,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from wavequake.errors import UserError
+from wavequake.user_files import read_bytes, read_text
 
 Location = Sequence[str | int]
 
@@ -88,6 +89,12 @@ class Study(Section):
     study: StudySection
     campaign: CampaignSection = CampaignSection()
     store: StoreSection = StoreSection()
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.study.name}: {self.cases} cases of {self.study.workflow}>"
+
+    def __str__(self) -> str:
+        return repr(self)
 
     @property
     def cases(self) -> int:
@@ -166,19 +173,17 @@ def study_from_identity(model: type[Kind], text: str) -> Kind:
 def text_of(path: Path, key: str) -> str:
     """Return the text of a file that the study names under `key`; UserError if it cannot be read."""
     try:
-        return path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(
-            f"{key}: the file {path} cannot be read ({getattr(error, 'strerror', None) or error})."
-        ) from None
+        return read_text(path)
+    except UserError as error:
+        raise UserError(f"{key}: the file {error}") from None
 
 
 def base64_of(path: Path, key: str) -> str:
     """Return a file that the study names under `key` in base64; UserError if it cannot be read."""
     try:
-        return b64encode(path.read_bytes()).decode()
-    except OSError as error:
-        raise UserError(f"{key}: the file {path} cannot be read ({error.strerror}).") from None
+        return b64encode(read_bytes(path)).decode()
+    except UserError as error:
+        raise UserError(f"{key}: the file {error}") from None
 
 
 def describe(error: ValidationError, record: Mapping[str, Any], model: type[BaseModel]) -> str:
@@ -249,6 +254,9 @@ def _descent(model: type[BaseModel], location: Location) -> Iterator[tuple[type[
 
 def _models(annotation: Any) -> list[type[BaseModel]]:
     """Return the models that an annotation speaks of: itself, or inside Annotated, unions and tuples."""
+    for choice in getattr(annotation, "__metadata__", ()):
+        if hasattr(choice, "models"):  # of a registry
+            return list(choice.models())
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     if get_origin(annotation) in (Annotated, Union, UnionType, tuple):

@@ -5,7 +5,7 @@ to a few independent sets, the replicates: the numbers of a set are not independ
 what is known of an estimate's error is the scatter between sets.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,6 +17,7 @@ from pydantic import Field, model_validator
 from wavequake.campaign.schema import CampaignSection
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.motion import generator
+from wavequake.mechanics.disturbances.source import Source
 from wavequake.mechanics.disturbances.streams import Coordinates, Random, Streams, own_streams
 from wavequake.prepared import prepared
 
@@ -25,8 +26,6 @@ Array = NDArray[np.float64]
 _STREAM = "~sampling"  # no disturbance can have this name
 _MOST_NUMBERS = 2**26  # of all Latin hypercubes together: 0.5 GB
 _MOST_POINTS = 2**30  # of one Sobol sequence
-# Every case's vibration has thousands of numbers of equal weight: no set of points is even in so many.
-NEVER_STRATIFIED = ("edge-sensor-noise", "segment-wind")
 
 
 class SampledCampaignSection(CampaignSection):
@@ -154,7 +153,7 @@ def plan_of(
     seed: int,
     shares: Sequence[int],
     draw: Callable[[Streams], object],
-    stratified: Callable[[str], bool],
+    sources: Iterable[Source],
 ) -> Plan:
     """Return the plan of a study.
 
@@ -164,8 +163,8 @@ def plan_of(
         Of the populations in the pattern of cases.
     draw : callable
         Draws every disturbance of the study once from the streams that it is given.
-    stratified : callable
-        Tells by the name of a stream whether its numbers are spread evenly.
+    sources : iterable of Source
+        All of them, which say whether their numbers are spread evenly.
 
     Raises
     ------
@@ -175,9 +174,10 @@ def plan_of(
     if campaign.sampling == "random":
         return Plan("random", seed, 1, 0, ())
     counters: dict[str, Coordinates] = {}
+    stratified = {source.name: source.stratified for source in sources}
 
     def counting(name: str) -> Random | None:
-        if stratified(name):
+        if stratified[name.partition("/")[0]]:
             counters[name] = Coordinates()
         return counters.get(name)
 

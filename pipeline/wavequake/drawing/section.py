@@ -141,17 +141,15 @@ def _draw_part(axes: Axes, part: Part, scale: float) -> None:
 
 def _label(axes: Axes, parts: Sequence[Part], scale: float) -> None:
     """Write the names beside the parts; one that finds no free place is left out."""
-    figure = axes.figure
-    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     axes.apply_aspect()
-    frame, taken = axes.get_window_extent(renderer), list[Bbox]()
+    frame, taken = axes.get_window_extent(), list[Bbox]()
     named = sorted((part for part in parts if part.name), key=lambda part: _FIRST.index(part.kind))
     for part in named:
         points = axes.transData.transform(scale * np.concatenate(part.lines))
         box = Bbox([points.min(axis=0), points.max(axis=0)])
         text = axes.text(0, 0, part.name, fontsize=8.5, color=_DARK, ha="center", va="center", zorder=6)
         text.set_bbox(HALO)
-        size = text.get_window_extent(renderer)
+        size = text.get_window_extent()
         for right, up in _AROUND:
             middle = (
                 (box.x0 + box.x1) / 2 + right * ((box.width + size.width) / 2 + 4),

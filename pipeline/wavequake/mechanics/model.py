@@ -35,7 +35,7 @@ class RayleighDamping:
             )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FiniteElementModel:
     """A free-floating or supported body with n degrees of freedom; SI units.
 
@@ -48,7 +48,8 @@ class FiniteElementModel:
     nodes : ndarray, shape (N, 3)
         Coordinates in m.
     dof_node, dof_direction : ndarray of int, shape (n,)
-        Which node and which direction (0, 1, 2 for x, y, z) each degree of freedom moves.
+        Which node and which direction (0, 1, 2: displacements along x, y, z; 3, 4, 5: rotations about them)
+        each degree of freedom moves; -1 where it is an inner coordinate of no node, e.g. of a mode.
     interfaces : ndarray of int, shape (k,)
         Nodes that carry forces, springs, constraints or prescribed motion.
     surface_nodes : ndarray of int, shape (p,)
@@ -72,6 +73,9 @@ class FiniteElementModel:
     surface_weights: Array
     node_sets: Mapping[str, Integers] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        return _described(self)
+
     @property
     def order(self) -> int:
         """Number of degrees of freedom."""
@@ -93,7 +97,7 @@ class FiniteElementModel:
         return selection(self, self.surface_nodes)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ReducedModel:
     """A model of order r in coordinates q with u = V q; the same interface as `FiniteElementModel`.
 
@@ -126,6 +130,9 @@ class ReducedModel:
     surface_weights: Array
     seconds: float
 
+    def __repr__(self) -> str:
+        return _described(self)
+
     @property
     def order(self) -> int:
         """Number of coordinates."""
@@ -133,6 +140,24 @@ class ReducedModel:
 
 
 Model = FiniteElementModel | ReducedModel
+
+
+def places(model: FiniteElementModel) -> Integers:
+    """Return which degree of freedom each displacement and rotation of a node is, shape (N, 6); -1: none."""
+    found = np.full((len(model.nodes), 6), -1, dtype=np.int64)
+    labeled = np.flatnonzero(model.dof_node >= 0)
+    found[model.dof_node[labeled], model.dof_direction[labeled]] = labeled
+    return found
+
+
+def _described(model: Model) -> str:
+    """Return what a model is, in a line."""
+    kind, what = (
+        type(model).__name__,
+        ("coordinates" if isinstance(model, ReducedModel) else "degrees of freedom"),
+    )
+    nodes = f"{len(model.interfaces)} interface and {len(model.surface_nodes)} optical nodes"
+    return f"<{kind} {model.name}: {model.order} {what}, {nodes}>"
 
 
 def selection(model: FiniteElementModel, nodes: Integers) -> csc_array:
@@ -143,9 +168,7 @@ def selection(model: FiniteElementModel, nodes: Integers) -> csc_array:
     UserError
         If a node has not all three displacements (it is constrained, or belongs to no element).
     """
-    place = np.full((len(model.nodes), 3), -1, dtype=np.int64)
-    place[model.dof_node, model.dof_direction] = np.arange(model.order)
-    columns = place[nodes].ravel()
+    columns = places(model)[nodes, :3].ravel()
     if (columns < 0).any():
         row = int(np.argmax(columns < 0))
         raise UserError(

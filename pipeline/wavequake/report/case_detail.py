@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.campaign.store.store import Manifest
 from wavequake.kernels.device.devices import choose_device
-from wavequake.mechanics.disturbances.element_motion import instants_of
+from wavequake.mechanics.disturbances.registry import instants_of
 from wavequake.mechanics.vibration.drive import values
 from wavequake.mechanics.vibration.excitations import drive_of
 from wavequake.mechanics.vibration.modal import modal_model

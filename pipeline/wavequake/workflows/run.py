@@ -142,6 +142,7 @@ def run(
     allow_mixed: bool = False,
     shard: str | None = None,
     cluster: str | Path | None = None,
+    progress: Progress | None = None,
     **overrides: Any,
 ) -> "xr.Dataset":
     """Run a study and return its results as a labelled lazy dataset.
@@ -165,6 +166,8 @@ def run(
         ``"i/n"``, from ``"0/n"``: compute every n-th chunk only, while n - 1 others compute the rest.
     cluster : str or Path, optional
         A cluster file (``docs/clusters.md``) for ``slurm``, ``ssh`` and ``tls://``.
+    progress : callable, optional
+        Called with the numbers of cases that are done, wanted and quarantined.
     **overrides
         Further keys with double underscores for dots, e.g. ``optics__wavelength_nm=1000.0``.
 
@@ -185,7 +188,8 @@ def run(
     path = loaded.folder(store)
     part = None if shard is None else shard_of(shard)
     file = None if cluster is None else Path(cluster)
-    run_study(loaded, path, on=on, workers=workers, allow_mixed=allow_mixed, shard=part, cluster=file)
+    how = {"on": on, "workers": workers, "allow_mixed": allow_mixed, "progress": progress}
+    run_study(loaded, path, shard=part, cluster=file, **how)  # type: ignore[arg-type]
     return open_store(path)
 
 

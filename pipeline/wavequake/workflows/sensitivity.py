@@ -27,9 +27,10 @@ from wavequake.campaign.store.store import (
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.optics.checks import whole
+from wavequake.optics.derivatives.central import DOFS, SensitivityMatrix
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.segments.prepared import prepare
-from wavequake.optics.segments.sensitivity import DOFS, Sensitivities, SensitivityMatrix, sensitivities
+from wavequake.optics.segments.sensitivity import Sensitivities, sensitivities
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.exposures.telescope_control import segment_text
 from wavequake.workflows.segments.bench import MM_PER_M, Bench, bench_of

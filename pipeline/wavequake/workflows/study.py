@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from wavequake.campaign.schema import Study, describe
 from wavequake.errors import UserError
 from wavequake.files import folder
+from wavequake.user_files import read_text, read_toml
 from wavequake.workflows.kinds import find_kind, kind_names
 
 # Keys that name files.
@@ -58,11 +59,13 @@ def load_study(name: str | Path, overrides: Mapping[str, Any] | Iterable[str] = 
             "info` and `wavequake sensitivity` take the lens file itself."
         )
     try:
-        record = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        text = read_text(path)
+    except UserError as error:
+        raise UserError(f"The study file {error}") from None
+    try:
+        record = read_toml(text)
+    except UserError as error:
         raise UserError(f"{path} is not a TOML file: {error}.") from None
-    except OSError as error:
-        raise UserError(f"The study file {path} cannot be read: {error.strerror}.") from None
     return study_of(record, path.name, path.parent, split_overrides(overrides))
 
 

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.imaging.objects.formation import checked_intensity
+from wavequake.user_files import read_bytes, read_npy
 
 Array = NDArray[np.float64]
 
 _KEY = "object.picture"
+_MOST_PIXELS = 4096 * 4096
 
 
 def read_picture(path: Path) -> str:
@@ -28,22 +30,24 @@ def read_picture(path: Path) -> str:
     UserError
         If the file cannot be read or holds no picture of finite values of at least 0.
     """
-    readers = {".png": _png, ".npy": _npy, ".csv": _csv}
+    readers = {".png": _png, ".npy": read_npy, ".csv": _csv}
     reader = readers.get(path.suffix.lower())
     if reader is None:
         raise UserError(f"{_KEY}: {path} must be a .png, .npy or .csv file.")
     try:
-        values = reader(path)
+        data = read_bytes(path)
+    except UserError as error:
+        raise UserError(f"{_KEY}: {error}") from None
+    try:
+        values = reader(data)
         if values.dtype.kind not in "biuf":
             raise ValueError(f"its values are {values.dtype}, not real numbers")
         with np.errstate(over="ignore"):  # what becomes infinite is refused
             picture = checked_intensity(values.astype("<f4"))
-    except OSError as error:
-        raise UserError(f"{_KEY}: {path} cannot be read ({error.strerror or error}).") from None
-    except (ValueError, EOFError, SyntaxError) as error:
-        raise UserError(f"{_KEY}: {path} is no picture ({error}).") from None
     except UserError as error:
         raise UserError(f"{_KEY}: {path}: {str(error).rstrip('.')}.") from None
+    except Exception as error:  # decoders raise all sorts
+        raise UserError(f"{_KEY}: {path} is no picture ({error}).") from None
     rows, columns = picture.shape
     return f"{rows}x{columns}:" + base64.b64encode(picture.astype("<f4").tobytes()).decode()
 
@@ -75,22 +79,21 @@ def in_frame(picture: Array, pixels: int) -> Array:
     return frame
 
 
-def _png(path: Path) -> NDArray[np.generic]:
+def _png(data: bytes) -> NDArray[np.generic]:
     from matplotlib.image import imread  # slow to import, and few studies need it
 
-    values = np.asarray(imread(path, format="png"), dtype=np.float64)
+    columns, rows = (int.from_bytes(data[start : start + 4], "big") for start in (16, 20))  # IHDR is first
+    if rows * columns > _MOST_PIXELS:
+        raise ValueError(f"it has {rows} x {columns} pixels, {_MOST_PIXELS} are possible")
+    values = np.asarray(imread(io.BytesIO(data), format="png"), dtype=np.float64)
     if values.ndim == 3:
         alpha = values[..., 3] if values.shape[2] == 4 else 1.0
         values = values[..., :3].mean(axis=2) * alpha
     return values[::-1]
 
 
-def _npy(path: Path) -> NDArray[np.generic]:
-    return np.asarray(np.load(path, allow_pickle=False))
-
-
-def _csv(path: Path) -> NDArray[np.generic]:
-    text = path.read_text(encoding="utf-8-sig")
+def _csv(data: bytes) -> NDArray[np.generic]:
+    text = data.decode("utf-8-sig")
     if not text.strip():
         raise ValueError("it is empty")
     rows = [line.partition("#")[0] for line in text.splitlines()]

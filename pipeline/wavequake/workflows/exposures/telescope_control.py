@@ -19,8 +19,8 @@ from wavequake.imaging.engines.segment_psf import psf
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.kernels.device.tiles import TILE, from_tiles, padded
 from wavequake.kernels.trace.train import Traced
+from wavequake.optics.derivatives.central import SIGNS, checked_derivative
 from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, prepare, trace_states
-from wavequake.optics.segments.sensitivity import TOLERANCE
 from wavequake.optics.segments.states import SurfaceStates, rest
 from wavequake.optics.segments.wavefront import Wavefront, analyse
 from wavequake.prepared import prepared
@@ -208,7 +208,7 @@ def figure_gains(control: ControlBench) -> Array:
     """
     prepared, terms = control.prepared, control.study.figure_terms
     steps = _STEP * np.eye(terms)[1:]
-    figures = np.concatenate([factor * steps for factor in (1.0, -1.0, 2.0, -2.0)])
+    figures = np.concatenate([factor * steps for factor in SIGNS])
     surfaces, segments = len(prepared.system.surfaces), len(prepared.system.segments)
     states = rest(padded(len(figures)), segments, surfaces, control.bench.figure_terms, terms)
     assert states.mirror_figure is not None
@@ -216,14 +216,9 @@ def figure_gains(control: ControlBench) -> Array:
     states = replace(states, field=states.field + control.bench.field)
     found = trace(prepared, states, choose_device("numpy"))[1]
     values = np.hstack([found.los * control.tilt_per_mm, found.zernike[:, 3:]])[: len(figures)]
-    plus, minus, wide_plus, wide_minus = values.reshape(4, terms - 1, -1)
-    gains, wide = (plus - minus) / (2.0 * _STEP), (wide_plus - wide_minus) / (4.0 * _STEP)
-    apart = np.abs(gains - wide).max() / np.abs(gains).max()
-    if not apart < TOLERANCE:
-        raise UserError(
-            f"the sensitivities of M2's figure differ by {apart:.2g} between two steps; use more rays or "
-            "fewer exposure.figure_terms"
-        )
+    gains = checked_derivative(
+        values.reshape(4, terms - 1, -1), _STEP, "M2's figure", "use more rays or fewer exposure.figure_terms"
+    )
     return np.ascontiguousarray(gains.T)
 
 

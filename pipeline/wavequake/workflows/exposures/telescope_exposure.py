@@ -30,6 +30,7 @@ from wavequake.imaging.pupils.nyquist import ray_samples_for, too_few_rays
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.train import Traced
+from wavequake.mechanics.disturbances.motion import scaled
 from wavequake.optics.segments.states import SurfaceStates
 from wavequake.optics.segments.wavefront import Wavefront
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
@@ -86,9 +87,7 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
 def scaled_draw(control: ControlBench, case: int) -> CaseDraw:
     """Draw a case of the disturbance, exaggerated by the study's scale."""
     drawn, scale = draw(control.bench, case), control.study.exposure.scale
-    motion = drawn.motion
-    scaled = {name: getattr(motion, name) * scale for name in vars(motion)}
-    return replace(drawn, motion=replace(motion, **scaled))
+    return replace(drawn, motion=scaled(drawn.motion, scale))
 
 
 def exposed_case(control: ControlBench, drawn: CaseDraw, device: Device) -> dict[str, Array]:

@@ -1,7 +1,8 @@
 """What a case of a segmented telescope draws: motions by generators, or by a sampling plan."""
 
-from wavequake.chain.sampling import NEVER_STRATIFIED, Plan, plan_of
-from wavequake.mechanics.disturbances.registry import Combine, Disturbance, Motion, draw_case
+from wavequake.chain.sampling import Plan, plan_of
+from wavequake.mechanics.disturbances.registry import Disturbance, Motion, draw_case
+from wavequake.mechanics.disturbances.source import Source
 from wavequake.mechanics.disturbances.streams import Streams
 from wavequake.prepared import prepared
 from wavequake.workflows.segments.bench import Bench, bench_of
@@ -18,8 +19,7 @@ def sampling_plan(study_text: str) -> Plan:
     """
     bench = bench_of(study_text)
     study = bench.study
-    singles = [entry for entry in study.disturbance if not isinstance(entry, Combine)]
-    models = {entry.name: entry.model for entry in singles}
+    singles = [entry for entry in study.disturbance if isinstance(entry, Source)]
 
     def draw(streams: Streams) -> None:
         for entry in singles:
@@ -30,7 +30,7 @@ def sampling_plan(study_text: str) -> Plan:
         study.study.seed,
         [entry.share for entry in study.disturbance],
         draw,
-        lambda name: models[name] not in NEVER_STRATIFIED,
+        singles,
     )
 
 

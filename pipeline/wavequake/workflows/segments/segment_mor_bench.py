@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.motion import generator
-from wavequake.mechanics.disturbances.static_random import StaticRandom
+from wavequake.mechanics.disturbances.sources.static_random import StaticRandom
 from wavequake.mechanics.mirrors.material import Material
 from wavequake.mechanics.mirrors.models import HexagonalSegment, hexagonal_segment, on_springs
 from wavequake.mechanics.model import FiniteElementModel, RayleighDamping, ReducedModel

@@ -21,9 +21,9 @@ from wavequake.mechanics.disturbances.element_motion import (
     ElementDisturbance,
     ElementMotion,
     draw_elements,
-    instants_of,
 )
-from wavequake.mechanics.disturbances.registry import Combine
+from wavequake.mechanics.disturbances.registry import instants_of
+from wavequake.mechanics.disturbances.source import Source
 from wavequake.mechanics.disturbances.streams import Streams
 from wavequake.optics.rays.packing import moving
 from wavequake.optics.systems.file import build
@@ -35,6 +35,7 @@ from wavequake.workflows.systems.system_bench import (
     SystemBench,
     field_name,
     imager_on,
+    layout_of,
     lost_light,
     system_bench,
     system_states,
@@ -54,7 +55,10 @@ def draw(bench: SystemBench, case: int) -> tuple[ElementDisturbance, ElementMoti
     study = bench.study
     population, realization = slot(study.disturbance, case)
     streams = sampling_plan(bench.text).of(realization)
-    return population, draw_elements(study.disturbance, population, study.study.seed, realization, streams)
+    drawn = draw_elements(
+        study.disturbance, population, study.study.seed, realization, streams, layout=bench.layout
+    )
+    return population, drawn
 
 
 @prepared(maxsize=2)
@@ -67,14 +71,15 @@ def sampling_plan(study_text: str) -> Plan:
         If they are too many for the plan that the study asks for.
     """
     study = study_from_identity(SystemStudy, study_text)
-    singles = [entry for entry in study.disturbance if not isinstance(entry, Combine)]
+    singles = [entry for entry in study.disturbance if isinstance(entry, Source)]
+    layout = layout_of(study, build(study.system))
 
     def draw_all(streams: Streams) -> None:
         for entry in singles:
-            draw_elements(singles, entry, study.study.seed, 0, streams)
+            draw_elements(singles, entry, study.study.seed, 0, streams, layout=layout)
 
     shares = [entry.share for entry in study.disturbance]
-    return plan_of(study.campaign, study.study.seed, shares, draw_all, lambda name: True)
+    return plan_of(study.campaign, study.study.seed, shares, draw_all, singles)
 
 
 def prepare(study: SystemStudy) -> SystemBench:
@@ -82,7 +87,7 @@ def prepare(study: SystemStudy) -> SystemBench:
     bench = system_bench(study.identity_text())
     sampling_plan(bench.text)
     for population in study.disturbance:
-        drawn = draw_elements(study.disturbance, population, study.study.seed, 0)
+        drawn = draw_elements(study.disturbance, population, study.study.seed, 0, layout=bench.layout)
         moving(bench.system, system_states(bench, drawn))
     return bench
 
