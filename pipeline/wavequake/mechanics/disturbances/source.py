@@ -6,7 +6,6 @@ segments, surfaces and bodies that it addresses, and what sampling plans and bud
 """
 
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union
 
 import numpy as np
@@ -27,6 +26,7 @@ from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.motion import Motion, generator
 from wavequake.mechanics.disturbances.population import Population, time_axis
 from wavequake.mechanics.disturbances.streams import Coordinates, Random
+from wavequake.prepared import prepared
 from wavequake.registry import Registry
 
 Array = NDArray[np.float64]
@@ -187,7 +187,7 @@ class AnySource:
         return _adapter(self.models()).validate_python(given)
 
 
-@lru_cache(maxsize=16)
+@prepared(maxsize=16)
 def _adapter(models: tuple[type[Population], ...]) -> TypeAdapter[Any]:
     choice: Any = Annotated[Union[models], Field(discriminator="model")]  # noqa: UP007
     return TypeAdapter(choice)
