@@ -1,6 +1,7 @@
 """The folder names are the architecture: imports run one way."""
 
 import ast
+import re
 from collections import Counter
 from collections.abc import Callable, Collection
 from functools import cache
@@ -129,3 +130,14 @@ def test_files_are_readable_in_one_sitting():
 def test_test_files_have_names_of_their_own():
     names = [path.name for path in Path(__file__).parent.rglob("test_*.py")]
     assert sorted(names) == sorted(set(names))
+
+
+def test_the_fast_tests_are_there_and_reach_every_room():
+    tests = Path(__file__).parent
+    found = re.search(
+        r"^FAST := (.*?[^\\\\])$", (tests.parent / "Makefile").read_text(), re.MULTILINE | re.DOTALL
+    )
+    files = [tests / name for name in found[1].replace("\\\n", " ").split()]
+    assert not [path for path in files if not path.is_file()]
+    rooms = {path.parent for path in tests.rglob("test_*.py")}
+    assert not (missing := sorted(path.name for path in rooms - {path.parent for path in files})), missing
