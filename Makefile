@@ -9,10 +9,11 @@ comma := ,
 LINKER := $(shell command -v ld >/dev/null || echo '[linker]')
 export PYTHONUNBUFFERED := 1
 
-.PHONY: help run test soak fuzz slurm lint bench wheel clean
+.PHONY: help run test test-fast soak fuzz slurm lint bench wheel clean
 help:
 	@echo "make run    run the bundled study $(STUDY) and write its report"
 	@echo "make test   run the tests"
+	@echo "make test-fast  run a few tests of every room and the recorded numbers of all studies (90 s)"
 	@echo "make soak   kill campaigns at 200 random moments, simulate 100,000; nothing may be lost (half an hour)"
 	@echo "make fuzz   give 2000 damaged files to every reader of files (about five minutes)"
 	@echo "make slurm  test campaigns on a Slurm of two nodes on loopback (root, Debian's slurm-wlm and munge)"
@@ -25,6 +26,18 @@ run: $(VENV)/.run
 
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+# Quick files of every folder of tests/; a test sees to it that none is left out.
+FAST := test_architecture.py test_recorded_numbers.py \
+  chain/test_system_images.py drawing/test_paths.py \
+  cluster/test_places.py control/test_linear.py control/test_regulator.py control/test_sensor.py \
+  firmware/test_gains_header.py imaging/test_mtf.py imaging/test_matrix_fourier.py imaging/test_detector.py \
+  kernels/test_strehl.py kernels/test_poses.py mechanics/test_linear_system.py mechanics/test_spectra.py \
+  optics/test_paraxial.py optics/test_zernike.py optics/test_shape_sag.py reduction/test_krylov.py \
+  report/test_table.py report/test_statistics.py workflows/test_journal.py workflows/test_study.py
+
+test-fast: $(VENV)/.dev
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile $(addprefix tests/,$(FAST))
 
 soak: $(VENV)/.dev
 	SOAK_KILLS=$${SOAK_KILLS:-200} SOAK_SEEDS=$${SOAK_SEEDS:-100000} \

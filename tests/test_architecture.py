@@ -3,9 +3,9 @@
 import ast
 import re
 from collections import Counter
+from collections.abc import Callable, Collection
+from functools import cache
 from pathlib import Path
-
-import pytest
 
 PACKAGE = Path(__file__).parents[1] / "pipeline" / "wavequake"
 PHYSICS = {"mechanics", "reduction", "optics", "imaging", "control"}
@@ -54,6 +54,7 @@ NOT_IN_PHYSICS = {"dask", "distributed", "zarr", "xarray"}
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 
+@cache
 def imports_of(path: Path) -> set[str]:
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text())):
@@ -70,26 +71,35 @@ def home(path: Path) -> str:
     return path.relative_to(PACKAGE).with_suffix("").parts[0]
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_imports_run_one_way(path):
-    if home(path) == FRONT_DOOR:
-        return
-    ours = {name.split(".")[1] for name in imports_of(path) if name.startswith("wavequake.")}
-    ours -= {"__version__", home(path)}
-    assert ours <= ALLOWED[home(path)]
+def offenders(wrong: Callable[[Path], Collection[str]]) -> str:
+    """Return every module of which something is wrong, and what, in lines."""
+    found = ((path, wrong(path)) for path in MODULES)
+    return "\n".join(
+        f"{path.relative_to(PACKAGE)}: {', '.join(sorted(what))}" for path, what in found if what
+    )
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_no_bare_folder_imports(path):
-    tops = {name.split(".")[0] for name in imports_of(path)}
-    assert not tops & (set(ALLOWED) - {"__main__"} | {"pipeline"})
+def test_imports_run_one_way():
+    def forbidden(path):
+        ours = {name.split(".")[1] for name in imports_of(path) if name.startswith("wavequake.")}
+        return ours - {"__version__", home(path)} - ALLOWED[home(path)] if home(path) != FRONT_DOOR else ()
+
+    assert not (said := offenders(forbidden)), said
 
 
-@pytest.mark.parametrize(
-    "path", [p for p in MODULES if home(p) in PHYSICS | {"kernels"}], ids=lambda path: path.name
-)
-def test_physics_knows_no_dask_and_no_store(path):
-    assert not {name.split(".")[0] for name in imports_of(path)} & NOT_IN_PHYSICS
+def test_no_bare_folder_imports():
+    bare = set(ALLOWED) - {"__main__"} | {"pipeline"}
+    assert not (said := offenders(lambda path: bare & {name.split(".")[0] for name in imports_of(path)})), (
+        said
+    )
+
+
+def test_physics_knows_no_dask_and_no_store():
+    def forbidden(path):
+        physics = home(path) in PHYSICS | {"kernels"}
+        return NOT_IN_PHYSICS & {name.split(".")[0] for name in imports_of(path)} if physics else ()
+
+    assert not (said := offenders(forbidden)), said
 
 
 def test_rooms_are_small_enough_to_be_seen_at_once():
@@ -100,24 +110,34 @@ def test_rooms_are_small_enough_to_be_seen_at_once():
 
 def test_what_is_kept_is_prepared_on_one_thread_of_blas():
     """A cache of functools may be filled with all threads: bits of a case would depend on who asked."""
-    found = [
-        str(path.relative_to(PACKAGE))
-        for path in MODULES
-        if home(path) in PHYSICS | {"chain", "workflows"}
-        and imports_of(path) & {"functools", "functools.lru_cache", "functools.cache"}
-        and re.search(r"\b(functools\.cache|(functools\.)?lru_cache|import .*\bcache)\b", path.read_text())
-    ]
-    assert not found, f"use wavequake.prepared.prepared in {', '.join(found)}"
+
+    def unguarded(path):
+        rooms = PHYSICS | {"chain", "workflows"}
+        return imports_of(path) & {"functools.lru_cache", "functools.cache"} if home(path) in rooms else ()
+
+    assert not (said := offenders(unguarded)), f"use wavequake.prepared.prepared in\n{said}"
 
 
 def test_every_package_has_its_rule():
-    assert {home(path) for path in MODULES} - {FRONT_DOOR} <= set(ALLOWED)
+    assert {home(path) for path in MODULES} - {FRONT_DOOR} - set(ALLOWED) == set()
 
 
 def test_files_are_readable_in_one_sitting():
-    assert not [str(path) for path in MODULES if len(path.read_text().splitlines()) > 400]
+    lines = {path: len(path.read_text().splitlines()) for path in MODULES}
+    assert not (said := offenders(lambda path: [f"{lines[path]} lines"] if lines[path] > 400 else ())), said
 
 
 def test_test_files_have_names_of_their_own():
     names = [path.name for path in Path(__file__).parent.rglob("test_*.py")]
     assert sorted(names) == sorted(set(names))
+
+
+def test_the_fast_tests_are_there_and_reach_every_room():
+    tests = Path(__file__).parent
+    found = re.search(
+        r"^FAST := (.*?[^\\\\])$", (tests.parent / "Makefile").read_text(), re.MULTILINE | re.DOTALL
+    )
+    files = [tests / name for name in found[1].replace("\\\n", " ").split()]
+    assert not [path for path in files if not path.is_file()]
+    rooms = {path.parent for path in tests.rglob("test_*.py")}
+    assert not (missing := sorted(path.name for path in rooms - {path.parent for path in files})), missing

@@ -198,6 +198,17 @@ def test_energy_after_an_impulse_is_kept_without_damping_and_falls_with_it():
             assert (np.diff(energy) < 0).all()
 
 
+def test_undamped_modes_gain_no_energy_however_fast_they_are():
+    """Each of 10,000 steps rounds: 1e-16 of the energy, also of modes that turn 4000 times per step."""
+    body, drive = truss(damping=0.0), Drive(FORCES, impulses=(Impulse(0.0, np.linspace(-1.0, 2.0, 9)),))
+    modal = modal_model(body)
+    for factor in (1.0, 1e2, 1e4):
+        fast = replace(modal, squared=factor**2 * modal.squared)
+        position, rate = propagate(fast, drive, 1e-4 * np.arange(10_001))
+        energy = rate**2 + fast.squared[:, None] * position**2
+        np.testing.assert_allclose(energy[6:].sum(axis=0), energy[6:, 0].sum(), rtol=3e-12)
+
+
 def test_free_body_gains_the_momentum_of_its_impulse():
     body = truss()
     drive = Drive(FORCES, impulses=(Impulse(0.0, np.tile([0.0, 0.0, 2.0], 3)),))

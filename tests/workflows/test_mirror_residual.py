@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from small_mirrors import TRACE
 
+from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.campaign.store.store import open_store
 from wavequake.kernels.device.devices import NUMPY, choose_device
 from wavequake.mechanics.vibration.excitations import drive_of
@@ -25,7 +26,7 @@ from wavequake.workflows.mirrors.mirror_residual import (
     residual_of,
     rms_of,
 )
-from wavequake.workflows.mirrors.mirror_trace import STAGES, Clock, compute, modal_method, standard_method
+from wavequake.workflows.mirrors.mirror_trace import STAGES, compute, modal_method, standard_method
 from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 
@@ -127,13 +128,13 @@ def test_both_methods_agree_about_what_the_polynomials_miss():
     residual = residual_of(optics, left, device)
     motion = motion_fit(optics.surface, displacements_mm(variant.surface.T))
     coordinates = coordinates_of(response)
-    traced = standard_method(optics, motion, coordinates, device, Clock(), residual)
-    summed = modal_method(optics, variant.surface, response, Clock(), residual)
+    traced = standard_method(optics, motion, coordinates, device, Stopwatch(), residual)
+    summed = modal_method(optics, variant.surface, response, Stopwatch(), residual)
     size = traced.rms_raw.max()
     np.testing.assert_allclose(summed.rms_raw, traced.rms_raw, rtol=0, atol=1e-3 * size)
     np.testing.assert_allclose(summed.aberrations[:, 5:], traced.aberrations[:, 5:], rtol=0, atol=1e-4 * size)
     # Without it both are off by a percent, alike.
-    without = standard_method(optics, motion, coordinates, device, Clock())
+    without = standard_method(optics, motion, coordinates, device, Stopwatch())
     assert np.abs(without.rms_raw - traced.rms_raw).max() > 5e-3 * size
 
 

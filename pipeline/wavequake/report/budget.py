@@ -26,6 +26,8 @@ _TITLES = {
     "wfe_change": "change of WFE j ≥ 4",
     "image_motion": "motion of the image",
 }
+# An interval wider than this many percent of the whole says as good as nothing.
+_WIDEST, UNRESOLVED = 50.0, "unresolved"
 _SHARES = {
     "share": "of the mean square, switched off",
     "first": "of the variance, alone",
@@ -59,9 +61,11 @@ def _table(one: "xr.Dataset", quantity: str) -> Table:
             factor = one.isel(factor=row)
             name = str(factor["factor"].item())
             words = f"{name} ({int(factor['segments'])} segments)" if kind == "ring" else name
-            share = float(factor["share"])
-            part = number(np.sqrt(share) * float(one["rms"])) if share > 0 else "0"
-            cells = [part, number(float(factor["rms_without"])), *(_share(factor, key) for key in _SHARES)]
+            cells = [
+                _part(factor, float(one["rms"])),
+                number(float(factor["rms_without"])),
+                *(_share(factor, key) for key in _SHARES),
+            ]
             table.add_row(words, *cells, end_section=row == rows[-1])
     return table
 
@@ -69,11 +73,38 @@ def _table(one: "xr.Dataset", quantity: str) -> Table:
 _HEADERS = ("mean square %\nswitched off", "variance %\nalone", "variance %\nwith interactions")
 
 
-def _share(factor: "xr.Dataset", key: str) -> str:
+def _percent(factor: "xr.Dataset", key: str) -> tuple[float, float, float]:
+    """Return a share and its interval, in percent."""
     value, low, high = (100.0 * float(factor[f"{key}{end}"]) for end in ("", "_low", "_high"))
+    return value, low, high
+
+
+def _share(factor: "xr.Dataset", key: str) -> str:
+    value, low, high = _percent(factor, key)
     if np.isnan(value):
         return MISSING
-    return f"{value:.1f} ({low:.1f}–{high:.1f})"
+    if high - low > _WIDEST:
+        return f"{UNRESOLVED} ({low:.0f} to {high:.0f})"
+    if low < 0.0 < high:
+        return f"below {high:.1f}"
+    return f"{value:.1f} ({low:.1f} to {high:.1f})"
+
+
+def _part(factor: "xr.Dataset", rms: float) -> str:
+    """Return what a factor contributes to an rms, or the most that it may where its share may be none."""
+    value, low, high = _percent(factor, "share")
+    if not high - low <= _WIDEST:
+        return MISSING
+    if low < 0.0 < high:
+        return f"< {number(np.sqrt(high / 100.0) * rms)}"
+    return number(np.sqrt(value / 100.0) * rms) if value > 0.0 else "0"
+
+
+def _single(found: "xr.Dataset") -> Iterator["xr.Dataset"]:
+    """Yield every factor of every quantity."""
+    for quantity in range(found.sizes["quantity"]):
+        for factor in range(found.sizes["factor"]):
+            yield found.isel(quantity=quantity, factor=factor)
 
 
 def explanations(found: "xr.Dataset") -> list[str]:
@@ -91,6 +122,11 @@ def explanations(found: "xr.Dataset") -> list[str]:
         "(total index)"
         + ("; rings have none where segments are disturbed together, as by wind." if rings else "."),
     ]
+    if any(UNRESOLVED in _share(one, key) for key in _SHARES for one in _single(found)):
+        lines.append(
+            f"Unresolved: the interval is wider than {_WIDEST:.0f} %, so {found.attrs['cases_used']} cases "
+            "say next to nothing of that share; take more (--cases), intervals shrink with their square root."
+        )
     if "vignetted" in found.attrs:
         lines.append(found.attrs["vignetted"])
     if lost:

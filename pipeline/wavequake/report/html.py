@@ -155,15 +155,15 @@ def answer(summaries: Iterable[Summary]) -> str:
         return f"No case is done: all {lost} that were computed failed." if lost else "No case is done yet."
     worst = min(known, key=lambda summary: summary.peak_p5.value)
     largest = max(known, key=lambda summary: summary.wfe_raw_p95.value)
-    jitter = max(known, key=lambda summary: summary.los_jitter.radial)
+    shaken = max(known, key=lambda summary: summary.los_jitter.radial)
     several = len(known) > 1
     lead = f"Of {len(known)} disturbances, {worst.name} costs the most" if several else worst.name
-    where = f" ({jitter.name})" if several else ""
+    where = f", the most, under {shaken.name}" if several else ""
     return (
         f"{lead}: 5 % of its {worst.cases} exposures have a peak below {number(worst.peak_p5.value)} of the "
         f"perfect image's, motion of the line of sight included. The largest wavefront error is that of "
         f"{largest.name}: 95 % of its cases stay below {number(largest.wfe_raw_p95.value)} nm rms. "
-        f"The largest line-of-sight jitter is {number(jitter.los_jitter.radial)} mas rms{where}."
+        f"The line of sight scatters by {number(shaken.los_jitter.radial)} mas rms{where}."
     )
 
 

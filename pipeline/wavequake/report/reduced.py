@@ -245,8 +245,9 @@ def _answer(found: list[ReducedPopulation]) -> str:
     if not found:
         return "No case is done yet."
     worst = max(found, key=lambda one: quantile(one.wfe_raw, 0.95).value)
+    lead = f"Of {len(found)} disturbances, {worst.name} costs the most" if len(found) > 1 else worst.name
     return (
-        f"{worst.name} disturbs most: 95 % of its {len(worst.wfe)} cases have a wavefront error of at most "
+        f"{lead}: 95 % of its {len(worst.wfe)} cases have a wavefront error of at most "
         f"{number(quantile(worst.wfe_raw, 0.95).value)} nm rms on glass."
     )
 

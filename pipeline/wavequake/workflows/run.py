@@ -18,6 +18,7 @@ from wavequake.campaign.statistics.until import Goal, described, goal_of, is_met
 from wavequake.campaign.store.journal import read_journal
 from wavequake.campaign.store.retention import stored_template
 from wavequake.campaign.store.store import JOURNAL, MANIFEST, done_records, open_store, read_manifest
+from wavequake.chain.doubts import doubts
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.workflows.kinds import find_kind
@@ -232,7 +233,8 @@ def plan(study: str | Path | Study) -> dict[str, str]:
 
 def notices(study: Study) -> Iterator[str]:
     """Yield what the user should read before a run, such as size, mass and doubtful units of a model."""
-    return kind_of(study).notices(study.identity_text())
+    yield from doubts(study)
+    yield from kind_of(study).notices(study.identity_text())
 
 
 def _chunk_advice(cases: int, chunk: int, each: float) -> str:

@@ -187,7 +187,7 @@ class AnySource:
         return _adapter(self.models()).validate_python(given)
 
 
-@prepared(16)
+@prepared(maxsize=16)
 def _adapter(models: tuple[type[Population], ...]) -> TypeAdapter[Any]:
     choice: Any = Annotated[Union[models], Field(discriminator="model")]  # noqa: UP007
     return TypeAdapter(choice)
