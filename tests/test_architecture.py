@@ -28,13 +28,14 @@ ALLOWED = {
     "workflows": BASE | PHYSICS | {"campaign", "kernels", "firmware"},
     "drawing": BASE | PHYSICS | {"kernels", "workflows"},
     "report": BASE | PHYSICS | {"campaign", "drawing", "kernels", "workflows"},
+    "viewer": BASE | PHYSICS | {"campaign", "drawing", "kernels", "report", "workflows"},
     "notebook": BASE | {"drawing"},
     "plot": BASE | {"drawing"},
     "doors": BASE | PHYSICS | {"campaign", "notebook", "report", "workflows"},
     "terminal": set(),
     "cli_firmware": BASE | {"campaign", "control", "firmware", "workflows", "terminal"},
     "cli_statistics": BASE | {"campaign", "workflows", "report", "terminal"},
-    "cli_pictures": BASE | {"drawing", "workflows", "terminal"},
+    "cli_pictures": BASE | {"drawing", "viewer", "workflows", "terminal"},
     "cli": BASE
     | PHYSICS
     | {"campaign", "kernels", "workflows", "report", "cluster", "terminal"}

@@ -27,6 +27,7 @@ app = typer.Typer(
 app.add_typer(cli_firmware.app, name="firmware")
 app.command()(cli_pictures.info)
 app.command()(cli_pictures.draw)
+app.command()(cli_pictures.view)
 app.command()(cli_statistics.budget)
 app.command()(cli_statistics.tail)
 StudyArgument = Annotated[str, typer.Argument(help="Name of a bundled study or path of a .toml file.")]

@@ -47,9 +47,32 @@ def draw(
     _draw(what, overrides, file or Path(f"{Path(what).stem}.svg"), solid)
 
 
+def view(
+    store: Annotated[Path, typer.Argument(help="Folder of the store.")],
+    case: Annotated[
+        list[int] | None, typer.Option("--case", min=0, help="Id of a case; may be given several times.")
+    ] = None,
+    file: Annotated[
+        Path | None, typer.Option("-o", "--output", help="FILE.html (default: STORE/view.html).")
+    ] = None,
+) -> None:
+    """Write one offline page on which cases of a store move: bodies, wavefront, image, line of sight."""
+    from wavequake.viewer.view import view as write_view
+
+    written = write_view(store, case, file, tell=lambda line: out.print(line, markup=False))
+    size = written.stat().st_size / 1e6
+    out.print(f"Written: {written} ({size:.1f} MB)", markup=False, soft_wrap=True)
+
+
 def _draw(what: str, overrides: list[str] | None, file: Path, solid: bool) -> None:
     if file.suffix.lower() not in FORMATS:
         raise UserError(f"{file} is no picture; its name must end in {', '.join(FORMATS)}.")
-    from wavequake.drawing.files import write_drawing
+    if solid and file.suffix.lower() == ".html":
+        from wavequake.viewer.view import write_scene
 
-    out.print(f"Written: {write_drawing(what, file, overrides or [], solid)}", markup=False, soft_wrap=True)
+        written = write_scene(what, file, overrides or [])
+    else:
+        from wavequake.drawing.files import write_drawing
+
+        written = write_drawing(what, file, overrides or [], solid)
+    out.print(f"Written: {written}", markup=False, soft_wrap=True)
