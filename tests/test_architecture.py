@@ -35,11 +35,12 @@ ALLOWED = {
     "terminal": set(),
     "cli_firmware": BASE | {"campaign", "control", "firmware", "workflows", "terminal"},
     "cli_statistics": BASE | {"campaign", "workflows", "report", "terminal"},
-    "cli_pictures": BASE | {"drawing", "viewer", "workflows", "terminal"},
+    "cli_new": BASE | {"workflows", "terminal"},
+    "cli_pictures": BASE | {"drawing", "optics", "viewer", "workflows", "terminal"},
     "cli": BASE
     | PHYSICS
     | {"campaign", "kernels", "workflows", "report", "cluster", "terminal"}
-    | {"cli_firmware", "cli_pictures", "cli_statistics"},
+    | {"cli_firmware", "cli_new", "cli_pictures", "cli_statistics"},
     "__main__": {"cli"},
 }
 # The package's front door imports lazily, for users; provenance may ask it for the version.

@@ -11,7 +11,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from wavequake import __version__, cli_firmware, cli_pictures, cli_statistics
+from wavequake import __version__, cli_firmware, cli_new, cli_pictures, cli_statistics
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.terminal import EXIT_INTERRUPTED, err, fail, interrupted, live_progress, out, print_pairs
 from wavequake.words import are, counted
@@ -22,15 +22,20 @@ app = typer.Typer(
     help="What does vibration do to the image, and which model, mirror or controller is good enough?",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
 )
 app.add_typer(cli_firmware.app, name="firmware")
+app.command()(cli_new.new)
 app.command()(cli_pictures.info)
 app.command()(cli_pictures.draw)
 app.command()(cli_pictures.view)
 app.command()(cli_statistics.budget)
 app.command()(cli_statistics.tail)
-StudyArgument = Annotated[str, typer.Argument(help="Name of a bundled study or path of a .toml file.")]
+StudyArgument = Annotated[
+    str,
+    typer.Argument(
+        help="Name of a bundled study or path of a .toml file.", autocompletion=cli_pictures.complete_study
+    ),
+]
 StoreArgument = Annotated[Path, typer.Argument(help="Folder of the store.")]
 OverridesArgument = Annotated[
     list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. campaign.cases=40")

@@ -10,8 +10,28 @@ from wavequake.terminal import out
 
 FORMATS = (".svg", ".png", ".pdf", ".html")
 
+
+def complete_study(beginning: str) -> list[str]:
+    """Return the bundled studies whose names begin so, for the shell."""
+    from wavequake.files import folder
+
+    return sorted(path.stem for path in folder("workflows").glob(f"{beginning}*.toml"))
+
+
+def complete_name(beginning: str) -> list[str]:
+    """Return the same with bundled systems."""
+    from wavequake.optics.catalog.names import system_names
+
+    systems = [name for name in system_names() if name.startswith(beginning)]
+    return sorted({*systems, *complete_study(beginning)})
+
+
 WhatArgument = Annotated[
-    str, typer.Argument(help="Optical system, telescope or study by name, FILE.zmx, or a study by path.")
+    str,
+    typer.Argument(
+        help="Optical system, telescope or study by name, FILE.zmx, or a study by path.",
+        autocompletion=complete_name,
+    ),
 ]
 OverridesArgument = Annotated[
     list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. campaign.cases=40")
@@ -19,9 +39,7 @@ OverridesArgument = Annotated[
 
 
 def info(
-    system: Annotated[
-        str, typer.Argument(help="Optical system or telescope by name, FILE.zmx, or a study by name or path.")
-    ],
+    system: WhatArgument,
     overrides: OverridesArgument = None,
     figure: Annotated[
         Path | None, typer.Option("--figure", help="Draw it, too, into this file (.svg, .png, .pdf, .html).")
