@@ -33,6 +33,7 @@ ALLOWED = {
     "workflows": BASE | PHYSICS | {"campaign", "chain", "kernels", "firmware"},
     "drawing": BASE | PHYSICS | {"campaign", "chain", "kernels", "workflows"},
     "report": BASE | PHYSICS | {"campaign", "chain", "drawing", "kernels", "workflows"},
+    "viewer": BASE | PHYSICS | {"campaign", "chain", "drawing", "kernels", "report", "workflows"},
     "notebook": BASE | {"drawing"},
     "plot": BASE | {"drawing"},
     "doors": BASE | PHYSICS | {"campaign", "notebook", "report", "workflows"},
@@ -40,11 +41,12 @@ ALLOWED = {
     "cli_firmware": BASE | {"campaign", "control", "firmware", "workflows", "terminal"},
     "cli_sensitivity": BASE | {"campaign", "kernels", "workflows", "report", "terminal"},
     "cli_statistics": BASE | {"campaign", "workflows", "report", "terminal"},
-    "cli_pictures": BASE | {"drawing", "workflows", "terminal"},
+    "cli_new": BASE | {"workflows", "terminal"},
+    "cli_pictures": BASE | {"drawing", "optics", "viewer", "workflows", "terminal"},
     "cli": BASE
     | PHYSICS
     | {"campaign", "chain", "kernels", "workflows", "report", "cluster", "terminal"}
-    | {"cli_firmware", "cli_pictures", "cli_sensitivity", "cli_statistics"},
+    | {"cli_firmware", "cli_new", "cli_pictures", "cli_sensitivity", "cli_statistics"},
     "__main__": {"cli"},
 }
 # The package's front door imports lazily, for users; provenance may ask it for the version.

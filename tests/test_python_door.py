@@ -18,7 +18,7 @@ from wavequake.doors import models, studies
 from wavequake.errors import StoreDamageError, UserError
 
 # Commands that act on a terminal or another machine, or that Python says by other names.
-OTHERS = {"devices", "firmware", "info", "retry", "rerun", "status"}
+OTHERS = {"devices", "firmware", "info", "new", "retry", "rerun", "status"}
 
 STUDY = """
 [study]

@@ -80,7 +80,7 @@ def test_a_system_runs_to_its_report(wavequake, newton, tmp_path):
     assert "(0, 0.1) deg" in out
     page = (store / "report.html").read_text()
     assert "changes the wavefront most" in page
-    assert page.count("<figure ") == 8
+    assert page.count("<figure ") == 8  # with the layout
     ds = wq.open_store(store)
     assert ds["wfe_rms"].dims == ("case", "time", "field", "wavelength")
     assert ds["wavelength"].values.tolist() == [550.0]

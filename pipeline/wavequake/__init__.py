@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from wavequake.drawing.draw import draw
     from wavequake.optics.zemax.export import write_zmx
     from wavequake.reduction.reduce import reduce
+    from wavequake.viewer.view import view
     from wavequake.workflows.run import plan
     from wavequake.workflows.sensitivity import sensitivity
     from wavequake.workflows.study import load_study
@@ -53,6 +54,7 @@ __all__ = [
     "studies",
     "tail",
     "verify",
+    "view",
     "write_zmx",
 ]
 
@@ -78,6 +80,7 @@ _HOMES = {
     "studies": "wavequake.doors.studies",
     "tail": "wavequake.doors.studies",
     "verify": "wavequake.doors.studies",
+    "view": "wavequake.viewer.view",
     "write_zmx": "wavequake.optics.zemax.export",
 }
 

@@ -10,7 +10,8 @@ from typing import Annotated, NoReturn
 import typer
 from rich.table import Table
 
-from wavequake import __version__, cli_firmware, cli_pictures, cli_sensitivity, cli_statistics
+from wavequake import __version__, cli_firmware, cli_new, cli_pictures, cli_sensitivity, cli_statistics
+from wavequake.campaign.plugins import load_named
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.terminal import EXIT_INTERRUPTED, err, fail, interrupted, live_progress, out, print_pairs
 from wavequake.words import are, counted
@@ -21,16 +22,22 @@ app = typer.Typer(
     help="What does vibration do to the image, and which model, mirror or controller is good enough?",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
 )
 app.add_typer(cli_firmware.app, name="firmware")
+app.command()(cli_new.new)
 app.command()(cli_pictures.info)
 app.command()(cli_pictures.draw)
+app.command()(cli_pictures.view)
 app.command()(cli_statistics.budget)
 app.command()(cli_statistics.tail)
 app.command()(cli_sensitivity.sensitivity)
 app.command()(cli_sensitivity.devices)
-StudyArgument = Annotated[str, typer.Argument(help="Name of a bundled study or path of a .toml file.")]
+StudyArgument = Annotated[
+    str,
+    typer.Argument(
+        help="Name of a bundled study or path of a .toml file.", autocompletion=cli_pictures.complete_study
+    ),
+]
 StoreArgument = Annotated[Path, typer.Argument(help="Folder of the store.")]
 OverridesArgument = Annotated[
     list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. campaign.cases=40")
@@ -72,8 +79,7 @@ def main(came: Sequence[float] = ()) -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that has no Greek shall not end a run
     try:
-        words = _load_plugins([word for word in sys.argv[1:] if word != "--debug"])
-        app(words)
+        app(load_named([word for word in sys.argv[1:] if word != "--debug"]))
     except Exception as error:
         if came:
             interrupted()
@@ -84,23 +90,6 @@ def main(came: Sequence[float] = ()) -> None:
         if end.code == EXIT_INTERRUPTED:  # typer's way to pass Ctrl-C on
             interrupted()
         raise
-
-
-def _load_plugins(words: list[str]) -> list[str]:
-    """Load the files that ``--plugin FILE`` names, before or after the command; return the other words."""
-    rest: list[str] = []
-    for word in (given := iter(words)):
-        name, equals, file = word.partition("=")
-        if name != "--plugin":
-            rest.append(word)
-            continue
-        from wavequake.campaign.plugins import load_plugin
-
-        path = file if equals else next(given, None)
-        if path is None:
-            raise UserError("--plugin needs the file to load: --plugin my_kind.py.")
-        load_plugin(path)
-    return rest
 
 
 def _explain(error: Exception, debug: bool) -> NoReturn:

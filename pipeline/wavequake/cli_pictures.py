@@ -10,8 +10,28 @@ from wavequake.terminal import out
 
 FORMATS = (".svg", ".png", ".pdf", ".html")
 
+
+def complete_study(beginning: str) -> list[str]:
+    """Return the bundled studies whose names begin so, for the shell."""
+    from wavequake.files import folder
+
+    return sorted(path.stem for path in folder("workflows").glob(f"{beginning}*.toml"))
+
+
+def complete_name(beginning: str) -> list[str]:
+    """Return the same with bundled systems."""
+    from wavequake.optics.catalog.names import system_names
+
+    systems = [name for name in system_names() if name.startswith(beginning)]
+    return sorted({*systems, *complete_study(beginning)})
+
+
 WhatArgument = Annotated[
-    str, typer.Argument(help="Optical system, telescope or study by name, FILE.zmx, or a study by path.")
+    str,
+    typer.Argument(
+        help="Optical system, telescope or study by name, FILE.zmx, or a study by path.",
+        autocompletion=complete_name,
+    ),
 ]
 OverridesArgument = Annotated[
     list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. campaign.cases=40")
@@ -19,9 +39,7 @@ OverridesArgument = Annotated[
 
 
 def info(
-    system: Annotated[
-        str, typer.Argument(help="Optical system or telescope by name, FILE.zmx, or a study by name or path.")
-    ],
+    system: WhatArgument,
     overrides: OverridesArgument = None,
     figure: Annotated[
         Path | None, typer.Option("--figure", help="Draw it, too, into this file (.svg, .png, .pdf, .html).")
@@ -50,9 +68,32 @@ def draw(
     _draw(what, overrides, file or Path(f"{Path(what).stem}.svg"), solid)
 
 
+def view(
+    store: Annotated[Path, typer.Argument(help="Folder of the store.")],
+    case: Annotated[
+        list[int] | None, typer.Option("--case", min=0, help="Id of a case; may be given several times.")
+    ] = None,
+    file: Annotated[
+        Path | None, typer.Option("-o", "--output", help="FILE.html (default: STORE/view.html).")
+    ] = None,
+) -> None:
+    """Write one offline page on which cases of a store move: bodies, wavefront, image, line of sight."""
+    from wavequake.viewer.view import view as write_view
+
+    written = write_view(store, case, file, tell=lambda line: out.print(line, markup=False))
+    size = written.stat().st_size / 1e6
+    out.print(f"Written: {written} ({size:.1f} MB)", markup=False, soft_wrap=True)
+
+
 def _draw(what: str, overrides: list[str] | None, file: Path, solid: bool) -> None:
     if file.suffix.lower() not in FORMATS:
         raise UserError(f"{file} is no picture; its name must end in {', '.join(FORMATS)}.")
-    from wavequake.drawing.files import write_drawing
+    if solid and file.suffix.lower() == ".html":
+        from wavequake.viewer.view import write_scene
 
-    out.print(f"Written: {write_drawing(what, file, overrides or [], solid)}", markup=False, soft_wrap=True)
+        written = write_scene(what, file, overrides or [])
+    else:
+        from wavequake.drawing.files import write_drawing
+
+        written = write_drawing(what, file, overrides or [], solid)
+    out.print(f"Written: {written}", markup=False, soft_wrap=True)

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from typing import Any, NoReturn
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -66,19 +66,25 @@ def live_progress() -> Iterator[Callable[[int, int, int], None]]:
         return
     columns = (
         BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("cases  {task.fields[rate]:.0f}/s  ETA"),
+        TextColumn("{task.description}"),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[quarantined]} quarantined"),
     )
     with Progress(*columns, console=out, transient=True) as bar:
-        task = bar.add_task("", total=None, rate=0.0, quarantined=0)
+        task = bar.add_task("preparing", total=None)
         rate = _Rate()
 
         def update(done: int, total: int, quarantined: int) -> None:
-            bar.update(task, completed=done, total=total, rate=rate(done), quarantined=quarantined)
+            words = progress_words(done, total, rate(done), quarantined)
+            bar.update(task, completed=done, total=total, description=words)
 
         yield update
+
+
+def progress_words(done: int, total: int, rate: float, quarantined: int) -> str:
+    """Return how far a run is, in words; before the first case is done there is no rate."""
+    speed = f"  {rate_words(rate)}/s" if rate > 0 else "  starting"
+    lost = f"  {quarantined} quarantined" if quarantined else ""
+    return f"{done}/{total} cases{speed}{lost}"
 
 
 class _Rate:

@@ -7,6 +7,7 @@ digest is a part of what stores say computed them. Nothing is loaded that the us
 
 import hashlib
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from traceback import extract_tb
@@ -87,3 +88,24 @@ def load_text(name: str, text: str) -> Plugin:
         ) from error
     _loaded[plugin.module] = plugin
     return plugin
+
+
+def load_named(words: Iterable[str]) -> list[str]:
+    """Load the files that ``--plugin FILE`` names in a command line; return the other words.
+
+    Raises
+    ------
+    UserError
+        As `load_plugin`, and if no file follows.
+    """
+    rest = []
+    for word in (given := iter(words)):
+        name, equals, file = word.partition("=")
+        if name != "--plugin":
+            rest.append(word)
+            continue
+        path = file if equals else next(given, None)
+        if path is None:
+            raise UserError("--plugin needs the file to load: --plugin my_kind.py.")
+        load_plugin(path)
+    return rest

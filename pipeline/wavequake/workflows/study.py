@@ -139,6 +139,9 @@ def _find(name: str) -> Path:
         return path
     near = difflib.get_close_matches(name, bundled, n=1)
     hint = f": did you mean {near[0]!r}?" if near else "."
+    if path.suffix or path.parent != Path():
+        what = "is a folder, not a study file" if path.is_dir() else "does not exist"
+        raise UserError(f"The file {name} {what}; `wavequake new` begins a study of your own.")
     raise UserError(
         f"There is no study {name!r}{hint} Bundled studies are {', '.join(bundled)}; "
         "a study of your own is a path to a .toml file."

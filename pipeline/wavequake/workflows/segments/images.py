@@ -92,7 +92,13 @@ def energy_scale(bench: Bench) -> dict[str, Any]:
 
 
 def summed_images(bench: Bench, traced: Traced, wavefront: Wavefront, tiles: slice, instants: int) -> Array:
-    """Return the sum (pixels, pixels) of the images of a case's first `instants` in the launch's `tiles`.
+    """Return the sum (pixels, pixels) of the images of a case; arguments as `instant_images`."""
+    total: Array = instant_images(bench, traced, wavefront, tiles, instants).sum(axis=0)
+    return total
+
+
+def instant_images(bench: Bench, traced: Traced, wavefront: Wavefront, tiles: slice, instants: int) -> Array:
+    """Return the images (instants, pixels, pixels) of a case's first `instants` in the launch's `tiles`.
 
     Image axes are those of the image plane: +x is where a positive line of sight moves the image. If the line
     of sight moves by more than lambda/D, its whole pixels are taken out of the phase before the transform and
@@ -124,8 +130,7 @@ def summed_images(bench: Bench, traced: Traced, wavefront: Wavefront, tiles: sli
         if dark.any():
             frames[dark] = _ray_images(bench, traced, tiles, shift / diameter, size)[dark]
     frames = frames.reshape(-1, size, size)[:instants]
-    placed: Array = place(frames, pixel[:instants].astype(np.int64), imaging.pixels).sum(axis=0)
-    return placed
+    return place(frames, pixel[:instants].astype(np.int64), imaging.pixels)
 
 
 def _ray_images(
