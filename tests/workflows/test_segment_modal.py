@@ -247,7 +247,7 @@ def test_without_images_the_other_numbers_stay(study):
         only, range(2), imaging__enabled=True, imaging__pixels=16, optics__method="standard"
     )
     without = computed(only, range(2), optics__method="standard")
-    assert with_images.arrays.keys() - without.arrays.keys() == {"exposure", "ee50", "ee80"}
+    assert with_images.arrays.keys() - without.arrays.keys() == {"exposure", "peak", "ee50", "ee80"}
     for name, values in without.arrays.items():
         np.testing.assert_array_equal(values, with_images.arrays[name])
 

@@ -246,6 +246,7 @@ def _record(
 def _finish_exposure(bench: Bench, arrays: dict[str, Array], row: int, instants: int) -> None:
     exposure = arrays["exposure"][row]
     exposure /= instants
+    arrays["peak"][row] = exposure.max()
     for name, fraction in (("ee50", 0.5), ("ee80", 0.8)):
         arrays[name][row] = encircled_energy_radius(exposure, fraction, **energy_scale(bench))
 

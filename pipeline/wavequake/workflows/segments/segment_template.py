@@ -12,7 +12,7 @@ from wavequake.workflows.segments.bench import Bench, bench_of, in_basis
 from wavequake.workflows.segments.images import image_axis
 from wavequake.workflows.segments.segment_study import SegmentStudy
 
-IMAGED = ("exposure", "ee50", "ee80")
+IMAGED = ("exposure", "peak", "ee50", "ee80")
 # What the modal model does not know.
 TRACED_ONLY = ("wfe_pv", "spot_rms", "strehl", "rayleigh", "vignetted", *IMAGED)
 
@@ -152,6 +152,12 @@ def _variables(bench: Bench) -> dict[str, Variable]:
         ),
         "vignetted": variable(
             (), (), "1", "largest number of rays at an instant that miss the clear part of a mirror after M1"
+        ),
+        "peak": variable(
+            (),
+            (),
+            "1",
+            "largest irradiance of the exposure, line of sight included; 1 = peak of the perfect image",
         ),
         "ee50": variable(
             (), (), "lambda/D", "radius of 50 % encircled energy of the exposure; inf beyond the frame"
