@@ -58,7 +58,7 @@ def metadata_digest(data: Path) -> str:
     """Return the digest of all that describes the arrays of a zarr folder, but for the number of cases."""
     root = _metadata(data)
     entries = {
-        name: {**entry, "shape": entry["shape"][entry["dimension_names"][:1] == ["case"] :]}
+        name: {**entry, "shape": entry["shape"][(entry.get("dimension_names") or [])[:1] == ["case"] :]}
         for name, entry in root["consolidated_metadata"]["metadata"].items()
     }
     described = json.dumps([root["attributes"], entries], sort_keys=True)
@@ -82,7 +82,7 @@ def _lost_files(data: Path, entries: Mapping[str, dict[str, Any]], manifest: Man
 
 def _fits(data: Path, name: str, entry: dict[str, Any], manifest: Manifest) -> bool:
     """Return whether both copies of an array's metadata agree, and it has room for all cases."""
-    per_case = entry["dimension_names"][:1] == ["case"]
+    per_case = (entry.get("dimension_names") or [])[:1] == ["case"]
     room = not per_case or manifest.cases <= entry["shape"][0] <= MOST_CASES
     return room and _metadata(data / name) == entry
 

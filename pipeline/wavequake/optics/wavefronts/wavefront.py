@@ -265,8 +265,7 @@ def _sphere_points(prepared: PreparedSystem, x: Array, y: Array) -> tuple[Array,
     system, rest = prepared.system, moving(prepared.system, rest_states(prepared.system))
     aimed = field_light(system, prepared.field, prepared.wavelength, x, y)
     traced = trace_sequence(prepared.sequence, aimed.rays, rest, NUMPY, ignore_apertures=True)
-    chief, _ = chief_points(prepared, rest)
-    points, distance = on_sphere(traced, chief, prepared.sphere_radius)
+    points, distance = on_sphere(traced, chief_points(prepared, rest)[0], prepared.sphere_radius)
     return distance[0], points[:, 0]
 
 
@@ -333,8 +332,7 @@ def _about(prepared: PreparedSystem, light: Moving, chief: Array, path: Array, d
 
 
 def about_chief(prepared: PreparedSystem, light: Moving, chief: Array) -> Moving:
-    """Return what moves, with reference spheres about the image points (T, 2) of the chief ray."""
-    # Without a chief ray there is no sphere: the instant's rays are lost, and say so.
+    """Return what moves, with spheres about the chief ray's image points (T, 2); all are lost without it."""
     center = np.where(np.isfinite(chief), chief, 0.0)
     height, *_ = shape_sag(prepared.system.surfaces[-1].shape, center[:, :1], center[:, 1:])
     return replace(light, spheres=np.hstack([center, height, np.full_like(height, prepared.sphere_radius)]))
@@ -355,8 +353,6 @@ def measure_system(prepared: PreparedSystem, states: SystemStates, device: Devic
     light = incoming_light(prepared, states, device)
     lights = [part for _, part in launches_of(prepared.rays, light, _outputs(prepared))]
     found = [analyse_system(prepared, *traced, device) for traced in trace_lights(prepared, lights, device)]
-    if len(found) == 1:
-        return found[0]
     return SystemWavefront(*map(np.concatenate, zip(*(vars(one).values() for one in found), strict=True)))
 
 
