@@ -16,7 +16,7 @@ from wavequake.user_files import read_text, read_toml
 from wavequake.workflows.kinds import find_kind, kind_names
 
 # Keys that name files.
-_FILES = ("file", "mass", "dofs", "mesh", "polygons", "corners", "picture")
+_FILES = ("file", "glass_file", "mass", "dofs", "mesh", "polygons", "corners", "picture")
 
 
 def bundled_studies() -> dict[str, Path]:
