@@ -8,11 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from wavequake import load_study
 from wavequake.errors import UserError
 from wavequake.kernels.trace.sequence import Rays
 from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
 from wavequake.optics.catalog.names import optical_system
-from wavequake.optics.media.glasses import constant, glass
+from wavequake.optics.media.glasses import constant, glass, refractive_index
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.shapes.shapes import (
     Conic,
@@ -281,3 +282,44 @@ def test_the_table_of_the_documentation():
     assert [surface.name for surface in system.surfaces] == ["M1", "flat", "image"]
     # The flat faces (0, -1, 1), so light along -z leaves along -y.
     np.testing.assert_allclose(system.surfaces[2].position, [0.0, -200.0, -800.0], rtol=0, atol=1e-12)
+
+
+def test_glasses_of_the_user_become_part_of_a_study(tmp_path):
+    """Of a catalogue those that the system uses, by their formulas; others are given in the study itself."""
+    agf = (
+        "NM MELT 1 0 1.6 60\nCD 2.56 0 0 0 0 0\nLD 0.3 2\nNM OTHER 1 0 1.7 60\nCD 2.89 0 0 0 0 0\nLD 0.3 2\n"
+    )
+    (tmp_path / "mine.agf").write_text(agf)
+    surfaces = (
+        '[{ name = "a", glass = "melt", stop = true }, { name = "b", glass = "crown", distance_mm = 1.0 },'
+    )
+    surfaces += ' { name = "image", distance_mm = 1.0 }]'
+    text = f"""
+[study]
+name = "own"
+workflow = "system-disturbance"
+[system]
+entrance_diameter_mm = 1.0
+wavelengths_nm = [587.5618]
+glass_file = "mine.agf"
+surface = {surfaces}
+[system.glass.crown]
+index = 1.523
+abbe = 58.6
+[[disturbance]]
+name = "shake"
+model = "surface-vibration"
+of = ["a"]
+lines = [{{ frequency_hz = 85.0, amplitude = {{ dy_um = 3.0 }} }}]
+"""
+    (tmp_path / "own.toml").write_text(text)
+    study = load_study(tmp_path / "own.toml")
+    assert set(study.system.glass) == {"MELT", "crown"}
+    (tmp_path / "mine.agf").rename(tmp_path / "away.agf")  # the study has what it needs
+    system = build(study.system)
+    indices = [refractive_index(surface.medium, 587.5618e-6) for surface in system.surfaces[:2]]
+    assert indices == pytest.approx([1.6, 1.523], abs=1e-12)
+    (tmp_path / "away.agf").rename(tmp_path / "mine.agf")
+    (tmp_path / "own.toml").write_text(text.replace("abbe = 58.6", ""))
+    with pytest.raises(UserError, match="either formula and coefficients, or index and abbe"):
+        load_study(tmp_path / "own.toml")

@@ -188,3 +188,11 @@ def test_figures_that_opticstudio_prints():
     assert singlet.exit_pupil_diameter == pytest.approx(23.39711, abs=5e-6)
     assert singlet.f_number == pytest.approx(4.060073, abs=5e-7)
     assert -singlet.defocus == pytest.approx(2.255622, abs=5e-7)
+
+
+def test_a_ring_shaped_obscuration_is_an_opening_and_is_named():
+    system = parse_zmx(lens("FTYP 0").replace("  STOP", "  OBSC 4 9 0\n  STOP"), "lens.zmx")
+    assert (system.surfaces[2].opening.outer, system.surfaces[2].opening.inner) == (4.0, 0.0)
+    assert system.note == (
+        "Ring-shaped obscurations stop here all light beyond their inner radius: surface 3."
+    )

@@ -17,7 +17,7 @@ from wavequake.workflows.kinds import find_kind, kind_names
 
 _MOST_DOTS = 40  # in the key of an override
 # Keys that name files.
-_FILES = ("file", "mass", "dofs", "mesh", "polygons", "corners", "picture")
+_FILES = ("file", "glass_file", "mass", "dofs", "mesh", "polygons", "corners", "picture")
 
 
 def bundled_studies() -> dict[str, Path]:

@@ -26,7 +26,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from wavequake.errors import UserError
 from wavequake.optics.media.glasses import Medium
@@ -86,6 +86,14 @@ class SystemSection(FileSection):
     wavelengths_nm: tuple[float, ...] | None = Field(default=None, strict=False, min_length=1)
     primary_wavelength: int | None = Field(default=None, ge=1, description="its place in the list, from 1")
     telecentric: bool | None = Field(default=None, description="in the object space")
+
+    @model_serializer(mode="wrap")
+    def _without_empty_glasses(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out glasses if there are none: stores of such studies go on from before there were any."""
+        record: dict[str, Any] = write(self)
+        if not self.glass:
+            record.pop("glass", None)
+        return record
 
     @model_validator(mode="after")
     def _keys_fit_each_other(self) -> "SystemSection":

@@ -137,6 +137,10 @@ def _notes(file: LensFile) -> list[str]:
         found.append(
             "The file says that light leaves the system parallel; wavefronts need a focusing surface."
         )
+    rings = [row.label for row in file.rows if (line := row.one("OBSC")) and as_number(line, 0) > 0.0]
+    if rings:
+        names = ", ".join(dict.fromkeys(rings))
+        found.append(f"Ring-shaped obscurations stop here all light beyond their inner radius: {names}.")
     return [one for one in found if one]
 
 
