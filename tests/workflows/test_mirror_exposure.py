@@ -209,7 +209,7 @@ def test_the_report_of_a_mirror(store, dataset, tmp_path):
     text = mirror_exposures.write_report_of(
         store, dataset.isel(excitation=[ONE]), target, "numpy"
     ).read_text()
-    assert text.count("<svg") == 7
+    assert text.count("<svg") == 8
     off = f"LOS only, {float(dataset['image_error'][0, ONE, 0]):.1e} off"
     for words in ("Störkle 2018, Eq. 3.79", "krylov108(200,450,700)", "circular, one300", off):
         assert words in text
@@ -235,7 +235,7 @@ def test_the_report_of_a_telescope(telescope_store):
     text = path.read_text()
     assert table.row_count == 4
     assert "of the peak at rest the exposure keeps" in table.caption
-    assert text.count("<svg") == 8
+    assert text.count("<svg") == 9
     for controller in ("static", "disturbed", "rigid", "elastic"):
         assert controller in text
     off = open_store(telescope_store)["image_error"].sel(controller="disturbed").isel(shortcut=1).to_numpy()
