@@ -15,6 +15,7 @@ from wavequake.errors import StoreDamageError, UserError
 
 if TYPE_CHECKING:
     from wavequake import plot
+    from wavequake.campaign.schema import Study
     from wavequake.campaign.store.store import open_store
     from wavequake.doors.models import load_model, plant, respond
     from wavequake.doors.studies import budget, compare, export, report, run, studies, tail, verify
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from wavequake.reduction.reduce import reduce
     from wavequake.viewer.view import view
     from wavequake.workflows.run import plan
-    from wavequake.workflows.schema import Study
     from wavequake.workflows.sensitivity import sensitivity
     from wavequake.workflows.study import load_study
     from wavequake.workflows.systems.system_source import load_system
@@ -61,7 +61,7 @@ __all__ = [
 # Heavy modules are imported when a name is first used, so that `import wavequake` and `wavequake --version`
 # stay quick.
 _HOMES = {
-    "Study": "wavequake.workflows.schema",
+    "Study": "wavequake.campaign.schema",
     "budget": "wavequake.doors.studies",
     "compare": "wavequake.doors.studies",
     "convert_zernike": "wavequake.workflows.zernike_arrays",

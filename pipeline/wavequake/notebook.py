@@ -18,7 +18,7 @@ _DRAWN = (
     ("wavequake.mechanics.model", "FiniteElementModel"),
     ("wavequake.mechanics.model", "ReducedModel"),
 )
-_STUDIES = ("wavequake.workflows.schema", "Study")
+_STUDIES = ("wavequake.campaign.schema", "Study")
 _REDRAW_S = 0.2
 
 

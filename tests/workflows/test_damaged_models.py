@@ -46,7 +46,11 @@ def unsymmetric(model):
     model["stiffness"][5, 40] += 1e-3 * np.abs(model["stiffness"]).max()
 
 
-def massless(model):
+def weightless(model):
+    model["mass"][:] = 0.0
+
+
+def massless_node(model):
     model["mass"][12:15] = model["mass"][:, 12:15] = 0.0
 
 
@@ -81,6 +85,22 @@ def not_a_number(model):
     model["mass"][7, 7] = np.nan
 
 
+@pytest.mark.parametrize("damage", [massless_node, rank_deficient_mass])
+def test_singular_masses_are_harmless_where_the_stiffness_holds(damage, plate, tmp_path, monkeypatch, capsys):
+    """The reduced model is as exact as of a plate without the damage."""
+    monkeypatch.setattr(cli, "_write_report", lambda *_, **__: None)
+    model = {name: values.copy() for name, values in plate.items()}
+    damage(model)
+    np.savez("plate.npz", **model)
+    keys = ["reduction.frequencies=9", "imaging.pixels=8", "imaging.pupil_samples=16", "imaging.instants=2"]
+    keys += ["time.duration_s=0.002", "optics.rays=60", 'reduction.variants=["craigb60"]']
+    words = ["run", "mirror-mor", *KEYS, *keys, "--on", "serial", "--store", str(tmp_path / "s")]
+    result = CliRunner().invoke(cli.app, words)
+    assert result.exit_code == 0, result.output
+    errors = open_store(tmp_path / "s")["eps_mech"].values
+    assert errors.max() < 1e-2
+
+
 def test_an_expansion_point_on_a_resonance_is_no_error(plate, tmp_path, monkeypatch):
     """It is moved by a millihertz; the variant comes out as exact near its point as elsewhere."""
     monkeypatch.setattr(cli, "_write_report", lambda *_, **__: None)
@@ -104,8 +124,7 @@ def test_an_expansion_point_on_a_resonance_is_no_error(plate, tmp_path, monkeypa
     ("damage", "keys", "words"),
     [
         (unsymmetric, [], "symmetric"),
-        (massless, [], "mass"),
-        (rank_deficient_mass, [], "singular"),
+        (weightless, [], "mass"),
         (loose_node, [], "node"),
         (hinged, [], "stiffness"),
         (without_coordinates, [], "9999"),

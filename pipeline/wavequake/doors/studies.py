@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wavequake.campaign.schema import Study
 from wavequake.errors import UserError
 from wavequake.notebook import progress_bar
 from wavequake.workflows import run as workflow_run
-from wavequake.workflows.schema import Study
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from wavequake.campaign.schema import Study
 from wavequake.drawing.aperture import telescope_figure
 from wavequake.drawing.model import model_figure
 from wavequake.drawing.section import section_figure
@@ -26,7 +27,6 @@ from wavequake.workflows.lens.lens_passive import PassiveStudy
 from wavequake.workflows.lens.lens_study import LensStudy
 from wavequake.workflows.mirrors.mirror_bench import build_model
 from wavequake.workflows.mirrors.mirror_study import AnyMirrorStudy
-from wavequake.workflows.schema import Study
 from wavequake.workflows.segments.bench import build_telescope
 from wavequake.workflows.segments.segment_mor_study import SegmentMorStudy
 from wavequake.workflows.segments.segment_study import SegmentStudy

@@ -81,7 +81,7 @@ def layouts(system: OpticalSystem, count: int = 7) -> tuple[Layout, ...]:
 def planes(system: OpticalSystem, rims: list[Way]) -> list[Array]:
     """Return the directions (3,) that with z span the planes of a system's drawings, the main one first."""
     vertices = np.array([surface.position[:2] for surface in system.surfaces])
-    middles = [np.nanmean(one.points, axis=2)[:, :2] for one in rims]
+    middles = [_middles(one.points)[:, :2] for one in rims]
     places = np.concatenate([vertices, *middles])
     places = places[np.isfinite(places).all(axis=1)]
     _, spread, axes = np.linalg.svd(places - places.mean(axis=0), full_matrices=False)
@@ -94,6 +94,14 @@ def planes(system: OpticalSystem, rims: list[Way]) -> list[Array]:
     main = np.where(np.abs(main) < 0.05, 0.0, main)
     main = main / np.hypot(*main)
     return [np.array([*(main * np.sign(main[np.argmax(np.abs(main))])), 0.0])]
+
+
+def _middles(points: Array) -> Array:
+    """Return the mean (S, 3) of the rays (S, 3, N) that are there; NaN where none is."""
+    there = np.isfinite(points)
+    count = there.sum(axis=2)
+    sums = np.where(count, np.where(there, points, 0.0).sum(axis=2), np.nan)
+    return np.asarray(sums / np.maximum(count, 1), dtype=np.float64)
 
 
 def _layout(system: OpticalSystem, rims: list[Way], across: Array, count: int) -> Layout:

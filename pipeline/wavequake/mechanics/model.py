@@ -48,7 +48,8 @@ class FiniteElementModel:
     nodes : ndarray, shape (N, 3)
         Coordinates in m.
     dof_node, dof_direction : ndarray of int, shape (n,)
-        Which node and which direction (0, 1, 2 for x, y, z) each degree of freedom moves.
+        Which node and which direction (0, 1, 2: displacements along x, y, z; 3, 4, 5: rotations about them)
+        each degree of freedom moves; -1 where it is an inner coordinate of no node, e.g. of a mode.
     interfaces : ndarray of int, shape (k,)
         Nodes that carry forces, springs, constraints or prescribed motion.
     surface_nodes : ndarray of int, shape (p,)
@@ -141,6 +142,14 @@ class ReducedModel:
 Model = FiniteElementModel | ReducedModel
 
 
+def places(model: FiniteElementModel) -> Integers:
+    """Return which degree of freedom each displacement and rotation of a node is, shape (N, 6); -1: none."""
+    found = np.full((len(model.nodes), 6), -1, dtype=np.int64)
+    labeled = np.flatnonzero(model.dof_node >= 0)
+    found[model.dof_node[labeled], model.dof_direction[labeled]] = labeled
+    return found
+
+
 def _described(model: Model) -> str:
     """Return what a model is, in a line."""
     kind, what = (
@@ -159,9 +168,7 @@ def selection(model: FiniteElementModel, nodes: Integers) -> csc_array:
     UserError
         If a node has not all three displacements (it is constrained, or belongs to no element).
     """
-    place = np.full((len(model.nodes), 3), -1, dtype=np.int64)
-    place[model.dof_node, model.dof_direction] = np.arange(model.order)
-    columns = place[nodes].ravel()
+    columns = places(model)[nodes, :3].ravel()
     if (columns < 0).any():
         row = int(np.argmax(columns < 0))
         raise UserError(

@@ -12,14 +12,14 @@ import numpy as np
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, Integers, RayleighDamping
-from wavequake.reduction.component_modes import constraint_modes
-from wavequake.reduction.krylov import krylov
+from wavequake.reduction.directions import orthonormalize
+from wavequake.reduction.methods.component_modes import constraint_modes
+from wavequake.reduction.methods.krylov import krylov
 from wavequake.reduction.structure import (
     Structure,
     elastic_modes,
     fixed_modes,
     held,
-    orthonormalize,
     structure,
 )
 
@@ -126,6 +126,8 @@ def _inner_basis(body: Structure, modes: int, highest: float) -> Array:
     """Mass-orthonormal shapes with the interface at rest."""
     interface = body.interface
     fixed = fixed_modes(body, modes, interface)[1]
+    # Shapes without mass are orthogonal to all others, so nothing at the interface moves them.
+    fixed = fixed[:, np.einsum("ij,ij->j", fixed, body.mass @ fixed) > 0.5]
     free = elastic_modes(body, min(modes, body.order - body.rigid.shape[1]))[1]
     points = tuple(complex(highest * part) for part in (0.0, 0.25, 0.5, 0.75, 1.0))
     chosen = body.order if body.order <= 2 * modes else None

@@ -11,7 +11,7 @@ from scipy.sparse import csc_array
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, ReducedModel
-from wavequake.mechanics.vibration.eigen import factorize
+from wavequake.mechanics.vibration.factors import factorize
 
 Complex = NDArray[np.complex128]
 

@@ -5,18 +5,18 @@ from collections.abc import Iterator
 
 import xarray as xr
 
+from wavequake.campaign.schema import study_from_identity
 from wavequake.drawing.draw import draw
 from wavequake.errors import UserError
 from wavequake.report.page import Picture, picture
-from wavequake.workflows.schema import study_from_identity
-from wavequake.workflows.study import STUDIES
+from wavequake.workflows.kinds import find_kind
 
 
 def layout_picture(dataset: xr.Dataset) -> Iterator[Picture]:
     """Draw what the study of a store is about; nothing where that is not known or cannot be drawn."""
     text = str(dataset.attrs.get("study", ""))
     try:
-        model = STUDIES[json.loads(text)["study"]["workflow"]]
+        model = find_kind(json.loads(text)["study"]["workflow"]).model
         figure = draw(study_from_identity(model, text))
     except (ValueError, KeyError, TypeError, UserError):  # a part of a store, or one of another program
         return

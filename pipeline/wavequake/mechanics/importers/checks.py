@@ -1,4 +1,4 @@
-"""Checks that every imported model passes: complete, symmetric, free and with a mass everywhere."""
+"""Checks that every imported model passes: its matrices are complete and symmetric, its rows free."""
 
 from collections.abc import Callable
 from typing import Literal
@@ -6,8 +6,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, diags_array
-from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
 
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.entries import DIRECTIONS, Entries, Integers
@@ -19,9 +17,6 @@ ASYMMETRY = 1e-8
 
 FIXED = 1e30
 """A diagonal stiffness from here on (Abaqus writes 1e36) stands for a fixed degree of freedom."""
-
-SINGULAR = 1e-10
-"""Smallest pivot of the mass matrix scaled to a unit diagonal."""
 
 
 def assemble(entries: Entries, dofs: Integers, declared: Triangle | None = None) -> csc_array:
@@ -160,8 +155,8 @@ def free_dofs(
     Raises
     ------
     UserError
-        For empty displacements, rotations and other directions, a negative diagonal, a displacement with
-        mass and no stiffness, and where nothing is free.
+        For empty displacements, unknown directions, a negative diagonal, a displacement with mass and no
+        stiffness, and where nothing is free.
     """
     with_stiffness, with_mass = (abs(matrix).sum(axis=0) > 0.0 for matrix in (stiffness, mass))
     empty, moves = ~(with_stiffness | with_mass), (dofs[:, 1] >= 1) & (dofs[:, 1] <= 3)
@@ -170,23 +165,21 @@ def free_dofs(
         raise UserError("every degree of freedom is fixed or empty, so nothing can move")
     if not drop:
         _refuse_empty(empty & moves, dofs)
-    other = ~fixed & ~moves
-    _refuse(
-        other,
+    refuse(
+        (dofs[:, 1] < 0) | (dofs[:, 1] > 6),
         dofs,
         lambda index: (
-            f"{int(other.sum())} degrees of freedom are rotations or scalars, the first at "
-            f"{describe(dofs, index)}; only displacements (directions 1 to 3) are supported: use solid "
-            "elements or condense the others"
+            f"{describe(dofs, index)} is none: directions are 1 to 3 (displacements), 4 to 6 (rotations) "
+            "and 0 (a coordinate of its own)"
         ),
     )
     for name, matrix in (("stiffness", stiffness), ("mass", mass)):
-        _refuse(
+        refuse(
             ~fixed & (matrix.diagonal() < 0.0),
             dofs,
             lambda index, name=name: f"the {name} at {describe(dofs, index)} is negative",  # type: ignore[misc]
         )
-    _refuse(
+    refuse(
         ~fixed & ~with_stiffness,
         dofs,
         lambda index: f"{describe(dofs, index)} has mass but no stiffness: it is attached to nothing",
@@ -198,7 +191,7 @@ def free_dofs(
 
 
 def _refuse_empty(empty: NDArray[np.bool_], dofs: Integers) -> None:
-    _refuse(
+    refuse(
         empty,
         dofs,
         lambda index: (
@@ -215,54 +208,7 @@ def _nodes(chosen: NDArray[np.bool_], dofs: Integers) -> str:
     return f"nodes {', '.join(map(str, nodes[:5]))}{' ...' if len(nodes) > 5 else ''}"
 
 
-def _refuse(bad: NDArray[np.bool_], dofs: Integers, sentence: Callable[[int], str]) -> None:
+def refuse(bad: NDArray[np.bool_], dofs: Integers, sentence: Callable[[int], str]) -> None:
+    """Raise the sentence about the first bad row, if there is one."""
     if np.any(bad):
         raise UserError(sentence(int(np.argmax(bad))))
-
-
-def check_mass(mass: csc_array, dofs: Integers, source: str) -> None:
-    """Refuse a mass matrix that is not positive definite, by the pivots of its factors.
-
-    Raises
-    ------
-    UserError
-        With the degree of freedom and what to do.
-    """
-    diagonal = mass.diagonal()
-    _refuse(
-        diagonal <= 0.0,
-        dofs,
-        lambda index: (
-            f"{source}: {int((diagonal <= 0.0).sum())} degrees of freedom have no mass, the first at "
-            f"{describe(dofs, index)}; give every material a density, or condense the massless ones"
-        ),
-    )
-    scale = diags_array(1.0 / np.sqrt(diagonal), format="csc")
-    scaled = csc_array(scale @ mass @ scale)
-    # Without constraints the three directions do not couple: three small factorizations, not a large one.
-    count, part = connected_components(scaled, directed=False)
-    if count > len(diagonal) // 3:
-        parts = [np.arange(len(diagonal))]  # nearly diagonal: cheap in one go
-    else:
-        parts = [np.flatnonzero(part == index) for index in range(count)]
-    for rows in parts:
-        pivot, row = _smallest_pivot(csc_array(scaled[rows][:, rows]))
-        if pivot < SINGULAR:
-            raise UserError(
-                f"{source} is singular: the pivot at {describe(dofs, int(rows[row]))} is {pivot:.1e} of its "
-                "diagonal; elements of reduced integration (C3D20R, C3D8R) have such a mass, so take the "
-                "mass from the same mesh with full integration (C3D20, C3D8) or a lumped one"
-            )
-
-
-def _smallest_pivot(matrix: csc_array) -> tuple[float, int]:
-    """Return the smallest pivot of the factors L D L^T of a symmetric matrix, and its row."""
-    try:
-        factors = splu(
-            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
-    except RuntimeError:
-        return 0.0, int(np.argmin(matrix.diagonal()))
-    pivots = factors.U.diagonal()
-    smallest = int(np.argmin(pivots))
-    return float(pivots[smallest]), int(np.argsort(factors.perm_c)[smallest])

@@ -12,7 +12,7 @@ from wavequake.mechanics.importers.entries import Array, Integers, numbers, read
 
 Block = tuple[str, dict[str, str], bytes, int]  # keyword, options, data lines, first line
 
-# Corner and mid-side nodes of the elements whose facets can be found, by the names of meshio.
+# Nodes of solid, shell, plane and beam elements, by the names of meshio.
 KINDS = {
     "C3D4": ("tetra", 4),
     "C3D10": ("tetra10", 10),
@@ -24,6 +24,14 @@ KINDS = {
     "S4": ("quad", 4),
     "S6": ("triangle6", 6),
     "S8": ("quad8", 8),
+    "B31": ("line", 2),
+    "B32": ("line3", 3),
+    "T3D2": ("line", 2),
+    "T3D3": ("line3", 3),
+} | {
+    f"{family}{count}": (name, count)
+    for family in ("CPS", "CPE", "CAX", "M3D")
+    for name, count in (("triangle", 3), ("quad", 4), ("triangle6", 6), ("quad8", 8))
 }
 
 

@@ -12,6 +12,9 @@ from wavequake.errors import UserError
 from wavequake.mechanics.importers.entries import Array, Integers, read_bytes
 from wavequake.mechanics.importers.inp import read_deck
 
+EXPANDED = ("line", "line3", "triangle", "triangle6", "quad", "quad8")
+"""Elements (by meshio's names) that CalculiX expands to solids."""
+
 
 @dataclass(frozen=True)
 class MeshFile:
@@ -34,6 +37,12 @@ class MeshFile:
     points: Array
     sets: Mapping[str, Integers] = field(default_factory=dict)
     cells: Mapping[str, Integers] = field(default_factory=dict)
+
+    @property
+    def expanded(self) -> Integers:
+        """Numbers of the nodes of beams, shells and plane elements."""
+        nodes = [self.cells[kind].ravel() for kind in EXPANDED if kind in self.cells]
+        return np.unique(np.concatenate(nodes)) if nodes else np.zeros(0, dtype=np.int64)
 
 
 def read_mesh(path: Path) -> MeshFile:

@@ -7,13 +7,15 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.sparse import csc_array
+from scipy.sparse import csc_array, diags_array
 
 from wavequake.errors import UserError
 from wavequake.mechanics.importers import abaqus, ansys, arrays, calculix, matrix_market, nastran, op4
 from wavequake.mechanics.importers.areas import area_shares
-from wavequake.mechanics.importers.checks import Triangle, assemble, check_mass, free_dofs
+from wavequake.mechanics.importers.checks import Triangle, assemble, free_dofs
+from wavequake.mechanics.importers.copies import averaged, real_part, refuse_repeated
 from wavequake.mechanics.importers.entries import DIRECTIONS, Contents, Entries, Integers
+from wavequake.mechanics.importers.mass import check_mass
 from wavequake.mechanics.importers.mesh import MeshFile, chosen_nodes, positions, read_mesh
 from wavequake.mechanics.importers.units import si_factors
 from wavequake.mechanics.model import FiniteElementModel, RayleighDamping
@@ -138,12 +140,19 @@ def import_model(
     contents = _read(file)
     notes: list[str] = []
     drop = zero_rows == "drop" or contents.keeps_fixed
-    K, M, table = _matrices(contents, file, (mass, dofs), (triangle, drop), notes)
     grid = _mesh(contents, file, mesh)
-    dof_node = positions(grid, table[:, 0], "degree of freedom")
+    K, M, table = _matrices(contents, file, (mass, dofs), (triangle, drop), grid, notes)
+    dof_node = np.full(len(table), -1, dtype=np.int64)
+    labeled = table[:, 1] > 0
+    dof_node[labeled] = positions(grid, table[labeled, 0], "degree of freedom")
     optical, mounts = chosen_nodes(grid, surface, "surface"), chosen_nodes(grid, interfaces, "interfaces")
     for what, nodes in (("surface", optical), ("interfaces", mounts)):
         _refuse_fixed(grid, nodes, (dof_node, table[:, 1] - 1), what)
+    # Displacements are converted to m, rotations and inner coordinates stay what they are.
+    scale = np.where((table[:, 1] >= 1) & (table[:, 1] <= 3), 1.0, length)
+    spread = diags_array(scale, format="csc")
+    if (scale != 1.0).any():
+        K, M = spread @ K @ spread, spread @ M @ spread
     model = FiniteElementModel(
         name=file.stem,
         mass=csc_array(M * mass_factor),
@@ -151,7 +160,7 @@ def import_model(
         damping=damping or RayleighDamping(),
         nodes=grid.points * length,
         dof_node=dof_node,
-        dof_direction=table[:, 1] - 1,
+        dof_direction=np.where(labeled, table[:, 1] - 1, -1),
         interfaces=mounts,
         surface_nodes=optical,
         surface_weights=area_shares(grid, optical),
@@ -165,6 +174,7 @@ def _matrices(
     file: Path,
     others: tuple[Path | None, Path | None],
     declared: tuple[Triangle | None, bool],
+    grid: MeshFile,
     notes: list[str],
 ) -> tuple[csc_array, csc_array, Integers]:
     """Return stiffness, mass and the free displacements.
@@ -173,10 +183,18 @@ def _matrices(
     """
     stiffness, mass = _pair(contents, file, others[0])
     table = _dofs(contents, (stiffness, mass), file, others[1])
+    calculix = file.suffix.lower() == ".sti"
+    if calculix and stiffness.size == mass.size == 2 * len(table):
+        stiffness, mass = real_part(stiffness, len(table)), real_part(mass, len(table))
+        notes.append("the sector of cyclic symmetry moves as its neighbors do (nodal diameter 0)")
+    refuse_repeated(table, grid.expanded if calculix else None, (others[1] or file.with_suffix(".dof")).name)
     K, M = (assemble(entries, table, declared[0]) for entries in (stiffness, mass))
     free = free_dofs(K, M, table, notes, drop=declared[1])
-    K, M, table = csc_array(K[free][:, free]), csc_array(M[free][:, free]), table[free]
-    check_mass(M, table, mass.source)
+    if len(free) < len(table):
+        K, M, table = csc_array(K[free][:, free]), csc_array(M[free][:, free]), table[free]
+    check_mass(M, K, table, (mass.source, stiffness.source), notes)
+    if calculix and len(grid.expanded):
+        return averaged(K, M, table, grid.labels, notes)
     return K, M, table
 
 
@@ -239,17 +257,14 @@ def _dofs(contents: Contents, entries: tuple[Entries, Entries], file: Path, dofs
             f"{file.name} does not say which degrees of freedom its rows are, and {path.name} was not found; "
             "name a file of lines node.direction with the key dofs"
         )
-    _, first, count = np.unique(table, axis=0, return_index=True, return_counts=True)
-    if (count > 1).any():
-        node, direction = table[first[np.argmax(count > 1)]]
-        raise UserError(f"{path.name} lists node {node}, direction {direction} twice")
     return table
 
 
 def _refuse_fixed(mesh: MeshFile, nodes: Integers, dofs: tuple[Integers, Integers], what: str) -> None:
     """Refuse nodes that lack a displacement; `dofs` are positions of nodes and directions from 0."""
+    moves = (dofs[1] >= 0) & (dofs[1] < 3)
     free = np.zeros((len(mesh.labels), 3), dtype=bool)
-    free[dofs] = True
+    free[dofs[0][moves], dofs[1][moves]] = True
     bad = np.argwhere(~free[nodes])
     if len(bad):
         row, direction = bad[0]

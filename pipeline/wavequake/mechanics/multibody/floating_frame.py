@@ -7,6 +7,7 @@ import scipy.linalg
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, Model, rigid_modes
+from wavequake.mechanics.vibration.eigen import rigid_motions
 from wavequake.mechanics.vibration.modal import modal_model
 
 
@@ -87,7 +88,7 @@ def momentum(frame: FloatingFrame, model: Model, velocity: Array) -> Array:
 def _rigid_shapes(model: Model) -> Array:
     """Coordinates (n, 6) of unit rigid motions about the origin."""
     if isinstance(model, FiniteElementModel):
-        shapes = rigid_modes(model.nodes, np.zeros(3)).reshape(-1, 3, 6)[model.dof_node, model.dof_direction]
+        shapes = rigid_motions(model, np.zeros(3))
         strain = np.abs(model.stiffness @ shapes).max() / np.abs(model.stiffness).max()
         if strain > 1e-6:
             raise UserError(f"the body {model.name} is held somewhere; a floating frame needs a free body")

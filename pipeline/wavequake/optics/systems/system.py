@@ -87,6 +87,10 @@ class OpticalSystem:
         Before the first surface.
     note : str
         Which of its numbers are assumed or approximate, in a sentence; `info` shows it.
+    vignetting : tuple of 5 float for each field, or empty
+        Which part of the stop the light of each field fills, seen from the object, for lack of the
+        apertures that stop the rest: x and y of its center, one minus its half widths (all in units of the
+        stop's radius), and how far the ellipse is turned (rad).
     """
 
     name: str
@@ -100,6 +104,7 @@ class OpticalSystem:
     telecentric: bool = False
     medium: Medium = AIR
     note: str = ""
+    vignetting: tuple[tuple[float, float, float, float, float], ...] = ()
 
     def __repr__(self) -> str:
         parts = (
@@ -172,6 +177,8 @@ def require_system(system: OpticalSystem) -> None:
         raise UserError(f"the fields of {name} must be an array (fields, 2) of finite numbers")
     if not len(system.fields):
         raise UserError(f"{name} has no field; the axis is the field (0, 0)")
+    if system.vignetting and len(system.vignetting) != len(system.fields):
+        raise UserError(f"the vignetting of {name} must hold five numbers for each of its fields")
     if np.isnan(system.object_distance):
         raise UserError(f"the object distance of {name} is not a number; a star's is infinite")
     if np.isinf(system.object_distance) and system.telecentric:

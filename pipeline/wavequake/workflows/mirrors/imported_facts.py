@@ -7,6 +7,7 @@ import scipy.linalg
 from scipy.spatial import ConvexHull, QhullError
 
 from wavequake.mechanics.model import Array, FiniteElementModel
+from wavequake.mechanics.vibration.eigen import rigid_motions
 from wavequake.reduction.intermediate import Intermediate
 
 # Sizes in m and densities in kg/m^3 (of all mass in the convex hull of all nodes) beyond which the units are
@@ -54,7 +55,7 @@ def frequencies(stage: Intermediate) -> str:
 
 def total_mass(model: FiniteElementModel) -> float:
     """Return the mass in kg: the largest of those that move along x, y and z, for supports hold some."""
-    moves = (np.asarray(model.dof_direction)[:, None] == np.arange(3)).astype(np.float64)
+    moves = rigid_motions(model, np.zeros(3))[:, :3]
     return float(np.einsum("nd,nd->d", moves, np.asarray(model.mass @ moves)).max())
 
 
