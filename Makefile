@@ -4,15 +4,20 @@ VENV := .venv
 BIN := $(VENV)/bin
 STUDY ?= tmt-segments
 EXTRAS ?= test,lint,firmware
+# The newest Python that is here and runs, and the tests that it runs (all).
+NEWEST ?= $(shell for one in python3.14 python3.13 python3.12 $(PYTHON); do \
+  $$one -c '' 2>/dev/null && echo $$one && break; done)
+TESTS ?=
 # PoCL links its kernels: a machine without any linker gets one from PyPI.
 comma := ,
 LINKER := $(shell command -v ld >/dev/null || echo '[linker]')
 export PYTHONUNBUFFERED := 1
 
-.PHONY: help run test soak slurm lint bench wheel clean
+.PHONY: help run test newest soak slurm lint bench wheel clean
 help:
 	@echo "make run    run the bundled study $(STUDY) and write its report"
 	@echo "make test   run the tests"
+	@echo "make newest run the tests with the newest Python that is here and the newest of all libraries"
 	@echo "make soak   kill campaigns at 200 random moments, simulate 100,000; nothing may be lost (half an hour)"
 	@echo "make slurm  test campaigns on a Slurm of two nodes on loopback (root, Debian's slurm-wlm and munge)"
 	@echo "make lint   ruff and mypy"
@@ -31,6 +36,12 @@ soak: $(VENV)/.dev
 
 slurm: $(VENV)/.dev
 	WAVEQUAKE_SLURM=1 $(BIN)/python -m pytest -q -rs tests/workflows/test_slurm.py
+
+newest:
+	@$(NEWEST) -m venv --clear $(VENV)-newest
+	@$(VENV)-newest/bin/python -m pip install -q --disable-pip-version-check --upgrade \
+	  --upgrade-strategy eager -e '.[$(EXTRAS)$(if $(LINKER),$(comma)linker)]'
+	$(VENV)-newest/bin/python -m pytest -n 2 --dist loadfile $(TESTS)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -68,4 +79,4 @@ $(VENV)/.bench: pyproject.toml | $(VENV)/bin/python
 	@touch $@ $(VENV)/.run
 
 clean:
-	rm -rf $(VENV) dist build runs .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(VENV)-newest dist build runs .pytest_cache .mypy_cache .ruff_cache
