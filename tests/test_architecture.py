@@ -28,11 +28,22 @@ ALLOWED = {
     "workflows": BASE | PHYSICS | {"campaign", "kernels", "firmware"},
     "report": BASE | PHYSICS | {"campaign", "kernels", "workflows"},
     "terminal": {"words"},
+    "cli_options": {"errors"},
     "cli_firmware": BASE | {"campaign", "control", "firmware", "workflows", "terminal"},
     "cli_statistics": BASE | {"campaign", "workflows", "report", "terminal"},
     "cli": BASE
     | PHYSICS
-    | {"campaign", "kernels", "workflows", "report", "cluster", "terminal", "cli_firmware", "cli_statistics"},
+    | {
+        "campaign",
+        "kernels",
+        "workflows",
+        "report",
+        "cluster",
+        "terminal",
+        "cli_options",
+        "cli_firmware",
+        "cli_statistics",
+    },
     "__main__": {"cli"},
 }
 # The package's front door imports lazily, for users; provenance may ask it for the version.
