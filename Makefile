@@ -4,16 +4,21 @@ VENV := .venv
 BIN := $(VENV)/bin
 STUDY ?= tmt-segments
 EXTRAS ?= test,lint,firmware
+# The newest Python that is here and runs, and the tests that it runs (all).
+NEWEST ?= $(shell for one in python3.14 python3.13 python3.12 $(PYTHON); do \
+  $$one -c '' 2>/dev/null && echo $$one && break; done)
+TESTS ?=
 # PoCL links its kernels: a machine without any linker gets one from PyPI.
 comma := ,
 LINKER := $(shell command -v ld >/dev/null || echo '[linker]')
 export PYTHONUNBUFFERED := 1
 
-.PHONY: help run test test-fast soak fuzz slurm lint bench wheel clean
+.PHONY: help run test test-fast soak fuzz slurm newest lint bench wheel clean
 help:
 	@echo "make run    run the bundled study $(STUDY) and write its report"
 	@echo "make test   run the tests"
 	@echo "make test-fast  run a few tests of every room and the recorded numbers of all studies (90 s)"
+	@echo "make newest run the tests with the newest Python that is here and the newest of all libraries"
 	@echo "make soak   kill campaigns at 200 random moments, simulate 100,000; nothing may be lost (half an hour)"
 	@echo "make fuzz   give 2000 damaged files to every reader of files (about five minutes)"
 	@echo "make slurm  test campaigns on a Slurm of two nodes on loopback (root, Debian's slurm-wlm and munge)"
@@ -49,6 +54,12 @@ fuzz: $(VENV)/.dev
 
 slurm: $(VENV)/.dev
 	WAVEQUAKE_SLURM=1 $(BIN)/python -m pytest -q -rs tests/workflows/test_slurm.py
+
+newest:
+	@$(NEWEST) -m venv --clear $(VENV)-newest
+	@$(VENV)-newest/bin/python -m pip install -q --disable-pip-version-check --upgrade \
+	  --upgrade-strategy eager -e '.[$(EXTRAS)$(if $(LINKER),$(comma)linker)]'
+	$(VENV)-newest/bin/python -m pytest -n 2 --dist loadfile $(TESTS)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -86,4 +97,4 @@ $(VENV)/.bench: pyproject.toml | $(VENV)/bin/python
 	@touch $@ $(VENV)/.run
 
 clean:
-	rm -rf $(VENV) dist build runs .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(VENV)-newest dist build runs .pytest_cache .mypy_cache .ruff_cache

@@ -38,6 +38,7 @@ ALLOWED = {
     "plot": BASE | {"drawing"},
     "doors": BASE | PHYSICS | {"campaign", "notebook", "report", "workflows"},
     "terminal": {"words"},
+    "cli_options": {"errors"},
     "cli_firmware": BASE | {"campaign", "control", "firmware", "workflows", "terminal"},
     "cli_sensitivity": BASE | {"campaign", "kernels", "workflows", "report", "terminal"},
     "cli_statistics": BASE | {"campaign", "workflows", "report", "terminal"},
@@ -46,7 +47,7 @@ ALLOWED = {
     "cli": BASE
     | PHYSICS
     | {"campaign", "chain", "kernels", "workflows", "report", "cluster", "terminal"}
-    | {"cli_firmware", "cli_new", "cli_pictures", "cli_sensitivity", "cli_statistics"},
+    | {"cli_firmware", "cli_new", "cli_options", "cli_pictures", "cli_sensitivity", "cli_statistics"},
     "__main__": {"cli"},
 }
 # The package's front door imports lazily, for users; provenance may ask it for the version.

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from wavequake import __version__, cli_firmware, cli_new, cli_pictures, cli_sensitivity, cli_statistics
 from wavequake.campaign.plugins import load_named
+from wavequake.cli_options import ClusterOption, DashboardOption, RecheckOption, StoreOption, WorkersOption
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.terminal import EXIT_INTERRUPTED, err, fail, interrupted, live_progress, out, print_pairs
 from wavequake.words import are, counted
@@ -47,25 +48,6 @@ OnOption = Annotated[
     typer.Option(
         help="serial, local, slurm, ssh, kubernetes, or tcp:// or tls://HOST:PORT (docs/clusters.md)."
     ),
-]
-ClusterOption = Annotated[
-    Path | None, typer.Option("--cluster", help="File that describes the cluster (.yaml).")
-]
-WorkersOption = Annotated[int | None, typer.Option(min=1, help="Worker processes (default: one per CPU).")]
-DashboardOption = Annotated[
-    bool, typer.Option("--dashboard", help="Serve Dask's dashboard on this machine and show its link.")
-]
-
-
-def _folder(text: str) -> Path:
-    if not str(text).strip():
-        raise UserError("--store is empty: give the path of a folder, or leave --store out.")
-    return Path(text)
-
-
-StoreOption = Annotated[
-    Path | None,
-    typer.Option("--store", parser=_folder, metavar="FOLDER", help="Folder of the store (store.path)."),
 ]
 
 
@@ -145,10 +127,7 @@ def run(
     allow_mixed: Annotated[
         bool, typer.Option("--allow-mixed", help="Go on with a store that other versions of the code began.")
     ] = False,
-    recheck: Annotated[
-        str,
-        typer.Option(metavar="SHARE", help="Compute this share of the chunks again elsewhere, such as 1%."),
-    ] = "0",
+    recheck: RecheckOption = "0",
     dashboard: DashboardOption = False,
     profile: Annotated[bool, typer.Option("--profile", help="Say where the time went.")] = False,
 ) -> None:

@@ -21,6 +21,14 @@ def test_what_is_right_is_left_alone(tmp_path):
     assert toy.records(tmp_path / "s") == before
 
 
+def test_cases_that_kill_their_process_are_not_tried_again(tmp_path):
+    options = {"crash": [13]}
+    arguments = {"cases": 40, "on": "local", "workers": 2}
+    assert toy.run(tmp_path / "s", options, **arguments).quarantined == 1
+    told = toy.run(tmp_path / "s", options, recheck=1.0, **arguments).rechecked
+    assert told == ("3 chunks of 4 computed again by other processes: not a bit differs",)
+
+
 def test_a_worker_that_computes_wrong_is_named_and_its_chunks_are_redone(tmp_path):
     options = {"liar": str(tmp_path), "sleep_s": 0.01}
     summary = toy.run(tmp_path / "s", options, cases=80, on="local", workers=2, recheck=1.0)

@@ -347,3 +347,14 @@ def test_fill_values_say_that_nothing_is_there(tmp_path):
     assert np.isnan(group["strehl"][:]).all()
     assert (group["status"][:] == 0).all()
     assert isinstance(toy.compute(toy.study(), np.arange(3), "numpy"), ChunkResult)
+
+
+def test_what_is_not_computed_yet_reads_as_no_numbers_whatever_zarr_was_told(tmp_path):
+    """Since 3.2 zarr can be told to raise where a chunk is missing."""
+    create_store(tmp_path / "s", toy.TOY, toy.study(), 40, 10, "numpy", {})
+    with zarr.config.set({"array.read_missing_chunks": False}):
+        stored = open_store(tmp_path / "s").load()
+        assert np.isnan(stored.zernike).all()
+        assert not stored.status.any()
+        toy.run(tmp_path / "s", cases=20)
+        assert open_store(tmp_path / "s").status.values.tolist() == [1] * 20 + [0] * 20

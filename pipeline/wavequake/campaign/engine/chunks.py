@@ -122,13 +122,18 @@ def compute_chunk(job: Job, first: int, last: int) -> Outcome:
     StoreDamageError
         If a guarded job would change a case that is done.
     """
+    refuse_other_code(job)
+    patiently(lambda: fence.admit(Path(job.path), job.run))
+    return store_chunk(job, (first, last), *computed_chunk(job, first, last))
+
+
+def refuse_other_code(job: Job) -> None:
+    """Raise UserError if this process runs other code than the driver, and must not."""
     if job.code and job.code != provenance.code():
         raise UserError(
             f"A worker computes with {provenance.code()}, the driver with {job.code}: install the same "
             "versions everywhere, or give --allow-mixed."
         )
-    patiently(lambda: fence.admit(Path(job.path), job.run))
-    return store_chunk(job, (first, last), *computed_chunk(job, first, last))
 
 
 def computed_chunk(job: Job, first: int, last: int) -> tuple[ChunkResult, float]:

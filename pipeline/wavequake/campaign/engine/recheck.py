@@ -14,7 +14,8 @@ from logging import Logger
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wavequake.campaign.engine.chunks import Job, computed_chunk
+from wavequake.campaign.contract import CRASHED, TIMED_OUT
+from wavequake.campaign.engine.chunks import Job, computed_chunk, refuse_other_code
 from wavequake.campaign.engine.isolation import compute_isolated, renewed, result_of_its_own
 from wavequake.campaign.store.arrays import digests_of
 from wavequake.campaign.store.journal import Chunk, Record, differences, read_journal
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from distributed import Client
 
 Process = tuple[str, int]
+
+_DEADLY = (CRASHED, TIMED_OUT)  # what such cases did to one worker they would do to the next
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,7 @@ def this_worker() -> Process:
 
 def answer(job: Job, first: int, last: int) -> Answer:
     """Compute a chunk and store nothing; this runs in a worker."""
+    refuse_other_code(job)
     result, _ = computed_chunk(job, first, last)
     return Answer((first, last), digests_of(result), this_worker())
 
@@ -128,7 +132,10 @@ class Check:
             return (), job
         done = done_records(self.manifest, read_journal(self.path / JOURNAL))
         records = {piece: done[piece] for piece in self.wanted if piece in done}
-        sample = [records[piece] for piece in drawn([*records], self.share, self.manifest.identity)]
+        tame = [
+            piece for piece, record in records.items() if not any(map(record.counts.__getitem__, _DEADLY))
+        ]
+        sample = [records[piece] for piece in drawn(tame, self.share, self.manifest.identity)]
         if client is None:
             answers = [answer_of_its_own(job, *record.chunk, limit()) for record in sample]
         else:

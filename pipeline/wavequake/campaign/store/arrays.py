@@ -84,6 +84,16 @@ def damage_explained(what: object) -> Iterator[None]:
         raise StoreDamageError(f"{what} is missing or damaged: {error}.") from None
 
 
+@contextmanager
+def missing_reads_as_fill() -> Iterator[None]:
+    """Have arrays that are opened meanwhile give fill values for files that are missing.
+
+    Those are cases to do, and the journal says which; users may have told newer versions of zarr to raise.
+    """
+    with zarr.config.set({"array.read_missing_chunks": True}):
+        yield
+
+
 def create_group(folder: Path, attributes: dict[str, Any]) -> zarr.Group:
     """Create the group that holds the arrays of a store."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -106,7 +116,7 @@ def consolidate(folder: Path) -> None:
 
 def array_of(group: zarr.Group, name: str) -> Array:
     """Return an array of a store; raises StoreDamageError if its metadata is missing or damaged."""
-    with damage_explained(f"the metadata of the array {name!r}"):
+    with damage_explained(f"the metadata of the array {name!r}"), missing_reads_as_fill():
         array = cast(Array, group[name])
     # A file per chunk even if all of its cases failed: a missing one is a loss. (Metadata do not hold this.)
     return array.with_config({"write_empty_chunks": array.dtype.kind not in "OUT"})

@@ -129,11 +129,16 @@ def _locked(path: Path, part: tuple[int, int], wait_s: float) -> Iterator[None]:
 
 def _lock(handle: int, part: tuple[int, int], end: float, path: Path) -> None:
     """Lock a part (first byte and number) of an open file, byte by byte as chunks are; 0 bytes are all."""
-    request = struct.pack("hhqqi", fcntl.F_WRLCK, os.SEEK_SET, *part, 0)
+    first, count = part
+    request = struct.pack("hhqqi", fcntl.F_WRLCK, os.SEEK_SET, first, count, 0)
     while True:
         try:
-            # Of the open file and not of the process, in which threads may write.
-            fcntl.fcntl(handle, fcntl.F_OFD_SETLK, request)
+            if hasattr(
+                fcntl, "F_OFD_SETLK"
+            ):  # of the open file, not of the process, in which threads may write
+                fcntl.fcntl(handle, fcntl.F_OFD_SETLK, request)
+            else:  # outside of Linux
+                fcntl.lockf(handle, fcntl.LOCK_EX | fcntl.LOCK_NB, count, first)
             return
         except BlockingIOError:
             if time.monotonic() > end:

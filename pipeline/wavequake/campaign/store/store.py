@@ -161,7 +161,7 @@ def open_store(path: Path | str) -> "xr.Dataset":
     group = arrays.open_group(path / DATA, read_only=True)
     for name in manifest.variables:
         arrays.array_of(group, name)
-    with arrays.damage_explained(path / DATA):
+    with arrays.damage_explained(path / DATA), arrays.missing_reads_as_fill():
         dataset = xr.open_zarr(path / DATA, chunks=None, consolidated=False).isel(case=slice(manifest.cases))
     # Labels, status and messages stay out of Dask: they are small, and selecting by them needs their values.
     numbers = [name for name in manifest.variables if name not in arrays.ENGINE_VARIABLES]

@@ -1,0 +1,34 @@
+"""Options of the command line."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from wavequake.errors import UserError
+
+
+def folder_named(text: str) -> Path:
+    """Return the folder of that name; raises UserError if it has none, which would be the current folder."""
+    if not str(text).strip():
+        raise UserError("--store is empty: give the path of a folder, or leave --store out.")
+    return Path(text)
+
+
+StoreOption = Annotated[
+    Path | None,
+    typer.Option("--store", parser=folder_named, metavar="FOLDER", help="Folder of the store (store.path)."),
+]
+ClusterOption = Annotated[
+    Path | None, typer.Option("--cluster", help="File that describes the cluster (.yaml).")
+]
+WorkersOption = Annotated[int | None, typer.Option(min=1, help="Worker processes (default: one per CPU).")]
+DashboardOption = Annotated[
+    bool, typer.Option("--dashboard", help="Serve Dask's dashboard on this machine and show its link.")
+]
+RecheckOption = Annotated[
+    str,
+    typer.Option(
+        "--recheck", metavar="SHARE", help="Compute this share of the chunks again elsewhere, such as 1%."
+    ),
+]
