@@ -29,11 +29,12 @@ from wavequake.campaign.engine.driver import run_campaign
 from wavequake.campaign.store.journal import read_journal
 from wavequake.cluster.local import worker_environment
 from wavequake.kernels.device.devices import choose_device
-from wavequake.workflows.run import WORKFLOWS, chunk_of
+from wavequake.workflows.kinds import find_kind
+from wavequake.workflows.run import chunk_of
 from wavequake.workflows.study import load_study
 
 STUDY = load_study("tmt-segments", {"campaign.cases": 4000})
-TEXT, BARE = STUDY.identity_text(), WORKFLOWS[STUDY.study.workflow]
+TEXT, BARE = STUDY.identity_text(), find_kind(STUDY.study.workflow)
 CHUNK, DEVICE = chunk_of(STUDY), choose_device("auto").name
 WARM = 1  # chunks of each worker that do not count: kernels and tables are built
 

@@ -10,7 +10,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from wavequake.kernels.device.devices import choose_device
-from wavequake.mechanics.disturbances.common_history import CommonHistory, amplitude_generator, amplitudes
+from wavequake.mechanics.disturbances.sources.common_history import (
+    CommonHistory,
+    amplitude_generator,
+    amplitudes,
+)
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.study import load_study, study_with

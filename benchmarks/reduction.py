@@ -19,8 +19,8 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.mechanics.mirrors.models import circular_mirror
 from wavequake.mechanics.model import FiniteElementModel
-from wavequake.reduction.balanced import oscillators
 from wavequake.reduction.intermediate import Intermediate, dense_structure, intermediate
+from wavequake.reduction.methods.balanced import oscillators
 from wavequake.reduction.metrics import eps_mor, full_receptance, receptance, relative_errors
 from wavequake.reduction.reduce import reduce
 from wavequake.reduction.two_stage import reduce_variants, reference, spot_check

@@ -12,7 +12,7 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from wavequake.campaign.contract import ChunkResult, Template, Variable, Workflow
+from wavequake.campaign.contract import ChunkResult, StudyKind, Template, Variable
 from wavequake.campaign.engine.driver import run_campaign
 
 
@@ -35,7 +35,7 @@ def main(cases: int = 100_000, chunk: int = 100) -> None:
         if done % (total // 10) < chunk:
             memory.append(process.memory_info().rss / 2**20)
 
-    workflow = Workflow("nothing", template, case_table, compute)
+    workflow = StudyKind("nothing", template, case_table, compute)
     print(f"scale: {cases} cases that cost nothing, in {cases // chunk} chunks of {chunk}, 2 workers")
     with tempfile.TemporaryDirectory() as folder:
         begun, cpu = time.perf_counter(), time.process_time()

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from wavequake.workflows.schema import Study
-from wavequake.workflows.study import STUDIES
+from wavequake.campaign.schema import Study
+from wavequake.workflows.kinds import find_kind, kind_names
 
 PAGE = Path(__file__).with_name("study.md")
 MARK = "<!-- the tables below are made by make_study_reference.py -->\n"
@@ -33,6 +33,9 @@ def table(model: type[BaseModel], skip: frozenset[str] = frozenset()) -> str:
 
 def models(annotation: Any) -> list[type[BaseModel]]:
     """Return the models that an annotation speaks of: itself, or inside Annotated, unions and tuples."""
+    for choice in getattr(annotation, "__metadata__", ()):
+        if hasattr(choice, "models"):  # of a registry
+            return [model for model in choice.models() if model.__module__.startswith("wavequake.")]
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     if get_origin(annotation) in (Annotated, Union, UnionType, tuple):
@@ -70,7 +73,7 @@ def kinds(heading: str, found: list[type[BaseModel]]) -> Iterator[tuple[str, str
         yield f"`{heading}`", f"{words(found[0])}\n\n{table(found[0])}"
         return
     tag = next(key for key in TAGS if key in found[0].model_fields)
-    shared = found[0].__mro__[1]
+    shared = next(base for base in found[0].__mro__ if all(issubclass(model, base) for model in found))
     common: frozenset[str] = frozenset()
     if issubclass(shared, BaseModel) and len(shared.model_fields) > 0:
         common = frozenset(shared.model_fields)
@@ -88,7 +91,7 @@ def reference() -> str:
     """Return all tables: what all workflows have, then what each has of its own or shares with another."""
     parts: list[str] = []
     homes: dict[tuple[str, str], str] = {}
-    for workflow, study in {"": Study, **STUDIES}.items():
+    for workflow, study in {"": Study, **{name: find_kind(name).model for name in kind_names()}}.items():
         own, shared = [], {}
         for heading, found in sections(study):
             for title, text in kinds(heading, found):
@@ -98,7 +101,7 @@ def reference() -> str:
                 elif home:
                     shared.setdefault(home, []).append(title)
         if workflow:
-            parts.append(f"## Workflow `{workflow}`\n")
+            parts.append(f"## StudyKind `{workflow}`\n")
         for home, titles in shared.items():
             parts.append(f"As of `{home}`: {'; '.join(dict.fromkeys(titles))}.\n")
         parts += own

@@ -1,6 +1,7 @@
 """The folder names are the architecture: imports run one way."""
 
 import ast
+import re
 from collections import Counter
 from pathlib import Path
 
@@ -8,14 +9,17 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "pipeline" / "wavequake"
 PHYSICS = {"mechanics", "reduction", "optics", "imaging", "control"}
-BASE = {"errors", "files", "words"}
+BASE = {"errors", "files", "prepared", "registry", "user_files", "words"}
 
 # What each package may import of ours, besides itself.
 ALLOWED = {
     "errors": set(),
     "files": set(),
+    "user_files": {"errors"},
     "words": set(),
     "memory": set(),
+    "registry": {"errors"},
+    "prepared": set(),
     "kernels": BASE,
     "mechanics": BASE | {"kernels"},
     "reduction": BASE | {"kernels", "mechanics"},
@@ -25,14 +29,22 @@ ALLOWED = {
     "firmware": BASE | {"control"},
     "cluster": BASE,
     "campaign": BASE | {"cluster", "kernels", "memory"},
-    "workflows": BASE | PHYSICS | {"campaign", "kernels", "firmware"},
-    "report": BASE | PHYSICS | {"campaign", "kernels", "workflows"},
+    "chain": BASE | PHYSICS | {"campaign", "kernels"},
+    "workflows": BASE | PHYSICS | {"campaign", "chain", "kernels", "firmware"},
+    "drawing": BASE | PHYSICS | {"campaign", "chain", "kernels", "workflows"},
+    "report": BASE | PHYSICS | {"campaign", "chain", "drawing", "kernels", "workflows"},
+    "notebook": BASE | {"drawing"},
+    "plot": BASE | {"drawing"},
+    "doors": BASE | PHYSICS | {"campaign", "notebook", "report", "workflows"},
     "terminal": set(),
     "cli_firmware": BASE | {"campaign", "control", "firmware", "workflows", "terminal"},
+    "cli_sensitivity": BASE | {"campaign", "kernels", "workflows", "report", "terminal"},
     "cli_statistics": BASE | {"campaign", "workflows", "report", "terminal"},
+    "cli_pictures": BASE | {"drawing", "workflows", "terminal"},
     "cli": BASE
     | PHYSICS
-    | {"campaign", "kernels", "workflows", "report", "cluster", "terminal", "cli_firmware", "cli_statistics"},
+    | {"campaign", "chain", "kernels", "workflows", "report", "cluster", "terminal"}
+    | {"cli_firmware", "cli_pictures", "cli_sensitivity", "cli_statistics"},
     "__main__": {"cli"},
 }
 # The package's front door imports lazily, for users; provenance may ask it for the version.
@@ -84,6 +96,18 @@ def test_rooms_are_small_enough_to_be_seen_at_once():
     """The flat folders that are left are named; no new one joins them."""
     rooms = Counter(path.parent.relative_to(PACKAGE).as_posix() for path in MODULES)
     assert {room for room, modules in rooms.items() if modules > 21} <= {"report"}
+
+
+def test_what_is_kept_is_prepared_on_one_thread_of_blas():
+    """A cache of functools may be filled with all threads: bits of a case would depend on who asked."""
+    found = [
+        str(path.relative_to(PACKAGE))
+        for path in MODULES
+        if home(path) in PHYSICS | {"chain", "workflows"}
+        and imports_of(path) & {"functools", "functools.lru_cache", "functools.cache"}
+        and re.search(r"\b(functools\.cache|(functools\.)?lru_cache|import .*\bcache)\b", path.read_text())
+    ]
+    assert not found, f"use wavequake.prepared.prepared in {', '.join(found)}"
 
 
 def test_every_package_has_its_rule():

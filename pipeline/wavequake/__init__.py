@@ -1,21 +1,28 @@
 """What does vibration do to the image, and which model, mirror or controller is good enough.
 
 >>> import wavequake as wq
->>> ds = wq.run("tmt-segments", cases=100)          # doctest: +SKIP
+>>> ds = wq.run("tmt-segments", cases=100)            # doctest: +SKIP
 >>> ds = wq.open_store("runs/tmt-segments-1a2b3c4d")  # doctest: +SKIP
 >>> print(wq.load_system("double-gauss").info())      # doctest: +SKIP
+>>> wq.draw("euv").savefig("euv.svg")                 # doctest: +SKIP
 """
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from wavequake.errors import StoreDamageError, UserError
 
 if TYPE_CHECKING:
+    from wavequake import plot
+    from wavequake.campaign.schema import Study
     from wavequake.campaign.store.store import open_store
+    from wavequake.doors.models import load_model, plant, respond
+    from wavequake.doors.studies import budget, compare, export, report, run, studies, tail, verify
+    from wavequake.drawing.draw import draw
     from wavequake.optics.zemax.export import write_zmx
-    from wavequake.workflows.run import plan, run
-    from wavequake.workflows.schema import Study
+    from wavequake.reduction.reduce import reduce
+    from wavequake.workflows.run import plan
     from wavequake.workflows.sensitivity import sensitivity
     from wavequake.workflows.study import load_study
     from wavequake.workflows.systems.system_source import load_system
@@ -26,32 +33,58 @@ __all__ = [
     "StoreDamageError",
     "Study",
     "UserError",
+    "budget",
+    "compare",
     "convert_zernike",
+    "draw",
+    "export",
+    "load_model",
     "load_study",
     "load_system",
     "open_store",
     "plan",
+    "plant",
+    "plot",
+    "reduce",
+    "report",
+    "respond",
     "run",
     "sensitivity",
+    "studies",
+    "tail",
+    "verify",
     "write_zmx",
 ]
 
 # Heavy modules are imported when a name is first used, so that `import wavequake` and `wavequake --version`
 # stay quick.
 _HOMES = {
-    "Study": "wavequake.workflows.schema",
+    "Study": "wavequake.campaign.schema",
+    "budget": "wavequake.doors.studies",
+    "compare": "wavequake.doors.studies",
     "convert_zernike": "wavequake.workflows.zernike_arrays",
+    "draw": "wavequake.drawing.draw",
+    "export": "wavequake.doors.studies",
+    "load_model": "wavequake.doors.models",
     "load_study": "wavequake.workflows.study",
     "load_system": "wavequake.workflows.systems.system_source",
     "open_store": "wavequake.campaign.store.store",
     "plan": "wavequake.workflows.run",
-    "run": "wavequake.workflows.run",
+    "plant": "wavequake.doors.models",
+    "reduce": "wavequake.reduction.reduce",
+    "respond": "wavequake.doors.models",
+    "run": "wavequake.doors.studies",
     "sensitivity": "wavequake.workflows.sensitivity",
+    "studies": "wavequake.doors.studies",
+    "tail": "wavequake.doors.studies",
+    "verify": "wavequake.doors.studies",
     "write_zmx": "wavequake.optics.zemax.export",
 }
 
 
 def __getattr__(name: str) -> Any:
+    if name in ("plot", "report"):  # the package of reports can be called, as its name is that of a function
+        return import_module(f"wavequake.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module 'wavequake' has no attribute {name!r}")
     return getattr(import_module(_HOMES[name]), name)
@@ -59,3 +92,10 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return [*__all__, "__version__"]
+
+
+if "IPython" in sys.modules:
+    from wavequake import notebook
+
+    if (_shell := notebook.shell()) is not None:
+        notebook.install(_shell)

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
-from rich.markup import escape
 from rich.table import Table
 
-from wavequake import __version__, cli_firmware, cli_statistics
+from wavequake import __version__, cli_firmware, cli_pictures, cli_sensitivity, cli_statistics
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.terminal import EXIT_INTERRUPTED, err, fail, interrupted, live_progress, out, print_pairs
 from wavequake.words import are, counted
@@ -25,8 +24,12 @@ app = typer.Typer(
     add_completion=False,
 )
 app.add_typer(cli_firmware.app, name="firmware")
+app.command()(cli_pictures.info)
+app.command()(cli_pictures.draw)
 app.command()(cli_statistics.budget)
 app.command()(cli_statistics.tail)
+app.command()(cli_sensitivity.sensitivity)
+app.command()(cli_sensitivity.devices)
 StudyArgument = Annotated[str, typer.Argument(help="Name of a bundled study or path of a .toml file.")]
 StoreArgument = Annotated[Path, typer.Argument(help="Folder of the store.")]
 OverridesArgument = Annotated[
@@ -58,7 +61,8 @@ def main(came: Sequence[float] = ()) -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that has no Greek shall not end a run
     try:
-        app([word for word in sys.argv[1:] if word != "--debug"])
+        words = _load_plugins([word for word in sys.argv[1:] if word != "--debug"])
+        app(words)
     except Exception as error:
         if came:
             interrupted()
@@ -69,6 +73,23 @@ def main(came: Sequence[float] = ()) -> None:
         if end.code == EXIT_INTERRUPTED:  # typer's way to pass Ctrl-C on
             interrupted()
         raise
+
+
+def _load_plugins(words: list[str]) -> list[str]:
+    """Load the files that ``--plugin FILE`` names, before or after the command; return the other words."""
+    rest: list[str] = []
+    for word in (given := iter(words)):
+        name, equals, file = word.partition("=")
+        if name != "--plugin":
+            rest.append(word)
+            continue
+        from wavequake.campaign.plugins import load_plugin
+
+        path = file if equals else next(given, None)
+        if path is None:
+            raise UserError("--plugin needs the file to load: --plugin my_kind.py.")
+        load_plugin(path)
+    return rest
 
 
 def _explain(error: Exception, debug: bool) -> NoReturn:
@@ -93,6 +114,12 @@ def _global(
     debug: Annotated[
         bool, typer.Option("--debug", help="Show tracebacks (before or after the command).")
     ] = False,
+    plugin: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--plugin", help="Load a file of own study kinds, measures, sources... (docs/extending.md)."
+        ),
+    ] = None,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
     ] = False,
@@ -187,28 +214,15 @@ def plan(
 
 
 @app.command()
-def info(
-    system: Annotated[
-        str, typer.Argument(help="Optical system or telescope by name, FILE.zmx, or a study by name or path.")
-    ],
-    overrides: OverridesArgument = None,
-) -> None:
-    """Print first-order data, fields, wavelengths and surfaces of an optical system."""
-    from wavequake.workflows.systems.system_source import load_system
-
-    out.print(load_system(system, overrides or []).info(), markup=False, soft_wrap=True)
-
-
-@app.command()
 def studies() -> None:
     """List the bundled studies."""
-    from wavequake.workflows.study import bundled_studies, load_study
+    from wavequake.workflows.study import bundled_titles
 
     table = Table(box=None)
     table.add_column("study", style="bold")
     table.add_column("what it shows")
-    for name in bundled_studies():
-        table.add_row(name, load_study(name).study.title)
+    for name, title in bundled_titles().items():
+        table.add_row(name, title)
     out.print(table)
 
 
@@ -300,9 +314,9 @@ def retry(
     """Compute quarantined cases of a store again, with the others of their chunks."""
     from wavequake.campaign.engine import rerun
     from wavequake.campaign.store.store import read_manifest
-    from wavequake.workflows.run import WORKFLOWS
+    from wavequake.workflows.kinds import find_kind
 
-    wanted, workflow = rerun.statuses(statuses), WORKFLOWS[read_manifest(store).workflow]
+    wanted, workflow = rerun.statuses(statuses), find_kind(read_manifest(store).workflow)
     with live_progress() as progress:
         summary = rerun.retry_store(
             workflow,
@@ -337,55 +351,6 @@ def rerun_case(
         out.print(line, markup=False, soft_wrap=True)
     if found.differing:
         sys.exit(EXIT_DAMAGED)
-
-
-@app.command()
-def sensitivity(
-    study: Annotated[
-        str,
-        typer.Argument(help="Study by name or path, name of a bundled system or telescope, or FILE.zmx."),
-    ],
-    overrides: OverridesArgument = None,
-    store: StoreOption = None,
-    figure_terms: Annotated[
-        int | None,
-        typer.Option(min=0, max=2016, help="Zernike terms of each segment's figure (default: the study's)."),
-    ] = None,
-    mirror_terms: Annotated[
-        int | None,
-        typer.Option(min=0, max=2016, help="The same of M2 and further mirrors or surfaces (default: 11)."),
-    ] = None,
-) -> None:
-    """Show and keep how line of sight and wavefront follow motions of every surface and segment."""
-    from wavequake.campaign.store.store import SENSITIVITY
-    from wavequake.report import sensitivity as of_segments
-    from wavequake.report import system_sensitivity as of_system
-    from wavequake.workflows.sensitivity import stored_sensitivity
-    from wavequake.workflows.sensitivity_source import sensitivity_study
-
-    loaded = sensitivity_study(study, overrides or [])
-    path = store or Path(loaded.store.path or loaded.default_store())
-    found, kept = stored_sensitivity(loaded, path, figure_terms, mirror_terms)
-    words_of = of_system if loaded.study.workflow == "system-disturbance" else of_segments
-    for table in words_of.tables(found):
-        out.print(table)
-    for line in words_of.explanations(found):
-        out.print(line, markup=False)
-    words = "Were there already, nothing was computed" if kept else "Written"
-    out.print(f"{words}: {(path / SENSITIVITY).resolve()}", markup=False, soft_wrap=True)
-
-
-@app.command()
-def devices() -> None:
-    """List the devices that kernels can run on, and compare each with the NumPy twin."""
-    from wavequake.kernels.device.devices import self_tests
-
-    table = Table(box=None)
-    for column in ("device", "kind", "platform", "largest difference to NumPy (mm)"):
-        table.add_column(column)
-    for device, result in self_tests():
-        table.add_row(*map(escape, (device.name, device.kind, device.platform, result)))
-    out.print(table)
 
 
 def _write_report(store: Path, fresh: bool) -> None:

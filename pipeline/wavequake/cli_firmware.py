@@ -89,11 +89,12 @@ def _designed(
 def _read(path: Path) -> "Record":
     from wavequake.control.recorded import read_recorded
     from wavequake.errors import UserError
+    from wavequake.user_files import read_text
 
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"The record {path} cannot be read: {error}.") from None
+        text = read_text(path)
+    except UserError as error:
+        raise UserError(f"The record {error}") from None
     return read_recorded(text, path.name)
 
 

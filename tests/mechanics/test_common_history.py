@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from wavequake.mechanics.disturbances.common_history import (
+from wavequake.mechanics.disturbances.motion import counted_generator, piston_rms_nm
+from wavequake.mechanics.disturbances.registry import analytic_rms, draw_case, time_axis
+from wavequake.mechanics.disturbances.sources.common_history import (
     CommonHistory,
     amplitude_generator,
     amplitudes,
     history,
 )
-from wavequake.mechanics.disturbances.motion import counted_generator, piston_rms_nm
-from wavequake.mechanics.disturbances.registry import analytic_rms, draw_case, time_axis
 
 SWING = CommonHistory(name="swing", piston_nm=30.0, instants=10)
 

@@ -14,7 +14,7 @@ from wavequake.mechanics.disturbances.registry import (
     parts,
     time_axis,
 )
-from wavequake.mechanics.disturbances.static_random import StaticRandom
+from wavequake.mechanics.disturbances.sources.static_random import StaticRandom
 
 adapter = TypeAdapter(Disturbance)
 
@@ -156,5 +156,5 @@ def test_layouts_are_equal_by_content(few):
 
 
 def test_draw_alone_is_what_draw_case_does(few):
-    alone = draw(FULL, few, time_axis(FULL), generator(1, "polish", 7))
+    alone = draw(FULL, few, time_axis(FULL), lambda name: generator(1, name, 7))
     np.testing.assert_array_equal(alone.segment_motion, draw_case([FULL], FULL, few, 1, 7).segment_motion)

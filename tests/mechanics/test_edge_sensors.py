@@ -3,7 +3,8 @@ import pytest
 from scipy import stats
 
 from wavequake.errors import UserError
-from wavequake.mechanics.disturbances.edge_sensors import (
+from wavequake.mechanics.disturbances.registry import analytic_rms, draw_case
+from wavequake.mechanics.disturbances.sources.edge_sensors import (
     EdgeSensorNoise,
     _second_moments,
     draw_edge_noise,
@@ -13,7 +14,6 @@ from wavequake.mechanics.disturbances.edge_sensors import (
     shared_edges,
     unseen_motions,
 )
-from wavequake.mechanics.disturbances.registry import analytic_rms, draw_case
 
 OFFSET = 0.100722
 

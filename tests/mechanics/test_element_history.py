@@ -12,15 +12,12 @@ from pydantic import ValidationError
 
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances import history_facts, history_table
-from wavequake.mechanics.disturbances.element_history import SurfaceHistory, history_of, read_table
-from wavequake.mechanics.disturbances.element_motion import (
-    SurfaceDeformation,
-    SurfaceRandom,
-    draw_elements,
-    figure_terms,
-    instants_of,
-)
-from wavequake.mechanics.disturbances.registry import Combine
+from wavequake.mechanics.disturbances.element_motion import draw_elements
+from wavequake.mechanics.disturbances.layout import NO_SEGMENTS
+from wavequake.mechanics.disturbances.registry import Combine, instants_of
+from wavequake.mechanics.disturbances.sources.element_history import SurfaceHistory, history_of, read_table
+from wavequake.mechanics.disturbances.sources.surface_deformation import SurfaceDeformation
+from wavequake.mechanics.disturbances.sources.surface_random import SurfaceRandom
 
 TABLE = """# measured on a Tuesday
 time_s, L1 front.dx_um ,M1.rz_urad,M1.z3_nm,M1.z5_nm,L1 front.dz_um,line_of_sight.y_mas
@@ -71,7 +68,7 @@ def test_the_instants_are_the_rows_and_part_of_the_record():
     again = SurfaceHistory.model_validate(json.loads(SHAKE.model_dump_json()))
     assert again == SHAKE
     assert SHAKE.of == ("L1 front", "M1")
-    assert figure_terms(SHAKE) == {"M1": 5}
+    assert SHAKE.figure_terms(NO_SEGMENTS) == {"M1": 5}
     before = SurfaceHistory(name="early", file_csv="time_s,M.dx_um\n-2,1\n-1,1")
     assert (before.instants, before.duration_s) == (2, 0.1)
 

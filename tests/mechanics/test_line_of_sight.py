@@ -3,7 +3,6 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 from scipy import stats
 
-from wavequake.mechanics.disturbances.line_of_sight import LineOfSight
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
 from wavequake.mechanics.disturbances.registry import (
     Disturbance,
@@ -11,7 +10,8 @@ from wavequake.mechanics.disturbances.registry import (
     draw_case,
     line_of_sight_rms_mas,
 )
-from wavequake.mechanics.disturbances.vibration_lines import Line, VibrationLines, lines_of
+from wavequake.mechanics.disturbances.sources.line_of_sight import LineOfSight
+from wavequake.mechanics.disturbances.sources.vibration_lines import Line, VibrationLines, lines_of
 
 adapter = TypeAdapter(Disturbance)
 CSV = "frequency_hz,psd\n1,2\n3,2\n4,0\n"

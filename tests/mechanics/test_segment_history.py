@@ -3,7 +3,7 @@ import pytest
 from pydantic import ValidationError
 
 from wavequake.mechanics.disturbances.registry import draw_case
-from wavequake.mechanics.disturbances.segment_history import SegmentHistory
+from wavequake.mechanics.disturbances.sources.segment_history import SegmentHistory
 
 FINE = SegmentHistory(name="quake", instants=2048)
 

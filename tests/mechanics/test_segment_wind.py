@@ -4,7 +4,7 @@ from pydantic import ValidationError
 from scipy import integrate, signal, stats
 
 from wavequake.mechanics.disturbances.registry import analytic_rms, draw_case, generator
-from wavequake.mechanics.disturbances.segment_wind import (
+from wavequake.mechanics.disturbances.sources.segment_wind import (
     SegmentWind,
     _gusts,
     compliance,

@@ -61,7 +61,7 @@ def test_every_bundled_system_is_of_the_right_kind():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"shape": None}, r"the system one: surfaces\[0\].shape is None; it must be a Conic or"),
+        ({"shape": None}, r"the system one: surfaces\[0\].shape is None; it must be a Shape"),
         ({"shape": Conic("flat")}, r"surfaces\[0\].shape.radius is 'flat'; it must be a number"),
         ({"shape": Conic(-1000.0, True)}, "shape.conic is True; it must be a number"),
         ({"shape": EvenAsphere(-1000.0, 0.0, 0.1)}, "coefficients is 0.1; it must be a tuple"),

@@ -60,10 +60,10 @@ def test_a_file_with_a_byte_order_mark(tmp_path):
 
 
 def test_a_missing_file_and_a_binary_one(tmp_path):
-    with pytest.raises(UserError, match=r"no-such\.csv cannot be read: No such file"):
+    with pytest.raises(UserError, match=r"no-such\.csv cannot be read \(No such file"):
         read_polygons(tmp_path / "no-such.csv")
     (tmp_path / "photo.csv").write_bytes(b"\xff\xfe\x00\x01")
-    with pytest.raises(UserError, match=r"photo\.csv is not a table in CSV"):
+    with pytest.raises(UserError, match=r"photo\.csv is no text in UTF-8"):
         read_polygons(tmp_path / "photo.csv")
 
 

@@ -9,10 +9,11 @@ from wavefront_cases import two_of_492
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
 from wavequake.kernels.device.tiles import TILE
+from wavequake.optics.derivatives.central import DOFS, Steps
 from wavequake.optics.rays.pupils import PupilRays, on_glass, sunflower
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.prepared import prepare
-from wavequake.optics.segments.sensitivity import DOFS, Steps, sensitivities
+from wavequake.optics.segments.sensitivity import sensitivities
 from wavequake.optics.segments.states import rest
 from wavequake.optics.segments.telescope import ConicSurface
 from wavequake.optics.segments.wavefront import measure

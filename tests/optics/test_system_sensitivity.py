@@ -9,9 +9,9 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
 from wavequake.optics.catalog.lenses import TABLE_5_1
 from wavequake.optics.catalog.names import optical_system
+from wavequake.optics.derivatives.central import DOFS, Steps
 from wavequake.optics.derivatives.sensitivity import figure_sensitivity, rigid_sensitivity
 from wavequake.optics.rays.pupils import sunflower
-from wavequake.optics.segments.sensitivity import DOFS, Steps
 from wavequake.optics.shapes.shapes import Conic, Opening, ZernikeDeformation
 from wavequake.optics.systems.bodies import rigid_body
 from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface

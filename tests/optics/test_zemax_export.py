@@ -86,7 +86,7 @@ def systems(draw):
         )
         z += draw(st.floats(-100, 100))
     infinite = draw(st.booleans())
-    kinds = ["entrance_diameter", "stop", "f_number"] if infinite else ["stop", "object_na", "f_number"]
+    kinds = ["entrance_diameter", "stop", "f_number"] if infinite else ["stop", "f_number"]
     pairs = st.lists(st.tuples(numbers, numbers), min_size=1, max_size=4)
     waves = draw(st.lists(st.floats(400e-6, 1000e-6), min_size=1, max_size=4))
     return OpticalSystem(
@@ -98,7 +98,6 @@ def systems(draw):
         fields=np.array(draw(pairs)) * (0.01 if infinite else 1.0),
         wavelengths=np.array(waves),
         primary_wavelength=draw(st.integers(0, len(waves) - 1)),
-        telecentric=not infinite and draw(st.booleans()),
         medium=medium if surfaces[0].action == "reflect" else AIR,
     )
 

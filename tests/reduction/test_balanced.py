@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import RayleighDamping
-from wavequake.reduction.balanced import oscillators, position_gramian
+from wavequake.reduction.methods.balanced import oscillators, position_gramian
 from wavequake.reduction.metrics import receptance
 from wavequake.reduction.names import Variant
 from wavequake.reduction.reduce import reduce

@@ -3,7 +3,7 @@ import pytest
 import scipy.linalg
 
 from wavequake.errors import UserError
-from wavequake.reduction import irka as module
+from wavequake.reduction.methods import irka as module
 from wavequake.reduction.metrics import receptance
 from wavequake.reduction.reduce import reduce
 from wavequake.reduction.two_stage import reduce_variants

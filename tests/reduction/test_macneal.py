@@ -9,8 +9,8 @@ from wavequake.mechanics.model import RayleighDamping
 from wavequake.mechanics.vibration.drive import Drive, Harmonic
 from wavequake.mechanics.vibration.modal import modal_model
 from wavequake.mechanics.vibration.response import displacements, respond
-from wavequake.reduction.component_modes import MASSLESS_HZ
 from wavequake.reduction.intermediate import intermediate
+from wavequake.reduction.methods.component_modes import MASSLESS_HZ
 from wavequake.reduction.metrics import eps_mor, pseudo_frequencies, receptance
 from wavequake.reduction.names import parse
 from wavequake.reduction.reduce import reduce

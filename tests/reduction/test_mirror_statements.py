@@ -70,9 +70,10 @@ def test_band_limited_balanced_truncation_needs_42_states(worst):
     assert worst("bt36", 1, 1200) > 0.1
 
 
-def test_pseudo_frequencies_of_krylov_are_far_above_those_of_craig_bampton(variants):
-    for krylov, craigb in (("krylov36(150)", "craigb36"), ("krylov72(150,450)", "craigb72")):
-        assert pseudo_frequencies(variants[krylov])[-1] > 1.5 * pseudo_frequencies(variants[craigb])[-1]
+def test_pseudo_frequencies_of_krylov_are_above_those_of_craig_bampton(variants):
+    pairs = (("krylov36(150)", "craigb36", 1.2), ("krylov72(150,450)", "craigb72", 1.8))
+    for krylov, craigb, factor in pairs:
+        assert pseudo_frequencies(variants[krylov])[-1] > factor * pseudo_frequencies(variants[craigb])[-1]
 
 
 def test_defocus_is_near_300_hz(mirror_stage):

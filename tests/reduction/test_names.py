@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.reduction.names import METHODS, Variant, parse
+from wavequake.reduction.names import Variant, parse
 
 positive = st.floats(1e-3, 1e5)
 weights = st.floats(1e-6, 1e6)
@@ -80,7 +80,3 @@ def test_bad_names_are_explained(name, message):
 def test_order_and_name_must_agree():
     with pytest.raises(UserError, match="contradict"):
         parse("craigb36", 18)
-
-
-def test_every_method_has_arguments_that_the_parser_knows():
-    assert set(METHODS.values()) == {"", "points", "bands", "frequency"}

@@ -4,7 +4,7 @@ import scipy.integrate
 import scipy.linalg
 
 from wavequake.errors import UserError
-from wavequake.reduction import pod as module
+from wavequake.reduction.methods import pod as module
 from wavequake.reduction.metrics import pseudo_frequencies
 from wavequake.reduction.reduce import reduce
 from wavequake.reduction.structure import structure

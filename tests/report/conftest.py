@@ -102,6 +102,7 @@ def pristine():
             "strehl": (("case", "time"), strehl, {"long_name": "Strehl ratio <in some direction>"}),
             "ee50": ("case", np.full(cases, 0.6)),
             "ee80": ("case", ee80),
+            "peak": ("case", np.where(shake, 0.2, 0.75)),
             "rayleigh": ("case", np.where(status == DONE, 0.25, np.nan)),
             "marechal": ("case", np.where(status == DONE, (np.arange(cases) < 3) * 1.0, np.nan)),
             "exposure": (("case", "y", "x"), np.full((cases, 8, 8), 0.01)),

@@ -12,8 +12,8 @@ from dask.array import full
 from wavequake.campaign.contract import DONE
 from wavequake.report import exposures, mirror_exposures, mirror_traces, mirrors
 from wavequake.report.variants import few
+from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.mirrors import model_store
-from wavequake.workflows.run import WORKFLOWS
 from wavequake.workflows.study import load_study
 
 MIRROR = {
@@ -37,7 +37,7 @@ def lazy_store(name, keys, copies):
     """Return a store of made-up numbers, each case of the study so many times, in chunks as if from files."""
     study = load_study(name, keys)
     text = study.identity_text()
-    workflow = WORKFLOWS[study.study.workflow]
+    workflow = find_kind(study.study.workflow)
     template = workflow.template(text)
     first = study.cases
     cases = first * copies

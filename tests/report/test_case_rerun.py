@@ -10,7 +10,9 @@ from wavequake import cli
 from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
 from wavequake.report.rerun import rerun_stored
-from wavequake.workflows.run import WORKFLOWS, run
+from wavequake.workflows import kinds
+from wavequake.workflows.kinds import find_kind
+from wavequake.workflows.run import run
 
 STUDY = """
 [study]
@@ -62,14 +64,14 @@ def test_a_case_again_has_the_bits_of_the_store_and_its_rays(store, case, tmp_pa
 
 
 def test_other_numbers_than_stored_are_named(store, wavequake, monkeypatch, tmp_path):
-    workflow = WORKFLOWS["segment-disturbance"]
+    workflow = find_kind("segment-disturbance")
 
     def other(text, cases, device):
         result = workflow.compute(text, cases, device)
         result.arrays["strehl"][0, 0] = np.nextafter(result.arrays["strehl"][0, 0], 1)
         return result
 
-    monkeypatch.setitem(WORKFLOWS, workflow.name, dataclasses.replace(workflow, compute=other))
+    monkeypatch.setitem(kinds._registered, workflow.name, dataclasses.replace(workflow, compute=other))
     found = rerun_stored(store, 2, tmp_path / "case.nc")
     assert found.differing == ("strehl",)
     assert "Not the bits of the store: strehl." in found.lines()
@@ -81,8 +83,8 @@ def test_a_case_that_fails_again_says_where(store, monkeypatch, tmp_path):
     def broken(text, cases, device):
         raise ZeroDivisionError("no light")
 
-    workflow = dataclasses.replace(WORKFLOWS["segment-disturbance"], compute=broken)
-    monkeypatch.setitem(WORKFLOWS, workflow.name, workflow)
+    workflow = dataclasses.replace(find_kind("segment-disturbance"), compute=broken)
+    monkeypatch.setitem(kinds._registered, workflow.name, workflow)
     found = rerun_stored(store, 2, tmp_path / "case.nc")
     assert found.lines()[0] == "case 2: done in the store, raised now"
     assert "in broken" in found.trouble

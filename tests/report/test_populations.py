@@ -53,6 +53,7 @@ def test_summary_of_a_hand_made_population(campaign):
     assert wind.strehl_p50.value == pytest.approx(0.65)
     assert (wind.strehl_p50.low, wind.strehl_p50.high) == (-np.inf, np.inf)  # 3 draws, however many instants
     assert wind.ee80_p50.value == 1.25
+    assert wind.peak_p5.value == 0.75
     assert wind.los_jitter.radial == 0.0
     assert shake.los_jitter.radial == pytest.approx(5.0)
     assert shake.centroid_jitter.radial == pytest.approx(0.5)

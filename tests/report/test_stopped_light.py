@@ -15,7 +15,7 @@ from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.prepared import prepare
 from wavequake.report.vignetting import stopped_light
 from wavequake.workflows.budgets.budget import budget
-from wavequake.workflows.run import workflow_of
+from wavequake.workflows.run import kind_of
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.vignetting import stopped_at_rest
@@ -167,7 +167,7 @@ def test_figured_segments_of_such_a_telescope_have_images(tmp_path):
     cases = np.arange(2)
     one, other = (workflow.compute(text, cases, "numpy") for text in (plain, figured))
     assert (other.status == DONE).all()
-    for name in ("exposure", "ee50", "ee80", "vignetted"):
+    for name in ("exposure", "peak", "ee50", "ee80", "vignetted"):
         np.testing.assert_allclose(one.arrays[name], other.arrays[name], rtol=0, atol=1e-6)
     alone = workflow.compute(figured, cases[1:], "numpy")
     np.testing.assert_array_equal(alone.arrays["exposure"][0], other.arrays["exposure"][1])
@@ -199,7 +199,7 @@ def test_what_cannot_be_is_refused_with_the_mirror_and_the_rays(tmp_path, keys, 
 
 def check(study):
     """Raise what a study's workflow says against it."""
-    workflow_of(study).check(study.identity_text())
+    kind_of(study).check(study.identity_text())
 
 
 @pytest.mark.parametrize("keys", [{}, {"wavefront.reference": "fitted"}, {"wavefront.method": "slopes"}])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from wavequake.report import systems
+from wavequake.report import system_populations
 
 CASES, CHUNK, INSTANTS, FIELDS, WAVES = 37, 5, 8, 3, 2
 BENCH = SimpleNamespace(system=SimpleNamespace(primary_wavelength=1))
@@ -29,7 +29,7 @@ def random_store(seed=1):
     status = np.ones(CASES, dtype=np.int8)
     status[[0, 4, 36]] = (2, 0, 3)
     time = np.where(short[:, None] & (np.arange(INSTANTS) >= 3), np.nan, np.arange(INSTANTS) * 0.1)
-    data = {name: series("case", "time", "field", "wavelength") for name in systems._SERIES[:5]}
+    data = {name: series("case", "time", "field", "wavelength") for name in system_populations._SERIES[:5]}
     data["los_mm"] = series("case", "time", "field", "wavelength", "axis", scale=1e-3)
     counted = ("case", "field", "wavelength")
     data["vignetted"] = (counted, random.integers(0, 9, (CASES, FIELDS, WAVES)).astype(float))
@@ -47,9 +47,9 @@ def random_store(seed=1):
 
 @pytest.mark.parametrize("block_bytes", [1, 20_000, 2**26])
 def test_every_number_is_that_of_the_whole_series(monkeypatch, block_bytes):
-    monkeypatch.setattr(systems, "_BLOCK_BYTES", block_bytes)
+    monkeypatch.setattr(system_populations, "_BLOCK_BYTES", block_bytes)
     dataset = random_store()
-    found = systems.populations(dataset, BENCH)
+    found = system_populations.populations(dataset, BENCH)
     assert [one.name for one in found] == ["hum", "askew"]
     for one, instants in zip(found, (3, INSTANTS), strict=True):
         mine = (dataset["disturbance"] == one.name) & (dataset["status"] == 1)
@@ -76,8 +76,8 @@ def test_every_number_is_that_of_the_whole_series(monkeypatch, block_bytes):
 
 
 def test_a_median_is_of_evenly_spaced_instants_where_there_are_many(monkeypatch):
-    monkeypatch.setattr(systems, "_INSTANTS", 100)
-    askew = systems.populations(random_store(), BENCH)[1]
+    monkeypatch.setattr(system_populations, "_INSTANTS", 100)
+    askew = system_populations.populations(random_store(), BENCH)[1]
     light = random_store().isel(wavelength=1).sel(case=askew.cases).isel(time=slice(None, None, 2))  # 22 x 8
     assert askew.fields[0].strehl_p50 == np.median(light["strehl"].isel(field=0))
 
@@ -85,28 +85,29 @@ def test_a_median_is_of_evenly_spaced_instants_where_there_are_many(monkeypatch)
 def test_blocks_are_whole_chunks_of_bounded_size():
     light = random_store().isel(wavelength=1)
     each = INSTANTS * FIELDS * (5 + 2) * 8
-    assert list(systems._blocks(light)) == [(0, CASES)]
+    assert list(system_populations._blocks(light)) == [(0, CASES)]
     assert [last - first for first, last in _bounded(light, 2 * CHUNK * each + 1)] == [10, 10, 10, 7]
     assert [last - first for first, last in _bounded(light, 1)] == [5] * 7 + [2]
 
 
 def _bounded(light, size):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(systems, "_BLOCK_BYTES", size)
-        return list(systems._blocks(light))
+        patch.setattr(system_populations, "_BLOCK_BYTES", size)
+        return list(system_populations._blocks(light))
 
 
 def test_a_store_without_finished_cases_has_empty_populations():
     dataset = random_store()
     dataset["status"][:] = 0
-    assert [(one.fields, one.worst) for one in systems.populations(dataset, BENCH)] == [((), None)] * 2
+    found = system_populations.populations(dataset, BENCH)
+    assert [(one.fields, one.worst) for one in found] == [((), None)] * 2
 
 
 def summarized(dataset):
     """The store that would keep statistics over time of the same numbers."""
     light = dataset.compute()
     found = {name: light[name] for name in ("vignetted", "lost", "marechal", "status")}
-    for name in systems._SERIES:
+    for name in system_populations._SERIES:
         values = light[name]
         if name == "los_mm":
             values = np.hypot(values.isel(axis=0), values.isel(axis=1))
@@ -126,9 +127,9 @@ def summarized(dataset):
 
 @pytest.mark.parametrize("block_bytes", [1, 2**26])
 def test_a_summary_gives_the_same_numbers_as_far_as_it_holds_them(monkeypatch, block_bytes):
-    monkeypatch.setattr(systems, "_BLOCK_BYTES", block_bytes)
+    monkeypatch.setattr(system_populations, "_BLOCK_BYTES", block_bytes)
     dataset = random_store()
-    whole, short = (systems.populations(one, BENCH) for one in (dataset, summarized(dataset)))
+    whole, short = (system_populations.populations(one, BENCH) for one in (dataset, summarized(dataset)))
     for one, other in zip(whole, short, strict=True):
         assert (one.name, one.worst) == (other.name, other.worst)
         np.testing.assert_array_equal(one.cases, other.cases)

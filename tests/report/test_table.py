@@ -55,7 +55,7 @@ def test_rows_of_a_hand_made_campaign(campaign):
     assert (wind["Rayleigh"], wind["Maréchal"]) == (("25 %", ""), ("67 %", ""))
     assert shake["Maréchal"] == ("50 %", "")
     assert empty["Maréchal"] == ("–", "")
-    numbers = ("disturbance", "cases", "Strehl P5", "Strehl P50", "Rayleigh", "Maréchal")
+    numbers = ("disturbance", "cases", "Strehl P5", "Strehl P50", "peak P5", "Rayleigh", "Maréchal")
     for header in wind:
         assert header in numbers or header.endswith(("(nm)", "(mas)", "(λ/D)"))
 

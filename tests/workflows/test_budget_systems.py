@@ -14,7 +14,7 @@ from wavequake.workflows.budgets.budget_systems import variants
 from wavequake.workflows.segments.segment_disturbance import slot
 from wavequake.workflows.study import load_study
 from wavequake.workflows.systems.system_bench import system_bench
-from wavequake.workflows.systems.system_disturbance import compute
+from wavequake.workflows.systems.system_disturbance import KIND
 
 STUDY = """
 [study]
@@ -114,7 +114,7 @@ def test_what_is_without_a_factor_is_a_direct_trace(study, found):
     text = study.identity_text()
     slots = [slot(study.disturbance, case) for case in range(4)]
     case = next(i for i, (one, realization) in enumerate(slots) if (one.name, realization) == ("fine", 0))
-    direct = compute(text, np.array([case]), "numpy")
+    direct = KIND.compute(text, np.array([case]), "numpy")
     light = system_bench(text).system.primary_wavelength
     change = direct.arrays["wfe_change"][0, :, :, light]
     value = found["value"].sel(case=0, variant="without coarse", quantity="wfe_change")

@@ -119,8 +119,8 @@ def test_a_plan_says_which_chunk_would_suit_better(monkeypatch, seconds, chunk, 
         clock.__defaults__[0][0] += seconds * len(ids)
 
     study = load_study("tmt18-history", {"campaign.cases": cases, "store.chunk_cases": chunk})
-    workflow = dataclasses.replace(campaign.workflow_of(study), compute=compute)
-    monkeypatch.setattr(campaign, "workflow_of", lambda study: workflow)
+    workflow = dataclasses.replace(campaign.kind_of(study), compute=compute)
+    monkeypatch.setattr(campaign, "kind_of", lambda study: workflow)
     monkeypatch.setattr(campaign.time, "perf_counter", clock)
     assert plan(study)["one chunk"] == words
 

@@ -5,7 +5,7 @@ import pytest
 from test_system_disturbance import study_of
 
 from wavequake.campaign.contract import DONE
-from wavequake.workflows.systems.system_disturbance import compute
+from wavequake.workflows.systems.system_disturbance import KIND
 
 MOVED = """
 [study]
@@ -41,9 +41,9 @@ rms_nm = { 5 = 10.0, 8 = 10.0 }
 )
 def test_light_that_follows_the_stop_of_a_case_depends_on_no_other(tmp_path, name, surface):
     text = study_of(tmp_path, MOVED.replace("NAME", name).replace("SURFACE", surface)).identity_text()
-    chunk = compute(text, np.arange(9), "auto")
+    chunk = KIND.compute(text, np.arange(9), "auto")
     assert (chunk.status == DONE).all(), chunk.messages
     for case in (0, 1, 4, 8):
-        alone = compute(text, np.array([case]), "auto").arrays
+        alone = KIND.compute(text, np.array([case]), "auto").arrays
         for label, values in alone.items():
             assert values[0].tobytes() == chunk.arrays[label][case].tobytes()

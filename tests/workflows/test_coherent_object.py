@@ -7,6 +7,8 @@ import pytest
 from scipy.special import j1
 
 from wavequake.campaign.store.store import open_store
+from wavequake.chain.images.coherent import lit_by_cells, lit_object, mean_image, source_of
+from wavequake.chain.images.extended import ObjectSection, object_image
 from wavequake.errors import UserError
 from wavequake.imaging.engines.matrix_fourier import matrix_fourier
 from wavequake.imaging.engines.segment_basis import ray_basis
@@ -15,8 +17,6 @@ from wavequake.imaging.objects.formation import coherent_image, partially_cohere
 from wavequake.imaging.objects.shapes import double_slit
 from wavequake.imaging.pupils.pupil_function import annular_pupil
 from wavequake.imaging.pupils.pupil_shape import PupilShape
-from wavequake.workflows.exposures.coherent_object import lit_by_cells, lit_object, mean_image, source_of
-from wavequake.workflows.exposures.exposed_object import ObjectSection, object_image
 from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 

@@ -7,7 +7,7 @@ import pytest
 import toy
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from wavequake.campaign.contract import ChunkResult, Workflow
+from wavequake.campaign.contract import ChunkResult, StudyKind
 from wavequake.campaign.engine.chunks import BrokenWorkflowError
 from wavequake.campaign.engine.driver import run_campaign
 from wavequake.campaign.store.store import open_store, read_manifest
@@ -91,7 +91,7 @@ def test_only_the_guilty_cases_are_quarantined(tmp_path):
 
 
 def campaign(path, compute, **keywords):
-    workflow = Workflow("toy", toy.template, toy.case_table, compute)
+    workflow = StudyKind("toy", toy.template, toy.case_table, compute)
     return run_campaign(
         workflow, toy.study(), path, cases=4, chunk=2, device="numpy", on="serial", **keywords
     )

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from wavequake.campaign.store.store import open_store
+from wavequake.chain.images.extended import ObjectSection, object_image
 from wavequake.errors import UserError
 from wavequake.imaging.engines.matrix_fourier import matrix_fourier, psf
 from wavequake.imaging.exposures.detector import pixel_means
@@ -14,7 +15,6 @@ from wavequake.imaging.exposures.mtf import ideal_mtf
 from wavequake.imaging.objects.shapes import resolution_chart
 from wavequake.imaging.pupils.pupil_function import annular_pupil
 from wavequake.report.campaign import report_store
-from wavequake.workflows.exposures.exposed_object import ObjectSection, object_image
 from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
 

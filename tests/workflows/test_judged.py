@@ -19,7 +19,8 @@ from wavequake.campaign.store.retention import stored_template
 from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
 from wavequake.report.tail import RareQuestion, per_case, rare_events
-from wavequake.workflows.run import WORKFLOWS, run_study
+from wavequake.workflows.kinds import find_kind
+from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study, study_with
 
 pytestmark = pytest.mark.usefixtures("mirror_models")
@@ -150,7 +151,7 @@ def goal_of_text(variable):
 
 def test_goals_are_read_with_their_labels(lens):
     study, _ = lens
-    template = stored_template(WORKFLOWS["lens-experiment"], study.identity_text())
+    template = stored_template(find_kind("lens-experiment"), study.identity_text())
     assert goal_of("deviation[controller=FF+FI].p95 ci<=5%", template) == Goal(
         "deviation[controller=FF+FI]", 0.95, 0.05
     )
@@ -167,7 +168,7 @@ def test_lens_experiments_are_judged_per_controller_and_springs(lens):
     study, path = lens
     dataset = open_store(path)
     text = "deviation[controller=FF].p50 ci<=5%"
-    template = stored_template(WORKFLOWS["lens-experiment"], study.identity_text())
+    template = stored_template(find_kind("lens-experiment"), study.identity_text())
     assert judged_of_template("deviation", template) == judged_in("deviation", dataset)
     found = quantiles_of(goal_of(text, template), dataset)
     assert list(found) == sorted(study.bench.springs)

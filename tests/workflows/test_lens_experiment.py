@@ -8,7 +8,7 @@ from wavequake.control.bench import bench_modes, fitted_bench
 from wavequake.control.experiment import CONTROLLERS
 from wavequake.errors import UserError
 from wavequake.workflows.lens import lens_experiment
-from wavequake.workflows.lens.lens_experiment import WORKFLOW, case_table, compute, template
+from wavequake.workflows.lens.lens_experiment import KIND, case_table, compute, template
 from wavequake.workflows.run import chunk_of, run
 from wavequake.workflows.study import load_study
 
@@ -99,7 +99,7 @@ def test_a_store_reads_back(tmp_path):
 )
 def test_designs_that_cannot_be_are_refused_before_a_store_is_made(overrides, words):
     with pytest.raises(UserError, match=words):
-        WORKFLOW.check(load_study("lens-experiment", overrides).identity_text())
+        KIND.check(load_study("lens-experiment", overrides).identity_text())
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_bad_keys_are_named(override, words):
 
 
 def test_the_plan_names_modes_and_delay():
-    lines = WORKFLOW.describe(TEXT)
+    lines = KIND.describe(TEXT)
     assert "8.0 ms" in lines["stage"]
     assert "11 modes of 19.8 to 79.7 rad/s" in lines["springs initial"]
 

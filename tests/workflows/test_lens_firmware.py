@@ -13,7 +13,7 @@ from wavequake.firmware import kept
 from wavequake.firmware.build import BOARDS, compiler_of, image_hash
 from wavequake.firmware.gains import gains_of
 from wavequake.workflows.lens.lens_experiment import (
-    WORKFLOW,
+    KIND,
     chain_of,
     compute,
     designs_of,
@@ -109,7 +109,7 @@ def test_a_store_holds_the_hashes(tmp_path):
 def test_gains_out_of_range_are_refused_before_a_store_is_made():
     soft = load_study("lens-firmware", ["stage.gain=1e-6"])
     with pytest.raises(UserError, match="beyond the range of q31"):
-        WORKFLOW.check(soft.identity_text())
+        KIND.check(soft.identity_text())
 
 
 def test_a_plant_whose_gains_are_out_of_range_is_quarantined_alone(monkeypatch):

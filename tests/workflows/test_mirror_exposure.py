@@ -23,7 +23,7 @@ from wavequake.report.animation import animate_case
 from wavequake.report.campaign import report_store, summary_table
 from wavequake.workflows.exposures import mirror_exposure
 from wavequake.workflows.exposures.mirror_exposure import (
-    WORKFLOW,
+    KIND,
     aberrations_of,
     compute,
     exposed_instants,
@@ -191,7 +191,7 @@ def test_a_wavefront_that_is_no_number_is_quarantined_alone(study, monkeypatch):
 def test_images_wider_than_the_pupils_period_are_refused_before_a_case_runs():
     study = load_study("mirror-exposure", SMALL | {"imaging.pixels": 128})
     with pytest.raises(UserError, match=r"computed 64 lambda/D wide.*set it to at least 64"):
-        WORKFLOW.check(study.identity_text())
+        KIND.check(study.identity_text())
 
 
 def test_the_table_of_a_mirror(store, dataset):

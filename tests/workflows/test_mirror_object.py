@@ -7,15 +7,15 @@ import pytest
 from small_mirrors import eleven
 
 from wavequake.campaign.store.store import open_store
+from wavequake.chain.images.coherent import source_of
 from wavequake.errors import UserError
 from wavequake.imaging.objects.formation import coherent_image, incoherent_image, partially_coherent_image
 from wavequake.imaging.objects.shapes import double_slit
 from wavequake.imaging.pupils.pupil_shape import PupilShape
 from wavequake.report.campaign import report_store
 from wavequake.workflows.exposures import mirror_exposure
-from wavequake.workflows.exposures.coherent_object import source_of
 from wavequake.workflows.exposures.mirror_exposure import (
-    WORKFLOW,
+    KIND,
     aberrations_of,
     compute,
     study_of,
@@ -152,7 +152,7 @@ def test_objects_that_are_none_are_refused_when_the_study_is_loaded(keys, words)
 def test_an_object_that_does_not_fit_is_refused_before_a_case_runs(light):
     study = load_study("mirror-exposure", SMALL | {"object.chart": [9.0]} | light)
     with pytest.raises(UserError, match="the chart is"):
-        WORKFLOW.check(study.identity_text())
+        KIND.check(study.identity_text())
 
 
 def test_a_pupil_too_coarse_for_a_coherent_object_is_warned_of(monkeypatch):
@@ -164,7 +164,7 @@ def test_a_pupil_too_coarse_for_a_coherent_object_is_warned_of(monkeypatch):
         text = load_study("mirror-exposure", SMALL | SLITS | LIGHTS[light] | keys).identity_text()
         tilted[..., 0] = 10.0 * bench_of(text, "circular").optics.resolution
         monkeypatch.setattr(mirror_exposure, "aberrations_of", lambda *_: tilted)
-        (notice,) = WORKFLOW.notices(text)
+        (notice,) = KIND.notices(text)
         needed[light] = int(re.search(r"need (\d+)", notice).group(1))
     # Where the light is incoherent, one frame and 0.5 waves of defocus (4 sqrt(3) per radius) count.
     assert needed["incoherent"] == int(np.ceil(2.0 * (10.0 + 8.0 + 2.0 * 0.5 * 4.0 * np.sqrt(3.0))))

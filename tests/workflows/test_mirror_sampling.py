@@ -2,7 +2,7 @@
 
 import pytest
 
-from wavequake.workflows.exposures.mirror_exposure import WORKFLOW
+from wavequake.workflows.exposures.mirror_exposure import KIND
 from wavequake.workflows.mirrors import model_store
 from wavequake.workflows.study import load_study
 
@@ -26,7 +26,7 @@ def models(tmp_path, monkeypatch):
 
 def told(**keys):
     study = load_study("mirror-exposure", SMALL | {f"imaging.{key}": value for key, value in keys.items()})
-    return list(WORKFLOW.notices(study.identity_text()))
+    return list(KIND.notices(study.identity_text()))
 
 
 def test_a_pupil_too_coarse_is_told_of_once_a_model():

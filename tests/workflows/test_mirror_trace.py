@@ -7,6 +7,7 @@ from typer.testing import CliRunner
 
 from wavequake import cli
 from wavequake.campaign.engine.rerun import retry_store, statuses
+from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.campaign.store.journal import read_journal
 from wavequake.campaign.store.store import open_store
 from wavequake.campaign.store.verify import verify_store
@@ -16,12 +17,13 @@ from wavequake.mechanics.vibration.modal import modal_model
 from wavequake.mechanics.vibration.response import displacements, respond
 from wavequake.optics.shapes.fit import apply
 from wavequake.optics.shapes.motion_fit import motion_fit
+from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.mirrors import mirror_trace
 from wavequake.workflows.mirrors.mirror_bench import bench_of, time_of, variant_of
 from wavequake.workflows.mirrors.mirror_optics import displacements_mm
 from wavequake.workflows.mirrors.mirror_residual import coordinates_of
-from wavequake.workflows.mirrors.mirror_trace import MODAL, STAGES, STANDARD, Clock, compute, standard_method
-from wavequake.workflows.run import WORKFLOWS, plan, run_study
+from wavequake.workflows.mirrors.mirror_trace import MODAL, STAGES, STANDARD, compute, standard_method
+from wavequake.workflows.run import plan, run_study
 from wavequake.workflows.study import load_study
 
 pytestmark = pytest.mark.usefixtures("mirror_models")
@@ -94,7 +96,7 @@ def test_modes_of_which_only_z_is_kept_are_off_by_percents():
         motion_fit(bench.optics.surface, displacements_mm(variant.surface.T)),
         coordinates_of(response),
     )
-    traced = standard_method(bench.optics, motion, coordinates, choose_device("auto"), Clock())
+    traced = standard_method(bench.optics, motion, coordinates, choose_device("auto"), Stopwatch())
     moved = displacements_mm(displacements(response, variant.surface)[0])
     truth = traced.aberrations[:, 5:]
     size = np.sqrt(np.sum(truth**2, axis=1)).max()
@@ -142,7 +144,7 @@ def test_the_store_has_labels_and_seconds_per_stage(store):
 
 def test_a_retried_store_keeps_its_numbers_but_not_the_readings_of_the_clock(store):
     before = open_store(store)["wfe_rms_modal"].isel(case=0).values
-    summary = retry_store(WORKFLOWS["mirror-trace"], store, statuses("raised"), on="serial")
+    summary = retry_store(find_kind("mirror-trace"), store, statuses("raised"), on="serial")
     assert (summary.computed, summary.quarantined) == (2, 1)
     np.testing.assert_array_equal(open_store(store)["wfe_rms_modal"].isel(case=0).values, before)
 

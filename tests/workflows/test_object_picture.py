@@ -7,9 +7,9 @@ import pytest
 from matplotlib.image import imsave
 
 from wavequake.campaign.store.store import open_store
+from wavequake.chain.images.extended import ObjectSection, object_picture
+from wavequake.chain.images.picture import in_frame, picture_of, read_picture
 from wavequake.errors import UserError
-from wavequake.workflows.exposures.exposed_object import ObjectSection, object_picture
-from wavequake.workflows.exposures.object_picture import in_frame, picture_of, read_picture
 from wavequake.workflows.exposures.telescope_control import segment_text
 from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study
@@ -54,8 +54,8 @@ def test_a_picture_lies_in_the_middle_of_its_frame():
         ("a.npy", np.ones((0, 4)), r"shape \(0, 4\)"),
         ("a.npy", np.ones((2, 2), dtype=complex), "complex128, not real"),
         ("a.npy", np.array([["a"]]), "not real"),
-        ("a.npy", b"", "is no picture"),
-        ("a.npy", b"nothing", "is no picture"),
+        ("a.npy", b"", "it is no NumPy array"),
+        ("a.npy", b"nothing", "it is no NumPy array"),
         ("a.csv", b"", "it is empty"),
         ("a.csv", b"1,2\n3\n", r"is no picture \(row 1 has 2 values, row 2 has 1\)"),
         ("a.csv", b"1,nan\n", "not finite"),

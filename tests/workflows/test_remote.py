@@ -3,16 +3,22 @@
 import os
 import shutil
 import socket
+import stat
 import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import dask
+import psutil
 import pytest
 import toy
+from distributed import Client
+from distributed.security import Security
 
 from wavequake.cluster.address import connected
+from wavequake.cluster.certificate import make_certificate, make_security
 from wavequake.cluster.places import place_of
 from wavequake.cluster.template import Address, read_template, tls_settings
 from wavequake.errors import UserError
@@ -35,7 +41,6 @@ def certificates(folder):
 @pytest.fixture
 def encrypted(tmp_path):
     from distributed import LocalCluster
-    from distributed.security import Security
 
     file = certificates(tmp_path / "ours")
     with dask.config.set(tls_settings(read_template(Address, file).tls)):
@@ -176,9 +181,13 @@ def test_a_host_on_another_network_gives_the_bits_of_a_serial_run(tmp_path):
     assert toy.digests(tmp_path / "s") == toy.digests(tmp_path / "serial")
 
 
-@pytest.mark.parametrize("scheme", ["tcp", "tls"])
-def test_hosts_that_ssh_reaches_give_the_bits_of_a_serial_run(tmp_path, host, scheme):
-    if scheme == "tls":
+def listening(dask_worker):
+    return {one.laddr.port for one in psutil.Process().net_connections("tcp") if one.status == "LISTEN"}
+
+
+@pytest.mark.parametrize("made", ["for the run", "before"])
+def test_hosts_that_ssh_reaches_give_the_bits_of_a_serial_run(tmp_path, host, made):
+    if made == "before":
         host.write_text(host.read_text() + certificates(tmp_path / "ours").read_text())
 
     def environment():
@@ -187,7 +196,19 @@ def test_hosts_that_ssh_reaches_give_the_bits_of_a_serial_run(tmp_path, host, sc
     with place_of("ssh", host)(None, False) as client:
         client.wait_for_workers(2, timeout=30)
         assert list(client.run(environment).values()) == [["1", "1"]] * 2
-        assert client.scheduler.address.startswith(f"{scheme}://127.0.0.1:")
+        assert client.scheduler.address.startswith("tls://127.0.0.1:")
+        for worker, ports in client.run(listening).items():
+            assert {int(worker.rpartition(":")[2])} == ports  # no HTTP
+        for address, security in (
+            (client.scheduler.address.replace("tls", "tcp"), Security(require_encryption=False)),
+            (client.scheduler.address, make_security(make_certificate())),
+        ):
+            with pytest.raises(OSError, match=r"certificate|address|timed out|closed"):
+                Client(address, security=security, timeout=1, set_as_default=False)
+        kept = list(Path("/tmp").glob("wavequake-*"))
+        assert len(kept) == (made == "for the run")
+        assert all(stat.S_IMODE(folder.stat().st_mode) == 0o700 for folder in kept)
+    assert list(Path("/tmp").glob("wavequake-*")) == []
     assert toy.run(tmp_path / "s", on="ssh", cluster=host).computed == 40
     toy.run(tmp_path / "serial")
     assert toy.digests(tmp_path / "s") == toy.digests(tmp_path / "serial")

@@ -11,7 +11,7 @@ from wavequake.campaign.store.store import extend_store, open_store
 from wavequake.campaign.store.verify import verify_store
 from wavequake.cli import app
 from wavequake.errors import StoreDamageError, UserError
-from wavequake.workflows.run import WORKFLOWS
+from wavequake.workflows import kinds
 
 
 def workflow(flag, drift=0.0):
@@ -82,7 +82,7 @@ def test_unknown_statuses_are_named():
 
 def test_the_command_line_retries(tmp_path, monkeypatch):
     path = failed_store(tmp_path, monkeypatch)
-    monkeypatch.setitem(WORKFLOWS, "toy", workflow(tmp_path / "flag"))
+    monkeypatch.setitem(kinds._registered, "toy", workflow(tmp_path / "flag"))
     words = ["retry", str(path), "--status", "raised", "--on", "serial"]
     assert CliRunner().invoke(app, words).exit_code == 3
     (tmp_path / "flag").touch()

@@ -5,7 +5,7 @@ import pytest
 import toy
 from small_histories import SMALL
 
-from wavequake.campaign.contract import DIVERGED, DONE, Template, Variable, Workflow
+from wavequake.campaign.contract import DIVERGED, DONE, StudyKind, Template, Variable
 from wavequake.campaign.engine.chunks import Job, computed_alone, computed_chunk, opened_store
 from wavequake.campaign.statistics.judged import judged_in
 from wavequake.campaign.statistics.until import goal_of, quantiles_of
@@ -14,8 +14,9 @@ from wavequake.campaign.store.store import create_store, open_store
 from wavequake.errors import UserError
 from wavequake.report.comparison import compare
 from wavequake.report.tail import per_case
-from wavequake.workflows.run import WORKFLOWS, run_study
-from wavequake.workflows.study import STUDIES, load_study, study_with
+from wavequake.workflows.kinds import find_kind, kind_names
+from wavequake.workflows.run import run_study
+from wavequake.workflows.study import load_study, study_with
 
 pytestmark = pytest.mark.usefixtures("mirror_models")
 
@@ -136,7 +137,7 @@ def test_a_campaign_of_an_optical_system_stops_when_its_worst_field_is_known(sma
     for name, keys in (("none", {}), ("summary", {"reduce": "summary"})):
         study = study_with(study_of("system-disturbance"), {"store.reduce": name})
         text = study.identity_text()
-        goal = goal_of("wfe_rms.p50 ci<=5%", stored_template(WORKFLOWS["system-disturbance"], text))
+        goal = goal_of("wfe_rms.p50 ci<=5%", stored_template(find_kind("system-disturbance"), text))
         found = quantiles_of(goal, dataset("system-disturbance", **keys))
         whole = dataset("system-disturbance")
         for case, label in ((slice(0, None, 2), "hum"), (slice(1, None, 2), "sight")):
@@ -147,7 +148,7 @@ def test_a_campaign_of_an_optical_system_stops_when_its_worst_field_is_known(sma
             if keys:
                 expected = np.median(np.sqrt(np.nanmean(mine**2, axis=1)).max(axis=(1, 2)))
             assert found[label].value == pytest.approx(expected, rel=1e-12)
-    mirror = stored_template(WORKFLOWS["mirror-mor"], study_of("mirror-mor").identity_text())
+    mirror = stored_template(find_kind("mirror-mor"), study_of("mirror-mor").identity_text())
     with pytest.raises(UserError, match="There is no 'wfe' to judge; use one of order"):
         goal_of("wfe.p50 ci<=5%", mirror)
 
@@ -183,7 +184,7 @@ def test_a_workflow_without_histories_has_nothing_to_thin_out():
 
 
 def test_every_workflow_is_tested_here():
-    assert set(SMALL) == set(STUDIES) - {"lens-passive"} == set(WORKFLOWS) - {"lens-passive"}
+    assert set(SMALL) == set(kind_names()) - {"lens-passive"}
 
 
 def toy_store(tmp_path, **options):
@@ -227,5 +228,5 @@ def test_a_template_says_what_is_computed_at_a_time():
     third = kept_template(retention_of('{"store": {"every": 3}}'), computed)
     assert third.per_case["los"].shape == (2, 333, 2)
     np.testing.assert_array_equal(third.fixed["time"][1], np.arange(2.0, 999.0, 3.0))
-    workflow = Workflow("w", lambda text: computed, toy.case_table, toy.compute)
+    workflow = StudyKind("w", lambda text: computed, toy.case_table, toy.compute)
     assert kept_template(retention_of("{}"), workflow.template("{}")) is computed

@@ -6,10 +6,10 @@ from scipy.stats import norm
 
 from wavequake.campaign.statistics.quantiles import quantile
 from wavequake.campaign.store.store import open_store
+from wavequake.chain.sampling import Plan
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.streams import Coordinates
 from wavequake.workflows.run import run_study
-from wavequake.workflows.sampling import Plan
 from wavequake.workflows.segments.segment_disturbance import compute
 from wavequake.workflows.segments.segment_draws import sampling_plan
 from wavequake.workflows.study import load_study

@@ -8,7 +8,7 @@ from threadpoolctl import threadpool_limits
 from wavequake.campaign.contract import DONE, RAISED
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device, list_devices
-from wavequake.mechanics.disturbances.edge_sensors import EdgeSensorNoise
+from wavequake.mechanics.disturbances.sources.edge_sensors import EdgeSensorNoise
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.segments.prepared import trace_states
 from wavequake.workflows.segments import segment_disturbance as workflow

@@ -11,6 +11,7 @@ from wavequake.campaign.contract import DONE, RAISED
 from wavequake.campaign.store.retention import STATISTICS, kept_result
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import list_devices
+from wavequake.workflows import kinds
 from wavequake.workflows import run as campaign
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments import segment_modal
@@ -246,7 +247,7 @@ def test_without_images_the_other_numbers_stay(study):
         only, range(2), imaging__enabled=True, imaging__pixels=16, optics__method="standard"
     )
     without = computed(only, range(2), optics__method="standard")
-    assert with_images.arrays.keys() - without.arrays.keys() == {"exposure", "ee50", "ee80"}
+    assert with_images.arrays.keys() - without.arrays.keys() == {"exposure", "peak", "ee50", "ee80"}
     for name, values in without.arrays.items():
         np.testing.assert_array_equal(values, with_images.arrays[name])
 
@@ -301,9 +302,7 @@ def test_a_plan_does_not_take_the_first_cases_for_the_others(study, monkeypatch)
         return workflow.compute(text, cases, device)
 
     chosen = study_with(study, {"campaign.cases": 100_000, "store.chunk_cases": 1000})
-    monkeypatch.setitem(
-        campaign.WORKFLOWS, "segment-disturbance", replace(workflow.WORKFLOW, compute=compute)
-    )
+    monkeypatch.setitem(kinds._registered, "segment-disturbance", replace(workflow.KIND, compute=compute))
     monkeypatch.setattr(campaign, "_PILOT_S", 1e9)
     monkeypatch.setattr(campaign, "_WHOLE_S", 0.0)
     campaign.plan(chosen)

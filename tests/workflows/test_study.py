@@ -4,8 +4,8 @@ import tomllib
 
 import pytest
 
+from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
-from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.study import bundled_studies, load_study, study_with
 

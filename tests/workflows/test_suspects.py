@@ -163,7 +163,7 @@ def test_what_is_unknown_by_intent_does_not_diverge(tmp_path, unknown, quarantin
         return result
 
     create_store(tmp_path / "s", toy.TOY, toy.study(), 10, 10, "numpy", {})
-    workflow = toy.Workflow("toy", slopes, toy.case_table, without_piston)
+    workflow = toy.StudyKind("toy", slopes, toy.case_table, without_piston)
     found = compute_chunk(Job(workflow, str(tmp_path / "s"), "numpy", "run"), 0, 10)
     assert found.quarantined == quarantined
 
@@ -177,7 +177,7 @@ def test_instants_that_a_case_does_not_have_do_not_diverge(tmp_path):
         return result
 
     create_store(tmp_path / "s", toy.TOY, toy.study(), 10, 10, "numpy", {})
-    short = toy.Workflow("toy", toy.template, toy.case_table, shorter)
+    short = toy.StudyKind("toy", toy.template, toy.case_table, shorter)
     assert compute_chunk(Job(short, str(tmp_path / "s"), "numpy", "run"), 0, 10).quarantined == 0
 
 

@@ -11,15 +11,7 @@ from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import measure_system
 from wavequake.workflows.study import load_study
 from wavequake.workflows.systems.system_bench import failure, system_bench
-from wavequake.workflows.systems.system_disturbance import (
-    case_table,
-    check,
-    compute,
-    describe,
-    draw,
-    template,
-    work,
-)
+from wavequake.workflows.systems.system_disturbance import KIND, draw
 
 # A parabola of 1 m focal length and 50 mm radius: f/10, so that slopes are small.
 STUDY = """
@@ -88,13 +80,13 @@ def text(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def found(text):
-    result = compute(text, np.arange(5), "numpy")
+    result = KIND.compute(text, np.arange(5), "numpy")
     assert (result.status == DONE).all(), result.messages
     return result.arrays
 
 
 def test_cases_repeat_the_pattern_of_shares(text):
-    table = case_table(text, 3, 8)
+    table = KIND.case_table(text, 3, 8)
     assert table["disturbance"].tolist() == ["figure", "sight", "askew", "hum", "hum"]
     assert table["realization"].tolist() == [0, 0, 1, 2, 3]
 
@@ -127,7 +119,7 @@ def test_a_figure_appears_twice_in_the_wavefront(text, found):
     """Over the semi-diameter, of which the beam fills 50/55: Z5 shrinks by the square, Z11 leaks to Z4."""
     _, drawn = draw(system_bench(text), 3)
     figure = drawn.figure["mirror"] * 1e9
-    change = found["zernike"][3, 0, 0, 0] - template(text).fixed["zernike_static"][1][0, 0]
+    change = found["zernike"][3, 0, 0, 0] - KIND.template(text).fixed["zernike_static"][1][0, 0]
     ratio = (50 / 55) ** 2
     assert abs(change[4]) == pytest.approx(2 * abs(figure[4]) * ratio, rel=2e-3)
     assert abs(change[10]) == pytest.approx(2 * abs(figure[10]) * ratio**2, rel=2e-3)
@@ -148,7 +140,7 @@ def test_coma_that_is_not_fitted_counts_in_what_the_rays_say(tmp_path):
     _, drawn = draw(system_bench(identity), 3)
     size = 2e9 * abs(drawn.figure["mirror"][7]) * (50 / 55) ** 3
     assert size > 1000.0 / 14
-    case = {name: values[0] for name, values in compute(identity, np.array([3]), "numpy").arrays.items()}
+    case = {name: values[0] for name, values in KIND.compute(identity, np.array([3]), "numpy").arrays.items()}
     for wavelength in (0, 1):
         assert case["wfe_rms"][0, 0, wavelength] < 0.02 * size
         assert case["wfe_rms_raw"][0, 0, wavelength] == pytest.approx(3 * size, rel=1e-2)
@@ -175,23 +167,23 @@ def test_instants_that_a_population_lacks_are_missing(text, found):
 
 @pytest.mark.parametrize("device", ["numpy", "auto"])
 def test_a_cases_bits_depend_on_no_other_case(text, device):
-    chunk = compute(text, np.arange(10), device).arrays
+    chunk = KIND.compute(text, np.arange(10), device).arrays
     for case in (1, 3, 4, 8):
-        alone = compute(text, np.array([case]), device).arrays
+        alone = KIND.compute(text, np.array([case]), device).arrays
         for name, values in alone.items():
             assert values[0].tobytes() == chunk[name][case].tobytes()
 
 
 def test_time_and_work_are_counted_by_kind(text):
-    seconds = compute(text, np.arange(5), "numpy").timings
+    seconds = KIND.compute(text, np.arange(5), "numpy").timings
     assert set(seconds) == {"draw", "aim", "trace", "wavefront"}
     assert min(seconds.values()) > 0
     # The cases of one turn: 1 + 3 + 3 + 1 + 3 instants, two fields, two colors, 60 rays, two surfaces.
-    assert work(text, 5) == {"trace": (11 * 2 * 2 * 60 * 2, "ray-surfaces")}
+    assert KIND.work(text, 5) == {"trace": (11 * 2 * 2 * 60 * 2, "ray-surfaces")}
 
 
 def test_arrays_are_those_of_the_template(text, found):
-    variables = template(text).per_case
+    variables = KIND.template(text).per_case
     assert set(found) == set(variables)
     for name, variable in variables.items():
         assert (
@@ -218,24 +210,24 @@ def test_units_of_the_telescopes_store_and_this_one_agree(text, found):
 def test_vignetted_rays_are_counted(tmp_path):
     wide = STUDY.replace("semi_diameter_mm = 55.0", "semi_diameter_mm = 40.0")
     text = study_of(tmp_path, wide).identity_text()
-    check(text)
+    KIND.check(text)
     beyond = int(np.sum(np.sqrt((np.arange(60) + 0.5) / 60) * 50.0 > 40.0))  # a sunflower's radii
-    assert template(text).fixed["vignetted_static"][1].tolist() == [[beyond] * 2] * 2
-    arrays = compute(text, np.array([1]), "numpy").arrays
+    assert KIND.template(text).fixed["vignetted_static"][1].tolist() == [[beyond] * 2] * 2
+    arrays = KIND.compute(text, np.array([1]), "numpy").arrays
     assert arrays["vignetted"][0].tolist() == [[beyond] * 2] * 2
-    assert f"{beyond} of 60 rays vignetted" in describe(text)["field (0, 0) deg"]
+    assert f"{beyond} of 60 rays vignetted" in KIND.describe(text)["field (0, 0) deg"]
 
 
 def test_rays_that_miss_a_surface_are_counted_as_lost(tmp_path):
     """An oblate mirror of radius R and conic k reaches out to R / sqrt(1 + k)."""
     text = study_of(tmp_path, STUDY.replace("conic = -1.0", "conic = 2e3")).identity_text()
-    check(text)
+    KIND.check(text)
     beyond = int(np.sum(np.sqrt((np.arange(60) + 0.5) / 60) * 50.0 > 2000.0 / np.sqrt(2001.0)))
     assert beyond > 5
-    arrays = compute(text, np.array([1]), "numpy").arrays
+    arrays = KIND.compute(text, np.array([1]), "numpy").arrays
     assert arrays["lost"][0].tolist() == [[beyond] * 2] * 2
     assert arrays["vignetted"][0].tolist() == [[0.0] * 2] * 2
-    said = describe(text)["field (0, 0) deg"]
+    said = KIND.describe(text)["field (0, 0) deg"]
     assert f"{beyond} of 60 rays" in said
     assert said.endswith("are lost, at mirror: they miss it")
 
@@ -248,7 +240,7 @@ def test_a_case_without_light_is_quarantined_with_the_reason(tmp_path):
         "[[system.surface]]", '[[system.surface]]\nname = "front"\nstop = true\n[[system.surface]]', 1
     )
     text = study_of(tmp_path, far).identity_text()
-    result = compute(text, np.array([0, 1]), "numpy")
+    result = KIND.compute(text, np.array([0, 1]), "numpy")
     assert result.status.tolist() == [RAISED, DONE]
     assert "mirror: its opening stops them" in result.messages[0]
     assert "field (0, 0) deg" in result.messages[0]
@@ -296,7 +288,7 @@ def test_the_radius_of_a_figure_without_an_edge_is_that_of_the_beam(tmp_path):
 def test_what_cannot_work_is_refused_before_a_store_is_made(tmp_path, old, new, sentence):
     assert old in STUDY
     with pytest.raises(UserError, match=sentence):
-        check(study_of(tmp_path, STUDY.replace(old, new)).identity_text())
+        KIND.check(study_of(tmp_path, STUDY.replace(old, new)).identity_text())
 
 
 @pytest.mark.parametrize(
@@ -327,7 +319,7 @@ def test_a_wavelength_out_of_a_glass_range_is_refused(tmp_path):
         "stop = true", 'stop = true\n[[system.surface]]\nname = "lens"\ndistance_mm = 500.0\nglass = "N-BK7"'
     )
     with pytest.raises(UserError, match=r"N-BK7 is known from .* not at 5000 nm"):
-        check(study_of(tmp_path, text).identity_text())
+        KIND.check(study_of(tmp_path, text).identity_text())
 
 
 def test_a_name_that_two_surfaces_of_a_lens_file_share_is_refused(tmp_path):
@@ -347,15 +339,15 @@ def test_a_name_that_two_surfaces_of_a_lens_file_share_is_refused(tmp_path):
     rms = { dx_um = 1.0 }
     """
     with pytest.raises(UserError, match="10 surfaces of that name"):
-        check(study_of(tmp_path, text).identity_text())
+        KIND.check(study_of(tmp_path, text).identity_text())
     body = text + '[[body]]\nname = "lens"\nsurfaces = ["face"]\n'
     with pytest.raises(UserError, match="10 surfaces called 'face'"):
-        check(study_of(tmp_path, body.replace('of = ["face"]', 'of = ["lens"]')).identity_text())
+        KIND.check(study_of(tmp_path, body.replace('of = ["face"]', 'of = ["lens"]')).identity_text())
 
 
 def test_slopes_give_the_results_of_path_lengths(tmp_path, text, found):
     slopes = study_of(tmp_path, STUDY, 'wavefront.method="slopes"').identity_text()
-    one = compute(slopes, np.arange(5), "numpy").arrays
+    one = KIND.compute(slopes, np.arange(5), "numpy").arrays
     assert np.isnan(one["zernike"][..., 0]).all()
     known = np.isfinite(found["zernike"])
     known[..., 0] = False
@@ -364,7 +356,7 @@ def test_slopes_give_the_results_of_path_lengths(tmp_path, text, found):
     np.testing.assert_allclose(one["los_mm"], found["los_mm"], rtol=0, atol=2e-6)
     for same in ("wfe_rms_raw", "wfe_pv", "strehl", "centroid_mm", "lost"):
         np.testing.assert_array_equal(one[same], found[same])
-    stored = [template(each).per_case["zernike"] for each in (slopes, text)]
+    stored = [KIND.template(each).per_case["zernike"] for each in (slopes, text)]
     assert ["slopes" in each.attrs["long_name"] for each in stored] == [True, False]
     assert [each.unknown for each in stored] == [1, 0]
 
@@ -372,7 +364,7 @@ def test_slopes_give_the_results_of_path_lengths(tmp_path, text, found):
 def test_the_fitted_reference_moves_the_tilt_into_the_image_point(tmp_path, found):
     """A plane fits coma about the chief ray with a tilt; about the sphere that fits best none is left."""
     fitted = study_of(tmp_path, STUDY, 'wavefront.reference="fitted"').identity_text()
-    one = compute(fitted, np.arange(5), "numpy").arrays
+    one = KIND.compute(fitted, np.arange(5), "numpy").arrays
     tilts = [np.nanmax(np.abs(each["zernike"][..., 1:3])) for each in (one, found)]
     assert tilts[0] < 0.05 * tilts[1]  # 60 rays mix tilt and coma by 2 %
     np.testing.assert_allclose(one["los_mm"], found["los_mm"], rtol=0, atol=1e-5)

@@ -7,10 +7,12 @@ import pytest
 import xarray as xr
 
 from wavequake.campaign.contract import DONE, RAISED
+from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
-from wavequake.mechanics.disturbances.element_motion import draw_elements, instants_of, single_parts
+from wavequake.mechanics.disturbances.element_motion import draw_elements
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
+from wavequake.mechanics.disturbances.registry import instants_of, parts
 from wavequake.optics.catalog.names import optical_system
 from wavequake.optics.derivatives.sensitivity import figure_sensitivity, rigid_sensitivity
 from wavequake.optics.rays.pupils import sunflower
@@ -22,11 +24,10 @@ from wavequake.report.rerun import rerun_stored
 from wavequake.workflows.budgets.budget import summed
 from wavequake.workflows.budgets.budget_systems import experiment, variants
 from wavequake.workflows.run import notices, plan, run, run_study
-from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.study import load_study, study_with
 from wavequake.workflows.systems import system_measure
 from wavequake.workflows.systems.system_bench import deformable, system_bench
-from wavequake.workflows.systems.system_disturbance import check, compute, draw, template, work
+from wavequake.workflows.systems.system_disturbance import KIND, draw
 from wavequake.workflows.systems.system_study import SystemStudy
 
 HEAD = """
@@ -109,7 +110,7 @@ def states_of(motion, count):
 def test_a_history_gives_what_the_same_states_give_in_python(tmp_path):
     study = written(tmp_path)
     assert study.disturbance[0].instants == len(TIME)
-    found = compute(study.identity_text(), np.array([0]), "numpy").arrays
+    found = KIND.compute(study.identity_text(), np.array([0]), "numpy").arrays
     system, states = states_of(MOTION, len(TIME))
     rays = sunflower(0.0, 1.0, 40)
     np.testing.assert_array_equal(found["time_s"][0], TIME)
@@ -139,7 +140,7 @@ def test_small_motions_act_by_the_sensitivities(tmp_path):
     study = written(tmp_path, HEAD, time, motion)
     bench = system_bench(study.identity_text())
     names = [surface.name for surface in bench.system.surfaces]
-    found = compute(study.identity_text(), np.array([0]), "numpy").arrays
+    found = KIND.compute(study.identity_text(), np.array([0]), "numpy").arrays
     for field, (prepared, *_) in enumerate(bench.prepared):
         rigid = rigid_sensitivity(prepared, bench.bodies, NUMPY)
         figures = [figure_sensitivity(prepared, [names.index(one)], terms, NUMPY) for one, terms in DEFORMED]
@@ -159,7 +160,7 @@ DEFORMED = (("L1 front", 5), ("L4 back", 2))
 
 def test_a_detector_that_moves_sees_the_image_move_against_it(tmp_path):
     motion = {"image.dx_um": 7.0 * np.sin(TIME), "image.dy_um": -3.0 * TIME}
-    found = compute(written(tmp_path, HEAD, TIME, motion).identity_text(), np.array([0]), "numpy").arrays
+    found = KIND.compute(written(tmp_path, HEAD, TIME, motion).identity_text(), np.array([0]), "numpy").arrays
     expected = -1e-3 * np.stack(list(motion.values()), axis=1)
     for name in ("los_mm", "centroid_mm"):
         for field in (0, 1):
@@ -192,8 +193,8 @@ def test_a_vibration_that_is_written_down_gives_the_same_case(tmp_path):
         for place, dof in enumerate(dofs)
     }
     again = written(tmp_path, HEAD, instants_of((hum,), hum), motion)
-    one = compute(study.identity_text(), np.array([4]), "numpy").arrays
-    other = compute(again.identity_text(), np.array([0]), "numpy").arrays
+    one = KIND.compute(study.identity_text(), np.array([4]), "numpy").arrays
+    other = KIND.compute(again.identity_text(), np.array([0]), "numpy").arrays
     for name, values in one.items():
         np.testing.assert_allclose(other[name], values, rtol=0, atol=1e-14, err_msg=name)
 
@@ -232,9 +233,9 @@ def test_bits_depend_on_no_other_case_or_piece(tmp_path, monkeypatch, device):
     time = np.arange(97) / 1000.0
     motion = {"L1 front.dx_um": np.sin(300 * time), "L1 front.z9_nm": 20 * np.cos(time)}
     text = written(tmp_path, HEAD + RANDOM, time, motion).identity_text()
-    together = compute(text, np.arange(4), device)
+    together = KIND.compute(text, np.arange(4), device)
     monkeypatch.setattr(system_measure, "_RAYS", 40 * 16)
-    pieces = compute(text, np.array([2, 3]), device).arrays
+    pieces = KIND.compute(text, np.array([2, 3]), device).arrays
     for name, values in pieces.items():
         assert values.tobytes() == together.arrays[name][2:].tobytes(), name
 
@@ -302,13 +303,13 @@ def test_what_is_not_random_has_one_case(tmp_path):
     assert "share = 0" in notice
     never = written(tmp_path, HEAD + "share = 0\n" + RANDOM)
     assert list(notices(never)) == []
-    assert work(never.identity_text(), 2) == {"trace": (2 * len(TIME) * 2 * 40 * 14, "ray-surfaces")}
+    assert KIND.work(never.identity_text(), 2) == {"trace": (2 * len(TIME) * 2 * 40 * 14, "ray-surfaces")}
 
 
 def test_without_its_history_a_combination_keeps_the_instants(tmp_path):
     text = (HEAD + "share = 0\n" + RANDOM).replace('"shake",', '"shake", "hum",') + VIBRATION
     study = written(tmp_path, text)
-    sources = single_parts(study.disturbance, summed(study, None))
+    sources = parts(study.disturbance, summed(study, None))
     assert [part.name for part in sources] == ["askew", "shake", "hum", "figure"]
     whole, _, _, unshaken, *_ = variants(summed(study, None), sources, study.study.seed, 2)
     assert unshaken.rigid["lens 3"].shape == (len(TIME), 6)
@@ -351,16 +352,16 @@ def test_a_budget_takes_a_history_apart(tmp_path):
 )
 def test_what_does_not_fit_is_refused(tmp_path, motion, keys, sentence):
     with pytest.raises(UserError, match=sentence):
-        check(written(tmp_path, HEAD + "share = 0\n" + RANDOM, TIME, motion, *keys).identity_text())
+        KIND.check(written(tmp_path, HEAD + "share = 0\n" + RANDOM, TIME, motion, *keys).identity_text())
 
 
 def test_light_that_is_lost_at_an_instant_says_when(tmp_path):
     study = written(tmp_path, HEAD, TIME, {"L1 front.dx_um": np.where(TIME > 3.0, 2e6, 0.0)})
-    result = compute(study.identity_text(), np.array([0]), "numpy")
+    result = KIND.compute(study.identity_text(), np.array([0]), "numpy")
     assert result.status.tolist() == [RAISED]
     assert "at t = 3.5 s " in result.messages[0]
     assert np.isnan(result.arrays["wfe_rms"]).all()
-    assert template(study.identity_text()).per_case["wfe_rms"].shape[0] == len(TIME)
+    assert KIND.template(study.identity_text()).per_case["wfe_rms"].shape[0] == len(TIME)
 
 
 def test_a_report_shows_the_beginning_of_a_long_table(tmp_path, wavequake):

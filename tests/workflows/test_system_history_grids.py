@@ -8,7 +8,8 @@ from test_system_history import HEAD, MOTION, RANDOM, TIME, written
 from wavequake.campaign.contract import DONE
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
-from wavequake.mechanics.disturbances.element_motion import draw_elements, single_parts
+from wavequake.mechanics.disturbances.element_motion import draw_elements
+from wavequake.mechanics.disturbances.registry import parts
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.shapes.shapes import GridDeformation
 from wavequake.optics.systems.kinematics import rest_states
@@ -21,7 +22,7 @@ from wavequake.workflows.sensitivity import sensitivity
 from wavequake.workflows.study import load_study
 from wavequake.workflows.systems import system_measure
 from wavequake.workflows.systems.system_bench import system_bench, system_states
-from wavequake.workflows.systems.system_disturbance import check, compute
+from wavequake.workflows.systems.system_disturbance import KIND
 
 SHAPE, SPACING = (15, 17), (1.6, 1.5)
 X, Y = np.meshgrid(
@@ -58,15 +59,15 @@ def grid(heights, name="L1 front"):
 
 
 def test_arrays_give_the_case_of_a_table(tmp_path):
-    table = compute(written(tmp_path).identity_text(), np.array([0]), "numpy").arrays
-    arrays = compute(study_of(tmp_path, MOTION).identity_text(), np.array([0]), "numpy").arrays
+    table = KIND.compute(written(tmp_path).identity_text(), np.array([0]), "numpy").arrays
+    arrays = KIND.compute(study_of(tmp_path, MOTION).identity_text(), np.array([0]), "numpy").arrays
     for name, values in table.items():
         assert values.tobytes() == arrays[name].tobytes(), name
 
 
 def test_heights_on_a_grid_give_what_they_give_in_python(tmp_path):
     bench = system_bench(study_of(tmp_path, grid(ROUGH)).identity_text())
-    found = compute(bench.text, np.array([0]), "numpy").arrays
+    found = KIND.compute(bench.text, np.array([0]), "numpy").arrays
     form = bench.system.surfaces[0].deformation
     assert form.residual == GridDeformation(*SHAPE, *SPACING)
     states = rest_states(bench.system, len(TIME))
@@ -88,10 +89,10 @@ def test_a_cubic_figure_is_the_same_on_a_grid_and_by_its_polynomials(tmp_path):
     bench = system_bench(study_of(tmp_path, columns).identity_text())
     form = bench.system.surfaces[0].deformation
     assert (form.terms, form.residual) == (10, None)
-    by_terms = compute(bench.text, np.array([0]), "numpy").arrays
+    by_terms = KIND.compute(bench.text, np.array([0]), "numpy").arrays
     basis = annular_zernike(X.ravel() / form.pupil_radius, Y.ravel() / form.pupil_radius, 10, 0.0)
     heights = (terms @ basis.T).reshape(len(TIME), *SHAPE)
-    by_grid = compute(study_of(tmp_path, grid(heights)).identity_text(), np.array([0]), "numpy").arrays
+    by_grid = KIND.compute(study_of(tmp_path, grid(heights)).identity_text(), np.array([0]), "numpy").arrays
     assert by_terms["wfe_change"].max() > 1.0
     for name in ("zernike", "wfe_change", "los_mm", "spot_rms"):
         scale = np.abs(by_terms[name]).max()
@@ -120,10 +121,10 @@ def test_bits_of_grids_depend_on_no_other_case_or_piece(tmp_path, monkeypatch, d
     time = np.arange(40.0)
     rough = np.random.default_rng(5).standard_normal((40, *SHAPE)) * 5.0
     text = study_of(tmp_path, grid(rough) | {"time_s": time}, ARRAYS + RANDOM).identity_text()
-    together = compute(text, np.arange(4), device)
+    together = KIND.compute(text, np.arange(4), device)
     assert (together.status == DONE).all(), together.messages
     monkeypatch.setattr(system_measure, "_RAYS", 40 * 16)
-    pieces = compute(text, np.array([2, 3]), device).arrays
+    pieces = KIND.compute(text, np.array([2, 3]), device).arrays
     for name, values in pieces.items():
         assert values.tobytes() == together.arrays[name][2:].tobytes(), name
 
@@ -140,7 +141,7 @@ def test_sensitivities_are_those_without_a_history(tmp_path):
 def test_a_budget_takes_grids_away_with_their_surface(tmp_path):
     text = (ARRAYS + "share = 0\n" + RANDOM).replace("L1 front", "L3 front")
     study = study_of(tmp_path, grid(ROUGH, "L3 front"), text)
-    sources = single_parts(study.disturbance, summed(study, None))
+    sources = parts(study.disturbance, summed(study, None))
     assert elements_of(sources) == ["lens 3", "L3 front"]
     whole, again, no_askew, no_shake, no_figure, no_body, no_surface, *_ = variants(
         summed(study, None), sources, 1, 0
@@ -195,16 +196,16 @@ file = "other.npz"
 def test_grids_that_do_not_fit_are_refused(tmp_path, arrays, text, sentence):
     np.savez(tmp_path / "other.npz", time_s=TIME, **grid(ROUGH))
     with pytest.raises(UserError, match=sentence):
-        check(study_of(tmp_path, arrays, text).identity_text())
+        KIND.check(study_of(tmp_path, arrays, text).identity_text())
 
 
 def test_rays_that_an_opening_stops_need_no_heights(tmp_path):
     """A grid of 1.6 mm about a lens that lets pass what is within 1.5 mm."""
     small = {"L1 front.grid_nm": ROUGH[:, :5, :5], "L1 front.grid_spacing_mm": 0.8}
     with pytest.raises(UserError, match="it must cover them"):
-        check(study_of(tmp_path, small).identity_text())
+        KIND.check(study_of(tmp_path, small).identity_text())
     mirror = (
         ARRAYS.replace('name = "six-lens"\n', MIRROR).replace("L3 front", "M1").replace(', "L3 back"', "")
     )
     study = study_of(tmp_path, {name.replace("L1 front", "M1"): one for name, one in small.items()}, mirror)
-    check(study.identity_text())
+    KIND.check(study.identity_text())

@@ -235,7 +235,7 @@ def test_studies_that_cannot_work(tmp_path, override, words):
 )
 def test_sums_over_rays_of_figured_segments_name_the_rays_they_need(keys, words):
     """18 segments of 72 rays each fill 0.61 of the squared diameter: 1296 / 0.61 = 46²."""
-    said = list(segment_disturbance.WORKFLOW.notices(load_study("jwst-segments", keys).identity_text()))
+    said = list(segment_disturbance.KIND.notices(load_study("jwst-segments", keys).identity_text()))
     assert len(said) == (words is not None)
     for sentence in said:
         assert re.search(words, sentence)

@@ -12,7 +12,7 @@ from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import trace_system
 from wavequake.workflows.study import load_study
 from wavequake.workflows.systems.system_bench import system_bench
-from wavequake.workflows.systems.system_disturbance import compute, template
+from wavequake.workflows.systems.system_disturbance import KIND
 
 KEYS = ["optics.rays=200", "wavefront.zernike_terms=21", "campaign.device=numpy"]
 
@@ -114,15 +114,15 @@ def test_the_study_key_stores_what_a_direct_fit_of_circular_polynomials_finds(tm
     root, to_nm = np.sqrt(prepared.fit.weight), 1e6 * prepared.wavelength
     polynomials = annular_zernike(*prepared.pupil.T, 21, 0.0)
     expected = np.linalg.lstsq(root[:, None] * polynomials, root * opd * to_nm, rcond=None)[0]
-    fixed = template(texts[1]).fixed["zernike_static"]
+    fixed = KIND.template(texts[1]).fixed["zernike_static"]
     np.testing.assert_allclose(fixed[1][1, 0], expected, rtol=0, atol=1e-6 * np.abs(expected).max())
     assert fixed[2]["obscuration"] == "0.0"
-    annular = template(texts[0])
+    annular = KIND.template(texts[0])
     assert float(annular.fixed["zernike_static"][2]["obscuration"]) == bench.system.pupil.obscuration
     assert (
         annular.per_case["zernike"].attrs["obscuration"] == annular.fixed["zernike_static"][2]["obscuration"]
     )
-    one, other = (compute(text, np.array([0]), "numpy").arrays for text in texts)
+    one, other = (KIND.compute(text, np.array([0]), "numpy").arrays for text in texts)
     assert np.abs(one["zernike"] - other["zernike"]).max() > 1.0
     for name in ("wfe_rms", "wfe_change", "los_mm", "strehl"):
         np.testing.assert_array_equal(one[name], other[name], err_msg=name)

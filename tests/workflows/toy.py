@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
 
 INSTANTS, TERMS = 4, 3
 
@@ -98,7 +98,7 @@ def _misbehave(options, cases):
                 os.kill(os.getpid(), signal.SIGKILL)
 
 
-TOY = Workflow("toy", template, case_table, compute)
+TOY = StudyKind("toy", template, case_table, compute)
 
 
 def run(path, options=None, *, cases=40, chunk=10, on="serial", workers=None, **keywords):

@@ -1,11 +1,14 @@
-"""What the engine asks of a workflow: a few functions and three small records."""
+"""What the engine asks of a study kind: a few functions and three small records."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from wavequake.campaign.plugins import loaded_plugins
+from wavequake.campaign.schema import Study
 
 TODO, DONE, RAISED, CRASHED, TIMED_OUT, DIVERGED = range(6)
 STATUS_MEANINGS = "todo done raised crashed timed_out diverged"
@@ -29,6 +32,10 @@ class Variable:
     unknown: int = 0
 
 
+# Of an array that does not depend on the case: dimensions, values, attributes.
+Fixed = tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]
+
+
 @dataclass(frozen=True)
 class Template:
     """What a store holds: arrays per case, and coordinates and arrays that do not depend on the case.
@@ -37,7 +44,7 @@ class Template:
     """
 
     per_case: Mapping[str, Variable]
-    fixed: Mapping[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]] = field(default_factory=dict)
+    fixed: Mapping[str, Fixed] = field(default_factory=dict)
     working_bytes: int = 0
 
 
@@ -73,19 +80,37 @@ def no_check(study: str) -> None:
     """Find nothing wrong."""
 
 
-@dataclass(frozen=True)
-class Workflow:
-    """A workflow as module-level functions (so that Dask sends them by reference).
+def no_pictures(study: str, dataset: Any) -> Iterator["Drawn"]:
+    """Draw nothing."""
+    return iter(())
 
-    ``study`` is the canonical JSON text of the effective study without what does not belong to its identity;
-    a workflow may cache on it. ``case_table(study, first, last)`` gives the coordinates of cases first <= id
-    < last, each array of length last - first (str, int or float). ``compute(study, cases, device)`` is a pure
-    function of the study and the case ids: a case's bits depend on nothing else. It marks a case that fails
-    for a known reason in ``status``; an exception means that the engine tries the chunk's cases one by one; a
-    UserError ends the run. ``describe`` adds lines to the plan; ``work(study, cases)`` says how much of what
-    a kind of work in the timings has processed, e.g. {"trace": (1e9, "ray-surfaces")}; ``check`` raises
-    UserError for a study that no case of can succeed, before a store is made; ``notices`` yields what the
-    user should read before, such as doubtful units.
+
+@dataclass(frozen=True)
+class Drawn:
+    """A picture of a study kind: a matplotlib figure that nobody has saved, with a title and a caption."""
+
+    title: str
+    caption: str
+    figure: Any
+
+
+@dataclass(frozen=True)
+class StudyKind:
+    """A kind of study as module-level functions (so that Dask sends them by reference).
+
+    ``model`` describes its study files. ``study`` is the canonical JSON text of the effective study without
+    what does not belong to its identity; a kind may cache on it. ``case_table(study, first, last)`` gives the
+    coordinates of cases first <= id < last, each array of length last - first (str, int or float).
+    ``compute(study, cases, device)`` is a pure function of the study and the case ids: a case's bits depend
+    on nothing else. It marks a case that fails for a known reason in ``status``; an exception means that the
+    engine tries the chunk's cases one by one; a UserError ends the run. ``describe`` adds lines to the plan;
+    ``work(study, cases)`` says how much of what a kind of work in the timings has processed, e.g.
+    {"trace": (1e9, "ray-surfaces")}; ``check`` raises UserError for a study that no case of can succeed,
+    before a store is made; ``notices`` yields what the user should read before, such as doubtful units.
+    ``compared`` are the coordinates of cases that plain reports tell apart; ``pictures(study, dataset)`` are
+    added to them.
+
+    Most kinds are written as measures: :func:`wavequake.campaign.measured.study_kind`.
     """
 
     name: str
@@ -96,3 +121,14 @@ class Workflow:
     work: Callable[[str, int], dict[str, tuple[float, str]]] = no_work
     check: Callable[[str], None] = no_check
     notices: Callable[[str], Iterator[str]] = no_notices
+    model: type[Study] = Study
+    compared: tuple[str, ...] = ("disturbance",)
+    pictures: Callable[[str, Any], Iterator[Drawn]] = no_pictures
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel with the plug-ins of this process: where a kind arrives, they are loaded before it is."""
+        return _arrived, (loaded_plugins(), *(getattr(self, one.name) for one in fields(self)))
+
+
+def _arrived(plugins: object, *values: Any) -> StudyKind:
+    return StudyKind(*values)

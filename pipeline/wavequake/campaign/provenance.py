@@ -11,6 +11,7 @@ from pathlib import Path
 from threadpoolctl import threadpool_info
 
 from wavequake import __version__
+from wavequake.campaign.plugins import loaded_plugins
 from wavequake.files import folder
 from wavequake.kernels.device.devices import Device, opencl_handle
 
@@ -52,12 +53,16 @@ def collect(device: Device) -> dict[str, str]:
     }
 
 
-@lru_cache(maxsize=1)
 def code() -> str:
-    """Return what computes numbers here: Wavequake with a digest of its sources, and the libraries below it.
+    """Return what computes numbers here: Wavequake with a digest of its sources, libraries, plug-ins.
 
     Chunks of one store must agree in it, or their bits may differ.
     """
+    return ", ".join([_own_code(), *(f"plug-in {plugin}" for plugin in loaded_plugins())])
+
+
+@lru_cache(maxsize=1)
+def _own_code() -> str:
     sources = source_digest(_PACKAGE_FOLDER, folder("kernels"), folder("firmware") / "core")
     parts = [f"wavequake {__version__} ({sources})"]
     parts += [f"{name} {_version(name)}" for name in _NUMERICS]

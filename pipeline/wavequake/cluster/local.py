@@ -1,4 +1,4 @@
-"""Dask on this machine: one single-threaded worker process per CPU, reachable from nowhere else."""
+"""Dask on this machine: one single-threaded worker process per CPU, which answer to nobody else."""
 
 import logging
 import multiprocessing
@@ -13,6 +13,7 @@ from importlib.util import find_spec
 from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
+from wavequake.cluster.certificate import make_certificate, make_security
 from wavequake.errors import UserError
 
 if TYPE_CHECKING:
@@ -33,6 +34,8 @@ WORKER_ENVIRONMENT = {**THREADS, "DASK_LOGGING__DISTRIBUTED": "critical"}
 # Would pin the one thread of every worker to the same CPU.
 UNSET = ("POCL_AFFINITY",)
 
+NO_HTTP = "wavequake.cluster.no_http"
+
 # A task takes seconds: slow clocks save idle CPU time, and as no result stays in memory, nobody has to manage
 # it. A worker holds no task but the one it runs, so that its death is blamed on no other.
 SETTINGS: dict[str, Any] = {
@@ -48,6 +51,14 @@ SETTINGS: dict[str, Any] = {
     "distributed.worker.profile.enabled": False,
     "distributed.worker.memory.monitor-interval": "1s",
     "distributed.nanny.pre-spawn-environ": {},
+    # Workers serve no HTTP, to which everybody of a machine could talk.
+    "distributed.worker.http.routes": [],
+    "distributed.worker.preload": [NO_HTTP],
+}
+# Without a dashboard, neither does the scheduler.
+NO_DASHBOARD: dict[str, Any] = {
+    "distributed.scheduler.http.routes": [],
+    "distributed.scheduler.preload": [NO_HTTP],
 }
 # Between two reports of a worker. Few workers report twice a second by default, which costs their scheduler
 # more than all tasks of a campaign; a death shows at once, by the connection.
@@ -66,6 +77,8 @@ def leave_if_imported_by_a_worker() -> None:
 @contextmanager
 def local_cluster(workers: int | None = None, dashboard: bool = False) -> Iterator["Client"]:
     """Start worker processes and yield the Dask client that feeds them.
+
+    They listen on loopback, to connections that show the certificate of this run, which no file holds.
 
     Parameters
     ----------
@@ -86,7 +99,7 @@ def local_cluster(workers: int | None = None, dashboard: bool = False) -> Iterat
     from distributed import Client, LocalCluster
 
     silence()
-    with worker_environment(), dask.config.set(SETTINGS):
+    with worker_environment(), dask.config.set(settings(dashboard)):
         client = None
         try:
             with interrupts_blocked():
@@ -97,8 +110,9 @@ def local_cluster(workers: int | None = None, dashboard: bool = False) -> Iterat
                         processes=True,
                         host="127.0.0.1",
                         dashboard_address=f"127.0.0.1:{_free_port(8787)}" if dashboard else None,
-                        # The scheduler listens for HTTP also without a dashboard: on loopback, any port.
+                        # Until it stops to (NO_DASHBOARD), the scheduler listens for HTTP: on loopback.
                         scheduler_kwargs={} if dashboard else {"dashboard_address": "127.0.0.1:0"},
+                        security=make_security(make_certificate()),
                         memory_limit=memory_limit() // (workers or CPU_COUNT),
                         silence_logs=logging.CRITICAL,
                         scheduler_sync_interval=_HEARTBEAT_S,
@@ -112,6 +126,11 @@ def local_cluster(workers: int | None = None, dashboard: bool = False) -> Iterat
         finally:
             if client is not None:
                 _stop(client, cluster)
+
+
+def settings(dashboard: bool) -> dict[str, Any]:
+    """Return Dask's settings for campaigns."""
+    return SETTINGS if dashboard else SETTINGS | NO_DASHBOARD
 
 
 def _calm(scheduler: Any) -> None:

@@ -2,15 +2,17 @@
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from importlib.util import find_spec
+from pathlib import Path
 from shutil import which
 from subprocess import run
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
-from wavequake.cluster.local import SETTINGS, THREADS, UNSET, close, interrupts_blocked, silence
-from wavequake.cluster.template import Slurm, tls_settings
+from wavequake.cluster.certificate import certificate_file
+from wavequake.cluster.local import NO_HTTP, THREADS, UNSET, close, interrupts_blocked, settings, silence
+from wavequake.cluster.template import Slurm, Tls, tls_settings
 from wavequake.errors import UserError
 
 if TYPE_CHECKING:
@@ -22,6 +24,8 @@ LOOK_S = 10.0  # between two looks at Slurm's queue
 @contextmanager
 def slurm_cluster(template: Slurm, workers: int | None, dashboard: bool) -> Iterator["Client"]:
     """Submit jobs, keep their number while some end, and yield the Dask client; at last end them.
+
+    Without certificates in the template, one is made for this run, in a file that the jobs read.
 
     Parameters
     ----------
@@ -35,21 +39,29 @@ def slurm_cluster(template: Slurm, workers: int | None, dashboard: bool) -> Iter
     Raises
     ------
     UserError
-        If dask-jobqueue or Slurm's commands are not installed, or Slurm refuses the jobs.
+        If dask-jobqueue or Slurm's commands are not installed, Slurm refuses the jobs, or the certificate
+        cannot be written.
     """
     if find_spec("dask_jobqueue") is None:
         raise UserError("--on slurm needs dask-jobqueue: pip install 'wavequake[slurm]'.")
     if which("sbatch") is None:
         raise UserError("--on slurm needs the command sbatch: run it on a machine that can submit jobs.")
     import dask
-    from dask_jobqueue import SLURMCluster
+
+    with interrupts_blocked():  # the library takes Ctrl-C for itself, which this undoes
+        from dask_jobqueue import SLURMCluster
     from distributed import Client
     from distributed.security import Security
 
     silence()
     jobs = template.jobs if workers is None else -(-workers // template.processes)
-    settings = {**SETTINGS, **tls_settings(template.tls)}
-    with dask.config.set(settings):
+    with ExitStack() as until_the_end:
+        tls = template.tls
+        if tls is None:
+            shared = Path(template.shared_directory).expanduser()
+            file = str(until_the_end.enter_context(certificate_file(shared)))
+            tls = Tls.model_construct(ca=file, certificate=file, key=file)
+        until_the_end.enter_context(dask.config.set(settings(dashboard) | tls_settings(tls)))
         try:
             with interrupts_blocked():
                 cluster = SLURMCluster(
@@ -65,8 +77,9 @@ def slurm_cluster(template: Slurm, workers: int | None, dashboard: bool) -> Iter
                     log_directory=template.log_directory,
                     job_extra_directives=list(template.directives),
                     job_script_prologue=prologue(template),
-                    protocol="tls://" if template.tls else "tcp://",
-                    security=Security() if template.tls else None,
+                    worker_extra_args=["--preload", NO_HTTP, "--no-dashboard"],
+                    protocol="tls://",
+                    security=Security(),
                     scheduler_options={
                         "interface": template.interface,
                         "dashboard_address": "127.0.0.1:0",

@@ -1,25 +1,31 @@
 """Dask on hosts that are reached by ssh, by Dask's SSHCluster."""
 
+import asyncio
+import secrets
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wavequake.cluster.local import SETTINGS, THREADS, UNSET, close, silence
-from wavequake.cluster.template import Ssh, tls_settings
+from wavequake.cluster.certificate import make_certificate, make_security
+from wavequake.cluster.local import THREADS, UNSET, close, settings, silence
+from wavequake.cluster.template import Ssh, tls_paths, tls_settings
 from wavequake.errors import UserError
 
 if TYPE_CHECKING:
     from distributed import Client
+    from distributed.security import Security
 
 
 @contextmanager
 def ssh_cluster(template: Ssh, dashboard: bool) -> Iterator["Client"]:
     """Start a scheduler on the first host and workers on every host, yield the client, and end them.
 
-    Hosts must be among the known ones of ssh: nothing is sent to one that cannot prove who it is.
+    Hosts must be among the known ones of ssh: nothing is sent to one that cannot prove who it is. Without
+    certificates in the template, one is made for this run and sent to the hosts by ssh.
 
     Raises
     ------
@@ -38,7 +44,7 @@ def ssh_cluster(template: Ssh, dashboard: bool) -> Iterator["Client"]:
     worker: dict[str, Any] = {"nthreads": 1, "n_workers": template.processes}
     if template.interface:
         worker["interface"] = template.interface
-    with dask.config.set({**SETTINGS, **tls_settings(template.tls)}):
+    with _certificates(template) as (tls, security), dask.config.set(settings(dashboard) | tls):
         try:
             cluster = SSHCluster(
                 [template.hosts[0], *template.hosts],
@@ -47,15 +53,17 @@ def ssh_cluster(template: Ssh, dashboard: bool) -> Iterator["Client"]:
                 scheduler_options={
                     "host": template.listen,
                     "port": 0,
+                    "protocol": "tls://",
                     "dashboard_address": "127.0.0.1:0",
                     "dashboard": dashboard,
                     # A run that is killed cannot end the processes it has started elsewhere.
                     "idle_timeout": "5 minutes",
                 },
                 remote_python=f"env {environment} {template.python or sys.executable}",
+                security=security,
             )
         except Exception as error:  # Dask raises plain exceptions where a process does not start
-            raise UserError(f"Dask does not start by ssh on {', '.join(template.hosts)}: {error}.") from None
+            raise _unreachable(template, error) from None
         try:
             client = Client(cluster, set_as_default=False)
             try:
@@ -65,6 +73,49 @@ def ssh_cluster(template: Ssh, dashboard: bool) -> Iterator["Client"]:
                 close(client, 2.0)
         finally:
             close(cluster, 10.0)
+
+
+@contextmanager
+def _certificates(template: Ssh) -> Iterator[tuple[dict[str, object], "Security"]]:
+    """Yield Dask's settings for the hosts, and what this process shows to them."""
+    import dask
+    from distributed.security import Security
+
+    if template.tls:
+        tls = tls_settings(template.tls)
+        with dask.config.set(tls):
+            security = Security()
+        yield tls, security
+        return
+    certificate = make_certificate()
+    folder = f"/tmp/wavequake-{secrets.token_hex(16)}"  # on the hosts; nobody can be there before us
+    _on_hosts(template, f"umask 077; mkdir -p {folder} && cat > {folder}/run.pem", "".join(certificate))
+    try:
+        yield tls_paths(*[f"{folder}/run.pem"] * 3), make_security(certificate)
+    finally:
+        _on_hosts(template, f"rm -rf {folder}")
+
+
+def _on_hosts(template: Ssh, command: str, text: str = "") -> None:
+    """Run `command` on every host, with `text` as its input: command lines can be read by everybody there."""
+    import asyncssh
+
+    async def run(host: str) -> None:
+        async with asyncssh.connect(host, **connection(template)) as reached:
+            await reached.run(f"sh -c '{command}'", input=text, check=True, timeout=60)
+
+    async def run_all() -> None:
+        await asyncio.gather(*(run(host) for host in dict.fromkeys(template.hosts)))
+
+    try:
+        with ThreadPoolExecutor(1) as thread:  # of its own: this one may have a running loop, as in notebooks
+            thread.submit(asyncio.run, run_all()).result()
+    except (OSError, asyncssh.Error) as error:
+        raise _unreachable(template, error) from None
+
+
+def _unreachable(template: Ssh, error: Exception) -> UserError:
+    return UserError(f"Dask does not start by ssh on {', '.join(template.hosts)}: {error}.")
 
 
 def _wait(client: "Client", template: Ssh) -> None:

@@ -10,6 +10,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from wavequake.errors import UserError
+from wavequake.user_files import read_text
 
 Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.:@+/-]*$", max_length=255)]
 PathText = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.~/+@-]+$", max_length=4096)]
@@ -45,6 +46,7 @@ class Slurm(_Section):
     python: PathText | None = None
     local_directory: PathText | None = None
     log_directory: PathText | None = None
+    shared_directory: PathText = "~"
     tls: Tls | None = None
 
 
@@ -69,6 +71,8 @@ class Address(_Section):
     tls: Tls | None = None
 
 
+_MOST_TEXT = 100_000
+
 Kind = TypeVar("Kind", Slurm, Ssh, Address)
 
 
@@ -81,10 +85,14 @@ def read_template(kind: type[Kind], path: Path) -> Kind:
         If it cannot be read, is no plain YAML, or a key is unknown or has a value that does not fit.
     """
     try:
-        entries = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UserError(f"The cluster file {path} cannot be read ({error.strerror}).") from None
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        text = read_text(path)
+    except UserError as error:
+        raise UserError(f"The cluster file {error}") from None
+    if len(text) > _MOST_TEXT:
+        raise UserError(f"The cluster file {path} has {len(text)} characters, {_MOST_TEXT} are possible.")
+    try:
+        entries = yaml.safe_load(text)
+    except Exception as error:  # PyYAML raises all sorts
         words = " ".join(str(error).split())
         raise UserError(f"The cluster file {path} is no plain YAML: {words}.") from None
     if not isinstance(entries, dict):
@@ -112,11 +120,16 @@ def tls_settings(tls: Tls | None) -> dict[str, object]:
         paths[name] = str(Path(text).expanduser().absolute())
         if not Path(paths[name]).is_file():
             raise UserError(f"There is no file {text}, which the cluster file names as tls.{name}.")
-    pair = {"cert": paths["certificate"], "key": paths["key"]}
+    return tls_paths(paths["ca"], paths["certificate"], paths["key"])
+
+
+def tls_paths(ca: str, certificate: str, key: str) -> dict[str, object]:
+    """Return Dask's settings for the files of certificates at these paths, here or on other hosts."""
+    pair = {"cert": certificate, "key": key}
     return {
         "distributed.comm.default-scheme": "tls",
         "distributed.comm.require-encryption": True,
-        "distributed.comm.tls.ca-file": paths["ca"],
+        "distributed.comm.tls.ca-file": ca,
         "distributed.comm.tls.scheduler": pair,
         "distributed.comm.tls.worker": pair,
         "distributed.comm.tls.client": pair,

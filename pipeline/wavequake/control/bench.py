@@ -8,7 +8,6 @@ carries, 11.
 
 import tomllib
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from scipy.linalg import eigh
 
 from wavequake.control.linear import Array, LinearModel, second_order_model
 from wavequake.errors import UserError
+from wavequake.prepared import prepared
 
 # Image displacement per lens displacement (Störkle 2018, Table 5.1).
 SENSITIVITIES = (0.071, -0.366, 1.303, -0.913, 1.394, 0.145)
@@ -89,7 +89,7 @@ def _check(name: str, values: Array, count: int) -> None:
         raise UserError(f"The bench's {name} must be finite and positive (springs may be 0).")
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def fitted_bench(springs: str = "initial", active: bool = True) -> Bench:
     """Return the synthetic bench: fitted to what is known of the real one (see lens_bench.toml).
 

@@ -35,7 +35,7 @@ class RayleighDamping:
             )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FiniteElementModel:
     """A free-floating or supported body with n degrees of freedom; SI units.
 
@@ -73,6 +73,9 @@ class FiniteElementModel:
     surface_weights: Array
     node_sets: Mapping[str, Integers] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        return _described(self)
+
     @property
     def order(self) -> int:
         """Number of degrees of freedom."""
@@ -94,7 +97,7 @@ class FiniteElementModel:
         return selection(self, self.surface_nodes)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ReducedModel:
     """A model of order r in coordinates q with u = V q; the same interface as `FiniteElementModel`.
 
@@ -127,6 +130,9 @@ class ReducedModel:
     surface_weights: Array
     seconds: float
 
+    def __repr__(self) -> str:
+        return _described(self)
+
     @property
     def order(self) -> int:
         """Number of coordinates."""
@@ -142,6 +148,16 @@ def places(model: FiniteElementModel) -> Integers:
     labeled = np.flatnonzero(model.dof_node >= 0)
     found[model.dof_node[labeled], model.dof_direction[labeled]] = labeled
     return found
+
+
+def _described(model: Model) -> str:
+    """Return what a model is, in a line."""
+    kind, what = (
+        type(model).__name__,
+        ("coordinates" if isinstance(model, ReducedModel) else "degrees of freedom"),
+    )
+    nodes = f"{len(model.interfaces)} interface and {len(model.surface_nodes)} optical nodes"
+    return f"<{kind} {model.name}: {model.order} {what}, {nodes}>"
 
 
 def selection(model: FiniteElementModel, nodes: Integers) -> csc_array:

@@ -3,15 +3,15 @@
 import operator
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
-from functools import cache
 from numbers import Integral, Real
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wavequake.errors import UserError
+from wavequake.prepared import prepared
 
 Array = NDArray[np.float64]
 
@@ -85,8 +85,8 @@ def require_fields(record: Any, what: str) -> None:
         raise UserError(f"{what}: {path.removeprefix('.')} is {_shown(value)}; it must be {words}")
 
 
-@cache
-def _hints(kind: type) -> dict[str, Any]:
+@prepared(maxsize=None)
+def _hints(kind: Any) -> dict[str, Any]:
     return {entry.name: hint for entry in fields(kind) for hint in [get_type_hints(kind)[entry.name]]}
 
 
@@ -98,10 +98,12 @@ def _wrong(value: Any, kind: Any) -> tuple[str, Any, str] | None:
         if not own and all(_wrong(value, one) for one in get_args(kind)):
             return "", value, _words(kind)
         return _wrong(value, own[0]) if own else None
-    if isinstance(kind, type) and is_dataclass(kind):
+    if isinstance(kind, type) and (is_dataclass(kind) or (is_dataclass(value) and isinstance(value, kind))):
         if not isinstance(value, kind):
             return "", value, _words(kind)
-        parts = [(f".{name}", getattr(value, name), hint) for name, hint in _hints(kind).items()]
+        parts = [
+            (f".{name}", getattr(value, name), hint) for name, hint in _hints(cast(Any, type(value))).items()
+        ]
     elif origin is tuple:
         parts, entries = [], get_args(kind)
         if isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind in "fiu":

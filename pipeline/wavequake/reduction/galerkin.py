@@ -8,62 +8,29 @@ import scipy.linalg
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, ReducedModel
-from wavequake.reduction import component_modes
-from wavequake.reduction.balanced import balanced
 from wavequake.reduction.intermediate import Intermediate
-from wavequake.reduction.irka import irka
-from wavequake.reduction.krylov import krylov
 from wavequake.reduction.limits import check_size
-from wavequake.reduction.names import Variant
-from wavequake.reduction.pod import generated, pod
-from wavequake.reduction.structure import Structure, held
-
-_COMPONENT_MODES: dict[str, Callable[[Structure, int], Array]] = {
-    "modal": component_modes.modal,
-    "guyan": component_modes.guyan,
-    "modalfix": component_modes.fixed_interface,
-    "craigb": component_modes.craig_bampton,
-    "rubin": component_modes.rubin,
-    "dualcb": component_modes.rubin,
-    "inertia": component_modes.inertia_relief,
-    "hintz": component_modes.hintz,
-    "irka": irka,
-}
+from wavequake.reduction.method import METHODS, Method, Variant
+from wavequake.reduction.structure import Structure
 
 
-def basis(body: Structure, variant: Variant, snapshots: Array | None = None) -> tuple[Array, Array]:
+def basis(body: Structure, variant: Variant, method: Method) -> tuple[Array, Array]:
     """Return the rigid and the elastic part of a variant's basis, shapes (n, r) and (n, order - r).
-
-    Parameters
-    ----------
-    body : Structure
-        Dense for irka, bt, flbt, fwbt and generated snapshots.
-    variant : Variant
-    snapshots : ndarray, shape (n, m), optional
-        For pod; without them they are generated.
 
     Raises
     ------
     UserError
         If the order does not suit the method and the model.
     """
-    rigid = body.rigid if variant.method != "modalfix" else body.rigid[:, :0]
-    order, method = variant.order, variant.method
-    if method == "guyan" and order is None:
-        held(body)
-        order = len(body.interface)
-    check_size(body.size, variant, snapshots is not None)
-    count = None if order is None else order - rigid.shape[1]
-    if method == "krylov":
-        return rigid, krylov(body, count, variant.points, variant.moments)
-    if count is None:
-        raise UserError(f"The variant {variant} has no order.")
-    if method in ("bt", "flbt", "fwbt"):
-        return rigid, balanced(body, count, variant.bands)
-    if method == "pod":
-        frequency = variant.points[0].real if variant.points else None
-        return rigid, pod(body, count, generated(body, frequency) if snapshots is None else snapshots)
-    return rigid, _COMPONENT_MODES[method](body, count)
+    rigid = body.rigid if method.rigid else body.rigid[:, :0]
+    return rigid, method.basis(body, variant, _count(body, variant, method))
+
+
+def _count(body: Structure, variant: Variant, method: Method) -> int:
+    """Elastic columns; all that there may be where the arguments decide."""
+    check_size(body.size, variant, method)
+    order = method.order(body.size) if method.order else variant.order or body.order
+    return order - (body.rigid.shape[1] if method.rigid else 0)
 
 
 def project(body: Structure, variant: Variant, rigid: Array, elastic: Array) -> tuple[Array, Array]:
@@ -92,22 +59,12 @@ def project(body: Structure, variant: Variant, rigid: Array, elastic: Array) -> 
     return np.concatenate([zeros, np.maximum(squared, 0.0)]), np.hstack([rigid, elastic @ turn])
 
 
-def _macneal(body: Structure, variant: Variant) -> tuple[Array, Array]:
-    """Return squared frequencies and shapes of a model that is no projection, as `project`."""
-    check_size(body.size, variant)
-    rigid = body.rigid.shape[1]
-    if variant.order is None:
-        raise UserError(f"The variant {variant} has no order.")
-    squared, shapes = component_modes.macneal(body, variant.order - rigid)
-    return np.concatenate([np.zeros(rigid), squared]), np.hstack([body.rigid, shapes])
-
-
 def reduced(
     body: Structure,
     variant: Variant,
     model: FiniteElementModel | Intermediate,
     surface: Callable[[Array], Array],
-    snapshots: Array | None = None,
+    method: Method | None = None,
 ) -> ReducedModel:
     """Return the reduced model of a variant, in modal coordinates: unit mass, diagonal stiffness and damping.
 
@@ -119,13 +76,17 @@ def reduced(
         Gives nodes and surface.
     surface : callable
         Picks the optical rows (3 p, r) of shapes (n, r).
-    snapshots : ndarray, shape (n, m), optional
+    method : Method, optional
+        In place of the one that the variant names.
     """
     start = time.perf_counter()
-    if variant.method == "macneal":
-        squared, shapes = _macneal(body, variant)
+    method = method or METHODS.entries()[variant.method]
+    if method.spectrum is None:
+        squared, shapes = project(body, variant, *basis(body, variant, method))
     else:
-        squared, shapes = project(body, variant, *basis(body, variant, snapshots))
+        squared, shapes = method.spectrum(body, variant, _count(body, variant, method))
+        squared = np.concatenate([np.zeros(body.rigid.shape[1]), squared])
+        shapes = np.hstack([body.rigid, shapes])
     rates = body.damping.mass + body.damping.stiffness * squared
     name = variant if variant.order is not None else _with_order(variant, len(squared))
     return ReducedModel(

@@ -13,14 +13,14 @@ import numpy as np
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, Integers, RayleighDamping
 from wavequake.mechanics.vibration.factors import LARGE
-from wavequake.reduction.component_modes import constraint_modes
-from wavequake.reduction.krylov import krylov
+from wavequake.reduction.directions import orthonormalize
+from wavequake.reduction.methods.component_modes import constraint_modes
+from wavequake.reduction.methods.krylov import krylov
 from wavequake.reduction.structure import (
     Structure,
     elastic_modes,
     fixed_modes,
     held,
-    orthonormalize,
     structure,
 )
 

@@ -1,57 +1,27 @@
 """Which orders suit a method and a model: known before anything is computed."""
 
-from typing import NamedTuple
-
 from wavequake.errors import UserError
-from wavequake.mechanics.model import RayleighDamping
-from wavequake.reduction.names import Variant
-
-# Below this order dense algebra is faster than sparse.
-DENSE = 600
-_CONSTRAINT, _ATTACHMENT = ("craigb", "guyan"), ("rubin", "macneal", "dualcb", "inertia")
-_GRAMIANS = ("bt", "flbt", "fwbt", "irka", "pod")
+from wavequake.reduction.method import METHODS, Method, NormalModes, Variant
+from wavequake.reduction.structure import Size
 
 
-class Size(NamedTuple):
-    """What of a model limits its variants.
-
-    ``freedoms`` degrees of freedom, ``interface`` interface directions (3 k), ``rigid`` motions (0 to 6);
-    ``dense`` where all modes are at hand.
-    """
-
-    name: str
-    freedoms: int
-    interface: int
-    rigid: int
-    damping: RayleighDamping
-    dense: bool
-
-
-def check_size(size: Size, variant: Variant, snapshots: bool = False) -> None:
+def check_size(size: Size, variant: Variant, method: Method | None = None) -> None:
     """Refuse a variant whose order or method does not suit a model.
 
     Parameters
     ----------
     size : Size
     variant : Variant
-    snapshots : bool
-        Whether pod is given some, so that none have to be generated.
+    method : Method, optional
+        In place of the one that the variant names.
 
     Raises
     ------
     UserError
     """
-    method, order = variant.method, variant.order
-    if method in _GRAMIANS and not snapshots and size.damping.mass == 0 == size.damping.stiffness:
-        raise UserError(
-            f"{variant}: balanced truncation, IRKA and POD need positive damping of every elastic mode, and "
-            f"the model {size.name} has none; set its Rayleigh damping, or choose craigb, rubin or krylov."
-        )
-    if method == "macneal" and size.damping.stiffness == 0:
-        raise UserError(
-            f"{variant}: shapes without mass ring when they are struck, unless the damping has a part "
-            f"proportional to the stiffness, and that of the model {size.name} has none; choose rubin."
-        )
+    method = method or METHODS.entries()[variant.method]
+    method.check(size, variant)
+    order = variant.order
     if order is None:
         return
     if order > size.freedoms:
@@ -59,47 +29,33 @@ def check_size(size: Size, variant: Variant, snapshots: bool = False) -> None:
             f"The order of {variant} is above the {size.freedoms} degrees of freedom of the model "
             f"{size.name}."
         )
-    rigid = 0 if method == "modalfix" else size.rigid
+    rigid = size.rigid if method.rigid else 0
     if order <= rigid:
         raise UserError(
             f"The order of {variant} must be above {rigid}, the number of rigid motions of the model "
             f"{size.name}, which are always kept."
         )
-    if method == "guyan" and order != size.interface:
+    if method.order is not None and order != method.order(size):
         raise UserError(
-            f"Static condensation of the model {size.name} to its interface has exactly the order "
-            f"{size.interface}, not that of {variant}; for other orders choose craigb."
+            f"The method {method.name} gives the model {size.name} exactly the order {method.order(size)}, "
+            f"not that of {variant}; for other orders choose craigb."
         )
-    static = _static(size, method)
-    if order < static:
-        kind = "constraint" if method in _CONSTRAINT else "attachment"
+    if method.modes is not None:
+        _check_modes(size, variant, method.modes)
+
+
+def _check_modes(size: Size, variant: Variant, modes: NormalModes) -> None:
+    static = modes.static(size)
+    count = (variant.order or static) - static
+    if count < 0:
         raise UserError(
-            f"The order of {variant} is below the {static} rigid motions and {kind} modes that the interface "
-            f"of the model {size.name} needs."
+            f"The order of {variant} is below the {static} rigid motions and {modes.kind} modes that the "
+            f"interface of the model {size.name} needs."
         )
-    _check_modes(size, variant, order - static)
-
-
-def _static(size: Size, method: str) -> int:
-    """Columns beside normal modes, rigid motions included."""
-    if method in _CONSTRAINT or method == "hintz":
-        return size.interface
-    if method in _ATTACHMENT:
-        return size.rigid + size.interface
-    return size.rigid if method == "modal" else 0
-
-
-def _check_modes(size: Size, variant: Variant, count: int) -> None:
-    method = variant.method
-    if method in ("modal", *_ATTACHMENT):
-        available, kind = size.freedoms - size.rigid, "elastic ones"
-    elif method in ("craigb", "modalfix"):
-        available, kind = size.freedoms - size.interface, f"with {size.interface} coordinates clamped"
-    elif method == "hintz":
-        available, kind = size.freedoms - size.rigid, f"with {size.rigid} coordinates clamped"
-    else:
-        return
+    clamped = None if modes.at_rest is None else modes.at_rest(size)
+    available = size.freedoms - (size.rigid if clamped is None else clamped)
     if count > available:
+        kind = "elastic ones" if clamped is None else f"with {clamped} coordinates clamped"
         raise UserError(
             f"{variant} asks for {count} modes of the model {size.name}, which has only {available} {kind}."
         )

@@ -15,31 +15,12 @@ in frequency bands, fwbt with weights) and pod.
 import difflib
 import math
 import re
-from dataclasses import dataclass
 
 from wavequake.errors import UserError
+from wavequake.reduction.method import METHODS, Variant
 
-COMPONENT_MODES = (
-    "modal",
-    "guyan",
-    "modalfix",
-    "craigb",
-    "rubin",
-    "macneal",
-    "dualcb",
-    "inertia",
-    "hintz",
-)
-# What the brackets of each method hold.
-METHODS = {
-    **dict.fromkeys(COMPONENT_MODES, ""),
-    "krylov": "points",
-    "irka": "",
-    "bt": "",
-    "flbt": "bands",
-    "fwbt": "bands",
-    "pod": "frequency",
-}
+__all__ = ["Variant", "parse"]
+
 _EXAMPLES = {
     "points": "krylov36(150) or krylov(200*3,450*1)",
     "bands": "flbt42(0-1200) or fwbt42(0-400*1,400-1200*0.1)",
@@ -51,44 +32,6 @@ _HIGHEST_HZ = 1e9
 _NAME = re.compile(r"([a-z]+)(\d*)(?:\(([^()]*)\))?")
 _NUMBER = r"\d+(?:\.\d*)?(?:e[+-]?\d+)?"
 _BAND = re.compile(rf"({_NUMBER})-({_NUMBER})(?:\*({_NUMBER}))?")
-
-
-@dataclass(frozen=True)
-class Variant:
-    """What a name says.
-
-    Attributes
-    ----------
-    method : str
-        A key of `METHODS`.
-    order : int or None
-        Number of coordinates; None where the method fixes it (guyan, krylov with chosen moments).
-    points : tuple of complex
-        Expansion points (krylov) or the frequency of the sine (pod) in Hz.
-    moments : tuple of int
-        Block moments at each expansion point; empty if the order is shared out evenly.
-    bands : tuple of (float, float, float)
-        Lower and upper frequency in Hz, and weight.
-    """
-
-    method: str
-    order: int | None = None
-    points: tuple[complex, ...] = ()
-    moments: tuple[int, ...] = ()
-    bands: tuple[tuple[float, float, float], ...] = ()
-
-    def __str__(self) -> str:
-        """Return the canonical name, which `parse` reads back."""
-        order = "" if self.order is None else str(self.order)
-        counts = self.moments or (None,) * len(self.points)
-        items = [
-            _print_number(point) + ("" if count is None else f"*{count}")
-            for point, count in zip(self.points, counts, strict=True)
-        ]
-        for low, high, weight in self.bands:
-            scale = "" if weight == 1.0 else f"*{weight!r}".removesuffix(".0")
-            items.append(f"{_print_number(low)}-{_print_number(high)}{scale}")
-        return f"{self.method}{order}" + (f"({','.join(items)})" if items else "")
 
 
 def parse(name: str, order: int | None = None) -> Variant:
@@ -109,13 +52,14 @@ def parse(name: str, order: int | None = None) -> Variant:
     if match is None:
         raise UserError(f"{name!r} is no name of a reduction; an example is {_EXAMPLES['points']}.")
     method, digits, inside = match.groups()
-    if method not in METHODS:
-        near = difflib.get_close_matches(method, METHODS, n=1, cutoff=0.0)[0]
+    known = METHODS.entries()
+    if method not in known:
+        near = difflib.get_close_matches(method, known, n=1, cutoff=0.0)[0]
         raise UserError(f"There is no reduction method {method!r} ({name!r}); the nearest one is {near!r}.")
     if digits and order is not None and int(digits) != order:
         raise UserError(f"The name {name!r} and the order {order} contradict each other; give one of them.")
     order = int(digits) if digits else order
-    kind = METHODS[method]
+    kind = known[method].arguments
     if (inside is None) != (kind == "" or (kind == "frequency" and inside is None)):
         wanted = "takes no arguments" if kind == "" else f"needs its {kind} in Hz"
         raise UserError(f"{name!r}: the method {method} {wanted}; an example is {_EXAMPLES[kind]}.")
@@ -124,7 +68,7 @@ def parse(name: str, order: int | None = None) -> Variant:
     bands = tuple(_band(name, item) for item in items) if kind == "bands" else ()
     if kind == "frequency" and (len(points) > 1 or moments or any(p.imag or p.real <= 0 for p in points)):
         raise UserError(f"{name!r}: the method {method} takes one positive frequency.")
-    if order is None and not (method == "guyan" or moments):
+    if order is None and not (known[method].order or moments):
         raise UserError(f"{name!r} has no order; an example is {_EXAMPLES[kind]}.")
     if order == 0:
         raise UserError(f"{name!r}: the order must be at least 1.")
@@ -166,10 +110,3 @@ def _band(name: str, item: str) -> tuple[float, float, float]:
             "positive weight."
         )
     return low, high, weight
-
-
-def _print_number(value: complex) -> str:
-    real, imaginary = (repr(part).removesuffix(".0") for part in (complex(value).real, complex(value).imag))
-    if complex(value).imag == 0:
-        return real
-    return f"{imaginary}j" if complex(value).real == 0 else f"{real}+{imaginary}j"

@@ -4,7 +4,8 @@ from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, ReducedModel
 from wavequake.reduction.galerkin import reduced
 from wavequake.reduction.intermediate import Intermediate, dense_structure, intermediate
-from wavequake.reduction.names import Variant, parse
+from wavequake.reduction.method import METHODS, Variant
+from wavequake.reduction.names import parse
 from wavequake.reduction.structure import Structure, structure
 
 
@@ -22,7 +23,7 @@ def reduce(
     a large one (built for bands of 1200 Hz, or as high as the variant's own).
 
     A body of threefold symmetry has pairs of modes of equal frequency. A method that truncates modes between
-    the two keeps an arbitrary one of them: prefer orders that keep pairs together.
+    the two keeps the one that moves the interface's first coordinates most: prefer orders that keep both.
 
     Parameters
     ----------
@@ -47,17 +48,17 @@ def reduce(
     if not isinstance(model, FiniteElementModel):
         raise UserError(f"Only a finite-element model can be reduced, not a {type(model).__name__}.")
     variant = parse(method, order) if isinstance(method, str) else method
-    if snapshots is not None and variant.method != "pod":
-        raise UserError(f"Snapshots are for pod, not for {variant}.")
+    chosen = METHODS.entries()[variant.method]
+    if snapshots is not None:
+        if chosen.of_snapshots is None:
+            raise UserError(f"Snapshots are for pod, not for {variant}.")
+        chosen = chosen.of_snapshots(snapshots)
     body = structure(model)
-    modal = variant.method in ("irka", "bt", "flbt", "fwbt") or (
-        variant.method == "pod" and snapshots is None
-    )
-    if modal and not body.is_dense:
+    if chosen.dense and not body.is_dense:
         stage = _own_intermediate(model, variant, body)
         return reduced(dense_structure(stage), variant, stage, lambda shapes: stage.surface @ shapes)
     rows = model.surface
-    return reduced(body, variant, model, lambda shapes: rows @ shapes, snapshots)
+    return reduced(body, variant, model, lambda shapes: rows @ shapes, chosen)
 
 
 def _own_intermediate(model: FiniteElementModel, variant: Variant, body: Structure) -> Intermediate:

@@ -8,7 +8,7 @@ are those of inertia relief, and elastic modes hold no trace of rigid ones.
 import weakref
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -20,14 +20,33 @@ from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, Integers, RayleighDamping, places
 from wavequake.mechanics.vibration.eigen import dense_modes, mass_normalized_rigid_modes
 from wavequake.mechanics.vibration.factors import LARGE, factorize
-from wavequake.reduction.limits import DENSE, Size
+from wavequake.reduction.directions import turn_equal
 
 Solver = Callable[[NDArray[Any]], NDArray[Any]]
 
+# Below this order dense algebra is faster than sparse.
+DENSE = 600
 # Factorizations at expansion points that are kept.
 _KEPT = 8
+# Modes that are computed beyond those asked for, at least.
+_SPARE = 4
 # An expansion point nearer than this to an eigenfrequency is moved to this distance, Hz.
 NEAREST = 1e-3
+
+
+class Size(NamedTuple):
+    """What of a model limits its variants.
+
+    ``freedoms`` degrees of freedom, ``interface`` interface directions (3 k), ``rigid`` motions (0 to 6);
+    ``dense`` where all modes are at hand.
+    """
+
+    name: str
+    freedoms: int
+    interface: int
+    rigid: int
+    damping: RayleighDamping
+    dense: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,36 +129,6 @@ def structure(model: FiniteElementModel) -> Structure:
     key = id(model)
     _structures[key] = (weakref.ref(model, lambda _: _structures.pop(key, None)), made)
     return made
-
-
-def orthonormalize(mass: Any, vectors: NDArray[Any], against: NDArray[Any] | None = None) -> NDArray[Any]:
-    """Return a mass-orthonormal basis of vectors, without what `against` spans already.
-
-    Directions weaker than 1e-8 of the longest vector are left out, as rounding errors hide them.
-    The strongest come first.
-
-    Parameters
-    ----------
-    mass : csc_array or ndarray, shape (n, n)
-    vectors : ndarray, shape (n, m)
-    against : ndarray, shape (n, l), optional
-        Mass-orthonormal.
-    """
-    if vectors.shape[1]:
-        vectors = vectors / _norms(mass, vectors).max()
-    for tolerance in (1e-16, 1e-2):
-        # Twice is enough: the second pass removes what rounding left in the first.
-        if against is not None:
-            vectors = vectors - against @ (against.conj().T @ (mass @ vectors))
-        weights, turn = np.linalg.eigh(vectors.conj().T @ (mass @ vectors))
-        keep = np.flatnonzero(weights > tolerance)[::-1]
-        vectors = vectors @ (turn[:, keep] / np.sqrt(weights[keep]))
-    return vectors
-
-
-def _norms(mass: Any, vectors: NDArray[Any]) -> Array:
-    norms: Array = np.sqrt(np.einsum("ij,ij->j", vectors.conj(), mass @ vectors).real)
-    return norms
 
 
 def determinate(rigid: Array) -> Integers:
@@ -320,23 +309,31 @@ def _modes(body: Structure, count: int, fixed: Integers | None) -> tuple[Array, 
     size = available if body.is_dense else _step(body, count, available)
     key = ("modes", None if fixed is None else tuple(fixed.tolist()), size)
     if key not in body.cache:
-        body.cache[key] = _dense_modes(body, fixed) if body.is_dense else _sparse_modes(body, size, fixed)
+        squared, shapes = _dense_modes(body, fixed) if body.is_dense else _sparse_modes(body, size, fixed)
+        body.cache[key] = squared, turn_equal(squared, shapes, _seen(body, squared, shapes, fixed))
     squared, shapes = body.cache[key]
     return squared[:count], shapes[:, :count]
+
+
+def _seen(body: Structure, squared: Array, shapes: Array, fixed: Integers | None) -> Array:
+    """Return what the interface has of modes: displacements, or forces where it is held."""
+    if fixed is None:
+        return shapes[body.interface]
+    forces: Array = body.stiffness[fixed] @ shapes - (body.mass[fixed] @ shapes) * squared
+    return forces
 
 
 def _step(body: Structure, count: int, available: int) -> int:
     """Return how many modes to compute: the next power of two, whatever was asked for before.
 
-    A pair of equal frequencies is turned differently in runs of different size, and a variant that keeps one
-    of the two must not depend on the variants before it.
+    With some to spare: both of a pair must be known where a variant keeps one of them.
     """
     if 2 * count >= available:
         raise UserError(
             f"{count} modes are too many for the {body.order} degrees of freedom of the model {body.name}; "
             "ask for fewer than half of them."
         )
-    size = max(32, 1 << (count - 1).bit_length())
+    size = max(32, 1 << (count + _SPARE - 1).bit_length())
     return size if 2 * size < available else (available - 1) // 2
 
 

@@ -13,11 +13,12 @@ from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, ReducedModel
 from wavequake.reduction.galerkin import reduced
 from wavequake.reduction.intermediate import Intermediate, dense_structure
-from wavequake.reduction.limits import DENSE, Size, check_size
+from wavequake.reduction.limits import check_size
+from wavequake.reduction.method import METHODS, Variant
 from wavequake.reduction.metrics import full_receptance, relative_errors
-from wavequake.reduction.names import COMPONENT_MODES, Variant, parse
+from wavequake.reduction.names import parse
 from wavequake.reduction.reduce import reduce
-from wavequake.reduction.structure import Structure
+from wavequake.reduction.structure import DENSE, Size, Structure
 
 
 def reference(model: Intermediate) -> ReducedModel:
@@ -34,14 +35,12 @@ def covers(model: Intermediate, variant: Variant) -> bool:
     """
     if model.order == model.full_order:
         return True
-    interface, rigid = 3 * len(model.interfaces), model.rigid.shape[1]
-    order = variant.order or 0
-    if variant.method in COMPONENT_MODES:
-        static = {"modal": rigid, "modalfix": 0, "craigb": interface, "guyan": interface, "hintz": interface}
-        available = model.modes if variant.method != "hintz" else model.modes // 2
-        return bool(order - static.get(variant.method, rigid + interface) <= available)
+    size, order = _size(model), variant.order or 0
+    modes = METHODS.entries()[variant.method].modes
+    if modes is not None:
+        return order - modes.static(size) <= int(modes.covered * model.modes)
     if variant.moments:
-        order = rigid + interface * sum(variant.moments)
+        order = size.rigid + size.interface * sum(variant.moments)
     highest = max([abs(point) for point in variant.points] + [high for _, high, _ in variant.bands] + [0.0])
     return bool(highest <= model.highest and 3 * order <= 2 * model.order)
 
@@ -54,16 +53,16 @@ def check_variants(model: Intermediate, variants: Sequence[str | Variant]) -> No
     UserError
         If an order does not suit the method and the model, or the method needs damping that is not there.
     """
-    size = Size(
-        model.name,
-        model.full_order,
-        3 * len(model.interfaces),
-        model.rigid.shape[1],
-        model.damping,
-        model.full_order <= DENSE,
-    )
+    size = _size(model)
     for name in variants:
         check_size(size, parse(name) if isinstance(name, str) else name)
+
+
+def _size(model: Intermediate) -> Size:
+    """Of the full model."""
+    interface, rigid = 3 * len(model.interfaces), model.rigid.shape[1]
+    dense = model.full_order <= DENSE
+    return Size(model.name, model.full_order, interface, rigid, model.damping, dense)
 
 
 def reduce_variants(

@@ -106,10 +106,10 @@ def animate_case(
     manifest = read_manifest(store)
     if case not in range(manifest.cases):
         raise UserError(f"{store} has cases 0 to {manifest.cases - 1}; there is no case {case}")
-    if manifest.workflow == telescope_exposure.WORKFLOW.name:
+    if manifest.workflow == telescope_exposure.KIND.name:
         name = _named(of or "disturbed", CONTROLLERS, "controller")
         film = _telescope(control_bench_of(manifest.study), case, name, device)
-    elif manifest.workflow == mirror_exposure.WORKFLOW.name:
+    elif manifest.workflow == mirror_exposure.KIND.name:
         names = [excitation.name for excitation in study_of(manifest.study).excitation]
         name = _named(of or names[0], names, "excitation")
         film = _mirror(manifest.study, case, names.index(name), device)

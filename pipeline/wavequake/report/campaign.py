@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
@@ -11,31 +12,25 @@ from wavequake.campaign.store.store import JOURNAL, REPORT, Manifest, open_store
 from wavequake.campaign.store.verify import verify_store
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.device.devices import choose_device
-from wavequake.report import (
-    exposures,
-    lens,
-    lens_passive,
-    mirror_exposures,
-    mirror_traces,
-    mirrors,
-    segment_variants,
-    segments,
-    systems,
-)
 from wavequake.report.export import export, target_of
 
-# Each has table_of(store, dataset) and write_report_of(store, dataset, target, device).
-_REPORTS: dict[str, ModuleType] = {
-    "segment-disturbance": segments,
-    "mirror-mor": mirrors,
-    "segment-mor": segment_variants,
-    "mirror-trace": mirror_traces,
-    "system-disturbance": systems,
-    "telescope-exposure": exposures,
-    "mirror-exposure": mirror_exposures,
-    "lens-experiment": lens,
-    "lens-passive": lens_passive,
+# Modules with table_of(store, dataset) and write_report_of(store, dataset, target, device), imported when a
+# store asks for them. Other kinds have the plain report, which is made of their measures.
+_REPORTS = {
+    "segment-disturbance": "segments",
+    "mirror-mor": "mirrors",
+    "segment-mor": "segment_variants",
+    "mirror-trace": "mirror_traces",
+    "system-disturbance": "systems",
+    "telescope-exposure": "exposures",
+    "mirror-exposure": "mirror_exposures",
+    "lens-experiment": "lens",
+    "lens-passive": "lens_passive",
 }
+
+
+def _report_of(workflow: str) -> ModuleType:
+    return import_module(f"wavequake.report.{_REPORTS.get(workflow, 'plain')}")
 
 
 def report_path(store: Path) -> Path:
@@ -65,7 +60,7 @@ def summary_table(store: Path) -> Table:
     """Return the table of a store for the terminal; raises as :func:`report_store`."""
     dataset, workflow = open_store(store), read_manifest(store).workflow
     with _damage_named(store):
-        table: Table = _REPORTS[workflow].table_of(store, dataset)
+        table: Table = _report_of(workflow).table_of(store, dataset)
         return table
 
 
@@ -80,7 +75,7 @@ def report_store(store: Path) -> tuple[Table, Path]:
         If its numbers cannot be read; names the first array that is damaged.
     """
     dataset, manifest = open_store(store), read_manifest(store)
-    report = _REPORTS[manifest.workflow]
+    report = _report_of(manifest.workflow)
     with _damage_named(store):
         path = report.write_report_of(store, dataset, report_path(store), device_at_hand(manifest))
         return report.table_of(store, dataset), path

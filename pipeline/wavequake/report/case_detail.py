@@ -6,9 +6,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.campaign.store.store import Manifest
 from wavequake.kernels.device.devices import choose_device
-from wavequake.mechanics.disturbances.element_motion import instants_of
+from wavequake.mechanics.disturbances.registry import instants_of
 from wavequake.mechanics.vibration.drive import values
 from wavequake.mechanics.vibration.excitations import drive_of
 from wavequake.mechanics.vibration.modal import modal_model
@@ -215,7 +216,7 @@ def _of_mirror(text: str, case: int, device_name: str) -> xr.Dataset:
     study, device = trace_study_of(text), choose_device(device_name)
     name, variant = mirror.cases_of(study)[case]
     bench, time = bench_of(text, name), time_of(study)
-    reduced, optics, clock = variant_of(bench, variant), bench.optics, mirror.Clock()
+    reduced, optics, clock = variant_of(bench, variant), bench.optics, Stopwatch()
     motion = motion_fit(optics.surface, displacements_mm(reduced.surface.T))
     left, parts = left_by(optics, reduced), []
     for excitation in study.excitation:

@@ -6,7 +6,7 @@ well without color vision.
 """
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from matplotlib import colormaps, rc_context
@@ -20,6 +20,11 @@ from matplotlib.path import Path
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
+from wavequake.drawing.style import COLORS as COLORS
+from wavequake.drawing.style import HEIGHT as HEIGHT
+from wavequake.drawing.style import LINES as LINES
+from wavequake.drawing.style import STYLE as STYLE
+from wavequake.drawing.style import WIDTH as WIDTH
 from wavequake.report.detail import Detail
 from wavequake.report.labels import Labels
 from wavequake.report.populations import Population
@@ -27,31 +32,6 @@ from wavequake.report.raster import fill_segments
 from wavequake.report.statistics import case_rms, distribution
 from wavequake.report.table import number
 
-WIDTH, HEIGHT = 5.5, 4.7  # inches
-STYLE: dict[Any, Any] = {
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 9.0,
-    "axes.titlesize": 9.5,
-    "axes.titlelocation": "left",
-    "axes.linewidth": 0.7,
-    "axes.formatter.limits": (-3, 5),
-    "axes.edgecolor": "#444444",
-    "axes.labelcolor": "#222222",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "xtick.color": "#444444",
-    "ytick.color": "#444444",
-    "xtick.major.width": 0.7,
-    "ytick.major.width": 0.7,
-    "legend.frameon": False,
-    "legend.fontsize": 8.5,
-    "figure.facecolor": "white",
-    "svg.fonttype": "none",
-    "svg.hashsalt": "wavequake",
-}
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
-LINES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)))
 _GRID, _DIVERGING = "#dddddd", "RdBu_r"
 Quantity = Literal["wfe", "strehl"]
 _MAP_PIXELS = 400

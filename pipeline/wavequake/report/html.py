@@ -56,6 +56,7 @@ _DEFINITIONS = (
         "Over the rays on glass, piston and tilt removed: a tilt moves the image and does not blur it.",
     ),
     ("Maréchal", "marechal", "The Strehl ratio is then about 0.8 or more."),
+    ("peak", "peak", "P5 is over cases: 5 % of the exposures are worse."),
     ("EE80", "ee80", "The exposure of a case is the mean of the images of its instants; P50 is over cases."),
     (
         "confidence interval",
@@ -152,14 +153,16 @@ def answer(summaries: Iterable[Summary]) -> str:
     if not known:
         lost = sum(summary.quarantined + summary.incomplete for summary in summaries)
         return f"No case is done: all {lost} that were computed failed." if lost else "No case is done yet."
-    worst = max(known, key=lambda summary: summary.wfe_raw_p95.value)
+    worst = min(known, key=lambda summary: summary.peak_p5.value)
+    largest = max(known, key=lambda summary: summary.wfe_raw_p95.value)
     jitter = max(known, key=lambda summary: summary.los_jitter.radial)
     several = len(known) > 1
     lead = f"Of {len(known)} disturbances, {worst.name} costs the most" if several else worst.name
     where = f" ({jitter.name})" if several else ""
     return (
-        f"{lead}: 95 % of its {worst.cases} cases stay below {number(worst.wfe_raw_p95.value)} nm rms of "
-        f"wavefront error, and 95 % of its instants above a Strehl ratio of {number(worst.strehl_p5.value)}. "
+        f"{lead}: 5 % of its {worst.cases} exposures have a peak below {number(worst.peak_p5.value)} of the "
+        f"perfect image's, motion of the line of sight included. The largest wavefront error is that of "
+        f"{largest.name}: 95 % of its cases stay below {number(largest.wfe_raw_p95.value)} nm rms. "
         f"The largest line-of-sight jitter is {number(jitter.los_jitter.radial)} mas rms{where}."
     )
 

@@ -6,7 +6,7 @@ import os
 import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from wavequake.report import figures
 from wavequake.report.populations import Excluded
 
 LISTED = 200
+_WIDE = 1.2 * 72.0 * figures.WIDTH  # points
 _LONGEST = 100_000  # characters of a file of a study
 
 
@@ -31,6 +32,17 @@ class Picture:
     id: str
     text: str
     svg: Markup
+
+    @property
+    def points(self) -> int:
+        """Width of the drawing; as many pixels show its text of 9 points at 9 pixels."""
+        found = re.search(r'viewBox="0 0 ([\d.]+)', self.svg)
+        return round(float(found[1])) if found else 0
+
+    @property
+    def wide(self) -> bool:
+        """Whether it needs the whole width of the page."""
+        return self.points > _WIDE
 
 
 @dataclass(frozen=True)
@@ -75,6 +87,9 @@ class Page:
 
 def render_page(dataset: xr.Dataset, page: Page) -> str:
     """Return the report of a store as HTML."""
+    from wavequake.report.layout_picture import layout_picture  # it makes a Picture
+
+    page = replace(page, overview=[*layout_picture(dataset), *page.overview])
     study = _study(dataset)
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),

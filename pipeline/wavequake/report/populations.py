@@ -1,5 +1,6 @@
 """From a store to the populations of its report: one per disturbance model, without the cases that failed."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,7 +15,7 @@ from wavequake.report.statistics import Jitter, Quantile, case_rms, jitter, quan
 
 _SERIES = ("wfe_rms", "wfe_rms_raw", "segment_piston_rms", "strehl", "los", "centroid")
 _VERDICTS = ("rayleigh", "marechal")
-_NEEDED = (*_SERIES, *_VERDICTS, "ee80", "time_s", "status", "disturbance")
+_NEEDED = (*_SERIES, *_VERDICTS, "ee80", "peak", "time_s", "status", "disturbance")
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,8 @@ class Population:
     strehl : ndarray, shape (C, T)
     ee80 : ndarray, shape (C,)
         Radius of 80 % encircled energy, lambda/D; +inf beyond the frame.
+    peak : ndarray, shape (C,)
+        Largest irradiance of the exposure, which motion of the line of sight lowers, too.
     rayleigh, marechal : ndarray, shape (C,)
         Shares of a case's instants that are diffraction-limited by Störkle 2018, Eq. 3.54 and Eq. 3.55.
     quarantined, todo, incomplete : int
@@ -55,6 +58,7 @@ class Population:
     centroid: NDArray[np.float64]
     strehl: NDArray[np.float64]
     ee80: NDArray[np.float64]
+    peak: NDArray[np.float64]
     rayleigh: NDArray[np.float64]
     marechal: NDArray[np.float64]
     quarantined: int
@@ -119,6 +123,7 @@ class Summary:
     strehl_p5: Quantile
     strehl_p50: Quantile
     ee80_p50: Quantile
+    peak_p5: Quantile
     rayleigh: float
     marechal: float
 
@@ -191,6 +196,7 @@ def summarize(population: Population, analytic: tuple[float, str] | None = None)
         strehl_p5=quantile(population.strehl, 0.05, cases, sets),
         strehl_p50=quantile(population.strehl, 0.50, cases, sets),
         ee80_p50=quantile(population.ee80, 0.50, sets=sets),
+        peak_p5=quantile(population.peak, 0.05, sets=sets),
         rayleigh=float(population.rayleigh.mean()) if cases else np.nan,
         marechal=float(population.marechal.mean()) if cases else np.nan,
     )
@@ -215,15 +221,25 @@ def excluded(dataset: xr.Dataset) -> tuple[Excluded, ...]:
     )
 
 
-def left_out(dataset: xr.Dataset, label: str = "disturbance", most: int | None = None) -> list[Excluded]:
-    """Return the cases that failed (the first `most` of them), with the reason; `label` names them."""
+def left_out(
+    dataset: xr.Dataset, labels: str | Sequence[str] = "disturbance", most: int | None = None
+) -> list[Excluded]:
+    """Return the cases that failed (the first `most` of them), with the reason; `labels` name them."""
     status, meanings = dataset["status"].to_numpy(), STATUS_MEANINGS.split()
     rows = np.flatnonzero((status != DONE) & (status != TODO))[:most]
-    failed = dataset[["message", label, "realization"]].isel(case=rows)
-    columns = (failed[name].to_numpy() for name in ("case", label, "realization", "message"))
+    failed = dataset.isel(case=rows)
+    names = [failed[name].to_numpy() for name in ([labels] if isinstance(labels, str) else labels)]
+    ids, messages = failed["case"].to_numpy(), failed["message"].to_numpy()
+    realizations = failed["realization"].to_numpy() if "realization" in failed.coords else None
     return [
-        Excluded(int(case), str(name), int(realization), meanings[status[row]], str(message))
-        for row, case, name, realization, message in zip(rows, *columns, strict=True)
+        Excluded(
+            int(ids[place]),
+            " / ".join(str(values[place]) for values in names),
+            None if realizations is None else int(realizations[place]),
+            meanings[status[row]],
+            str(messages[place]),
+        )
+        for place, row in enumerate(rows)
     ]
 
 
@@ -251,7 +267,9 @@ def _usable(arrays: dict[str, NDArray[Any]]) -> NDArray[np.bool_]:
     Populations of fewer instants than the longest one end in NaN; an infinite EE80 is a number.
     """
     instants = np.isfinite(arrays["time_s"])
-    whole: NDArray[np.bool_] = (arrays["status"] == DONE) & ~np.isnan(arrays["ee80"])
+    whole: NDArray[np.bool_] = (
+        (arrays["status"] == DONE) & ~np.isnan(arrays["ee80"]) & ~np.isnan(arrays["peak"])
+    )
     for name in _SERIES:
         finite = np.isfinite(arrays[name]).reshape(*instants.shape, -1).all(axis=2)
         whole &= (finite | ~instants).all(axis=1)
@@ -278,6 +296,7 @@ def _population(name: str, arrays: dict[str, NDArray[Any]]) -> Population:
         centroid=series["centroid"],
         strehl=series["strehl"],
         ee80=arrays["ee80"][usable].astype(np.float64),
+        peak=arrays["peak"][usable].astype(np.float64),
         rayleigh=arrays["rayleigh"][usable].astype(np.float64),
         marechal=arrays["marechal"][usable].astype(np.float64),
         quarantined=int(np.count_nonzero(mine & (status > DONE))),

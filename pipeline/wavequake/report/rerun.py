@@ -22,7 +22,7 @@ from wavequake.errors import UserError
 from wavequake.report.campaign import device_at_hand
 from wavequake.report.case_detail import detail_of
 from wavequake.report.export import export, target_of
-from wavequake.workflows.run import WORKFLOWS
+from wavequake.workflows.kinds import find_kind
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def rerun_stored(store: Path, case: int, file: Path | None = None) -> CaseRerun:
     if target.suffix != ".nc":
         raise UserError(f"{target} must end in .nc.")
     stored = open_store(store).sel(case=[case]).load()
-    device, workflow = device_at_hand(manifest), WORKFLOWS[manifest.workflow]
+    device, workflow = device_at_hand(manifest), find_kind(manifest.workflow)
     computed, template = workflow.template(manifest.study), stored_template(workflow, manifest.study)
     if sys.__stderr__:  # a case that crashed in the campaign will do so here, and say where
         faulthandler.enable(sys.__stderr__)

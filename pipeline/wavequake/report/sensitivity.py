@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from wavequake.optics.derivatives.central import DOFS
 from wavequake.optics.polynomials.zernike import noll_to_nm
-from wavequake.optics.segments.sensitivity import DOFS
 from wavequake.report.table import MISSING, number
 
 if TYPE_CHECKING:

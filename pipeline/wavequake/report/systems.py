@@ -1,7 +1,6 @@
 """The report of a system-disturbance store: a row per disturbance and field point, and figures."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,19 +11,18 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from wavequake.campaign.contract import DONE
-from wavequake.campaign.store.retention import STATISTICS
 from wavequake.campaign.store.store import read_manifest
 from wavequake.kernels.device.devices import choose_device
-from wavequake.mechanics.disturbances.element_motion import instants_of
+from wavequake.mechanics.disturbances.registry import instants_of
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.wavefronts.wavefront import trace_system
-from wavequake.report import budget
+from wavequake.report import budget, system_images
 from wavequake.report import system_figures as draw_figures
-from wavequake.report.histories import has_histories, what_is_kept
+from wavequake.report.histories import what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
-from wavequake.report.statistics import Jitter, Quantile, case_rms, jitter_of_cases, quantile
+from wavequake.report.statistics import Quantile, quantile
+from wavequake.report.system_populations import FieldResult, SystemPopulation, populations
 from wavequake.report.table import interval, number, share
 from wavequake.workflows.systems.system_bench import (
     SystemBench,
@@ -37,10 +35,6 @@ from wavequake.workflows.systems.system_disturbance import draw
 from wavequake.workflows.systems.system_measure import worst_instant
 
 Array = NDArray[np.float64]
-
-_SERIES = ("wfe_rms", "wfe_change", "spot_rms", "wfe_rms_raw", "strehl", "los_mm")
-_BLOCK_BYTES = 2**26  # of time series in memory at a time
-_INSTANTS = 2**20  # about the most whose Strehl ratios a median is taken of
 
 _SMALL_PRINT = (
     "At the primary wavelength. WFE, its change from rest and spot: rms of a case over its instants; P50 "
@@ -57,47 +51,6 @@ _DEFINITIONS = (
     ("spot", "Rms distance of the rays' image points from their centroid."),
     ("Strehl", "Intensity in the direction of the best-fit plane, relative to a perfect wavefront."),
 )
-
-
-@dataclass(frozen=True)
-class FieldResult:
-    """What one population does at one field point, at the primary wavelength.
-
-    ``wfe``, ``raw`` (of the rays that arrive), ``change`` (nm) and ``spot`` (um) hold the rms over its
-    instants of each case, (C,); ``sets`` the stratified set of each, if cases are not independent.
-    """
-
-    field: str
-    wfe: Array
-    change: Array
-    spot: Array
-    strehl_p50: float
-    marechal: float
-    los: Jitter
-    vignetted: int
-    raw: Array
-    lost: int
-    sets: NDArray[np.int64] | None = None
-
-
-@dataclass(frozen=True)
-class SystemPopulation:
-    """The finished cases of one disturbance.
-
-    Attributes
-    ----------
-    name : str
-    cases : ndarray of int, shape (C,)
-        Ids.
-    fields : tuple of FieldResult
-    worst : int or None
-        Case of the largest change of the wavefront at any instant and field point.
-    """
-
-    name: str
-    cases: NDArray[np.int64]
-    fields: tuple[FieldResult, ...]
-    worst: int | None
 
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
@@ -148,104 +101,6 @@ def _overview(found: Sequence[SystemPopulation]) -> Iterator[Picture]:
         yield picture("distributions", "Distribution of the wavefront error of all disturbances", figure)
 
 
-def populations(dataset: xr.Dataset, bench: SystemBench) -> list[SystemPopulation]:
-    """Split a store by disturbance, in the order in which the disturbances first appear.
-
-    A few chunks are read at a time; numbers per case stay, and so many instants of the Strehl ratio that a
-    median needs.
-    """
-    light = dataset.isel(wavelength=bench.system.primary_wavelength)
-    names = np.array([str(name) for name in dataset["disturbance"].to_numpy()])
-    done = dataset["status"].to_numpy() == DONE
-    places = {name: np.flatnonzero(done & (names == name)) for name in dict.fromkeys(names.tolist())}
-    present = {
-        name: np.isfinite(light["time_s"].isel(case=rows[0]).to_numpy())  # as many instants in each case
-        for name, rows in places.items()
-        if len(rows) and has_histories(light)
-    }
-    parts: dict[str, list[dict[str, Array]]] = {name: [] for name in places}
-    for first, last in _blocks(light):
-        rows = {name: mine[(first <= mine) & (mine < last)] - first for name, mine in places.items()}
-        if not any(map(len, rows.values())):
-            continue
-        block = {key: light[key].isel(case=slice(first, last)).to_numpy() for key in _SERIES}
-        for name, mine in rows.items():
-            if len(mine) and not present:
-                parts[name].append(_of_summary(block, mine))
-            elif len(mine):
-                every = -(-present[name].sum() * len(places[name]) // _INSTANTS)
-                parts[name].append(_per_case(block, mine, present[name], every))
-    return [_population(light.isel(case=places[name]), name, parts[name]) for name in places]
-
-
-def _blocks(light: xr.Dataset) -> Iterator[tuple[int, int]]:
-    """Yield the first case and the case after the last of blocks of whole chunks."""
-    cases = light.sizes["case"]
-    chunk = max(1, *light.chunks.get("case", (cases,)))
-    each = sum(light[key].nbytes for key in _SERIES) / max(1, cases)
-    rows = chunk * max(1, int(_BLOCK_BYTES / max(1.0, each * chunk)))
-    for first in range(0, cases, rows):
-        yield first, min(first + rows, cases)
-
-
-def _per_case(
-    block: dict[str, Array], rows: NDArray[np.int64], present: NDArray[np.bool_], every: int
-) -> dict[str, Array]:
-    """Return what is kept of some cases: numbers per case and field, and every n-th Strehl ratio."""
-    values = {key: series[rows][:, present] for key, series in block.items()}
-    return {
-        **{key: case_rms(values[key]) for key in ("wfe_rms", "wfe_change", "spot_rms", "wfe_rms_raw")},
-        "los_mean": values["los_mm"].mean(axis=1),
-        "los_variance": values["los_mm"].var(axis=1),
-        "strehl": values["strehl"][:, ::every].reshape(-1, values["strehl"].shape[2]),
-        "worst": values["wfe_change"].max(axis=(1, 2)),
-    }
-
-
-def _of_summary(block: dict[str, Array], rows: NDArray[np.int64]) -> dict[str, Array]:
-    """Return the same of statistics (case, statistic, field); of the line of sight about rest."""
-    mean, rms, largest = (
-        {key: series[rows, STATISTICS.index(name)] for key, series in block.items()}
-        for name in ("mean", "rms", "max")
-    )
-    squares = np.repeat(rms["los_mm"][..., None] ** 2 / 2.0, 2, axis=-1)  # of both axes together
-    return {
-        **{key: rms[key] for key in ("wfe_rms", "wfe_change", "spot_rms", "wfe_rms_raw")},
-        "los_mean": np.zeros_like(squares),
-        "los_variance": squares,
-        "strehl": mean["strehl"],
-        "worst": largest["wfe_change"].max(axis=1),
-    }
-
-
-def _population(light: xr.Dataset, name: str, parts: Sequence[dict[str, Array]]) -> SystemPopulation:
-    cases = light["case"].to_numpy()
-    if not len(cases):
-        return SystemPopulation(name, cases, (), None)
-    values = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
-    sets = light["replicate"].to_numpy() if "replicate" in light.coords else None
-    vignetted, lost, marechal = (light[name].to_numpy() for name in ("vignetted", "lost", "marechal"))
-    fields = tuple(
-        FieldResult(
-            field=str(label),
-            wfe=values["wfe_rms"][:, index],
-            change=values["wfe_change"][:, index],
-            spot=values["spot_rms"][:, index],
-            strehl_p50=float(np.median(values["strehl"][:, index])),
-            marechal=float(marechal[:, index].mean()),
-            los=jitter_of_cases(
-                values["los_mean"][:, index] * 1e3, values["los_variance"][:, index] * 1e6, sets
-            ),
-            vignetted=int(vignetted[:, index].max()),
-            raw=values["wfe_rms_raw"][:, index],
-            lost=int(lost[:, index].max()),
-            sets=sets,
-        )
-        for index, label in enumerate(light["field"].to_numpy())
-    )
-    return SystemPopulation(name, cases, fields, int(cases[np.argmax(values["worst"])]))
-
-
 _HEADERS = (
     "disturbance",
     "cases",
@@ -260,8 +115,11 @@ _HEADERS = (
     "arrived WFE P50 (nm)",
     "vignetted",
     "lost",
+    "peak P50",
+    "EE80 P50 (λ/D)",
 )
-_WHOLE = tuple(name for name in _HEADERS if name not in ("arrived WFE P50 (nm)", "lost"))
+_OF_PARTS = ("arrived WFE P50 (nm)", "lost")
+_OF_IMAGES = ("peak P50", "EE80 P50 (λ/D)")
 
 
 def _row(population: SystemPopulation, one: FieldResult, bench: SystemBench) -> dict[str, tuple[str, str]]:
@@ -282,13 +140,22 @@ def _row(population: SystemPopulation, one: FieldResult, bench: SystemBench) -> 
         _quantile(quantile(one.raw, 0.5, sets=one.sets)),
         (f"{one.vignetted} of {rays}" if one.vignetted else "0", ""),
         (f"{one.lost - one.vignetted} of {rays}" if one.lost > one.vignetted else "0", ""),
+        *(
+            ("", "") if values is None else _quantile(quantile(values, 0.5, sets=one.sets))
+            for values in (one.peak, one.ee80)
+        ),
     )
     return dict(zip(_HEADERS, values, strict=True))
 
 
 def _headers(found: Sequence[SystemPopulation]) -> tuple[str, ...]:
-    """Return the columns of the table: two more where rays do not arrive."""
-    return _HEADERS if _incomplete(found) else _WHOLE
+    """Return the columns of the table: some more where rays do not arrive, and where there are images."""
+    absent = set(() if _incomplete(found) else _OF_PARTS) | set(() if _imaged(found) else _OF_IMAGES)
+    return tuple(name for name in _HEADERS if name not in absent)
+
+
+def _imaged(found: Sequence[SystemPopulation]) -> bool:
+    return any(one.peak is not None for population in found for one in population.fields)
 
 
 def _incomplete(found: Sequence[SystemPopulation]) -> bool:
@@ -336,6 +203,19 @@ def answer(found: Sequence[SystemPopulation]) -> str:
     return (
         f"{name} changes the wavefront most: in 95 % of its cases by at most {value} nm rms at field "
         f"{one.field}, where the line of sight moves by {number(one.los.radial)} µm rms."
+        + _worst_image(results)
+    )
+
+
+def _worst_image(results: Sequence[tuple[str, FieldResult]]) -> str:
+    """Say which disturbance costs most of the exposure, line of sight included, where there are images."""
+    imaged = [(name, one, quantile(one.peak, 0.05)) for name, one in results if one.peak is not None]
+    if not imaged:
+        return ""
+    name, one, peak = min(imaged, key=lambda result: result[2].value)
+    return (
+        f" Of exposures, which the motion of the line of sight blurs, too, {name} costs most: at field "
+        f"{one.field} 5 % of its cases have a peak below {number(peak.value)} of the perfect image's."
     )
 
 
@@ -369,6 +249,7 @@ def _figures(
         draw_figures.field_map(points, medians, unit, f"{label}, median of the cases (nm)"),
     )
     yield picture(f"{name}-spots", f"Spot diagrams, {name}", _spots(bench, population.worst, device))
+    yield from system_images.pictures(name, population.cases, bench, dataset)
 
 
 def _spots(bench: SystemBench, case: int, device: str) -> Figure:

@@ -9,27 +9,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wavequake.campaign.contract import Workflow
+from wavequake.campaign.contract import StudyKind
 from wavequake.campaign.engine.chunk_size import default_chunk, stored_bytes
 from wavequake.campaign.engine.driver import CampaignSummary, run_campaign
 from wavequake.campaign.engine.driver_lock import Shard, shard_of
+from wavequake.campaign.schema import Study
 from wavequake.campaign.statistics.until import Goal, described, goal_of, is_met, looks, quantiles_of
 from wavequake.campaign.store.journal import read_journal
 from wavequake.campaign.store.retention import stored_template
 from wavequake.campaign.store.store import JOURNAL, MANIFEST, done_records, open_store, read_manifest
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
-from wavequake.workflows.exposures.mirror_exposure import WORKFLOW as MIRROR_EXPOSURE
-from wavequake.workflows.exposures.telescope_exposure import WORKFLOW as TELESCOPE_EXPOSURE
-from wavequake.workflows.lens.lens_experiment import WORKFLOW as LENS_EXPERIMENT
-from wavequake.workflows.lens.lens_passive import WORKFLOW as LENS_PASSIVE
-from wavequake.workflows.mirrors.mirror_mor import WORKFLOW as MIRROR_MOR
-from wavequake.workflows.mirrors.mirror_trace import WORKFLOW as MIRROR_TRACE
-from wavequake.workflows.schema import Study
-from wavequake.workflows.segments.segment_disturbance import WORKFLOW as SEGMENT_DISTURBANCE
-from wavequake.workflows.segments.segment_mor import WORKFLOW as SEGMENT_MOR
+from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.study import load_study, study_with
-from wavequake.workflows.systems.system_disturbance import WORKFLOW as SYSTEM_DISTURBANCE
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -42,25 +34,10 @@ _WHOLE_S = 5.0  # a pilot of a whole chunk may take that long
 # a worker takes on.
 _CHUNK_S = (2.0, 10.0)
 
-WORKFLOWS: dict[str, Workflow] = {
-    workflow.name: workflow
-    for workflow in (
-        SEGMENT_DISTURBANCE,
-        MIRROR_MOR,
-        MIRROR_TRACE,
-        SEGMENT_MOR,
-        SYSTEM_DISTURBANCE,
-        TELESCOPE_EXPOSURE,
-        MIRROR_EXPOSURE,
-        LENS_EXPERIMENT,
-        LENS_PASSIVE,
-    )
-}
 
-
-def workflow_of(study: Study) -> Workflow:
-    """Return the workflow that a study asks for."""
-    return WORKFLOWS[study.study.workflow]
+def kind_of(study: Study) -> StudyKind:
+    """Return the study kind that a study asks for."""
+    return find_kind(study.study.workflow)
 
 
 def run_study(
@@ -89,7 +66,7 @@ def run_study(
     """
     if shard and study.campaign.until is not None:
         raise UserError("campaign.until judges all cases together, which no shard has: leave out one.")
-    workflow = workflow_of(study)
+    workflow = kind_of(study)
     text = study.identity_text()
     device = choose_device(study.campaign.device)
     workflow.check(text)  # a study that cannot work says so before a store is made or a worker started
@@ -128,7 +105,7 @@ def chunk_of(study: Study, path: Path | None = None) -> int:
         return read_manifest(path).chunk
     if study.store.chunk_cases is not None:
         return study.store.chunk_cases
-    return default_chunk(study.cases, stored_template(workflow_of(study), study.identity_text()))
+    return default_chunk(study.cases, stored_template(kind_of(study), study.identity_text()))
 
 
 def _run_until(
@@ -164,6 +141,7 @@ def run(
     allow_mixed: bool = False,
     shard: str | None = None,
     cluster: str | Path | None = None,
+    progress: Progress | None = None,
     **overrides: Any,
 ) -> "xr.Dataset":
     """Run a study and return its results as a labelled lazy dataset.
@@ -187,6 +165,8 @@ def run(
         ``"i/n"``, from ``"0/n"``: compute every n-th chunk only, while n - 1 others compute the rest.
     cluster : str or Path, optional
         A cluster file (``docs/clusters.md``) for ``slurm``, ``ssh`` and ``tls://``.
+    progress : callable, optional
+        Called with the numbers of cases that are done, wanted and quarantined.
     **overrides
         Further keys with double underscores for dots, e.g. ``optics__wavelength_nm=1000.0``.
 
@@ -207,14 +187,15 @@ def run(
     path = loaded.folder(store)
     part = None if shard is None else shard_of(shard)
     file = None if cluster is None else Path(cluster)
-    run_study(loaded, path, on=on, workers=workers, allow_mixed=allow_mixed, shard=part, cluster=file)
+    how = {"on": on, "workers": workers, "allow_mixed": allow_mixed, "progress": progress}
+    run_study(loaded, path, shard=part, cluster=file, **how)  # type: ignore[arg-type]
     return open_store(path)
 
 
 def plan(study: str | Path | Study) -> dict[str, str]:
     """Describe what running `study` would take: a pilot of a few cases gives the time; nothing is stored."""
     study = study if isinstance(study, Study) else load_study(study)
-    workflow, text = workflow_of(study), study.identity_text()
+    workflow, text = kind_of(study), study.identity_text()
     cases, chunk = study.cases, chunk_of(study)
     workflow.check(text)
     template = stored_template(workflow, text)
@@ -249,7 +230,7 @@ def plan(study: str | Path | Study) -> dict[str, str]:
 
 def notices(study: Study) -> Iterator[str]:
     """Yield what the user should read before a run, such as size, mass and doubtful units of a model."""
-    return workflow_of(study).notices(study.identity_text())
+    return kind_of(study).notices(study.identity_text())
 
 
 def _chunk_advice(cases: int, chunk: int, each: float) -> str:
@@ -294,7 +275,7 @@ def profile(path: Path | str) -> dict[str, str]:
     )
     seconds["rest"] = total - sum(seconds.values())
     lines = {name: f"{value:8.2f} s  {value / total:6.1%}" for name, value in seconds.items()}
-    work = WORKFLOWS[manifest.workflow].work(manifest.study, sum(last - first for first, last in records))
+    work = find_kind(manifest.workflow).work(manifest.study, sum(last - first for first, last in records))
     rates = {
         f"{name} rate": f"{count / seconds[name] / 1e6:8.1f} M {unit}/s"
         for name, (count, unit) in work.items()

@@ -13,6 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.provenance import collect
+from wavequake.campaign.schema import Study
 from wavequake.campaign.store import arrays
 from wavequake.campaign.store.journal import digest, flush
 from wavequake.campaign.store.store import (
@@ -26,12 +27,12 @@ from wavequake.campaign.store.store import (
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.optics.checks import whole
+from wavequake.optics.derivatives.central import DOFS, SensitivityMatrix
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.segments.prepared import prepare
-from wavequake.optics.segments.sensitivity import DOFS, Sensitivities, SensitivityMatrix, sensitivities
+from wavequake.optics.segments.sensitivity import Sensitivities, sensitivities
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.exposures.telescope_control import segment_text
-from wavequake.workflows.schema import Study
 from wavequake.workflows.segments.bench import MM_PER_M, Bench, bench_of
 from wavequake.workflows.segments.segment_mor_bench import telescope_study
 from wavequake.workflows.segments.segment_mor_study import SegmentMorStudy

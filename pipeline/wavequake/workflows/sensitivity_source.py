@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from wavequake.campaign.schema import Study
 from wavequake.errors import UserError
 from wavequake.optics.catalog.names import system_names
-from wavequake.workflows.schema import Study
 from wavequake.workflows.study import bundled_studies, load_study, split_overrides, study_of
 
 # Telescopes are those of studies, with their light and rays.

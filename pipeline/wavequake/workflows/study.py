@@ -1,4 +1,4 @@
-"""Load study files: TOML in, one validated frozen record of the workflow's own kind out."""
+"""Load study files: TOML in, one validated frozen record of the study's own kind out."""
 
 import difflib
 import tomllib
@@ -9,29 +9,12 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from wavequake.campaign.schema import Study, describe
 from wavequake.errors import UserError
 from wavequake.files import folder
-from wavequake.workflows.exposures.exposure_study import MirrorExposureStudy, TelescopeExposureStudy
-from wavequake.workflows.lens.lens_passive import PassiveStudy
-from wavequake.workflows.lens.lens_study import LensStudy
-from wavequake.workflows.mirrors.mirror_study import MirrorStudy, TraceStudy
-from wavequake.workflows.schema import Study, describe
-from wavequake.workflows.segments.segment_mor_study import SegmentMorStudy
-from wavequake.workflows.segments.segment_study import SegmentStudy
-from wavequake.workflows.systems.system_study import SystemStudy
+from wavequake.user_files import read_text, read_toml
+from wavequake.workflows.kinds import find_kind, kind_names
 
-# The model of its study files by each workflow's name.
-STUDIES: dict[str, type[Study]] = {
-    "segment-disturbance": SegmentStudy,
-    "mirror-mor": MirrorStudy,
-    "segment-mor": SegmentMorStudy,
-    "mirror-trace": TraceStudy,
-    "system-disturbance": SystemStudy,
-    "telescope-exposure": TelescopeExposureStudy,
-    "mirror-exposure": MirrorExposureStudy,
-    "lens-experiment": LensStudy,
-    "lens-passive": PassiveStudy,
-}
 # Keys that name files.
 _FILES = ("file", "mass", "dofs", "mesh", "polygons", "corners", "picture")
 
@@ -39,6 +22,14 @@ _FILES = ("file", "mass", "dofs", "mesh", "polygons", "corners", "picture")
 def bundled_studies() -> dict[str, Path]:
     """Return the study files that come with Wavequake, by name."""
     return {path.stem: path for path in sorted(folder("workflows").glob("*.toml"))}
+
+
+def bundled_titles() -> dict[str, str]:
+    """Return what each bundled study says of itself, by name; loads no study kind."""
+    records = {
+        name: tomllib.loads(path.read_text(encoding="utf-8")) for name, path in bundled_studies().items()
+    }
+    return {name: str(record["study"].get("title", "")) for name, record in records.items()}
 
 
 def load_study(name: str | Path, overrides: Mapping[str, Any] | Iterable[str] = ()) -> Study:
@@ -68,11 +59,13 @@ def load_study(name: str | Path, overrides: Mapping[str, Any] | Iterable[str] = 
             "info` and `wavequake sensitivity` take the lens file itself."
         )
     try:
-        record = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        text = read_text(path)
+    except UserError as error:
+        raise UserError(f"The study file {error}") from None
+    try:
+        record = read_toml(text)
+    except UserError as error:
         raise UserError(f"{path} is not a TOML file: {error}.") from None
-    except OSError as error:
-        raise UserError(f"The study file {path} cannot be read: {error.strerror}.") from None
     return study_of(record, path.name, path.parent, split_overrides(overrides))
 
 
@@ -120,14 +113,13 @@ def _model(record: Mapping[str, Any], where: str) -> type[Study]:
     section = record.get("study")
     name = section.get("workflow") if isinstance(section, dict) else None
     if name is None:
-        raise UserError(f"{where}: the key 'study.workflow' is missing; choose one of {', '.join(STUDIES)}.")
-    if name in STUDIES:
-        return STUDIES[name]
-    near = difflib.get_close_matches(str(name), STUDIES, n=1)
-    hint = f": did you mean {near[0]!r}?" if near else "."
-    raise UserError(
-        f"{where}: study.workflow: there is no workflow {name!r}{hint} Choose one of {', '.join(STUDIES)}."
-    )
+        raise UserError(
+            f"{where}: the key 'study.workflow' is missing; choose one of {', '.join(kind_names())}."
+        )
+    try:
+        return find_kind(str(name)).model
+    except UserError as error:
+        raise UserError(f"{where}: study.workflow: {error}") from None
 
 
 def _validated(model: type[Study], record: Mapping[str, Any], where: str) -> Study:

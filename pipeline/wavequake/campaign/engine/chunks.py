@@ -9,15 +9,13 @@ import errno
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from wavequake.campaign import provenance
-from wavequake.campaign.contract import DIVERGED, DONE, RAISED, ChunkResult, Template, Workflow
+from wavequake.campaign.contract import DIVERGED, DONE, RAISED, ChunkResult, StudyKind, Template
 from wavequake.campaign.store import journal
 from wavequake.campaign.store.arrays import Array, array_of, open_group, write_chunk
 from wavequake.campaign.store.journal import Chunk, Record
@@ -26,6 +24,7 @@ from wavequake.campaign.store.store import DATA, JOURNAL, Manifest, read_manifes
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.device.launches import kernel_launches, launches_since
 from wavequake.memory import keep_freed_memory
+from wavequake.prepared import one_thread, prepared
 
 
 class BrokenWorkflowError(Exception):
@@ -55,7 +54,7 @@ class Job:
     no case that is done.
     """
 
-    workflow: Workflow
+    workflow: StudyKind
     path: str
     device: str
     run: str
@@ -83,8 +82,8 @@ class Opened:
     arrays: Mapping[str, Array]
 
 
-@lru_cache(maxsize=2)
-def opened_store(workflow: Workflow, path: str, run: str) -> Opened:
+@prepared(maxsize=2)
+def opened_store(workflow: StudyKind, path: str, run: str) -> Opened:
     """Open the store once per process and run; a later run may have extended it."""
     keep_freed_memory()
     manifest = patiently(lambda: read_manifest(path))
@@ -133,7 +132,7 @@ def computed_chunk(job: Job, first: int, last: int) -> tuple[ChunkResult, float]
     """
     opened = opened_store(job.workflow, job.path, job.run)
     start, launches = time.perf_counter(), kernel_launches()
-    with threadpool_limits(1):
+    with one_thread():
         try:
             result = _computed(job, opened, first, last)
         except FATAL:

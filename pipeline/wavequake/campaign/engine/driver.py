@@ -13,7 +13,7 @@ from logging import Logger
 from pathlib import Path
 
 from wavequake.campaign import provenance
-from wavequake.campaign.contract import Workflow
+from wavequake.campaign.contract import StudyKind
 from wavequake.campaign.engine.chunks import Job, Outcome
 from wavequake.campaign.engine.driver_lock import Shard, driver_lock, others_at_work, this_process
 from wavequake.campaign.engine.isolation import NoProcessError, compute_isolated
@@ -61,7 +61,7 @@ class CampaignSummary:
 
 
 def run_campaign(
-    workflow: Workflow,
+    workflow: StudyKind,
     study: str,
     path: Path | str,
     *,
@@ -209,7 +209,7 @@ class _Tally:
 
 
 def _prepared(
-    workflow: Workflow,
+    workflow: StudyKind,
     study: str,
     path: Path,
     cases: int,

@@ -11,8 +11,6 @@ import time
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
-from threadpoolctl import threadpool_limits
-
 from wavequake.campaign.contract import CRASHED, TIMED_OUT, ChunkResult
 from wavequake.campaign.engine.chunks import (
     FATAL,
@@ -26,6 +24,7 @@ from wavequake.campaign.engine.chunks import (
 )
 from wavequake.cluster.local import GUARDED, interrupts_blocked, memory_limit, worker_environment
 from wavequake.errors import UserError
+from wavequake.prepared import one_thread
 
 _START_S = 120.0  # for a process to start and to open the store
 
@@ -106,7 +105,7 @@ def _serve(connection: Connection, job: Job, cases: range, memory: int) -> None:
     opened = opened_store(job.workflow, job.path, job.run)
     resource.setrlimit(resource.RLIMIT_DATA, (memory, resource.getrlimit(resource.RLIMIT_DATA)[1]))
     connection.send(None)
-    with threadpool_limits(1):
+    with one_thread():
         for case in cases:
             try:
                 connection.send(computed_alone(job, opened, case))

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from collections.abc import Set as AbstractSet
 from pathlib import Path
 
-from wavequake.campaign.contract import RAISED, STATUS_MEANINGS, Workflow
+from wavequake.campaign.contract import RAISED, STATUS_MEANINGS, StudyKind
 from wavequake.campaign.engine.driver import CampaignSummary, run_campaign
 from wavequake.campaign.store.journal import read_journal
 from wavequake.campaign.store.store import JOURNAL, done_records, read_manifest
@@ -29,7 +29,7 @@ def statuses(text: str) -> frozenset[int]:
 
 
 def retry_store(
-    workflow: Workflow,
+    workflow: StudyKind,
     path: Path | str,
     wanted: AbstractSet[int],
     *,

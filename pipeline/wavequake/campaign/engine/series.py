@@ -13,12 +13,11 @@ from logging import Logger
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
-from threadpoolctl import threadpool_limits
-
 from wavequake.campaign.contract import ChunkResult
 from wavequake.campaign.engine.chunks import Job, Outcome, computed_chunk, store_chunk
 from wavequake.campaign.store.journal import Chunk
 from wavequake.campaign.store.store import JOURNAL, write_errors_explained
+from wavequake.prepared import one_thread
 
 # No thread of this process runs if a case does not let go of the interpreter. The process is ended then, that
 # much later than a chunk would be given up.
@@ -42,7 +41,7 @@ def in_series(
     suspects: list[Chunk] = []
     tasks, answers = _helper(job)
     try:
-        with threadpool_limits(1):  # also if a thread that was given up restores what it found
+        with one_thread():  # also if a thread that was given up restores what it found
             for piece in todo:
                 with _marked(Path(job.path), piece):
                     tasks.put(piece)

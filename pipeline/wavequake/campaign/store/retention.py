@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.campaign.contract import ChunkResult, Template, Variable, Workflow
+from wavequake.campaign.contract import ChunkResult, StudyKind, Template, Variable
 from wavequake.campaign.engine.chunk_size import stored_bytes
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ def retention_of(study: str) -> Retention:
     return Retention(section.get("every", 1), section.get("reduce", "none"), section.get("images", "double"))
 
 
-def stored_template(workflow: Workflow, study: str) -> Template:
+def stored_template(workflow: StudyKind, study: str) -> Template:
     """Return what a store of this study holds of what its workflow computes."""
     return kept_template(retention_of(study), workflow.template(study))
 

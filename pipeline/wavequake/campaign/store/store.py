@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.campaign.contract import Template, Workflow
+from wavequake.campaign.contract import StudyKind, Template
 from wavequake.campaign.store import arrays
 from wavequake.campaign.store.difference import first_difference
 from wavequake.campaign.store.journal import Chunk, Journal, Record, flush
@@ -108,7 +108,7 @@ def refuse_foreign(path: Path) -> None:
 
 def create_store(
     path: Path | str,
-    workflow: Workflow,
+    workflow: StudyKind,
     study: str,
     cases: int,
     chunk: int,
@@ -166,7 +166,7 @@ def create_store(
     return manifest
 
 
-def _write_layout(folder: Path, manifest: Manifest, workflow: Workflow) -> None:
+def _write_layout(folder: Path, manifest: Manifest, workflow: StudyKind) -> None:
     """Write everything of the zarr folder that no chunk writes: metadata, labels, fixed arrays."""
     template = stored_template(workflow, manifest.study)
     labels = _labels(workflow, manifest.study, 0, manifest.cases)
@@ -213,7 +213,7 @@ def _consolidated(folder: Path) -> dict[str, dict[str, Any]]:
         return {}
 
 
-def mend_layout(path: Path, manifest: Manifest, workflow: Workflow) -> list[str]:
+def mend_layout(path: Path, manifest: Manifest, workflow: StudyKind) -> list[str]:
     """Put back metadata, labels and fixed arrays that differ from what a new store would hold.
 
     Chunks of numbers are left alone. Returns the names of the files that were replaced.
@@ -235,7 +235,7 @@ def mend_layout(path: Path, manifest: Manifest, workflow: Workflow) -> list[str]
     return replaced
 
 
-def extend_store(path: Path | str, workflow: Workflow, cases: int) -> Manifest:
+def extend_store(path: Path | str, workflow: StudyKind, cases: int) -> Manifest:
     """Give a store room for `cases` cases; earlier cases and their numbers stay, and a store never shrinks.
 
     The number in the manifest changes last; running this again completes an extension that was interrupted.
@@ -265,7 +265,7 @@ def extend_store(path: Path | str, workflow: Workflow, cases: int) -> Manifest:
     return extended
 
 
-def _labels(workflow: Workflow, study: str, first: int, last: int) -> dict[str, NDArray[Any]]:
+def _labels(workflow: StudyKind, study: str, first: int, last: int) -> dict[str, NDArray[Any]]:
     return {"case": np.arange(first, last), **workflow.case_table(study, first, last)}
 
 

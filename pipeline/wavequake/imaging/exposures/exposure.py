@@ -7,13 +7,12 @@ the pixels' replicas. The kernel used falls from 1 to 0 as an error function in 
 weights die out within 2 wavelengths / diameter; pixels so count exactly, not as little squares.
 """
 
-from functools import lru_cache
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import erfc, j0, j1
 
 from wavequake.errors import UserError
+from wavequake.prepared import prepared
 
 Real = NDArray[np.float64]
 
@@ -253,7 +252,7 @@ def _spread(distance: Real, images: Real, bins: int) -> Real:
     return np.asarray(total.reshape(len(images), -1)[:, :bins])
 
 
-@lru_cache(maxsize=8)
+@prepared(maxsize=8)
 def _table(sampling: float, radii: tuple[float, ...], disc: bool) -> Real:
     """Weights (R, T) of a pixel by its distance: Hankel transforms of disc (or circle) times kernel."""
     r = np.asarray(radii)

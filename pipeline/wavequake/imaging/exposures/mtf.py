@@ -4,8 +4,6 @@ Frequencies are in cycles per wavelength / diameter, which is 2 NA / wavelength:
 above 1, the band limit, a coherent amplitude none above 1/2.
 """
 
-from functools import lru_cache
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import fft2, fftfreq, fftshift
@@ -14,6 +12,7 @@ from wavequake.errors import UserError
 from wavequake.imaging.engines.matrix_fourier import samples_needed
 from wavequake.imaging.pupils.pupil_function import annular_pupil, pupil_function
 from wavequake.imaging.pupils.pupil_shape import PupilShape
+from wavequake.prepared import prepared
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -94,7 +93,7 @@ def ideal_mtf(frequency: ArrayLike) -> Real:
     return np.asarray(2.0 / np.pi * (np.arccos(f) - f * np.sqrt(1.0 - f**2)))
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def _response(pupil: PupilShape) -> tuple[Real, Real]:
     """Return a whole period of the sampled pupil's image, its sum 1, and the places of its pixels.
 

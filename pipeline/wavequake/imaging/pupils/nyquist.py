@@ -1,7 +1,6 @@
 """Whether a sampled pupil is fine enough for its phase: two cells for each period of it, and of the image."""
 
 import warnings
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +8,7 @@ from numpy.typing import NDArray
 from wavequake.imaging.engines.matrix_fourier import samples_needed
 from wavequake.imaging.pupils.pupil_function import PupilGrid
 from wavequake.optics.polynomials.zernike import annular_zernike_gradient
+from wavequake.prepared import prepared
 
 Real = NDArray[np.float64]
 
@@ -111,7 +111,7 @@ def warn_of_coarse(samples: int, needed: int, field: float, depth: int = 3) -> N
         warnings.warn(text, stacklevel=depth)
 
 
-@lru_cache(maxsize=8)
+@prepared(maxsize=8)
 def _zernike_gradient(terms: int, obscuration: float) -> Real:
     """Slopes (J, places) along x, then along y, per pupil radius; the rims are among the places."""
     radius = np.linspace(obscuration, 1.0, _RADII)[:, None]

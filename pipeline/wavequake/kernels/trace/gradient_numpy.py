@@ -65,7 +65,13 @@ def local_index(space: Space, position: Array) -> Array:
 
 
 def follow(
-    space: Space, sag: Sag, position: Array, direction: Array, going: Mask, former: Array
+    space: Space,
+    sag: Sag,
+    position: Array,
+    direction: Array,
+    going: Mask,
+    former: Array,
+    trail: list[Array] | None = None,
 ) -> tuple[Array, Array, Array]:
     """Follow rays inside a medium to a surface.
 
@@ -114,6 +120,8 @@ def follow(
         going &= ~crossed & real & (count < allowed)
         ray = _chosen(going, ahead, ray)
         before = np.where(going & np.isfinite(after), after, before)
+        if trail is not None:
+            trail.append(space.outside(ray.place))
     last = _step(space, ray, _cut(space, sag, ray, np.where(arrived, step, 0.0), before, arrived))
     path = np.where(arrived, last.path, np.nan)
     vector = _turned(np.swapaxes(space.rotation, 1, 2), last.vector)

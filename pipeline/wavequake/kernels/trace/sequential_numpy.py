@@ -4,6 +4,8 @@ Unit directions, explicit sag and slopes, Newton's iteration to convergence: the
 algebra. A ray that has converged is left alone, so its bits do not depend on its neighbors.
 """
 
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,11 +38,11 @@ CONVERGED = 1e-9
 NEWTON_STEPS = 30
 # Rays of all instants that are traced together; it bounds the memory.
 _CHUNK = 1 << 17
-_LOST_RAYS_ARE_DATA = np.errstate(invalid="ignore", divide="ignore", over="ignore")
+LOST_RAYS_ARE_DATA = np.errstate(invalid="ignore", divide="ignore", over="ignore")
 
 
 @dataclass
-class _State:
+class State:
     """Rays (t, N) on their way, in the frame of the element at hand; position and direction (3, t, N)."""
 
     position: Array
@@ -73,7 +75,7 @@ def trace_sequence_numpy(
     return TracedRays(path, x, y, u, v, w_sign, status, surface, len(sequence.elements))
 
 
-@_LOST_RAYS_ARE_DATA
+@LOST_RAYS_ARE_DATA
 def sag_and_slopes(
     element: Element, x: Array, y: Array, deformation: Array | None = None, grid: Array | None = None
 ) -> tuple[Array, Array, Array]:
@@ -165,13 +167,35 @@ def joined_moving(parts: list[Moving]) -> tuple[Moving, list[slice]]:
     return whole, [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
 
 
-@_LOST_RAYS_ARE_DATA
+@LOST_RAYS_ARE_DATA
 def _trace_chunk(
     sequence: Sequence, rays: Rays, moving: Moving, ignore_apertures: bool
 ) -> tuple[NDArray[Any], ...]:
     """Return path, x, y, u, v, w_sign, status and surface (t, N) of a few instants."""
+    state, index = deque(walk(sequence, rays, moving, ignore_apertures), maxlen=1).pop()
+    if moving.spheres is not None:
+        state.path = state.path + index * _to_sphere(moving.spheres, state)
+        state.lose(~np.isfinite(state.path), MISS, len(sequence.elements))
+    good = state.status == OK
+    lost = [np.where(good, a, np.nan) for a in (state.path, *state.position[:2], *state.direction[:2])]
+    w_sign = np.where(good, np.sign(state.direction[2]), 0.0).astype(np.int8)
+    return *lost, w_sign, state.status, state.surface
+
+
+def walk(
+    sequence: Sequence,
+    rays: Rays,
+    moving: Moving,
+    ignore_apertures: bool,
+    trail: list[Array] | None = None,
+) -> Iterator[tuple[State, float | Array]]:
+    """Yield the rays behind each element, and the index of the medium in which they go on.
+
+    The state is one record that changes on the way. Where the index varies before an element, points on the
+    way to it, in its frame, are added to `trail`, which is emptied before.
+    """
     shape = (moving.poses.shape[0], rays.path.size)
-    state = _State(
+    state = State(
         np.broadcast_to(rays.position[:, None], (3, *shape)),
         np.broadcast_to(rays.direction[:, None], (3, *shape)),
         np.broadcast_to(rays.path, shape),
@@ -183,27 +207,23 @@ def _trace_chunk(
     none = (None,) * len(sequence.elements)
     deformations, grids = moving.deformations or none, moving.grids or none
     for number, element in enumerate(sequence.elements):
+        if trail is not None:
+            trail.clear()
         _into(moving.poses[:, number], state)
         if space is not None:
             space = space.beyond(moving.poses[:, number])
             former = moving.poses[:, number, 11]
-            index = _bend(space, element, number, deformations[number], grids[number], state, former)
+            index = _bend(space, element, number, deformations[number], grids[number], state, former, trail)
         slopes = _meet(element, number, deformations[number], grids[number], index, state)
         if element.regions and not ignore_apertures:
             state.lose(~on_glass(element.regions, *state.position[:2]), VIGNETTED, number)
         if element.action == "refract":
             space = space_of(element.gradient, element.index, shape[0]) if element.gradient else None
         index = _act(element, number, slopes, index, space, state)
-    if moving.spheres is not None:
-        state.path = state.path + index * _to_sphere(moving.spheres, state)
-        state.lose(~np.isfinite(state.path), MISS, len(sequence.elements))
-    good = state.status == OK
-    lost = [np.where(good, a, np.nan) for a in (state.path, *state.position[:2], *state.direction[:2])]
-    w_sign = np.where(good, np.sign(state.direction[2]), 0.0).astype(np.int8)
-    return *lost, w_sign, state.status, state.surface
+        yield state, index
 
 
-def _into(pose: Array, state: _State) -> None:
+def _into(pose: Array, state: State) -> None:
     """Change to the frame of the next element: q = A p + o; `pose` is (t, 12)."""
     entries = pose.T[..., None]
     state.position = np.stack(
@@ -218,8 +238,9 @@ def _bend(
     number: int,
     deformation: Array | None,
     grid: Array | None,
-    state: _State,
+    state: State,
     former: Array,
+    trail: list[Array] | None,
 ) -> Array:
     """Follow the rays through a medium with a gradient to the element; return the index (t, N) there."""
 
@@ -227,7 +248,8 @@ def _bend(
         return sag_and_slopes(element, x, y, deformation, grid)
 
     going = state.status == OK
-    state.position, state.direction, path = follow(space, sag, state.position, state.direction, going, former)
+    arrived = follow(space, sag, state.position, state.direction, going, former, trail)
+    state.position, state.direction, path = arrived
     state.path = state.path + path
     state.lose(~np.isfinite(path), MISS, number)
     return local_index(space, state.position)
@@ -239,7 +261,7 @@ def _meet(
     deformation: Array | None,
     grid: Array | None,
     index: float | Array,
-    state: _State,
+    state: State,
 ) -> tuple[Array, Array]:
     """Move the rays to the element and return its slopes there (Störkle 2018, Algorithm 1)."""
     d = state.direction
@@ -287,7 +309,7 @@ def _act(
     slopes: tuple[Array, Array],
     index: float | Array,
     space: Space | None,
-    state: _State,
+    state: State,
 ) -> float | Array:
     """Reflect or refract the rays and return the index of the medium in which they go on."""
     if element.action == "pass":
@@ -308,7 +330,7 @@ def _act(
     return after
 
 
-def _to_sphere(spheres: Array, state: _State) -> Array:
+def _to_sphere(spheres: Array, state: State) -> Array:
     """Return the path from the image to the sphere, back along the ray or, for a radius < 0, onwards."""
     offset = np.stack([state.position[i] - spheres[:, i, None] for i in range(3)])
     radius = spheres[:, 3, None]

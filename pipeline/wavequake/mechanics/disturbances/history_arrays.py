@@ -2,11 +2,6 @@
 
 import base64
 import binascii
-import io
-import zipfile
-import zlib
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,15 +17,16 @@ from wavequake.mechanics.disturbances.history_facts import (
     place_of,
     require_distinct,
 )
+from wavequake.prepared import prepared
+from wavequake.user_files import read_npz
 
 Array = NDArray[np.float64]
 
 _GRID, _SPACING = "grid_nm", "grid_spacing_mm"
-_UNREADABLE = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError, NotImplementedError)
 _MOST_BYTES = 9 * MOST_NUMBERS  # of all arrays, unpacked
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def read_arrays(text: str) -> ElementHistory:
     """Read the base64 text of an .npz file.
 
@@ -78,20 +74,14 @@ def read_arrays(text: str) -> ElementHistory:
 def _arrays(text: str) -> dict[str, Array]:
     """Return all arrays of a file by name."""
     try:
-        data = io.BytesIO(base64.b64decode(text, validate=True))
-        with zipfile.ZipFile(data) as packed:
-            size = sum(one.file_size for one in packed.infolist())
-        if size > _MOST_BYTES:
-            raise UserError(
-                f"it holds {size / 1e6:.0f} MB of numbers, {_MOST_BYTES / 1e6:.0f} MB are possible."
-            )
-        with np.load(data, allow_pickle=False) as file:
-            found: dict[str, Any] = {name: file[name] for name in file.files}
-    except (*_UNREADABLE, binascii.Error) as error:
+        found = read_npz(base64.b64decode(text, validate=True), _MOST_BYTES)
+    except binascii.Error as error:
         raise UserError(f"it is no .npz file of arrays ({error}).") from None
+    except UserError as error:
+        raise UserError(f"{error}.") from None
     for name, values in found.items():
-        if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu":
-            raise UserError(f"{name!r} holds {getattr(values, 'dtype', 'no array')}; it must hold numbers.")
+        if values.dtype.kind not in "fiu":
+            raise UserError(f"{name!r} holds {values.dtype}; it must hold numbers.")
     return {name: np.array(values, dtype=np.float64) for name, values in found.items()}
 
 

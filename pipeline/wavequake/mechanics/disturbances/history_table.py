@@ -5,7 +5,6 @@ import io
 import math
 from array import array
 from collections.abc import Iterator
-from functools import lru_cache
 
 import numpy as np
 
@@ -19,9 +18,10 @@ from wavequake.mechanics.disturbances.history_facts import (
     place_of,
     require_distinct,
 )
+from wavequake.prepared import prepared
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def read_table(text: str) -> ElementHistory:
     """Read CSV text whose first line names its columns: time_s, and what moves.
 

@@ -1,11 +1,15 @@
-"""Where the segments of a primary mirror are, as far as their disturbances ask."""
+"""What there is to move: where the segments of a primary mirror are, and names of surfaces and bodies."""
 
+import difflib
+import fnmatch
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
+from wavequake.errors import UserError
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +27,10 @@ class SegmentLayout:
         Projected glass corners, counter-clockwise; a polygon with fewer than V corners repeats its last one.
     areas_m2 : ndarray, shape (S,)
         Area of glass.
+    others : tuple of str, or None
+        Names of further elements: surfaces and bodies. None: they are not known, and any name is one.
+    owner : str
+        Whose elements they are, for messages.
     """
 
     names: tuple[str, ...]
@@ -30,6 +38,8 @@ class SegmentLayout:
     axes: NDArray[np.float64]
     corners_m: NDArray[np.float64]
     areas_m2: NDArray[np.float64]
+    others: tuple[str, ...] | None = ()
+    owner: str = "the telescope"
 
     def __len__(self) -> int:
         return len(self.names)
@@ -45,3 +55,35 @@ class SegmentLayout:
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, SegmentLayout) and self.names == other.names and self.digest == other.digest
+
+    def chosen(self, patterns: tuple[str, ...], who: str) -> tuple[str, ...]:
+        """Return the elements that patterns name, in their order; ``*`` and ``?`` stand for any letters.
+
+        Raises
+        ------
+        UserError
+            If there is none for a pattern; `who` asks.
+        """
+        if self.others is None:
+            return patterns
+        names = (*self.names, *self.others)
+        found: list[str] = []
+        for pattern in patterns:
+            matching = [pattern] if pattern in names else fnmatch.filter(names, pattern)
+            if not matching:
+                near = difflib.get_close_matches(pattern, names, n=1)
+                some = ", ".join(names[-12:]) + (", ..." if len(names) > 12 else "")
+                hint = f"did you mean {near[0]!r}?" if near else f"there are {some}."
+                kinds = "segment or surface" if self.names else "surface or body"
+                raise UserError(
+                    f"The disturbance {who!r} acts on {pattern!r}, but {self.owner} has no such {kinds}; "
+                    f"{hint}"
+                )
+            found += matching
+        return tuple(dict.fromkeys(found))
+
+
+NO_SEGMENTS = SegmentLayout(
+    (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 0, 2)), np.zeros(0), None, "the system"
+)
+"""Of systems without segments, whose elements need not be known."""

@@ -1,9 +1,9 @@
 """What a disturbance draws: motions over the instants of one case, and the random numbers behind them."""
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import reduce
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,21 +25,31 @@ class Motion:
         Pointing of the telescope on the sky, rad, along x and y.
     m2 : ndarray, shape (n, 2)
         Line-of-sight motion on the sky that is produced by tilting M2, rad, along x and y.
+    rigid : dict of ndarray, shape (n, 6)
+        Of surfaces and bodies by name: dx, dy, dz in m and rx, ry, rz in rad in their own frames at rest.
+    figure : dict of ndarray, shape (terms,) or (n, terms)
+        By the surface's name: Noll coefficients from j = 1 in m; static, or of each instant.
+    grid : dict of ndarray, shape (n, rows, columns)
+        By the surface's name: heights in m that come on top of the figure.
     """
 
     segment_motion: NDArray[np.float64]
     segment_figure: NDArray[np.float64]
     mount: NDArray[np.float64]
     m2: NDArray[np.float64]
+    rigid: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    figure: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    grid: dict[str, NDArray[np.float64]] = field(default_factory=dict)
 
 
-def still(instants: int, segments: int, figure_terms: int = 0) -> Motion:
-    """Return no motion at all."""
+def still(instants: int, segments: int, figure_terms: int = 0, **named: dict[str, Any]) -> Motion:
+    """Return no motion at all, but for what is given of surfaces and bodies: rigid, figure, grid."""
     return Motion(
         segment_motion=np.zeros((instants, segments, 6)),
         segment_figure=np.zeros((segments, figure_terms)),
         mount=np.zeros((instants, 2)),
         m2=np.zeros((instants, 2)),
+        **named,
     )
 
 
@@ -55,6 +65,41 @@ def add(motions: list[Motion]) -> Motion:
         segment_figure=reduce(np.add, [padded(motion) for motion in motions]),
         mount=reduce(np.add, [motion.mount for motion in motions]),
         m2=reduce(np.add, [motion.m2 for motion in motions]),
+        rigid=_summed([motion.rigid for motion in motions]),
+        figure=_summed([motion.figure for motion in motions]),
+        grid=_summed([motion.grid for motion in motions]),
+    )
+
+
+def _summed(maps: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray[np.float64]]:
+    """Return the sums by name; the arrays of a name may differ in the length of their last axis."""
+    total: dict[str, NDArray[np.float64]] = {}
+    for one in maps:
+        for name, values in one.items():
+            before = total.get(name, np.zeros_like(values))
+            size = max(before.shape[-1], values.shape[-1])
+            total[name] = _grown(before, size) + _grown(values, size)
+    return total
+
+
+def _grown(values: NDArray[np.float64], size: int) -> NDArray[np.float64]:
+    return np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, size - values.shape[-1])])
+
+
+def scaled(motion: Motion, factor: float) -> Motion:
+    """Return a motion times a factor."""
+
+    def times(named: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+        return {name: values * factor for name, values in named.items()}
+
+    return Motion(
+        motion.segment_motion * factor,
+        motion.segment_figure * factor,
+        motion.mount * factor,
+        motion.m2 * factor,
+        times(motion.rigid),
+        times(motion.figure),
+        times(motion.grid),
     )
 
 
@@ -70,7 +115,8 @@ def line_of_sight_motion(
     on_sky = np.outer(along, [np.cos(angle), np.sin(angle)]) + np.outer(
         across, [-np.sin(angle), np.cos(angle)]
     )
-    return replace(still(len(along), segments), **{act: on_sky})
+    rest = still(len(along), segments)
+    return replace(rest, mount=on_sky) if act == "mount" else replace(rest, m2=on_sky)
 
 
 def line_of_sight_rms_mas(motion: Motion) -> float:

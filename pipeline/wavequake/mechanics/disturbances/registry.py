@@ -1,22 +1,15 @@
-"""The disturbance models of a study: one union of parameters, and functions that draw them."""
+"""The disturbances of a study: any registered sources and their sums, and how a case of them is drawn."""
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from dataclasses import replace
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from wavequake.errors import UserError
-from wavequake.mechanics.disturbances.common_history import (
-    CommonHistory,
-    amplitude_generator,
-    draw_common,
-    history,
-)
-from wavequake.mechanics.disturbances.edge_sensors import EdgeSensorNoise, draw_edge_noise, edge_noise_rms_nm
 from wavequake.mechanics.disturbances.layout import SegmentLayout
-from wavequake.mechanics.disturbances.line_of_sight import LineOfSight, draw_sight, sight_rms_mas
 from wavequake.mechanics.disturbances.motion import (
     Motion,
     add,
@@ -25,11 +18,10 @@ from wavequake.mechanics.disturbances.motion import (
     piston_rms_nm,
 )
 from wavequake.mechanics.disturbances.population import Population, time_axis
-from wavequake.mechanics.disturbances.segment_history import SegmentHistory, draw_history
-from wavequake.mechanics.disturbances.segment_wind import SegmentWind, draw_wind, segment_wind_rms_nm
-from wavequake.mechanics.disturbances.static_random import StaticRandom, draw_static
-from wavequake.mechanics.disturbances.streams import Random, Streams, own_streams
-from wavequake.mechanics.disturbances.vibration_lines import VibrationLines, draw_lines, lines_rms_mas
+from wavequake.mechanics.disturbances.source import AnySource, Randoms, SegmentSource, Source
+from wavequake.mechanics.disturbances.sources.element_history import own_axis, same_instants
+from wavequake.mechanics.disturbances.sources.segment_wind import segment_wind_rms_nm
+from wavequake.mechanics.disturbances.streams import Streams, own_streams
 
 __all__ = [
     "Combine",
@@ -39,12 +31,16 @@ __all__ = [
     "draw",
     "draw_case",
     "generator",
+    "instants_of",
     "line_of_sight_rms_mas",
     "parts",
     "piston_rms_nm",
     "segment_wind_rms_nm",
     "time_axis",
+    "with_own_axes",
 ]
+
+Array = NDArray[np.float64]
 
 
 class Combine(Population):
@@ -54,108 +50,95 @@ class Combine(Population):
     of: tuple[str, ...] = Field(min_length=2, strict=False, description="names of disturbances of this study")
 
 
-SingleDisturbance = (
-    StaticRandom
-    | LineOfSight
-    | VibrationLines
-    | SegmentHistory
-    | CommonHistory
-    | SegmentWind
-    | EdgeSensorNoise
-)
-Disturbance = Annotated[SingleDisturbance | Combine, Field(discriminator="model")]
+Entry = TypeVar("Entry", bound=Population)
+Disturbance = Annotated[Population, AnySource("segments", Combine)]
 
 
-def draw(
-    parameters: SingleDisturbance,
-    layout: SegmentLayout,
-    time: NDArray[np.float64],
-    random: Random,
-) -> Motion:
-    """Draw one realization of a single disturbance at the instants `time` (n,) in s."""
-    match parameters:
-        case StaticRandom():
-            return draw_static(parameters, layout, time, random)
-        case LineOfSight():
-            return draw_sight(parameters, len(layout), time, random)
-        case SegmentHistory():
-            return draw_history(parameters, layout, time, random)
-        case CommonHistory():
-            return draw_common(parameters, layout, time, random)
-        case SegmentWind():
-            return draw_wind(parameters, layout, time, random)
-        case EdgeSensorNoise():
-            return draw_edge_noise(parameters, layout, time, random)
-        case VibrationLines():
-            return draw_lines(parameters, len(layout), time, random)
+def draw(source: Source, layout: SegmentLayout, time: Array, randoms: Randoms) -> Motion:
+    """Draw one realization of a single disturbance at the instants `time` (n,) in s.
+
+    Raises
+    ------
+    UserError
+        If it has other instants of its own, or moves what there is not.
+    """
+    own = source.instants_of_file()
+    if own is not None:
+        _require_instants(source, own, time, "those of what it is a part of")
+    motion = _on_segments(source.draw(layout, time, randoms), layout)
+    moving = source.moving(layout) if isinstance(source, SegmentSource) else None
+    if moving is None:
+        return motion
+    return replace(
+        motion,
+        segment_motion=np.where(moving[:, None], motion.segment_motion, 0.0),
+        segment_figure=np.where(moving[:, None], motion.segment_figure, 0.0),
+    )
 
 
-def analytic_rms(parameters: Disturbance, layout: SegmentLayout) -> tuple[float, str] | None:
+def _on_segments(motion: Motion, layout: SegmentLayout) -> Motion:
+    """Return a motion in which segments that were addressed by their names move with all the others."""
+    mine = [name for name in motion.rigid if name in layout.names]
+    if not mine:
+        return motion
+    moved = motion.segment_motion.copy()
+    for name in mine:
+        moved[:, layout.names.index(name)] += motion.rigid[name]
+    others = {name: values for name, values in motion.rigid.items() if name not in mine}
+    return replace(motion, segment_motion=moved, rigid=others)
+
+
+def analytic_rms(parameters: Population, layout: SegmentLayout) -> tuple[float, str] | None:
     """Return the rms that a disturbance has by its parameters alone, and its unit; None where there is none.
 
     ``mas``: radial motion of the line of sight, which :func:`line_of_sight_rms_mas` samples. ``nm``: motion
     of the segments along their normals, which :func:`piston_rms_nm` samples.
     """
-    match parameters:
-        case LineOfSight():
-            return sight_rms_mas(parameters), "mas"
-        case VibrationLines():
-            return lines_rms_mas(parameters), "mas"
-        case SegmentWind():
-            return _root_mean_square(segment_wind_rms_nm(parameters, layout)), "nm"
-        case StaticRandom():
-            return parameters.piston_nm, "nm"
-        case CommonHistory():
-            swing = history(parameters, time_axis(parameters))
-            return parameters.piston_nm * _root_mean_square(swing), "nm"
-        case EdgeSensorNoise():
-            return edge_noise_rms_nm(parameters, layout), "nm"
-        case _:
-            return None
-
-
-def _root_mean_square(values: NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    found = parameters.analytic_rms(layout) if isinstance(parameters, Source) else None
+    moving = parameters.moving(layout) if isinstance(parameters, SegmentSource) else None
+    return found if found is None or moving is None else (found[0] * float(np.sqrt(moving.mean())), found[1])
 
 
 def draw_case(
-    populations: Sequence[Disturbance],
-    population: Disturbance,
+    populations: Sequence[Population],
+    population: Population,
     layout: SegmentLayout,
     seed: int,
     realization: int,
     streams: Streams = own_streams,
+    time: Array | None = None,
 ) -> Motion:
-    """Draw one case of a population.
+    """Draw one case of a population, at its own instants unless others are given as `time`.
 
     Every part of a combination has the random numbers that it has alone in the same realization, so that a
     combination is the sum of its parts wherever their time axes agree. Where `streams` gives something for
-    the name of a part, it draws from that instead.
+    a name, that of a part or ``part/element``, it draws from that instead.
 
     Raises
     ------
     UserError
-        If a combination names what is none of `populations`, or contains itself.
+        If a combination names what is none of `populations`, or contains itself, or a history has other
+        instants.
     """
-    time = time_axis(population)
+    at = instants_of(populations, population) if time is None else time
     return add(
         [
-            draw(part, layout, time, streams(part.name) or stream_of(part, len(layout), seed, realization))
+            draw(part, layout, at, randoms_of(part, len(layout), seed, realization, streams))
             for part in parts(populations, population)
         ]
     )
 
 
-def stream_of(part: SingleDisturbance, segments: int, seed: int, realization: int) -> np.random.Generator:
-    """Return the random numbers that a disturbance has of its own in a realization."""
-    if isinstance(part, CommonHistory):
-        return amplitude_generator(part, segments, seed, realization)
-    return generator(seed, part.name, realization)
+def randoms_of(
+    part: Source, segments: int, seed: int, realization: int, streams: Streams = own_streams
+) -> Randoms:
+    """Return what gives the random numbers of a disturbance in a realization, stream by stream."""
+    return lambda name: streams(name) or part.generator(name, segments, seed, realization)
 
 
 def parts(
-    populations: Sequence[Disturbance], population: Disturbance, within: tuple[str, ...] = ()
-) -> list[SingleDisturbance]:
+    populations: Sequence[Population], population: Population, within: tuple[str, ...] = ()
+) -> list[Source]:
     """Return the single disturbances that a population is made of: itself, or a combination's parts.
 
     Raises
@@ -163,8 +146,9 @@ def parts(
     UserError
         If a combination names what is none of `populations`, or contains itself.
     """
-    if not isinstance(population, Combine):
+    if isinstance(population, Source):
         return [population]
+    assert isinstance(population, Combine)
     if population.name in within:
         raise UserError(
             f"The combination {population.name!r} contains itself; leave it out of what it combines."
@@ -177,3 +161,56 @@ def parts(
             )
     inside = (*within, population.name)
     return [part for name in population.of for part in parts(populations, by_name[name], inside)]
+
+
+def instants_of(populations: Sequence[Population], population: Population) -> Array:
+    """Return the instants (n,) of a population in s: those of the history in it, or else of its time axis.
+
+    Raises
+    ------
+    UserError
+        If it combines histories of different instants, or as `draw_case`.
+    """
+    found = [
+        (part, own) for part in parts(populations, population) if (own := part.instants_of_file()) is not None
+    ]
+    if not found:
+        return time_axis(population)
+    (first, time), *others = found
+    for part, own in others:
+        _require_instants(part, own, time, f"those of the history {first.name!r}")
+    return time
+
+
+def with_own_axes(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
+    """Return the disturbances of a study; combinations that hold a history have its instants.
+
+    Raises
+    ------
+    ValueError
+        If one is given others, or histories in it have different ones.
+    """
+    return tuple(_with_own_axis(entries, entry) for entry in entries)
+
+
+def _with_own_axis(entries: Sequence[Any], entry: Any) -> Any:
+    try:
+        if not isinstance(entry, Combine) or not any(
+            part.instants_of_file() is not None for part in parts(entries, entry)
+        ):
+            return entry
+        time = instants_of(entries, entry)
+    except UserError as error:
+        raise ValueError(f"{entry.name!r}: {error}") from None
+    given = {key: getattr(entry, key) for key in entry.model_fields_set}
+    what = f"{entry.name!r} holds a history of {len(time)} rows"
+    return entry.model_copy(update=own_axis(time, given, what))
+
+
+def _require_instants(part: Source, own: Array, time: Array, what: str) -> None:
+    if not same_instants(own, time):
+        raise UserError(
+            f"the history {part.name!r} has {len(own)} instants from {own[0]:g} to {own[-1]:g} s, which "
+            f"are not {what}, {len(time)} from {time[0]:g} to {time[-1]:g} s; to combine them, sample both "
+            "at the same instants."
+        )

@@ -7,6 +7,7 @@ from scipy.sparse import coo_array
 
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.entries import Contents, Entries
+from wavequake.user_files import require_file
 
 
 def read_matrices(path: Path) -> Contents:
@@ -23,8 +24,7 @@ def read_matrices(path: Path) -> Contents:
         raise UserError(
             f"reading {path.name} needs the package ansys-mapdl-reader: pip install 'wavequake[ansys]'"
         ) from error
-    if not path.is_file():
-        raise UserError(f"cannot read {path}: no such file")
+    require_file(path)
     try:
         dofs, stiffness, mass = reader.read_binary(str(path)).load_km(as_sparse=True, sort=False)
     except Exception as error:  # the reader raises whatever its parser trips over

@@ -6,18 +6,20 @@ A file holds ``stiffness`` and ``mass``, each a square array or compressed colum
 absent). An ``.npz`` of `scipy.sparse.save_npz` holds one matrix.
 """
 
-import io
-import zipfile
-import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.sparse import coo_array, csc_array
+from numpy.typing import NDArray
 
+from wavequake import user_files
 from wavequake.errors import UserError
-from wavequake.mechanics.importers.entries import Contents, Entries, read_bytes
+from wavequake.mechanics.importers.entries import Array, Contents, Entries, Integers, read_bytes
+from wavequake.user_files import read_npz as read_arrays
+
+Content = Mapping[str, NDArray[Any]]
 
 MATRICES = ("stiffness", "mass")
 
@@ -30,24 +32,9 @@ def read_npz(path: Path) -> Contents:
     UserError
         If it is no such file, or its arrays make no square matrices.
     """
-    data = io.BytesIO(read_bytes(path))
-    try:
-        with np.load(data, allow_pickle=False) as file:
-            content = {name: file[name] for name in file.files}
-    except (
-        OSError,
-        ValueError,
-        EOFError,
-        NotImplementedError,
-        RuntimeError,
-        zlib.error,
-        zipfile.BadZipFile,
-    ) as error:
-        raise UserError(f"{path.name} is no NumPy .npz file: {error}") from error
+    content = _named(path, lambda: read_arrays(read_bytes(path)))
     if "format" in content:
-        from scipy.sparse import load_npz
-
-        return Contents({"": _sparse(coo_array(load_npz(path)), path.name)})
+        return Contents({"": _saved_by_scipy(content, path.name)})
     return _contents(content, path.name)
 
 
@@ -59,65 +46,119 @@ def read_hdf5(path: Path) -> Contents:
     UserError
         If the file is none of HDF5, or its arrays make no square matrices.
     """
-    import h5py  # takes a while to load
-
     read_bytes(path)
-    content: dict[str, Any] = {}
+    content = _named(path, lambda: user_files.read_hdf5(path))
+    return _contents({name.replace("/", "_"): values for name, values in content.items()}, path.name)
 
-    def collect(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset):
-            content[name.replace("/", "_")] = item[()]
 
+def _named(path: Path, read: Callable[[], Content]) -> Content:
     try:
-        with h5py.File(path, "r") as file:
-            file.visititems(collect)
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
-        raise UserError(f"{path.name} is no HDF5 file: {error}") from error
-    return _contents(content, path.name)
+        return read()
+    except UserError as error:
+        raise UserError(f"{path.name}: {error}") from None
 
 
-def _contents(content: Mapping[str, Any], source: str) -> Contents:
+def _contents(content: Content, source: str) -> Contents:
     """Sort named arrays into matrices, degrees of freedom and nodes."""
     matrices = {}
     for name in MATRICES:
         label = f"{name} of {source}"
-        compressed = [content.get(f"{name}_{part}") for part in ("data", "indices", "indptr")]
+        parts = [f"{name}_{part}" for part in ("data", "indices", "indptr")]
         if name in content:
-            matrix = np.asarray(content[name])
-            if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
+            matrix = _real(content[name], 2, label)
+            if matrix.shape[0] != matrix.shape[1]:
                 raise UserError(f"{label} has the shape {matrix.shape}, it must be square")
-            matrices[name] = _sparse(coo_array(matrix), label)
-        elif all(part is not None for part in compressed):
-            size = len(compressed[2]) - 1  # type: ignore[arg-type]
-            try:
-                matrices[name] = _sparse(coo_array(csc_array(tuple(compressed), shape=(size, size))), label)
-            except (ValueError, TypeError) as error:
-                raise UserError(f"{label} is no square matrix of compressed columns: {error}") from error
+            rows, columns = np.nonzero(matrix)
+            matrices[name] = _entries(rows, columns, matrix[rows, columns], len(matrix), label)
+        elif all(part in content for part in parts):
+            matrices[name] = _compressed([content[part] for part in parts], label)
     if not matrices:
         raise UserError(
             f"{source} holds no matrix called stiffness or mass, only "
             f"{', '.join(sorted(content)) or 'nothing'}"
         )
     dofs, nodes, labels = (content.get(name) for name in ("dofs", "nodes", "node_numbers"))
+    if nodes is None:
+        return Contents(matrices, None if dofs is None else _whole(dofs, 2, f"dofs of {source}", 2))
+    points = _real(nodes, 2, f"nodes of {source}", 3)
+    if labels is None:
+        numbers = np.arange(1, len(points) + 1)
+    else:
+        numbers = _whole(labels, 1, f"node_numbers of {source}")
+    if len(numbers) != len(points):
+        raise UserError(f"node_numbers of {source} are {len(numbers)}, but there are {len(points)} nodes")
     return Contents(
         matrices,
-        None if dofs is None else _table(dofs, 2, f"dofs of {source}").astype(np.int64),
-        None if nodes is None else np.arange(1, len(nodes) + 1) if labels is None else np.asarray(labels),
-        None if nodes is None else _table(nodes, 3, f"nodes of {source}").astype(np.float64),
+        None if dofs is None else _whole(dofs, 2, f"dofs of {source}", 2),
+        numbers,
+        points,
     )
 
 
-def _table(values: Any, columns: int, label: str) -> Any:
-    table = np.asarray(values)
-    if table.ndim != 2 or table.shape[1] != columns:
-        raise UserError(f"{label} has the shape {table.shape}, {columns} columns are needed")
-    return table
+def _real(values: NDArray[Any], axes: int, label: str, columns: int | None = None) -> Array:
+    """Return real numbers in an array of that many axes, and perhaps columns; UserError if it is none."""
+    if values.dtype.kind == "c":
+        raise UserError(f"{label} is complex, a real matrix is needed")
+    if values.dtype.kind not in "biuf":
+        raise UserError(f"{label} holds {values.dtype}, numbers are needed")
+    if values.ndim != axes or (columns and values.shape[-1] != columns):
+        needed = f"{columns} columns are needed" if columns else f"{axes} axes are needed"
+        raise UserError(f"{label} has the shape {values.shape}, {needed}")
+    with np.errstate(over="ignore"):  # infinite numbers are refused where they are used
+        return values.astype(np.float64)
 
 
-def _sparse(matrix: coo_array, source: str) -> Entries:
-    if matrix.shape[0] != matrix.shape[1]:
-        raise UserError(f"{source} has the shape {matrix.shape}, it must be square")
-    if np.iscomplexobj(matrix.data):
-        raise UserError(f"{source} is complex, a real matrix is needed")
-    rows, columns = (place.astype(np.int64) for place in matrix.coords)
-    return Entries(source, rows, columns, matrix.data.astype(np.float64), int(matrix.shape[0]), False)
+def _whole(values: NDArray[Any], axes: int, label: str, columns: int | None = None) -> Integers:
+    """Return whole numbers in an array as `_real` does."""
+    numbers = _real(values, axes, label, columns)
+    if not (np.abs(numbers) < 2.0**53).all() or (numbers != np.rint(numbers)).any():
+        raise UserError(f"{label} must be whole numbers")
+    return numbers.astype(np.int64)
+
+
+def _compressed(parts: Sequence[NDArray[Any]], label: str) -> Entries:
+    """Return a matrix of compressed columns."""
+    data, indices, indptr = parts
+    values = _real(data, 1, f"data of {label}")
+    rows, bounds = (_whole(part, 1, f"{what} of {label}") for part, what in
+                    ((indices, "indices"), (indptr, "indptr")))  # fmt: skip
+    size = len(bounds) - 1
+    if size < 0 or bounds[0] or (np.diff(bounds) < 0).any() or not bounds[-1] == len(rows) == len(values):
+        raise UserError(f"{label} is no square matrix of compressed columns: indptr does not fit its data")
+    return _entries(rows, np.repeat(np.arange(size), np.diff(bounds)), values, size, label)
+
+
+def _saved_by_scipy(content: Content, source: str) -> Entries:
+    """Return the matrix that `scipy.sparse.save_npz` wrote."""
+    kind = content["format"].item() if content["format"].ndim == 0 else None
+    kind = kind.decode(errors="replace") if isinstance(kind, bytes) else str(kind)
+    parts = {"csc": ("data", "indices", "indptr"), "csr": ("data", "indices", "indptr"),
+             "coo": ("data", "row", "col")}.get(kind)  # fmt: skip
+    if parts is None:
+        raise UserError(f"{source} holds a sparse matrix of the format {kind[:20]!r}; save it as csc")
+    missing = [name for name in (*parts, "shape") if name not in content]
+    if missing:
+        raise UserError(f"{source} holds a sparse matrix of the format {kind}, but no {missing[0]}")
+    shape = _whole(content["shape"], 1, f"the shape of {source}").tolist()
+    if len(shape) != 2 or shape[0] != shape[1]:
+        raise UserError(f"{source} has the shape {tuple(shape)}, it must be square")
+    if kind == "coo":
+        rows, columns = (_whole(content[name], 1, f"{name} of {source}") for name in parts[1:])
+        found = _entries(rows, columns, _real(content["data"], 1, f"data of {source}"), shape[0], source)
+    else:
+        found = _compressed([content[name] for name in parts], source)
+        if kind == "csr":
+            found = replace(found, rows=found.columns, columns=found.rows)
+    if found.size != shape[0]:
+        raise UserError(f"{source} has the shape {tuple(shape)}, but its entries are of order {found.size}")
+    return found
+
+
+def _entries(rows: Integers, columns: Integers, values: Array, size: int, label: str) -> Entries:
+    if not len(rows) == len(columns) == len(values):
+        raise UserError(f"{label} has {len(values)} values, {len(rows)} rows and {len(columns)} columns")
+    outside = (rows < 0) | (rows >= size) | (columns < 0) | (columns >= size)
+    if outside.any():
+        at = int(np.argmax(outside))
+        raise UserError(f"{label}: row {rows[at]}, column {columns[at]} lies outside its order {size}")
+    return Entries(label, rows.astype(np.int64), columns.astype(np.int64), values, size, False)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pandas import read_csv
 from scipy.io import mmread
 
+from wavequake import user_files
 from wavequake.errors import UserError
 
 Array = NDArray[np.float64]
@@ -73,12 +74,9 @@ def read_bytes(path: Path) -> bytes:
     Raises
     ------
     UserError
-        If it cannot be read, or is empty.
+        If it cannot be read, is empty or too large.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror}") from error
+    data = user_files.read_bytes(path)
     if not data.strip():
         raise UserError(f"{path} is empty")
     return data

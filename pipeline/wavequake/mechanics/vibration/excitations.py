@@ -8,7 +8,6 @@ inputs of `wavequake.mechanics.vibration.response.respond`.
 import csv
 import io
 import math
-from functools import lru_cache
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -30,6 +29,7 @@ from wavequake.mechanics.disturbances.spectra import (
 from wavequake.mechanics.model import Array
 from wavequake.mechanics.vibration.drive import Drive, Impulse, ramped_sine
 from wavequake.mechanics.vibration.response import time_step
+from wavequake.prepared import prepared
 
 _HARMONICS = 256
 
@@ -235,7 +235,7 @@ def _vibration(excitation: RandomVibration, nodes: int, time: Array, random: np.
     return series
 
 
-@lru_cache(maxsize=64)
+@prepared(maxsize=64)
 def _bands(excitation: RandomVibration) -> Bands:
     return split(vibration_spectrum(excitation), _HARMONICS)
 

@@ -2,13 +2,13 @@
 
 import time
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from scipy.sparse import csc_array
 
 from wavequake.mechanics.vibration.dissection import Front, dissect
 from wavequake.mechanics.vibration.factors import eliminate_definite, extend
+from wavequake.prepared import prepared
 
 # Fronts that are timed, blocks and borders: the large one is bound by arithmetic, the small one by memory.
 _TIMED = ((800, 1200), (110, 350))
@@ -70,7 +70,7 @@ def forecast(matrix: csc_array) -> Forecast:
     return Forecast(matrix.shape[0], matrix.nnz, plan.entries, plan.memory(8), operations, seconds)
 
 
-@cache
+@prepared(maxsize=1)
 def _rates() -> tuple[float, float]:
     """Return seconds per operation and per number of a front, from two fronts that are timed."""
     costs, sizes = [], []

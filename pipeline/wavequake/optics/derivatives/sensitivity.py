@@ -2,7 +2,7 @@
 
 The columns of C_a of Störkle 2018, Eq. 4.21, for motions of surfaces and bodies (Eq. 4.24) and for figures of
 surfaces (Eq. 4.26), by central differences of full traces with two steps; see
-`wavequake.optics.segments.sensitivity` for the matrices themselves.
+`wavequake.optics.derivatives.central` for the matrices themselves.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,18 +14,25 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device
 from wavequake.kernels.trace.sequence import TracedRays
-from wavequake.optics.segments.sensitivity import DOFS, TOLERANCE, SensitivityMatrix, Steps
+from wavequake.optics.derivatives.central import (
+    DOFS,
+    FAINT,
+    Differences,
+    Indices,
+    SensitivityMatrix,
+    Steps,
+    sensitivity_matrix,
+)
 from wavequake.optics.shapes.shapes import ZernikeDeformation
 from wavequake.optics.systems.bodies import Body, with_bodies
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import OpticalSystem, SystemStates
+from wavequake.optics.wavefronts.reaiming import stop_slopes, trace_aimed
 from wavequake.optics.wavefronts.wavefront import PreparedSystem, analyse_system, trace_system
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
-_FAINT = 1e-4  # of what moves or bends the whole beam: where all derivatives are smaller, this is their scale
 _PAIRS = 32  # columns per launch, a constant shape
 
 # From elements (K,), their degrees of freedom (K,) and how far each moves (K,) to the states of K instants.
@@ -80,7 +87,7 @@ def rigid_sensitivity(
         DOFS,
         np.repeat([steps.translation, steps.rotation], 3),
         move,
-        (_FAINT * waves / prepared.wavelength, _FAINT * image),
+        (FAINT * waves / prepared.wavelength, FAINT * image),
     )
 
 
@@ -139,7 +146,7 @@ def figure_sensitivity(
         tuple(f"Z{j}" for j in range(1, terms + 1)),
         np.full(terms, steps.figure),
         move,
-        (np.full(terms, _FAINT / prepared.wavelength), np.full(terms, _FAINT / aperture)),
+        (np.full(terms, FAINT / prepared.wavelength), np.full(terms, FAINT / aperture)),
     )
 
 
@@ -156,9 +163,7 @@ def default_steps(system: OpticalSystem) -> Steps:
 
 def _checked(steps: Steps | None, system: OpticalSystem) -> Steps:
     steps = steps or default_steps(system)
-    for name, step in vars(steps).items():
-        if not (np.isfinite(step) and step > 0.0):
-            raise UserError(f"the step of a {name} is {step}, it must be a positive number")
+    steps.require()
     return steps
 
 
@@ -172,63 +177,22 @@ def _matrix(
     faint: tuple[Array, Array],
 ) -> SensitivityMatrix:
     """Return the matrix; `faint` are scales (D,) of derivatives of waves and of millimeters."""
-    fine, wide = (
-        _derivatives(prepared, device, len(elements), factor * sizes, move) for factor in (1.0, 2.0)
-    )
-    worst = np.zeros(fine[3].shape)
-    turns = np.array([name in DOFS[3:] for name in dofs])
-    for one, other, floor in zip(fine[:3], wide[:3], (faint[0], faint[1], faint[1]), strict=True):
-        size = np.abs(one).max(axis=(0, 2))
-        largest = np.where(turns, size[turns].max(initial=0.0), size[~turns].max(initial=0.0))
-        worst = np.maximum(worst, np.abs(one - other).max(axis=2) / np.maximum(largest, floor))
-    zernike, los, centroid, rms_raw, intact = fine
-    return SensitivityMatrix(
-        elements=elements,
-        dofs=dofs,
-        steps=sizes,
-        zernike=zernike,
-        los=los,
-        centroid=centroid,
-        rms_raw=rms_raw,
-        disagreement=np.where((intact * wide[4] > 0.0) & np.isfinite(worst), worst, np.inf),
-        tolerance=TOLERANCE,
-    )
+    lost = ~np.isfinite(trace_system(prepared, rest_states(prepared.system), device)[0][0])
+    slopes = stop_slopes(prepared)
 
+    def pairs(element: Indices, dof: Indices, size: Array) -> Differences:
+        count = len(element)
+        column = np.repeat(np.minimum(np.arange(_PAIRS), count - 1), 2)
+        states = move(element[column], dof[column], np.tile([1.0, -1.0], _PAIRS) * size[column])
+        return _differences(prepared, trace_aimed(prepared, slopes, states, device), lost).first(count)
 
-def _derivatives(
-    prepared: PreparedSystem, device: Device, elements: int, sizes: Array, move: _Move
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Return central differences (E, D, ...) of Zernikes, LOS and centroid, their rms, and 1 where intact.
-
-    A column is intact if its motions lose the rays that are lost at rest, no others.
-    """
-    rest = rest_states(prepared.system)
-    lost = ~np.isfinite(trace_system(prepared, rest, device)[0][0])
-    columns, dofs = elements * len(sizes), len(sizes)
-    parts = []
-    for first in range(0, columns, _PAIRS):
-        column = np.minimum(np.arange(first, first + _PAIRS), columns - 1)
-        element, dof = np.divmod(column, dofs)
-        signs = np.tile([1.0, -1.0], _PAIRS)
-        states = move(np.repeat(element, 2), np.repeat(dof, 2), signs * np.repeat(sizes[dof], 2))
-        traced = trace_system(prepared, states, device)
-        parts.append([values[: columns - first] for values in _differences(prepared, traced, lost)])
-    zernike, los, centroid, rms, intact = (np.concatenate(part) for part in zip(*parts, strict=True))
-    width = np.tile(2.0 * sizes, elements)
-    shape = (elements, dofs)
-    return (
-        (zernike / width[:, None]).reshape(*shape, -1),
-        (los / width[:, None]).reshape(*shape, 2),
-        (centroid / width[:, None]).reshape(*shape, 2),
-        (rms / width).reshape(shape),
-        intact.reshape(shape),
-    )
+    return sensitivity_matrix(pairs, _PAIRS, elements, dofs, sizes, faint)
 
 
 def _differences(
     prepared: PreparedSystem, traced: tuple[Array, TracedRays, Array], lost: NDArray[np.bool_]
-) -> tuple[Array, ...]:
-    """Return the differences of pairs of instants, (K, ...)."""
+) -> Differences:
+    """Return the differences of pairs of instants."""
     opd = traced[0]
     found = analyse_system(prepared, *traced)
     change = opd[0::2] - opd[1::2]
@@ -239,6 +203,7 @@ def _differences(
     change = change - (np.sum(weight * change, axis=1) / total)[:, None]
     rms = np.sqrt(np.sum(weight * change**2, axis=1) / total)
     same = (np.isfinite(opd) == ~lost).all(axis=1)
-    intact = (same[0::2] & same[1::2]).astype(np.float64)
-    apart = [values[0::2] - values[1::2] for values in (found.zernike, found.los, found.centroid)]
-    return (*apart, rms, intact)
+    zernike, los, centroid = (
+        values[0::2] - values[1::2] for values in (found.zernike, found.los, found.centroid)
+    )
+    return Differences(zernike, los, centroid, rms, same[0::2] & same[1::2])

@@ -1,50 +1,57 @@
-"""Refractive media: dispersion formulas and a catalogue of glasses.
+"""Refractive media and glasses by name.
 
-The catalogue, ``glasses.csv`` beside this module, holds published Sellmeier coefficients: those of
-Schott's and Ohara's data sheets, Malitson's for fused silica and calcium fluoride, and the like; its
-``source`` column says whose.
+Two tables stand beside this module: ``glasses.csv``, crystals and silica by measurements that are published,
+and ``catalogues.csv``, what makers of glass publish of theirs (`Catalogues`). Names collide: BAF2 is a
+crystal, a glass of Hoya and one of CDGM. A name alone means the first of these tables, then the makers in
+their order; ``"HOYA:BAF2"`` says which maker's.
 """
 
 import csv
 import difflib
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from importlib.resources import files
-from typing import Literal
 
 from wavequake.errors import UserError
 from wavequake.optics.checks import number, require_kind
+from wavequake.optics.media.dispersion import FORMULAS
+from wavequake.prepared import prepared
 
 
 @dataclass(frozen=True)
 class Medium:
     """A homogeneous medium: its name and the coefficients of its dispersion formula.
 
-    ``formula`` is "constant" (the index itself), "sellmeier" (B1, C1, B2, C2, B3, C3 with the wavelength in
-    um) or "schott" (a0 ... a5). ``range_nm`` is where the formula holds.
+    ``formula`` is one of `wavequake.optics.media.dispersion.FORMULAS`, as "constant" (the index itself) or
+    "sellmeier" (B1, C1, B2, C2, B3, C3 with the wavelength in um). ``range_nm`` is where it holds;
+    ``catalogue`` the maker whose glass it is, empty for crystals and the like.
     """
 
     name: str
-    formula: Literal["constant", "sellmeier", "schott"]
+    formula: str
     coefficients: tuple[float, ...]
     range_nm: tuple[float, float] = (0.0, float("inf"))
+    catalogue: str = ""
 
 
 AIR = Medium("air", "constant", (1.0,))
 
 ALIASES = {
     "FUSED_SILICA": "SILICA",
+    "FUSEDSILICA": "SILICA",
     "F_SILICA": "SILICA",
     "SI": "SILICON",
     "GE": "GERMANIUM",
-    # Grades of higher transmission, with the dispersion of their glass.
-    **{f"{base}HT": base for base in ("F2", "N-BAK4", "N-BK7", "N-KZFS4", "N-LASF45", "N-LASF9", "N-SK2")},
-    **{f"{base}HT": base for base in ("N-SF57", "N-SF6", "SF6")},
-    **{f"{base}HTULTRA": base for base in ("N-SF57", "N-SF6", "SF57")},
-    "N-BK7HTI": "N-BK7",
+    "SF57HTULTRA": "SF57",
 }
 """Other names of glasses, in upper case, and the name that the catalogue has."""
+
+SAME_MAKER = {"HIKARI": "NIKON", "NIKON-HIKARI": "NIKON", "SCHOTT_IRG": "SCHOTT"}
+"""Other names of catalogues."""
+
+Catalogues = Mapping[str, Mapping[str, Medium]]
+"""Glasses by their name in upper case, by the catalogue in upper case."""
 
 # What light meets lies within: X-rays 0.99, metals 0.1, lead telluride 6, water at millimeters 9.
 _LEAST, _MOST = 0.01, 100.0
@@ -57,9 +64,6 @@ def constant(index: float) -> Medium:
 
 def refractive_index(medium: Medium, wavelength_mm: float) -> float:
     """Return the refractive index at a wavelength in air.
-
-    Sellmeier: n^2 = 1 + sum_i B_i w^2 / (w^2 - C_i). Schott: n^2 = a0 + a1 w^2 + a2 w^-2 + a3 w^-4 + a4 w^-6
-    + a5 w^-8. The wavelength w is in um.
 
     Parameters
     ----------
@@ -99,60 +103,111 @@ def refractive_index(medium: Medium, wavelength_mm: float) -> float:
 
 
 def _squared_index(medium: Medium, w2: float) -> float:
-    numbers = medium.coefficients
-    counts = {"constant": 1, "sellmeier": 6, "schott": 6}
-    expected = counts.get(medium.formula)
-    if expected is None:
+    formula = FORMULAS.get(medium.formula)
+    if formula is None:
         raise UserError(
-            f"The formula {medium.formula!r} of {medium.name} is unknown; choose one of {', '.join(counts)}."
+            f"The formula {medium.formula!r} of {medium.name} is unknown; choose one of "
+            f"{', '.join(FORMULAS)}."
         )
-    if len(numbers) != expected:
+    if len(medium.coefficients) not in formula.counts:
         raise UserError(
-            f"The formula {medium.formula!r} of {medium.name} takes {expected} coefficients, "
-            f"not {len(numbers)}."
+            f"The formula {medium.formula!r} of {medium.name} takes {' or '.join(map(str, formula.counts))} "
+            f"coefficients, not {len(medium.coefficients)}."
         )
-    if medium.formula == "constant":
-        return math.copysign(numbers[0] ** 2, numbers[0])
-    if medium.formula == "sellmeier":
-        terms = zip(numbers[::2], numbers[1::2], strict=True)
-        return 1 + sum(b * w2 / (w2 - c) if w2 != c else math.inf for b, c in terms)
-    return numbers[0] + numbers[1] * w2 + sum(a * w2**-k for k, a in enumerate(numbers[2:], 1))
+    return formula.squared(medium.coefficients, w2)
 
 
 def glass(name: str) -> Medium:
-    """Return a glass of the catalogue, for example ``glass("N-BK7")``; upper and lower case are the same.
+    """Return a glass by name, as ``glass("N-BK7")`` or ``glass("HOYA:BAF2")``, in any case of letters.
 
     Raises
     ------
     UserError
-        If the catalogue does not hold it; the message names the nearest that it does.
+        If no catalogue holds it; the message names the nearest that one does.
     """
     require_kind(name, str, "the name of a glass")
-    catalogue = glasses()
-    key = ALIASES.get(name.upper(), name.upper())
-    if key in catalogue:
-        return catalogue[key]
-    near = difflib.get_close_matches(key, [*catalogue, *ALIASES], n=3, cutoff=0.5)
-    which, names = ("nearest", near) if near else ("first", sorted(catalogue)[:3])
-    raise UserError(
-        f"There is no glass {name!r} in the catalogue; the {which} of its {len(catalogue)} names are "
-        f"{', '.join(names)}."
-    )
+    maker, _, plain = name.upper().rpartition(":")
+    if maker:
+        return _of_maker(maker, plain, name)
+    known = glasses()
+    key = ALIASES.get(plain, plain)
+    if key in known:
+        return known[key]
+    raise UserError(f"There is no glass {name!r} in the catalogue; {_nearest(key, [*known, *ALIASES])}.")
 
 
-@cache
+def medium_label(medium: Medium) -> str:
+    """Return the name by which `glass` finds a medium: with its maker where the name alone means another."""
+    if medium.catalogue and glasses().get(medium.name.upper()) != medium:
+        return f"{medium.catalogue}:{medium.name}"
+    return medium.name
+
+
+def _of_maker(maker: str, name: str, asked: str) -> Medium:
+    table = catalogue(maker, catalogues())
+    if table is None:
+        raise UserError(
+            f"There is no catalogue {maker} for the glass {asked!r}; there are {', '.join(catalogues())}."
+        )
+    if name not in table:
+        raise UserError(f"There is no glass {asked!r}; {_nearest(name, list(table))}.")
+    return table[name]
+
+
+def _nearest(name: str, names: Sequence[str]) -> str:
+    near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+    which, shown = ("nearest", near) if near else ("first", sorted(names)[:3])
+    return f"the {which} of its {len(names)} names are {', '.join(shown)}"
+
+
+def catalogue(name: str, known: Catalogues) -> Mapping[str, Medium] | None:
+    """Return the catalogue of a name such as "SCHOTT" or "SUMITA_AUG2011", or None if there is none."""
+    words = name.upper().replace("-", "_").split("_")
+    for key in (name.upper(), SAME_MAKER.get(name.upper(), ""), words[0], SAME_MAKER.get(words[0], "")):
+        if key in known:
+            return known[key]
+    return None
+
+
+@prepared(maxsize=None)
 def glasses() -> dict[str, Medium]:
-    """Return the catalogue: media by their name."""
-    text = (files("wavequake.optics.media") / "glasses.csv").read_text(encoding="utf-8")
-    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+    """Return what a name alone means: crystals and silica, then the makers' glasses in their order."""
+    found = dict(_crystals())
+    for table in catalogues().values():
+        for name, medium in table.items():
+            found.setdefault(name, medium)
+    return found
+
+
+@prepared(maxsize=None)
+def _crystals() -> dict[str, Medium]:
     keys = ("B1", "C1", "B2", "C2", "B3", "C3")
-    media = (
-        Medium(
+    return {
+        row["name"].upper(): Medium(
             row["name"],
             "sellmeier",
             tuple(float(row[key]) for key in keys),
             (float(row["from_nm"]), float(row["to_nm"])),
         )
-        for row in rows
-    )
-    return {medium.name.upper(): medium for medium in media}
+        for row in _rows("glasses.csv")
+    }
+
+
+@prepared(maxsize=None)
+def catalogues() -> dict[str, dict[str, Medium]]:
+    """Return the makers' catalogues that come with Wavequake, in their order."""
+    found: dict[str, dict[str, Medium]] = {}
+    for row in _rows("catalogues.csv"):
+        found.setdefault(row["catalogue"], {})[row["name"].upper()] = Medium(
+            row["name"],
+            row["formula"],
+            tuple(map(float, row["coefficients"].split())),
+            (float(row["from_nm"]), float(row["to_nm"])),
+            row["catalogue"],
+        )
+    return found
+
+
+def _rows(name: str) -> list[dict[str, str]]:
+    text = (files("wavequake.optics.media") / name).read_text(encoding="utf-8")
+    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))

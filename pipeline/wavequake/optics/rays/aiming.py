@@ -49,6 +49,7 @@ _WHY = {
     DIVERGED: "it folds over",
 }
 _NM_PER_MM = 1e6
+_FIRST_STEP, _SMALLEST_STEP = 1.0 / 16.0, 1.0 / 1024.0  # of a field, in which its chief ray is followed
 
 
 @dataclass(frozen=True)
@@ -139,6 +140,10 @@ def aimed_rays(
     aim = Aim(to_stop, poses, bundle, _DIFFERENCE * beam)
     chief = newton(aim, start[:, None], np.zeros((2, 1)))
     if not _aimed(aim, chief, np.zeros((2, 1))).all():
+        followed = _followed_chief(system, data, field, wavelength, aim)
+        if followed is not None:
+            chief = followed
+    if not _aimed(aim, chief, np.zeros((2, 1))).all():
         raise UserError(
             _no_chief(system, aim, start[:, None], chief, beam, _where(system, field, wavelength))
         )
@@ -157,6 +162,37 @@ def aimed_rays(
         gone = bad[~arrived]
         status[gone], surface[gone] = ends(aim, found[:, ~arrived], target[:, gone], beam, openings)
     return AimedRays(bundle.rays(numbers), status, surface)
+
+
+def _followed_chief(
+    system: OpticalSystem, data: Paraxial, field: Array, wavelength: float, aim: Aim
+) -> Array | None:
+    """Return the numbers (2, 1) of the chief ray, followed from the axis out to the field, or None.
+
+    In lenses of wide angles the paraxial chief ray does not even enter; that of a field close by does.
+    """
+    zero = np.zeros((2, 1))
+    before: tuple[float, Array] | None = None
+    at, step = 0.0, _FIRST_STEP
+    bundle, start = _bundle(system, data, 0.0 * field, wavelength)
+    here = newton(replace(aim, bundle=bundle), start[:, None], zero)
+    if not _aimed(replace(aim, bundle=bundle), here, zero).all():
+        return None
+    while at < 1.0:
+        goal = min(at + step, 1.0)
+        bundle, start = _bundle(system, data, goal * field, wavelength)
+        one = replace(aim, bundle=bundle)
+        guess = start[:, None]
+        if before is not None:  # goes on straight
+            guess = here + (here - before[1]) * (goal - at) / (at - before[0])
+        found = newton(one, guess, zero)
+        if np.isfinite(found).all() and _aimed(one, found, zero).all():
+            before, here, at = (at, here), found, goal
+        else:
+            step /= 2.0
+            if step < _SMALLEST_STEP:
+                return None
+    return here
 
 
 def losses(system: OpticalSystem, status: NDArray[np.int8], surface: NDArray[np.int8]) -> str:

@@ -2,7 +2,6 @@
 
 import sys
 from dataclasses import replace
-from functools import lru_cache
 from math import cos, isfinite, sin
 
 import numpy as np
@@ -11,27 +10,19 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY, Device, require_device
 from wavequake.kernels.trace.poses import surface_poses
-from wavequake.kernels.trace.sequence import Element, Grid, Moving, Polynomial, Region, Sequence
+from wavequake.kernels.trace.sequence import Element, Grid, Moving, Region, Sequence
 from wavequake.optics.checks import all_within
 from wavequake.optics.media.glasses import refractive_index
 from wavequake.optics.media.gradients import gradient_of, medium_index
 from wavequake.optics.shapes.basis import spline_coefficients, zernike_basis
 from wavequake.optics.shapes.concave import crossing
+from wavequake.optics.shapes.heights import centered_grid, require_grid
 from wavequake.optics.shapes.polygons import edge_spans, signed_areas
-from wavequake.optics.shapes.sag import extended_powers, require_grid
-from wavequake.optics.shapes.shapes import (
-    EvenAsphere,
-    ExtendedPolynomial,
-    GridDeformation,
-    GridSag,
-    Opening,
-    Shape,
-    ZernikeDeformation,
-    ZernikeSag,
-)
+from wavequake.optics.shapes.shapes import GridDeformation, Opening, ZernikeDeformation
 from wavequake.optics.systems.kinematics import relative_poses, require_motion, rest_poses
 from wavequake.optics.systems.paraxial import entrance_pupil_center
 from wavequake.optics.systems.system import LARGEST, OpticalSystem, Surface, SystemStates, require_system
+from wavequake.prepared import prepared
 
 Array = NDArray[np.float64]
 
@@ -66,6 +57,7 @@ def pack(system: OpticalSystem, wavelength_mm: float) -> Sequence:
 
 def _element(surface: Surface, index: float) -> Element:
     shape, form = surface.shape, surface.deformation
+    packed = shape.packed()
     zernike, radius = None, 1.0
     if isinstance(form, ZernikeDeformation):
         zernike, radius = zernike_basis(form.terms, form.obscuration), form.pupil_radius
@@ -74,9 +66,9 @@ def _element(surface: Surface, index: float) -> Element:
         conic=shape.conic,
         action=surface.action,
         index=index,
-        even=shape.coefficients if isinstance(shape, EvenAsphere) else (),
-        polynomial=_polynomial(shape),
-        grid=_grid(shape),
+        even=packed.even,
+        polynomial=packed.polynomial,
+        grid=packed.grid,
         deformation_degree=zernike.degree if zernike else -1,
         deformation_radius=radius,
         deformation_basis=zernike.basis if zernike else "monomial",
@@ -85,38 +77,12 @@ def _element(surface: Surface, index: float) -> Element:
     )
 
 
-def _polynomial(shape: Shape) -> Polynomial | None:
-    if isinstance(shape, ZernikeSag) and shape.coefficients:
-        zernike = zernike_basis(len(shape.coefficients), shape.obscuration)
-        coefficients = zernike.matrix @ np.asarray(shape.coefficients)
-        return Polynomial(zernike.degree, shape.pupil_radius, coefficients, zernike.basis)
-    if isinstance(shape, ExtendedPolynomial) and shape.coefficients:
-        i, j = extended_powers(len(shape.coefficients))[-1]
-        degree = i + j
-        coefficients = np.zeros((degree + 1) * (degree + 2) // 2)
-        coefficients[1 : 1 + len(shape.coefficients)] = shape.coefficients
-        return Polynomial(degree, shape.normalization_radius, coefficients)
-    return None
-
-
-def _grid(shape: Shape) -> Grid | None:
-    if not isinstance(shape, GridSag):
-        return None
-    rows, columns = shape.heights.shape
-    return _centered_grid(rows, columns, shape.dx, shape.dy, spline_coefficients(shape.heights))
-
-
 def _deformation_grid(form: GridDeformation | None) -> Grid | None:
     if form is None:
         return None
-    return _centered_grid(
+    return centered_grid(
         form.rows, form.columns, form.dx, form.dy, np.zeros((form.rows + 2, form.columns + 2))
     )
-
-
-def _centered_grid(rows: int, columns: int, dx: float, dy: float, coefficients: Array) -> Grid:
-    """Return the grid of spline coefficients, which has one ring more than that of the heights."""
-    return Grid(-dx * (columns + 1) / 2.0, -dy * (rows + 1) / 2.0, dx, dy, coefficients)
 
 
 def opening_regions(opening: Opening) -> tuple[Region, ...]:
@@ -278,7 +244,7 @@ def _poses(system: OpticalSystem, motion: Array, line_of_sight: Array, device: D
     return found
 
 
-@lru_cache(maxsize=64)
+@prepared(maxsize=64)
 def _steps_at_rest(position: bytes, rotation: bytes) -> tuple[Array, Array]:
     """Return `relative_poses`, which are asked for again with every batch of one system."""
     return relative_poses(np.frombuffer(position).reshape(-1, 3), np.frombuffer(rotation).reshape(-1, 3, 3))

@@ -162,6 +162,29 @@ def surface_poses(system: SegmentedTelescope, motion: Array) -> Array:
     return to_tiles(poses)
 
 
+def in_optics_frame(motion: Array, rotation: Array) -> Array:
+    """Return a surface's motion in the axes of the optics frame, as `surface_poses` takes it.
+
+    Parameters
+    ----------
+    motion : ndarray, shape (T, 6)
+        dx, dy, dz and Cardan angles x-y-z in the surface's own frame at rest, about its vertex.
+    rotation : ndarray, shape (3, 3)
+        Of the surface's frame into the optics frame.
+
+    Returns
+    -------
+    ndarray, shape (T, 6)
+    """
+    if (rotation == np.eye(3)).all():
+        return motion
+    turned = rotation @ cardan(motion[:, 3:]) @ rotation.T
+    alpha = np.arctan2(-turned[:, 1, 2], turned[:, 2, 2])
+    beta = np.arctan2(turned[:, 0, 2], np.hypot(turned[:, 0, 0], turned[:, 0, 1]))
+    gamma = np.arctan2(-turned[:, 0, 1], turned[:, 0, 0])
+    return np.column_stack([motion[:, :3] @ rotation.T, alpha, beta, gamma])
+
+
 def field_directions(field: Array) -> Array:
     """Return the unit vectors of incoming light.
 

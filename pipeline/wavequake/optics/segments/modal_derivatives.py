@@ -13,6 +13,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device
 from wavequake.kernels.device.tiles import TILE, from_tiles, padded
 from wavequake.kernels.trace.train import OK
+from wavequake.optics.derivatives.central import central, checked_derivative
 from wavequake.optics.segments.kinematics import field_directions
 from wavequake.optics.segments.modal import COMMON, RIGID, ModalModel, layout_of
 from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, trace_states
@@ -54,10 +55,13 @@ def modal_model(prepared: PreparedTrace, device: Device, field: Array, dofs: tup
     opd, x, y, chief = (
         np.concatenate(part, axis=-1) for part in _traced(prepared, device, field, dofs, singles)
     )
-    width = 2.0 * steps
-    slope, slope_x, slope_y = ((values[:, 1::2] - values[:, 2::2]) / width for values in (opd, x, y))
-    chief_slope = ((chief[:, 1::2] - chief[:, 2::2]) / width).T
-    still = opd[:, 0]
+    still, remedy = opd[:, 0], "take optics.method = 'standard'"
+    far = np.concatenate(_traced(prepared, device, field, dofs, 2.0 * singles[1:], whole=False)[0], axis=-1)
+    fourfold = np.stack([opd[:, 1::2], opd[:, 2::2], far[:, 0::2], far[:, 1::2]])
+    turns = steps == _ROTATION
+    slope = checked_derivative(fourfold, steps, "the path lengths", remedy, axis=0, units=turns)
+    slope_x, slope_y = (central(np.stack([one[:, 1::2], one[:, 2::2]]), steps) for one in (x, y))
+    chief_slope = central(np.stack([chief[:, 1::2], chief[:, 2::2]]), steps).T
     curvature = np.zeros((len(steps), len(steps)))
     bend = (opd[:, 1::2] + opd[:, 2::2] - 2.0 * still[:, None]) / steps**2
     curvature[np.diag_indices(len(steps))] = _rms(prepared.weight, bend)
@@ -93,9 +97,17 @@ def _stencils(count: int) -> tuple[Array, Array]:
 
 
 def _traced(
-    prepared: PreparedTrace, device: Device, field: Array, dofs: tuple[int, ...], signs: Array
+    prepared: PreparedTrace,
+    device: Device,
+    field: Array,
+    dofs: tuple[int, ...],
+    signs: Array,
+    whole: bool = True,
 ) -> tuple[list[Array], list[Array], list[Array], list[Array]]:
-    """Trace all segments moving at once; lists of launches of OPD in waves, x, y (N, m) and chief (2, m)."""
+    """Trace all segments moving at once; lists of launches of OPD in waves, x, y (N, m) and chief (2, m).
+
+    A lost ray is an error, or NaN where not the `whole` light is needed.
+    """
     parts: tuple[list[Array], list[Array], list[Array], list[Array]] = ([], [], [], [])
     for begin in range(0, len(signs), _LAUNCH_TILES * TILE):
         motions = signs[begin : begin + _LAUNCH_TILES * TILE] * _steps(dofs)
@@ -103,7 +115,7 @@ def _traced(
         traced = trace_states(prepared, states, device)
         count = len(motions)
         lost = from_tiles((traced.status != OK).astype(float))[:count] > 0.0
-        if lost.any():
+        if whole and lost.any():
             raise UserError(
                 f"{int(lost.any(axis=0).sum())} rays are lost at rest or within {_TRANSLATION} mm of it, so "
                 "that there are no derivatives: take other optics.rays, or optics.method = 'standard'."

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.kernels.trace.surfaces import conic_path, conic_slopes
 from wavequake.optics.segments.layout import Segments
+from wavequake.words import counted
 
 Array = NDArray[np.float64]
 
@@ -34,7 +35,7 @@ class ConicSurface:
     semi_diameter: float = float("inf")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SegmentedTelescope:
     """A telescope in a reference configuration; lengths in mm.
 
@@ -53,6 +54,10 @@ class SegmentedTelescope:
     pupil_inner: float
     pupil_outer: float
     note: str = ""
+
+    def __repr__(self) -> str:
+        count = counted(len(self.segments), "segment")
+        return f"<SegmentedTelescope {self.name}: {count}, {len(self.surfaces)} surfaces after M1>"
 
 
 @dataclass(frozen=True)

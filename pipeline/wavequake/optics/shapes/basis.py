@@ -1,7 +1,6 @@
 """From Zernike coefficients and grid heights to the polynomials and splines that the trace evaluates."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from wavequake.kernels.trace.ring import ring_order
 from wavequake.kernels.trace.sequence import Basis, Ring
 from wavequake.optics.polynomials.transforms import expansion_matrix
 from wavequake.optics.polynomials.zernike import MOST_TERMS, circular_zernike_xy, noll_to_nm
+from wavequake.prepared import prepared
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ def zernike_basis(terms: int, obscuration: float = 0.0) -> ZernikeBasis:
     return _zernike_basis(terms, obscuration)
 
 
-@lru_cache(maxsize=32)
+@prepared(maxsize=32)
 def _zernike_basis(terms: int, obscuration: float) -> ZernikeBasis:
     degree = noll_to_nm(terms)[0]
     if terms <= _MONOMIAL_TERMS:
@@ -86,7 +86,7 @@ def spline_coefficients(heights: Array) -> Array:
     return coefficients
 
 
-@lru_cache(maxsize=32)
+@prepared(maxsize=32)
 def _spline_matrix(count: int) -> Array:
     """Return the matrix (count + 2, count) from values at nodes to coefficients of a cubic B-spline."""
     system = np.zeros((count + 2, count + 2))

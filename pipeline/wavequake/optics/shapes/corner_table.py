@@ -2,6 +2,7 @@
 
 import csv
 import difflib
+import io
 from collections.abc import Sequence
 from dataclasses import replace
 from math import isfinite
@@ -15,6 +16,7 @@ from wavequake.errors import UserError
 from wavequake.optics.segments.layout import Segments
 from wavequake.optics.shapes.concave import crossing
 from wavequake.optics.shapes.polygons import ROUNDING, concave, overlapping, signed_areas
+from wavequake.user_files import read_text
 
 Array = NDArray[np.float64]
 
@@ -44,10 +46,10 @@ def distorted(segments: Segments, source: str | Path | TextIO) -> Segments:
     """
     if isinstance(source, str | Path):
         try:
-            with open(source, encoding="utf-8-sig", newline="") as stream:
-                return distorted(segments, stream)
-        except OSError as error:
-            raise UserError(f"The table of corners {source} cannot be read: {error.strerror}.") from None
+            text = read_text(source)
+        except UserError as error:
+            raise UserError(f"The table of corners {error}") from None
+        return distorted(segments, _Named(text, str(source)))
     where = getattr(source, "name", "the table of corners")
     moves = np.zeros_like(segments.corners)
     seen: set[tuple[int, int]] = set()
@@ -62,6 +64,14 @@ def distorted(segments: Segments, source: str | Path | TextIO) -> Segments:
     corners = segments.corners + moves
     _require_glass(segments.names, corners, where)
     return replace(segments, corners=corners)
+
+
+class _Named(io.StringIO):
+    """A text that says where it is from."""
+
+    def __init__(self, text: str, name: str) -> None:
+        super().__init__(text, newline="")
+        self.name = name
 
 
 def _rows(stream: TextIO, where: str) -> list[tuple[str, list[str]]]:

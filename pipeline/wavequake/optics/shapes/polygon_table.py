@@ -1,6 +1,7 @@
 """Read a user's table of polygons: one segment of glass per row."""
 
 import csv
+import io
 from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.optics.shapes.concave import crossing
 from wavequake.optics.shapes.polygons import ROUNDING, concave, overlapping, signed_areas
+from wavequake.user_files import read_text
 
 Array = NDArray[np.float64]
 
@@ -46,10 +48,10 @@ def read_polygons(source: str | Path | TextIO) -> tuple[list[str], Array, Array 
     if not isinstance(source, str | Path):
         return _parsed(source, getattr(source, "name", "the table of polygons"))
     try:
-        with open(source, encoding="utf-8-sig", newline="") as stream:
-            return _parsed(stream, str(source))
-    except OSError as error:
-        raise UserError(f"The table of polygons {source} cannot be read: {error.strerror}.") from None
+        text = read_text(source)
+    except UserError as error:
+        raise UserError(f"The table of polygons {error}") from None
+    return _parsed(io.StringIO(text, newline=""), str(source))
 
 
 def _parsed(stream: TextIO, where: str) -> tuple[list[str], Array, Array | None]:

@@ -1,15 +1,18 @@
 """Heights of a surface on a regular grid, measured or designed: CSV, NPY and Zemax's grid files (.dat)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from zipfile import BadZipFile
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.user_files import read_bytes, read_npy, read_text
 
 Array = NDArray[np.float64]
+Content = TypeVar("Content", str, bytes)
 
 MAX_NODES = 512 * 512
 _MM_PER_UNIT = (1.0, 10.0, 25.4, 1000.0)  # unit flags 0 to 3 of a grid file: mm, cm, in, m
@@ -46,12 +49,7 @@ def read_sag(path: str | Path) -> SagTable:
     reader = readers.get(path.suffix.lower())
     if reader is None:
         raise UserError(f"The sag file {path} must be a .csv, .npy or .dat file.")
-    try:
-        table = reader(path)
-    except OSError as error:
-        raise UserError(f"The sag file {path} cannot be read: {error.strerror}.") from None
-    except UnicodeDecodeError:
-        raise UserError(f"The sag file {path} is no text.") from None
+    table = reader(path)
     shape = table.heights.shape
     if len(shape) != 2 or min(shape) < 4 or table.heights.size > MAX_NODES:
         raise UserError(
@@ -67,9 +65,16 @@ def read_sag(path: str | Path) -> SagTable:
     return table
 
 
+def _from(path: Path, read: Callable[[Path], Content]) -> Content:
+    try:
+        return read(path)
+    except UserError as error:
+        raise UserError(f"The sag file {error}") from None
+
+
 def _csv(path: Path) -> SagTable:
     rows: list[list[float]] = []
-    for number, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), start=1):
+    for number, line in enumerate(_from(path, read_text).splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         rows.append(_numbers(path, number, line.split(",")))
@@ -81,13 +86,13 @@ def _csv(path: Path) -> SagTable:
 
 
 def _npy(path: Path) -> SagTable:
-    try:
-        heights = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, BadZipFile) as error:
-        raise UserError(f"The sag file {path} is no NumPy array: {str(error).rstrip('.')}.") from None
-    if not isinstance(heights, np.ndarray):
-        heights.close()
+    data = _from(path, read_bytes)
+    if data.startswith(b"PK"):
         raise UserError(f"The sag file {path} holds several arrays (.npz); save the one of heights as .npy.")
+    try:
+        heights = read_npy(data)
+    except UserError as error:
+        raise UserError(f"The sag file {path}: {error}.") from None
     if not (np.issubdtype(heights.dtype, np.floating) or np.issubdtype(heights.dtype, np.integer)):
         raise UserError(f"The sag file {path} holds {heights.dtype}, not numbers.")
     with np.errstate(over="ignore"):  # numbers that are too large become infinite, and are refused as such
@@ -95,7 +100,7 @@ def _npy(path: Path) -> SagTable:
 
 
 def _dat(path: Path) -> SagTable:
-    numbered = enumerate(path.read_text(encoding="utf-8-sig").splitlines(), start=1)
+    numbered = enumerate(_from(path, read_text).splitlines(), start=1)
     lines = [(number, line) for number, line in numbered if line.strip() and not line.startswith("!")]
     if not lines:
         raise UserError(f"The sag file {path} is empty.")

@@ -1,70 +1,30 @@
-"""Shapes of optical surfaces and of their apertures. Lengths in mm."""
+"""Shapes of optical surfaces, how they deform, and their apertures. Lengths in mm."""
 
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from wavequake.optics.shapes.forms.conic import Conic
+from wavequake.optics.shapes.forms.even_asphere import EvenAsphere
+from wavequake.optics.shapes.forms.extended_polynomial import ExtendedPolynomial
+from wavequake.optics.shapes.forms.grid_sag import GridSag
+from wavequake.optics.shapes.forms.zernike_sag import ZernikeSag
+from wavequake.optics.shapes.shape import Shape
 
-
-@dataclass(frozen=True)
-class Conic:
-    """A plane (infinite radius), sphere or conic (Störkle 2018, Eq. 3.18); radius > 0: center on +z."""
-
-    radius: float = np.inf
-    conic: float = 0.0
-
-
-@dataclass(frozen=True)
-class EvenAsphere:
-    """A conic plus C_0 rho^2 + C_1 rho^4 + ... (Störkle 2018, Eq. 3.19)."""
-
-    radius: float
-    conic: float
-    coefficients: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class ExtendedPolynomial:
-    """A conic plus C_0 x + C_1 y + C_2 x^2 + C_3 x y + ... (Störkle 2018, Eq. 3.22, Table 3.1).
-
-    x and y are divided by ``normalization_radius``, so the coefficients are lengths.
-    """
-
-    radius: float
-    conic: float
-    coefficients: tuple[float, ...]
-    normalization_radius: float = 1.0
-
-
-@dataclass(frozen=True)
-class ZernikeSag:
-    """A conic plus Noll Zernike polynomials over a pupil, annular where ``obscuration`` > 0.
-
-    ``coefficients`` in mm, from j = 1.
-    """
-
-    radius: float
-    conic: float
-    coefficients: tuple[float, ...]
-    pupil_radius: float
-    obscuration: float = 0.0
-
-
-@dataclass(frozen=True)
-class GridSag:
-    """A conic plus heights (rows, columns) on a regular grid, centered about the vertex; C2-continuous."""
-
-    radius: float
-    conic: float
-    heights: Array
-    dx: float
-    dy: float
-
-
-Shape = Conic | EvenAsphere | ExtendedPolynomial | ZernikeSag | GridSag
+__all__ = [
+    "Conic",
+    "Deformation",
+    "EvenAsphere",
+    "ExtendedPolynomial",
+    "GridDeformation",
+    "GridSag",
+    "Opening",
+    "Shape",
+    "SurfaceAction",
+    "ZernikeDeformation",
+    "ZernikeSag",
+]
 
 
 @dataclass(frozen=True)

@@ -28,11 +28,9 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from wavequake.errors import UserError
+from wavequake.optics.sections import MM_PER_NM, FileSection, Pair
 from wavequake.optics.segments.kinematics import cardan
 from wavequake.optics.systems.surface_file import (
-    MM_PER_NM,
-    FileSection,
-    Pair,
     SurfaceSection,
     deformation_of,
     embed_sag,
@@ -41,7 +39,8 @@ from wavequake.optics.systems.surface_file import (
     shape_of,
 )
 from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
-from wavequake.optics.zemax.read import parse_zmx, read_text, read_zmx
+from wavequake.optics.text_file import read_text
+from wavequake.optics.zemax.read import parse_zmx, read_zmx
 
 Array = NDArray[np.float64]
 
@@ -184,12 +183,15 @@ def _changed(system: OpticalSystem, section: SystemSection) -> OpticalSystem:
     distance = system.object_distance
     if section.object_distance_mm is not None:
         distance = section.object_distance_mm
+    fields = _fields(system, section, infinite=bool(np.isinf(distance)))
+    same = len(fields) == len(system.fields) and bool((fields == system.fields).all())
     telecentric = system.telecentric if section.telecentric is None else section.telecentric
     return replace(
         system,
         pupil=pupil,
         object_distance=distance,
-        fields=_fields(system, section, infinite=bool(np.isinf(distance))),
+        fields=fields,
+        vignetting=system.vignetting if same else (),
         wavelengths=waves,
         primary_wavelength=primary,
         telecentric=telecentric,

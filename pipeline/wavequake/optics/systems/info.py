@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.optics.media.glasses import medium_label
 from wavequake.optics.media.gradients import GradientIndex
 from wavequake.optics.rays.aiming import require_light
 from wavequake.optics.rays.packing import pack
 from wavequake.optics.shapes.grid_cover import require_cover
-from wavequake.optics.shapes.shapes import Conic, Opening
+from wavequake.optics.shapes.shapes import Opening
 from wavequake.optics.systems.image_aperture import real_apertures
 from wavequake.optics.systems.paraxial import Paraxial, oblique_surfaces, paraxial
 from wavequake.optics.systems.system import OpticalSystem, Surface, wavelength_of
@@ -43,7 +44,7 @@ def info(system: OpticalSystem) -> str:
         _columns([("field", *_fields(system)), ("wavelength (nm)", *_wavelengths(system))]),
         _columns(_surfaces(system.surfaces, system.stop), right=(1, 2, 3)),
     ]
-    parts += [lines] if (lines := _oblique(system)) else []
+    parts += [lines for lines in (_vignetting(system), _oblique(system)) if lines]
     bent = [one for one in system.surfaces if isinstance(one.medium, GradientIndex)]
     if bent:
         parts.append([f"The index varies behind {bent[0].name}, and rays bend."])
@@ -128,6 +129,18 @@ def _fields(system: OpticalSystem) -> Iterable[str]:
             yield f"({_number(x)}, {_number(y)}) mm"
 
 
+def _vignetting(system: OpticalSystem) -> list[str]:
+    """Return a sentence about the share of the stop that vignetting factors leave, as ellipses."""
+    shares = [100.0 * (1.0 - cx) * (1.0 - cy) for _, _, cx, cy, _ in system.vignetting]
+    if not shares:
+        return []
+    return [
+        "Vignetting factors leave of the stop, in % by field: "
+        + ", ".join(f"{share:.4g}" for share in shares)
+        + "."
+    ]
+
+
 def _wavelengths(system: OpticalSystem) -> Iterable[str]:
     for number, wavelength in enumerate(system.wavelengths):
         primary = number == system.primary_wavelength and len(system.wavelengths) > 1
@@ -139,9 +152,9 @@ def _surfaces(surfaces: Sequence[Surface], stop: int) -> list[tuple[str, ...]]:
         ("surface", "radius (mm)", "conic", "z (mm)", "action", "shape", "opening (mm)")
     ]
     for number, surface in enumerate(surfaces):
-        shape = "" if isinstance(surface.shape, Conic) else type(surface.shape).__name__
+        shape = surface.shape.words()
         deforms = " deforms" if surface.deformation is not None else ""
-        action = surface.action + (f" {surface.medium.name}" if surface.action == "refract" else "")
+        action = surface.action + (f" {_medium(surface)}" if surface.action == "refract" else "")
         rows.append(
             (
                 surface.name + (" (stop)" if number == stop else ""),
@@ -154,6 +167,11 @@ def _surfaces(surfaces: Sequence[Surface], stop: int) -> list[tuple[str, ...]]:
             )
         )
     return rows
+
+
+def _medium(surface: Surface) -> str:
+    medium = surface.medium
+    return medium.name if isinstance(medium, GradientIndex) else medium_label(medium)
 
 
 def _opening(opening: Opening | None) -> str:

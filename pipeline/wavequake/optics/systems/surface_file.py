@@ -4,15 +4,25 @@ import difflib
 from dataclasses import replace
 from math import isinf
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import (
+    Field,
+    ModelWrapValidatorHandler,
+    PrivateAttr,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from wavequake.errors import UserError
 from wavequake.optics.media.glasses import AIR, Medium, constant, glass
 from wavequake.optics.media.gradients import GradientIndex
+from wavequake.optics.sections import MM_PER_NM, FileSection, Pair
 from wavequake.optics.shapes.sag_file import read_sag
+from wavequake.optics.shapes.shape import shape_of_keys
 from wavequake.optics.shapes.shapes import (
     Conic,
     Deformation,
@@ -26,22 +36,15 @@ from wavequake.optics.shapes.shapes import (
     ZernikeSag,
 )
 
-MM_PER_NM = 1e-6
-
-
-class FileSection(BaseModel):
-    """A part of a study file: unknown keys and numbers that are not finite are errors."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-Pair = Annotated[tuple[float, float], Field(strict=False)]
 Heights = Annotated[tuple[float, ...], Field(strict=False)]
 _SHAPES = ("even_asphere", "polynomial_mm", "zernike_nm", "sag_mm")
 
 
 class SurfaceSection(FileSection):
-    """One surface of a system, in the order in which light meets them; the last one is the image."""
+    """One surface of a system, in the order in which light meets them; the last one is the image.
+
+    Shapes that `wavequake.optics.shapes.shape.register` adds have keys of their own beside these.
+    """
 
     name: str = Field(min_length=1)
     distance_mm: float = Field(default=0.0, description="along the light from the previous surface")
@@ -108,6 +111,29 @@ class SurfaceSection(FileSection):
     decenter_mm: tuple[float, float] = Field(default=(0.0, 0.0), strict=False)
     fold: bool = Field(default=False, description="the axis goes on as this tilted mirror reflects it")
     stop: bool = False
+    _own: tuple[type[Shape], FileSection] | None = PrivateAttr(default=None)  # a registered shape, its keys
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _keys_of_registered_shapes(cls, given: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Take the keys of registered shapes apart from those that every surface has."""
+        if not isinstance(given, dict):
+            return handler(given)
+        found = shape_of_keys({key: value for key, value in given.items() if key not in cls.model_fields})
+        if found is None or found[0].keys is None:
+            return handler(given)
+        shape, own = found
+        section = handler({key: value for key, value in given.items() if key not in own})
+        other = next((key for key in _SHAPES if getattr(section, key)), section.sag_file and "sag_file")
+        if other:
+            raise ValueError(f"the surface {section.name} has {' and '.join([other, *own])}; choose one")
+        section._own = shape, found[0].keys.model_validate(own)
+        return section
+
+    @model_serializer(mode="wrap")
+    def _with_keys_of_registered_shapes(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        record: dict[str, Any] = handler(self)
+        return record if self._own is None else record | self._own[1].model_dump(mode="json")
 
     @field_validator("radius_mm", mode="before")
     @classmethod
@@ -198,8 +224,11 @@ def _glass(section: SurfaceSection) -> tuple[SurfaceAction, Medium]:
 
 
 def shape_of(section: SurfaceSection) -> Shape:
-    """Return the shape of a surface in mm."""
+    """Return the shape of a surface in mm; raises UserError as the shape does."""
     radius = np.inf if section.radius_mm is None else section.radius_mm
+    if section._own is not None:
+        shape, keys = section._own
+        return shape.from_keys(keys, radius, section.conic, _norm(section))
     if section.even_asphere:
         return EvenAsphere(radius, section.conic, section.even_asphere)
     if section.polynomial_mm:

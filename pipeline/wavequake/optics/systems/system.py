@@ -24,6 +24,7 @@ from wavequake.optics.shapes.shapes import (
     SurfaceAction,
     ZernikeDeformation,
 )
+from wavequake.words import counted
 
 Array = NDArray[np.float64]
 
@@ -62,7 +63,7 @@ class Pupil:
     obscuration: float = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class OpticalSystem:
     """A sequential system; the last surface is the image.
 
@@ -86,6 +87,10 @@ class OpticalSystem:
         Before the first surface.
     note : str
         Which of its numbers are assumed or approximate, in a sentence; `info` shows it.
+    vignetting : tuple of 5 float for each field, or empty
+        Which part of the stop the light of each field fills, seen from the object, for lack of the
+        apertures that stop the rest: x and y of its center, one minus its half widths (all in units of the
+        stop's radius), and how far the ellipse is turned (rad).
     """
 
     name: str
@@ -99,6 +104,15 @@ class OpticalSystem:
     telecentric: bool = False
     medium: Medium = AIR
     note: str = ""
+    vignetting: tuple[tuple[float, float, float, float, float], ...] = ()
+
+    def __repr__(self) -> str:
+        parts = (
+            counted(len(self.surfaces), "surface"),
+            counted(len(self.fields), "field"),
+            counted(len(self.wavelengths), "wavelength"),
+        )
+        return f"<OpticalSystem {self.name}: {', '.join(parts)}>"
 
     def info(self) -> str:
         """Return a table of first-order data, fields, wavelengths and surfaces as plain text."""
@@ -163,6 +177,8 @@ def require_system(system: OpticalSystem) -> None:
         raise UserError(f"the fields of {name} must be an array (fields, 2) of finite numbers")
     if not len(system.fields):
         raise UserError(f"{name} has no field; the axis is the field (0, 0)")
+    if system.vignetting and len(system.vignetting) != len(system.fields):
+        raise UserError(f"the vignetting of {name} must hold five numbers for each of its fields")
     if np.isnan(system.object_distance):
         raise UserError(f"the object distance of {name} is not a number; a star's is infinite")
     if np.isinf(system.object_distance) and system.telecentric:

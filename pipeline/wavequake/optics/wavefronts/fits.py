@@ -1,7 +1,6 @@
 """Weighted linear least squares over rays: once for all instants, and anew for an instant that lost rays."""
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from wavequake.kernels.device.devices import NUMPY, Device
 from wavequake.kernels.sums.ray_sums import ray_coefficients
 from wavequake.optics.checks import alike, number, whole
 from wavequake.optics.polynomials.zernike import MOST_TERMS, annular_zernike
+from wavequake.prepared import prepared
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -102,7 +102,7 @@ def pupil_fit(x: Array, y: Array, weight: Array, terms: int, obscuration: float)
     return _pupil_fit(x.tobytes(), y.tobytes(), (scaled / np.sum(scaled)).tobytes(), terms, obscuration)
 
 
-@lru_cache(maxsize=1)
+@prepared(maxsize=1)
 def _pupil_fit(x: bytes, y: bytes, weight: bytes, terms: int, obscuration: float) -> Fit:
     places, shares = np.stack([np.frombuffer(x), np.frombuffer(y)]), np.frombuffer(weight)
     basis = annular_zernike(places[0], places[1], terms, obscuration)

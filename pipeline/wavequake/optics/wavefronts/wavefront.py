@@ -1,9 +1,8 @@
 """Wavefronts of any optical system: OPD, Zernike coefficients, line of sight, spots.
 
-The counterpart of `wavequake.optics.segments.wavefront` for an `OpticalSystem`. The chief ray goes through
-the center of the stop, wherever that has moved, and virtually where it is obscured; its image point is the
-center of the reference sphere, whose radius is the distance of the paraxial exit pupil. Wavefronts in waves.
-
+As `wavequake.optics.segments.wavefront`, for an `OpticalSystem`; in waves. The chief ray goes through the
+center of the stop, wherever that moves, and virtually where it is obscured; its image point is the center
+of the reference sphere, whose radius is the distance of the paraxial exit pupil.
 Coefficients come from path lengths, or with `with_slopes` from where the rays meet the image. With
 `with_fitted_sphere` the reference sphere is centered on the image point of the one that fits best. Of rays
 that a GPU traced no more than these numbers come from it, see `wavequake.kernels.device.resident`.
@@ -26,7 +25,8 @@ from wavequake.kernels.trace.sequential_numpy import joined_moving, moving_part
 from wavequake.kernels.trace.sequential_source import OUTPUTS
 from wavequake.optics.checks import alike, whole
 from wavequake.optics.polynomials.zernike import MOST_TERMS
-from wavequake.optics.rays.aiming import aimed_rays, losses, pupil_rays
+from wavequake.optics.rays.aiming import losses, pupil_rays
+from wavequake.optics.rays.field_light import field_light
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.rays.stop_following import follow_stop, stays, steering
 from wavequake.optics.shapes.sag import shape_sag
@@ -183,7 +183,7 @@ def prepare_system(
     point = system.fields[field]
     chief = pupil_rays(system, point, wavelength, np.zeros(1), np.zeros(1))
     cosines = image_cosines(system, sequence, point, wavelength)
-    aimed = aimed_rays(system, point, wavelength, x, y)
+    aimed = field_light(system, field, wavelength, x, y)
     if aimed.lost.all():
         raise UserError(
             f"no ray of {system.name} reaches its point of the stop: they are lost, "
@@ -266,7 +266,7 @@ def _sphere_points(prepared: PreparedSystem, x: Array, y: Array) -> tuple[Array,
     Those that do not arrive are NaN.
     """
     system, rest = prepared.system, moving(prepared.system, rest_states(prepared.system))
-    aimed = aimed_rays(system, system.fields[prepared.field], prepared.wavelength, x, y)
+    aimed = field_light(system, prepared.field, prepared.wavelength, x, y)
     traced = trace_sequence(prepared.sequence, aimed.rays, rest, NUMPY, ignore_apertures=True)
     chief, _ = chief_points(prepared, rest)
     points, distance = on_sphere(traced, chief, prepared.sphere_radius)
@@ -330,12 +330,17 @@ def trace_lights(prepared: PreparedSystem, lights: list[Moving], device: Device)
 
 
 def _about(prepared: PreparedSystem, light: Moving, chief: Array, path: Array, device: Device) -> Traced:
+    about = about_chief(prepared, light, chief)
+    traced = trace_sequence(prepared.sequence, prepared.rays, about, device, outputs=_outputs(prepared))
+    return path_differences(traced.path, path, prepared.wavelength), traced, chief
+
+
+def about_chief(prepared: PreparedSystem, light: Moving, chief: Array) -> Moving:
+    """Return what moves, with reference spheres about the image points (T, 2) of the chief ray."""
     # Without a chief ray there is no sphere: the instant's rays are lost, and say so.
     center = np.where(np.isfinite(chief), chief, 0.0)
     height, *_ = shape_sag(prepared.system.surfaces[-1].shape, center[:, :1], center[:, 1:])
-    about = replace(light, spheres=np.hstack([center, height, np.full_like(height, prepared.sphere_radius)]))
-    traced = trace_sequence(prepared.sequence, prepared.rays, about, device, outputs=_outputs(prepared))
-    return path_differences(traced.path, path, prepared.wavelength), traced, chief
+    return replace(light, spheres=np.hstack([center, height, np.full_like(height, prepared.sphere_radius)]))
 
 
 def _outputs(prepared: PreparedSystem) -> tuple[str, ...]:

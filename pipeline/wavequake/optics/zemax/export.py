@@ -232,6 +232,13 @@ def _shape(surface: Surface, system: str) -> list[str]:
         return ["TYPE STANDARD", *numbers]
     if isinstance(shape, GridSag):
         return ["TYPE GRID_SAG", *numbers, "PARM 0 0", *grid_lines(shape, f"{surface.name} of {system}")]
+    if not isinstance(shape, EvenAsphere | ExtendedPolynomial | ZernikeSag):
+        where = f"{surface.name} of {system}"
+        if not shape.zemax:
+            raise UserError(
+                f"The surface {where} is a {type(shape).__name__}, for which lens files have no surface type."
+            )
+        return [f"TYPE {shape.zemax}", *numbers, *shape.zemax_lines(where)]
     kind, form, most = _LISTS[type(shape)]
     if len(shape.coefficients) > most:
         raise UserError(

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from wavequake.optics.zemax.rows import Line, as_integer, as_number, fail
+from wavequake.optics.zemax.rows import Line, Row, as_integer, as_number, fail
 
 PUPILS = ("ENPD", "FNUM", "OBNA", "FLOA")
 _USED = (
@@ -17,7 +17,7 @@ _VIGNETTING = ("VDXN", "VDYN", "VCXN", "VCYN", "VANN", "ZVDX", "ZVDY", "ZVCX", "
 _HARMLESS = (
     *("VERS", "NOTE", "PFIL", "LANG", "GCAT", "COFN", "GLRS", "PICB", "BLNK", "LUID", "DMFS"),
     *("RAIM", "PUSH", "ROPD", "HYPR", "SDMA", "OMMA", "GSTD", "POLS", "NSCD"),
-    *("FWGN", "FWGT", "WWGN", "WWGT", "WAVN", "TOL", "MOFF"),
+    *("FWGN", "FWGT", "WWGN", "WWGT", "WAVN", "TOL", "MOFF", "AUTH", "DBDT", "FCOM"),
 )
 _KNOWN = frozenset((*_USED, *PUPILS, *_VIGNETTING, *_HARMLESS))
 _APODIZATIONS = {1: "Gaussian", 2: "cosine cubed"}
@@ -41,15 +41,6 @@ def require_supported(header: Mapping[str, Sequence[Line]]) -> None:
     for line in header.get("MODE", [])[:1]:
         if line.words[:1] != ["SEQ"]:
             fail(line, f"the mode {line.rest!r} is not supported, only SEQ is")
-    for line in header.get("MNUM", [])[:1]:
-        if as_integer(line, 0) > 1:
-            fail(line, "several configurations are not supported; save the wanted one alone")
-    for keyword in _VIGNETTING:
-        for line in header.get(keyword, []):
-            if any(as_number(line, index) for index in range(len(line.words))):
-                fail(
-                    line, "vignetting factors are not supported; set them to zero and give apertures instead"
-                )
     for line in header.get("ENVD", []):
         _require_reference_environment(line)
     for line in header.get("GFAC", []):
@@ -79,28 +70,32 @@ def _require_uniform(line: Line) -> None:
     fail(line, f"the apodization of the pupil ({name}) is not supported; choose a uniform one")
 
 
-def left_aside(header: Mapping[str, Sequence[Line]], first_surface: int) -> str:
-    """Return a sentence that names what is not understood; empty if all is.
-
-    Lines behind the surfaces hold merit functions, tolerances and configurations, which change no light.
+def left_aside(header: Mapping[str, Sequence[Line]], rows: Sequence[Row]) -> str:
+    """Return sentences that name what is not understood, each keyword once; empty if all is.
 
     Parameters
     ----------
     header : mapping of str to sequence of Line
-        The lines outside of surfaces by keyword.
-    first_surface : int
-        The number of the first surface's line.
+        The lines before the surfaces by keyword.
+    rows : sequence of Row
+        The surfaces.
     """
-    lines = [
-        found[0]
-        for keyword, found in header.items()
-        if keyword not in _KNOWN and found[0].number < first_surface
-    ]
+    lines = [found[0] for keyword, found in header.items() if keyword not in _KNOWN]
+    properties: dict[str, Line] = {}
+    for row in rows:
+        for line in row.unknown():
+            properties.setdefault(line.keyword, line)
+    said = [_named("The lens file's header has lines", lines)]
+    said.append(_named("Its surfaces have properties", list(properties.values())))
+    return " ".join(filter(None, said))
+
+
+def _named(what: str, lines: Sequence[Line]) -> str:
     if not lines:
         return ""
     names = [f"{line.keyword[:12]} (line {line.number})" for line in lines[:_NAMED]]
     more = f" and {len(lines) - _NAMED} more" if len(lines) > _NAMED else ""
     return (
-        f"The lens file's header has lines that are not understood and were left aside: {', '.join(names)}"
-        f"{more}. If they change the light, this system is another."
+        f"{what} that are not understood and were left aside: {', '.join(names)}{more}. If they change the "
+        "light, this system is another."
     )

@@ -1,17 +1,103 @@
 """What follows a surface of a .zmx file: mirrors, glasses, constant indices and gradients."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
 from wavequake.errors import UserError
-from wavequake.optics.media.glasses import AIR, Medium, constant, glass
+from wavequake.optics.media.glasses import (
+    AIR,
+    Catalogues,
+    Medium,
+    catalogue,
+    catalogues,
+    constant,
+    glass,
+    refractive_index,
+)
 from wavequake.optics.media.gradients import GradientIndex
+from wavequake.optics.media.model_glass import model_glass
 from wavequake.optics.shapes.shapes import SurfaceAction
 from wavequake.optics.zemax.gradients import GRADIENTS, gradient
 from wavequake.optics.zemax.rows import Line, Row, as_number, fail
 
 MODEL_GLASS = "___BLANK"
 
+_MODEL, _OFFSET = "1", "4"  # how the glass of a surface is given: as numbers, or as a glass and a difference
+_D_LINE = 587.5618e-6
+_SAME_INDEX, _SAME_ABBE = 1e-3, 0.5
+_DEFAULT = (1.5, 40.0)  # what a file says of index and Abbe number where it does not know them
+
+
+@dataclass(frozen=True)
+class GlassShelf:
+    """Where the glasses of a file are looked up, and what there is to say about them.
+
+    Attributes
+    ----------
+    own : mapping of str to Medium
+        The user's glasses by their name in upper case; they go before all others.
+    named : tuple of str
+        The catalogues that the file names (GCAT), in its order.
+    notes : list of str
+        Sentences about glasses that were found elsewhere or whose index is another.
+    """
+
+    own: Mapping[str, Medium] = field(default_factory=dict)
+    named: tuple[str, ...] = ()
+    notes: list[str] = field(default_factory=list)
+
+    def find(self, name: str) -> Medium:
+        """Return a glass of the user's, of the catalogues that the file names, or else of any.
+
+        Raises
+        ------
+        UserError
+            If there is none of that name.
+        """
+        key = name.upper()
+        if key in self.own:
+            return self.own[key]
+        known: Catalogues = catalogues()
+        for shelf in self.named:
+            table = catalogue(shelf, known)
+            if table is not None and key in table:
+                return table[key]
+        try:
+            found = glass(name)
+        except UserError as error:
+            raise UserError(
+                f"{str(error).removesuffix('.')}; give a catalogue that has it with --glass FILE.agf, or as "
+                "system.glass_file of a study."
+            ) from None
+        if self.named and found.catalogue:
+            self._note(
+                f"The glass {name} is in none of the catalogues that the file names "
+                f"({', '.join(self.named)}); that of {found.catalogue} was taken."
+            )
+        return found
+
+    def compare(self, medium: Medium, line: Line, index: float, abbe: float) -> None:
+        """Note that the file gives another index or Abbe number than the catalogue."""
+        if (index, abbe) == _DEFAULT or not index or not _knows_d(medium):
+            return
+        own = refractive_index(medium, _D_LINE)
+        if abs(own - index) > _SAME_INDEX:
+            self._note(
+                f"The index of {medium.name} is {own:.6g} by its catalogue (taken) and {index:.6g} by line "
+                f"{line.number} of the file."
+            )
+
+    def _note(self, sentence: str) -> None:
+        if sentence not in self.notes:
+            self.notes.append(sentence)
+
+
+def _knows_d(medium: Medium) -> bool:
+    return medium.range_nm[0] <= 1e6 * _D_LINE <= medium.range_nm[1]
+
 
 def medium_after(
-    row: Row, before: Medium | GradientIndex, scale: float
+    row: Row, before: Medium | GradientIndex, scale: float, shelf: GlassShelf
 ) -> tuple[SurfaceAction, Medium | GradientIndex]:
     """Return what a surface does and the medium after it; no glass means air.
 
@@ -21,6 +107,8 @@ def medium_after(
     before : Medium or GradientIndex
     scale : float
         mm per unit of the file.
+    shelf : GlassShelf
+        Where its glass is looked up.
     """
     line = row.one("GLAS")
     if row.type in GRADIENTS:
@@ -35,22 +123,42 @@ def medium_after(
         if isinstance(before, GradientIndex):
             fail(line, f"{row.label} is a mirror inside a medium whose index varies; this is not supported")
         return "reflect", before
-    after = AIR if line is None else _glass(line, row)
+    after = AIR if line is None or line.words[:1] in ([], ["AIR"]) else _glass(line, row, shelf)
     return ("pass" if after == before else "refract"), after
 
 
-def _glass(line: Line, row: Row) -> Medium:
-    name = line.words[0] if line.words else ""
-    if name != MODEL_GLASS and not (len(line.words) > 1 and line.words[1] == "1"):
+def _glass(line: Line, row: Row, shelf: GlassShelf) -> Medium:
+    words = line.words
+    name, kind = words[0], words[1] if len(words) > 1 else ""
+    index, abbe, deviation = (as_number(line, k) if len(words) > k else 0.0 for k in (3, 4, 5))
+    if name == MODEL_GLASS or kind == _MODEL:
+        as_number(line, 3)
+        return _model(name, index, abbe, deviation, line, row, shelf)
+    if kind == _OFFSET and any(as_number(line, k) for k in (6, 7) if len(words) > k):
+        fail(line, f"{row.label} has a glass with an offset of its index, which is not supported")
+    try:
+        medium = shelf.find(name)
+    except UserError as error:
+        fail(line, f"{row.label}: {error}".rstrip("."))
+    shelf.compare(medium, line, index, abbe)
+    return medium
+
+
+def _model(
+    name: str, index: float, abbe: float, deviation: float, line: Line, row: Row, shelf: GlassShelf
+) -> Medium:
+    """Return a glass given by numbers: that of the catalogue whose name and numbers it has, if it has."""
+    if name != MODEL_GLASS:
         try:
-            return glass(name)
-        except UserError as error:
-            fail(line, f"{row.label}: {error}".rstrip("."))
-    index, abbe = as_number(line, 3), as_number(line, 4)
-    if abbe:
-        fail(
-            line,
-            f"{row.label} has a model glass with index {index:g} and Abbe number {abbe:g}; name a glass "
-            "of the catalogue, or set the Abbe number to 0 for a constant index",
-        )
-    return constant(index)
+            medium = shelf.find(name)
+        except UserError:
+            pass
+        else:
+            if _knows_d(medium) and abs(refractive_index(medium, _D_LINE) - index) < _SAME_INDEX:
+                return medium
+    if not abbe:
+        return constant(index)
+    try:
+        return model_glass(index, abbe, deviation)
+    except UserError as error:
+        fail(line, f"{row.label}: {error}".rstrip("."))

@@ -9,15 +9,19 @@ from wavequake.errors import UserError
 MAX_COUNT = 1000
 
 OPENINGS = ("CLAP", "FLAP", "OBSC", "SQAP", "SPID")
-_USED = ("TYPE", "CURV", "CONI", "DISZ", "GLAS", "DIAM", "STOP", "PARM", "XDAT", "OBDC", "COMM")
-_OF_TYPE = {"GRID_SAG": ("GDAT", "GARR")}
+OF_SURFACES = ("TYPE", "CURV", "CONI", "DISZ", "GLAS", "DIAM", "STOP", "PARM", "XDAT", "OBDC", "COMM")
+_HEIGHTS = ("GDAT", "GARR")  # of a surface of the type GRID_SAG
 # Drawing, coatings, mechanical diameters (OEMA is the edge between DIAM and MEMA), thermal data, physical
 # optics; and the solves, variables and pickups whose results are in the file.
 _HARMLESS = (
     *("HIDE", "MIRR", "SLAB", "POPS", "COAT", "MEMA", "OEMA", "FIMP", "EDGE", "TCED"),
     *("MAZH", "PZUP", "PPAR", "PKUP", "VDSZ", "VPAR", "VCON"),
 )
-_KNOWN = frozenset((*_USED, *_HARMLESS, *OPENINGS))
+_KNOWN = frozenset((*OF_SURFACES, *_HARMLESS, *OPENINGS))
+_MOVES_LIGHT = {  # unless all numbers after the first are zero
+    "SCBD": "a tilt or decenter of its own",
+    **dict.fromkeys(("SQOB", "ELAP", "ELOB", "UDAP", "UDOB", "UDAD"), "an aperture of another form"),
+}
 
 
 @dataclass(frozen=True)
@@ -64,15 +68,21 @@ class Row:
         """Return the numbers of lines ``keyword index value`` by index."""
         return {as_integer(line, 0): as_number(line, 1) for line in self.lines.get(keyword, [])}
 
-    def require_known(self) -> None:
-        """Refuse a keyword that may change the optics and is not understood."""
-        for keyword, lines in self.lines.items():
-            if keyword not in _KNOWN and keyword not in _OF_TYPE.get(self.type, ()):
-                fail(
-                    lines[0],
-                    f"{self.label} has the property {keyword}, which is not supported; remove the line if it "
-                    "does not change the path of light",
-                )
+    def unknown(self) -> list[Line]:
+        """Return the first line of each keyword that is not understood."""
+        known = (*_KNOWN, *_MOVES_LIGHT, *_HEIGHTS)
+        return [lines[0] for keyword, lines in self.lines.items() if keyword not in known]
+
+    def require_supported(self) -> None:
+        """Refuse a property that changes the path of light and is not supported."""
+        for keyword, what in _MOVES_LIGHT.items():
+            for line in self.lines.get(keyword, []):
+                if any(word.strip("+-0.eE") for word in line.words[1:]):
+                    fail(line, f"{self.label} has {what}, which is not supported")
+        for keyword in _HEIGHTS:
+            if keyword in self.lines and self.type != "GRID_SAG":
+                what = "heights on a grid, which a surface of the type GRID_SAG has"
+                fail(self.lines[keyword][0], f"{self.label} has {what}, but it is of the type {self.type}")
 
 
 def fail(line: Line, message: str) -> NoReturn:

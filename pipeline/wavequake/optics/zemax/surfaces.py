@@ -7,6 +7,7 @@ import numpy as np
 
 from wavequake.optics.polynomials.indices import convert_coefficients
 from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.shapes.shape import shape_of_type, zemax_types
 from wavequake.optics.shapes.shapes import Conic, EvenAsphere, ExtendedPolynomial, Opening, Shape, ZernikeSag
 from wavequake.optics.systems.kinematics import Break
 from wavequake.optics.zemax.gradients import GRADIENTS
@@ -43,13 +44,15 @@ def shape(row: Row, scale: float) -> Shape:
     }
     if row.type in builders:
         return builders[row.type](row, scale, radius, kappa)
+    if (registered := shape_of_type(row.type)) is not None:
+        return registered.from_zemax(row, scale, radius, kappa)
     if row.type in GRADIENTS:  # their parameters are those of the medium
         return Conic(radius, kappa)
     if row.type != "STANDARD":
         fail(
             row.one("TYPE") or row.line,
             f"{row.label} is of the type {row.type}, which is not supported; STANDARD, COORDBRK, "
-            f"{', '.join((*builders, *GRADIENTS))} are",
+            f"{', '.join((*builders, *GRADIENTS, *zemax_types()))} are",
         )
     require_no_numbers(row, "PARM", row.table("PARM"))
     return Conic(radius, kappa)
@@ -128,9 +131,8 @@ def opening(row: Row, scale: float) -> Opening | None:
             f"{row.label} has an aperture from radius {low:g} to {high:g} mm; they must increase from >= 0",
         )
     if line.keyword == "OBSC":
-        if low:
-            fail(line, f"{row.label} has a ring-shaped obscuration, which is not supported")
-        return Opening(inner=high, center=center)
+        # A ring that is dark from `low` on: what passes outside of it, if anything, is stopped, too.
+        return Opening(outer=low, center=center) if low else Opening(inner=high, center=center)
     return Opening(outer=high, inner=low, center=center)
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.provenance import code, collect
+from wavequake.campaign.schema import Study
 from wavequake.campaign.store.store import (
     BUDGET,
     MANIFEST,
@@ -28,7 +29,6 @@ from wavequake.mechanics.disturbances.registry import Combine
 from wavequake.workflows.budgets import budget_segments, budget_systems
 from wavequake.workflows.budgets.budget_factors import Experiment
 from wavequake.workflows.budgets.indices import Estimate, removed_shares, variance_shares
-from wavequake.workflows.schema import Study
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.sensitivity import read_dataset, write_dataset
 from wavequake.workflows.systems.system_study import SystemStudy

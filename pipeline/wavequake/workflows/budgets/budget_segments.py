@@ -8,21 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.campaign.contract import DONE
-from wavequake.mechanics.disturbances.common_history import CommonHistory
-from wavequake.mechanics.disturbances.edge_sensors import EdgeSensorNoise
 from wavequake.mechanics.disturbances.layout import SegmentLayout
-from wavequake.mechanics.disturbances.motion import Motion, add
-from wavequake.mechanics.disturbances.registry import (
-    Combine,
-    SingleDisturbance,
-    draw,
-    parts,
-    stream_of,
-    time_axis,
-)
-from wavequake.mechanics.disturbances.segment_history import SegmentHistory
-from wavequake.mechanics.disturbances.segment_wind import SegmentWind
-from wavequake.mechanics.disturbances.static_random import StaticRandom
+from wavequake.mechanics.disturbances.motion import Motion, add, scaled
+from wavequake.mechanics.disturbances.registry import Combine, draw, instants_of, parts, randoms_of
+from wavequake.mechanics.disturbances.source import Source, time_axis_of
 from wavequake.workflows.budgets.budget_factors import AGAIN, Experiment, Factor
 from wavequake.workflows.segments.bench import Bench, bench_of
 from wavequake.workflows.segments.segment_disturbance import CaseDraw, trace_draws
@@ -33,9 +22,6 @@ Array = NDArray[np.float64]
 
 QUANTITIES = ("wfe_rms_raw", "wfe_rms", "los")
 _AT_ONCE = 64  # draws that are in memory together
-# Their segments are drawn independently of each other, so that a ring of them is a factor, too.
-_RING_BY_RING = (StaticRandom, CommonHistory)
-_TOGETHER = (SegmentHistory, SegmentWind, EdgeSensorNoise)
 
 
 _TRACED = {
@@ -51,10 +37,15 @@ _TRACED = {
 
 @dataclass(frozen=True)
 class Factors:
-    """Sources of a sum of disturbances, and rings of segments: (S,) number of each segment's ring, from 1."""
+    """Sources of a sum of disturbances, and what they move.
 
-    sources: tuple[SingleDisturbance, ...]
+    ``rings`` (S,) is the number of each segment's ring, from 1; ``surfaces`` are the names of those after M1
+    that move.
+    """
+
+    sources: tuple[Source, ...]
     rings: NDArray[np.int64]
+    surfaces: tuple[str, ...] = ()
 
     @property
     def ring_numbers(self) -> list[int]:
@@ -81,12 +72,12 @@ def variants(
     population: Combine, factors: Factors, layout: SegmentLayout, seed: int, realization: int
 ) -> list[Motion]:
     """Return the motions of one case: of all factors, of all drawn again, without each, with each redrawn."""
-    time = time_axis(population)
+    time = time_of(population, factors.sources)
 
-    def drawn(part: SingleDisturbance) -> Motion:
-        return draw(part, layout, time, stream_of(part, len(layout), seed, realization))
+    def drawn(part: Source) -> Motion:
+        return draw(part, layout, time, randoms_of(part, len(layout), seed, realization))
 
-    still = _scaled(add([drawn(part) for part in factors.sources[:1]]), 0.0)
+    still = scaled(add([drawn(part) for part in factors.sources[:1]]), 0.0)
     one = [drawn(part) for part in factors.sources]
     other = [drawn(part.model_copy(update={"name": part.name + AGAIN})) for part in factors.sources]
 
@@ -100,25 +91,26 @@ def variants(
         mine = factors.rings == ring
         without.append(_with_segments(total(one), still, mine))
         ringwise = [
-            _with_segments(first, second, mine) if isinstance(part, _RING_BY_RING) else first
+            _with_segments(first, second, mine) if part.independent == "element" else first
             for part, first, second in zip(factors.sources, one, other, strict=True)
         ]
         redrawn.append(total(ringwise))
+    for name in factors.surfaces:
+        without.append(_with_surface(total(one), still, name))
+        redrawn.append(
+            total(
+                [
+                    _with_surface(first, second, name) if part.independent == "element" else first
+                    for part, first, second in zip(factors.sources, one, other, strict=True)
+                ]
+            )
+        )
     return [total(one), total(other), *without, *redrawn]
-
-
-def _scaled(motion: Motion, factor: float) -> Motion:
-    return Motion(
-        motion.segment_motion * factor,
-        motion.segment_figure * factor,
-        motion.mount * factor,
-        motion.m2 * factor,
-    )
 
 
 def _with_segments(motion: Motion, other: Motion, mine: NDArray[np.bool_]) -> Motion:
     """Return a motion in which some segments move as in another."""
-    motion, other = add([motion, _scaled(other, 0.0)]), add([other, _scaled(motion, 0.0)])
+    motion, other = add([motion, scaled(other, 0.0)]), add([other, scaled(motion, 0.0)])
     return replace(
         motion,
         segment_motion=np.where(mine[:, None], other.segment_motion, motion.segment_motion),
@@ -126,12 +118,33 @@ def _with_segments(motion: Motion, other: Motion, mine: NDArray[np.bool_]) -> Mo
     )
 
 
+def _with_surface(motion: Motion, other: Motion, name: str) -> Motion:
+    """Return a motion in which one surface after M1 moves as in another."""
+    rigid = {key: values for key, values in motion.rigid.items() if key != name}
+    if name in other.rigid:
+        rigid[name] = other.rigid[name]
+    return replace(motion, rigid=rigid)
+
+
+def moves_segments_together(source: Source, layout: SegmentLayout) -> bool:
+    """Return whether a source moves segments, and those not independently of each other."""
+    if source.independent == "element":
+        return False
+    randoms = randoms_of(source, len(layout), 0, 0)
+    return bool(draw(source, layout, time_axis_of(source)[:1], randoms).segment_motion.any())
+
+
+def time_of(population: Combine, sources: Sequence[Source]) -> Array:
+    """Return the instants (n,) of a sum of sources, which may be no population of the study, s."""
+    return instants_of(sources, population.model_copy(update={"of": tuple(one.name for one in sources)}))
+
+
 def evaluate(bench: Bench, population: Combine, motions: Sequence[Motion], device: str) -> Array:
     """Return the QUANTITIES (rms over instants) of motions, and the most rays that mirrors stop, (B, 4).
 
     NaN where one cannot be traced.
     """
-    time, found = time_axis(population), []
+    time, found = time_of(population, parts(bench.study.disturbance, population)), []
     for first in range(0, len(motions), _AT_ONCE):
         draws = [CaseDraw(population, 0, time, motion) for motion in motions[first : first + _AT_ONCE]]
         result = trace_draws(bench.text, draws, device)
@@ -148,15 +161,19 @@ def experiment(study: SegmentStudy, population: Combine, device: str) -> Experim
     """Return how the cases of a sum of disturbances are varied and traced on a device."""
     traced = cast(SegmentStudy, study_with(study, _TRACED))
     bench = bench_of(traced.identity_text())
-    factors = Factors(tuple(parts(study.disturbance, population)), rings_of(bench.layout))
-    segments = len(bench.layout)
+    found, segments = tuple(parts(study.disturbance, population)), len(bench.layout)
+    moved = dict.fromkeys(name for part in found for name in part.elements(bench.layout))
+    surfaces = tuple(name for name in moved if name not in bench.layout.names)
+    factors = Factors(found, rings_of(bench.layout), surfaces)
     sources = [Factor(part.name, "source", segments) for part in factors.sources]
-    together = any(isinstance(part, _TOGETHER) for part in factors.sources)
+    together = any(moves_segments_together(part, bench.layout) for part in factors.sources)
     rings = [
         Factor(f"ring {ring}", "ring", int(np.count_nonzero(factors.rings == ring)), independent=not together)
         for ring in factors.ring_numbers
     ]
-    count = 2 + 2 * (len(sources) + len(rings))
+    whole = {name for part in found if part.independent == "whole" for name in part.elements(bench.layout)}
+    elements = [Factor(name, "element", 1, independent=name not in whole) for name in surfaces]
+    count = 2 + 2 * (len(sources) + len(rings) + len(elements))
 
     def drawn(realization: int) -> list[Motion]:
         return variants(population, factors, bench.layout, study.study.seed, realization)
@@ -167,10 +184,10 @@ def experiment(study: SegmentStudy, population: Combine, device: str) -> Experim
         return found.reshape(last - first, count, found.shape[1])
 
     def rest() -> Array:
-        return np.asarray(evaluate(bench, population, [_scaled(drawn(0)[0], 0.0)], device)[0])
+        return np.asarray(evaluate(bench, population, [scaled(drawn(0)[0], 0.0)], device)[0])
 
     return Experiment(
-        (*sources, *rings),
+        (*sources, *rings, *elements),
         QUANTITIES,
         max(1, _AT_ONCE // count),
         values,

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.element_motion import (
     ElementMotion,
-    SingleElementDisturbance,
     draw_elements,
-    instants_of,
-    single_parts,
 )
-from wavequake.mechanics.disturbances.registry import Combine
+from wavequake.mechanics.disturbances.layout import NO_SEGMENTS, SegmentLayout
+from wavequake.mechanics.disturbances.registry import Combine, instants_of, parts
+from wavequake.mechanics.disturbances.source import Source
 from wavequake.workflows.budgets.budget_factors import AGAIN, Experiment, Factor
 from wavequake.workflows.systems.system_bench import SystemBench, system_bench
 from wavequake.workflows.systems.system_measure import measured
@@ -26,34 +25,38 @@ QUANTITIES = ("wfe_change", "wfe_rms", "image_motion")
 _UM_PER_MM = 1e3
 
 
-def elements_of(sources: Sequence[SingleElementDisturbance]) -> list[str]:
+def elements_of(sources: Sequence[Source], layout: SegmentLayout = NO_SEGMENTS) -> list[str]:
     """Return the surfaces and bodies that disturbances move or deform, in the order of their mention.
 
     None if it is one alone, whose share is that of its disturbances.
     """
-    found = list(dict.fromkeys(name for part in sources for name in getattr(part, "of", ())))
+    found = list(dict.fromkeys(name for part in sources for name in part.elements(layout)))
     return found if len(found) > 1 else []
 
 
 def variants(
-    population: Combine, sources: Sequence[SingleElementDisturbance], seed: int, realization: int
+    population: Combine,
+    sources: Sequence[Source],
+    seed: int,
+    realization: int,
+    layout: SegmentLayout = NO_SEGMENTS,
 ) -> list[ElementMotion]:
     """Return the motions of one case: of all factors, of all drawn again, without each, with each redrawn."""
     time = instants_of(sources, population.model_copy(update={"of": tuple(part.name for part in sources)}))
     again = [part.model_copy(update={"name": part.name + AGAIN}) for part in sources]
 
-    def total(chosen: Sequence[SingleElementDisturbance]) -> ElementMotion:
+    def total(chosen: Sequence[Source]) -> ElementMotion:
         if not chosen:
             return ElementMotion({}, {}, np.zeros((len(time), 2)))
         names = tuple(part.name for part in chosen)
         whole = population.model_copy(update={"of": names})
-        return draw_elements(chosen, whole, seed, realization, time=time)
+        return draw_elements(chosen, whole, seed, realization, time=time, layout=layout)
 
     one, other = total(sources), total(again)
     indices = range(len(sources))
     without = [total([sources[k] for k in indices if k != i]) for i in indices]
     redrawn = [total([again[k] if k == i else sources[k] for k in indices]) for i in indices]
-    for name in elements_of(sources):
+    for name in elements_of(sources, layout):
         without.append(_with_element(one, ElementMotion({}, {}, one.sight), name))
         redrawn.append(_with_element(one, other, name))
     return [one, other, *without, *redrawn]
@@ -92,13 +95,18 @@ def experiment(study: SystemStudy, population: Combine, device: str) -> Experime
         prepared=tuple((row[light],) for row in bench.prepared),
         static=tuple((row[light],) for row in bench.static),
     )
-    sources = single_parts(study.disturbance, population)
-    names, time = elements_of(sources), instants_of(study.disturbance, population)
-    factors = [Factor(part.name, "source", len(getattr(part, "of", ()))) for part in sources]
-    factors += [Factor(name, "element", 1) for name in names]
+    sources = parts(study.disturbance, population)
+    names, time = elements_of(sources, bench.layout), instants_of(study.disturbance, population)
+    factors = [Factor(part.name, "source", len(part.elements(bench.layout))) for part in sources]
+    together = {
+        name for part in sources if part.independent == "whole" for name in part.elements(bench.layout)
+    }
+    factors += [Factor(name, "element", 1, independent=name not in together) for name in names]
 
     def values(first: int, last: int) -> Array:
-        cases = [variants(population, sources, study.study.seed, one) for one in range(first, last)]
+        cases = [
+            variants(population, sources, study.study.seed, one, bench.layout) for one in range(first, last)
+        ]
         return np.array([[evaluate(bench, time, motion, device) for motion in case] for case in cases])
 
     def rest() -> Array:

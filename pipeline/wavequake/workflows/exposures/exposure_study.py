@@ -5,11 +5,11 @@ from typing import Any
 
 from pydantic import Field, model_validator
 
+from wavequake.campaign.schema import Section
+from wavequake.chain.images.extended import ObjectSection
+from wavequake.chain.images.picture import embed_picture
 from wavequake.optics.polynomials.zernike import MOST_TERMS
-from wavequake.workflows.exposures.exposed_object import ObjectSection
-from wavequake.workflows.exposures.object_picture import read_picture
 from wavequake.workflows.mirrors.mirror_study import MirrorStudy
-from wavequake.workflows.schema import Section
 from wavequake.workflows.segments.segment_study import SegmentStudy
 
 
@@ -56,7 +56,7 @@ class TelescopeExposureStudy(SegmentStudy):
     def read_files(cls, record: dict[str, Any], base: Path) -> None:
         """Read the picture of the object beside what the disturbance reads."""
         super().read_files(record, base)
-        _read_picture(record, base)
+        embed_picture(record, base)
 
     @property
     def figure_terms(self) -> int:
@@ -79,10 +79,4 @@ class MirrorExposureStudy(MirrorStudy):
     def read_files(cls, record: dict[str, Any], base: Path) -> None:
         """Read the picture of the object beside what the mirror reads."""
         super().read_files(record, base)
-        _read_picture(record, base)
-
-
-def _read_picture(record: dict[str, Any], base: Path) -> None:
-    shown = record.get("object")
-    if isinstance(shown, dict) and isinstance(shown.get("picture"), str):
-        shown["picture_data"] = read_picture(base / shown["picture"])
+        embed_picture(record, base)

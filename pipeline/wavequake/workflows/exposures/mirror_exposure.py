@@ -6,14 +6,22 @@ excitation, as in Störkle 2018, Fig. 4.32.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
+from wavequake.chain.images.coherent import LitObject, lit_by_cells, mean_image
+from wavequake.chain.images.extended import check_object, object_at_rest, object_image
+from wavequake.chain.images.shortcuts import (
+    CANVAS,
+    FOCUS,
+    exposed,
+    exposure_variables,
+    frame_coordinates,
+)
 from wavequake.errors import UserError
 from wavequake.imaging.engines.matrix_fourier import matrix_fourier
 from wavequake.imaging.engines.zernike_psf import ZernikeImager, zernike_imager, zernike_images, zernike_sum
@@ -22,16 +30,8 @@ from wavequake.imaging.pupils.nyquist import too_coarse, zernike_samples_for
 from wavequake.imaging.pupils.pupil_function import annular_pupil
 from wavequake.kernels.device.devices import NUMPY, Device, choose_device
 from wavequake.optics.polynomials.zernike import annular_zernike
-from wavequake.workflows.exposures.coherent_object import LitObject, lit_by_cells, mean_image
-from wavequake.workflows.exposures.exposed_object import check_object, object_at_rest, object_image
+from wavequake.prepared import prepared
 from wavequake.workflows.exposures.exposure_study import MirrorExposureStudy
-from wavequake.workflows.exposures.exposures import (
-    CANVAS,
-    FOCUS,
-    exposed,
-    exposure_variables,
-    frame_coordinates,
-)
 from wavequake.workflows.mirrors import mirror_bench
 from wavequake.workflows.mirrors.mirror_bench import (
     aberrations_over_time,
@@ -104,7 +104,7 @@ def study_of(study_text: str) -> MirrorExposureStudy:
     return study
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def aberrations_of(study_text: str, model: str, variant: str) -> Array:
     """Return what a variant does over time, (excitation, time, 2 + J): line of sight in mm, terms in nm."""
     with threadpool_limits(1):
@@ -157,7 +157,7 @@ def _waves(study: MirrorExposureStudy, optics: Optics, history: Array, placed: b
     return np.asarray(waves)
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def _imager(
     samples: int, pixels: int, sampling: float, terms: int, obscuration: float, device: Device
 ) -> ZernikeImager:
@@ -186,7 +186,7 @@ class SeenObject:
             yield waves[first : first + _BLOCK] @ self.modes.T
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def seen_object(study_text: str, model: str, device: Device = NUMPY) -> SeenObject | None:
     """Return the object of a study, if there is one whose light is coherent or partially so."""
     study, optics = study_of(study_text), bench_of(study_text, model).optics
@@ -325,4 +325,6 @@ def notices(study_text: str) -> Iterator[str]:
             yield f"{name}: {text}; raise imaging.pupil_samples or lower imaging.scale"
 
 
-WORKFLOW = Workflow("mirror-exposure", template, case_table, compute, check=check, notices=notices)
+KIND = StudyKind(
+    "mirror-exposure", template, case_table, compute, check=check, notices=notices, model=MirrorExposureStudy
+)

@@ -6,25 +6,25 @@ The target motion is the inverse of the kinematic-optical sensitivities times th
 
 import json
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.schema import study_from_identity
+from wavequake.chain.images.shortcuts import CANVAS, FOCUS
 from wavequake.errors import UserError
 from wavequake.imaging.engines.segment_basis import SegmentBasis, ray_basis
 from wavequake.imaging.engines.segment_psf import psf
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.kernels.device.tiles import TILE, from_tiles, padded
 from wavequake.kernels.trace.train import Traced
+from wavequake.optics.derivatives.central import SIGNS, checked_derivative
 from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, prepare, trace_states
-from wavequake.optics.segments.sensitivity import TOLERANCE
 from wavequake.optics.segments.states import SurfaceStates, rest
 from wavequake.optics.segments.wavefront import Wavefront, analyse
+from wavequake.prepared import prepared
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
-from wavequake.workflows.exposures.exposures import CANVAS, FOCUS
-from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segments.bench import Bench, bench_of, monolithic
 from wavequake.workflows.segments.images import energy_scale
 from wavequake.workflows.segments.vignetting import require_all_rays
@@ -99,7 +99,7 @@ def segment_text(study_text: str) -> str:
     return json.dumps(record, sort_keys=True, separators=(",", ":"))
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def control_bench_of(study_text: str) -> ControlBench:
     """Prepare an exposure study, on one BLAS thread and in NumPy so that all workers have the same bits.
 
@@ -208,7 +208,7 @@ def figure_gains(control: ControlBench) -> Array:
     """
     prepared, terms = control.prepared, control.study.figure_terms
     steps = _STEP * np.eye(terms)[1:]
-    figures = np.concatenate([factor * steps for factor in (1.0, -1.0, 2.0, -2.0)])
+    figures = np.concatenate([factor * steps for factor in SIGNS])
     surfaces, segments = len(prepared.system.surfaces), len(prepared.system.segments)
     states = rest(padded(len(figures)), segments, surfaces, control.bench.figure_terms, terms)
     assert states.mirror_figure is not None
@@ -216,14 +216,9 @@ def figure_gains(control: ControlBench) -> Array:
     states = replace(states, field=states.field + control.bench.field)
     found = trace(prepared, states, choose_device("numpy"))[1]
     values = np.hstack([found.los * control.tilt_per_mm, found.zernike[:, 3:]])[: len(figures)]
-    plus, minus, wide_plus, wide_minus = values.reshape(4, terms - 1, -1)
-    gains, wide = (plus - minus) / (2.0 * _STEP), (wide_plus - wide_minus) / (4.0 * _STEP)
-    apart = np.abs(gains - wide).max() / np.abs(gains).max()
-    if not apart < TOLERANCE:
-        raise UserError(
-            f"the sensitivities of M2's figure differ by {apart:.2g} between two steps; use more rays or "
-            "fewer exposure.figure_terms"
-        )
+    gains = checked_derivative(
+        values.reshape(4, terms - 1, -1), _STEP, "M2's figure", "use more rays or fewer exposure.figure_terms"
+    )
     return np.ascontiguousarray(gains.T)
 
 

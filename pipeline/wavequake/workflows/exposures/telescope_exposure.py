@@ -13,25 +13,27 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
-from wavequake.errors import UserError
-from wavequake.imaging.exposures.exposure_models import cut, full_exposure
-from wavequake.imaging.pupils.nyquist import ray_samples_for, too_few_rays
-from wavequake.kernels.device.devices import Device, choose_device
-from wavequake.kernels.device.tiles import TILE
-from wavequake.kernels.trace.train import Traced
-from wavequake.optics.segments.states import SurfaceStates
-from wavequake.optics.segments.wavefront import Wavefront
-from wavequake.workflows.exposures.coherent_object import LitObject, lit_object, mean_image
-from wavequake.workflows.exposures.exposed_object import check_object
-from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
-from wavequake.workflows.exposures.exposures import (
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
+from wavequake.campaign.schema import study_from_identity
+from wavequake.chain.images.coherent import LitObject, lit_object, mean_image
+from wavequake.chain.images.extended import check_object
+from wavequake.chain.images.shortcuts import (
     CANVAS,
     FOCUS,
     exposed,
     exposure_variables,
     frame_coordinates,
 )
+from wavequake.errors import UserError
+from wavequake.imaging.exposures.exposure_models import cut, full_exposure
+from wavequake.imaging.pupils.nyquist import ray_samples_for, too_few_rays
+from wavequake.kernels.device.devices import Device, choose_device
+from wavequake.kernels.device.tiles import TILE
+from wavequake.kernels.trace.train import Traced
+from wavequake.mechanics.disturbances.motion import scaled
+from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.segments.wavefront import Wavefront
+from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.exposures.telescope_control import (
     CONTROLLERS,
     DISTURBED,
@@ -49,7 +51,6 @@ from wavequake.workflows.exposures.telescope_control import (
     segment_text,
     trace,
 )
-from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segments import segment_disturbance
 from wavequake.workflows.segments.bench import MAS_PER_RAD
 from wavequake.workflows.segments.segment_disturbance import CaseDraw, draw, surface_states
@@ -86,9 +87,7 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
 def scaled_draw(control: ControlBench, case: int) -> CaseDraw:
     """Draw a case of the disturbance, exaggerated by the study's scale."""
     drawn, scale = draw(control.bench, case), control.study.exposure.scale
-    motion = drawn.motion
-    scaled = {name: getattr(motion, name) * scale for name in vars(motion)}
-    return replace(drawn, motion=replace(motion, **scaled))
+    return replace(drawn, motion=scaled(drawn.motion, scale))
 
 
 def exposed_case(control: ControlBench, drawn: CaseDraw, device: Device) -> dict[str, Array]:
@@ -304,6 +303,13 @@ def notices(study_text: str) -> Iterator[str]:
         yield f"{text} or a smaller exposure.scale"
 
 
-WORKFLOW = Workflow(
-    "telescope-exposure", template, case_table, compute, describe, check=check, notices=notices
+KIND = StudyKind(
+    "telescope-exposure",
+    template,
+    case_table,
+    compute,
+    describe,
+    check=check,
+    notices=notices,
+    model=TelescopeExposureStudy,
 )

@@ -5,13 +5,13 @@ dimension inside the case (Störkle 2018, Chapter 5).
 """
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
+from wavequake.campaign.schema import study_from_identity
 from wavequake.control.bench import Bench, bench_modes, fitted_bench
 from wavequake.control.camera import Camera, CameraError
 from wavequake.control.experiment import (
@@ -42,8 +42,8 @@ from wavequake.firmware.gains import gains_of
 from wavequake.firmware.kept import host_image
 from wavequake.firmware.units import FirmwareUnit
 from wavequake.mechanics.disturbances.motion import generator
+from wavequake.prepared import prepared
 from wavequake.workflows.lens.lens_study import LensStudy
-from wavequake.workflows.schema import study_from_identity
 
 Array = NDArray[np.float64]
 
@@ -126,14 +126,14 @@ def settings_of(study: LensStudy) -> Settings:
     )
 
 
-@lru_cache(maxsize=8)
+@prepared(maxsize=8)
 def designs_of(study_text: str, springs: str) -> Designs:
     """Design the controllers of a configuration, once per process."""
     study = study_of(study_text)
     return design(bench_of(study, springs), stage_of(study), settings_of(study))
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def _camera_of(study_text: str) -> CameraError:
     study = study_of(study_text)
     return camera_of(Camera(unsteadiness=study.errors.camera_um * 1e-6), study.study.seed)
@@ -385,4 +385,4 @@ def check(study_text: str) -> None:
                 pass
 
 
-WORKFLOW = Workflow("lens-experiment", template, case_table, compute, describe, check=check)
+KIND = StudyKind("lens-experiment", template, case_table, compute, describe, check=check, model=LensStudy)

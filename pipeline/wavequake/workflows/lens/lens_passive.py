@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, ChunkResult, Template, Variable, Workflow
+from wavequake.campaign.contract import DONE, ChunkResult, StudyKind, Template, Variable
+from wavequake.campaign.schema import CampaignSection, Section, StoreSection, Study, study_from_identity
 from wavequake.control.bench import LENSES, Bench, bench_modes, fitted_bench
 from wavequake.control.passive import modal_amplitudes, optimize
 from wavequake.control.plant import swing
 from wavequake.mechanics.disturbances.motion import generator
-from wavequake.workflows.schema import CampaignSection, Section, StoreSection, Study, study_from_identity
 
 Array = NDArray[np.float64]
 
@@ -150,4 +150,4 @@ def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.g
     }
 
 
-WORKFLOW = Workflow("lens-passive", template, case_table, compute)
+KIND = StudyKind("lens-passive", template, case_table, compute, model=PassiveStudy)

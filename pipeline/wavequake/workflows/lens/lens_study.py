@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from wavequake.workflows.schema import CampaignSection, Section, Study
+from wavequake.campaign.schema import CampaignSection, Section, Study
 
 Six = tuple[float, float, float, float, float, float]
 Five = tuple[float, float, float, float, float]

@@ -12,9 +12,9 @@ import numpy as np
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, ReducedModel
 from wavequake.mechanics.vibration.drive import Drive, Harmonic
-from wavequake.reduction.component_modes import fixed_interface
 from wavequake.reduction.galerkin import project, reduced
 from wavequake.reduction.intermediate import Intermediate, dense_structure
+from wavequake.reduction.methods.component_modes import fixed_interface
 from wavequake.reduction.names import Variant
 from wavequake.reduction.structure import structure
 

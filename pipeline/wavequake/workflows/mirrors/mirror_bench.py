@@ -3,12 +3,13 @@
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
 from wavequake.imaging.engines.matrix_fourier import MatrixFourier, matrix_fourier
 from wavequake.imaging.pupils.pupil_function import annular_pupil
@@ -19,6 +20,7 @@ from wavequake.mechanics.vibration.excitations import drive_of
 from wavequake.mechanics.vibration.modal import modal_model
 from wavequake.mechanics.vibration.response import displacements, respond
 from wavequake.optics.polynomials.zernike import annular_zernike
+from wavequake.prepared import prepared
 from wavequake.reduction.intermediate import Intermediate, intermediate
 from wavequake.reduction.metrics import eps_mor, full_receptance, receptance
 from wavequake.reduction.names import Variant, parse
@@ -35,7 +37,6 @@ from wavequake.workflows.mirrors.model_store import (
     kept_model,
     kept_notes,
 )
-from wavequake.workflows.schema import study_from_identity
 
 Array = NDArray[np.float64]
 
@@ -81,7 +82,7 @@ class Answers:
     aberrations: Array
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def study_of(text: str) -> MirrorStudy:
     """Rebuild a study of mirror-mor or mirror-exposure from its identity."""
     exposed = json.loads(text)["study"]["workflow"] == "mirror-exposure"
@@ -89,14 +90,14 @@ def study_of(text: str) -> MirrorStudy:
     return study
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def trace_study_of(text: str) -> TraceStudy:
     """Rebuild a study of mirror-trace from its identity."""
     study: TraceStudy = study_from_identity(TraceStudy, text)
     return study
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def any_study_of(text: str) -> AnyMirrorStudy:
     """Rebuild a study of any mirror workflow from its identity."""
     if json.loads(text)["study"]["workflow"] == "mirror-trace":
@@ -104,7 +105,7 @@ def any_study_of(text: str) -> AnyMirrorStudy:
     return study_of(text)
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def bench_of(text: str, name: str) -> Bench:
     """Prepare one model of a study; one BLAS thread, so that its bits are the same in every process."""
     with threadpool_limits(1):
@@ -113,12 +114,12 @@ def bench_of(text: str, name: str) -> Bench:
         return Bench(name, stage, full, optics_of(study, name, stage))
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def stage_of(text: str, name: str) -> tuple[Intermediate, Callable[[], FiniteElementModel]]:
     """Return the intermediate model, and what builds the full one; one BLAS thread, as `bench_of`."""
     with threadpool_limits(1):
         study = any_study_of(text)
-        full = lru_cache(maxsize=1)(lambda: build_model(study, name))
+        full = prepared(maxsize=1)(partial(build_model, study, name))
         return _stage(study, name, full), full
 
 
@@ -138,7 +139,7 @@ def import_record(text: str) -> dict[str, tuple[tuple[str, ...], NDArray[np.gene
     return {"import_notice": (("import_notice",), found, words)} if len(found) else {}
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def answers_of(text: str, name: str) -> Answers:
     """Return what the reference of a model answers; one BLAS thread, as `bench_of`."""
     with threadpool_limits(1):
@@ -288,7 +289,7 @@ def over_time(study: MirrorStudy, model: ReducedModel, *rows: Array) -> list[Arr
     return [np.array(part) for part in found]
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def image_of(samples: int, pixels: int, sampling: float, obscuration: float, terms: int) -> "ImageMaker":
     """Prepare the images of wavefronts that are given by their Noll coefficients."""
     pupil = annular_pupil(samples, obscuration)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
 from wavequake.errors import UserError
 from wavequake.imaging.engines.matrix_fourier import psf
 from wavequake.mechanics.model import ReducedModel
@@ -352,6 +352,13 @@ def check(study_text: str) -> None:
         answers_of(study_text, name)
 
 
-WORKFLOW = Workflow(
-    "mirror-mor", template, case_table, compute, describe, check=check, notices=import_notices
+KIND = StudyKind(
+    "mirror-mor",
+    template,
+    case_table,
+    compute,
+    describe,
+    check=check,
+    notices=import_notices,
+    model=MirrorStudy,
 )

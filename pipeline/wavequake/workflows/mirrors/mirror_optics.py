@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY, Device, choose_device
 from wavequake.mechanics.model import ReducedModel
+from wavequake.optics.derivatives.central import SIGNS, checked_derivative
 from wavequake.optics.rays.packing import pack
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.optics.shapes.fit import (
@@ -37,7 +38,6 @@ Array = NDArray[np.float64]
 MM_PER_M, NM_PER_MM = 1e3, 1e6
 # Step of the central differences of a deformation, mm; twice the step has to give the same.
 _STEP = 1e-5
-_AGREEMENT = 1e-4
 _TERMS = {"circular": 231, "annular": 105}
 _MOST_TERMS = 105
 _NODES_PER_TERM = 4
@@ -197,19 +197,13 @@ def deformation_sensitivity(prepared: PreparedSystem, terms: int) -> Array:
     states = rest_states(prepared.system, 4 * terms)
     steps = states.deformations[0]
     assert steps is not None
-    for number, factor in enumerate((1.0, -1.0, 2.0, -2.0)):
+    for number, factor in enumerate(SIGNS):
         steps[number * terms : (number + 1) * terms] = factor * _STEP * np.eye(terms)
     found = measure_system(prepared, states, _device())
     to_nm = prepared.wavelength * NM_PER_MM
     values = np.concatenate([found.los, found.zernike * to_nm], axis=1).reshape(4, terms, -1)
-    once, twice = (values[0] - values[1]) / (2 * _STEP), (values[2] - values[3]) / (4 * _STEP)
-    apart = np.abs(once - twice).max(axis=0) / np.abs(once).max(axis=0)
-    if not apart.max() < _AGREEMENT:
-        raise UserError(
-            f"the sensitivities of the mirror differ by {apart.max():.2g} between two steps; it is too fast "
-            "for its number of rays or terms"
-        )
-    return np.ascontiguousarray(once.T)
+    remedy = "it is too fast for its number of rays or terms"
+    return np.ascontiguousarray(checked_derivative(values, _STEP, "the mirror", remedy, axis=0).T)
 
 
 def _device() -> Device:

@@ -13,6 +13,7 @@ from wavequake.kernels.device.devices import Device
 from wavequake.kernels.trace.sequence import Moving
 from wavequake.mechanics.model import ReducedModel
 from wavequake.mechanics.vibration.response import Response, displacements
+from wavequake.optics.derivatives.central import SIGNS, central, checked_derivative
 from wavequake.optics.shapes.basis import spline_coefficients
 from wavequake.optics.shapes.fit import (
     coefficients,
@@ -141,11 +142,13 @@ def residual_of(optics: Optics, left: Left, device: Device) -> Residual:
     scale = np.divide(_STEP, largest, out=np.zeros_like(largest), where=largest > 0.0)
     splines, prepared = spline_coefficients(heights), with_deformation(optics, grid)
     steps = scale[:, None, None] * splines
-    figures = np.zeros((2 * len(steps), optics.terms))
-    light = deformed_light(optics, figures, np.concatenate([steps, -steps]))
+    figures = np.zeros((len(SIGNS) * len(steps), optics.terms))
+    light = deformed_light(optics, figures, np.concatenate([sign * steps for sign in SIGNS]))
     opd, _, chief = trace_light(prepared, light, device)
-    per_unit = (largest / (2.0 * _STEP))[:, None]
-    opd, chief = ((values[: len(steps)] - values[len(steps) :]) * per_unit for values in (opd, chief))
+    remedy = "it is too fast for its number of rays or terms"
+    opd, chief = (values.reshape(len(SIGNS), len(steps), -1) for values in (opd, chief))
+    opd = checked_derivative(opd, _STEP, "the mirror's residual", remedy) * largest[:, None]
+    chief = central(chief, _STEP) * largest[:, None]  # it may hardly move at all
     zernike = fit_instants(prepared.fit, opd, device)
     to_nm = prepared.wavelength * NM_PER_MM
     root = np.sqrt(prepared.fit.weight / prepared.fit.weight.sum())

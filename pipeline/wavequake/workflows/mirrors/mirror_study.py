@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
+from wavequake.campaign.schema import CampaignSection, Section, StoreSection, Study, text_of
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.checks import Triangle
 from wavequake.mechanics.importers.model import PADS, TRIANGLE, ZERO_ROWS, ImportedModel, Nodes
@@ -13,7 +14,6 @@ from wavequake.mechanics.vibration.excitations import AnyExcitation
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.reduction.names import parse
 from wavequake.workflows.mirrors.model_store import keep_imported
-from wavequake.workflows.schema import CampaignSection, Section, StoreSection, Study, text_of
 
 FULL = "full"
 

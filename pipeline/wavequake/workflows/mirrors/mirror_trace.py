@@ -7,16 +7,14 @@ the two part: in the sag that is taken at the displaced x and y, or in the optic
 the fit miss much of the deformation, both methods add what they leave, as a grid (Eq. 4.11).
 """
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Template, Variable, Workflow
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
+from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.mechanics.vibration.excitations import drive_of
@@ -61,20 +59,6 @@ MODAL = ("maps of modes", "products")
 # Instants that are traced at a time.
 _INSTANTS = 1024
 STAGES = (*SET_UP, "time response", *STANDARD, *MODAL)
-
-
-class Clock:
-    """Seconds by stage."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        """Add the time of a block to its stage."""
-        start = time.perf_counter()
-        yield
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
 
 
 @dataclass(frozen=True)
@@ -127,12 +111,12 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
 def judged(study: TraceStudy, bench: Bench, variant: str, device: Device) -> dict[str, Array | float]:
     """Return all stored numbers of one variant."""
     reduced, optics, instants = variant_of(bench, variant), bench.optics, time_of(study)
-    left, residual, set_up = left_by(optics, reduced), None, Clock()
+    left, residual, set_up = left_by(optics, reduced), None, Stopwatch()
     with set_up("fits of coordinates"):
         motion = motion_fit(optics.surface, displacements_mm(reduced.surface.T))
     rows: dict[str, list[Array]] = {}
     for excitation in study.excitation:
-        clock = Clock()
+        clock = Stopwatch()
         drive = drive_of(excitation, reduced.inputs.shape[1] // 3, instants, study.study.seed)
         held, drive = driven(reduced, drive, excitation.name)
         with clock("modal form"):
@@ -178,12 +162,12 @@ def compared(
     coordinates: Array,
     summed: Array,
     device: Device,
-    clock: Clock,
+    clock: Stopwatch,
     residual: Residual | None = None,
 ) -> dict[str, Array]:
     """Trace all instants and compare them with what the modal method gives, `summed` (T, 2 + J)."""
     traced = standard_method(optics, motion, coordinates, device, clock, residual)
-    linear = trace_figures(optics, coordinates @ motion.linear, coordinates, device, Clock(), residual)
+    linear = trace_figures(optics, coordinates @ motion.linear, coordinates, device, Stopwatch(), residual)
     apart = traced.aberrations - summed
     return {
         "wfe_rms_standard": _wfe(traced.aberrations),
@@ -209,7 +193,7 @@ def standard_method(
     motion: MotionFit,
     coordinates: Array,
     device: Device,
-    clock: Clock,
+    clock: Stopwatch,
     residual: Residual | None = None,
 ) -> Wavefronts:
     """Return what tracing all rays at every instant gives.
@@ -224,7 +208,7 @@ def standard_method(
         Of the reduced model's coordinates.
     coordinates : ndarray, shape (T, r)
     device : Device
-    clock : Clock
+    clock : Stopwatch
     residual : Residual, optional
         What the polynomials leave, to be traced with them.
     """
@@ -238,7 +222,7 @@ def trace_figures(
     fitted: Array,
     coordinates: Array,
     device: Device,
-    clock: Clock,
+    clock: Stopwatch,
     residual: Residual | None = None,
 ) -> Wavefronts:
     """Trace all rays at T instants with the figures (T, J) and what they leave, mm."""
@@ -255,7 +239,7 @@ def trace_figures(
 
 
 def _wavefronts(
-    prepared: PreparedSystem, opd: Array, chief: Array, device: Device, clock: Clock
+    prepared: PreparedSystem, opd: Array, chief: Array, device: Device, clock: Stopwatch
 ) -> tuple[Array, Array]:
     """Return aberrations and raw rms of `Wavefronts` from traced rays."""
     with clock("wavefront fit"):
@@ -269,7 +253,7 @@ def _wavefronts(
 
 
 def modal_method(
-    optics: Optics, surface: Array, response: Response, clock: Clock, residual: Residual | None = None
+    optics: Optics, surface: Array, response: Response, clock: Stopwatch, residual: Residual | None = None
 ) -> Wavefronts:
     """Return sensitivities of modes times their coordinates.
 
@@ -394,6 +378,13 @@ def check(study_text: str) -> None:
         check_variants_of(study, bench_of(study_text, name), study.reduction.variants)
 
 
-WORKFLOW = Workflow(
-    "mirror-trace", template, case_table, compute, describe, check=check, notices=import_notices
+KIND = StudyKind(
+    "mirror-trace",
+    template,
+    case_table,
+    compute,
+    describe,
+    check=check,
+    notices=import_notices,
+    model=TraceStudy,
 )

@@ -3,18 +3,20 @@
 import io
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.train import OK
 from wavequake.mechanics.disturbances.layout import SegmentLayout
-from wavequake.mechanics.disturbances.registry import Disturbance
+from wavequake.mechanics.disturbances.registry import Disturbance, parts
+from wavequake.mechanics.disturbances.source import SegmentSource
+from wavequake.optics.derivatives.central import SIGNS, checked_derivative
 from wavequake.optics.polynomials.transforms import known_transformed
 from wavequake.optics.rays.pupils import PupilRays, on_glass, segment_rays, sunflower
 from wavequake.optics.segments.catalog import telescope
@@ -27,7 +29,7 @@ from wavequake.optics.segments.wavefront import Wavefront, analyse
 from wavequake.optics.shapes.corner_table import distorted
 from wavequake.optics.wavefronts.fits import tells_apart
 from wavequake.optics.wavefronts.sphere_fit import reference_fit
-from wavequake.workflows.schema import study_from_identity
+from wavequake.prepared import prepared
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.segments.vignetting import Stopped, refuse_dark_segment, stopped_at_rest
 
@@ -59,7 +61,7 @@ class Bench:
     field: NDArray[np.float64]
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def bench_of(study_text: str) -> Bench:
     """Prepare the study with this identity text.
 
@@ -80,6 +82,8 @@ def _prepared(study_text: str) -> Bench:
     study = study_from_identity(SegmentStudy, study_text)
     system = build_telescope(study)
     _require_m2(study, system)
+    layout = layout_of(system)
+    _require_elements(study, layout)
     rays = build_rays(study, system)
     terms = figure_terms(study.disturbance)
     wavelength = study.optics.wavelength_nm * 1e-6
@@ -98,7 +102,7 @@ def _prepared(study_text: str) -> Bench:
         study,
         system,
         first_order(system),
-        layout_of(system),
+        layout,
         prepared,
         static,
         stopped,
@@ -184,6 +188,8 @@ def layout_of(system: SegmentedTelescope) -> SegmentLayout:
         axes=segments.axes,
         corners_m=segments.corners / MM_PER_M,
         areas_m2=(annulus if monolithic(system) else areas(segments)) / MM_PER_M**2,
+        others=tuple(surface.name for surface in system.surfaces),
+        owner=f"the telescope {system.name}",
     )
 
 
@@ -194,6 +200,26 @@ def _require_m2(study: SegmentStudy, system: SegmentedTelescope) -> None:
                 f"The disturbance {population.name!r} tilts M2, but the telescope {system.name} has no "
                 "mirror after the primary one; choose act = 'mount'."
             )
+
+
+def _require_elements(study: SegmentStudy, layout: SegmentLayout) -> None:
+    """Raise UserError if a disturbance moves what there is not, or deforms what cannot."""
+    for population in study.disturbance:
+        for part in parts(study.disturbance, population):
+            for name in part.elements(layout):
+                if layout.others and name in layout.others and name in layout.names:
+                    raise UserError(
+                        f"The disturbance {part.name!r} acts on {name!r}, which is both a segment and a "
+                        f"surface of {layout.owner}; rename the segment."
+                    )
+            if isinstance(part, SegmentSource):
+                part.moving(layout)
+            deformed = next(iter({**part.figure_terms(layout), **part.figure_grids()}), None)
+            if deformed is not None:
+                raise UserError(
+                    f"The disturbance {part.name!r} deforms {deformed!r} of {layout.owner}: only segments "
+                    'deform, by the model "static-random"; leave the figures out of its file.'
+                )
 
 
 def _reference(
@@ -207,8 +233,8 @@ def _reference(
     step = 1e-6
     still = rest(TILE, len(system.segments), len(system.surfaces), terms)
     motion = still.surface_motion.copy()
-    for lane, (axis, sign) in enumerate([(3, 1), (3, -1), (4, 1), (4, -1)], start=1):
-        motion[lane, 0, axis] = sign * step
+    for place, axis in enumerate((3, 4)):
+        motion[1 + place : 9 : 2, 0, axis] = SIGNS * step
     states = SurfaceStates(still.segment_motion, still.segment_figure, motion, still.field + field)
     traced = trace_states(prepared, states, choose_device("numpy"))
     wavefront = analyse(prepared, traced, chief_rays(prepared, states))
@@ -222,6 +248,6 @@ def _reference(
         )
     if not system.surfaces[0].reflects:
         return wavefront, stopped, np.zeros((2, 2))
-    los = wavefront.los
-    per_tilt = np.stack([los[1] - los[2], los[3] - los[4]], axis=1) / (2 * step)
+    los = wavefront.los[1:9].reshape(4, 2, 2)
+    per_tilt = checked_derivative(los, step, "M2's tilt", "take other optics.rays").T
     return wavefront, stopped, np.asarray(np.linalg.inv(per_tilt / prepared.focal_length), dtype=np.float64)

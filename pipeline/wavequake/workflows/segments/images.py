@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from wavequake.imaging.pupils.nyquist import too_few_rays
 from wavequake.kernels.device.tiles import TILE, from_tiles
 from wavequake.kernels.trace.train import Traced, vignetted
 from wavequake.optics.segments.wavefront import Wavefront
+from wavequake.prepared import prepared
 from wavequake.workflows.segments.bench import Bench, bench_of, monolithic
 
 Array = NDArray[np.float64]
@@ -170,14 +170,14 @@ def _psf(bench: Bench, phase: Array, pixels: int) -> NDArray[np.floating[Any]]:
     return psf(_basis(bench.text, pixels, last), phase, _TOLERANCE)
 
 
-@lru_cache(maxsize=6)
+@prepared(maxsize=6)
 def _basis(study_text: str, pixels: int, moments: int) -> SegmentBasis:
     bench = bench_of(study_text)
     segments = bench.system.segments
     return segment_basis(segments.corners, segments.centers[:, :2], moments=moments, **_grid(bench, pixels))
 
 
-@lru_cache(maxsize=4)
+@prepared(maxsize=4)
 def _ray_basis(study_text: str, pixels: int) -> SegmentBasis:
     bench = bench_of(study_text)
     rays, weight = bench.prepared.rays, bench.prepared.weight

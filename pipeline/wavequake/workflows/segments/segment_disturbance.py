@@ -12,22 +12,29 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Workflow
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind
+from wavequake.campaign.schema import study_from_identity
 from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.chain.sampling import replicate_labels
 from wavequake.errors import UserError
 from wavequake.imaging.exposures.exposure import encircled_energy_radius
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import TILE, padded
-from wavequake.mechanics.disturbances.edge_sensors import EdgeSensorNoise, unseen_motions
 from wavequake.mechanics.disturbances.population import Population
-from wavequake.mechanics.disturbances.registry import Disturbance, Motion, analytic_rms, draw_case, time_axis
+from wavequake.mechanics.disturbances.registry import (
+    Disturbance,
+    Motion,
+    analytic_rms,
+    draw_case,
+    instants_of,
+)
+from wavequake.mechanics.disturbances.sources.edge_sensors import EdgeSensorNoise, unseen_motions
 from wavequake.optics.polynomials.zernike import noll_to_nm
+from wavequake.optics.segments.kinematics import in_optics_frame
 from wavequake.optics.segments.prepared import chief_rays, trace_states
 from wavequake.optics.segments.states import SurfaceStates
 from wavequake.optics.segments.wavefront import Wavefront, analyse
 from wavequake.optics.wavefronts.quality import meets_marechal, meets_rayleigh
-from wavequake.workflows.sampling import replicate_labels
-from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis, monolithic
 from wavequake.workflows.segments.case_pattern import slots
 from wavequake.workflows.segments.images import (
@@ -71,7 +78,7 @@ def draw(bench: Bench, case: int) -> CaseDraw:
     """Draw the motion of one case, which depends on seed, disturbance and realization only."""
     population, realization = slot(bench.study.disturbance, case)
     motion = draw_realization(bench, population, realization)
-    return CaseDraw(population, realization, time_axis(population), motion)
+    return CaseDraw(population, realization, instants_of(bench.study.disturbance, population), motion)
 
 
 def surface_states(bench: Bench, drawn: CaseDraw, first: int, last: int) -> SurfaceStates:
@@ -86,6 +93,10 @@ def surface_states(bench: Bench, drawn: CaseDraw, first: int, last: int) -> Surf
     figure[:count, :, : motion.segment_figure.shape[-1]] = motion.segment_figure * MM_PER_M
     surface_motion = np.zeros((batch, surfaces, 6))
     surface_motion[:count, 0, 3:5] = motion.m2[part] @ bench.m2_tilt.T
+    for index, surface in enumerate(bench.system.surfaces):
+        if surface.name in motion.rigid:
+            own = motion.rigid[surface.name][part] * np.repeat([MM_PER_M, 1.0], 3)
+            surface_motion[:count, index] += in_optics_frame(own, surface.rotation)
     field = np.zeros((batch, 2))
     field[:] = bench.field
     field[:count] += motion.mount[part]
@@ -235,6 +246,7 @@ def _record(
 def _finish_exposure(bench: Bench, arrays: dict[str, Array], row: int, instants: int) -> None:
     exposure = arrays["exposure"][row]
     exposure /= instants
+    arrays["peak"][row] = exposure.max()
     for name, fraction in (("ee50", 0.5), ("ee80", 0.8)):
         arrays[name][row] = encircled_energy_radius(exposure, fraction, **energy_scale(bench))
 
@@ -327,4 +339,6 @@ def _coarse_figures(bench: Bench) -> Iterator[str]:
         )
 
 
-WORKFLOW = Workflow("segment-disturbance", template, case_table, compute, describe, work, check, notices)
+KIND = StudyKind(
+    "segment-disturbance", template, case_table, compute, describe, work, check, notices, model=SegmentStudy
+)

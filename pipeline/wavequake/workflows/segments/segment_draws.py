@@ -1,14 +1,14 @@
 """What a case of a segmented telescope draws: motions by generators, or by a sampling plan."""
 
-from functools import lru_cache
-
-from wavequake.mechanics.disturbances.registry import Combine, Disturbance, Motion, draw_case
+from wavequake.chain.sampling import Plan, plan_of
+from wavequake.mechanics.disturbances.registry import Disturbance, Motion, draw_case
+from wavequake.mechanics.disturbances.source import Source
 from wavequake.mechanics.disturbances.streams import Streams
-from wavequake.workflows.sampling import NEVER_STRATIFIED, Plan, plan_of
+from wavequake.prepared import prepared
 from wavequake.workflows.segments.bench import Bench, bench_of
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def sampling_plan(study_text: str) -> Plan:
     """Return what spreads the random numbers of the study with this identity text.
 
@@ -19,8 +19,7 @@ def sampling_plan(study_text: str) -> Plan:
     """
     bench = bench_of(study_text)
     study = bench.study
-    singles = [entry for entry in study.disturbance if not isinstance(entry, Combine)]
-    models = {entry.name: entry.model for entry in singles}
+    singles = [entry for entry in study.disturbance if isinstance(entry, Source)]
 
     def draw(streams: Streams) -> None:
         for entry in singles:
@@ -31,7 +30,7 @@ def sampling_plan(study_text: str) -> Plan:
         study.study.seed,
         [entry.share for entry in study.disturbance],
         draw,
-        lambda name: models[name] not in NEVER_STRATIFIED,
+        singles,
     )
 
 

@@ -6,7 +6,6 @@ whose motion is too large for the model is traced in full instead. Both depend o
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,18 +15,19 @@ from wavequake.campaign.contract import DONE, ChunkResult
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import TILE, padded
-from wavequake.mechanics.disturbances.common_history import (
+from wavequake.mechanics.disturbances.registry import Disturbance, Motion, draw_case, instants_of, time_axis
+from wavequake.mechanics.disturbances.sources.common_history import (
     CommonHistory,
     amplitude_generator,
     amplitudes,
     history,
 )
-from wavequake.mechanics.disturbances.registry import Disturbance, Motion, draw_case, time_axis
-from wavequake.mechanics.disturbances.static_random import StaticRandom
+from wavequake.mechanics.disturbances.sources.static_random import StaticRandom
 from wavequake.optics.segments import modal
 from wavequake.optics.segments.modal import COMMON, RIGID, Forms, ModalModel
 from wavequake.optics.segments.modal_derivatives import modal_model
 from wavequake.optics.wavefronts.quality import meets_marechal
+from wavequake.prepared import prepared
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis
 from wavequake.workflows.segments.case_pattern import slots
 from wavequake.workflows.segments.segment_draws import draw_realization, sampling_plan
@@ -59,7 +59,7 @@ class _Found:
     known: NDArray[np.bool_]
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def model_of(study_text: str, device_name: str) -> ModalModel:
     """Return the modal model of a study, for the degrees of freedom in which its disturbances move segments.
 
@@ -72,13 +72,8 @@ def model_of(study_text: str, device_name: str) -> ModalModel:
     study = bench.study
     moved: set[int] = set()
     for population in study.disturbance:
-        motion = draw_case(
-            study.disturbance,
-            population.model_copy(update={"instants": TILE}),
-            bench.layout,
-            study.study.seed,
-            0,
-        )
+        time = instants_of(study.disturbance, population.model_copy(update={"instants": TILE}))
+        motion = draw_case(study.disturbance, population, bench.layout, study.study.seed, 0, time=time)
         moved |= set(np.flatnonzero(motion.segment_motion.any(axis=(0, 1))).tolist())
         moved |= {RIGID + term for term in np.flatnonzero(motion.segment_figure.any(axis=0)).tolist()}
     with threadpool_limits(1):  # their number decides the last bits
@@ -103,7 +98,7 @@ def modal_cases(study_text: str, cases: Cases, device_name: str, trace: Trace) -
             rows = mine[first : first + at_once]
             found = _found(bench, model, population, cases[rows], realizations[rows], clock)
             with clock("modal"):
-                _record(bench, model, arrays, rows, time_axis(population), found)
+                _record(bench, model, arrays, rows, instants_of(study.disturbance, population), found)
     status, messages = np.full(len(cases), DONE, dtype=np.int8), [""] * len(cases)
     beyond = ~(arrays["modal_bound"] <= study.optics.modal_tolerance_nm)
     certified = sampled(study.study.seed, cases, study.optics.modal_sample) & ~beyond
@@ -191,17 +186,19 @@ def _draw_pistons(
         return
     segments = len(bench.layout)
     first = model.dofs.index(2) * segments
+    chosen = population.moving(bench.layout)
+    moving = 1.0 if chosen is None else chosen.astype(np.float64)
     plan = sampling_plan(bench.text)
     if plan.method != "random":
         for row, realization in zip(rows, realizations.tolist(), strict=True):
             point = plan.of(realization)(population.name)
             assert point is not None  # never left out of a plan
-            drawn = amplitudes(population, segments, point)
+            drawn = amplitudes(population, segments, point) * moving
             motions[row, first : first + segments] = drawn[0] * MM_PER_M
         return
     for run in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(realizations) != 1) + 1):
         start = amplitude_generator(population, segments, bench.study.study.seed, int(realizations[run[0]]))
-        drawn = amplitudes(population, segments, start, len(run))
+        drawn = amplitudes(population, segments, start, len(run)) * moving
         motions[rows[run], first : first + segments] = drawn * MM_PER_M
 
 
@@ -224,7 +221,8 @@ def _motion_rows(bench: Bench, model: ModalModel, motion: Motion, rows: int) -> 
 def _knows(model: ModalModel, motion: Motion) -> bool:
     rigid = [dof for dof in range(RIGID) if dof not in model.dofs]
     terms = [term for term in range(motion.segment_figure.shape[1]) if RIGID + term not in model.dofs]
-    return not (motion.segment_motion[..., rigid].any() or motion.segment_figure[:, terms].any())
+    moved = motion.segment_motion[..., rigid].any() or motion.segment_figure[:, terms].any()
+    return not (moved or any(values.any() for values in motion.rigid.values()))
 
 
 def _separable(

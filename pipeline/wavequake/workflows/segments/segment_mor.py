@@ -6,13 +6,12 @@ image are compared with those of the reference variant (Störkle 2018, Figs. 4.3
 """
 
 from collections.abc import Iterator
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, Workflow
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device, choose_device
@@ -22,6 +21,7 @@ from wavequake.mechanics.model import ReducedModel
 from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, trace_states
 from wavequake.optics.segments.states import SurfaceStates
 from wavequake.optics.segments.wavefront import Wavefront, analyse
+from wavequake.prepared import prepared
 from wavequake.reduction.metrics import eps_mor, frobenius, pseudo_frequencies, receptance
 from wavequake.reduction.names import parse
 from wavequake.reduction.two_stage import check_variants
@@ -131,7 +131,7 @@ def _mechanical(
     }
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def traced_reference(study_text: str, disturbed: str, device_name: str) -> tuple[Array, dict[str, Array]]:
     """Return motions and optical numbers of the reference, computed once per process."""
     study, model = study_of(study_text), model_of(study_text)
@@ -214,7 +214,7 @@ def launches(
         yield first, last, rays, analyse(bench.prepared, rays, chief_rays(bench.prepared, states), device)
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def at_rest(bench_text: str, device_name: str) -> Array:
     """Return the path differences of the undisturbed telescope's rays, (ray, 1) in mm."""
     bench = bench_of(bench_text)
@@ -284,4 +284,4 @@ def check(study_text: str) -> None:
         motions(study, model, model.reference, first)
 
 
-WORKFLOW = Workflow("segment-mor", template, case_table, compute, describe, check=check)
+KIND = StudyKind("segment-mor", template, case_table, compute, describe, check=check, model=SegmentMorStudy)

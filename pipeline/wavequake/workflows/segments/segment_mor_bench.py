@@ -2,15 +2,16 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.motion import generator
-from wavequake.mechanics.disturbances.static_random import StaticRandom
+from wavequake.mechanics.disturbances.sources.static_random import StaticRandom
 from wavequake.mechanics.mirrors.material import Material
 from wavequake.mechanics.mirrors.models import HexagonalSegment, hexagonal_segment, on_springs
 from wavequake.mechanics.model import FiniteElementModel, RayleighDamping, ReducedModel
@@ -22,13 +23,13 @@ from wavequake.optics.segments.layout import Segments, is_monolithic
 from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.optics.shapes.fit import SurfaceFit, apply, separate_pose, surface_fit
 from wavequake.optics.shapes.shapes import Conic
+from wavequake.prepared import prepared
 from wavequake.reduction.intermediate import Intermediate, intermediate
 from wavequake.reduction.metrics import eps_mor, full_receptance, receptance
 from wavequake.reduction.names import parse
 from wavequake.reduction.two_stage import covers, reduce_variants, reference
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.mirrors.model_store import digest, kept_arrays, kept_intermediate
-from wavequake.workflows.schema import study_from_identity
 from wavequake.workflows.segments.bench import Bench, bench_of
 from wavequake.workflows.segments.segment_mor_study import SegmentMorStudy
 from wavequake.workflows.segments.segment_study import (
@@ -101,7 +102,7 @@ def telescope_study(study: SegmentMorStudy) -> SegmentStudy:
     )
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def model_of(text: str) -> SegmentModel:
     """Prepare a study; one BLAS thread, so that its bits are the same in every process.
 
@@ -117,7 +118,8 @@ def model_of(text: str) -> SegmentModel:
         require_all_rays(bench.stopped, "so that there are no wavefronts of all segments to compare")
         side, turn = hexagon_of(bench.system)
         record = _stage_record(study, bench.system)
-        full = lru_cache(maxsize=1)(lambda: build_segment(study, side, bench.system.primary_radius))
+        build = partial(build_segment, study, side, bench.system.primary_radius)
+        full = prepared(maxsize=1)(build)
         stage = kept_intermediate(
             digest(record), lambda: intermediate(full(), highest=study.reduction.last_hz)
         )
@@ -337,7 +339,7 @@ def segment_drive(study: SegmentMorStudy, excitation: AnyExcitation, time: Array
     return drive if study.model.support == "rigid" else through_springs(drive, study.model.spring_n_m)
 
 
-@lru_cache(maxsize=2048)
+@prepared(maxsize=2048)
 def _drawn(excitation: AnyExcitation, instants: int, step: float, seed: int, segment: int) -> Drive:
     """Draw an excitation once for all variants."""
     return drive_of(excitation, 3, np.arange(instants, dtype=np.float64) * step, seed, segment)

@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from wavequake.campaign.schema import Section, StoreSection, Study, text_of
 from wavequake.mechanics.mirrors.material import GLASS_CERAMIC
 from wavequake.mechanics.mirrors.models import SEGMENT_SUPPORT
 from wavequake.optics.polynomials.zernike import MOST_TERMS
@@ -15,7 +16,6 @@ from wavequake.workflows.mirrors.mirror_study import (
     ReductionSection,
     TimeSection,
 )
-from wavequake.workflows.schema import Section, StoreSection, Study, text_of
 from wavequake.workflows.segments.segment_study import SegmentStudy, TelescopeSection
 
 

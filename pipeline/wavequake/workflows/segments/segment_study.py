@@ -2,15 +2,16 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
-from pydantic import BaseModel, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from wavequake.mechanics.disturbances.registry import Disturbance
+from wavequake.campaign.schema import Section, StoreSection, Study, text_of
+from wavequake.chain.sampling import SampledCampaignSection, whole_sets
+from wavequake.chain.sources import read_source_files
+from wavequake.mechanics.disturbances.registry import Combine, Disturbance, with_own_axes
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.shapes.polygon_table import read_polygons
-from wavequake.workflows.sampling import SampledCampaignSection, whole_sets
-from wavequake.workflows.schema import Section, StoreSection, Study, text_of
 
 
 class SurfaceSection(Section):
@@ -188,17 +189,22 @@ class SegmentStudy(Study):
             if names.count(name) > 1:
                 raise ValueError(f"two disturbances are called {name!r}; each needs a name of its own")
         for entry in value:
-            parts = getattr(entry, "of", ())
-            if len(set(parts)) < len(parts):
+            chosen = getattr(entry, "of", ())
+            if not isinstance(entry, Combine):
+                twice = next((name for name in chosen if chosen.count(name) > 1), None)
+                if twice is not None:
+                    raise ValueError(f"{entry.name!r} names {twice!r} twice; name it once")
+                continue
+            if len(set(chosen)) < len(chosen):
                 raise ValueError(f"{entry.name!r} combines a disturbance with itself; name each one once")
-            for part in parts:
+            for part in chosen:
                 if part not in names or part == entry.name:
                     raise ValueError(
                         f"{entry.name!r} combines {part!r}, which is not another disturbance of this study"
                     )
         if not any(entry.share for entry in value):
             raise ValueError("every disturbance has share 0, so there is nothing to run")
-        return value
+        return with_own_axes(value)
 
     @model_validator(mode="after")
     def _sections_fit_each_other(self) -> "SegmentStudy":
@@ -254,12 +260,4 @@ class SegmentStudy(Study):
             read_polygons(path)  # here an error can name the file
         if isinstance(telescope, dict) and isinstance(telescope.get("corners"), str):
             telescope["corners_csv"] = text_of(base / telescope["corners"], "telescope.corners")
-        for entry in record.get("disturbance") or ():
-            if isinstance(entry, dict) and isinstance(entry.get("file"), str):
-                entry["file_csv"] = text_of(base / entry["file"], f"disturbance.{entry.get('name')}.file")
-
-
-def disturbance_models() -> dict[str, type[BaseModel]]:
-    """Return the parameter models of all disturbances by the name that a study file gives them."""
-    union = get_args(Disturbance)[0]
-    return {model.model_fields["model"].default: model for model in get_args(union)}
+        read_source_files(record, base)

@@ -1,18 +1,18 @@
 """What a store of the workflow ``segment-disturbance`` holds: names, dimensions, units."""
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.campaign.contract import Template, Variable
 from wavequake.campaign.engine.chunk_size import stored_bytes
+from wavequake.prepared import prepared
 from wavequake.workflows.segments.bench import Bench, bench_of, in_basis
 from wavequake.workflows.segments.images import image_axis
 from wavequake.workflows.segments.segment_study import SegmentStudy
 
-IMAGED = ("exposure", "ee50", "ee80")
+IMAGED = ("exposure", "peak", "ee50", "ee80")
 # What the modal model does not know.
 TRACED_ONLY = ("wfe_pv", "spot_rms", "strehl", "rayleigh", "vignetted", *IMAGED)
 
@@ -26,7 +26,7 @@ def template(study_text: str) -> Template:
     return replace(found, fixed=_fixed(bench), working_bytes=stored_bytes(found) + motion)
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def computed(study_text: str) -> dict[str, Variable]:
     """Return what is computed of each case, over all of its instants."""
     variables = traced(study_text)
@@ -35,7 +35,7 @@ def computed(study_text: str) -> dict[str, Variable]:
     return {name: one for name, one in variables.items() if name not in TRACED_ONLY} | _modal()
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def traced(study_text: str) -> dict[str, Variable]:
     """Return what full traces, and images if the study wants them, tell of each case."""
     bench = bench_of(study_text)
@@ -152,6 +152,12 @@ def _variables(bench: Bench) -> dict[str, Variable]:
         ),
         "vignetted": variable(
             (), (), "1", "largest number of rays at an instant that miss the clear part of a mirror after M1"
+        ),
+        "peak": variable(
+            (),
+            (),
+            "1",
+            "largest irradiance of the exposure, line of sight included; 1 = peak of the perfect image",
         ),
         "ee50": variable(
             (), (), "lambda/D", "radius of 50 % encircled energy of the exposure; inf beyond the frame"

@@ -1,24 +1,21 @@
 """What a system-disturbance study prepares once per process: the system, its bodies, rays, fits, and rest."""
 
-import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.schema import study_from_identity
+from wavequake.chain.images.system import SystemImager, on_device, prepare_images
 from wavequake.errors import UserError
-from wavequake.kernels.device.devices import NUMPY
+from wavequake.kernels.device.devices import NUMPY, choose_device
 from wavequake.kernels.trace.sequence import OK
 from wavequake.kernels.trace.sequential import trace_sequence
-from wavequake.mechanics.disturbances.element_motion import (
-    ElementMotion,
-    figure_grids,
-    figure_terms,
-    single_parts,
-)
+from wavequake.mechanics.disturbances.element_motion import ElementMotion
+from wavequake.mechanics.disturbances.layout import NO_SEGMENTS, SegmentLayout
+from wavequake.mechanics.disturbances.registry import parts
 from wavequake.optics.rays.aiming import LOSSES, losses, point_name
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.optics.shapes.grid_cover import require_cover
@@ -42,7 +39,7 @@ from wavequake.optics.wavefronts.wavefront import (
     with_fitted_sphere,
     with_slopes,
 )
-from wavequake.workflows.schema import study_from_identity
+from wavequake.prepared import prepared
 from wavequake.workflows.systems.system_study import SystemStudy
 
 Array = NDArray[np.float64]
@@ -55,19 +52,22 @@ NM_PER_MM = 1e6
 class SystemBench:
     """Everything of a study that does not change from case to case.
 
-    ``text`` is the study's identity text; ``prepared`` and ``static`` hold, per field and wavelength in that
-    order, what the trace takes and the wavefront at rest (one instant).
+    ``text`` is the study's identity text; ``layout`` names what may move; ``prepared`` and ``static`` hold,
+    per field and wavelength in that order, what the trace takes and the wavefront at rest (one instant).
+    ``imager`` makes exposures, if any.
     """
 
     text: str
     study: SystemStudy
     system: OpticalSystem
+    layout: SegmentLayout
     bodies: tuple[Body, ...]
     prepared: tuple[tuple[PreparedSystem, ...], ...]
     static: tuple[tuple[SystemWavefront, ...], ...]
+    imager: SystemImager | None = None
 
 
-@lru_cache(maxsize=2)
+@prepared(maxsize=2)
 def system_bench(study_text: str) -> SystemBench:
     """Prepare the study with this identity text.
 
@@ -84,8 +84,9 @@ def system_bench(study_text: str) -> SystemBench:
         system = build(study.system)
         require_cover(system)
         bodies = tuple(rigid_body(system, one.name, one.surfaces, one.about_mm) for one in study.body)
-        _require_elements(study, system)
-        system = _deformable(study, system)
+        layout = layout_of(study, system)
+        _require_elements(study, system, layout)
+        system = _deformable(study, system, layout)
         prepared = tuple(
             tuple(_as_asked(study, one) for one in row)
             for row in prepared_fields(study, system, range(len(system.wavelengths)))
@@ -95,7 +96,39 @@ def system_bench(study_text: str) -> SystemBench:
         for row, found in zip(prepared, static, strict=True):
             for one, wavefront in zip(row, found, strict=True):
                 _require_light(one, wavefront, rest)
-    return SystemBench(study_text, study, system, bodies, prepared, static)
+        imager = _imager(study, prepared, static, rest)
+    return SystemBench(study_text, study, system, layout, bodies, prepared, static, imager)
+
+
+def _imager(
+    study: SystemStudy,
+    prepared: tuple[tuple[PreparedSystem, ...], ...],
+    static: tuple[tuple[SystemWavefront, ...], ...],
+    rest: SystemStates,
+) -> SystemImager | None:
+    """Return what makes the exposures of a study, if any; light that is stopped at rest is dark in them."""
+    if study.imaging is None:
+        return None
+    lit = {
+        (field, index): _arrives(one, rest)
+        for field, row in enumerate(prepared)
+        for index, one in enumerate(row)
+        if static[field][index].lost[0]
+    }
+    return prepare_images(study.imaging, prepared, static, lit, study.object)
+
+
+def _arrives(prepared: PreparedSystem, rest: SystemStates) -> NDArray[np.bool_]:
+    """Return which rays (N,) arrive at rest."""
+    traced = trace_sequence(prepared.sequence, prepared.rays, incoming_light(prepared, rest), NUMPY)
+    return np.asarray((prepared.status == OK) & (traced.status[0] == OK), dtype=np.bool_)
+
+
+@prepared(maxsize=4)
+def imager_on(study_text: str, device: str) -> SystemImager | None:
+    """Return what makes the exposures of a study, with transforms on a device."""
+    imager = system_bench(study_text).imager
+    return None if imager is None else on_device(imager, choose_device(device))
 
 
 def prepared_fields(
@@ -128,51 +161,45 @@ def _as_asked(study: SystemStudy, prepared: PreparedSystem) -> PreparedSystem:
     return with_fitted_sphere(prepared) if study.wavefront.reference == "fitted" else prepared
 
 
-def element_names(study: SystemStudy, system: OpticalSystem) -> tuple[str, ...]:
-    """Return the names that a disturbance may move: those of all bodies and surfaces."""
-    return (*(body.name for body in study.body), *(surface.name for surface in system.surfaces))
+def layout_of(study: SystemStudy, system: OpticalSystem) -> SegmentLayout:
+    """Return what disturbances may move: all bodies and surfaces, by name."""
+    names = (*(body.name for body in study.body), *(surface.name for surface in system.surfaces))
+    return replace(NO_SEGMENTS, others=names, owner=system.name)
 
 
-def _require_elements(study: SystemStudy, system: OpticalSystem) -> None:
-    names = element_names(study, system)
+def _require_elements(study: SystemStudy, system: OpticalSystem, layout: SegmentLayout) -> None:
+    names = layout.others or ()
     for body in study.body:
         if names.count(body.name) > 1:
             raise UserError(
                 f"The body {body.name!r} is called as a surface of {system.name} is; it needs another name."
             )
     for population in study.disturbance:
-        for part in single_parts(study.disturbance, population):
-            for name in getattr(part, "of", ()):
-                if name not in names:
-                    near = difflib.get_close_matches(name, names, n=1)
-                    hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names)}."
-                    raise UserError(
-                        f"The disturbance {part.name!r} acts on {name!r}, but {system.name} has no such "
-                        f"surface or body; {hint}"
-                    )
+        for part in parts(study.disturbance, population):
+            deforms = {*part.figure_terms(layout), *part.figure_grids()}
+            for name in part.elements(layout):
                 if names.count(name) > 1:
                     raise UserError(
                         f"The disturbance {part.name!r} acts on {name!r}, but {system.name} has "
                         f"{names.count(name)} surfaces of that name; give each a comment of its own in the "
                         "lens file."
                     )
-                deforms = {*figure_terms(part), *figure_grids(part)}
                 if name in deforms and name in (body.name for body in study.body):
                     raise UserError(
                         f"The disturbance {part.name!r} deforms the body {name!r}; only a surface deforms."
                     )
 
 
-def _deformable(study: SystemStudy, system: OpticalSystem) -> OpticalSystem:
+def _deformable(study: SystemStudy, system: OpticalSystem, layout: SegmentLayout) -> OpticalSystem:
     """Return the system whose surfaces can deform as far as the disturbances ask for it."""
     terms: dict[int, int] = {}
     grids: dict[int, GridDeformation] = {}
     for population in study.disturbance:
-        for part in single_parts(study.disturbance, population):
-            for name, count in figure_terms(part).items():
+        for part in parts(study.disturbance, population):
+            for name, count in part.figure_terms(layout).items():
                 index = surface_index(system, name)
                 terms[index] = max(terms.get(index, 0), count)
-            for name, given in figure_grids(part).items():
+            for name, given in part.figure_grids().items():
                 index, (_, rows, columns) = surface_index(system, name), given.heights.shape
                 grid = GridDeformation(rows, columns, *given.spacing_mm)
                 if grids.setdefault(index, grid) != grid:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.chain.images.system import SystemImager, expose
 from wavequake.kernels.device.devices import Device
 from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.sequence import Moving
@@ -37,14 +38,20 @@ def measured(
 
 
 def measured_cases(
-    bench: SystemBench, motions: list[tuple[Array, ElementMotion]], device: Device, clock: Stopwatch
+    bench: SystemBench,
+    motions: list[tuple[Array, ElementMotion]],
+    device: Device,
+    clock: Stopwatch,
+    imager: SystemImager | None = None,
 ) -> list[tuple[dict[str, Array], str]]:
-    """Return what `measured` does for each of several cases, their times and motions."""
+    """Return what `measured` does for each of several cases, their times and motions; and exposures."""
     states = [system_states(bench, drawn) for _, drawn in motions]
     lights = [moving(bench.system, one, device=device) for one in states]
     found: list[dict[str, list[Array]]] = [{} for _ in motions]
     messages = [""] * len(motions)
-    for row, still in zip(bench.prepared, bench.static, strict=True):
+    images: list[dict[str, list[Array]]] = [{} for _ in motions]
+    for field, (row, still) in enumerate(zip(bench.prepared, bench.static, strict=True)):
+        seen: list[list[SystemWavefront]] = [[] for _ in motions]
         for prepared, rest in zip(row, still, strict=True):
             with clock("aim"):
                 incoming = incoming_lights(prepared, states, lights)
@@ -63,13 +70,25 @@ def measured_cases(
                     messages[case] = messages[case] or f"at t = {time[trouble[0]]:.4g} s {trouble[1]}"
                     continue
                 numbers = wavefront_numbers(prepared, wavefront, rest, bench.study.wavefront.basis)
+                seen[case].append(wavefront)
                 for name, values in numbers.items():
                     found[case].setdefault(name, []).append(values)
+        for case, wavefronts in enumerate(seen):
+            if imager is None or messages[case]:
+                continue
+            with clock("image"):
+                for name, values in expose(imager, field, wavefronts).items():
+                    images[case].setdefault(name, []).append(values)
     return [
         ({}, message)
         if message
-        else ({"time_s": time} | {name: shaped(bench, values) for name, values in numbers.items()}, "")
-        for (time, _), numbers, message in zip(motions, found, messages, strict=True)
+        else (
+            {"time_s": time}
+            | {name: shaped(bench, values) for name, values in numbers.items()}
+            | {name: np.stack(values) for name, values in exposed.items()},
+            "",
+        )
+        for (time, _), numbers, exposed, message in zip(motions, found, images, messages, strict=True)
     ]
 
 

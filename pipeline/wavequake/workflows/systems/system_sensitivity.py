@@ -11,8 +11,8 @@ from threadpoolctl import threadpool_limits
 from wavequake.campaign.provenance import collect
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device, choose_device
+from wavequake.optics.derivatives.central import DOFS, SensitivityMatrix
 from wavequake.optics.derivatives.sensitivity import figure_sensitivity, rigid_sensitivity
-from wavequake.optics.segments.sensitivity import DOFS, SensitivityMatrix
 from wavequake.workflows.sensitivity import (
     LINE_OF_SIGHT,
     MIRROR_TERMS,

@@ -1,20 +1,20 @@
 """Study files of the workflow "system-disturbance": any optical system, and what moves its surfaces."""
 
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
-from pydantic import BaseModel, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from wavequake.errors import UserError
-from wavequake.mechanics.disturbances.element_history import SurfaceHistory, own_axis
-from wavequake.mechanics.disturbances.element_motion import ElementDisturbance, instants_of, single_parts
-from wavequake.mechanics.disturbances.line_of_sight import LineOfSight
-from wavequake.mechanics.disturbances.registry import Combine
-from wavequake.mechanics.disturbances.vibration_lines import VibrationLines
+from wavequake.campaign.schema import Section, Study
+from wavequake.chain.images.extended import ObjectSection, check_object
+from wavequake.chain.images.picture import embed_picture
+from wavequake.chain.images.system import SystemImagingSection
+from wavequake.chain.sampling import SampledCampaignSection, whole_sets
+from wavequake.chain.sources import read_source_files
+from wavequake.mechanics.disturbances.element_motion import ElementDisturbance
+from wavequake.mechanics.disturbances.registry import parts, with_own_axes
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.systems.file import SystemSection, embed_file
-from wavequake.workflows.sampling import SampledCampaignSection, whole_sets
-from wavequake.workflows.schema import Section, Study, base64_of, text_of
 from wavequake.workflows.segments.segment_study import require_path_lengths
 
 
@@ -82,6 +82,8 @@ class SystemStudy(Study):
     disturbance: tuple[ElementDisturbance, ...] = Field(min_length=1, strict=False)
     optics: SystemOpticsSection = SystemOpticsSection()
     wavefront: SystemWavefrontSection = SystemWavefrontSection()
+    imaging: SystemImagingSection | None = None
+    object: ObjectSection | None = None
 
     @field_validator("disturbance")
     @classmethod
@@ -100,14 +102,23 @@ class SystemStudy(Study):
                     raise ValueError(
                         f"{entry.name!r} combines {unknown!r}, which is not another disturbance of this study"
                     )
-            if isinstance(entry, LineOfSight | VibrationLines) and entry.act != "mount":
+            if getattr(entry, "act", "mount") != "mount":
                 raise ValueError(
                     f"{entry.name!r} acts on {entry.act}, which belongs to segmented telescopes; a mirror is "
                     'tilted by the model "surface-vibration"'
                 )
         if not any(entry.share for entry in value):
             raise ValueError("every disturbance has share 0, so there is nothing to run")
-        return tuple(_with_own_axis(value, entry) for entry in value)
+        return with_own_axes(value)
+
+    @model_validator(mode="after")
+    def _objects_have_images(self) -> "SystemStudy":
+        if self.object is not None:
+            if self.imaging is None:
+                raise ValueError("an object is seen in images: add the section [imaging], or leave it out")
+            self.object.chosen()
+            check_object(self.object, self.imaging.pixels, self.imaging.sampling)
+        return self
 
     @model_validator(mode="after")
     def _bodies_have_names_of_their_own(self) -> "SystemStudy":
@@ -128,7 +139,7 @@ class SystemStudy(Study):
         return tuple(entry.name for entry in self.disturbance if entry.share and self._is_given(entry))
 
     def _is_given(self, entry: ElementDisturbance) -> bool:
-        return all(isinstance(part, SurfaceHistory) for part in single_parts(self.disturbance, entry))
+        return all(part.instants_of_file() is not None for part in parts(self.disturbance, entry))
 
     @property
     def cases(self) -> int:
@@ -143,36 +154,15 @@ class SystemStudy(Study):
         """Number of instants of the shortest case."""
         return min(entry.instants for entry in self.disturbance if entry.share)
 
+    @property
+    def stores_images(self) -> bool:
+        """Whether exposures are computed."""
+        return self.imaging is not None
+
     @classmethod
     def read_files(cls, record: dict[str, Any], base: Path) -> None:
         """Read the lens file, the spectra of the line of sight, and histories."""
         if isinstance(record.get("system"), dict):
             embed_file(record["system"], base)
-        for entry in record.get("disturbance") or ():
-            if isinstance(entry, dict) and isinstance(entry.get("file"), str):
-                key = f"disturbance.{entry.get('name')}.file"
-                if entry.get("model") == "surface-history" and entry["file"].lower().endswith(".npz"):
-                    entry["file_npz"] = base64_of(base / entry["file"], key)
-                else:
-                    entry["file_csv"] = text_of(base / entry["file"], key)
-
-
-def _with_own_axis(entries: tuple[Any, ...], entry: Any) -> Any:
-    """Return a combination that holds a history with the instants of that; all else as it is."""
-    try:
-        if not isinstance(entry, Combine) or not any(
-            isinstance(part, SurfaceHistory) for part in single_parts(entries, entry)
-        ):
-            return entry
-        time = instants_of(entries, entry)
-    except UserError as error:
-        raise ValueError(f"{entry.name!r}: {error}") from None
-    given = {key: getattr(entry, key) for key in entry.model_fields_set}
-    what = f"{entry.name!r} holds a history of {len(time)} rows"
-    return entry.model_copy(update=own_axis(time, given, what))
-
-
-def element_models() -> dict[str, type[BaseModel]]:
-    """Return the parameter models of all disturbances by the name that a study file gives them."""
-    union = get_args(ElementDisturbance)[0]
-    return {model.model_fields["model"].default: model for model in get_args(union)}
+        embed_picture(record, base)
+        read_source_files(record, base)

@@ -1,0 +1,220 @@
+"""Write a study kind as typed functions and measures, in place of what the engine asks of it as text.
+
+The author gives what is prepared once, which cases there are, what is computed of a block of them and the
+measures that are taken of it; template, padding, statuses and errors follow.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.campaign.contract import (
+    DONE,
+    RAISED,
+    ChunkResult,
+    Drawn,
+    Fixed,
+    StudyKind,
+    Template,
+)
+from wavequake.campaign.measures import Axis, Measure, evaluate, template_of
+from wavequake.campaign.schema import Study, study_from_identity
+from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.errors import UserError
+from wavequake.prepared import prepared
+
+CaseTable = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Block:
+    """What was computed of some cases: ``result`` is what the measures read.
+
+    ``rows`` are their places among the cases that were asked for, by default all; ``messages`` say why a case
+    failed, by its place in ``rows``; where all failed nothing is measured of the result.
+    """
+
+    result: Any
+    rows: NDArray[np.int64] | None = None
+    messages: Mapping[int, str] = field(default_factory=dict)
+
+
+Compute = Callable[[Any, CaseTable, str, Stopwatch], Iterator[Block] | Block]
+
+
+def _no_axes(bench: Any) -> Mapping[str, Axis]:
+    return {}
+
+
+def _no_fixed(bench: Any) -> Mapping[str, Fixed]:
+    return {}
+
+
+def _no_words(bench: Any) -> Mapping[str, str]:
+    return {}
+
+
+def _no_amounts(bench: Any, cases: int) -> dict[str, tuple[float, str]]:
+    return {}
+
+
+def _no_lines(study: Any) -> Iterable[str]:
+    return ()
+
+
+def _no_pictures(bench: Any, dataset: Any) -> Iterable[Drawn]:
+    return ()
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """The author's functions; all are of a module, so that they travel by reference."""
+
+    name: str
+    model: type[Study]
+    prepare: Callable[[Any], Any]
+    cases: Callable[[Any, NDArray[np.int64]], CaseTable]
+    compute: Compute
+    measures: Callable[[Any], Iterable[Measure]]
+    axes: Callable[[Any], Mapping[str, Axis]]
+    fixed: Callable[[Any], Mapping[str, Fixed]]
+    describe: Callable[[Any], Mapping[str, str]]
+    work: Callable[[Any, int], dict[str, tuple[float, str]]]
+    notices: Callable[[Any], Iterable[str]]
+    pictures: Callable[[Any, Any], Iterable[Drawn]]
+
+
+def study_kind(
+    name: str,
+    model: type[Study],
+    *,
+    prepare: Callable[[Any], Any],
+    cases: Callable[[Any, NDArray[np.int64]], CaseTable],
+    compute: Compute,
+    measures: Callable[[Any], Iterable[Measure]],
+    axes: Callable[[Any], Mapping[str, Axis]] = _no_axes,
+    fixed: Callable[[Any], Mapping[str, Fixed]] = _no_fixed,
+    describe: Callable[[Any], Mapping[str, str]] = _no_words,
+    work: Callable[[Any, int], dict[str, tuple[float, str]]] = _no_amounts,
+    notices: Callable[[Any], Iterable[str]] = _no_lines,
+    pictures: Callable[[Any, Any], Iterable[Drawn]] = _no_pictures,
+    compared: tuple[str, ...] = ("disturbance",),
+) -> StudyKind:
+    """Return a study kind that is made of typed functions.
+
+    Parameters
+    ----------
+    name : str
+        As study files say it: ``workflow = "..."``.
+    model : type of Study
+        Its study files.
+    prepare : callable
+        From a study to the bench: what all cases share, made once per process with one BLAS thread. It raises
+        UserError for a study of which no case can succeed.
+    cases : callable
+        From a study and case ids (n,) to their labels, arrays (n,) of str, int or float.
+    compute : callable
+        From the bench, the case table (the labels and ``case``, the ids), the device's name and a stopwatch
+        to a block of results, or several in any order. A case's numbers depend on its id and labels alone.
+    measures : callable
+        From the bench to the measures of a study.
+    axes, fixed : callable
+        From the bench to the dimensions of measures, and to further arrays that do not depend on the case.
+    describe, work, notices, pictures : callable
+        Lines of the plan (bench), amounts of work by kind of a number of cases (bench, cases), what the user
+        should read before a run (study), pictures of the report (bench, dataset).
+    compared : tuple of str
+        Labels of cases that reports tell apart.
+    """
+    parts = _Parts(
+        name, model, prepare, cases, compute, measures, axes, fixed, describe, work, notices, pictures
+    )
+    return StudyKind(
+        name,
+        partial(_template, parts),
+        partial(_case_table, parts),
+        partial(_compute, parts),
+        partial(_describe, parts),
+        partial(_work, parts),
+        check=partial(_check, parts),
+        notices=partial(_notices, parts),
+        model=model,
+        compared=compared,
+        pictures=partial(_pictures, parts),
+    )
+
+
+@prepared(maxsize=4)
+def _bench(parts: _Parts, text: str) -> Any:
+    return parts.prepare(study_from_identity(parts.model, text))
+
+
+@prepared(maxsize=8)
+def _template(parts: _Parts, text: str) -> Template:
+    bench = _bench(parts, text)
+    return template_of(parts.measures(bench), parts.axes(bench), parts.fixed(bench))
+
+
+def _case_table(parts: _Parts, text: str, first: int, last: int) -> CaseTable:
+    return parts.cases(study_from_identity(parts.model, text), np.arange(first, last))
+
+
+def _compute(parts: _Parts, text: str, cases: NDArray[np.int64], device: str) -> ChunkResult:
+    study, bench, clock = study_from_identity(parts.model, text), _bench(parts, text), Stopwatch()
+    template, measures = _template(parts, text), tuple(parts.measures(bench))
+    arrays = {
+        name: np.full(
+            (len(cases), *variable.shape),
+            np.nan if np.dtype(variable.dtype).kind == "f" else 0,
+            variable.dtype,
+        )
+        for name, variable in template.per_case.items()
+    }
+    status, messages = np.zeros(len(cases), np.int8), [""] * len(cases)
+    blocks = parts.compute(bench, {"case": cases, **parts.cases(study, cases)}, device, clock)
+    for block in [blocks] if isinstance(blocks, Block) else blocks:
+        rows = np.arange(len(cases)) if block.rows is None else np.asarray(block.rows)
+        for measure in measures if len(block.messages) < len(rows) else ():
+            shape = template.per_case[measure.name].shape
+            arrays[measure.name][rows] = evaluate(measure, block.result, len(rows), shape)
+        status[rows] = DONE
+        for place, message in block.messages.items():
+            row = int(rows[place])
+            status[row], messages[row] = RAISED, message
+            for values in arrays.values():
+                values[row] = np.nan if values.dtype.kind == "f" else 0
+    missing = np.flatnonzero(status == 0)
+    if len(missing):
+        raise ValueError(f"{parts.name} gave no numbers of case {cases[missing[0]]}")
+    return ChunkResult(arrays, status, tuple(messages), clock.seconds)
+
+
+def _describe(parts: _Parts, text: str) -> dict[str, str]:
+    return dict(parts.describe(_bench(parts, text)))
+
+
+def _work(parts: _Parts, text: str, cases: int) -> dict[str, tuple[float, str]]:
+    return parts.work(_bench(parts, text), cases)
+
+
+def _check(parts: _Parts, text: str) -> None:
+    try:
+        _template(parts, text)
+    except UserError:
+        raise
+    except Exception as error:
+        raise UserError(
+            f"The study kind {parts.name!r} cannot prepare this study: {type(error).__name__}: {error}."
+        ) from error
+
+
+def _notices(parts: _Parts, text: str) -> Iterator[str]:
+    yield from parts.notices(study_from_identity(parts.model, text))
+
+
+def _pictures(parts: _Parts, text: str, dataset: Any) -> Iterator[Drawn]:
+    yield from parts.pictures(_bench(parts, text), dataset)

@@ -1,0 +1,161 @@
+"""Measures: one record for each number that a study gives, from which everything else about it follows.
+
+Templates of stores, tables, goals, exports, comparisons and plain reports read these records. A study kind
+made of them (`wavequake.campaign.measured`) writes nothing else down about its numbers.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.campaign.contract import Fixed, Template, Variable
+from wavequake.errors import UserError
+
+TIME = "time"
+OverTime = Literal["rms", "mean", "max", "last"]
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A number, or an array of numbers, of every case.
+
+    Attributes
+    ----------
+    name : str
+        Its name in stores.
+    units : str
+        "1" for a pure number.
+    long_name : str
+        What it is and how it is defined, in one phrase: reports and stores quote it.
+    dims : tuple of str
+        Its dimensions after ``case``; their sizes and labels are the kind's axes.
+    value : callable
+        From what the kind computes of some cases to the measure's array (case, ...) of them. A measure over
+        time may have fewer instants than the longest case has; the others are NaN.
+    over_time : {"rms", "mean", "max", "last"}
+        How tables and goals make one number of a case from its instants.
+    dtype : str
+    coordinate : bool
+        Whether it labels other arrays, as the time of each instant does.
+    measured : bool
+        Whether a stopwatch gave it, so that it differs from run to run.
+    unknown : int
+        So many first entries along the last dimension are no numbers by intent.
+    attrs : mapping
+        Further attributes of the stored array.
+    """
+
+    name: str
+    units: str
+    long_name: str
+    dims: tuple[str, ...]
+    value: Callable[[Any], NDArray[Any]]
+    over_time: OverTime = "rms"
+    dtype: str = "float64"
+    coordinate: bool = False
+    measured: bool = False
+    unknown: int = 0
+    attrs: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """The labels of a dimension, or with a number its size alone.
+
+    Attributes
+    ----------
+    labels : sequence or int
+        Labels, which stores keep, or how many entries the dimension has.
+    long_name, units : str
+    """
+
+    labels: Sequence[Any] | NDArray[Any] | int
+    long_name: str = ""
+    units: str = ""
+
+    def __len__(self) -> int:
+        """Return the size of the dimension."""
+        return self.labels if isinstance(self.labels, int) else len(self.labels)
+
+
+def template_of(
+    measures: Iterable[Measure], axes: Mapping[str, Axis], fixed: Mapping[str, Fixed] | None = None
+) -> Template:
+    """Return what a store of some measures holds.
+
+    Raises
+    ------
+    UserError
+        If two measures have one name, or a measure has a dimension that is no axis.
+    """
+    per_case: dict[str, Variable] = {}
+    for measure in measures:
+        if measure.name in per_case:
+            raise UserError(f"Two measures are called {measure.name!r}; each needs a name of its own.")
+        unknown = [dim for dim in measure.dims if dim not in axes]
+        if unknown:
+            raise UserError(
+                f"The measure {measure.name!r} has the dimension {unknown[0]!r}, which is none of the axes: "
+                f"{', '.join(axes) or 'there are none'}."
+            )
+        per_case[measure.name] = Variable(
+            measure.dims,
+            tuple(len(axes[dim]) for dim in measure.dims),
+            {
+                "units": measure.units,
+                "long_name": measure.long_name,
+                **({"over_time": measure.over_time} if TIME in measure.dims else {}),
+                **measure.attrs,
+            },
+            measure.dtype,
+            measure.coordinate,
+            measure.measured,
+            measure.unknown,
+        )
+    labels: dict[str, Fixed] = {
+        name: ((name,), _labels(axis), {"long_name": axis.long_name, **_unit(axis)})
+        for name, axis in axes.items()
+        if not isinstance(axis.labels, int)
+    }
+    return Template(per_case, {**labels, **(fixed or {})})
+
+
+def _labels(axis: Axis) -> NDArray[Any]:
+    labels = np.asarray(axis.labels)
+    return labels.astype(object) if labels.dtype.kind == "U" else labels
+
+
+def _unit(axis: Axis) -> dict[str, str]:
+    return {"units": axis.units} if axis.units else {}
+
+
+def evaluate(measure: Measure, result: Any, cases: int, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return a measure's array (cases, *shape); instants beyond those that it has are NaN.
+
+    Raises
+    ------
+    ValueError
+        If what the measure gives has another shape, or is no number where numbers belong.
+    """
+    values = np.asarray(measure.value(result))
+    if values.shape == (cases, *shape):
+        return values.astype(measure.dtype, copy=False)
+    short = tuple(
+        size if dim != TIME else found
+        for dim, size, found in zip(measure.dims, shape, values.shape[1:], strict=False)
+    )
+    if (
+        values.shape != (cases, *short)
+        or len(short) != len(shape)
+        or any(mine > whole for mine, whole in zip(short, shape, strict=True))
+    ):
+        raise ValueError(
+            f"the measure {measure.name!r} has the shape {values.shape}; it must be {(cases, *shape)} "
+            f"({', '.join(('case', *measure.dims))})"
+        )
+    whole = np.full((cases, *shape), np.nan if np.dtype(measure.dtype).kind == "f" else 0, measure.dtype)
+    whole[tuple(slice(0, size) for size in values.shape)] = values
+    return whole

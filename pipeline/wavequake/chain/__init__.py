@@ -1,0 +1,1 @@
+"""What a study is put together from: each part beside its section of the study file."""

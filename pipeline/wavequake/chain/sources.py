@@ -1,0 +1,20 @@
+"""What the disturbances of a study file read from files."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from wavequake.campaign.schema import base64_of, text_of
+from wavequake.mechanics.disturbances.source import SOURCES, Source
+
+
+def read_source_files(record: Mapping[str, Any], base: Path) -> None:
+    """Add what the files of the disturbances in a study's record hold, where their sources want it."""
+    sources = SOURCES.entries()
+    for entry in record.get("disturbance") or ():
+        if not (isinstance(entry, dict) and isinstance(entry.get("file"), str)):
+            continue
+        source = sources.get(str(entry.get("model")), Source)
+        key, kind = source.file_key(entry["file"])
+        read = base64_of if kind == "base64" else text_of
+        entry[key] = read(base / entry["file"], f"disturbance.{entry.get('name')}.file")

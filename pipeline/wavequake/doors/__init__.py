@@ -1,0 +1,1 @@
+"""What `import wavequake as wq` offers beyond single functions of the package."""

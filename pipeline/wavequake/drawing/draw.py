@@ -1,0 +1,161 @@
+"""Draw whatever there is to see: a system, telescope, model or study, by name, file or object."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wavequake.campaign.schema import Study
+from wavequake.drawing.aperture import telescope_figure
+from wavequake.drawing.model import model_figure
+from wavequake.drawing.section import section_figure
+from wavequake.drawing.solid import Scene, model_scene, system_scene
+from wavequake.drawing.still import still_figure
+from wavequake.drawing.style import Drawing
+from wavequake.errors import UserError
+from wavequake.mechanics.model import FiniteElementModel, Model, ReducedModel
+from wavequake.optics.catalog.names import optical_system, system_names
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.parent import parent_system
+from wavequake.optics.segments.telescope import SegmentedTelescope
+from wavequake.optics.systems.file import build
+from wavequake.optics.systems.system import OpticalSystem
+from wavequake.optics.zemax.read import read_zmx
+from wavequake.workflows.lens.lens_passive import PassiveStudy
+from wavequake.workflows.lens.lens_study import LensStudy
+from wavequake.workflows.mirrors.mirror_bench import build_model
+from wavequake.workflows.mirrors.mirror_study import AnyMirrorStudy
+from wavequake.workflows.segments.bench import build_telescope
+from wavequake.workflows.segments.segment_mor_study import SegmentMorStudy
+from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.sensitivity_source import TELESCOPES
+from wavequake.workflows.study import bundled_studies, load_study, split_overrides
+from wavequake.workflows.systems.system_study import SystemStudy
+
+_ARCMIN = np.pi / 180.0 / 60.0
+_MM_PER_NM = 1e-6
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What is drawn: a system, a telescope with the system of one piece that it stands for, or models."""
+
+    system: OpticalSystem | None = None
+    telescope: SegmentedTelescope | None = None
+    models: tuple[Model, ...] = ()
+
+
+def draw(
+    what: Any,
+    overrides: Mapping[str, Any] | Iterable[str] = (),
+    *,
+    solid: bool = False,
+    rays: int = 7,
+) -> Drawing:
+    """Draw an optical system with its rays, a segmented mirror with its names, or a finite-element mirror.
+
+    Parameters
+    ----------
+    what : str, Path or object
+        Name of a bundled system, telescope or study, path of a lens file or study, or an `OpticalSystem`,
+        `SegmentedTelescope`, `Study`, `FiniteElementModel` or `ReducedModel`.
+    overrides : mapping or iterable of ``"section.key=value"``
+        Of a study, as `wavequake.load_study` takes them.
+    solid : bool
+        In three dimensions, rather than to scale in the plane of the fields and folds.
+    rays : int
+        Of each field of an optical system.
+
+    Returns
+    -------
+    Drawing
+        A matplotlib figure that shows itself in a notebook; ``savefig`` writes it.
+
+    Raises
+    ------
+    UserError
+        If there is no such thing, or it has nothing to be drawn.
+
+    Examples
+    --------
+    >>> draw("double-gauss").savefig("double-gauss.svg")  # doctest: +SKIP
+    """
+    if not 2 <= rays <= 1000:
+        raise UserError(f"A field is drawn with 2 to 1000 rays, not {rays}.")
+    seen = look(what, overrides)
+    if solid:
+        return still_figure(scene_of(seen))
+    if seen.models:
+        return model_figure(seen.models)
+    if seen.telescope is not None:
+        return telescope_figure(seen.telescope, seen.system)
+    return section_figure(_system(seen), rays=rays)
+
+
+def scene_of(seen: Seen) -> Scene:
+    """Return what is seen in three dimensions; of several models the first."""
+    return model_scene(seen.models[0]) if seen.models else system_scene(_system(seen), seen.telescope)
+
+
+def _system(seen: Seen) -> OpticalSystem:
+    if seen.system is None:
+        raise ValueError("there is neither a system nor a model")
+    return seen.system
+
+
+def look(what: Any, overrides: Mapping[str, Any] | Iterable[str] = ()) -> Seen:
+    """Return what there is to be drawn of something; arguments as `draw`."""
+    if isinstance(what, str | Path):
+        return _named(str(what), dict(split_overrides(overrides)))
+    if dict(split_overrides(overrides)):
+        raise UserError("Overrides belong to a study by name or path; change the object itself.")
+    if isinstance(what, OpticalSystem):
+        return Seen(what)
+    if isinstance(what, SegmentedTelescope):
+        return Seen(parent_system(what), what)
+    if isinstance(what, FiniteElementModel | ReducedModel):
+        return Seen(models=(what,))
+    if isinstance(what, Study):
+        return _of_study(what)
+    raise UserError(
+        f"A {type(what).__name__} cannot be drawn; give a name, a path, a system, telescope, model or study."
+    )
+
+
+def _named(name: str, keys: dict[str, Any]) -> Seen:
+    if name.lower().endswith(".zmx") and not keys:
+        return Seen(read_zmx(name))
+    is_study = name in bundled_studies() or name.endswith(".toml") or Path(name).is_file()
+    if name in TELESCOPES and not (is_study and keys):
+        segmented = telescope(name)
+        system = optical_system(name) if name in system_names() else parent_system(segmented)
+        return Seen(system, segmented)
+    if name in system_names() and not (keys and is_study):
+        if keys:
+            raise UserError(f"{name} is no study, so it has no keys to set, such as {next(iter(keys))!r}.")
+        return Seen(optical_system(name))
+    if not is_study:
+        known = ", ".join(dict.fromkeys((*system_names(), *TELESCOPES, *bundled_studies())))
+        raise UserError(
+            f"There is nothing called {name!r} to draw. Bundled are {known}; of your own: a .zmx lens file, "
+            "or a .toml study, in which a [model] names the files of a finite-element model."
+        )
+    return _of_study(load_study(name, keys))
+
+
+def _of_study(study: Study) -> Seen:
+    if isinstance(study, SystemStudy):
+        return Seen(build(study.system))
+    if isinstance(study, AnyMirrorStudy):
+        names = ("file",) if study.model.content is not None else study.model.shapes
+        return Seen(models=tuple(build_model(study, name) for name in names))
+    if isinstance(study, SegmentStudy | SegmentMorStudy):
+        segmented = build_telescope(study)  # type: ignore[arg-type]  # both have a section telescope
+        field = np.array(study.optics.field_arcmin) * _ARCMIN
+        wavelengths = np.array([study.optics.wavelength_nm * _MM_PER_NM])
+        return Seen(replace(parent_system(segmented), fields=field[None], wavelengths=wavelengths), segmented)
+    if isinstance(study, LensStudy | PassiveStudy):
+        return Seen(optical_system("six-lens"))  # it has the sensitivities of the bench
+    raise UserError(f"The workflow {study.study.workflow} of {study.study.name} has nothing to be drawn.")

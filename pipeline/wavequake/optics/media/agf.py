@@ -1,0 +1,71 @@
+"""Glass catalogues in AGF files, as makers of glass offer them for lens designers.
+
+A glass is a line ``NM name formula code nd vd``, followed by ``CD`` (coefficients) and ``LD`` (the shortest
+and longest wavelength, um); other lines hold prices, transmission and the like.
+"""
+
+from pathlib import Path
+
+from wavequake.errors import UserError
+from wavequake.optics.media.dispersion import AGF_FORMULAS
+from wavequake.optics.media.glasses import Medium
+from wavequake.optics.text_file import read_text
+
+
+def read_agf(path: str | Path) -> dict[str, Medium]:
+    """Return the glasses of an .agf file (UTF-16, UTF-8 or Latin-1) by their names in upper case.
+
+    Raises
+    ------
+    UserError
+        If the file cannot be read, holds no glass, or a number or formula of a glass makes no sense; the
+        message names file and line.
+    """
+    return parse_agf(read_text(path, "glass catalogue"), str(path))
+
+
+def parse_agf(text: str, where: str) -> dict[str, Medium]:
+    """Return the glasses that the text of an .agf file holds; `where` names it in messages."""
+    found: dict[str, Medium] = {}
+    catalogue = Path(where).stem.upper()
+    name, formula, count = "", "", 0
+    coefficients: tuple[float, ...] = ()
+    for number, line in enumerate(text.splitlines(), start=1):
+        keyword, *words = line.split() or [""]
+        place = f"{where}, line {number} ({keyword})"
+        if keyword == "NM":
+            if len(words) < 2:
+                raise UserError(f"{place}: a glass needs a name and the number of its formula.")
+            name, coefficients = words[0], ()
+            kind = _number(words[1], place)
+            if kind not in AGF_FORMULAS:
+                raise UserError(
+                    f"{place}: the dispersion of {name} has formula {kind:g}; formulas 1 to "
+                    f"{max(AGF_FORMULAS)} are known."
+                )
+            formula, count = AGF_FORMULAS[int(kind)]
+        elif keyword == "CD" and name:
+            numbers = [_number(word, place) for word in words]
+            if any(numbers[count:]):
+                raise UserError(f"{place}: the formula of {name} takes {count} coefficients.")
+            coefficients = tuple((numbers + [0.0] * count)[:count])
+        elif keyword == "LD" and name and coefficients:
+            if len(words) < 2:
+                raise UserError(f"{place}: the range of {name} needs two wavelengths.")
+            low, high = (1e3 * _number(word, place) for word in words[:2])
+            found[name.upper()] = Medium(name, formula, coefficients, (low, high), catalogue)
+    if not found:
+        raise UserError(
+            f"{where} holds no glass; each needs lines NM (name, formula), CD (coefficients), LD (range)."
+        )
+    return found
+
+
+def _number(word: str, place: str) -> float:
+    try:
+        value = float(word)
+    except ValueError:
+        raise UserError(f"{place}: {word!r} is not a number.") from None
+    if not abs(value) < 1e300:
+        raise UserError(f"{place}: {word!r} is not a finite number.")
+    return value

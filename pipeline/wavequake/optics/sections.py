@@ -1,0 +1,16 @@
+"""What the sections of a study file that describe optics have in common."""
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+MM_PER_NM = 1e-6
+
+
+class FileSection(BaseModel):
+    """A part of a study file: unknown keys and numbers that are not finite are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+Pair = Annotated[tuple[float, float], Field(strict=False)]

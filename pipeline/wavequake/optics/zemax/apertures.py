@@ -1,0 +1,97 @@
+"""How wide the beam of a .zmx file is."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from wavequake.errors import UserError
+from wavequake.kernels.trace.sequence import OK, Rays
+from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.optics.media.glasses import refractive_index
+from wavequake.optics.rays.packing import moving, pack
+from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.paraxial import paraxial
+from wavequake.optics.systems.system import OpticalSystem, Pupil, wavelength_of
+from wavequake.optics.zemax.header import PUPILS
+from wavequake.optics.zemax.lens_file import LensFile
+from wavequake.optics.zemax.rows import Line, as_integer, as_number, fail
+
+_NEUTRAL = Pupil("entrance_diameter", 1.0)
+
+
+def with_pupil(system: OpticalSystem, file: LensFile, scale: float) -> OpticalSystem:
+    """Return a system whose beam is as wide as the file says.
+
+    An object's numerical aperture n sin(theta) is that of the real ray of the axis point: the radius of the
+    stop is where it passes. If that ray does not come so far, the paraxial ray of the same angle says it.
+
+    Raises
+    ------
+    UserError
+        If the file gives no aperture, several, or one that the object cannot have.
+    """
+    given = [line for keyword in PUPILS for line in file.header.get(keyword, [])]
+    if len(given) != 1:
+        found = ", ".join(line.keyword for line in given) or "none"
+        raise UserError(f"{file.where} needs one of {', '.join(PUPILS)} for the aperture; it has {found}.")
+    line = given[0]
+    if line.keyword == "FLOA":
+        return replace(system, pupil=_of_stop(file, line, scale))
+    value = as_number(line, 0)
+    kind = as_integer(line, 1) if len(line.words) > 1 else 0
+    if not value > 0:
+        fail(line, f"the aperture must be positive, it is {value:g}")
+    if line.keyword == "ENPD":
+        return replace(system, pupil=Pupil("entrance_diameter", value * scale))
+    infinite = math.isinf(system.object_distance)
+    if line.keyword == "FNUM":
+        if kind or infinite:  # type 1 is that of the marginal ray
+            return replace(system, pupil=Pupil("f_number", value))
+        focal = paraxial(replace(system, pupil=_NEUTRAL)).focal_length
+        if not math.isfinite(focal):
+            fail(line, "the f-number is that of an object at infinity, but the system has no focal length")
+        return replace(system, pupil=Pupil("entrance_diameter", abs(focal) / value))
+    if infinite:
+        fail(line, "an object at infinity has no numerical aperture; give the entrance pupil (ENPD)")
+    index = refractive_index(system.medium, wavelength_of(system))
+    if kind:  # half the cone's angle, degrees
+        value = index * math.sin(math.radians(value))
+    if not 0.0 < value < index:
+        fail(line, f"the numerical aperture {value:g} must be positive and less than the index {index:g}")
+    return replace(system, pupil=_of_cone(system, value / index, line))
+
+
+def _of_stop(file: LensFile, line: Line, scale: float) -> Pupil:
+    stop = next(row for row in file.rows if "STOP" in row.lines)
+    radius = stop.one("DIAM")
+    if radius is None or as_number(radius, 0) <= 0:
+        fail(line, f"the stop, {stop.label}, limits the beam but has no semi-diameter (DIAM)")
+    return Pupil("stop", as_number(radius, 0) * scale)
+
+
+def _of_cone(system: OpticalSystem, sine: float, line: Line) -> Pupil:
+    """Return the radius of the stop at which the axis point's ray of this sine passes it."""
+    count = system.stop + 1
+    whole = pack(system, wavelength_of(system))
+    rest = moving(system, rest_states(system))
+    first = replace(whole.elements[count - 1], action="pass")
+    sequence = replace(whole, elements=(*whole.elements[: count - 1], first))
+    origin = np.array([0.0, 0.0, system.surfaces[0].position[2] - system.object_distance])
+    slopes = np.array([[0.0, 0.0], [0.0, sine], [0.0, -sine]]).T
+    direction = np.stack([*slopes, np.sqrt(1.0 - (slopes**2).sum(axis=0))])
+    rays = Rays(np.repeat(origin[:, None], 3, axis=1), direction, np.zeros(3))
+    poses = replace(
+        rest, poses=rest.poses[:, :count], deformations=rest.deformations[:count], grids=rest.grids[:count]
+    )
+    traced = trace_sequence_numpy(sequence, rays, poses, True)
+    if (traced.status[0] != OK).any():
+        index = refractive_index(system.medium, wavelength_of(system))
+        tangent = index * sine / math.sqrt(1.0 - sine**2)
+        whole_stop = replace(system, pupil=Pupil("object_na", min(tangent, 0.999 * index)))
+        return Pupil("stop", paraxial(whole_stop).stop_radius)
+    heights = np.hypot(traced.x[0] - traced.x[0, 0], traced.y[0] - traced.y[0, 0])
+    radius = float(heights[1:].mean())
+    if not radius > 0.0:
+        fail(line, "the stop lies in an image of the object and limits no cone of light")
+    return Pupil("stop", radius)

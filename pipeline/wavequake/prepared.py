@@ -1,0 +1,51 @@
+"""What all cases share is prepared once per process, and on one thread of BLAS.
+
+How many threads BLAS has decides the last bits of its results (eigenvectors of a pair of equal modes turn
+by any angle), so that a campaign would depend on where it runs. A preparation may be asked for first by the
+plan, a report or a user's script, with all threads: it is guarded here, not where cases are computed.
+"""
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import lru_cache, wraps
+from typing import Any, TypeVar
+
+from threadpoolctl import threadpool_limits
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+_this = threading.local()
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Give BLAS one thread, and in the end as many as it had; where a thread enters again, do nothing.
+
+    A thread that is given up may never leave: each restores what it found, and waits for no other.
+    """
+    if getattr(_this, "entered", False):  # looking for the libraries takes 1 ms
+        yield
+        return
+    import scipy.linalg  # noqa: F401 - its BLAS can be limited only once it is loaded
+
+    _this.entered = True
+    try:
+        with threadpool_limits(1):
+            yield
+    finally:
+        _this.entered = False
+
+
+def prepared(maxsize: int | None) -> Callable[[Function], Function]:
+    """Keep the last `maxsize` results of a function, as `lru_cache` does; it computes with `one_thread`."""
+
+    def kept(function: Function) -> Function:
+        @wraps(function)
+        def alone(*arguments: Any, **keys: Any) -> Any:
+            with one_thread():
+                return function(*arguments, **keys)
+
+        return lru_cache(maxsize)(alone)  # type: ignore[return-value]
+
+    return kept

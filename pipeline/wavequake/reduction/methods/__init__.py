@@ -1,0 +1,1 @@
+"""Methods of reduction: every module registers its own."""

@@ -1,0 +1,90 @@
+"""Registries: what a part of the package knows by name, its own and what others add from outside.
+
+An entry comes from a module of the package's own folder, from an installed distribution (entry points) or
+from a call of `Registry.add`; one file makes one.
+"""
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from importlib.metadata import entry_points
+from pkgutil import iter_modules
+from typing import Generic, TypeVar
+
+from wavequake.errors import UserError
+
+Entry = TypeVar("Entry")
+
+
+class Registry(Generic[Entry]):
+    """Entries of one kind by name.
+
+    Parameters
+    ----------
+    what : str
+        An entry in a word, for messages.
+    home : str
+        The package whose modules add the own entries when they are imported.
+    group : str
+        The group of entry points by which other distributions name modules (or entries) of theirs.
+    name_of : callable
+        Returns the name of an entry.
+    """
+
+    def __init__(self, what: str, home: str, group: str, name_of: Callable[[Entry], str]) -> None:
+        self._what, self._home, self._group, self._name_of = what, home, group, name_of
+        self._entries: dict[str, Entry] = {}
+        self._loaded = False
+
+    def add(self, entry: Entry) -> Entry:
+        """Add an entry and return it; one that was made anew from the same file replaces the former.
+
+        Raises
+        ------
+        UserError
+            If another entry has the name.
+        """
+        name = self._name_of(entry)
+        before = self._entries.get(name)
+        if before is not None and _origin(before) != _origin(entry):
+            raise UserError(
+                f"two {self._what}s are called {name!r}, in {_origin(before)} and in {_origin(entry)}; "
+                "each needs a name of its own"
+            )
+        self._entries[name] = entry
+        return entry
+
+    def remove(self, name: str) -> None:
+        """Forget an entry."""
+        self._entries.pop(name, None)
+
+    def known(self) -> Mapping[str, Entry]:
+        """Return the entries that have been added so far, without looking for others."""
+        return self._entries
+
+    def entries(self) -> Mapping[str, Entry]:
+        """Return all entries by name: the package's own first, then those of other distributions.
+
+        Raises
+        ------
+        UserError
+            If a module of another distribution cannot be imported.
+        """
+        if not self._loaded:
+            self._loaded = True  # first: the modules that are imported may ask, too
+            package = import_module(self._home)
+            for module in iter_modules(package.__path__):
+                import_module(f"{self._home}.{module.name}")
+            for point in entry_points(group=self._group):
+                try:
+                    point.load()
+                except Exception as error:
+                    raise UserError(
+                        f"the {self._what} {point.name!r} of the installed package "
+                        f"{point.dist.name if point.dist else point.value} cannot be loaded: "
+                        f"{type(error).__name__}: {error}"
+                    ) from error
+        return self._entries
+
+
+def _origin(entry: object) -> str:
+    return f"{getattr(entry, '__module__', '')}.{getattr(entry, '__qualname__', type(entry).__name__)}"

@@ -1,0 +1,73 @@
+"""The kinds of studies by name: bundled ones, those of plug-ins, and those of installed packages."""
+
+import difflib
+from collections.abc import Iterator
+from importlib import import_module
+from importlib.metadata import entry_points
+
+from wavequake.campaign.contract import StudyKind
+from wavequake.errors import UserError
+
+_GROUP = "wavequake.studies"
+# Each module has KIND. It is imported when its name is first asked for: commands that need none are quick.
+_BUNDLED = {
+    "segment-disturbance": "wavequake.workflows.segments.segment_disturbance",
+    "mirror-mor": "wavequake.workflows.mirrors.mirror_mor",
+    "segment-mor": "wavequake.workflows.segments.segment_mor",
+    "mirror-trace": "wavequake.workflows.mirrors.mirror_trace",
+    "system-disturbance": "wavequake.workflows.systems.system_disturbance",
+    "telescope-exposure": "wavequake.workflows.exposures.telescope_exposure",
+    "mirror-exposure": "wavequake.workflows.exposures.mirror_exposure",
+    "lens-experiment": "wavequake.workflows.lens.lens_experiment",
+    "lens-passive": "wavequake.workflows.lens.lens_passive",
+}
+_registered: dict[str, StudyKind] = {}
+
+
+def register(kind: StudyKind) -> None:
+    """Let studies name a kind; a plug-in calls this where it is loaded.
+
+    Raises
+    ------
+    UserError
+        If it is no study kind, or its name is taken.
+    """
+    if not isinstance(kind, StudyKind):
+        raise UserError(f"{kind!r} is no study kind; study_kind(...) makes one.")
+    if kind.name in _BUNDLED or _registered.get(kind.name, kind) != kind:
+        raise UserError(f"There is a study kind {kind.name!r} already; choose another name.")
+    _registered[kind.name] = kind
+
+
+def kind_names() -> tuple[str, ...]:
+    """Return the names of all study kinds that can be found."""
+    return tuple(dict.fromkeys([*_BUNDLED, *_registered, *_installed()]))
+
+
+def find_kind(name: str) -> StudyKind:
+    """Return the study kind of a name.
+
+    Raises
+    ------
+    UserError
+        If there is none; names the nearest one, and says how a plug-in is given.
+    """
+    if name in _registered:
+        return _registered[name]
+    if name in _BUNDLED:
+        found: StudyKind = import_module(_BUNDLED[name]).KIND
+        return found
+    if name in _installed():
+        (entry,) = entry_points(group=_GROUP, name=name)
+        register(entry.load())
+        return _registered[name]
+    near = difflib.get_close_matches(str(name), kind_names(), n=1)
+    hint = f": did you mean {near[0]!r}?" if near else "."
+    raise UserError(
+        f"there is no workflow {name!r}{hint} Choose one of {', '.join(kind_names())}; one of your own is "
+        "loaded with --plugin FILE."
+    )
+
+
+def _installed() -> Iterator[str]:
+    return (entry.name for entry in entry_points(group=_GROUP))

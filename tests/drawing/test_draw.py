@@ -1,0 +1,146 @@
+"""Drawings of systems, telescopes, models and studies: what they show, and as files."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.collections import PolyCollection
+
+from wavequake.drawing.draw import draw, look
+from wavequake.drawing.solid import model_scene, segment_skin, system_scene
+from wavequake.drawing.still import viewing
+from wavequake.errors import UserError
+from wavequake.mechanics.mirrors.models import annular_mirror, circular_mirror
+from wavequake.optics.catalog.names import optical_system, system_names
+from wavequake.optics.segments.catalog import telescope
+from wavequake.reduction.reduce import reduce
+from wavequake.report.layout_picture import layout_picture
+from wavequake.workflows.study import bundled_studies, load_study
+
+FACTS = Path(__file__).parents[1] / "data" / "tmt_segments.csv"
+
+
+def test_segments_are_drawn_where_the_published_table_has_them():
+    """All 492 outlines (x1 ... y6) to 1 um, and each name in its own segment."""
+    with FACTS.open() as file:
+        rows = {row["id"]: row for row in csv.DictReader(file)}
+    axes = draw("tmt").axes[0]
+    (polygons,) = [one for one in axes.collections if isinstance(one, PolyCollection)]
+    drawn = {
+        tuple(np.round(path.vertices[:6].mean(axis=0), 4)): path.vertices[:6] for path in polygons.get_paths()
+    }
+    assert len(drawn) == 492
+    names = {text.get_text(): text.get_position() for text in axes.texts}
+    assert set(names) == set(rows)
+    for name, row in rows.items():
+        corners = np.array([[float(row[f"{axis}{k}_m"]) for axis in "xy"] for k in range(1, 7)])
+        middle = corners.mean(axis=0)
+        found = min(drawn.values(), key=lambda polygon: np.hypot(*(polygon.mean(axis=0) - middle)))
+        gaps = np.hypot(*(found[:, None] - corners[None]).transpose(2, 0, 1)).min(axis=1)
+        assert gaps.max() < 1e-6
+        assert np.hypot(*(names[name] - middle)) < 0.05
+
+
+def test_mounts_and_optical_surface_of_a_mirror_are_where_its_parameters_say():
+    scene = model_scene(annular_mirror())
+    angle = np.arctan2(scene.dots[:, 1], scene.dots[:, 0])
+    np.testing.assert_allclose(np.hypot(scene.dots[:, 0], scene.dots[:, 1]), 0.333, atol=1e-12)
+    np.testing.assert_allclose(np.sort(np.degrees(angle) % 360.0), [0.0, 120.0, 240.0], atol=1e-9)
+    (skin,) = scene.skins
+    corners = skin.points[skin.faces]
+    sides = corners[:, 1:, :2] - corners[:, :1, :2]
+    area = np.abs(np.linalg.det(sides)).sum() / 2.0
+    assert area == pytest.approx(np.pi * (0.5**2 - 0.2**2), rel=3e-3)  # the hole stays open
+    np.testing.assert_allclose(
+        skin.points[:, 2], (skin.points[:, 0] ** 2 + skin.points[:, 1] ** 2) / (4 * 1.7), atol=1e-9
+    )
+
+
+def test_a_scene_holds_what_the_section_holds():
+    system = optical_system("tmt")
+    scene = system_scene(system, telescope("tmt"))
+    names = [skin.name for skin in scene.skins]
+    assert names == ["M1", "M2", "M3", "image"]
+    m1 = scene.skins[0]
+    assert m1.faces.shape == (492, 6)
+    radius = np.sum(m1.points[:, :2] ** 2, axis=1)
+    # Conic, Eq. (3.18) of the reference text, written with the radius.
+    conic, r = -1.00095348, -60000.0
+    np.testing.assert_allclose(
+        m1.points[:, 2], radius / (r * (1 + np.sqrt(1 - (1 + conic) * radius / r**2))), rtol=1e-12
+    )
+    ends = [points[-1] for _, points in scene.lines]
+    np.testing.assert_allclose([point[0] for point in ends], -20000.0, atol=1e-6)
+    assert segment_skin(telescope("jwst")).faces.shape[0] == 18
+
+
+def test_a_camera_sees_light_go_to_the_right_without_distortion():
+    for up in ([0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]):
+        eye = viewing(np.array(up))
+        np.testing.assert_allclose(eye @ eye.T, np.eye(3), atol=1e-14)
+        assert np.linalg.det(eye) == pytest.approx(1.0)
+        assert eye[1] @ up > 0.5
+        assert up[2] or eye[0, 2] > 0.5
+
+
+@pytest.mark.parametrize("name", [*system_names(), *bundled_studies()])
+def test_everything_bundled_can_be_drawn(name):
+    seen = look(name)
+    assert seen.system is not None or seen.models
+    figure = draw(name)
+    assert figure.axes
+    assert all(axes.get_xlabel() or axes.get_ylabel() for axes in figure.axes)
+
+
+def test_objects_are_drawn_as_their_names_are():
+    assert draw(optical_system("euv"))._repr_svg_() == draw("euv")._repr_svg_()
+    assert len(draw(load_study("tmt18-history")).axes[0].texts) == 18
+    assert draw("tmt-segments", ["telescope.name=tmt-18"]).axes[0].get_title(loc="left").startswith("tmt-18")
+    model = circular_mirror()
+    assert "7083 degrees of freedom" in draw(model).axes[0].get_title(loc="left")
+    assert "craigb36: 36 degrees" in draw(reduce(model, "craigb36")).axes[0].get_title(loc="left")
+
+
+def test_what_cannot_be_drawn_says_so():
+    for what, keys, words in (
+        ("nothing", {}, "nothing called 'nothing' to draw"),
+        (7, {}, "A int cannot be drawn"),
+        ("six-lens", {"optics.rays": 3}, "six-lens is no study"),
+        (optical_system("euv"), {"optics.rays": 3}, "Overrides belong to a study"),
+    ):
+        with pytest.raises(UserError, match=words):
+            draw(what, keys)
+    with pytest.raises(UserError, match="2 to 1000 rays"):
+        draw("euv", rays=1)
+
+
+def test_files_of_the_command_line(wavequake, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert wavequake("draw", "six-lens")[0] == 0
+    first = (tmp_path / "six-lens.svg").read_bytes()
+    assert wavequake("draw", "six-lens", "-o", "again.svg")[0] == 0
+    assert (tmp_path / "again.svg").read_bytes() == first
+    assert b"L3" in first
+    code, out, _ = wavequake("info", "six-lens", "--figure", "page.html")
+    assert code == 0
+    assert "f-number" in out
+    assert "<svg" in (tmp_path / "page.html").read_text()
+    assert wavequake("draw", "tmt-18", "--3d", "-o", "still.png")[0] == 0
+    assert (tmp_path / "still.png").read_bytes()[:4] == b"\x89PNG"
+    code, _, err = wavequake("draw", "six-lens", "-o", "film.gif")
+    assert (code, "must end in .svg" in err) == (2, True)
+    code, _, err = wavequake("draw", "six-lens", "-o", "no/such/folder.svg")
+    assert (code, "cannot be written" in err) == (2, True)
+
+
+@pytest.mark.parametrize("name", bundled_studies())
+def test_every_report_begins_with_what_it_is_about(name):
+    """The store keeps the study's identity alone, and that is enough."""
+    study = load_study(name, {"model.rings": 3} if name.startswith("mirror") else {})
+    (first,) = layout_picture(xr.Dataset(attrs={"study": study.identity_text()}))
+    assert (first.id, "</svg>" in first.svg) == ("layout", True)
+    assert first.points > 300
+    assert list(layout_picture(xr.Dataset(attrs={"study": '{"study": {"workflow": "another"}}'}))) == []
+    assert list(layout_picture(xr.Dataset())) == []

@@ -1,0 +1,215 @@
+"""`import wavequake as wq`: every name of the command line, quick to import, errors of one line."""
+
+import doctest
+import inspect
+import io
+import json
+import subprocess
+import sys
+from contextlib import redirect_stderr
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import wavequake as wq
+from wavequake import cli, notebook, plot
+from wavequake.doors import models, studies
+from wavequake.errors import StoreDamageError, UserError
+
+# Commands that act on a terminal or another machine, or that Python says by other names.
+OTHERS = {"devices", "firmware", "info", "retry", "rerun", "status"}
+
+STUDY = """
+[study]
+name = "tiny"
+workflow = "segment-disturbance"
+[telescope]
+name = "tmt-18"
+[imaging]
+pixels = 16
+[store]
+chunk_cases = 4
+[[disturbance]]
+name = "pistons"
+model = "static-random"
+piston_nm = 20.0
+instants = 2
+"""
+
+
+@pytest.fixture(scope="module")
+def stores(tmp_path_factory):
+    """Give two stores of six cases of one study, of which the second has larger pistons."""
+    folder = tmp_path_factory.mktemp("door")
+    (folder / "tiny.toml").write_text(STUDY)
+    found = []
+    for name, size in (("one", 20.0), ("two", 40.0)):
+        wq.run(
+            folder / "tiny.toml", cases=6, store=folder / name, **{"disturbance__pistons__piston_nm": size}
+        )
+        found.append(folder / name)
+    return found
+
+
+def test_every_command_has_a_function_and_every_function_says_what_it_does():
+    named = {command.name or command.callback.__name__ for command in cli.app.registered_commands}
+    assert named - OTHERS <= set(wq.__all__)
+    for name in wq.__all__:
+        thing = getattr(wq, name)
+        assert inspect.getdoc(thing), name
+        assert name in dir(wq)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        wq.nothing  # noqa: B018
+
+
+def test_importing_loads_nothing_heavy():
+    heavy = "{'numpy', 'xarray', 'matplotlib', 'IPython'}"
+    code = f"import sys, wavequake; print(sorted({heavy} & set(sys.modules)))"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert said.strip() == "[]"
+
+
+@pytest.mark.parametrize("module", [models, plot, studies], ids=lambda module: module.__name__)
+def test_examples_give_what_they_print(module):
+    failed, tried = doctest.testmod(module)
+    assert (failed, tried > 0) == (0, True)
+
+
+def test_objects_print_one_line():
+    for thing in (
+        wq.load_system("euv"),
+        wq.load_study("euv"),
+        wq.load_model("circular", core=2, rings=2),
+        wq.reduce(wq.load_model("circular", core=2, rings=2), "craigb36"),
+    ):
+        assert len(repr(thing)) < 110, repr(thing)
+        assert str(thing) == repr(thing)
+    assert repr(wq.load_system("euv")) == "<OpticalSystem euv: 7 surfaces, 3 fields, 1 wavelength>"
+
+
+def test_stores_are_compared_judged_exported_and_verified(stores, tmp_path):
+    one, two = stores
+    table = wq.compare(one, two).set_index("measure")
+    row = table.loc["wfe_rms_raw"]
+    each = [wq.open_store(store).wfe_rms_raw.load() for store in stores]
+    means = [float(np.sqrt((values**2).mean("time")).mean()) for values in each]
+    assert [row["first"], row["second"]] == pytest.approx(means)
+    assert row["mean"] == pytest.approx(means[1] - means[0])
+    assert 1.5 * means[0] < means[1]
+    assert wq.verify(one).ok
+    assert wq.export(one, tmp_path / "one.csv").read_text().count("\n") == 7
+    assert wq.report(one) == studies.report(one)
+    assert wq.report(one).stat().st_size > 10_000
+    with pytest.raises(UserError, match="at least two stores"):
+        wq.compare(one)
+    with pytest.raises(UserError, match="cases"):
+        wq.tail(one)
+
+
+def test_a_tail_is_that_of_the_command(stores, monkeypatch):
+    """Of an exponential distribution, exceeded with 1e-4: scale ln(1e4), by 4000 cases to 15 %."""
+    values = np.random.default_rng(1).exponential(50.0, 4000)
+    fake = xr.Dataset(
+        {"wfe_rms_raw": ("case", values, {"units": "nm"}), "status": ("case", np.ones(4000, dtype=np.int8))},
+        {"case": np.arange(4000), "disturbance": ("case", np.full(4000, "wind"))},
+    )
+    monkeypatch.setattr("wavequake.report.tail.open_store", lambda store: fake)
+    (row,) = wq.tail("anywhere", limit=300.0).to_dict("records")
+    assert row["value"] == pytest.approx(50.0 * np.log(1e4), rel=0.15)
+    assert row["low"] < row["value"] < row["high"]
+    assert row["odds"] == pytest.approx(np.exp(-6.0), rel=0.4)
+    assert (row["population"], row["units"]) == ("wind", "nm")
+
+
+def test_a_shaken_mirror_follows_slow_mounts_as_a_rigid_body():
+    """At a tenth of the first resonance, swung in smoothly, all nodes move as the mounts do, to 2 %."""
+    model = wq.load_model("circular", core=2, rings=2)
+    shaker = {"kind": "sinusoid", "frequency_hz": 8.0, "amplitude": 1e-6, "ramp_s": 0.25}
+    moved = wq.respond(model, shaker, duration=0.5, step=1e-3)["displacement"].sel(direction="z")
+    at = moved.sel(time=slice(0.3, 0.5))
+    expected = 1e-6 * np.sin(2 * np.pi * 8.0 * at["time"])
+    assert float(np.abs(at - expected).max()) < 2e-8
+    system = wq.plant(model)
+    gain = -system.c @ np.linalg.pinv(system.a) @ system.b
+    assert gain.shape == (9, 9)
+    for excitation, words in (
+        ({"kind": "sinus"}, "kind"),
+        ({"kind": "sinusoid", "frequency": 3.0}, "frequency: Extra inputs"),
+    ):
+        with pytest.raises(UserError, match=words):
+            wq.respond(model, excitation)
+    with pytest.raises(UserError, match="no instants"):
+        wq.respond(model, {"kind": "sinusoid"}, duration=0.1, step=1.0)
+    with pytest.raises(UserError, match="unexpected keyword argument 'diam'"):
+        wq.load_model("circular", diam=2.0)
+
+
+def test_plots_show_the_numbers_of_a_store(stores):
+    ds = wq.open_store(stores[0]).load()
+    drawn = wq.plot.distribution(ds.wfe_rms_raw).lines[0].get_xdata()
+    expected = np.sort(np.sqrt((ds.wfe_rms_raw.to_numpy() ** 2).mean(axis=1)))
+    np.testing.assert_allclose(drawn, expected)
+    lines = wq.plot.history(ds.los.sel(case=0)).lines
+    np.testing.assert_array_equal(lines[1].get_ydata(), ds.los.sel(case=0, axis="y"))
+    axes = wq.plot.image(ds.exposure.sel(case=0))
+    shown = axes.images[0].get_array()
+    assert shown.max() == ds.exposure.sel(case=0).max()
+    assert axes.images[0].get_extent()[0] == pytest.approx(float(ds.x[0] - (ds.x[1] - ds.x[0]) / 2))
+    own = wq.plot.aperture("tmt-18")
+    assert wq.plot.section("tmt-18", own) is own
+    for call in (
+        lambda: wq.plot.image(ds.exposure),
+        lambda: wq.plot.history(ds.zernike),
+        lambda: wq.plot.distribution(ds.los),
+        lambda: wq.plot.section("mirror-mor"),
+        lambda: wq.plot.aperture("euv"),
+        lambda: wq.plot.image(0.0 * ds.exposure.sel(case=0)),
+    ):
+        with pytest.raises(UserError):
+            call()
+
+
+def test_a_notebook_shows_drawings_and_says_errors_in_a_sentence():
+    """In a real IPython shell, as a kernel has it."""
+    code = (
+        "from IPython.core.interactiveshell import InteractiveShell\n"
+        "shell = InteractiveShell.instance()\n"
+        "shell.run_cell('import wavequake as wq')\n"
+        "shell.run_cell('wq.load_system(\"nothing\")')\n"
+        "for what in ('wq.load_system(\"euv\")', 'wq.load_study(\"tmt18-history\")', 'wq.draw(\"euv\")'):\n"
+        "    made, _ = shell.display_formatter.format(shell.ev(what))\n"
+        "    print(sorted(made), '<svg' in made.get('text/html', made.get('image/svg+xml', '')))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.count("Error: There is no optical system 'nothing'") == 1
+    assert "Traceback" not in done.stdout + done.stderr
+    lines = done.stdout.strip().splitlines()[-3:]
+    assert lines == [
+        "['text/html', 'text/plain'] True",
+        "['text/html', 'text/plain'] True",
+        "['image/svg+xml', 'text/plain'] True",
+    ]
+
+
+def test_what_a_notebook_cannot_draw_it_still_names():
+    said = io.StringIO()
+    with redirect_stderr(said):
+        notebook.explain(None, StoreDamageError, StoreDamageError("a chunk is torn"), None)
+    assert said.getvalue() == "Damaged store: a chunk is torn\n"
+    flat = wq.load_model("circular", core=2, rings=2)
+    broken = type(flat)(**{**vars(flat), "surface_nodes": flat.surface_nodes[:2]})
+    assert "span no area" in notebook.shown(broken)
+    assert notebook.bar(3, 12, 1) == '<progress value="3" max="12"></progress> 3/12 cases, 1 quarantined'
+    with notebook.progress_bar() as progress:
+        assert progress is None
+
+
+def test_progress_comes_to_the_one_who_asks(tmp_path):
+    (tmp_path / "tiny.toml").write_text(STUDY)
+    told = []
+    wq.run(
+        tmp_path / "tiny.toml", cases=8, store=tmp_path / "s", progress=lambda *numbers: told.append(numbers)
+    )
+    assert told[-1] == (8, 8, 0)
+    assert json.loads((tmp_path / "s" / "manifest.json").read_text())["cases"] == 8

@@ -1,0 +1,66 @@
+"""Every bundled study gives the numbers that it gave when it was recorded."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests import recorded
+
+from wavequake.errors import UserError
+from wavequake.firmware.build import BOARDS, compiler_of
+from wavequake.workflows.study import bundled_studies
+
+
+def comparable():
+    """Names of the recordings that can be made here: firmware needs a compiler."""
+    try:
+        compiler_of(BOARDS["host"])
+    except UserError:
+        return [name for name, small in recorded.RECORDED.items() if small.study != "lens-firmware"]
+    return list(recorded.RECORDED)
+
+
+@pytest.fixture(scope="module")
+def compared():
+    """What the recordings say of a process with one thread of BLAS, line by line."""
+    if " avx2 " not in Path("/proc/cpuinfo").read_text():
+        pytest.skip("recordings are made with the kernels of AVX2")
+    done = recorded.run_alike("--compare", *comparable())
+    assert not done.stderr
+    return done.stdout.splitlines()
+
+
+@pytest.mark.slow
+def test_every_bundled_study_gives_the_recorded_numbers(compared):
+    assert len(compared) == len(comparable())
+    changed = [line for line in compared if ": agrees " not in line]
+    assert not changed, "\n".join(changed)
+
+
+@pytest.mark.slow
+def test_bits_do_not_depend_on_how_many_threads_a_process_has(compared):
+    """What commands prepare in the client with all threads is what workers prepare with one."""
+    names = [name for name in comparable() if name in bundled_studies()]
+    done = recorded.run_alike("--compare", *names, threads=2)
+    assert len(names) >= len(bundled_studies()) - 1, done.stderr
+    assert done.stdout.splitlines() == [line for line in compared if line.partition(":")[0] in names]
+
+
+def test_every_bundled_study_is_recorded_and_small():
+    assert {small.study for small in recorded.RECORDED.values()} == set(bundled_studies())
+    files = list(recorded.FOLDER.glob("*"))
+    assert {path.name for path in files} == {f"{name}.npz" for name in recorded.RECORDED}
+    assert sum(path.stat().st_size for path in files) < 1.5e6
+
+
+@pytest.mark.parametrize("shape", [(40,), (2, 2500)])
+def test_a_changed_number_is_seen(shape):
+    """Whether kept whole or condensed, no number may move by 1e-10 of the largest; nor become unknown."""
+    values = np.random.default_rng(5).standard_normal(shape)
+    kept = recorded.condense(values)
+    for place in list(np.ndindex(*shape))[::11]:
+        for change in (1e-10 * np.abs(values).max(), np.nan):
+            changed = values.copy()
+            changed[place] += change
+            now = recorded.condense(changed)
+            assert max(recorded.difference(kept, key, now[key]) for key in kept) > recorded.AGREED, place
