@@ -1,5 +1,6 @@
 """What plan and run say of an imported model, so that coherent but wrong units are seen."""
 
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -56,6 +57,31 @@ def test_nodes_in_a_plane_have_no_volume(plate):
     flat = replace(plate, nodes=plate.nodes * np.array([1.0, 1.0, 0.0]))
     assert hull_volume(flat.nodes) == 0.0
     assert not any(line.startswith("warning") for line in facts(flat, "m,kg,s,N"))
+
+
+def test_the_cost_of_large_models_is_said_in_the_same_words_everywhere(plate, monkeypatch):
+    assert not any("factorization" in line for line in facts(plate, "m,kg,s,N"))
+    monkeypatch.setattr("wavequake.workflows.mirrors.imported_facts.LARGE", 0)
+    said = [line for line in facts(plate, "m,kg,s,N") if "factorization" in line]
+    assert len(said) == 1
+    assert said[0].startswith("imported model: a factorization of 243 unknowns (")
+    assert said[0].endswith("billion operations")  # no seconds: a store keeps these words
+
+
+def test_pads_of_a_study_are_its_interface(plate, tmp_path, monkeypatch):
+    rear = np.setdiff1d(np.arange(len(plate.nodes)), plate.surface_nodes)
+    sets = ""
+    for number, mount in enumerate(plate.interfaces, 1):
+        near = rear[np.argsort(np.linalg.norm(plate.nodes[rear] - plate.nodes[mount], axis=1))[:4]]
+        sets += f"*NSET, NSET=PAD{number}\n" + "".join(f"{node + 1},\n" for node in near)
+    for ending in ("sti", "mas", "dof"):
+        shutil.copy(DATA / f"plate.{ending}", tmp_path)
+    deck = (DATA / "plate.inp").read_text()
+    (tmp_path / "plate.inp").write_text(deck.replace("*NSET, NSET=SURFACE", sets + "*NSET, NSET=SURFACE"))
+    monkeypatch.chdir(tmp_path)
+    pads = {"model.interfaces": ["PAD1", "PAD2", "PAD3"], "model.pads": "average"}
+    study = load_study("mirror-trace", PLATE | pads)
+    assert "3 pads (average) of 12 nodes are the interface" in plan(study)["note"]
 
 
 def test_the_frequencies_are_the_first_elastic_ones(plate):

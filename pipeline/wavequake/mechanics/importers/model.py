@@ -187,7 +187,8 @@ def import_model(
         chosen = [interfaces] if isinstance(interfaces, str) else list(interfaces)
         areas = [chosen_nodes(grid, [part], "interfaces") for part in chosen]
         model = with_pads(model, grid, areas, pads)
-        notes.append(f"{len(areas)} pads ({pads}) of {len(mounts)} nodes are the interface")
+        if len(areas) < len(mounts):
+            notes.append(f"{len(areas)} pads ({pads}) of {len(mounts)} nodes are the interface")
     return Imported(model, tuple(notes))
 
 

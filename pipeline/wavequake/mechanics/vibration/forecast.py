@@ -29,22 +29,30 @@ class Forecast:
         Numbers that the factors hold.
     memory : int
         Most bytes that are held at one time, factors included.
+    operations : float
+        Multiplications and additions.
     seconds : float
-        Processor time of one thread.
+        Processor time of one thread of this machine.
     """
 
     order: int
     entries: int
     factors: int
     memory: int
+    operations: float
     seconds: float
 
-    def __str__(self) -> str:
+    @property
+    def size(self) -> str:
+        """A sentence of what is the same on every machine."""
         return (
             f"a factorization of {self.order} unknowns ({self.entries / 1e6:.3g} million entries) holds "
-            f"{self.factors / 1e6:.3g} million numbers, {self.memory / 1e9:.2g} GB, and takes about "
-            f"{self.seconds:.2g} s of one processor"
+            f"{self.factors / 1e6:.3g} million numbers, {self.memory / 1e9:.2g} GB, and takes "
+            f"{self.operations / 1e9:.2g} billion operations"
         )
+
+    def __str__(self) -> str:
+        return f"{self.size}, about {self.seconds:.2g} s of one processor"
 
 
 def forecast(matrix: csc_array) -> Forecast:
@@ -56,12 +64,13 @@ def forecast(matrix: csc_array) -> Forecast:
     plan = dissect(matrix)
     order = time.process_time() - start
     arithmetic, traffic = _rates()
+    operations = plan.operations(True)
     moved = float(sum((front.last - front.first + len(front.border)) ** 2 for front in plan.fronts))
-    seconds = order + _BESIDE * (arithmetic * plan.operations(True) + traffic * moved)
-    return Forecast(matrix.shape[0], matrix.nnz, plan.entries, plan.memory(8), seconds)
+    seconds = order + _BESIDE * (arithmetic * operations + traffic * moved)
+    return Forecast(matrix.shape[0], matrix.nnz, plan.entries, plan.memory(8), operations, seconds)
 
 
-@prepared(maxsize=None)
+@prepared(maxsize=1)
 def _rates() -> tuple[float, float]:
     """Return seconds per operation and per number of a front, from two fronts that are timed."""
     costs, sizes = [], []

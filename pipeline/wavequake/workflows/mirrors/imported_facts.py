@@ -37,7 +37,7 @@ def facts(model: FiniteElementModel, units: str, notes: tuple[str, ...] = ()) ->
     )
     yield from (f"imported model: {note}" for note in notes)
     if model.order >= LARGE:
-        yield f"imported model: {forecast(model.stiffness)}"
+        yield f"imported model: {forecast(model.stiffness).size}"
     doubt = f"are model.units = '{units}' those of the files?"
     if not _SIZES[0] <= extent.max() <= _SIZES[1]:
         yield f"warning: the model is {1e3 * extent.max():.3g} mm wide; {doubt}"
