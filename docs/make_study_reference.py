@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
 from wavequake.campaign.schema import Study
-from wavequake.workflows.kinds import find_kind, kind_names
+from wavequake.workflows.kinds import bundled_kinds, find_kind
 
 PAGE = Path(__file__).with_name("study.md")
 MARK = "<!-- the tables below are made by make_study_reference.py -->\n"
@@ -91,7 +91,7 @@ def reference() -> str:
     """Return all tables: what all workflows have, then what each has of its own or shares with another."""
     parts: list[str] = []
     homes: dict[tuple[str, str], str] = {}
-    for workflow, study in {"": Study, **{name: find_kind(name).model for name in kind_names()}}.items():
+    for workflow, study in {"": Study, **{name: find_kind(name).model for name in bundled_kinds()}}.items():
         own, shared = [], {}
         for heading, found in sections(study):
             for title, text in kinds(heading, found):
@@ -101,7 +101,7 @@ def reference() -> str:
                 elif home:
                     shared.setdefault(home, []).append(title)
         if workflow:
-            parts.append(f"## StudyKind `{workflow}`\n")
+            parts.append(f"## Study kind `{workflow}`\n")
         for home, titles in shared.items():
             parts.append(f"As of `{home}`: {'; '.join(dict.fromkeys(titles))}.\n")
         parts += own

@@ -14,7 +14,7 @@ from wavequake.campaign.store.store import create_store, open_store
 from wavequake.errors import UserError
 from wavequake.report.comparison import compare
 from wavequake.report.tail import per_case
-from wavequake.workflows.kinds import find_kind, kind_names
+from wavequake.workflows.kinds import bundled_kinds, find_kind
 from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study, study_with
 
@@ -184,7 +184,7 @@ def test_a_workflow_without_histories_has_nothing_to_thin_out():
 
 
 def test_every_workflow_is_tested_here():
-    assert set(SMALL) == set(kind_names()) - {"lens-passive"}
+    assert set(SMALL) == set(bundled_kinds()) - {"lens-passive"}
 
 
 def toy_store(tmp_path, **options):

@@ -40,6 +40,11 @@ def register(kind: StudyKind) -> None:
     _registered[kind.name] = kind
 
 
+def bundled_kinds() -> tuple[str, ...]:
+    """Return the names of the study kinds that come with Wavequake."""
+    return tuple(_BUNDLED)
+
+
 def kind_names() -> tuple[str, ...]:
     """Return the names of all study kinds that can be found."""
     return tuple(dict.fromkeys([*_BUNDLED, *_registered, *_installed()]))
