@@ -249,3 +249,15 @@ def test_bad_input_is_named():
         incoherent_image(np.ones((8, 8)), 0.25, PupilShape(0.0, lambda x, y: 200.0 * x))
     with pytest.raises(UserError, match="fluxes"):
         star_field_image(np.ones((4, 4)), [[0.0, 0.0]], [-1.0], 0.25)
+
+
+def test_rounding_below_zero_is_no_negative_light():
+    """An exposure that was placed between pixels has -1e-13 where it is dark; stars take it as it is."""
+    psf = np.zeros((16, 16))
+    psf[8, 8], psf[2, 3] = 1.0, -1e-13
+    seen = star_field_image(psf, np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([1.0, 0.5]), 0.5)
+    assert seen[8, 8] == pytest.approx(1.0, abs=1e-12)
+    assert seen[8, 10] == pytest.approx(0.5, abs=1e-12)
+    psf[2, 3] = -1e-6
+    with pytest.raises(UserError, match="row 2, column 3 is negative"):
+        star_field_image(psf, np.zeros((1, 2)), np.ones(1), 0.5)

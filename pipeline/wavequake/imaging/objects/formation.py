@@ -19,6 +19,9 @@ from wavequake.imaging.pupils.pupil_shape import PupilShape, coherent_transfer
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+# Of the largest: what Fourier transforms leave where there is no light.
+_ROUNDING = 1e-9
+
 
 @dataclass(frozen=True)
 class Source:
@@ -169,13 +172,15 @@ def checked_intensity(picture: ArrayLike) -> Real:
     Raises
     ------
     UserError
-        If it has not two axes, is empty, or holds a number that is negative or not finite.
+        If it has not two axes, is empty, or holds a number that is not finite, or negative by more than the
+        rounding of what was placed between pixels.
     """
     numbers = _numbers(picture)
     if np.iscomplexobj(picture):
         raise UserError("the object's intensity is complex; give an amplitude to a coherent image instead")
     intensity = np.ascontiguousarray(numbers.real)
-    for bad, words in ((~np.isfinite(intensity), "not finite"), (intensity < 0.0, "negative")):
+    least = -_ROUNDING * np.max(intensity, initial=0.0, where=np.isfinite(intensity))
+    for bad, words in ((~np.isfinite(intensity), "not finite"), (intensity < least, "negative")):
         if bad.any():
             row, column = np.argwhere(bad)[0]
             value = intensity[row, column]
