@@ -81,6 +81,10 @@ def _explain(error: Exception, debug: bool) -> NoReturn:
         fail(f"Damaged store: {error}", EXIT_DAMAGED, debug)
     if isinstance(error, OSError):
         fail(f"Error: {error.strerror or error}: {error.filename or 'a file'}.", EXIT_BAD_INPUT, debug)
+    if isinstance(error, MemoryError):
+        fail(
+            f"Error: the memory does not suffice: {str(error) or 'no more is given'}.", EXIT_BAD_INPUT, debug
+        )
     words = f"Internal error: {type(error).__name__}: {error} (run again with --debug for the traceback)."
     fail(words, 1, debug)
 

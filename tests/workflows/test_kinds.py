@@ -121,6 +121,8 @@ def test_own_parts_that_fail_cost_a_sentence(tmp_path, swing, wavequake, key, co
         ("x = (", "line 1: SyntaxError"),
         ("a = 1\n1 / 0\n", "line 2: ZeroDivisionError"),
         ("from wavequake.workflows.kinds import register\nregister(3)\n", "3 is no study kind"),
+        ("x = 1\0\n", "cannot be loaded: SyntaxError"),
+        ("import sys\nsys.exit(3)\n", "line 2: SystemExit: 3"),
     ],
 )
 def test_plugins_that_cannot_be_loaded_say_where(tmp_path, wavequake, text, words):
@@ -130,6 +132,55 @@ def test_plugins_that_cannot_be_loaded_say_where(tmp_path, wavequake, text, word
     assert code == 2
     assert words in re.sub(r"\s+", " ", err)
     assert not plugins.loaded_plugins()
+
+
+OMEGA = 'Measure({}, "1", "x", (), lambda r: r["omega"]{})'
+
+
+@pytest.mark.parametrize(
+    ("part", "code", "words"),
+    [
+        ("def axes(b): return {'time': Axis(0)}", 2, "axis 'time' must be an Axis of one entry or more"),
+        ("def axes(b): return None", 2, "fails in measures, axes or fixed"),
+        ("def measures(b): return ['angle']", 2, "'angle' is no measure"),
+        (f"def measures(b): return [{OMEGA.format(repr('a/b'), '')}]", 2, "'a/b' needs a name of letters"),
+        (f"def measures(b): return [{OMEGA.format(repr('status'), '')}]", 2, "two arrays called 'status'"),
+        (
+            f"def measures(b): return [{OMEGA.format(repr('length_m'), '')}]",
+            2,
+            "two arrays called 'length_m'",
+        ),
+        (f"def measures(b): return [{OMEGA.format(repr('a'), ', dtype=str(5)')}]", 2, "the dtype '5'"),
+        (f"def measures(b): return [{OMEGA.format(repr('a'), ', over_time=5')}]", 2, "has over_time=5"),
+        (f"def measures(b): return [{OMEGA.format(repr('a'), ', dtype=str(int.__name__)')}]", 3, "not int"),
+        (f"def measures(b): return [{OMEGA.format(repr('a'), ' * 1j')}]", 3, "has values of complex128"),
+        ("def cases(s, ids): return None", 2, "fails in cases"),
+        ("def cases(s, ids): return {'length_m': np.ones(1), 'realization': ids}", 2, "with 'length_m'"),
+        ("def cases(s, ids): return {'angle': ids, 'length_m': ids + 1.0, 'realization': ids}", 2, "'angle'"),
+        ("def compute(*rest): raise SystemExit(5)", 3, "compute called sys.exit(5)"),
+        ("def compute(*rest): return {'omega': 1}", 3, "not Block"),
+        ("def prepare(s): raise KeyError('q')", 2, "fails in prepare: KeyError"),
+        ("fixed = lambda b: {'z': np.ones(3)}", 2, "fixed has no"),
+        ("fixed = lambda b: {'z': (('time',), np.ones(3), {})}", 2, "'z' has the shape (3,) along time"),
+        ("PendulumStudy = dict", 2, "must be a subclass of Study"),
+        ("prepare = 3", 2, "prepare of the study kind 'pendulum' must be a function"),
+    ],
+)
+def test_parts_of_a_kind_that_do_not_fit_cost_a_sentence(tmp_path, swing, wavequake, part, code, words):
+    """Whatever an author's function gives: a sentence, and no store that is written by half."""
+    file, store = tmp_path / "own.py", tmp_path / "store"
+    text = PLUGIN.read_text().replace("\nKIND = ", f"\n{part}\nKIND = ")
+    given = "fixed=fixed, compared=" if part.startswith("fixed") else "compared="
+    file.write_text(text.replace("    compared=", f"    {given}"))
+    for command in (("plan", swing), ("run", swing, "--store", store, "--on", "serial")):
+        found, out, err = wavequake(*command, "--plugin", file)
+        said = err + " ".join(wavequake("status", store)[1:] if store.exists() else ())
+        if command[0] == "run":
+            assert found == code, out + err
+            assert words in re.sub(r"\s+", " ", said)
+        assert found in (0, 2, 3), out + err
+        assert "Internal" not in said
+    assert store.exists() == (code == 3)
 
 
 def test_a_missing_plugin_is_named(wavequake):
@@ -208,6 +259,12 @@ def test_measures_that_fail_cost_a_sentence(tmp_path, wavequake, keys, code, wor
     said = err + " ".join(wavequake("status", tmp_path / "store")[1:] if code == 3 else ())
     assert found == code, out + err
     assert words in re.sub(r"\s+", " ", said)
+
+
+def test_a_list_of_no_weights_is_named(wavequake):
+    code, _, err = wavequake("plan", "double-gauss", "imaging.weights=[]")
+    assert code == 2
+    assert "imaging: weights are at least 0" in re.sub(r"\s+", " ", err)
 
 
 def test_an_unknown_measure_is_named(tmp_path, wavequake):

@@ -5,7 +5,8 @@ measures that are taken of it; template, padding, statuses and errors follow.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import Any
 
@@ -129,10 +130,22 @@ def study_kind(
         should read before a run (study), pictures of the report (bench, dataset).
     compared : tuple of str
         Labels of cases that reports tell apart.
+
+    Raises
+    ------
+    UserError
+        If the name is no text, the model no `Study`, or a part no function.
     """
+    if not isinstance(name, str) or not name:
+        raise UserError(f"The name of a study kind is a text, as 'pendulum', not {name!r}.")
+    if not (isinstance(model, type) and issubclass(model, Study)):
+        raise UserError(f"The model of the study kind {name!r} is {model!r}; it must be a subclass of Study.")
     parts = _Parts(
         name, model, prepare, cases, compute, measures, axes, fixed, describe, work, notices, pictures
     )
+    for one in fields(parts)[2:]:
+        if not callable(getattr(parts, one.name)):
+            raise UserError(f"{one.name} of the study kind {name!r} must be a function.")
     return StudyKind(
         name,
         partial(_template, parts),
@@ -148,6 +161,19 @@ def study_kind(
     )
 
 
+@contextmanager
+def _explained(parts: _Parts, part: str) -> Iterator[None]:
+    """Turn what the author's function raises into a sentence, where it concerns all cases."""
+    try:
+        yield
+    except (UserError, MemoryError):
+        raise
+    except (Exception, SystemExit) as error:
+        raise UserError(
+            f"The study kind {parts.name!r} fails in {part}: {type(error).__name__}: {error}."
+        ) from error
+
+
 @prepared(maxsize=4)
 def _bench(parts: _Parts, text: str) -> Any:
     return parts.prepare(study_from_identity(parts.model, text))
@@ -155,12 +181,27 @@ def _bench(parts: _Parts, text: str) -> Any:
 
 @prepared(maxsize=8)
 def _template(parts: _Parts, text: str) -> Template:
-    bench = _bench(parts, text)
-    return template_of(parts.measures(bench), parts.axes(bench), parts.fixed(bench))
+    with _explained(parts, "prepare"):
+        bench = _bench(parts, text)
+    with _explained(parts, "measures, axes or fixed"):
+        return template_of(parts.measures(bench), parts.axes(bench), parts.fixed(bench))
 
 
 def _case_table(parts: _Parts, text: str, first: int, last: int) -> CaseTable:
-    return parts.cases(study_from_identity(parts.model, text), np.arange(first, last))
+    with _explained(parts, "cases"):
+        table = {
+            name: np.asarray(values)
+            for name, values in parts.cases(
+                study_from_identity(parts.model, text), np.arange(first, last)
+            ).items()
+        }
+    for name, values in table.items():
+        if values.shape != (last - first,) or values.dtype.kind not in "OUfiub":
+            raise UserError(
+                f"The study kind {parts.name!r} labels {last - first} cases with {name!r} of the shape "
+                f"{values.shape} ({values.dtype}); it must be one text or number for each."
+            )
+    return table
 
 
 def _compute(parts: _Parts, text: str, cases: NDArray[np.int64], device: str) -> ChunkResult:
@@ -175,8 +216,13 @@ def _compute(parts: _Parts, text: str, cases: NDArray[np.int64], device: str) ->
         for name, variable in template.per_case.items()
     }
     status, messages = np.zeros(len(cases), np.int8), [""] * len(cases)
-    blocks = parts.compute(bench, {"case": cases, **parts.cases(study, cases)}, device, clock)
+    try:
+        blocks = parts.compute(bench, {"case": cases, **parts.cases(study, cases)}, device, clock)
+    except SystemExit as error:  # of a script that became a plug-in
+        raise RuntimeError(f"compute called sys.exit({error.code!r})") from error
     for block in [blocks] if isinstance(blocks, Block) else blocks:
+        if not isinstance(block, Block):
+            raise TypeError(f"compute of {parts.name} gave {type(block).__name__}, not Block(...)")
         rows = np.arange(len(cases)) if block.rows is None else np.asarray(block.rows)
         for measure in measures if len(block.messages) < len(rows) else ():
             shape = template.per_case[measure.name].shape
@@ -184,7 +230,7 @@ def _compute(parts: _Parts, text: str, cases: NDArray[np.int64], device: str) ->
         status[rows] = DONE
         for place, message in block.messages.items():
             row = int(rows[place])
-            status[row], messages[row] = RAISED, message
+            status[row], messages[row] = RAISED, str(message)
             for values in arrays.values():
                 values[row] = np.nan if values.dtype.kind == "f" else 0
     missing = np.flatnonzero(status == 0)
@@ -194,27 +240,29 @@ def _compute(parts: _Parts, text: str, cases: NDArray[np.int64], device: str) ->
 
 
 def _describe(parts: _Parts, text: str) -> dict[str, str]:
-    return dict(parts.describe(_bench(parts, text)))
+    with _explained(parts, "describe"):
+        words = parts.describe(_bench(parts, text))
+        return {str(name): str(value) for name, value in words.items()}
 
 
 def _work(parts: _Parts, text: str, cases: int) -> dict[str, tuple[float, str]]:
-    return parts.work(_bench(parts, text), cases)
+    with _explained(parts, "work"):
+        return parts.work(_bench(parts, text), cases)
 
 
 def _check(parts: _Parts, text: str) -> None:
-    try:
-        _template(parts, text)
-    except UserError:
-        raise
-    except Exception as error:
-        raise UserError(
-            f"The study kind {parts.name!r} cannot prepare this study: {type(error).__name__}: {error}."
-        ) from error
+    _template(parts, text)
+    _case_table(parts, text, 0, 1)
 
 
 def _notices(parts: _Parts, text: str) -> Iterator[str]:
-    yield from parts.notices(study_from_identity(parts.model, text))
+    with _explained(parts, "notices"):
+        yield from map(str, parts.notices(study_from_identity(parts.model, text)))
 
 
 def _pictures(parts: _Parts, text: str, dataset: Any) -> Iterator[Drawn]:
-    yield from parts.pictures(_bench(parts, text), dataset)
+    with _explained(parts, "pictures"):
+        for one in parts.pictures(_bench(parts, text), dataset):
+            if not isinstance(one, Drawn):
+                raise TypeError(f"{one!r} is no Drawn(title, caption, figure)")
+            yield one

@@ -6,7 +6,7 @@ made of them (`wavequake.campaign.measured`) writes nothing else down about its 
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,10 +89,15 @@ def template_of(
     Raises
     ------
     UserError
-        If two measures have one name, or a measure has a dimension that is no axis.
+        If two measures have one name, or a measure has a dimension that is no axis, a name, type or way over
+        time that stores cannot hold; if an axis has no entries.
     """
     per_case: dict[str, Variable] = {}
+    for dim, axis in axes.items():
+        if not isinstance(axis, Axis) or (axis.labels if isinstance(axis.labels, int) else len(axis)) < 1:
+            raise UserError(f"The axis {dim!r} must be an Axis of one entry or more, not {axis!r}.")
     for measure in measures:
+        _check(measure)
         if measure.name in per_case:
             raise UserError(f"Two measures are called {measure.name!r}; each needs a name of its own.")
         unknown = [dim for dim in measure.dims if dim not in axes]
@@ -120,7 +125,27 @@ def template_of(
         for name, axis in axes.items()
         if not isinstance(axis.labels, int)
     }
+    for name, one in (fixed or {}).items():
+        if not isinstance(one, tuple) or len(one) != 3 or len(one[0]) != np.ndim(one[1]):
+            raise UserError(f"fixed has no (dims, values, attributes) called {name!r}: {one!r}.")
     return Template(per_case, {**labels, **(fixed or {})})
+
+
+def _check(measure: Measure) -> None:
+    if not isinstance(measure, Measure):
+        raise UserError(f"{measure!r} is no measure; Measure(...) makes one.")
+    where = f"The measure {measure.name!r}"
+    if not isinstance(measure.name, str) or not measure.name.isidentifier():
+        raise UserError(f"{where} needs a name of letters, digits and '_' that does not begin with a digit.")
+    try:
+        numbers = np.dtype(measure.dtype).kind in "fiub"
+    except TypeError:
+        numbers = False
+    if not numbers:
+        raise UserError(f"{where} has the dtype {measure.dtype!r}; it must be one of numbers, as 'float64'.")
+    if measure.over_time not in get_args(OverTime):
+        known = ", ".join(map(repr, get_args(OverTime)))
+        raise UserError(f"{where} has over_time={measure.over_time!r}; it must be one of {known}.")
 
 
 def _labels(axis: Axis) -> NDArray[Any]:
@@ -141,6 +166,8 @@ def evaluate(measure: Measure, result: Any, cases: int, shape: tuple[int, ...]) 
         If what the measure gives has another shape, or is no number where numbers belong.
     """
     values = np.asarray(measure.value(result))
+    if not np.can_cast(values.dtype, measure.dtype, "same_kind"):
+        raise ValueError(f"the measure {measure.name!r} has values of {values.dtype}, not {measure.dtype}")
     if values.shape == (cases, *shape):
         return values.astype(measure.dtype, copy=False)
     short = tuple(

@@ -79,10 +79,11 @@ def load_text(name: str, text: str) -> Plugin:
     except UserError as error:
         del sys.modules[plugin.module]
         raise UserError(f"The plug-in {name}: {error}") from None
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # a script's sys.exit() is no end of ours
         del sys.modules[plugin.module]
         lines = [one.lineno for one in extract_tb(error.__traceback__) if one.filename == name]
-        where = f", line {error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else '?'}"
+        line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
+        where = f", line {line}" if line else ""
         raise UserError(
             f"The plug-in {name} cannot be loaded{where}: {type(error).__name__}: {error}."
         ) from error

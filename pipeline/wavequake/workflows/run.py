@@ -208,7 +208,14 @@ def plan(study: str | Path | Study) -> dict[str, str]:
     device = choose_device(study.campaign.device)
     whole = min(cases, chunk)
     pilot = min(whole, 8)
-    workflow.compute(text, np.arange(cases - pilot, cases), device.name)  # builds kernels and tables
+    try:
+        workflow.compute(text, np.arange(cases - pilot, cases), device.name)  # builds kernels and tables
+    except UserError:
+        raise
+    except Exception as error:
+        raise UserError(
+            f"The cases of the pilot, {cases - pilot} to {cases - 1}, fail: {type(error).__name__}: {error}."
+        ) from error
     while True:
         start = time.perf_counter()
         workflow.compute(text, np.arange(cases - pilot, cases), device.name)  # the first ones may be special

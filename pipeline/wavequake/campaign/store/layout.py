@@ -3,6 +3,7 @@
 import json
 import shutil
 import uuid
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from hashlib import blake2b
@@ -19,6 +20,7 @@ from wavequake.campaign.store.folder import DATA, write_errors_explained
 from wavequake.campaign.store.journal import flush
 from wavequake.campaign.store.manifest import MOST_CASES, Manifest, write_manifest
 from wavequake.campaign.store.retention import stored_template
+from wavequake.errors import UserError
 
 _MOST_LABELS = 2**33  # numbers of an array that is no case's
 
@@ -27,6 +29,7 @@ def write_layout(folder: Path, manifest: Manifest, workflow: StudyKind) -> None:
     """Write everything of the zarr folder that no chunk writes: metadata, labels, fixed arrays."""
     template = stored_template(workflow, manifest.study)
     labels = labels_of(workflow, manifest.study, 0, manifest.cases)
+    _refuse_two_of_a_name(template, labels)
     group = arrays.create_group(folder, _attributes(manifest, template, tuple(labels)))
     for name, variable in {**template.per_case, **arrays.ENGINE_VARIABLES}.items():
         arrays.create_per_case(group, name, variable, manifest.cases, manifest.chunk)
@@ -35,6 +38,24 @@ def write_layout(folder: Path, manifest: Manifest, workflow: StudyKind) -> None:
     for name, values in labels.items():
         arrays.create_fixed(group, name, ("case",), values, {"long_name": name.replace("_", " ")})
     arrays.consolidate(folder)
+
+
+def _refuse_two_of_a_name(template: Template, labels: Mapping[str, NDArray[Any]]) -> None:
+    """Raise UserError if two arrays had the same name, or two of their dimensions sizes that differ."""
+    names = Counter([*template.per_case, *arrays.ENGINE_VARIABLES, *template.fixed, *labels])
+    if twice := [name for name, count in names.items() if count > 1]:
+        raise UserError(f"The store would have two arrays called {twice[0]!r}; each needs a name of its own.")
+    sizes = {"case": len(labels["case"])}
+    shapes = {name: (one.dims, one.shape) for name, one in template.per_case.items()}
+    fixed = {name: (dims, np.shape(values)) for name, (dims, values, _) in template.fixed.items()}
+    for name, (dims, shape) in {**shapes, **fixed}.items():
+        if len(dims) != len(shape) or any(
+            sizes.setdefault(*one) != one[1] for one in zip(dims, shape, strict=True)
+        ):
+            raise UserError(
+                f"The array {name!r} has the shape {shape} along {', '.join(dims)}; others of the store "
+                f"are as long as {', '.join(f'{dim} {sizes[dim]}' for dim in dims if dim in sizes)}."
+            )
 
 
 def lost_layout(path: Path, manifest: Manifest) -> list[Path]:

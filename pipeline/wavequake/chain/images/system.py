@@ -65,7 +65,9 @@ class SystemImagingSection(Section):
 
     @model_validator(mode="after")
     def _weights_are_light(self) -> "SystemImagingSection":
-        if self.weights is not None and (min(self.weights) < 0.0 or not sum(self.weights) > 0.0):
+        if self.weights is not None and (
+            min(self.weights, default=-1.0) < 0.0 or not sum(self.weights) > 0.0
+        ):
             raise ValueError("weights are at least 0, and one is above 0")
         return self
 
