@@ -76,7 +76,7 @@ def main(came: Sequence[float] = ()) -> None:
 
 def _explain(error: Exception, debug: bool) -> NoReturn:
     if isinstance(error, UserError):
-        fail(f"Error: {error}", EXIT_BAD_INPUT, debug)
+        fail(f"Error: {error}", EXIT_BAD_INPUT, debug, error.details)
     if isinstance(error, StoreDamageError):
         fail(f"Damaged store: {error}", EXIT_DAMAGED, debug)
     if isinstance(error, OSError):

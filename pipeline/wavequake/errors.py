@@ -3,6 +3,7 @@
 import re
 
 LONGEST = 600
+_MOST_LINES = 1000
 # Control characters, among them line ends and what terminals obey, and marks that turn the direction of text.
 _UNSEEN = re.compile("[\0-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff\ufeff]+")
 
@@ -16,11 +17,12 @@ def plain(message: object) -> str:
 class UserError(Exception):
     """Bad input: one sentence that says what is wrong, where, and what would be right (exit code 2).
 
-    What it quotes from files and names is made `plain`.
+    What it quotes from files and names is made `plain`; ``details`` are lines to show below it, each plain.
     """
 
-    def __init__(self, message: object) -> None:
+    def __init__(self, message: object, details: str = "") -> None:
         super().__init__(plain(message))
+        self.details = "\n".join(map(plain, details.split("\n")[:_MOST_LINES]))
 
 
 class StoreDamageError(Exception):

@@ -50,11 +50,13 @@ def interrupted() -> NoReturn:
     os._exit(EXIT_INTERRUPTED)
 
 
-def fail(message: str, code: int, debug: bool) -> NoReturn:
-    """End with a message and an exit code."""
+def fail(message: str, code: int, debug: bool, details: str = "") -> NoReturn:
+    """End with a message, lines of details below it, and an exit code."""
     if debug:
         err.print_exception()
     err.print(shortened(printable(message)), markup=False, soft_wrap=True)
+    for line in details.splitlines():
+        err.print(printable(line), markup=False, soft_wrap=True, highlight=False)
     sys.exit(code)
 
 

@@ -68,7 +68,9 @@ def read_bytes(path: str | Path) -> bytes:
     """
     try:
         with _opened(Path(path)) as file:
-            data = file.read(int(min(most_bytes(), 2**62)) + 1)
+            size = os.fstat(file.fileno()).st_size
+            _require_size(path, size)
+            data = file.read(size + 1)  # takes the memory of as much as it may read
     except (OSError, ValueError) as error:  # a zero byte in a path
         raise UserError(f"{path} cannot be read ({getattr(error, 'strerror', None) or error}).") from None
     _require_size(path, len(data))

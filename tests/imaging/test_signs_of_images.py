@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from wavequake.workflows.exposures.coherent_object import lit_by_cells, lit_object, mean_image
-from wavequake.workflows.exposures.exposed_object import ObjectSection
 
+from wavequake.chain.images.coherent import lit_by_cells, lit_object, mean_image
+from wavequake.chain.images.extended import ObjectSection
 from wavequake.imaging.engines import matrix_fourier, segment_psf
 from wavequake.imaging.engines.choice import SegmentedPupil, point_spread, prepare_psf
 from wavequake.imaging.engines.segment_basis import ray_basis, segment_basis

@@ -147,4 +147,8 @@ def test_a_ray_that_motion_takes_past_an_edge_is_dark_at_that_instant_alone(monk
 def pick(motion, instant):
     """The motion of one instant."""
     one = slice(instant, instant + 1)
-    return type(motion)(**{name: values[one] for name, values in vars(motion).items()})
+    picked = {
+        name: {key: part[one] for key, part in values.items()} if isinstance(values, dict) else values[one]
+        for name, values in vars(motion).items()
+    }
+    return type(motion)(**picked)

@@ -135,7 +135,7 @@ def test_all_problems_are_told_at_once_with_their_lines(tmp_path):
     path.write_text(text)
     with pytest.raises(UserError) as told:
         described(str(path), [])
-    message = str(told.value)
+    message = f"{told.value}\n{told.value.details}"
     assert "cannot be traced, for 3 reasons" in message
     assert [int(line) for line in re.findall(r"- line (\d+) ", message)] == [4, 9, 18]
     assert "surface 2         STANDARD  -50       3" in message

@@ -8,8 +8,8 @@ import pytest
 import wavequake as wq
 from wavequake.campaign.store.store import read_manifest
 from wavequake.errors import UserError
-from wavequake.kernels.trace.sequence import OK
 from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.kernels.trace.status import OK
 from wavequake.optics.rays.aiming import pupil_rays
 from wavequake.optics.rays.packing import bundle_rotation, moving, pack
 from wavequake.optics.rays.pupils import sunflower

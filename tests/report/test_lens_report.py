@@ -50,7 +50,7 @@ def test_report_holds_all_figures_and_what_is_left_out(dataset, tmp_path):
     ):
         assert f'id="{key}"' in page or key in page
     assert "The identification failed." in page
-    assert page.count("<svg") == 15
+    assert page.count("<svg") == 16  # with the layout
 
 
 def test_simulated_stage_is_close_to_the_actual_one(dataset):
@@ -94,4 +94,4 @@ def test_firmware_is_shown_beside_double_precision(tmp_path):
     page = lens.write_report_of(tmp_path, dataset, tmp_path / "report.html", "numpy").read_text()
     assert digest in page
     assert "In 4 runs of the firmware" in page
-    assert page.count("<svg") == 17
+    assert page.count("<svg") == 18  # with the layout

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from wavequake.campaign.contract import DONE
 from wavequake.cli import app
 from wavequake.errors import UserError
+from wavequake.kernels.trace.status import GAP, VIGNETTED, lost_at
 from wavequake.optics.rays.pupils import segment_rays
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.prepared import prepare
@@ -226,7 +227,7 @@ def test_words_for_several_mirrors_and_other_losses():
     system = telescope("tmt-18")
     prepared = prepare(system, segment_rays(system.segments, 6), 550e-6, 11)
     status = np.zeros(18 * 36, dtype=np.int8)
-    status[0], status[5:7], status[300:600] = 1, 2, 3
+    status[0], status[5:7], status[300:600] = GAP, lost_at(VIGNETTED, 0), lost_at(VIGNETTED, 1)
     found = stopped_at_rest(prepared, status)
     first, second = (surface.name for surface in system.surfaces[:2])
     assert found.words() == (

@@ -161,14 +161,12 @@ def test_an_unknown_place_to_run_is_refused_before_anything_is_made(tmp_path):
 
 
 def test_a_scheduler_elsewhere_does_the_same(tmp_path, monkeypatch):
-    from wavequake.cluster.local import local_cluster
+    from distributed import LocalCluster
 
     toy.run(tmp_path / "serial", cases=25)
-    with local_cluster(1) as client:
-        summary = toy.run(tmp_path / "s", cases=25, on=client.scheduler.address)
-        toy.run(
-            tmp_path / "s", cases=35, on=client.scheduler.address
-        )  # the same workers see the extended store
+    with LocalCluster(1, threads_per_worker=1, dashboard_address=None) as cluster:
+        summary = toy.run(tmp_path / "s", cases=25, on=cluster.scheduler_address)
+        toy.run(tmp_path / "s", cases=35, on=cluster.scheduler_address)  # its workers see the extended store
     assert summary.computed == 25
     toy.run(tmp_path / "serial", cases=35)
     assert toy.digests(tmp_path / "s") == toy.digests(tmp_path / "serial")

@@ -169,10 +169,11 @@ def test_a_driver_with_workers_says_nothing_but_its_result(tmp_path):
 
 def test_a_scheduler_that_dies_ends_the_run_with_one_sentence(tmp_path, reference):
     host = (
-        "import time, wavequake.cluster.local as local\n"
+        "import time\n"
+        "from distributed import LocalCluster\n"
         "if __name__ == '__main__':\n"
-        "    with local.local_cluster(1) as client:\n"
-        "        print(client.scheduler.address, flush=True)\n"
+        "    with LocalCluster(1, threads_per_worker=1, dashboard_address=None) as cluster:\n"
+        "        print(cluster.scheduler_address, flush=True)\n"
         "        time.sleep(60)\n"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}

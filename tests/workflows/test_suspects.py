@@ -39,7 +39,7 @@ def test_a_case_that_hangs_is_ended_and_quarantined_alone(tmp_path):
     others_are_kept(stored, [13])
     assert verify_store(tmp_path / "s").ok
     (log,) = (tmp_path / "s" / "log").glob("*.log")
-    assert "cases 10 to 20 ran for too long on tcp://127.0.0.1:" in log.read_text()
+    assert "cases 10 to 20 ran for too long on tls://127.0.0.1:" in log.read_text()
 
 
 def test_a_case_that_hangs_in_a_serial_run_is_quarantined_alone(tmp_path):

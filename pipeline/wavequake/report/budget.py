@@ -50,7 +50,8 @@ def _table(one: "xr.Dataset", quantity: str) -> Table:
         f"{number(float(one['rms_rest']))} {unit}",
         title_justify="left",
     )
-    table.add_column("factor")
+    names = [len(_words(one.isel(factor=row))) for row in range(one.sizes["factor"])]
+    table.add_column("factor", min_width=min(max(names, default=0), _LONGEST_NAME))
     for header in ("contributes\n" + unit, "without it\n" + unit, *_HEADERS):
         table.add_column(header, justify="right", no_wrap=True)
     for kind in dict.fromkeys(one["kind"].to_numpy().tolist()):
@@ -59,17 +60,21 @@ def _table(one: "xr.Dataset", quantity: str) -> Table:
             rows = rows[np.argsort(-one["share"].to_numpy()[rows], kind="stable")]
         for row in rows.tolist():
             factor = one.isel(factor=row)
-            name = str(factor["factor"].item())
-            words = f"{name} ({int(factor['segments'])} segments)" if kind == "ring" else name
             cells = [
                 _part(factor, float(one["rms"])),
                 number(float(factor["rms_without"])),
                 *(_share(factor, key) for key in _SHARES),
             ]
-            table.add_row(words, *cells, end_section=row == rows[-1])
+            table.add_row(_words(factor), *cells, end_section=row == rows[-1])
     return table
 
 
+def _words(factor: "xr.Dataset") -> str:
+    name = str(factor["factor"].item())
+    return f"{name} ({int(factor['segments'])} segments)" if factor["kind"].item() == "ring" else name
+
+
+_LONGEST_NAME = 24
 _HEADERS = ("mean square %\nswitched off", "variance %\nalone", "variance %\nwith interactions")
 
 

@@ -95,10 +95,10 @@ def read_manifest(path: Path | str) -> Manifest:
 
 def _text(file: Path) -> str:
     with file.open("rb") as content:
-        text = content.read(_LONGEST + 1)
-    if len(text) > _LONGEST:
-        raise ValueError(f"it is longer than {_LONGEST >> 20} MiB")
-    return text.decode()
+        size = os.fstat(content.fileno()).st_size
+        if size > _LONGEST:
+            raise ValueError(f"it is longer than {_LONGEST >> 20} MiB")
+        return content.read(size + 1).decode()  # reading takes the memory that it is allowed
 
 
 def sealed(entry: dict[str, Any]) -> dict[str, Any]:

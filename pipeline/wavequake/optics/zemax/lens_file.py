@@ -32,8 +32,8 @@ class LensFile:
 class LensFileError(UserError):
     """Why a lens file cannot be traced: all its problems; ``read`` shows what could be read of it."""
 
-    def __init__(self, message: str, read: str) -> None:
-        super().__init__(message)
+    def __init__(self, message: str, read: str, details: str = "") -> None:
+        super().__init__(message, details)
         self.read = read
 
 
@@ -61,7 +61,7 @@ class Problems:
         short = [one.removeprefix(f"{file.where}, ").rstrip(".") for one in self.found]
         lines = "\n".join(f"- {one}" for one in short)
         raise LensFileError(
-            f"{file.where} cannot be traced, for {len(self.found)} reasons:\n{lines}", listing(file)
+            f"{file.where} cannot be traced, for {len(self.found)} reasons:", listing(file), lines
         )
 
 

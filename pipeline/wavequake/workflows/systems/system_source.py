@@ -99,7 +99,8 @@ def described(source: str, overrides: Iterable[str], catalogue: Path | None = No
     try:
         return load_system(source, overrides, read_agf(catalogue) if catalogue else None).info()
     except LensFileError as error:
-        raise UserError(f"{error}\n\nWhat the file holds, in its own unit:\n{error.read}") from None
+        held = f"{error.details}\n\nWhat the file holds, in its own unit:\n{error.read}"
+        raise UserError(error, held.lstrip("\n")) from None
 
 
 def _names() -> tuple[str, ...]:
