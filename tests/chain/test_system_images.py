@@ -183,7 +183,7 @@ def test_lenses_image_objects_in_every_light(tmp_path):
 @pytest.mark.parametrize(
     ("imaging", "words"),
     [
-        ("weights = [1.0]", "imaging.weights has 1 entries, but double-gauss has 3 wavelengths"),
+        ("weights = [1.0]", "imaging.weights has 1 for the 3 wavelengths of double-gauss"),
         ("weights = [0.0, 0.0, 0.0]", "one is above 0"),
         ("pupil_samples = 16", "needs? .*; set it to at least that"),
         ('engine = "fast"', "imaging.engine"),
