@@ -155,7 +155,7 @@ def prepare_images(
     weights = np.array(section.weights if section.weights is not None else [1.0] * count)
     if len(weights) != count:
         raise UserError(
-            f"imaging.weights has {len(weights)} for the {count} wavelengths of {system.name}; give one for each."
+            f"imaging.weights has {len(weights)} for the {count} wavelengths of {system.name}; give one each."
         )
     primary = system.primary_wavelength
     aperture = _ROUND * max(
