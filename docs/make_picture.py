@@ -6,7 +6,7 @@ from pathlib import Path
 from wavequake.campaign.store.store import open_store, read_manifest
 from wavequake.report.figures import summary_figure
 from wavequake.report.populations import populations, representatives
-from wavequake.report.segments import detail
+from wavequake.report.segments.report import detail
 
 
 def main(store: str, disturbance: str | None = None) -> None:

@@ -114,7 +114,7 @@ def test_a_tail_is_that_of_the_command(stores, monkeypatch):
         {"wfe_rms_raw": ("case", values, {"units": "nm"}), "status": ("case", np.ones(4000, dtype=np.int8))},
         {"case": np.arange(4000), "disturbance": ("case", np.full(4000, "wind"))},
     )
-    monkeypatch.setattr("wavequake.report.tail.open_store", lambda store: fake)
+    monkeypatch.setattr("wavequake.report.answers.tail.open_store", lambda store: fake)
     (row,) = wq.tail("anywhere", limit=300.0).to_dict("records")
     assert row["value"] == pytest.approx(50.0 * np.log(1e4), rel=0.15)
     assert row["low"] < row["value"] < row["high"]

@@ -6,7 +6,7 @@ import pytest
 import xarray as xr
 
 from wavequake.optics.segments import sensitivity as optics
-from wavequake.report.sensitivity import zernike_name
+from wavequake.report.answers.sensitivity import zernike_name
 
 WORDS = [
     "tmt-segments",

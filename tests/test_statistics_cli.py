@@ -58,7 +58,7 @@ def test_a_tail_says_what_is_hardly_ever_exceeded_and_how_often_a_limit_is(swing
 def test_a_tail_is_that_of_the_values_of_the_store(swings):
     from wavequake.campaign.statistics.tail import fit_tail, rare_value
     from wavequake.campaign.store.store import open_store
-    from wavequake.report.tail import RareQuestion, rare_events
+    from wavequake.report.answers.tail import RareQuestion, rare_events
 
     values = open_store(swings)["wfe_rms_raw"].sel(statistic="rms").to_numpy()
     answer = rare_events(swings, RareQuestion("wfe_rms_raw", "rms", 1e-4))

@@ -254,7 +254,7 @@ def report(
         raise UserError("--controller and --format belong to an animation; say --animate CASE, too.")
     _write_report(store, fresh=True)
     if animate is not None:
-        from wavequake.report.animation import animate_case
+        from wavequake.report.exposures.animation import animate_case
 
         film = animate_case(store, animate, controller, kind=format or "gif")
         out.print(f"Written: {film}", markup=False, soft_wrap=True)
@@ -275,7 +275,7 @@ def export(
 ) -> None:
     """Write a store to one NetCDF, FITS or CSV file, or a disturbed system to a lens file."""
     if file.suffix.lower() == ".zmx":
-        from wavequake.report.case_lens_file import export_case
+        from wavequake.report.exports.lens_file import export_case
 
         if case is None:
             raise UserError("A lens file holds one case of the store; say --case ID, too.")
@@ -297,7 +297,7 @@ def compare(
     ] = None,
 ) -> None:
     """Compare stores case by case: cases of equal labels (the same draws) are paired."""
-    from wavequake.report.comparison import compare_stores
+    from wavequake.report.answers.comparison import compare_stores
 
     table, path = compare_stores(stores, figure)
     out.print(table)
@@ -347,7 +347,7 @@ def rerun_case(
     ] = None,
 ) -> None:
     """Compute one case again in full detail and compare its bits with the store (exit code 4 if others)."""
-    from wavequake.report.rerun import rerun_stored
+    from wavequake.report.exports.rerun import rerun_stored
 
     found = rerun_stored(store, case, file)
     out.print(found.table())

@@ -33,8 +33,8 @@ def sensitivity(
 ) -> None:
     """Show and keep how line of sight and wavefront follow motions of every surface and segment."""
     from wavequake.campaign.store.store import SENSITIVITY
-    from wavequake.report import sensitivity as of_segments
-    from wavequake.report import system_sensitivity as of_system
+    from wavequake.report.answers import sensitivity as of_segments
+    from wavequake.report.answers import system_sensitivity as of_system
     from wavequake.workflows.sensitivity import stored_sensitivity
     from wavequake.workflows.sensitivity_source import sensitivity_study
 

@@ -21,7 +21,7 @@ def budget(
 ) -> None:
     """Rank disturbances, and rings of segments or elements, by what they contribute; the store keeps it."""
     from wavequake.campaign.store.store import BUDGET, MANIFEST
-    from wavequake.report.budget import explanations, tables
+    from wavequake.report.answers.budget import explanations, tables
     from wavequake.workflows.budgets.budget import stored_budget
     from wavequake.workflows.study import load_study
 
@@ -57,7 +57,7 @@ def tail(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Estimate rare events: values that are hardly ever exceeded, and how often a limit is."""
-    from wavequake.report.tail import RareQuestion, rare_events, rare_notes, rare_table
+    from wavequake.report.answers.tail import RareQuestion, rare_events, rare_notes, rare_table
 
     question = RareQuestion(variable, statistic, probability, limit, threshold, below)
     answer = rare_events(store, question)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from wavequake.report.detail import Detail
+from wavequake.report.segments.detail import Detail
 
 TODO, DONE, RAISED, TIMED_OUT = 0, 1, 2, 4
 HOSTILE = '</title><script>alert("x")</script><img src=x onerror=alert(1)> $\\frac{'

@@ -10,8 +10,11 @@ import xarray as xr
 from dask.array import full
 
 from wavequake.campaign.contract import DONE
-from wavequake.report import exposures, mirror_exposures, mirror_traces, mirrors
-from wavequake.report.variants import few
+from wavequake.report.exposures import report as exposures
+from wavequake.report.mirrors import exposures as mirror_exposures
+from wavequake.report.mirrors import report as mirrors
+from wavequake.report.mirrors import traces as mirror_traces
+from wavequake.report.mirrors.variants import few
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.mirrors import model_store
 from wavequake.workflows.study import load_study

@@ -6,7 +6,7 @@ import pytest
 import xarray as xr
 from rich.console import Console
 
-from wavequake.report.budget import explanations, tables
+from wavequake.report.answers.budget import explanations, tables
 
 
 def budget_of(shares):

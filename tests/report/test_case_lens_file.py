@@ -14,7 +14,7 @@ from wavequake.optics.rays.aiming import pupil_rays
 from wavequake.optics.rays.packing import bundle_rotation, moving, pack
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.optics.systems.kinematics import rest_states
-from wavequake.report.case_lens_file import export_case
+from wavequake.report.exports.lens_file import export_case
 from wavequake.workflows.systems.system_bench import at_instant, system_bench, system_states
 from wavequake.workflows.systems.system_disturbance import draw
 

@@ -9,7 +9,7 @@ import xarray as xr
 from wavequake import cli
 from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
-from wavequake.report.rerun import rerun_stored
+from wavequake.report.exports.rerun import rerun_stored
 from wavequake.workflows import kinds
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.run import run

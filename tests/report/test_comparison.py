@@ -8,7 +8,7 @@ from rich.console import Console
 
 from wavequake import cli
 from wavequake.errors import UserError
-from wavequake.report.comparison import compare, comparison_figure, comparison_table
+from wavequake.report.answers.comparison import compare, comparison_figure, comparison_table
 
 
 def other(campaign, scale=1.0, shift=0.0):

@@ -12,7 +12,7 @@ from dask.array import ones
 
 import wavequake as wq
 from wavequake.errors import UserError
-from wavequake.report.export import export
+from wavequake.report.exports.store import export
 
 
 @pytest.fixture
@@ -217,7 +217,7 @@ def test_a_full_disk_is_told_and_leaves_nothing(dataset, tmp_path, suffix):
 import resource, signal
 import xarray as xr
 from wavequake.errors import UserError
-from wavequake.report.export import export
+from wavequake.report.exports.store import export
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 dataset = xr.load_dataset("source.nc")
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
@@ -235,7 +235,7 @@ except UserError as error:
 
 
 def test_fits_without_astropy_says_what_to_install(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr("wavequake.report.export.find_spec", lambda name: None)
+    monkeypatch.setattr("wavequake.report.exports.store.find_spec", lambda name: None)
     with pytest.raises(UserError, match=r"pip install 'wavequake\[fits\]'"):
         export(dataset, tmp_path / "a.fits")
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.report.html import render_report, write_report
+from wavequake.report.segments.page import render_report, write_report
 
 LIMITS = {"shake": (5.1, "mas")}
 VOID = {"meta", "br", "img", "link", "input", "hr"}

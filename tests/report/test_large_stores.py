@@ -18,9 +18,9 @@ from wavequake.campaign.store.journal import Record, append
 from wavequake.campaign.store.store import create_store, open_store
 from wavequake.campaign.store.verify import verify_store
 from wavequake.kernels.device.devices import choose_device
-from wavequake.report.comparison import compare
-from wavequake.report.export import export
-from wavequake.report.tail import per_case
+from wavequake.report.answers.comparison import compare
+from wavequake.report.answers.tail import per_case
+from wavequake.report.exports.store import export
 from wavequake.workflows.run import run_study
 from wavequake.workflows.segments import segment_disturbance
 from wavequake.workflows.study import load_study

@@ -6,8 +6,8 @@ from rich.console import Console
 
 from wavequake.errors import UserError
 from wavequake.firmware.build import BOARDS, compiler_of
-from wavequake.report import lens
-from wavequake.report import lens_figures as draw
+from wavequake.report.lens import figures as draw
+from wavequake.report.lens import report as lens
 from wavequake.workflows.run import run
 
 

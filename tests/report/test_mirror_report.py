@@ -8,8 +8,10 @@ import pytest
 import xarray as xr
 from rich.console import Console
 
-from wavequake.report import mirror_figures, mirror_traces, mirrors
-from wavequake.report.variants import criterion_of, largest, left_out, model_results, representatives
+from wavequake.report.mirrors import figures as mirror_figures
+from wavequake.report.mirrors import report as mirrors
+from wavequake.report.mirrors import traces as mirror_traces
+from wavequake.report.mirrors.variants import criterion_of, largest, left_out, model_results, representatives
 
 # Name, order, wavefront error (nm) under the two excitations, line of sight (mm), image.
 VARIANTS = (

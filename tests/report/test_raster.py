@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wavequake.report.raster import fill_segments, segment_at
+from wavequake.report.segments.raster import fill_segments, segment_at
 
 
 def rays_on(centers, radius=500.0, count=6):

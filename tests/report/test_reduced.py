@@ -9,11 +9,11 @@ import xarray as xr
 from rich.console import Console
 
 import wavequake as wq
-from wavequake.report import reduced
+from wavequake.report.answers.comparison import compare
 from wavequake.report.campaign import report_store, summary_table
-from wavequake.report.comparison import compare
-from wavequake.report.export import export
-from wavequake.report.rerun import rerun_stored
+from wavequake.report.exports.rerun import rerun_stored
+from wavequake.report.exports.store import export
+from wavequake.report.segments import reduced
 from wavequake.workflows.study import load_study
 
 KEYS = {

@@ -6,9 +6,9 @@ from typer.testing import CliRunner
 
 from wavequake.campaign.store.store import open_store, read_manifest
 from wavequake.cli import app
-from wavequake.report.comparison import compare
-from wavequake.report.mirrors import results_of
-from wavequake.report.segment_variants import detail
+from wavequake.report.answers.comparison import compare
+from wavequake.report.mirrors.report import results_of
+from wavequake.report.segments.variants import detail
 from wavequake.workflows.mirrors import model_store
 from wavequake.workflows.run import run_study
 from wavequake.workflows.segments.segment_mor_bench import model_of

@@ -14,7 +14,7 @@ from wavequake.kernels.trace.status import GAP, VIGNETTED, lost_at
 from wavequake.optics.rays.pupils import segment_rays
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.prepared import prepare
-from wavequake.report.vignetting import stopped_light
+from wavequake.report.segments.vignetting import stopped_light
 from wavequake.workflows.budgets.budget import budget
 from wavequake.workflows.run import kind_of
 from wavequake.workflows.segments import segment_disturbance as workflow

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from wavequake.report import system_populations
+from wavequake.report.systems import populations as system_populations
 
 CASES, CHUNK, INSTANTS, FIELDS, WAVES = 37, 5, 8, 3, 2
 BENCH = SimpleNamespace(system=SimpleNamespace(primary_wavelength=1))

@@ -8,7 +8,7 @@ import pytest
 from wavequake import cli
 from wavequake.mechanics.disturbances.element_motion import draw_elements
 from wavequake.optics.rays.pupils import sunflower
-from wavequake.report.budget import budget_figure, explanations
+from wavequake.report.answers.budget import budget_figure, explanations
 from wavequake.workflows.budgets.budget import budget, stored_budget, summed
 from wavequake.workflows.budgets.budget_systems import variants
 from wavequake.workflows.segments.segment_disturbance import slot

@@ -10,8 +10,8 @@ from small_histories import SMALL, SYSTEM
 from wavequake.campaign.contract import RAISED
 from wavequake.campaign.store.store import open_store
 from wavequake.control.bench import bench_modes
-from wavequake.report import case_detail
-from wavequake.report.rerun import rerun_stored
+from wavequake.report.exports.rerun import rerun_stored
+from wavequake.report.segments import case_detail
 from wavequake.workflows.lens.lens_experiment import bench_of
 from wavequake.workflows.run import run
 

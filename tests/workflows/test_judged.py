@@ -18,7 +18,7 @@ from wavequake.campaign.statistics.until import Goal, goal_of, is_met, quantiles
 from wavequake.campaign.store.retention import stored_template
 from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
-from wavequake.report.tail import RareQuestion, per_case, rare_events
+from wavequake.report.answers.tail import RareQuestion, per_case, rare_events
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study, study_with
@@ -202,7 +202,7 @@ def test_the_worst_field_is_the_smallest_where_small_values_are_judged(monkeypat
     for probability, worst in ((0.05, poor), (0.49, poor), (0.5, good), (0.95, good)):
         found = quantiles_of(Goal("strehl", probability, 0.01), data)["all cases"]
         np.testing.assert_allclose(found.value, np.quantile(worst, probability), rtol=1e-12)
-    monkeypatch.setattr("wavequake.report.tail.open_store", lambda path: data)
+    monkeypatch.setattr("wavequake.report.answers.tail.open_store", lambda path: data)
     (low,) = rare_events("s", RareQuestion("strehl", "mean", 1e-3, below=True)).found
     np.testing.assert_allclose(low.tail.values, np.sort(-strehl.mean(axis=1).min(axis=-1)), rtol=1e-14)
     (high,) = rare_events("s", RareQuestion("strehl", "mean", 1e-3)).found
@@ -216,7 +216,7 @@ def many(tmp_path_factory):
 
 
 def test_tails_are_judged_per_controller(many, monkeypatch, wavequake):
-    monkeypatch.setattr("wavequake.report.tail.open_store", lambda path: many)
+    monkeypatch.setattr("wavequake.report.answers.tail.open_store", lambda path: many)
     question = RareQuestion("x", "max", 1e-3)
     found = rare_events("s", question).found
     assert [tail.name for tail in found] == ["all cases, off", "all cases, FF+FI"]
@@ -232,7 +232,7 @@ def test_tails_are_judged_per_controller(many, monkeypatch, wavequake):
 
 def test_what_has_no_tail_keeps_others_from_nothing(many, monkeypatch, wavequake):
     constant = many.assign(x=many["x"].where(many["controller"] != "off", 7.0))
-    monkeypatch.setattr("wavequake.report.tail.open_store", lambda path: constant)
+    monkeypatch.setattr("wavequake.report.answers.tail.open_store", lambda path: constant)
     answer = rare_events("s", RareQuestion("x", "max", 1e-3))
     assert [tail.name for tail in answer.found] == ["all cases, FF+FI"]
     assert answer.reasons == ("all cases, off: Only 0 of 400 cases exceed 7, and a tail needs at least 50; "

@@ -10,9 +10,9 @@ from wavequake.campaign.store.retention import kept_template, retention_of
 from wavequake.campaign.store.store import open_store
 from wavequake.campaign.store.verify import verify_store
 from wavequake.errors import UserError
+from wavequake.report.answers.comparison import compare
 from wavequake.report.campaign import export_store, report_store, summary_table
-from wavequake.report.comparison import compare
-from wavequake.report.rerun import rerun_stored
+from wavequake.report.exports.rerun import rerun_stored
 from wavequake.workflows.run import plan, run_study
 from wavequake.workflows.study import study_with
 

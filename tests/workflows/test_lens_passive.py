@@ -6,7 +6,7 @@ import pytest
 from wavequake.control.bench import fitted_bench
 from wavequake.control.passive import objective
 from wavequake.errors import UserError
-from wavequake.report import lens_passive as report
+from wavequake.report.lens import passive as report
 from wavequake.workflows.lens.lens_passive import compute, start_of, study_of
 from wavequake.workflows.run import run
 from wavequake.workflows.study import load_study

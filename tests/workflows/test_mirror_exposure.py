@@ -18,9 +18,10 @@ from wavequake.imaging.engines.matrix_fourier import matrix_fourier, psf
 from wavequake.imaging.exposures.mtf import ideal_mtf
 from wavequake.imaging.exposures.through_focus import through_focus
 from wavequake.imaging.pupils.pupil_function import annular_pupil
-from wavequake.report import animation, mirror_exposures, psf_figures
-from wavequake.report.animation import animate_case
 from wavequake.report.campaign import report_store, summary_table
+from wavequake.report.exposures import animation, psf_figures
+from wavequake.report.exposures.animation import animate_case
+from wavequake.report.mirrors import exposures as mirror_exposures
 from wavequake.workflows.exposures import mirror_exposure
 from wavequake.workflows.exposures.mirror_exposure import (
     KIND,

@@ -15,7 +15,7 @@ from wavequake.campaign.store.store import open_store
 from wavequake.cli import app
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.reduction.reduce import reduce
-from wavequake.report.comparison import compare
+from wavequake.report.answers.comparison import compare
 from wavequake.workflows.mirrors.mirror_bench import bench_of, build_model
 from wavequake.workflows.mirrors.mirror_mor import compute, exposures
 from wavequake.workflows.run import plan, run_study

@@ -7,9 +7,9 @@ from small_mirrors import MOR, eleven, wavefront_of
 
 from wavequake.campaign.store.store import open_store
 from wavequake.optics.rays.pupils import sunflower
-from wavequake.report import mirror_shapes as draw
-from wavequake.report import mirrors
-from wavequake.report.deformed_body import bodies
+from wavequake.report.mirrors import report as mirrors
+from wavequake.report.mirrors import shapes as draw
+from wavequake.report.mirrors.deformed_body import bodies
 from wavequake.workflows.mirrors.mirror_bench import bench_of, build_model, variant_of
 from wavequake.workflows.mirrors.mirror_mor import compute
 from wavequake.workflows.mirrors.mirror_shapes import mode_shapes, rim_node

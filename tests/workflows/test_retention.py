@@ -12,8 +12,8 @@ from wavequake.campaign.statistics.until import goal_of, quantiles_of
 from wavequake.campaign.store.retention import STATISTICS, kept_template, retention_of, stored_template
 from wavequake.campaign.store.store import create_store, open_store
 from wavequake.errors import UserError
-from wavequake.report.comparison import compare
-from wavequake.report.tail import per_case
+from wavequake.report.answers.comparison import compare
+from wavequake.report.answers.tail import per_case
 from wavequake.workflows.kinds import bundled_kinds, find_kind
 from wavequake.workflows.run import run_study
 from wavequake.workflows.study import load_study, study_with

@@ -20,7 +20,7 @@ from wavequake.optics.systems.bodies import rigid_body, with_bodies
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.system import SystemStates
 from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
-from wavequake.report.rerun import rerun_stored
+from wavequake.report.exports.rerun import rerun_stored
 from wavequake.workflows.budgets.budget import summed
 from wavequake.workflows.budgets.budget_systems import experiment, variants
 from wavequake.workflows.run import notices, plan, run, run_study

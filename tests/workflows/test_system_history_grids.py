@@ -14,7 +14,7 @@ from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.shapes.shapes import GridDeformation
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import measure_system
-from wavequake.report.rerun import rerun_stored
+from wavequake.report.exports.rerun import rerun_stored
 from wavequake.workflows.budgets.budget import summed
 from wavequake.workflows.budgets.budget_systems import elements_of, variants
 from wavequake.workflows.run import run

@@ -77,7 +77,7 @@ def compare(first: str | Path, *others: str | Path) -> "pd.DataFrame":
     import pandas as pd
 
     from wavequake.campaign.store.store import open_store
-    from wavequake.report.comparison import compare as differences
+    from wavequake.report.answers.comparison import compare as differences
 
     if not others:
         raise UserError("compare needs at least two stores.")
@@ -146,7 +146,7 @@ def tail(
     """
     import pandas as pd
 
-    from wavequake.report.tail import RareQuestion, rare_events
+    from wavequake.report.answers.tail import RareQuestion, rare_events
 
     answer = rare_events(store, RareQuestion(variable, statistic, probability, limit, threshold, below))
     sign, rows = -1.0 if below else 1.0, []

@@ -12,20 +12,20 @@ from wavequake.campaign.store.store import JOURNAL, REPORT, Manifest, open_store
 from wavequake.campaign.store.verify import verify_store
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.device.devices import choose_device
-from wavequake.report.export import export, target_of
+from wavequake.report.exports.store import export, target_of
 
 # Modules with table_of(store, dataset) and write_report_of(store, dataset, target, device), imported when a
 # store asks for them. Other kinds have the plain report, which is made of their measures.
 _REPORTS = {
-    "segment-disturbance": "segments",
-    "mirror-mor": "mirrors",
-    "segment-mor": "segment_variants",
-    "mirror-trace": "mirror_traces",
-    "system-disturbance": "systems",
-    "telescope-exposure": "exposures",
-    "mirror-exposure": "mirror_exposures",
-    "lens-experiment": "lens",
-    "lens-passive": "lens_passive",
+    "segment-disturbance": "segments.report",
+    "mirror-mor": "mirrors.report",
+    "segment-mor": "segments.variants",
+    "mirror-trace": "mirrors.traces",
+    "system-disturbance": "systems.report",
+    "telescope-exposure": "exposures.report",
+    "mirror-exposure": "mirrors.exposures",
+    "lens-experiment": "lens.report",
+    "lens-passive": "lens.passive",
 }
 
 

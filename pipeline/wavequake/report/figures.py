@@ -25,10 +25,10 @@ from wavequake.drawing.style import HEIGHT as HEIGHT
 from wavequake.drawing.style import LINES as LINES
 from wavequake.drawing.style import STYLE as STYLE
 from wavequake.drawing.style import WIDTH as WIDTH
-from wavequake.report.detail import Detail
 from wavequake.report.labels import Labels
 from wavequake.report.populations import Population
-from wavequake.report.raster import fill_segments
+from wavequake.report.segments.detail import Detail
+from wavequake.report.segments.raster import fill_segments
 from wavequake.report.statistics import case_rms, distribution
 from wavequake.report.table import number
 

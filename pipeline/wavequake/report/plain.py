@@ -19,12 +19,12 @@ from rich.text import Text
 
 from wavequake.campaign.contract import DONE
 from wavequake.campaign.store.store import read_manifest
-from wavequake.report import budget
+from wavequake.report.answers import budget
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
 from wavequake.report.statistics import quantile
-from wavequake.report.system_figures import distributions
+from wavequake.report.systems.figures import distributions
 from wavequake.report.table import interval, number
 from wavequake.words import counted
 from wavequake.workflows.kinds import find_kind

@@ -9,9 +9,9 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.campaign.contract import DONE
-from wavequake.report import exposure_figures as draw
+from wavequake.report.exposures import figures as draw
+from wavequake.report.exposures.psf_figures import image_row, log_psf, mtf_curves
 from wavequake.report.page import Picture, picture
-from wavequake.report.psf_figures import image_row, log_psf, mtf_curves
 from wavequake.report.table import number
 
 Array = NDArray[np.float64]

@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.mirrors.variants import few
 from wavequake.report.statistics import distribution
 from wavequake.report.table import number
-from wavequake.report.variants import few
 from wavequake.workflows.lens.lens_experiment import exact_of, study_of
 
 Array = NDArray[np.float64]

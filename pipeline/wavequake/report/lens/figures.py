@@ -19,7 +19,7 @@ from wavequake.control.stage import Stage, stage_model
 from wavequake.control.stage_identification import IdentifiedStage, identify_stage, smoothed
 from wavequake.control.thesis import KalmanFilter, kalman_filter
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
-from wavequake.report.variants import few
+from wavequake.report.mirrors.variants import few
 
 Array = NDArray[np.float64]
 

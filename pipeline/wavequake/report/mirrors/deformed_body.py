@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.report.figures import STYLE, WIDTH
+from wavequake.report.mirrors.variants import VariantResult
 from wavequake.report.table import number
-from wavequake.report.variants import VariantResult
 
 Array = NDArray[np.float64]
 

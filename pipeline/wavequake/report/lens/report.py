@@ -12,9 +12,9 @@ from rich.table import Table
 from rich.text import Text
 
 from wavequake.campaign.contract import DONE
-from wavequake.report import lens_figures as draw
 from wavequake.report.histories import has_all_instants, what_is_kept
-from wavequake.report.lens_firmware import Firmware, firmware_of, left_beside, off_exact
+from wavequake.report.lens import figures as draw
+from wavequake.report.lens.firmware import Firmware, firmware_of, left_beside, off_exact
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number

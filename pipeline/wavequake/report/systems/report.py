@@ -16,13 +16,14 @@ from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.registry import instants_of
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.wavefronts.wavefront import trace_system
-from wavequake.report import budget, system_images
-from wavequake.report import system_figures as draw_figures
+from wavequake.report.answers import budget
 from wavequake.report.histories import what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
 from wavequake.report.statistics import Quantile, quantile
-from wavequake.report.system_populations import FieldResult, SystemPopulation, populations
+from wavequake.report.systems import figures as draw_figures
+from wavequake.report.systems import images as system_images
+from wavequake.report.systems.populations import FieldResult, SystemPopulation, populations
 from wavequake.report.table import interval, number, share
 from wavequake.workflows.systems.system_bench import (
     SystemBench,

@@ -8,10 +8,10 @@ from matplotlib.figure import Figure
 
 from wavequake.errors import UserError
 from wavequake.report import figures
-from wavequake.report.detail import Detail
 from wavequake.report.histories import what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import Population, Summary, excluded, populations, summarize
+from wavequake.report.segments.detail import Detail
 from wavequake.report.table import number, rows
 
 _SMALL_PRINT = (

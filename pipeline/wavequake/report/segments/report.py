@@ -11,13 +11,14 @@ from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import from_tiles
 from wavequake.mechanics.disturbances.registry import analytic_rms
 from wavequake.optics.segments.prepared import trace_states
-from wavequake.report import budget, reduced
-from wavequake.report.detail import Detail
+from wavequake.report.answers import budget
 from wavequake.report.histories import what_is_kept
-from wavequake.report.html import write_report
 from wavequake.report.populations import Summary, populations, representatives, summarize
+from wavequake.report.segments import reduced
+from wavequake.report.segments.detail import Detail
+from wavequake.report.segments.page import write_report
+from wavequake.report.segments.vignetting import stopped_light
 from wavequake.report.table import terminal_table
-from wavequake.report.vignetting import stopped_light
 from wavequake.workflows.segments.bench import MAS_PER_RAD, bench_of
 from wavequake.workflows.segments.segment_disturbance import draw, surface_states
 

@@ -20,8 +20,8 @@ from wavequake.campaign.store.retention import kept_result, stored_template
 from wavequake.campaign.store.store import open_store, read_manifest
 from wavequake.errors import UserError
 from wavequake.report.campaign import device_at_hand
-from wavequake.report.case_detail import detail_of
-from wavequake.report.export import export, target_of
+from wavequake.report.exports.store import export, target_of
+from wavequake.report.segments.case_detail import detail_of
 from wavequake.workflows.kinds import find_kind
 
 
@@ -67,7 +67,7 @@ def rerun_stored(store: Path, case: int, file: Path | None = None) -> CaseRerun:
     """Compute a case of a store again from its study and id, and compare every number with the stored one.
 
     The numbers go to `file`, by default ``STORE/case-ID.nc``, over all instants also where the store keeps
-    less, and with what no store keeps (:func:`wavequake.report.case_detail.detail_of`). The store is not
+    less, and with what no store keeps (`segments.case_detail.detail_of`). The store is not
     changed.
 
     Raises

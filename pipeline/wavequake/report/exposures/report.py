@@ -8,12 +8,12 @@ import xarray as xr
 from numpy.typing import NDArray
 from rich.table import Table
 
-from wavequake.report import exposure_figures as draw
-from wavequake.report import exposure_tables as common
+from wavequake.report.exposures import figures as draw
+from wavequake.report.exposures import tables as common
+from wavequake.report.exposures.psf_figures import focus_panels
 from wavequake.report.histories import has_histories, over_time, wander, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
-from wavequake.report.psf_figures import focus_panels
 from wavequake.report.table import number
 
 Array = NDArray[np.float64]

@@ -6,9 +6,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from wavequake.report.exposure_figures import Panel, exposure_panels
+from wavequake.report.exposures.figures import Panel, exposure_panels
+from wavequake.report.exposures.psf_figures import image_row
 from wavequake.report.page import Picture, picture
-from wavequake.report.psf_figures import image_row
 from wavequake.report.table import number
 from wavequake.workflows.systems.system_bench import SystemBench, field_name
 

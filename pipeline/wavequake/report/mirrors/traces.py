@@ -11,11 +11,11 @@ from rich.table import Table
 from rich.text import Text
 
 from wavequake.campaign.contract import DONE
-from wavequake.report import mirror_figures as draw
 from wavequake.report.histories import has_histories, over_time, what_is_kept
+from wavequake.report.mirrors import figures as draw
+from wavequake.report.mirrors.variants import few, left_out
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.table import MISSING, number
-from wavequake.report.variants import few, left_out
 from wavequake.workflows.mirrors.mirror_trace import MODAL, STANDARD
 
 # Stores of earlier versions displaced all nodes at every instant.

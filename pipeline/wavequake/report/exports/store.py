@@ -64,13 +64,13 @@ def target_of(path: str | Path, overwrite: bool = False) -> Path:
 
 
 def _write_netcdf(dataset: xr.Dataset, path: Path) -> None:
-    from wavequake.report.netcdf_file import write_netcdf  # HDF5 takes a while to load
+    from wavequake.report.exports.netcdf_file import write_netcdf  # HDF5 takes a while to load
 
     write_netcdf(dataset, path)
 
 
 def _write_fits(dataset: xr.Dataset, path: Path) -> None:
-    from wavequake.report.fits_file import write_fits  # Astropy may be missing
+    from wavequake.report.exports.fits_file import write_fits  # Astropy may be missing
 
     write_fits(dataset, path)
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from wavequake.report.sensitivity import zernike_name
+from wavequake.report.answers.sensitivity import zernike_name
 from wavequake.report.table import MISSING, number
 
 if TYPE_CHECKING:

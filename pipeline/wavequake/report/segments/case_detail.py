@@ -16,7 +16,7 @@ from wavequake.mechanics.vibration.modal import modal_model
 from wavequake.mechanics.vibration.response import respond
 from wavequake.optics.shapes.motion_fit import figures, motion_fit
 from wavequake.optics.wavefronts.wavefront import trace_system
-from wavequake.report.segments import detail
+from wavequake.report.segments.report import detail
 from wavequake.workflows.exposures.telescope_control import CONTROLLERS, control_bench_of, measured_opd
 from wavequake.workflows.exposures.telescope_exposure import case_blocks, scaled_draw
 from wavequake.workflows.lens import lens_experiment as lens

@@ -14,12 +14,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from wavequake.optics.polynomials.zernike import annular_zernike
-from wavequake.report.deformed_body import bodies
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
 from wavequake.report.histories import has_all_instants
+from wavequake.report.mirrors.deformed_body import bodies
+from wavequake.report.mirrors.variants import ModelResult, VariantResult, representatives
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import number as shortened
-from wavequake.report.variants import ModelResult, VariantResult, representatives
 from wavequake.workflows.mirrors.mirror_shapes import PAIR
 
 Array = NDArray[np.float64]

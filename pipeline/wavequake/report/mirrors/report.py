@@ -11,12 +11,10 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from wavequake.report import mirror_figures as draw
-from wavequake.report import mirror_shapes
 from wavequake.report.histories import has_histories, what_is_kept
-from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
-from wavequake.report.table import MISSING, number
-from wavequake.report.variants import (
+from wavequake.report.mirrors import figures as draw
+from wavequake.report.mirrors import shapes as mirror_shapes
+from wavequake.report.mirrors.variants import (
     MEASURES,
     Criterion,
     ModelResult,
@@ -28,6 +26,8 @@ from wavequake.report.variants import (
     model_results,
     representatives,
 )
+from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.table import MISSING, number
 
 _SMALL_PRINT = (
     "ε: largest relative error of the transfer matrix over frequency, in small print over the lower third of "

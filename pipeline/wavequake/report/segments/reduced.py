@@ -16,14 +16,14 @@ from rich.text import Text
 from wavequake.campaign.contract import DONE
 from wavequake.campaign.store.store import read_manifest
 from wavequake.mechanics.disturbances.registry import analytic_rms
-from wavequake.report import budget
+from wavequake.report.answers import budget
 from wavequake.report.histories import what_is_kept
 from wavequake.report.page import Page, Picture, picture, render_page, write_page
 from wavequake.report.populations import left_out
+from wavequake.report.segments.vignetting import stopped_light
 from wavequake.report.statistics import Quantile, case_rms, quantile
-from wavequake.report.system_figures import distributions
+from wavequake.report.systems.figures import distributions
 from wavequake.report.table import MISSING, interval, number, share
-from wavequake.report.vignetting import stopped_light
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.segment_modal import CERTIFIED, TRACED
 

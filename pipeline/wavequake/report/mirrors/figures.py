@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH, power_of_ten
-from wavequake.report.variants import MEASURES, Criterion, ModelResult, VariantResult, largest
+from wavequake.report.mirrors.variants import MEASURES, Criterion, ModelResult, VariantResult, largest
 
 # Noll indices whose responses Fig. 4.29 shows: one of each pair that three-fold symmetry makes alike.
 _SHOWN = (2, 4, 5, 7, 9, 11)

@@ -11,13 +11,13 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.store.store import read_manifest
 from wavequake.kernels.device.devices import choose_device
-from wavequake.report import mirror_figures as draw
-from wavequake.report import mirrors
-from wavequake.report.detail import Detail
 from wavequake.report.figures import opd_map, segment_map
 from wavequake.report.histories import has_all_instants, what_is_kept
+from wavequake.report.mirrors import figures as draw
+from wavequake.report.mirrors import report as mirrors
+from wavequake.report.mirrors.variants import ModelResult, VariantResult, left_out, representatives
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
-from wavequake.report.variants import ModelResult, VariantResult, left_out, representatives
+from wavequake.report.segments.detail import Detail
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench
 from wavequake.workflows.segments.segment_mor import SHAKEN, at_rest, launches
 from wavequake.workflows.segments.segment_mor_bench import (

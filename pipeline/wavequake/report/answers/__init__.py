@@ -1,0 +1,1 @@
+"""What single commands print and draw: budgets, comparisons, tails, sensitivities."""

@@ -1,0 +1,1 @@
+"""Stores and cases as files of other programs."""
