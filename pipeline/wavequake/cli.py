@@ -359,10 +359,13 @@ def rerun_case(
 
 def _write_report(store: Path, fresh: bool) -> None:
     from wavequake.report.campaign import is_current, report_path, report_store, summary_table
+    from wavequake.report.page import read_answer
 
     if fresh or not is_current(store):
         table, path = report_store(store)
     else:
         table, path = summary_table(store), report_path(store)
     out.print(table)
+    if answer := read_answer(path):
+        out.print(answer, markup=False, style="bold", highlight=False)
     out.print(f"Report: {path.resolve()}", markup=False, soft_wrap=True)

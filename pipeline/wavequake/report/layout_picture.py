@@ -20,4 +20,9 @@ def layout_picture(dataset: xr.Dataset) -> Iterator[Picture]:
         figure = draw(study_from_identity(model, text))
     except (ValueError, KeyError, TypeError, UserError):  # a part of a store, or one of another program
         return
-    yield picture("layout", "What the study is about: the optical layout or the mirror, to scale", figure)
+    yield picture(
+        "layout",
+        "What the study is about: the optical layout or the mirror, to scale",
+        figure,
+        "Dashed lines are clear apertures or the pupil, thin lines rays.",
+    )

@@ -7,6 +7,7 @@ import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +29,12 @@ _LONGEST = 100_000  # characters of a file of a study
 
 @dataclass(frozen=True)
 class Picture:
-    """A drawn figure, its place in the document and its words for those who cannot see it."""
+    """A drawn figure, its place in the document, its title, and how to read it."""
 
     id: str
     text: str
     svg: Markup
+    how: str = ""
 
     @property
     def points(self) -> int:
@@ -117,9 +119,16 @@ def write_page(text: str, path: str | Path) -> Path:
     return target
 
 
-def picture(id_: str, text: str, figure: Figure) -> Picture:
-    """Return a figure as part of a page; `id_` is unique in it."""
-    return Picture(id_, text, Markup(inline_svg(figure, id_)))
+def picture(id_: str, text: str, figure: Figure, how: str = "") -> Picture:
+    """Return a figure as part of a page; `id_` is unique in it, `text` its title, `how` how to read it."""
+    return Picture(id_, text, Markup(inline_svg(figure, id_)), how)
+
+
+def read_answer(report: Path) -> str:
+    """Return the answer that a written report gives; empty where it has none."""
+    with open(report, encoding="utf-8") as file:
+        found = re.search(r'<meta name="description" content="([^"]*)">', file.read(8192))
+    return unescape(found[1]) if found else ""
 
 
 def inline_svg(figure: Figure, salt: str) -> str:

@@ -166,7 +166,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     found = rows(dataset)
     kind = find_kind(read_manifest(store).workflow)
     own = [
-        picture(f"own-{index}", f"{one.title}: {one.caption}", one.figure)
+        picture(f"own-{index}", one.title, one.figure, one.caption)
         for index, one in enumerate(kind.pictures(read_manifest(store).study, dataset))
     ]
     sections = [
@@ -216,6 +216,7 @@ def _distributions(found: list[Row], groups: dict[str, NDArray[np.bool_]]) -> It
                 f"distribution-{index}",
                 f"Share of cases with at most so much {label}",
                 distributions(values, label),
+                "The curve gives the share of cases at or below a value.",
             )
 
 
@@ -232,8 +233,9 @@ def _histories(dataset: xr.Dataset, groups: dict[str, NDArray[np.bool_]]) -> Ite
         units = str(one.attrs.get("units", ""))
         yield picture(
             f"history-{one.name}",
-            f"{one.name} over time: median of the cases, and the band that holds 90 % of them",
+            f"{one.name} over time",
             _history(dataset["time_s"].to_numpy(), values.to_numpy(), groups, f"{one.name} ({units})"),
+            "The median of the cases, and the band that holds 90 % of them.",
         )
 
 

@@ -145,7 +145,15 @@ def pictures(store: Path) -> list[Picture]:
         return []
     found = open_budget(store)
     words = f"Budget of {found.attrs['population']}: shares by factor, with 95 % confidence"
-    return [picture("budget", words, budget_figure(found))]
+    return [
+        picture(
+            "budget",
+            words,
+            budget_figure(found),
+            "A marker is the share of the variance that one disturbance causes, "
+            "alone or with others; lines are 95 % intervals.",
+        )
+    ]
 
 
 @rc_context(STYLE)

@@ -141,7 +141,13 @@ def _image_pictures(shown: xr.Dataset, name: str, los: dict[str, Array]) -> Iter
         panels = [
             draw.Panel(one, pictures[key][row], los[one] * per_mas) for row, one in enumerate(controllers)
         ]
-        yield picture(f"{name}-{key}", text, draw.exposure_panels(panels, axis))
+        yield picture(
+            f"{name}-{key}",
+            text,
+            draw.exposure_panels(panels, axis),
+            "Red: the line of sight during the exposure. A good controller keeps it on one spot and the "
+            "core bright.",
+        )
     row = controllers.index("disturbed")
     titles = (
         "disturbed, in full",
@@ -153,11 +159,21 @@ def _image_pictures(shown: xr.Dataset, name: str, los: dict[str, Array]) -> Iter
         for title, key in zip(titles, _IMAGES, strict=True)
     ]
     text = f"The disturbed exposure of case {case} and its shortcuts"
-    yield picture(f"{name}-shortcuts", text, draw.exposure_panels(panels, axis))
+    yield picture(
+        f"{name}-shortcuts",
+        text,
+        draw.exposure_panels(panels, axis),
+        "The full exposure beside cheaper ways to it; the number above each is how far it is off.",
+    )
     exposures = dict(zip(controllers, pictures["exposure"], strict=True))
     yield from common.image_pictures(name, f"the exposures of case {case}", exposures, axis)
     focus, waves = shown["static_focus"].to_numpy(), shown["focus"].to_numpy().tolist()
-    yield picture(f"{name}-focus", "The image at rest through focus", focus_panels(focus, waves, axis))
+    yield picture(
+        f"{name}-focus",
+        "The image at rest through focus",
+        focus_panels(focus, waves, axis),
+        "The same scale everywhere; symmetric pictures about 0 mean that the focus is right.",
+    )
     if "object_image" in shown:
         seen = shown["object_image"]
         objects = dict(zip(controllers, seen.to_numpy(), strict=True))

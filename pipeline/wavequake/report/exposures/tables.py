@@ -70,9 +70,18 @@ def image_pictures(key: str, text: str, images: Mapping[str, Array], axis: Array
     """Yield the MTF of images, and the first of them on a logarithmic scale."""
     first, image = next(iter(images.items()))
     yield picture(
-        f"{key}-mtf", f"Modulation transfer of {text}", mtf_curves(images, float(axis[1] - axis[0]))
+        f"{key}-mtf",
+        f"Modulation transfer of {text}",
+        mtf_curves(images, float(axis[1] - axis[0])),
+        "The contrast that is left of fine detail; the gray line is the limit of a perfect round pupil. "
+        "Light beyond the frame is missing, which raises curves of wide images by its share.",
     )
-    yield picture(f"{key}-log", f"Image of {text}, {first}, five decades", log_psf(image, axis))
+    yield picture(
+        f"{key}-log",
+        f"Image of {text}, {first}, five decades",
+        log_psf(image, axis),
+        "Five decades: what lies far from the core.",
+    )
 
 
 def object_picture(
@@ -81,12 +90,27 @@ def object_picture(
     """Return images of an object side by side; what is stored of them says in which light."""
     light = str(stored.attrs["long_name"]).partition(" in ")[2].partition(";")[0]
     figure = image_row(np.array(list(images.values())), list(images), axis)
-    return picture(f"{key}-object", f"The object as {words}, in {light}", figure)
+    return picture(
+        f"{key}-object",
+        f"The object as {words}, in {light}",
+        figure,
+        "What the detector sees of the object; the same scale of square roots everywhere.",
+    )
 
 
 def history_pictures(
     key: str, time_ms: Array, tracks: Mapping[str, Array], unit: str, wfe: Mapping[str, Array]
 ) -> Iterator[Picture]:
     """Yield line of sight and wavefront error over time."""
-    yield picture(f"{key}-los", "Line of sight over time", draw.line_of_sight(time_ms, tracks, unit))
-    yield picture(f"{key}-wfe", "Wavefront error over time", draw.wavefront_error(time_ms, wfe))
+    yield picture(
+        f"{key}-los",
+        "Line of sight over time",
+        draw.line_of_sight(time_ms, tracks, unit),
+        "Motion of the image in x and y.",
+    )
+    yield picture(
+        f"{key}-wfe",
+        "Wavefront error over time",
+        draw.wavefront_error(time_ms, wfe),
+        "Zernike terms from focus on: what tip and tilt cannot explain.",
+    )

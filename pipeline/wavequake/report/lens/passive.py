@@ -82,7 +82,14 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     pictures = []
     if best is not None:
         text = "Amplitudes of the modes in the image, present and optimized"
-        pictures = [picture("amplitudes", text, _amplitudes(dataset, best, fitted_bench(active=False)))]
+        pictures = [
+            picture(
+                "amplitudes",
+                text,
+                _amplitudes(dataset, best, fitted_bench(active=False)),
+                "Each bar is what one mode does to the image: the optimum lowers the sum, not each of them.",
+            )
+        ]
     page = Page(
         answer=answer(dataset),
         table=_rows(dataset),

@@ -199,6 +199,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
                     one.springs,
                     [_NAMES.get(name, name) for name in one.controllers],
                 ),
+                "What is left of the image motion under each controller, over all plants: shorter is better.",
             )
             for one in found
             if len(one.rows)
@@ -260,15 +261,31 @@ def _figures(dataset: xr.Dataset, one: Configuration) -> Iterator[Picture]:
 def _hardware(dataset: xr.Dataset, found: list[Configuration]) -> Iterator[Picture]:
     """Yield the figures of hammer and stage, after Figs. 5.10 to 5.12 and 5.15."""
     stage = stage_of(study_of(dataset.attrs["study"]))
-    yield picture("hammer", "Force of the hammer and its equivalent", draw.hammer())
-    record = draw.step_record(stage)
-    yield picture("step", "Step response of the stage, measured and identified", draw.step(record))
     yield picture(
-        "zeros", "Poles and zeros of the stage, true and identified", draw.pole_zero_map(stage, record)
+        "hammer",
+        "Force of the hammer and its equivalent",
+        draw.hammer(),
+        "Both push equally long and hard; simulations take the simple one.",
+    )
+    record = draw.step_record(stage)
+    yield picture(
+        "step",
+        "Step response of the stage, measured and identified",
+        draw.step(record),
+        "The closer both lines are, the better the model that the controllers are made with.",
+    )
+    yield picture(
+        "zeros",
+        "Poles and zeros of the stage, true and identified",
+        draw.pole_zero_map(stage, record),
+        "Crosses are poles, circles zeros; pairs that coincide were identified well.",
     )
     for one in found[:1]:
         if one.shown is not None and has_all_instants(dataset):
             case = draw.Shown.of(dataset, one.shown)
             yield picture(
-                "follow", "The stage during a blow, actual and simulated", draw.following(case, record)
+                "follow",
+                "The stage during a blow, actual and simulated",
+                draw.following(case, record),
+                "What the identified model says of the motion, beside the motion itself.",
             )

@@ -162,12 +162,22 @@ def _image_pictures(
         ("shortcuts", "The exposure and its shortcuts", shortcuts),
     ):
         figure = draw.exposure_panels([static, *panels], axis)
-        yield picture(f"{key}-{name}", f"{text}, scale {scale:g}", figure)
+        yield picture(
+            f"{key}-{name}",
+            f"{text}, scale {scale:g}",
+            figure,
+            "Red: the line of sight during the exposure; the static image is the best that there can be.",
+        )
     exposures = {static.title: static.image, **dict(zip(variants, images["exposure"], strict=True))}
     yield from common.image_pictures(key, f"rest and exposures, scale {scale:g}", exposures, axis)
     focus, waves = part["exposure_focus"].isel(case=0).to_numpy(), part["focus"].to_numpy().tolist()
     text = f"The exposure through focus, {variants[0]}, scale {scale:g}"
-    yield picture(f"{key}-focus", text, focus_panels(focus, waves, axis))
+    yield picture(
+        f"{key}-focus",
+        text,
+        focus_panels(focus, waves, axis),
+        "The same scale everywhere; symmetric pictures about 0 mean that the focus is right.",
+    )
     if "object_image" in part:
         seen = part["object_image"]
         objects = {"static": part["object_static"].isel(case=0).to_numpy()}

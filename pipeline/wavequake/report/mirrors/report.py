@@ -80,9 +80,17 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         small_print=f"{_SMALL_PRINT} {checked(dataset)}{what_is_kept(dataset)}",
         overview=[
             picture(
-                "order", "Error of all variants over their order", draw.errors_over_order(models, criterion)
+                "order",
+                "Error of all variants over their order",
+                draw.errors_over_order(models, criterion),
+                "Left is cheaper, lower is better: the first variant below the dashed bound is small enough.",
             ),
-            picture("models", "The models themselves", draw.models_side_by_side(dataset, models)),
+            picture(
+                "models",
+                "The models themselves",
+                draw.models_side_by_side(dataset, models),
+                "What the variants have to reproduce: the full models on one scale.",
+            ),
         ],
         sections=[Section(model.name, list(_figures(dataset, model))) for model in models],
         definitions=list(_DEFINITIONS),
@@ -184,26 +192,52 @@ def _figures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
         ("frf_opt", "Mechanical-optical response over frequency", reference),
         ("eps_opt", "Error of the mechanical-optical response over frequency", None),
     ):
-        yield picture(f"{name}-{key}", text, draw.spectra(dataset, key, shown, ground))
+        yield picture(
+            f"{name}-{key}",
+            text,
+            draw.spectra(dataset, key, shown, ground),
+            "A variant is good as far as its line follows the reference (responses) or stays low "
+            "(errors); peaks are modes.",
+        )
     if len(krylov) > 1:
         yield picture(
             f"{name}-krylov",
             "Choice of the expansion points",
             draw.spectra(dataset, "eps_mech", krylov, None),
+            "Each is exact at its expansion points and loses accuracy away from them.",
         )
     yield picture(
-        f"{name}-both", "Mechanics and light, scaled alike", draw.mechanical_and_optical(dataset, reference)
+        f"{name}-both",
+        "Mechanics and light, scaled alike",
+        draw.mechanical_and_optical(dataset, reference),
+        "Modes that the mechanical response shows and the optical does not are harmless to the image.",
     )
     yield picture(
-        f"{name}-zernike", "Response of each aberration", draw.coefficient_spectra(dataset, reference)
+        f"{name}-zernike",
+        "Response of each aberration",
+        draw.coefficient_spectra(dataset, reference),
+        "Which aberration each resonance excites.",
     )
-    yield picture(f"{name}-fits", "Fit of each mode by Zernike polynomials", draw.mode_fits(dataset, shown))
-    yield picture(f"{name}-fmax", "Largest pseudo-eigenfrequencies", draw.pseudo_frequencies(shown))
+    yield picture(
+        f"{name}-fits",
+        "Fit of each mode by Zernike polynomials",
+        draw.mode_fits(dataset, shown),
+        "What the fit leaves of each mode: high bars are shapes that more Zernike terms would be needed for.",
+    )
+    yield picture(
+        f"{name}-fmax",
+        "Largest pseudo-eigenfrequencies",
+        draw.pseudo_frequencies(shown),
+        "The highest frequency sets the time step of explicit simulations: lower is faster.",
+    )
     yield from excitation_pictures(dataset, name, shown, reference)
     yield from mirror_shapes.pictures(dataset, model)
     for one in shown[:2]:
         yield picture(
-            f"{name}-mac-{one.case}", f"MAC of {one.variant}", draw.mac_map(dataset, one, reference)
+            f"{name}-mac-{one.case}",
+            f"MAC of {one.variant}",
+            draw.mac_map(dataset, one, reference),
+            "1 on the diagonal: the mode is that of the full model; elsewhere modes are mixed or missing.",
         )
 
 
@@ -217,10 +251,13 @@ def excitation_pictures(
                 f"{name}-{excitation}-time",
                 f"Wavefront error over time, {excitation}",
                 draw.wavefront_history(dataset, excitation, shown, reference),
+                "A variant is good where its line lies on the reference.",
             )
         if "exposure" in dataset:
             yield picture(
                 f"{name}-{excitation}-image",
                 f"Exposures, {excitation}",
                 draw.exposure_panels(dataset, excitation, shown, reference),
+                "What the camera sees after the whole vibration: equal pictures mean that the reduction "
+                "does not matter.",
             )

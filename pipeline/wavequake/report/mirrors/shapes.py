@@ -34,12 +34,16 @@ def pictures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
         return
     reference, shown = model.reference, representatives(model)[: _ROWS - 1]
     yield picture(
-        f"{model.name}-modes", "Elastic modes, and what they do to the light", modes(dataset, reference)
+        f"{model.name}-modes",
+        "Elastic modes, and what they do to the light",
+        modes(dataset, reference),
+        "Above the displacement of the surface, below the wavefront: red forward, blue back.",
     )
     yield picture(
         f"{model.name}-variant-modes",
         "Modes of variants on the mirror",
         modes_of_variants(dataset, shown, reference),
+        "A column is one mode: a variant that shows another picture has lost it.",
     )
     if not has_all_instants(dataset):  # the worst one may be missing
         return
@@ -47,14 +51,21 @@ def pictures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
         f"{model.name}-peaks",
         "Wavefronts when that of the reference is worst",
         peak_wavefronts(dataset, shown, reference),
+        "All at the same instant and on one color scale.",
     )
     if "peak_figure" in dataset:
-        yield picture(f"{model.name}-body", "The mirror at these instants", bodies(dataset, reference))
+        yield picture(
+            f"{model.name}-body",
+            "The mirror at these instants",
+            bodies(dataset, reference),
+            "Exaggerated; the gray grid is the mirror at rest.",
+        )
     for excitation in map(str, dataset["excitation"].to_numpy()):
         yield picture(
             f"{model.name}-{excitation}-node",
             f"Motion of a node on the rim, {excitation}",
             node_history(dataset, excitation, representatives(model), reference),
+            "The node that moves most: phases that drift apart are wrong frequencies.",
         )
 
 

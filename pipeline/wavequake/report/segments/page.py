@@ -175,10 +175,18 @@ def _definition(dataset: xr.Dataset, name: str, use: str) -> str:
 def _overview(found: Sequence[Population]) -> Iterator[Picture]:
     if any(len(population.cases) for population in found):
         yield picture(
-            "wfe", "Distribution of the wavefront error over cases", figures.distributions(found, "wfe")
+            "wfe",
+            "Distribution of the wavefront error over cases",
+            figures.distributions(found, "wfe"),
+            "The curve gives the share of cases at or below a value: further left is better; steep means "
+            "that cases hardly differ.",
         )
         yield picture(
-            "strehl", "Distribution of the Strehl ratio over instants", figures.distributions(found, "strehl")
+            "strehl",
+            "Distribution of the Strehl ratio over instants",
+            figures.distributions(found, "strehl"),
+            "The share of instants at or below a Strehl ratio: further right is better. Strehl leaves "
+            "the line of sight out.",
         )
 
 
@@ -191,16 +199,45 @@ def _section(place: int, population: Population, details: Sequence[Detail], data
         of, id_ = f"of case {detail.case}", f"d{place}c{detail.case}"
         image = figures.psf_image(detail.image, detail.image_x, detail.image_y, detail.case)
         pictures += [
-            picture(f"{id_}-m1", f"Displacement of each segment {of}", figures.segment_map(detail)),
-            picture(f"{id_}-opd", f"Optical path differences {of}", figures.opd_map(detail)),
-            picture(f"{id_}-spot", f"Spot diagram {of}", figures.spot_diagram(detail)),
-            picture(f"{id_}-psf", f"Image {of}", image),
+            picture(
+                f"{id_}-m1",
+                f"Displacement of each segment {of}",
+                figures.segment_map(detail),
+                "Red segments are nearer to the light, blue ones further; white is at rest.",
+            ),
+            picture(
+                f"{id_}-opd",
+                f"Optical path differences {of}",
+                figures.opd_map(detail),
+                "Steps between neighbors are what phasing leaves; slopes within a segment are its tilt.",
+            ),
+            picture(
+                f"{id_}-spot",
+                f"Spot diagram {of}",
+                figures.spot_diagram(detail),
+                "Each dot is where geometrical rays of a segment meet the image; dots outside the circle "
+                "widen the core.",
+            ),
+            picture(
+                f"{id_}-psf",
+                f"Image {of}",
+                image,
+                "The irradiance over five decades: rings of the perfect image, and the speckles of the "
+                "error.",
+            ),
         ]
     if not mine:
         pictures.append(
             picture(f"d{place}-psf", "Image of the worst case", _stored_image(population, dataset))
         )
-    pictures.append(picture(f"d{place}-time", "Median and worst case over time", figures.history(population)))
+    pictures.append(
+        picture(
+            f"d{place}-time",
+            "Median and worst case over time",
+            figures.history(population),
+            "The band between median and worst case: flat lines are static errors, waves are vibration.",
+        )
+    )
     return Section(population.name, pictures)
 
 

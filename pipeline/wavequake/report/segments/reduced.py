@@ -212,6 +212,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
                     attribute.replace("_", "-"),
                     f"Distribution: {label}",
                     distributions(values, label, sets),
+                    "The curve gives the share of cases at or below a value: further left is better.",
                 )
             )
     errors = _errors(dataset, done) if "traced" in dataset else {}

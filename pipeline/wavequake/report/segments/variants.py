@@ -70,7 +70,10 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         small_print=_SMALL_PRINT + what_is_kept(dataset),
         overview=[
             picture(
-                "order", "Error of all variants over their order", draw.errors_over_order(models, criterion)
+                "order",
+                "Error of all variants over their order",
+                draw.errors_over_order(models, criterion),
+                "Left is cheaper, lower is better: the first variant below the dashed bound is small enough.",
             )
         ],
         sections=[
@@ -99,8 +102,19 @@ def _segment_figures(dataset: xr.Dataset, models: list[ModelResult]) -> Iterable
         ("frf_opt", "Response of the segment's surface over frequency", model.reference),
         ("eps_opt", "Error of the response of the segment's surface over frequency", None),
     ):
-        yield picture(f"segment-{key}", text, draw.spectra(dataset, key, shown, ground))
-    yield picture("segment-fmax", "Largest pseudo-eigenfrequencies", draw.pseudo_frequencies(shown))
+        yield picture(
+            f"segment-{key}",
+            text,
+            draw.spectra(dataset, key, shown, ground),
+            "A variant is good as far as its line follows the reference (responses) or stays low "
+            "(errors); peaks are modes.",
+        )
+    yield picture(
+        "segment-fmax",
+        "Largest pseudo-eigenfrequencies",
+        draw.pseudo_frequencies(shown),
+        "The highest frequency sets the time step of explicit simulations: lower is faster.",
+    )
 
 
 def _telescope_figures(
@@ -112,14 +126,29 @@ def _telescope_figures(
     shown = representatives(model)
     if has_all_instants(dataset):
         truth = detail(dataset, reference, study_text, device)
-        yield picture(f"{name}-segments", "Motion of the segments at the worst instant", segment_map(truth))
-        yield picture(f"{name}-wavefront", "Wavefront of the telescope at the worst instant", opd_map(truth))
+        yield picture(
+            f"{name}-segments",
+            "Motion of the segments at the worst instant",
+            segment_map(truth),
+            "Red segments are nearer to the light, blue ones further.",
+        )
+        yield picture(
+            f"{name}-wavefront",
+            "Wavefront of the telescope at the worst instant",
+            opd_map(truth),
+            "What the moving segments do to the light at that instant.",
+        )
     if not model.variants:
         return
     if has_all_instants(dataset):
         one = model.enough or min(model.variants, key=lambda found: float(found.errors["wfe"].max()))
         off = detail(dataset, reference, study_text, device, one)
-        yield picture(f"{name}-off", f"Wavefront of {one.variant} less that of the reference", opd_map(off))
+        yield picture(
+            f"{name}-off",
+            f"Wavefront of {one.variant} less that of the reference",
+            opd_map(off),
+            "What the reduction alone does wrong; compare its scale with that of the wavefront.",
+        )
     yield from mirrors.excitation_pictures(dataset, name, shown, reference)
 
 

@@ -37,6 +37,7 @@ def pictures(
         f"{name}-exposures",
         f"Exposures, {name}: at rest, and of the case with the median peak; red: its line of sight",
         exposure_panels(panels, axis),
+        "Four decades of irradiance; a long red track blurs the image more than any aberration.",
     )
     if "object_image" in dataset and "object_static" in dataset:
         seen = np.concatenate(
@@ -47,6 +48,7 @@ def pictures(
             f"{name}-object",
             f"The object, {name}: at rest, and exposed at each field",
             image_row(seen, titles, axis),
+            "What the detector sees of the object while the system vibrates.",
         )
 
 

@@ -99,7 +99,12 @@ def _overview(found: Sequence[SystemPopulation]) -> Iterator[Picture]:
         sets = {one.name: one.fields[0].sets for one in found if one.fields}
         words = f"{_error(found)[1]} of a case (nm), worst field"
         figure = draw_figures.distributions(_worst_fields(found), words, sets)
-        yield picture("distributions", "Distribution of the wavefront error of all disturbances", figure)
+        yield picture(
+            "distributions",
+            "Distribution of the wavefront error of all disturbances",
+            figure,
+            "The curve gives the share of cases at or below a value: further left is better.",
+        )
 
 
 _HEADERS = (
@@ -240,7 +245,12 @@ def _figures(
     fields = [one.field for one in population.fields]
     sets = {one.field: one.sets for one in population.fields}
     figure = draw_figures.distributions(dict(zip(fields, errors, strict=True)), f"{label} (nm)", sets)
-    yield picture(f"{name}-wfe", f"Distribution of the wavefront error by field, {name}", figure)
+    yield picture(
+        f"{name}-wfe",
+        f"Distribution of the wavefront error by field, {name}",
+        figure,
+        "Curves that lie apart: the disturbance does more to some fields than to others.",
+    )
     points = np.stack([dataset["field_x"].to_numpy(), dataset["field_y"].to_numpy()], axis=1)
     medians = np.median(errors, axis=1)
     unit = str(dataset["field_x"].attrs["units"])
@@ -248,8 +258,15 @@ def _figures(
         f"{name}-field",
         f"Wavefront error over the field, {name}",
         draw_figures.field_map(points, medians, unit, f"{label}, median of the cases (nm)"),
+        "Each dot is a field point; its color is the error there.",
     )
-    yield picture(f"{name}-spots", f"Spot diagrams, {name}", _spots(bench, population.worst, device))
+    yield picture(
+        f"{name}-spots",
+        f"Spot diagrams, {name}",
+        _spots(bench, population.worst, device),
+        "The worst case beside the design at rest, about the same point: a shift is the line of sight, a "
+        "wider spot an aberration.",
+    )
     yield from system_images.pictures(name, population.cases, bench, dataset)
 
 
