@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STUDY ?= tmt-segments
-EXTRAS ?= test,lint,firmware
+EXTRAS ?= test,lint,firmware,docs
 # The newest Python that is here and runs, and the tests that it runs (all).
 NEWEST ?= $(shell for one in python3.14 python3.13 python3.12 $(PYTHON); do \
   $$one -c '' 2>/dev/null && echo $$one && break; done)
@@ -13,7 +13,7 @@ comma := ,
 LINKER := $(shell command -v ld >/dev/null || echo '[linker]')
 export PYTHONUNBUFFERED := 1
 
-.PHONY: help run test test-fast soak fuzz slurm newest lint bench wheel clean
+.PHONY: docs help run test test-fast soak fuzz slurm newest lint bench wheel clean
 help:
 	@echo "make run    run the bundled study $(STUDY) and write its report"
 	@echo "make test   run the tests"
@@ -24,6 +24,7 @@ help:
 	@echo "make slurm  test campaigns on a Slurm of two nodes on loopback (root, Debian's slurm-wlm and munge)"
 	@echo "make lint   ruff and mypy"
 	@echo "make bench  run the benchmarks"
+	@echo "make docs   build the documentation with tutorials and a gallery of all studies: docs/_site/html"
 	@echo "make wheel  build the wheel into dist/"
 
 run: $(VENV)/.run
@@ -68,6 +69,10 @@ lint: $(VENV)/.dev
 
 bench: $(VENV)/.bench
 	$(BIN)/python -m benchmarks
+
+docs: $(VENV)/.dev
+	$(BIN)/python docs/make_site.py $(STUDIES)
+	@echo "Open docs/_site/html/index.html"
 
 wheel: $(VENV)/.dev
 	$(BIN)/python -m pip -q wheel --no-deps --wheel-dir dist .

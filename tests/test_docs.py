@@ -3,6 +3,7 @@
 import importlib.util
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -19,6 +20,8 @@ SMALLER = {
     "tmt-segment-mor": ["reduction.frequencies=24", "time.traced=16"],
 }
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [page for page in PAGES if page.name != "gallery.md"]  # made by make_site.py
+TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 
 
 def blocks(page, language):
@@ -40,18 +43,39 @@ def test_python_snippets_run(page, tmp_path, monkeypatch):
         exec(compile(block, page.name, "exec"), names)
 
 
+def follow(command, wavequake):
+    """Run a command of a page; runs are made smaller and serial."""
+    words = shlex.split(re.sub(r"(?<= campaign\.cases=)(\d+)\b", lambda m: f"{int(m[1]) // 10}", command))
+    if words[1] == "run":
+        cases = next((int(word[15:]) for word in words if word.startswith("campaign.cases=")), 0)
+        chunk = f"store.chunk_cases={max(4, cases // 10)}"
+        words += [*SMALLER.get(words[2], []), chunk, "--on", "serial"]
+    code, _, complained = wavequake(*words[1:])
+    assert code == 0, (command, complained)
+
+
 @pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=lambda page: page.name)
 def test_commands_run(page, tmp_path, monkeypatch, wavequake):
-    """The commands of a page, in order, in one folder; runs are made smaller and serial."""
+    """The commands of a page, in order, in one folder."""
     monkeypatch.chdir(tmp_path)
     for command in commands(page):
-        words = shlex.split(re.sub(r"(?<= campaign\.cases=)(\d+)\b", lambda m: f"{int(m[1]) // 10}", command))
-        if words[1] == "run":
-            cases = next((int(word[15:]) for word in words if word.startswith("campaign.cases=")), 0)
-            chunk = f"store.chunk_cases={max(4, cases // 10)}"
-            words += [*SMALLER.get(words[2], []), chunk, "--on", "serial"]
-        code, _, complained = wavequake(*words[1:])
-        assert code == 0, (command, complained)
+        follow(command, wavequake)
+
+
+@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+def test_tutorials_run(page, tmp_path, monkeypatch, wavequake):
+    """Commands and snippets of a tutorial in order; they write the pictures that it shows."""
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    text = page.read_text()
+    for language, block in re.findall(r"^```(console|python)\n(.*?)^```", text, flags=re.M | re.S):
+        if language == "python":
+            exec(compile(block, page.name, "exec"), names)
+        for line in block.splitlines() if language == "console" else ():
+            follow(line.removeprefix("$ "), wavequake)
+    shown = re.findall(r"!\[[^]]+\]\(\.\./pictures/([^)]+)\)", text)
+    assert shown
+    assert set(shown) <= {picture.name for picture in tmp_path.glob("*.png")}
 
 
 @pytest.mark.parametrize("text", [block for page in PAGES for block in blocks(page, "toml")])
@@ -62,10 +86,27 @@ def test_study_files_load(text, tmp_path):
 
 
 def test_links_lead_somewhere():
-    for page in PAGES:
+    for page in [*PAGES, *TUTORIALS]:
         for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
             if "://" not in target:
                 assert (page.parent / target).exists(), (page.name, target)
+
+
+def test_the_site_builds_without_a_warning(tmp_path):
+    """All but the gallery, whose reports `make docs` computes."""
+    pytest.importorskip("sphinx", reason="needs: pip install 'wavequake[docs]'")
+    shutil.copytree(ROOT / "docs", tmp_path / "docs", ignore=shutil.ignore_patterns("_site"))
+    (tmp_path / "docs" / "_site" / "extra").mkdir(parents=True)
+    (tmp_path / "docs" / "gallery.md").write_text("# Gallery\n")
+    for folder in ("workflows", "tests", "cluster", "benchmarks", "firmware", "pipeline"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    build = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html"]
+    made = subprocess.run(
+        [*build, str(tmp_path / "docs"), str(tmp_path / "site")], capture_output=True, text=True
+    )
+    assert made.returncode == 0, made.stderr
+    assert "craigb36" in (tmp_path / "site" / "tutorials" / "reduction.html").read_text()
+    assert "wavequake.run" in (tmp_path / "site" / "api.html").read_text()
 
 
 def test_the_reference_of_keys_is_what_the_code_says():

@@ -7,6 +7,7 @@
 """
 
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -105,9 +106,13 @@ def image(values: "xr.DataArray", axes: Axes | None = None, *, decades: float = 
             origin="lower",
             extent=(x[0] - half_x, x[-1] + half_x, y[0] - half_y, y[-1] + half_y),
         )
-        axes.figure.colorbar(drawn, ax=axes, label=str(values.attrs.get("units", "")) or "irradiance")
+        unit = str(values.attrs.get("units", ""))
+        axes.figure.colorbar(
+            drawn, ax=axes, label=f"irradiance ({unit})" if unit not in ("", "1") else "irradiance"
+        )
         axes.set(xlabel=_label(values, "x"), ylabel=_label(values, "y"))
-        axes.set_title(str(values.attrs.get("long_name", values.name or "")))
+        words = str(values.attrs.get("long_name", values.name or ""))
+        axes.set_title(fill(words, 50), loc="center")  # where a title of the user's replaces it
     return axes
 
 
