@@ -32,7 +32,7 @@ SMALL = {
 
 
 def execute(page: Path, folder: Path) -> list[Path]:
-    """Run the commands and the snippets of a page in order in a folder; return the pictures that they wrote."""
+    """Run the commands and snippets of a page in order in a folder; return the pictures that they wrote."""
     names: dict[str, object] = {}
     os.chdir(folder)
     for language, block in re.findall(

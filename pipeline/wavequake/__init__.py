@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from wavequake.workflows.systems.system_source import load_system
     from wavequake.workflows.zernike_arrays import convert_zernike
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "StoreDamageError",
     "Study",

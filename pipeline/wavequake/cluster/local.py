@@ -93,7 +93,7 @@ def local_cluster(workers: int | None = None, dashboard: bool = False) -> Iterat
         If the worker processes do not start, or the dashboard lacks its library.
     """
     if dashboard and find_spec("bokeh") is None:
-        raise UserError("The dashboard needs Bokeh: pip install 'wavequake[dashboard]'.")
+        raise UserError("The dashboard needs Bokeh: pip install bokeh.")
     import dask
     from dask.system import CPU_COUNT
     from distributed import Client, LocalCluster

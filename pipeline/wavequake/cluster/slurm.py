@@ -43,7 +43,7 @@ def slurm_cluster(template: Slurm, workers: int | None, dashboard: bool) -> Iter
         cannot be written.
     """
     if find_spec("dask_jobqueue") is None:
-        raise UserError("--on slurm needs dask-jobqueue: pip install 'wavequake[slurm]'.")
+        raise UserError("--on slurm needs dask-jobqueue: pip install dask-jobqueue.")
     if which("sbatch") is None:
         raise UserError("--on slurm needs the command sbatch: run it on a machine that can submit jobs.")
     import dask

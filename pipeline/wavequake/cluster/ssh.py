@@ -33,7 +33,7 @@ def ssh_cluster(template: Ssh, dashboard: bool) -> Iterator["Client"]:
         If asyncssh is not installed, a host cannot be reached or is unknown, or a process does not start.
     """
     if find_spec("asyncssh") is None:
-        raise UserError("--on ssh needs asyncssh: pip install 'wavequake[ssh]'.")
+        raise UserError("--on ssh needs asyncssh: pip install asyncssh.")
     import dask
     from distributed import Client, SSHCluster
 

@@ -65,7 +65,7 @@ class DueDevice:
     def __init__(self, image: Image) -> None:
         check_hash(image.path, image.gains)
         if find_spec("unicorn") is None:
-            raise UserError("The emulated Due needs unicorn: install wavequake[firmware].")
+            raise UserError("The emulated Due needs unicorn: pip install unicorn.")
         from unicorn import UC_ARCH_ARM, UC_MODE_MCLASS, UC_MODE_THUMB, Uc
         from unicorn.arm_const import UC_CPU_ARM_CORTEX_M3
 

@@ -22,7 +22,7 @@ def read_matrices(path: Path) -> Contents:
         from ansys.mapdl import reader
     except ImportError as error:
         raise UserError(
-            f"reading {path.name} needs the package ansys-mapdl-reader: pip install 'wavequake[ansys]'"
+            f"reading {path.name} needs the package ansys-mapdl-reader: pip install ansys-mapdl-reader"
         ) from error
     require_file(path)
     try:

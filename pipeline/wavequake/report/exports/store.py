@@ -55,7 +55,7 @@ def target_of(path: str | Path, overwrite: bool = False) -> Path:
     if target.suffix not in _WRITERS:
         raise UserError(f"{target} must end in .nc, .fits or .csv, which says what to export to.")
     if target.suffix == ".fits" and find_spec("astropy") is None:
-        raise UserError("FITS files need Astropy: pip install 'wavequake[fits]'.")
+        raise UserError("FITS files need Astropy: pip install astropy.")
     if target.is_dir() or not target.parent.is_dir():
         raise UserError(f"{target} is a folder, or is in none; name a file in a folder that exists.")
     if target.exists() and not overwrite:
