@@ -52,7 +52,7 @@ def test_every_command_takes_a_kind_of_a_plugin(tmp_path, swing, wavequake):
     last = dataset["angle"].to_numpy()[:, -1] * omega / np.sin(omega * dataset["time_s"].to_numpy()[:, -1])
     np.testing.assert_allclose(last[0::2], last[1::2], rtol=1e-12)
     page = (store / "report.html").read_text()
-    assert "Swing: the first case" in page
+    assert "<b>Swing.</b> the first case" in page
     assert "angle over time" in page
     for words in (
         ("report", store),
