@@ -9,7 +9,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "pipeline" / "wavequake"
 PHYSICS = {"mechanics", "reduction", "optics", "imaging", "control"}
-BASE = {"errors", "files", "prepared", "registry", "user_files", "words"}
+BASE = {"errors", "files", "prepared", "registry", "tables", "user_files", "words"}
 
 # What each package may import of ours, besides itself.
 ALLOWED = {
@@ -20,6 +20,7 @@ ALLOWED = {
     "memory": set(),
     "registry": {"errors"},
     "prepared": set(),
+    "tables": set(),
     "kernels": BASE,
     "mechanics": BASE | {"kernels"},
     "reduction": BASE | {"kernels", "mechanics"},

@@ -46,7 +46,7 @@ def exposed(
     full = cut(canvas, pixels)
     shortcuts = [cut(model(static, los, sampling), pixels) for model in (los_exposure, gaussian_exposure)]
     errors = [exposure_error(image, full, sampling, area, diameter) for image in shortcuts]
-    ee50, ee80 = (encircled_energy_radius(full, share, sampling, area, diameter) for share in (0.5, 0.8))
+    ee50, ee80 = encircled_energy_radius(full, (0.5, 0.8), sampling, area, diameter)
     return {
         "exposure": full,
         **({"object_image": object_image(lit, canvas, pixels, sampling, area, diameter)} if lit else {}),

@@ -294,10 +294,7 @@ def expose(imager: SystemImager, field: int, wavefronts: Sequence[SystemWavefron
     found = {
         "exposure": exposure,
         "peak": np.asarray(exposure.max()),
-        **{
-            name: np.asarray(encircled_energy_radius(exposure, part, *size))
-            for name, part in (("ee50", 0.5), ("ee80", 0.8))
-        },
+        **dict(zip(("ee50", "ee80"), encircled_energy_radius(exposure, (0.5, 0.8), *size), strict=True)),
     }
     if imager.shown is not None:
         found["object_image"] = _seen_object(imager, field, total, wavefronts[imager.primary], chosen)

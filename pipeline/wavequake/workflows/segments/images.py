@@ -17,6 +17,7 @@ from wavequake.kernels.device.tiles import TILE, from_tiles
 from wavequake.kernels.trace.train import Traced, vignetted
 from wavequake.optics.segments.wavefront import Wavefront
 from wavequake.prepared import prepared
+from wavequake.tables import kept
 from wavequake.workflows.segments.bench import Bench, bench_of, monolithic
 
 Array = NDArray[np.float64]
@@ -179,7 +180,10 @@ def _psf(bench: Bench, phase: Array, pixels: int) -> NDArray[np.floating[Any]]:
 def _basis(study_text: str, pixels: int, moments: int) -> SegmentBasis:
     bench = bench_of(study_text)
     segments = bench.system.segments
-    return segment_basis(segments.corners, segments.centers[:, :2], moments=moments, **_grid(bench, pixels))
+    centers = segments.centers[:, :2]
+    return kept(
+        SegmentBasis, segment_basis, segments.corners, centers, moments=moments, **_grid(bench, pixels)
+    )
 
 
 @prepared(maxsize=4)

@@ -247,8 +247,8 @@ def _finish_exposure(bench: Bench, arrays: dict[str, Array], row: int, instants:
     exposure = arrays["exposure"][row]
     exposure /= instants
     arrays["peak"][row] = exposure.max()
-    for name, fraction in (("ee50", 0.5), ("ee80", 0.8)):
-        arrays[name][row] = encircled_energy_radius(exposure, fraction, **energy_scale(bench))
+    radii = encircled_energy_radius(exposure, (0.5, 0.8), **energy_scale(bench))
+    arrays["ee50"][row], arrays["ee80"][row] = radii
 
 
 def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:

@@ -21,6 +21,7 @@ from wavequake.mechanics.disturbances.motion import Motion, still
 from wavequake.mechanics.disturbances.source import Randoms, Source, register
 from wavequake.mechanics.disturbances.streams import Random
 from wavequake.prepared import prepared
+from wavequake.tables import kept
 
 Array = NDArray[np.float64]
 
@@ -195,12 +196,27 @@ def shaping(layout: SegmentLayout, dihedral_arm_m: float, sensor_offset_m: float
     """
     sensors = sensor_matrix(layout, dihedral_arm_m, sensor_offset_m)
     normal = (sensors.matrix.T @ sensors.matrix).toarray()
-    eigenvalues, vectors = scipy.linalg.eigh(normal, overwrite_a=True, check_finite=False, driver="evd")
+    inverse = kept(_Inverse, _inverse, normal)
+    gain = float(np.sqrt(inverse.trace / len(layout)))
+    piston_gain = float(np.sqrt(np.mean(np.diag(inverse.matrix)[::3])))
+    transposed = sensors.matrix.T.tocsr()
+    return Shaping(transposed, inverse.matrix, inverse.null_modes, sensors.radius, gain, piston_gain)
+
+
+@dataclass(frozen=True)
+class _Inverse:
+    """The pseudo-inverse of a matrix, its trace, and how many null modes were left out."""
+
+    matrix: Array
+    trace: float
+    null_modes: int
+
+
+def _inverse(normal: Array) -> _Inverse:
+    eigenvalues, vectors = scipy.linalg.eigh(normal, check_finite=False, driver="evd")
     null = null_count(eigenvalues)
     inverse = (vectors[:, null:] / eigenvalues[null:]) @ vectors[:, null:].T
-    gain = float(np.sqrt(np.sum(1 / eigenvalues[null:]) / len(layout)))
-    piston_gain = float(np.sqrt(np.mean(np.diag(inverse)[::3])))
-    return Shaping(sensors.matrix.T.tocsr(), inverse, null, sensors.radius, gain, piston_gain)
+    return _Inverse(inverse, float(np.sum(1 / eigenvalues[null:])), null)
 
 
 def null_count(eigenvalues: Array) -> int:
