@@ -74,6 +74,28 @@ def test_a_case_alone_has_the_bits_that_it_has_in_a_chunk(text, chunk):
             np.testing.assert_array_equal(values[0], chunk.arrays[name][case], err_msg=name)
 
 
+def test_cases_that_stand_still_are_traced_once_and_do_not_depend_on_each_other(study):
+    """They share tiles, at the place of their realization; the rest of the chunk moves."""
+    bench = bench_of(study.identity_text())
+    draws = [workflow.draw(bench, case) for case in range(60)]
+    instants = [workflow._traced_instants(drawn) for drawn in draws]
+    still = [row for row, count in enumerate(instants) if count == 1]
+    assert len(still) > 20
+    assert {draws[row].population.name for row in still} == {"pistons", "figure", "both"}
+    pieces = [piece for launch in workflow._launches(draws, instants) for piece in launch]
+    assert sum(piece.last - piece.first for piece in pieces) == sum(instants)
+    tiles = {piece.place // 16 for piece in pieces if piece.row in still}
+    assert len(tiles) < len(still) / 6
+    text, cases = only_pistons(study).identity_text(), np.arange(5, 25)
+    together = workflow.compute(text, cases, DEVICE).arrays
+    for row in (0, 13, 19):
+        alone = workflow.compute(text, cases[row : row + 1], DEVICE).arrays
+        for name, values in alone.items():
+            np.testing.assert_array_equal(values[0], together[name][row], err_msg=name)
+            if values.ndim > 1 and name not in ("time_s", "exposure"):  # the same at every instant
+                np.testing.assert_array_equal(values[0, :3], np.repeat(values[0, :1], 3, axis=0))
+
+
 @pytest.mark.skipif(not OPENCL, reason="no OpenCL device here")
 def test_opencl_and_numpy_agree(text, chunk):
     """OPDs agree to about 1e-7 waves (rounding over 100 m), so Strehl ratios to a few times that."""

@@ -10,7 +10,6 @@ from wavequake.campaign.store.store import Manifest, open_store
 from wavequake.drawing.solid import telescope_scene
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
-from wavequake.kernels.device.tiles import TILE
 from wavequake.optics.segments.layout import is_monolithic
 from wavequake.optics.segments.prepared import chief_rays, trace_states
 from wavequake.optics.segments.wavefront import analyse
@@ -71,9 +70,8 @@ def take_of(bench: Bench, case: int, device_name: str) -> Take:
     to_mas = MAS_PER_RAD / bench.first_order.focal_length
     images, trouble = None, ""
     if bench.study.imaging.enabled:
-        tiles = slice(0, len(states.segment_motion) // TILE)
         try:
-            images = instant_images(bench, traced, wavefront, tiles, instants)[::step]
+            images = instant_images(bench, traced, wavefront, slice(0, instants))[::step]
         except UserError as error:  # the store has quarantined such a case
             trouble = f"There is no image: {error}."
     los = (wavefront.los - bench.static.los[0])[:instants:step] * to_mas

@@ -10,6 +10,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from wavequake.errors import UserError
 from wavequake.imaging.engines.band_limit import image_nodes, middle_of, waves
+from wavequake.imaging.engines.mirror_twins import find_twins, lone, parts_of
 from wavequake.imaging.engines.polygon_transform import polygon_areas
 from wavequake.imaging.engines.segment_moments import largest_means, moments_on_grid
 from wavequake.imaging.pupils.outlines import Outline
@@ -36,9 +37,11 @@ class SegmentBasis:
         Distance of the points in units of wavelength / diameter.
     segments, moments : int
         Number of segments S, and of moments J of each.
-    matrix : ndarray, shape (2 * N, J * S), real
-        Real parts, then imaginary parts of the moments at the N nodes with f_y > 0; the segment varies
-        fastest.
+    twins, shares : ndarray, shape (4, R)
+        Segments whose transforms are one but for signs: `wavequake.imaging.engines.mirror_twins.Twins`.
+    matrix : ndarray, shape (4, Q, J * R), real
+        The moments' parts (`wavequake.imaging.engines.mirror_twins.parts_of`) at the Q nodes with f_x > 0 and
+        f_y > 0; the segment varies fastest.
     interpolation : ndarray, shape (pixels, M), real
         Takes values at the nodes to the image points, along either axis.
     slope_scale : float
@@ -54,6 +57,8 @@ class SegmentBasis:
     sampling: float
     segments: int
     moments: int
+    twins: NDArray[np.intp]
+    shares: Real
     matrix: Floating
     interpolation: Floating
     slope_scale: float
@@ -113,27 +118,38 @@ def segment_basis(
     dark = dark - middle
     nodes, interpolation = image_nodes(corners.reshape(-1, 2), pixels, sampling, diameter, dtype)
     half = nodes[nodes.size // 2 :]
-    matrix = np.empty((2, half.size * nodes.size, moments, len(corners)), dtype=interpolation.dtype)
+    twins = lone(len(corners)) if len(dark) else find_twins(corners, centers)
+    first_of = twins.segment[0]
+    matrix = np.empty((4, half.size**2, moments, len(first_of)), dtype=interpolation.dtype)
     degree = 2 * MOMENTS.index(moments)
     remainders = np.empty((degree // 2 + 1, len(corners)))
     scale = float(np.hypot(*np.moveaxis(corners - centers[:, None], -1, 0)).max())
+
+    def parts(polygons: Real, about: Real) -> Real:
+        field = moments_on_grid(polygons, about, half, nodes, degree, scale)
+        return parts_of(field.reshape(half.size, nodes.size, *field.shape[1:])).reshape(
+            4, -1, *field.shape[1:]
+        )
+
     for first in range(0, len(corners), _BLOCK):
         block = slice(first, first + _BLOCK)
-        field = moments_on_grid(corners[block], centers[block], half, nodes, degree, scale)
-        matrix[0, :, :, block], matrix[1, :, :, block] = field.real, field.imag
         remainders[:, block] = largest_means(corners[block], centers[block], degree) / net.sum()
+    for first in range(0, len(first_of), _BLOCK):
+        block = slice(first, first + _BLOCK)
+        matrix[..., block] = parts(corners[first_of[block]], centers[first_of[block]])
     for first in range(0, len(dark), _BLOCK):
         block = slice(first, first + _BLOCK)
-        field = moments_on_grid(dark[block], centers[piece[block]], half, nodes, degree, scale)
-        for number, factor, moment in zip(piece[block], sign[block], np.moveaxis(field, 2, 0), strict=True):
-            matrix[0, ..., number] += factor * moment.real
-            matrix[1, ..., number] += factor * moment.imag
+        each = np.moveaxis(parts(dark[block], centers[piece[block]]), 3, 0)
+        for number, factor, part in zip(piece[block], sign[block], each, strict=True):
+            matrix[..., number] += factor * part
     return SegmentBasis(
         pixels=pixels,
         sampling=sampling,
         segments=len(corners),
         moments=moments,
-        matrix=matrix.reshape(2 * half.size * nodes.size, -1),
+        twins=twins.segment,
+        shares=twins.share,
+        matrix=matrix.reshape(4, half.size**2, -1),
         interpolation=interpolation,
         slope_scale=scale,
         peak=float(net.sum()),
@@ -178,17 +194,19 @@ def ray_basis(
     points = points - middle_of(points)
     nodes, interpolation = image_nodes(points, pixels, sampling, diameter, dtype)
     half = nodes[nodes.size // 2 :]
-    matrix = np.empty((2, half.size, nodes.size, x.size), dtype=interpolation.dtype)
+    matrix = np.empty((4, half.size, half.size, x.size), dtype=interpolation.dtype)
     along_x = waves(nodes, points[:, 0])
     for row, along_y in enumerate(waves(half, points[:, 1]) * weight):
-        field = along_x * along_y
-        matrix[0, row], matrix[1, row] = field.real, field.imag
+        matrix[:, row] = parts_of((along_x * along_y)[None])[:, 0]
+    twins = lone(x.size)
     return SegmentBasis(
         pixels=pixels,
         sampling=sampling,
         segments=x.size,
         moments=1,
-        matrix=matrix.reshape(-1, x.size),
+        twins=twins.segment,
+        shares=twins.share,
+        matrix=matrix.reshape(4, -1, x.size),
         interpolation=interpolation,
         slope_scale=1.0,
         peak=float(weight.sum()),

@@ -8,9 +8,10 @@ p_s the piston in waves at the segment's center, g its slopes in waves per mm, a
 (x - x_s)^a (y - y_s)^b exp(-2πi f·x) over the segment's polygon. The H do not depend on the phases: a basis
 holds them, and an instant costs one matrix product. Nothing supposes that segments are alike or on a lattice.
 
-Two facts make the basis small. The field is band-limited by the extent of the pupil, so that its values on a
-coarse tensor grid of nodes give all pixels by thin real products, to the precision of the numbers. And the
-polygons are real, so that H(-f) is the conjugate of H(f), and half of the nodes serves for both.
+Three facts make the basis small. The field is band-limited by the extent of the pupil, so that its values on
+a coarse tensor grid of nodes give all pixels by thin real products, to the precision of the numbers. The
+polygons are real, so that a quarter of the nodes serves for all. And where the pupil is its own mirror image,
+a quarter of the segments does (`wavequake.imaging.engines.mirror_twins`).
 """
 
 from math import factorial
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wavequake.errors import UserError
+from wavequake.imaging.engines.mirror_twins import Twins, fold, unfold
 from wavequake.imaging.engines.segment_basis import MOMENTS, SegmentBasis
 from wavequake.imaging.engines.segment_lattice import SegmentLattice
 from wavequake.imaging.engines.segment_moments import exponents
@@ -66,12 +68,11 @@ def psf(basis: SegmentBasis, segment_phase: ArrayLike, tolerance: float = 1e-3) 
     batch = len(phase)
     images = np.empty((batch, basis.pixels**2), dtype=basis.matrix.dtype)
     for first in range(0, batch, TILE):
-        tile = np.zeros((TILE, basis.segments, 3))
-        tile[: batch - first] = phase[first : first + TILE]
-        moments = _moments_for(basis, tile, tolerance)
-        images[first : first + TILE] = tile_images(basis, _coefficients(basis, tile, moments)).T[
-            : batch - first
-        ]
+        part = phase[first : first + TILE]
+        tile = np.zeros((TILE if len(part) > 1 else 1, basis.segments, 3))  # bits depend on nothing else
+        tile[: len(part)] = part
+        factors = _coefficients(basis, tile, _moments_for(basis, tile, tolerance))
+        images[first : first + TILE] = tile_images(basis, factors).T[: len(part)]
     return images
 
 
@@ -220,40 +221,40 @@ def shift_phase(segment_phase: Real, shift: ArrayLike, centers: Real, diameter: 
 
 
 def tile_images(basis: SegmentBasis, factors: Floating) -> Floating:
-    """Return the images (pixels², 16) of one tile: products of constant shape, instants in the columns.
+    """Return the images (pixels², n) of one tile: products of constant shape, instants in the columns.
 
     Parameters
     ----------
     basis : SegmentBasis
-    factors : ndarray, shape (J, S, 2, 16)
+    factors : ndarray, shape (J, S, 2, n)
         What the first J moments of the segments count in the field, real and imaginary parts.
     """
-    columns = len(factors) * basis.segments
-    nodes = basis.interpolation.shape[1]
-    product = basis.matrix[:, :columns] @ factors.reshape(columns, 2 * TILE)
-    # Real and imaginary part of the moments (first letter) times those of the coefficients (second letter).
-    (rr, ri), (ir, ii) = np.moveaxis(product.reshape(2, nodes // 2, nodes, 2, TILE), 3, 1)
-    field = np.empty((nodes, nodes, 2, TILE), dtype=product.dtype)
-    field[nodes // 2 :, :, 0], field[nodes // 2 :, :, 1] = rr - ii, ri + ir
-    # At -f, the mirrored place among the symmetric nodes, the moments are conjugate.
-    field[: nodes // 2, :, 0], field[: nodes // 2, :, 1] = (rr + ii)[::-1, ::-1], (ri - ir)[::-1, ::-1]
+    moments, nodes = len(factors), basis.interpolation.shape[1]
+    powers = np.array(exponents(2 * MOMENTS.index(moments)))
+    folded = fold(Twins(basis.twins, basis.shares), powers, factors.reshape(moments, basis.segments, -1))
+    product = basis.matrix[:, :, : folded.shape[1]] @ folded
+    field = unfold(product.reshape(4, nodes // 2, nodes // 2, *factors.shape[2:]))
     rows = basis.interpolation @ field.reshape(nodes, -1)
-    pixels = (basis.interpolation @ rows.reshape(basis.pixels, nodes, -1)).reshape(-1, 2, TILE)
+    pixels = (basis.interpolation @ rows.reshape(basis.pixels, nodes, -1)).reshape(-1, *factors.shape[2:])
     return np.asarray(pixels[:, 0] ** 2 + pixels[:, 1] ** 2)
 
 
 def _coefficients(basis: SegmentBasis, tile: Real, moments: int) -> Floating:
-    """Factors (J, S, 2, 16) of the moments: exp(2πi p) (i gx)^a (i gy)^b / (a! b! peak), real, imaginary."""
+    """Factors (J, S, 2, n) of the moments: exp(2πi p) (i gx)^a (i gy)^b / (a! b! peak), real, imaginary."""
     piston, slope_x, slope_y = tile.transpose(2, 1, 0)
     phase = 2.0 * np.pi * (piston - np.rint(piston))
     cosine, sine = np.cos(phase) / basis.peak, np.sin(phase) / basis.peak
     turned = np.stack([cosine, sine], axis=1), np.stack([-sine, cosine], axis=1)  # times 1 and times i
     gx, gy = 2.0 * np.pi * basis.slope_scale * slope_x, 2.0 * np.pi * basis.slope_scale * slope_y
-    factors = np.empty((moments, basis.segments, 2, TILE), dtype=basis.matrix.dtype)
-    for index, (a, b) in enumerate(exponents(2 * MOMENTS.index(moments))):
-        sign = -1.0 if (a + b) % 4 >= 2 else 1.0
-        real = sign / (factorial(a) * factorial(b)) * gx**a * gy**b
-        factors[index] = turned[(a + b) % 2] * real[:, None]
+    degree = 2 * MOMENTS.index(moments)
+    along_x, along_y = [np.ones_like(gx)], [np.ones_like(gy)]  # gx^a / a! and gy^b / b!
+    for n in range(1, degree + 1):
+        along_x.append(along_x[-1] * gx / n)
+        along_y.append(along_y[-1] * gy / n)
+    factors = np.empty((moments, basis.segments, 2, len(tile)), dtype=basis.matrix.dtype)
+    for index, (a, b) in enumerate(exponents(degree)):
+        real = along_x[a] * along_y[b] * (-1.0 if (a + b) % 4 >= 2 else 1.0)
+        np.multiply(turned[(a + b) % 2], real[:, None], out=factors[index], casting="same_kind")
     return factors
 
 

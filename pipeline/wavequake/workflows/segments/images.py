@@ -92,14 +92,14 @@ def energy_scale(bench: Bench) -> dict[str, Any]:
     }
 
 
-def summed_images(bench: Bench, traced: Traced, wavefront: Wavefront, tiles: slice, instants: int) -> Array:
-    """Return the sum (pixels, pixels) of the images of a case; arguments as `instant_images`."""
-    total: Array = instant_images(bench, traced, wavefront, tiles, instants).sum(axis=0)
+def summed_images(bench: Bench, traced: Traced, wavefront: Wavefront, here: slice) -> Array:
+    """Return the sum (pixels, pixels) of the images of some instants; arguments as `instant_images`."""
+    total: Array = instant_images(bench, traced, wavefront, here).sum(axis=0)
     return total
 
 
-def instant_images(bench: Bench, traced: Traced, wavefront: Wavefront, tiles: slice, instants: int) -> Array:
-    """Return the images (instants, pixels, pixels) of a case's first `instants` in the launch's `tiles`.
+def instant_images(bench: Bench, traced: Traced, wavefront: Wavefront, here: slice) -> Array:
+    """Return the images (instants, pixels, pixels) of a case's instants `here` in a launch.
 
     Image axes are those of the image plane: +x is where a positive line of sight moves the image. If the line
     of sight moves by more than lambda/D, its whole pixels are taken out of the phase before the transform and
@@ -114,41 +114,42 @@ def instant_images(bench: Bench, traced: Traced, wavefront: Wavefront, tiles: sl
         where images are sums over rays.
     """
     imaging, prepared = bench.study.imaging, bench.prepared
-    batch = slice(tiles.start * TILE, tiles.stop * TILE)
     diameter = 2.0 * bench.system.pupil_outer
     per_mm = diameter / (prepared.wavelength * prepared.focal_length)
-    position = (wavefront.los[batch] - bench.static.los[0]) * per_mm
+    position = (wavefront.los[here] - bench.static.los[0]) * per_mm
     moves = bool(np.abs(position).max() > 1.0)
     pixel = np.rint(position / imaging.sampling) if moves else np.zeros_like(position)
-    shift = (wavefront.chief[batch] - bench.static.chief[0]) * per_mm - pixel * imaging.sampling
+    shift = (wavefront.chief[here] - bench.static.chief[0]) * per_mm - pixel * imaging.sampling
     size = imaging.pixels * (_CANVAS if moves else 1)
-    dark = wavefront.vignetted[batch] > 0
+    dark = wavefront.vignetted[here] > 0
     if by_rays(bench):
-        frames = _ray_images(bench, traced, tiles, shift / diameter, size)
+        frames = _ray_images(bench, traced, here, shift / diameter, size)
     else:
         centers = bench.system.segments.centers[:, :2]
-        frames = _psf(bench, shift_phase(-wavefront.segment_phase[batch], shift, centers, diameter), size)
+        frames = _psf(bench, shift_phase(-wavefront.segment_phase[here], shift, centers, diameter), size)
         if dark.any():
-            frames[dark] = _ray_images(bench, traced, tiles, shift / diameter, size)[dark]
-    frames = frames.reshape(-1, size, size)[:instants]
-    return place(frames, pixel[:instants].astype(np.int64), imaging.pixels)
+            frames[dark] = _ray_images(bench, traced, here, shift / diameter, size)[dark]
+    return place(frames.reshape(-1, size, size), pixel.astype(np.int64), imaging.pixels)
 
 
 def _ray_images(
-    bench: Bench, traced: Traced, tiles: slice, slopes: Array, size: int
+    bench: Bench, traced: Traced, here: slice, slopes: Array, size: int
 ) -> NDArray[np.floating[Any]]:
-    """Return images (batch, size²) as sums over the rays of `tiles`; rays that mirrors stop are dark.
+    """Return images (instants, size²) as sums over the rays; rays that mirrors stop are dark.
 
-    ``slopes`` (batch, 2) of the phase, waves/mm, move them. An instant without a dark ray is none the less
+    ``slopes`` (instants, 2) of the phase, waves/mm, move them. An instant without a dark ray is none the less
     one of `psf`, so that its bits do not depend on those beside it.
     """
     prepared, basis = bench.prepared, _ray_basis(bench.text, size)
     # A phase that grows along +x moves the image to +x; the OPD of a positive line of sight falls along +x.
-    phase = -from_tiles(traced.opd[tiles]) / prepared.wavelength
+    tiles = slice(here.start // TILE, -(-here.stop // TILE))
+    own = slice(here.start - tiles.start * TILE, here.stop - tiles.start * TILE)
+    phase = -from_tiles(traced.opd[tiles])[own] / prepared.wavelength
     unknown = np.isnan(phase)
     if unknown.any():
         stopped = vignetted(prepared.train, np.asarray(traced.status[tiles]))
-        lost = int((unknown & ~stopped.swapaxes(1, 2).reshape(phase.shape)).any(axis=0).sum())
+        arrived = ~stopped.swapaxes(1, 2).reshape(-1, phase.shape[1])[own]
+        lost = int((unknown & arrived).any(axis=0).sum())
         if lost:
             raise UserError(
                 f"{lost} rays are lost, so that an image that is a sum over rays would have holes"

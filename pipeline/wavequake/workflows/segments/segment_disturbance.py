@@ -32,7 +32,7 @@ from wavequake.mechanics.disturbances.sources.edge_sensors import EdgeSensorNois
 from wavequake.optics.polynomials.zernike import noll_to_nm
 from wavequake.optics.segments.kinematics import in_optics_frame
 from wavequake.optics.segments.prepared import chief_rays, trace_states
-from wavequake.optics.segments.states import SurfaceStates
+from wavequake.optics.segments.states import SurfaceStates, rest
 from wavequake.optics.segments.wavefront import Wavefront, analyse
 from wavequake.optics.wavefronts.quality import meets_marechal, meets_rayleigh
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis, monolithic
@@ -83,51 +83,79 @@ def draw(bench: Bench, case: int) -> CaseDraw:
 
 def surface_states(bench: Bench, drawn: CaseDraw, first: int, last: int) -> SurfaceStates:
     """Convert instants first <= i < last from SI to the optics (mm), padded with rest to whole tiles."""
-    batch, count = padded(last - first), last - first
-    segments, surfaces = len(bench.system.segments), len(bench.system.surfaces)
-    motion, part = drawn.motion, slice(first, last)
-    segment_motion = np.zeros((batch, segments, 6))
-    segment_motion[:count] = motion.segment_motion[part]
-    segment_motion[..., :3] *= MM_PER_M
-    figure = np.zeros((batch, segments, bench.figure_terms))
-    figure[:count, :, : motion.segment_figure.shape[-1]] = motion.segment_figure * MM_PER_M
-    surface_motion = np.zeros((batch, surfaces, 6))
-    surface_motion[:count, 0, 3:5] = motion.m2[part] @ bench.m2_tilt.T
+    states = _at_rest(bench, padded(last - first))
+    _put(states, 0, bench, drawn, slice(first, last))
+    return states
+
+
+def _at_rest(bench: Bench, batch: int) -> SurfaceStates:
+    states = rest(batch, len(bench.system.segments), len(bench.system.surfaces), bench.figure_terms)
+    states.field[:] = bench.field
+    return states
+
+
+def _put(states: SurfaceStates, place: int, bench: Bench, drawn: CaseDraw, part: slice) -> None:
+    """Write some instants of a case over instants at rest, from `place` on."""
+    motion, here = drawn.motion, slice(place, place + part.stop - part.start)
+    segments = states.segment_motion[here]
+    segments[:] = motion.segment_motion[part]
+    segments[..., :3] *= MM_PER_M
+    states.segment_figure[here, :, : motion.segment_figure.shape[-1]] = motion.segment_figure * MM_PER_M
+    states.surface_motion[here, 0, 3:5] = motion.m2[part] @ bench.m2_tilt.T
     for index, surface in enumerate(bench.system.surfaces):
         if surface.name in motion.rigid:
             own = motion.rigid[surface.name][part] * np.repeat([MM_PER_M, 1.0], 3)
-            surface_motion[:count, index] += in_optics_frame(own, surface.rotation)
-    field = np.zeros((batch, 2))
-    field[:] = bench.field
-    field[:count] += motion.mount[part]
-    return SurfaceStates(segment_motion, figure, surface_motion, field)
+            states.surface_motion[here, index] += in_optics_frame(own, surface.rotation)
+    states.field[here] += motion.mount[part]
 
 
-def _pieces(draws: list[CaseDraw]) -> Iterator[list[tuple[int, int, int]]]:
-    """Cut the cases into launches of at most _LAUNCH_TILES tiles: (row, first instant, last instant)."""
-    launch: list[tuple[int, int, int]] = []
-    room = _LAUNCH_TILES * TILE
-    for row, drawn in enumerate(draws):
-        first, count = 0, len(drawn.time)
+@dataclass(frozen=True)
+class Piece:
+    """Instants first <= i < last of the case in `row` of a chunk, and where in a launch they begin."""
+
+    row: int
+    first: int
+    last: int
+    place: int
+
+    @property
+    def here(self) -> slice:
+        """Its instants in the launch."""
+        return slice(self.place, self.place + self.last - self.first)
+
+
+def _launches(draws: list[CaseDraw], instants: list[int]) -> Iterator[list[Piece]]:
+    """Cut the cases, of each so many instants, into launches of at most _LAUNCH_TILES tiles.
+
+    A case takes whole tiles of its own. Those of a single instant share tiles, each at the place that its
+    realization gives it, whatever is beside it.
+    """
+    launch: list[Piece] = []
+    tiles, shared = 0, dict[int, set[int]]()  # places that are taken of tiles that cases share
+    for row, (drawn, count) in enumerate(zip(draws, instants, strict=True)):
+        lane, first = drawn.realization % TILE, 0
         while first < count:
-            last = min(count, first + room)
-            launch.append((row, first, last))
-            room -= padded(last - first)
-            first = last
-            if room < TILE:
+            free = next((tile for tile, taken in shared.items() if lane not in taken), tiles)
+            if tiles == _LAUNCH_TILES and (count > 1 or free == tiles):
                 yield launch
-                launch, room = [], _LAUNCH_TILES * TILE
+                launch, tiles, shared, free = [], 0, {}, 0
+            if count == 1:
+                launch.append(Piece(row, 0, 1, free * TILE + lane))
+                shared.setdefault(free, set()).add(lane)
+                tiles, first = max(tiles, free + 1), 1
+                continue
+            last = min(count, first + (_LAUNCH_TILES - tiles) * TILE)
+            launch.append(Piece(row, first, last, tiles * TILE))
+            tiles, first = tiles + padded(last - first) // TILE, last
     if launch:
         yield launch
 
 
-def _joined(states: list[SurfaceStates]) -> SurfaceStates:
-    return SurfaceStates(
-        *(
-            np.concatenate([getattr(state, name) for state in states])
-            for name in ("segment_motion", "segment_figure", "surface_motion", "field")
-        )
-    )
+def _traced_instants(drawn: CaseDraw) -> int:
+    """Return how many instants of a case are traced: one of a case that stands still."""
+    motion = drawn.motion
+    series = (motion.segment_motion, motion.mount, motion.m2, *motion.rigid.values())
+    return 1 if all((one == one[:1]).all() for one in series) else len(drawn.time)
 
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
@@ -162,29 +190,29 @@ def trace_draws(
     for name in ("exposure", "rayleigh", "marechal", "vignetted"):  # gathered over a case's launches
         if name in arrays:
             arrays[name][:] = 0.0
-    messages = [""] * len(draws)
-    for launch in _pieces(draws):
+    messages, instants = [""] * len(draws), [_traced_instants(drawn) for drawn in draws]
+    for launch in _launches(draws, instants):
         with clock("draw"):
-            states = [surface_states(bench, draws[row], first, last) for row, first, last in launch]
-            joined = _joined(states)
+            states = _at_rest(bench, padded(max(piece.here.stop for piece in launch)))
+            for piece in launch:
+                _put(states, piece.place, bench, draws[piece.row], slice(piece.first, piece.last))
         with clock("trace"):
-            rays = trace_states(bench.prepared, joined, device)
+            rays = trace_states(bench.prepared, states, device)
         with clock("wavefront"):
-            wavefront = analyse(bench.prepared, rays, chief_rays(bench.prepared, joined), device)
-        tile = 0
-        for (row, first, last), state in zip(launch, states, strict=True):
-            tiles = slice(tile, tile + len(state) // TILE)
-            tile = tiles.stop
-            here = slice(tiles.start * TILE, tiles.start * TILE + last - first)
-            messages[row] = messages[row] or _lost_segment(bench, draws[row], wavefront, here, first)
+            wavefront = analyse(bench.prepared, rays, chief_rays(bench.prepared, states), device)
+        for piece in launch:
+            row, drawn = piece.row, draws[piece.row]
+            messages[row] = messages[row] or _lost_segment(bench, drawn, wavefront, piece)
             if messages[row]:
                 continue
-            _record(bench, arrays, row, slice(first, last), wavefront, here, draws[row])
+            whole = instants[row] == 1  # the piece stands for all instants
+            there = slice(0, len(drawn.time)) if whole else slice(piece.first, piece.last)
+            _record(bench, arrays, piece, there, wavefront, drawn)
             if "exposure" not in arrays:
                 continue
             try:
                 with clock("image"):
-                    arrays["exposure"][row] += summed_images(bench, rays, wavefront, tiles, last - first)
+                    arrays["exposure"][row] += summed_images(bench, rays, wavefront, piece.here)
             except UserError as error:  # tilts that no image can be made of concern this case alone
                 messages[row] = str(error)
     status = np.full(len(draws), DONE, dtype=np.int8)
@@ -195,18 +223,18 @@ def trace_draws(
                 array[row] = np.nan
             continue
         for name in ("rayleigh", "marechal"):
-            arrays[name][row] /= len(draws[row].time)
+            arrays[name][row] /= instants[row]
         if "exposure" in arrays:
             with clock("image"):
-                _finish_exposure(bench, arrays, row, len(draws[row].time))
+                _finish_exposure(bench, arrays, row, instants[row])
     return ChunkResult(arrays, status, tuple(messages), clock.seconds)
 
 
-def _lost_segment(bench: Bench, drawn: CaseDraw, wavefront: Wavefront, here: slice, first: int) -> str:
-    instants, segments = np.nonzero(wavefront.lost_segments[here])
+def _lost_segment(bench: Bench, drawn: CaseDraw, wavefront: Wavefront, piece: Piece) -> str:
+    instants, segments = np.nonzero(wavefront.lost_segments[piece.here])
     if not len(instants):
         return ""
-    instant, segment = first + int(instants[0]), int(segments[0])
+    instant, segment = piece.first + int(instants[0]), int(segments[0])
     return (
         f"segment {bench.system.segments.names[segment]} lost all its rays at instant {instant} "
         f"(t = {drawn.time[instant]:.4g} s): its motion takes its glass out of the beam"
@@ -214,15 +242,10 @@ def _lost_segment(bench: Bench, drawn: CaseDraw, wavefront: Wavefront, here: sli
 
 
 def _record(
-    bench: Bench,
-    arrays: dict[str, Array],
-    row: int,
-    there: slice,
-    wavefront: Wavefront,
-    here: slice,
-    drawn: CaseDraw,
+    bench: Bench, arrays: dict[str, Array], piece: Piece, there: slice, wavefront: Wavefront, drawn: CaseDraw
 ) -> None:
-    """Write the instants `here` of a launch to the instants `there` of case `row`."""
+    """Write a piece's numbers to the instants `there` of its case that it stands for."""
+    row, here = piece.row, piece.here
     to_nm = bench.study.optics.wavelength_nm
     to_mas = MAS_PER_RAD / bench.first_order.focal_length
     arrays["time_s"][row, there] = drawn.time[there]

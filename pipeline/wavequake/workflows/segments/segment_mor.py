@@ -186,7 +186,7 @@ def _traced_history(
                 f"{int(wavefront.lost[here].max())} rays are lost at an instant: the motion takes "
                 "segments out of the beam; lower the amplitude of the excitations."
             )
-        exposure += summed_images(bench, rays, wavefront, slice(0, padded(count) // TILE), count)
+        exposure += summed_images(bench, rays, wavefront, here)
         opd = flattened(bench.prepared, rays.opd - still)
         zernike = wavefront.zernike[here, 3:] - bench.static.zernike[0, 3:]
         for name, values in (
