@@ -15,6 +15,7 @@ from wavequake.campaign.engine.driver import CampaignSummary, run_campaign
 from wavequake.campaign.engine.driver_lock import Shard, shard_of
 from wavequake.campaign.schema import Study
 from wavequake.campaign.statistics.until import Goal, described, goal_of, is_met, looks, quantiles_of
+from wavequake.campaign.stopwatch import CPU
 from wavequake.campaign.store.journal import read_journal
 from wavequake.campaign.store.retention import stored_template
 from wavequake.campaign.store.store import JOURNAL, MANIFEST, done_records, open_store, read_manifest
@@ -262,8 +263,9 @@ def _peak_memory_mb() -> float:
 def profile(path: Path | str) -> dict[str, str]:
     """Say where the time of a store's chunks went, from its journal.
 
-    That is the share of each kind of work, rates, the time and launches of every OpenCL kernel by the
-    device's clock, and what was copied to and from a device that has memory of its own.
+    That is the share of each kind of work by the clock and its processor time, rates, the time and launches
+    of every OpenCL kernel by the device's clock, and what was copied to and from a device that has memory of
+    its own.
 
     Raises
     ------
@@ -280,12 +282,15 @@ def profile(path: Path | str) -> dict[str, str]:
     if not total:
         return {"profile": "nothing was computed yet"}
     seconds["write"] = seconds.pop("write_s", 0.0)
-    kernels, launches, copied = (
+    cpu, kernels, launches, copied = (
         {name.removeprefix(kind): seconds.pop(name) for name in sorted(seconds) if name.startswith(kind)}
-        for kind in ("kernel ", "launches ", "bytes ")
+        for kind in (CPU, "kernel ", "launches ", "bytes ")
     )
     seconds["rest"] = total - sum(seconds.values())
-    lines = {name: f"{value:8.2f} s  {value / total:6.1%}" for name, value in seconds.items()}
+    lines = {
+        name: f"{value:8.2f} s  {value / total:6.1%}" + (f"  {cpu[name]:8.2f} s CPU" if name in cpu else "")
+        for name, value in seconds.items()
+    }
     work = find_kind(manifest.workflow).work(manifest.study, sum(last - first for first, last in records))
     rates = {
         f"{name} rate": f"{count / seconds[name] / 1e6:8.1f} M {unit}/s"
@@ -298,4 +303,5 @@ def profile(path: Path | str) -> dict[str, str]:
         for name, value in sorted(kernels.items(), key=lambda item: -item[1])
     }
     moved = {f"copied {way}": f"{1e-6 * count:8.1f} MB" for way, count in copied.items()}
-    return {**lines, "all chunks": f"{total:8.2f} s of process time", **rates, **ran, **moved}
+    spent = f"  100.0%  {cpu['chunks']:8.2f} s CPU" if "chunks" in cpu else ""
+    return {**lines, "all chunks": f"{total:8.2f} s{spent}", **rates, **ran, **moved}

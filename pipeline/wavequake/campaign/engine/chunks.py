@@ -17,6 +17,7 @@ import numpy as np
 from wavequake.campaign import provenance
 from wavequake.campaign.contract import DIVERGED, DONE, RAISED, ChunkResult, StudyKind, Template
 from wavequake.campaign.engine.commit import commit
+from wavequake.campaign.stopwatch import CPU
 from wavequake.campaign.store import fence, journal
 from wavequake.campaign.store.arrays import Array, array_of, chunk_file, open_group, write_chunk
 from wavequake.campaign.store.journal import Chunk, Record
@@ -143,7 +144,7 @@ def computed_chunk(job: Job, first: int, last: int) -> tuple[ChunkResult, float]
     ones are quarantined, with their message. Numbers do not depend on the number of threads: there is one.
     """
     opened = opened_store(job.workflow, job.path, job.run)
-    start, launches = time.perf_counter(), kernel_launches()
+    start, busy, launches = time.perf_counter(), time.process_time(), kernel_launches()
     with one_thread():
         try:
             result = _computed(job, opened, first, last)
@@ -151,7 +152,8 @@ def computed_chunk(job: Job, first: int, last: int) -> tuple[ChunkResult, float]
             raise
         except Exception:
             result = joined([computed_alone(job, opened, case) for case in range(first, last)])
-    timings = {**result.timings, **launches_since(launches)}
+    cpu = {f"{CPU}chunks": time.process_time() - busy}
+    timings = {**result.timings, **cpu, **launches_since(launches)}
     return replace(result, timings=timings), time.perf_counter() - start
 
 

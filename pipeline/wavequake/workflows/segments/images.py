@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.imaging.engines.division import Division, divide, divided_phase
 from wavequake.imaging.engines.matrix_fourier import samples_needed
 from wavequake.imaging.engines.segment_basis import SegmentBasis, ray_basis, segment_basis
 from wavequake.imaging.engines.segment_psf import amplitude_images, psf, shift_phase, truncation_error
@@ -27,6 +28,8 @@ _AUTO_MOMENTS = (6, 15, 45)
 # Largest error of an image relative to the perfect peak, as a worst-case bound; the real error is 10 to 100
 # times less.
 _TOLERANCE = 1e-3
+# Steeper segments are cut into triangles, and these halved, as long as there are not too many of them.
+_PARTS_MOMENTS, _HALVINGS, _MOST_PARTS = 28, 3, 4096
 # An image that moves is computed on a canvas of twice the frame.
 _CANVAS = 2
 
@@ -165,7 +168,10 @@ def _ray_images(
 
 
 def _psf(bench: Bench, phase: Array, pixels: int) -> NDArray[np.floating[Any]]:
-    """Return the images of a case's segments with as many moments as the study says, or as they need."""
+    """Return the images of a case's segments with as many moments as the study says, or as they need.
+
+    Segments that are too steep for any number of moments are imaged by their parts.
+    """
     chosen = bench.study.imaging.moments
     if chosen != "auto":
         return psf(_basis(bench.text, pixels, chosen), phase)
@@ -174,7 +180,16 @@ def _psf(bench: Bench, phase: Array, pixels: int) -> NDArray[np.floating[Any]]:
         basis = _basis(bench.text, pixels, moments)
         if truncation_error(basis, phase)[-1].max() <= _TOLERANCE:
             return psf(basis, phase, _TOLERANCE)
-    return psf(_basis(bench.text, pixels, last), phase, _TOLERANCE)
+    whole = _basis(bench.text, pixels, last)
+    if truncation_error(whole, phase)[-1].max() > _TOLERANCE:
+        for halvings in range(_HALVINGS):
+            parts = _division(bench.text, halvings)
+            if len(parts.segment) > _MOST_PARTS:
+                break
+            basis, finer = _parts_basis(bench.text, pixels, halvings), divided_phase(parts, phase)
+            if truncation_error(basis, finer)[-1].max() <= _TOLERANCE:
+                return psf(basis, finer, _TOLERANCE)
+    return psf(whole, phase, _TOLERANCE)
 
 
 @prepared(maxsize=6)
@@ -185,6 +200,18 @@ def _basis(study_text: str, pixels: int, moments: int) -> SegmentBasis:
     return kept(
         SegmentBasis, segment_basis, segments.corners, centers, moments=moments, **_grid(bench, pixels)
     )
+
+
+@prepared(maxsize=_HALVINGS)
+def _division(study_text: str, halvings: int) -> Division:
+    segments = bench_of(study_text).system.segments
+    return divide(segments.corners, segments.centers[:, :2], halvings)
+
+
+@prepared(maxsize=2 * _HALVINGS)
+def _parts_basis(study_text: str, pixels: int, halvings: int) -> SegmentBasis:
+    parts, grid = _division(study_text, halvings), _grid(bench_of(study_text), pixels)
+    return kept(SegmentBasis, segment_basis, parts.corners, parts.centers, moments=_PARTS_MOMENTS, **grid)
 
 
 @prepared(maxsize=4)
