@@ -16,6 +16,7 @@ from wavequake.errors import StoreDamageError, UserError
 if TYPE_CHECKING:
     from wavequake import plot
     from wavequake.campaign.schema import Study
+    from wavequake.campaign.store.grid import unstack
     from wavequake.campaign.store.store import open_store
     from wavequake.doors.models import load_model, plant, respond
     from wavequake.doors.studies import budget, compare, export, report, run, studies, tail, verify
@@ -53,6 +54,7 @@ __all__ = [
     "sensitivity",
     "studies",
     "tail",
+    "unstack",
     "verify",
     "view",
     "write_zmx",
@@ -79,6 +81,7 @@ _HOMES = {
     "sensitivity": "wavequake.workflows.sensitivity",
     "studies": "wavequake.doors.studies",
     "tail": "wavequake.doors.studies",
+    "unstack": "wavequake.campaign.store.grid",
     "verify": "wavequake.doors.studies",
     "view": "wavequake.viewer.view",
     "write_zmx": "wavequake.optics.zemax.export",

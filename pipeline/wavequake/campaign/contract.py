@@ -107,8 +107,8 @@ class StudyKind:
     ``work(study, cases)`` says how much of what a kind of work in the timings has processed, e.g.
     {"trace": (1e9, "ray-surfaces")}; ``check`` raises UserError for a study that no case of can succeed,
     before a store is made; ``notices`` yields what the user should read before, such as doubtful units.
-    ``compared`` are the coordinates of cases that plain reports tell apart; ``pictures(study, dataset)`` are
-    added to them.
+    ``compared`` are the coordinates of cases that plain reports tell apart, ``compared_of(study)`` where they
+    depend on the study; ``pictures(study, dataset)`` are added to them.
 
     Most kinds are written as measures: :func:`wavequake.campaign.measured.study_kind`.
     """
@@ -124,6 +124,7 @@ class StudyKind:
     model: type[Study] = Study
     compared: tuple[str, ...] = ("disturbance",)
     pictures: Callable[[str, Any], Iterator[Drawn]] = no_pictures
+    compared_of: Callable[[str], tuple[str, ...]] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel with the plug-ins of this process: where a kind arrives, they are loaded before it is."""

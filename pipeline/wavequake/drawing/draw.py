@@ -27,11 +27,12 @@ from wavequake.workflows.lens.lens_passive import PassiveStudy
 from wavequake.workflows.lens.lens_study import LensStudy
 from wavequake.workflows.mirrors.mirror_bench import build_model
 from wavequake.workflows.mirrors.mirror_study import AnyMirrorStudy
+from wavequake.workflows.overrides import split_overrides
 from wavequake.workflows.segments.bench import build_telescope
 from wavequake.workflows.segments.segment_mor_study import SegmentMorStudy
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.sensitivity_source import TELESCOPES
-from wavequake.workflows.study import bundled_studies, load_study, split_overrides
+from wavequake.workflows.study import bundled_studies, load_study
 from wavequake.workflows.systems.system_study import SystemStudy
 
 _ARCMIN = np.pi / 180.0 / 60.0

@@ -19,7 +19,7 @@ import re
 from wavequake.errors import UserError
 from wavequake.reduction.method import METHODS, Variant
 
-__all__ = ["Variant", "parse"]
+__all__ = ["Variant", "orders_of", "parse"]
 
 _EXAMPLES = {
     "points": "krylov36(150) or krylov(200*3,450*1)",
@@ -30,6 +30,8 @@ _EXAMPLES = {
 # Far above any structure; squares of it stay finite.
 _HIGHEST_HZ = 1e9
 _NAME = re.compile(r"([a-z]+)(\d*)(?:\(([^()]*)\))?")
+_RANGE = re.compile(r"\{(\d+):(\d+):(\d+)\}")
+_MOST_ORDERS = 10_000
 _NUMBER = r"\d+(?:\.\d*)?(?:e[+-]?\d+)?"
 _BAND = re.compile(rf"({_NUMBER})-({_NUMBER})(?:\*({_NUMBER}))?")
 
@@ -73,6 +75,28 @@ def parse(name: str, order: int | None = None) -> Variant:
     if order == 0:
         raise UserError(f"{name!r}: the order must be at least 1.")
     return Variant(method, order, points, moments, bands)
+
+
+def orders_of(name: str) -> list[str]:
+    """Return the names that a range stands for: ``craigb{18:54:18}`` is craigb18, craigb36 and craigb54.
+
+    The range is first, last and step, the last one included where a step meets it. A name without a range
+    stands for itself.
+
+    Raises
+    ------
+    UserError
+        If the range is empty, endless or malformed.
+    """
+    found = _RANGE.search(name)
+    if not found:
+        if "{" in name or "}" in name:
+            raise UserError(f"{name!r}: a range of orders is {{first:last:step}}, as craigb{{18:108:18}}.")
+        return [name]
+    first, last, step = map(int, found.groups())
+    if step < 1 or last < first or (last - first) // step >= _MOST_ORDERS:
+        raise UserError(f"{name!r}: the range must rise from first to last in at most {_MOST_ORDERS} steps.")
+    return [_RANGE.sub(str(order), name, count=1) for order in range(first, last + 1, step)]
 
 
 def _points(name: str, items: list[str]) -> tuple[tuple[complex, ...], tuple[int, ...]]:

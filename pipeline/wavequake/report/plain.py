@@ -4,7 +4,7 @@ Cases are told apart by the labels that their kind compares (disturbance, contro
 one number per case in the table: of its instants as the measure says, of an axis (x, y) the length.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,6 +42,15 @@ _REDUCED = {
 }
 
 
+OVER_TIME = (
+    "Over time each measure is one number per case (rms unless it says otherwise), along x and y the length."
+)
+SMALL_PRINT = (
+    f"{OVER_TIME} P50 and P95 over cases with their 95 % confidence interval (≤, ≥: too few cases for both "
+    "bounds)."
+)
+
+
 @dataclass(frozen=True)
 class Row:
     """One measure at one place of its further dimensions: a number per case (case,)."""
@@ -51,17 +60,35 @@ class Row:
     units: str
     values: Array
 
+    @property
+    def title(self) -> str:
+        """Name, place and unit."""
+        return " ".join(p for p in (self.name, self.label, f"({self.units})" if self.units else "") if p)
 
-def _groups(store: Path, dataset: xr.Dataset) -> dict[str, NDArray[np.bool_]]:
+
+def compared_labels(store: Path, dataset: xr.Dataset) -> list[str]:
+    """Return the labels that the store's cases are told apart by."""
+    manifest = read_manifest(store)
+    kind = find_kind(manifest.workflow)
+    names = kind.compared_of(manifest.study) if kind.compared_of else kind.compared
+    return [one for one in names if one in dataset.coords]
+
+
+def groups_of(store: Path, dataset: xr.Dataset) -> dict[str, NDArray[np.bool_]]:
     """Return which finished cases belong to each combination of compared labels, in order of appearance."""
-    compared = [one for one in find_kind(read_manifest(store).workflow).compared if one in dataset.coords]
+    compared = compared_labels(store, dataset)
     done = dataset["status"].to_numpy() == DONE
     if not compared:
         return {"all cases": done}
     labels = np.array(
-        [" / ".join(map(str, row)) for row in zip(*(dataset[c].to_numpy() for c in compared), strict=True)]
+        [" / ".join(map(short, row)) for row in zip(*(dataset[c].to_numpy() for c in compared), strict=True)]
     )
     return {str(name): (labels == name) & done for name in dict.fromkeys(labels.tolist())}
+
+
+def short(value: object) -> str:
+    """Return a label in few characters."""
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _numbers(dataset: xr.Dataset) -> Iterator[xr.DataArray]:
@@ -117,12 +144,12 @@ def _label(dataset: xr.Dataset, dim: str, place: int) -> str:
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
-    groups = _groups(store, dataset)
+    groups = groups_of(store, dataset)
     table = Table(
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
         pad_edge=False,
-        caption=_small_print(dataset),
+        caption=SMALL_PRINT,
         caption_justify="left",
     )
     table.add_column("cases", overflow="fold")
@@ -136,9 +163,7 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
             levels = [quantile(_finite(row.values[mine]), p) for p, _ in _PERCENTILES]
             table.add_row(
                 head,
-                " ".join(
-                    part for part in (row.name, row.label, f"({row.units})" if row.units else "") if part
-                ),
+                row.title,
                 *(
                     f"{number(one.value)}" + ("" if np.isnan(one.value) else f" ({interval(one)})")
                     for one in levels
@@ -152,18 +177,22 @@ def _finite(values: Array) -> Array:
     return values[~np.isnan(values)]
 
 
-def _small_print(dataset: xr.Dataset) -> str:
-    return (
-        "Over time each measure is one number per case (rms unless it says otherwise), along x and y the "
-        "length; P50 and P95 over cases with their 95 % confidence interval (≤, ≥: too few cases for both "
-        "bounds)."
-    )
+def write_report_of(
+    store: Path,
+    dataset: xr.Dataset,
+    target: Path,
+    device: str,
+    found: list[Row] | None = None,
+    first: Sequence[Picture] = (),
+    answer: str = "",
+) -> Path:
+    """Write the HTML report: table, distributions, histories, images, and the pictures of the study kind.
 
-
-def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
-    """Write the HTML report: table, distributions, histories, images, and the pictures of the study kind."""
-    groups = {name: mine for name, mine in _groups(store, dataset).items() if mine.any()}
-    found = rows(dataset)
+    The rows `found` are shown instead of all, the pictures `first` instead of their distributions, and the
+    `answer` is more than that cases are done.
+    """
+    groups = {name: mine for name, mine in groups_of(store, dataset).items() if mine.any()}
+    found = rows(dataset) if found is None else found
     kind = find_kind(read_manifest(store).workflow)
     own = [
         picture(f"own-{index}", one.title, one.figure, one.caption)
@@ -172,7 +201,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     sections = [
         Section(name, figures)
         for name, figures in (
-            ("Distributions over cases", [*_distributions(found, groups)]),
+            ("Distributions over cases", [] if first else [*_distributions(found, groups)]),
             ("Over time", [*_histories(dataset, groups)]),
             ("Images", [*_images(dataset, groups)]),
         )
@@ -180,14 +209,16 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     ]
     cases = int(sum(mine.sum() for mine in groups.values()))
     page = Page(
-        answer=f"{counted(cases, 'case')} of {kind.name} are done." if cases else "No case is done yet.",
+        answer=(answer or f"{counted(cases, 'case')} of {kind.name} are done.")
+        if cases
+        else "No case is done yet.",
         table=[_page_row(group, mine, found) for group, mine in groups.items()],
-        small_print=_small_print(dataset),
-        overview=[*own, *budget.pictures(store)],
+        small_print=SMALL_PRINT,
+        overview=[*first, *own, *budget.pictures(store)],
         sections=sections,
         definitions=[(str(one.name), str(one.attrs.get("long_name", "")) + ".") for one in _numbers(dataset)],
-        kind=" / ".join(kind.compared),
-        left_out=left_out(dataset, [one for one in kind.compared if one in dataset.coords], most=1000),
+        kind=" / ".join(compared_labels(store, dataset)),
+        left_out=left_out(dataset, compared_labels(store, dataset), most=1000),
     )
     return write_page(render_page(dataset, page), target)
 
@@ -208,9 +239,7 @@ def _distributions(found: list[Row], groups: dict[str, NDArray[np.bool_]]) -> It
         values = {name: _finite(one.values[mine]) for name, mine in groups.items()}
         values = {name: numbers[np.isfinite(numbers)] for name, numbers in values.items()}
         values = {name: numbers for name, numbers in values.items() if len(numbers) > 1}
-        label = " ".join(
-            part for part in (one.name, one.label, f"({one.units})" if one.units else "") if part
-        )
+        label = one.title
         if values and any(np.ptp(numbers) > 0.0 for numbers in values.values()):
             yield picture(
                 f"distribution-{index}",

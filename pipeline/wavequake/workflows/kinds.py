@@ -22,6 +22,8 @@ _BUNDLED = {
     "lens-experiment": "wavequake.workflows.lens.lens_experiment",
     "lens-passive": "wavequake.workflows.lens.lens_passive",
 }
+# Kinds that no study file names: the loader makes such studies.
+_MADE = {"sweep": "wavequake.workflows.sweep"}
 _registered: dict[str, StudyKind] = {}
 
 
@@ -35,7 +37,7 @@ def register(kind: StudyKind) -> None:
     """
     if not isinstance(kind, StudyKind):
         raise UserError(f"{kind!r} is no study kind; study_kind(...) makes one.")
-    if kind.name in _BUNDLED or _registered.get(kind.name, kind) != kind:
+    if kind.name in {**_BUNDLED, **_MADE} or _registered.get(kind.name, kind) != kind:
         raise UserError(f"There is a study kind {kind.name!r} already; choose another name.")
     _registered[kind.name] = kind
 
@@ -58,8 +60,8 @@ def find_kind(name: str) -> StudyKind:
     UserError
         If there is none; names the nearest one, and says how a plug-in is given.
     """
-    if name in _BUNDLED and name not in _registered:
-        return with_extra(import_module(_BUNDLED[name]).KIND)
+    if module := {**_BUNDLED, **_MADE}.get(name):
+        return with_extra(import_module(module).KIND)
     if name not in _registered and name in _installed():
         (entry,) = entry_points(group=_GROUP, name=name)
         register(entry.load())

@@ -9,7 +9,8 @@ from typing import Any
 from wavequake.campaign.schema import Study
 from wavequake.errors import UserError
 from wavequake.optics.catalog.names import system_names
-from wavequake.workflows.study import bundled_studies, load_study, split_overrides, study_of
+from wavequake.workflows.overrides import split_overrides
+from wavequake.workflows.study import bundled_studies, load_study, study_of
 
 # Telescopes are those of studies, with their light and rays.
 TELESCOPES: dict[str, tuple[str, dict[str, Any]]] = {

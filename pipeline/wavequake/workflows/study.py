@@ -6,18 +6,20 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from pydantic import ValidationError
-
-from wavequake.campaign.schema import Study, describe
+from wavequake.campaign.schema import Study
 from wavequake.errors import UserError
 from wavequake.files import folder
 from wavequake.user_files import read_text, read_toml
 from wavequake.workflows.kinds import find_kind, kind_names
-
-_MOST_DOTS = 40  # in the key of an override
-# Keys that name files.
-_FILES = ("file", "glass_file", "mass", "dofs", "mesh", "polygons", "corners", "picture")
+from wavequake.workflows.overrides import (
+    FILES,
+    overridden,
+    override,
+    replace_alternatives,
+    split_overrides,
+    validated,
+)
+from wavequake.workflows.sweep import NAME, SweepStudy, base_study, swept_study
 
 
 def bundled_studies() -> dict[str, Path]:
@@ -76,11 +78,18 @@ def study_of(record: dict[str, Any], where: str, base: Path, pairs: Iterable[tup
     Files that it names are looked for in `base`; raises as :func:`load_study`.
     """
     model, pairs = _model(record, where), list(pairs)
-    _replace_alternatives(record, pairs, model)
+    sweep = record.pop("sweep", None)
+    swept, pairs = _of_sweep(pairs)
+    replace_alternatives(record, pairs, model)
     for key, value in pairs:
-        _override(record, key, _located(key, value, base), model)
+        override(record, key, _located(key, value, base), model)
     model.read_files(record, base)
-    return _validated(model, record, where)
+    study = validated(model, record, where)
+    if sweep is None and not swept:
+        return study
+    if not isinstance(sweep, dict | None):
+        raise UserError(f"{where}: sweep is {sweep!r}; write a table [sweep] of keys and lists of values.")
+    return swept_study(study, {**_flat(sweep or {}), **swept})
 
 
 def study_with(study: Study, keys: Mapping[str, Any]) -> Study:
@@ -88,22 +97,38 @@ def study_with(study: Study, keys: Mapping[str, Any]) -> Study:
 
     Files cannot be replaced: those of a loaded study have been read.
     """
-    file = next((key for key in keys if key.rpartition(".")[2] in _FILES), None)
+    file = next((key for key in keys if key.rpartition(".")[2] in FILES), None)
     if file is not None:
         raise UserError(
             f"The study {study.study.name} is loaded and has read its files, so {file!r} changes nothing in "
             "it; load it with this key (wavequake.load_study)."
         )
-    record = study.model_dump(mode="json")
-    _replace_alternatives(record, keys.items(), type(study))
-    for key, value in keys.items():
-        _override(record, key, value, type(study))
-    return _validated(type(study), record, study.study.name)
+    swept, own = _of_sweep(keys.items())
+    if isinstance(study, SweepStudy):
+        before = {one.key: one.values for one in study.sweep}
+        return swept_study(study_with(base_study(study), dict(own)), {**before, **swept})
+    found = overridden(type(study), study.model_dump(mode="json"), dict(own), study.study.name)
+    return swept_study(found, swept) if swept else found
+
+
+def _of_sweep(pairs: Iterable[tuple[str, Any]]) -> tuple[dict[str, Any], list[tuple[str, Any]]]:
+    """Part overrides into those of the sweep, ``sweep.section.key = [...]``, and the others."""
+    pairs, head = list(pairs), f"{NAME}."
+    swept = {key.removeprefix(head): value for key, value in pairs if key.startswith(head)}
+    return swept, [(key, value) for key, value in pairs if not key.startswith(head)]
+
+
+def _flat(table: Mapping[str, Any], head: str = "") -> dict[str, Any]:
+    """Return a table of tables by keys with dots: ``model.rings = [4, 6]`` in TOML is a table in a table."""
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        found |= _flat(value, f"{head}{key}.") if isinstance(value, dict) else {f"{head}{key}": value}
+    return found
 
 
 def _located(key: str, value: Any, base: Path) -> Any:
     """Return the path of a file that an override names: in the current folder, or else beside the study."""
-    if key.rpartition(".")[2] not in _FILES or not isinstance(value, str):
+    if key.rpartition(".")[2] not in FILES or not isinstance(value, str):
         return value
     here = Path.cwd() / value
     return value if (base / value).exists() and not here.exists() else str(here)
@@ -117,17 +142,15 @@ def _model(record: Mapping[str, Any], where: str) -> type[Study]:
         raise UserError(
             f"{where}: the key 'study.workflow' is missing; choose one of {', '.join(kind_names())}."
         )
+    if name == NAME:
+        raise UserError(
+            f"{where}: study.workflow: a sweep is a table [sweep] in a study of any workflow; choose one of "
+            f"{', '.join(kind_names())}."
+        )
     try:
         return find_kind(str(name)).model
     except UserError as error:
         raise UserError(f"{where}: study.workflow: {error}") from None
-
-
-def _validated(model: type[Study], record: Mapping[str, Any], where: str) -> Study:
-    try:
-        return model.model_validate(record)
-    except ValidationError as error:
-        raise UserError(f"{where}: {describe(error, record, model)}") from None
 
 
 def _find(name: str) -> Path:
@@ -146,87 +169,3 @@ def _find(name: str) -> Path:
         f"There is no study {name!r}{hint} Bundled studies are {', '.join(bundled)}; "
         "a study of your own is a path to a .toml file."
     )
-
-
-def split_overrides(overrides: Mapping[str, Any] | Iterable[str]) -> list[tuple[str, Any]]:
-    """Return keys and values of overrides; UserError for text that is none."""
-    if isinstance(overrides, str):
-        return [_split(overrides)]
-    if not isinstance(overrides, Iterable):
-        raise UserError(f"The overrides are {overrides!r}; give a mapping or a list of 'section.key=value'.")
-    pairs = list(overrides.items() if isinstance(overrides, Mapping) else map(_split, overrides))
-    for key, _ in pairs:
-        if not isinstance(key, str):
-            raise UserError(f"The key {key!r} is no text; write section.key.")
-    return pairs
-
-
-def _split(text: str) -> tuple[str, Any]:
-    key, separator, value = str(text).partition("=")
-    if not separator or not key:
-        raise UserError(
-            f"{text!r} is not an override; write section.key=value, for example campaign.cases=40."
-        )
-    try:
-        return key.strip(), read_toml(f"value = {value}")["value"]
-    except UserError:
-        return key.strip(), value
-
-
-def _replace_alternatives(
-    record: dict[str, Any], pairs: Iterable[tuple[str, Any]], model: type[Study]
-) -> None:
-    """Remove from a record what the keys of overrides stand in for, such as another kind of pupil."""
-    for key, value in pairs:
-        home, _, last = key.partition(".")
-        field, section = model.model_fields.get(home), record.get(home)
-        for group in getattr(field and field.annotation, "alternatives", ()):
-            if last in group and value is not None and isinstance(section, dict):
-                for other in group:
-                    section.pop(other, None)
-
-
-def _override(record: dict[str, Any], key: str, value: Any, model: type[Study]) -> None:
-    node: Any = record
-    if key == "study.workflow" and value != record["study"]["workflow"]:
-        raise UserError(
-            f"study.workflow is {record['study']['workflow']!r} and decides which sections a study has; "
-            f"for {value!r} write a study file of that workflow."
-        )
-    if key.count(".") > _MOST_DOTS:
-        raise UserError(f"The key {key[:40]}... has {key.count('.') + 1} parts; write section.key=value.")
-    *parents, last = key.split(".")
-    homes = [
-        name
-        for name, field in model.model_fields.items()
-        if last in getattr(field.annotation, "model_fields", ())
-    ]
-    if len(parents) == 1 and parents[0] not in model.model_fields:
-        near = difflib.get_close_matches(parents[0], model.model_fields, n=1)
-        if homes and not near:
-            raise UserError(f"The key {key!r} is unknown; did you mean {homes[0]}.{last}?")
-    if not parents:
-        hint = f"did you mean {homes[0]}.{key}?" if homes else "write section.key=value."
-        raise UserError(f"The key {key!r} has no section; {hint}")
-    for depth, part in enumerate(parents):
-        if isinstance(node, list):
-            node = _entry(node, part, ".".join(parents[:depth]))
-        else:
-            node = node.setdefault(part, {})
-        if not isinstance(node, dict | list):
-            raise UserError(
-                f"The key {key!r} leads nowhere: {'.'.join(parents[: depth + 1])} is a value, not a section."
-            )
-    if isinstance(node, list):
-        raise UserError(f"The key {key!r} names a whole entry; write {key}.key=value.")
-    node[last] = value.item() if isinstance(value, np.generic) else value  # np.int64 is a number, too
-
-
-def _entry(entries: list[Any], name: str, where: str) -> Any:
-    for index, entry in enumerate(entries):
-        if isinstance(entry, dict) and (entry.get("name") == name or str(index) == name):
-            return entry
-    names = [str(entry.get("name")) for entry in entries if isinstance(entry, dict)]
-    near = difflib.get_close_matches(name, names, n=1)
-    hint = f": did you mean {near[0]!r}?" if near else "."
-    raise UserError(f"There is no {where} called {name!r}{hint} There are {', '.join(names)}.")

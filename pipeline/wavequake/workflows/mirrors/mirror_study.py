@@ -12,7 +12,7 @@ from wavequake.mechanics.importers.model import PADS, TRIANGLE, ZERO_ROWS, Impor
 from wavequake.mechanics.importers.pads import PadKind
 from wavequake.mechanics.vibration.excitations import AnyExcitation
 from wavequake.optics.polynomials.zernike import MOST_TERMS
-from wavequake.reduction.names import parse
+from wavequake.reduction.names import orders_of, parse
 from wavequake.workflows.mirrors.model_store import keep_imported
 
 FULL = "full"
@@ -77,13 +77,15 @@ class ModelSection(Section):
 class VariantsSection(Section):
     """Which reduced models are made, and up to which frequency."""
 
-    variants: tuple[str, ...] = Field(min_length=1, strict=False, description="e.g. 'craigb36'")
+    variants: tuple[str, ...] = Field(
+        min_length=1, strict=False, description="e.g. 'craigb36'; 'craigb{18:108:18}' is 18, 36, .. 108"
+    )
     last_hz: float = Field(default=1200.0, gt=0, description="upper end of the band that the basis covers")
 
     @field_validator("variants")
     @classmethod
     def _variants_are_canonical(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        names = tuple(_canonical(name) for name in value)
+        names = tuple(_canonical(name) for one in value for name in _orders_of(one))
         twice = [name for name in names if names.count(name) > 1]
         if twice:
             raise ValueError(f"the variant {twice[0]!r} is listed twice")
@@ -110,6 +112,14 @@ class ReductionSection(VariantsSection):
         if self.first_hz >= self.last_hz:
             raise ValueError(f"first_hz {self.first_hz:g} must be below last_hz {self.last_hz:g}")
         return self
+
+
+def _orders_of(name: str) -> list[str]:
+    """Return the names of a range of orders, ``krylov{36:108:36}(200)``, or the name itself."""
+    try:
+        return orders_of(name)
+    except UserError as error:
+        raise ValueError(str(error).rstrip(".")) from None
 
 
 def _canonical(name: str) -> str:

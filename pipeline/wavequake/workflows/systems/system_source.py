@@ -20,10 +20,11 @@ from wavequake.optics.zemax.lens_file import LensFileError
 from wavequake.optics.zemax.read import read_zmx
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.exposures.telescope_control import segment_text
+from wavequake.workflows.overrides import split_overrides
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.sensitivity_source import TELESCOPES, sensitivity_study
-from wavequake.workflows.study import bundled_studies, load_study, split_overrides
+from wavequake.workflows.study import bundled_studies, load_study
 from wavequake.workflows.systems.system_study import SystemStudy
 
 MM_PER_NM = 1e-6

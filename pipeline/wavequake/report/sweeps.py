@@ -1,0 +1,159 @@
+"""The report of a sweep: every number over the values of every key, and what plain reports show."""
+
+from collections import Counter
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from wavequake.campaign.contract import DONE
+from wavequake.campaign.schema import study_from_identity
+from wavequake.campaign.store.store import read_manifest
+from wavequake.report import plain
+from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.page import Picture, picture
+from wavequake.report.table import number
+from wavequake.workflows.sweep import SweepStudy, label_names, template
+
+_MOST_LINES, _MOST_ENTRIES, _MOST_COLUMNS, _MOST_PICTURES = 8, 4, 6, 12
+_NAMELESS = ("realization", "seed", "replicate")
+_HOW = (
+    "Points are medians over the cases of a value; where there are more than eight kinds of cases, the line "
+    "is the median of all and the band holds 90 % of them."
+)
+
+
+def table_of(store: Path, dataset: xr.Dataset) -> Table:
+    """Return the table for the terminal: the medians of the first numbers that change, a row per point."""
+    shown = rows(store, dataset)[:_MOST_COLUMNS]
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, caption_justify="left")
+    table.caption = f"Medians over the cases of a point. {plain.OVER_TIME}"
+    table.add_column(" / ".join(plain.compared_labels(store, dataset)), overflow="fold")
+    table.add_column("cases", justify="right")
+    for row in shown:
+        table.add_column(row.title, justify="right", overflow="fold")
+    for group, mine in plain.groups_of(store, dataset).items():
+        known = [row.values[mine & np.isfinite(row.values)] for row in shown]
+        medians = [number(float(np.median(one))) if len(one) else "–" for one in known]
+        table.add_row(group, str(int(mine.sum())), *medians)
+    return table
+
+
+def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
+    """Write the HTML report."""
+    study = study_from_identity(SweepStudy, read_manifest(store).study)
+    names, found = label_names(study), rows(store, dataset)
+    swept = [
+        name
+        for name, one in zip(names, study.sweep, strict=True)
+        if len(one.values) > 1 and not isinstance(one.values[0], str | bool)
+    ]
+    each = (over_values(dataset, found, name, names) for name in swept)
+    pictures = [picture for one in each for picture in islice(one, _MOST_PICTURES)]
+    answer = " ".join(_words(dataset, found, name) for name in swept)
+    return plain.write_report_of(store, dataset, target, device, found, pictures, answer)
+
+
+def rows(store: Path, dataset: xr.Dataset) -> list[plain.Row]:
+    """Return the numbers that differ between cases, without those of long lists and of stopwatches."""
+    per_case = template(read_manifest(store).study).per_case
+    every = plain.rows(dataset)
+    entries = Counter(row.name for row in every)
+    done = dataset["status"].to_numpy() == DONE
+    return [
+        row
+        for row in every
+        if entries[row.name] <= _MOST_ENTRIES
+        and not (row.name in per_case and per_case[row.name].measured)
+        and np.isfinite(row.values[done]).any()
+        and np.nanmax(row.values[done]) - np.nanmin(row.values[done]) > 0.0
+    ]
+
+
+def _words(dataset: xr.Dataset, found: list[plain.Row], name: str) -> str:
+    """Say between which medians the number lies that changes most with a key."""
+    values, done = dataset[name].to_numpy().astype(np.float64), dataset["status"].to_numpy() == DONE
+    best, words = 1.0, f"Nothing changes with {name}."
+    for row in found:
+        known = done & np.isfinite(row.values)
+        places = np.unique(values[known])
+        medians = np.array([np.median(row.values[known & (values == one)]) for one in places])
+        if len(places) < 2 or not (medians > 0.0).all():
+            continue
+        if (ratio := medians.max() / medians.min()) > best:
+            best = ratio
+            low, high = medians.argmin(), medians.argmax()
+            unit = f" {row.units}" if row.units else ""
+            words = (
+                f"With {name}, {row.name} changes most: its median is {number(medians[low])}{unit} at "
+                f"{places[low]:g} and {number(medians[high])}{unit} at {places[high]:g}."
+            )
+    return words
+
+
+def over_values(
+    dataset: xr.Dataset, found: list[plain.Row], name: str, swept: list[str]
+) -> Iterator[Picture]:
+    """Yield a picture of every number that changes with one key."""
+    values, done = dataset[name].to_numpy().astype(np.float64), dataset["status"].to_numpy() == DONE
+    lines = _lines(dataset, name, swept)
+    for index, row in enumerate(found):
+        known = np.isfinite(row.values) & done
+        curves = {}
+        for kind, mine in lines.items():
+            places = np.unique(values[mine & known])
+            levels = [
+                np.quantile(row.values[mine & known & (values == x)], [0.05, 0.5, 0.95]) for x in places
+            ]
+            if levels:
+                curves[kind] = np.column_stack([places, levels])
+        if any(np.ptp(curve[:, 2]) > 0.0 for curve in curves.values()):
+            figure = _over(curves, name, row.title)
+            yield picture(f"sweep-{name}-{index}", f"{row.title} over {name}", figure, _HOW)
+
+
+def _lines(dataset: xr.Dataset, name: str, swept: list[str]) -> dict[str, NDArray[np.bool_]]:
+    """Return which cases make a line, by their other labels; one line if there are too many."""
+    others = [
+        one
+        for one in dataset.coords
+        if dataset[one].dims == ("case",)
+        and one not in (*swept, *_NAMELESS)
+        and dataset[one].dtype.kind not in "biuf"
+    ]
+    words = [""] * dataset.sizes["case"]
+    for one in [*others, *(one for one in swept if one != name)]:
+        labels = map(plain.short, dataset[one].to_numpy().tolist())
+        longer = [" / ".join(filter(None, pair)) for pair in zip(words, labels, strict=True)]
+        if len(set(longer)) > len(set(words)):  # it tells cases apart that the others do not
+            words = longer
+    if len(set(words)) > _MOST_LINES:
+        return {"all cases": np.ones(len(words), dtype=bool)}
+    return {kind: np.array(words) == kind for kind in dict.fromkeys(words)}
+
+
+@rc_context(STYLE)
+def _over(curves: dict[str, NDArray[np.float64]], name: str, label: str) -> Figure:
+    """Draw curves of value, 5 % quantile, median and 95 % quantile."""
+    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
+    axes = figure.add_subplot()
+    for index, (kind, curve) in enumerate(curves.items()):
+        places, low, middle, high = curve.T
+        color, line = COLORS[index % len(COLORS)], LINES[index % len(LINES)]
+        axes.plot(places, middle, color=color, linestyle=line, marker="o", label=kind or None)
+        if (high > low).any():
+            axes.fill_between(places, low, high, color=color, alpha=0.15, linewidth=0)
+    medians = np.concatenate([curve[:, 2] for curve in curves.values()])
+    if (medians > 0.0).all() and medians.max() > 30.0 * medians.min():
+        axes.set_yscale("log")
+    axes.set(xlabel=name, ylabel=label, title=f"{label} over {name}")
+    if curves.keys() != {""}:
+        axes.legend()
+    return figure

@@ -1,0 +1,184 @@
+"""Studies over lists of values of their keys."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import wavequake as wq
+from wavequake.campaign import plugins
+from wavequake.campaign.store.grid import unstack
+from wavequake.errors import UserError
+from wavequake.reduction.names import orders_of
+from wavequake.workflows import kinds
+from wavequake.workflows.run import kind_of
+from wavequake.workflows.study import load_study, study_with
+
+SMALL = {
+    "telescope.name": "tmt-18",
+    "imaging.enabled": False,
+    "campaign.cases": 4,
+    "campaign.device": "numpy",
+    "optics.rays_per_segment": 6,
+}
+WAVES = {"sweep.optics.wavelength_nm": [500.0, 1000.0], "sweep.disturbance.wind.instants": [2, 1]}
+MIRROR = {
+    "model.shapes": ["circular"],
+    "model.rings": 2,
+    "reduction.variants": ["craigb{18:36:18}"],
+    "reduction.frequencies": 20,
+    "imaging.pixels": 8,
+    "imaging.pupil_samples": 16,
+    "imaging.instants": 2,
+    "optics.rays": 120,
+    "optics.zernike_terms": 15,
+    "time.duration_s": 0.001,
+    "campaign.device": "numpy",
+}
+
+
+@pytest.fixture(scope="module")
+def mirror(tmp_path_factory):
+    keys = MIRROR | {"sweep.model.thickness_m": [0.01, 0.04], "sweep.model.damping_beta": [5e-6, 1e-5]}
+    folder = tmp_path_factory.mktemp("sweep") / "store"
+    return folder, wq.run(
+        "mirror-mor", store=folder, **{key.replace(".", "__"): one for key, one in keys.items()}
+    )
+
+
+def test_a_point_has_the_bits_of_its_own_study(mirror):
+    """Points follow each other, the last key fastest; each has the cases of the study there."""
+    _, dataset = mirror
+    point = MIRROR | {"model.thickness_m": 0.04, "model.damping_beta": 5e-6}
+    alone = load_study("mirror-mor", point)
+    found = kind_of(alone).compute(alone.identity_text(), np.arange(alone.cases), "numpy")
+    mine = dataset.isel(case=slice(2 * alone.cases, 3 * alone.cases))
+    assert (mine["thickness_m"] == 0.04).all()
+    assert (mine["damping_beta"] == 5e-6).all()
+    assert mine["variant"].to_numpy().tolist() == ["full", "craigb18", "craigb36"]
+    for name, values in found.arrays.items():
+        if name != "reduce_seconds":
+            np.testing.assert_array_equal(mine[name], values, err_msg=name)
+
+
+def test_thin_mirrors_are_soft(mirror):
+    """A plate's frequencies rise with its thickness, its deflection under inertia falls with its square."""
+    _, dataset = mirror
+    grid = unstack(dataset)
+    assert set(grid["eps_opt"].dims) == {"frequency", "thickness_m", "damping_beta", "variant"}
+    fast = grid["mode_frequency"].sel(variant="full", damping_beta=5e-6).isel(mode=6)
+    thick = float(fast.sel(thickness_m=0.04) / fast.sel(thickness_m=0.01))
+    assert 2.5 < thick < 4.0  # 4 of a thin plate; shear softens a thick one
+
+
+def test_commands_take_stores_of_sweeps(mirror, wavequake):
+    folder, _ = mirror
+    for words in (("report", folder), ("status", folder), ("verify", folder), ("rerun", folder, "--case", 7)):
+        code, out, err = wavequake(*words)
+        assert (code, err) == (0, ""), out
+    page = (folder / "report.html").read_text()
+    assert "wfe_error" in page
+    assert "over thickness_m" in page
+    assert "With thickness_m, " in page
+    assert "reduce_seconds over" not in page  # a stopwatch's
+
+
+def test_overrides_and_files_say_the_same(tmp_path):
+    file = tmp_path / "waves.toml"
+    file.write_text(
+        Path("workflows/tmt-segments.toml").read_text()
+        + "\n[sweep]\noptics.wavelength_nm = [500.0, 1000.0]\n'disturbance.wind.instants' = [2, 1]\n"
+    )
+    study, other = load_study("tmt-segments", SMALL | WAVES), load_study(file, SMALL)
+    assert study.identity() == other.identity()
+    assert study.cases == 16
+    assert study_with(study, {"campaign.cases": 8}).cases == 32
+    changed = study_with(study, {"optics.rays_per_segment": 18, "sweep.optics.wavelength_nm": [600.0]})
+    assert changed.cases == 8
+    assert changed.base["optics"]["rays_per_segment"] == 18
+    again = study_with(changed, {"optics.rays_per_segment": 6, "sweep.optics.wavelength_nm": [500.0, 1000.0]})
+    assert again.identity() == study.identity()
+
+
+def test_labels_are_whole_keys_where_their_last_part_is_taken():
+    study = load_study("tmt-segments", SMALL | WAVES | {"sweep.disturbance.wind-shake.instants": [2]})
+    labels = kind_of(study).case_table(study.identity_text(), 0, 16)
+    assert {"wavelength_nm", "disturbance_wind_instants", "disturbance_wind-shake_instants"} <= labels.keys()
+    np.testing.assert_array_equal(labels["wavelength_nm"], np.repeat([500.0, 1000.0], 8))
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"sweep.optics.wavelength_mn": [1.0]}, "nearest valid key is 'wavelength_nm'"),
+        ({"sweep.optics.wavelength_nm": 5.0}, "give a list of values"),
+        ({"sweep.optics.wavelength_nm": []}, "give a list of values"),
+        ({"sweep.optics.wavelength_nm": [5.0, 5.0]}, "listed twice"),
+        ({"sweep.optics.wavelength_nm": [5.0, -6.0]}, r"optics\.wavelength_nm = -6.0: .*greater than 0"),
+        ({"sweep.optics.wavelength_nm": ["a", 5.0]}, "partly numbers and partly texts"),
+        ({"sweep.optics.wavelength_nm": [[1.0], [2.0]]}, "neither a number nor a text"),
+        ({"sweep.campaign.cases": [5, 6]}, "says nothing of a case's numbers"),
+        ({"sweep.telescope.polygons": ["a", "b"]}, "files are read when a study is loaded"),
+        ({"sweep.study.seed": list(range(100_001))}, "points of 4 cases each are more than"),
+        ({"sweep.disturbance.gale.share": [1, 2]}, "no disturbance called 'gale'"),
+    ],
+)
+def test_impossible_sweeps_are_told_in_a_sentence(keys, words):
+    with pytest.raises(UserError, match=words):
+        load_study("tmt-segments", SMALL | keys)
+
+
+def test_points_that_need_other_stores_are_named():
+    study = load_study("tmt-segments", SMALL | {"sweep.wavefront.zernike_terms": [21, 28]})
+    with pytest.raises(UserError, match=r"'zernike' have another shape at wavefront.zernike_terms = 28"):
+        kind_of(study).check(study.identity_text())
+    with pytest.raises(UserError, match=r"sweep\.reduction\.variants: \['craigb18'\] is neither"):
+        load_study("mirror-mor", MIRROR | {"sweep.reduction.variants": [["craigb18"], ["craigb36"]]})
+
+
+def test_no_study_names_the_workflow_itself(tmp_path):
+    file = tmp_path / "study.toml"
+    file.write_text('[study]\nname = "a"\nworkflow = "sweep"\n')
+    with pytest.raises(UserError, match=r"a sweep is a table \[sweep\] in a study of any workflow"):
+        load_study(file)
+
+
+def test_kinds_of_plugins_are_swept(monkeypatch, tmp_path):
+    monkeypatch.setattr(kinds, "_registered", {})
+    monkeypatch.setattr(plugins, "_loaded", {})
+    plugins.load_plugin(Path(__file__).parent / "pendulum.py")
+    file = tmp_path / "swing.toml"
+    file.write_text(
+        '[study]\nname = "swing"\nworkflow = "pendulum"\n[campaign]\ncases = 4\n'
+        "[sweep]\nstudy.seed = [1, 2, 3]\n"
+    )
+    dataset = wq.run(file, store=tmp_path / "store")
+    assert dataset.sizes["case"] == 12
+    first = dataset["angle"].to_numpy()[:, -1].reshape(3, 4)
+    assert len(np.unique(first)) == 12
+    grid = unstack(dataset, "study_seed", "length_m", "realization")
+    assert dict(grid["frequency"].sizes) == {"study_seed": 3, "length_m": 2, "realization": 2}
+    with pytest.raises(UserError, match="Several cases have the same length_m"):
+        unstack(dataset, "length_m")
+    with pytest.raises(UserError, match="'wind' is no label"):
+        unstack(dataset, "wind")
+
+
+@pytest.mark.parametrize(
+    ("name", "names"),
+    [
+        ("craigb{18:54:18}", ["craigb18", "craigb36", "craigb54"]),
+        ("krylov{36:80:36}(200)", ["krylov36(200)", "krylov72(200)"]),
+        ("guyan9", ["guyan9"]),
+    ],
+)
+def test_ranges_of_orders(name, names):
+    assert orders_of(name) == names
+
+
+@pytest.mark.parametrize("name", ["craigb{18:9:3}", "craigb{1:9:0}", "craigb{18}", "craigb{1:9999999:1}"])
+def test_impossible_ranges_are_told(name):
+    with pytest.raises(UserError, match="range"):
+        orders_of(name)
+    with pytest.raises(UserError, match="range"):
+        load_study("mirror-mor", {"reduction.variants": [name]})
