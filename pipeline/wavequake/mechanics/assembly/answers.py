@@ -42,13 +42,13 @@ def steady(plant: Plant, shaking: Shaking) -> Complex:
     apart = np.abs(modal.damping - np.diag(rates)).max(initial=0.0)
     if apart <= _COUPLED * np.abs(rates).max(initial=0.0):
         square = shaking.omega[:, None] ** 2
-        moved = forcing / (modal.squared - square + 1j * shaking.omega[:, None] * rates)
+        swing = forcing / (modal.squared - square + 1j * shaking.omega[:, None] * rates)
     else:
-        moved = np.empty_like(forcing)
+        swing = np.empty_like(forcing)
         for row, omega in enumerate(shaking.omega):  # one at a time: no case's bits depend on another's
             matrix = np.diag(modal.squared - omega**2) + 1j * omega * modal.damping
-            moved[row] = np.linalg.solve(matrix, forcing[row])
-    return np.asarray(moved @ plant.shapes.T + shaking.patterns @ plant.carried.T)
+            swing[row] = np.linalg.solve(matrix, forcing[row])
+    return np.asarray(swing @ plant.shapes.T + shaking.patterns @ plant.carried.T)
 
 
 def over_time(plant: Plant, shaking: Shaking, time: Array) -> Array:
@@ -76,8 +76,8 @@ def sag(plant: Plant, gravity: Array) -> Array:
     """
     require_floor(plant, "gravity")
     shares = plant.modal.inputs[:, FLOOR][:, :3] / plant.modal.squared[:, None]
-    moved = (shares @ gravity.T) / plant.modal.squared[:, None]
-    return np.asarray((plant.shapes @ moved).T)
+    sagged = (shares @ gravity.T) / plant.modal.squared[:, None]
+    return np.asarray((plant.shapes @ sagged).T)
 
 
 def require_floor(plant: Plant, what: str) -> None:
@@ -91,7 +91,10 @@ def require_floor(plant: Plant, what: str) -> None:
         )
 
 
-def outputs_of(plant: Plant, values: Array) -> dict[str, tuple[Array, Array]]:
-    """Split outputs (n, m) by element of the optics: rigid motion (n, 6) and figure (n, J)."""
-    parts = {name: values[:, part] for name, part in plant.outputs.items()}
-    return {name: (part[:, :6], part[:, 6:]) for name, part in parts.items()}
+def moved(plant: Plant, values: Array) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Split outputs (n, m) into rigid motions (n, 6) by element and figures (n, J) by surface."""
+    rigid, figure = (
+        {name: values[:, part] for (kind, name), part in plant.outputs.items() if kind == wanted}
+        for wanted in ("rigid", "figure")
+    )
+    return rigid, figure

@@ -43,8 +43,8 @@ class Tube:
     def __post_init__(self) -> None:
         if not 0.0 < self.wall <= self.diameter / 2.0:
             raise UserError(
-                f"a tube of {self.diameter} m diameter cannot have a wall of {self.wall} m; it lies between 0 "
-                "and half the diameter"
+                f"a tube of {self.diameter} m diameter cannot have a wall of {self.wall} m; it lies "
+                "between 0 and half the diameter"
             )
 
     @property

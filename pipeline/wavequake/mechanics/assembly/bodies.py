@@ -16,6 +16,7 @@ from wavequake.mechanics.model import Array, FiniteElementModel, Model, ReducedM
 from wavequake.mechanics.vibration.modal import dense
 
 GROUND = "ground"
+Output = tuple[str, str]
 _SMALL = 1e-9
 _FREE = 1e-10  # squared frequency of a rigid motion in parts of the highest one
 
@@ -49,9 +50,9 @@ class Body:
     model : ReducedModel
         Its coordinates; interfaces are groups of nodes, and the surface the rows of all `outputs`.
     nodes : mapping of str to Node
-    outputs : mapping of str to int
-        How many rows of the model's surface belong to an element of the optics, one after the other: its
-        rigid motion (6), in its own frame, and then the Noll coefficients of its figure, m.
+    outputs : mapping of (str, str) to int
+        How many rows of the model's surface, one after the other, are what of the optics: ("rigid", element),
+        its six motions in its own frame, m and rad, or ("figure", surface), its Noll coefficients, m.
     anywhere : bool
         Whether any point is a node: the body is rigid.
     held : bool
@@ -61,7 +62,7 @@ class Body:
     name: str
     model: ReducedModel
     nodes: Mapping[str, Node]
-    outputs: Mapping[str, int] = field(default_factory=dict)
+    outputs: Mapping[Output, int] = field(default_factory=dict)
     anywhere: bool = False
     held: bool = False
 
@@ -72,7 +73,7 @@ def rigid_body(
     inertia: Array,
     center: Array,
     nodes: Mapping[str, Array],
-    rows: Mapping[str, Array] | None = None,
+    rows: Mapping[Output, Array] | None = None,
 ) -> Body:
     """Return a rigid body; coordinates are shifts of its center of mass and small rotations about it.
 
@@ -86,8 +87,8 @@ def rigid_body(
         m.
     nodes : mapping of str to ndarray of shape (3,)
         m; the center is the node "". Interfaces are its shift, the turn of the body, and the others' shifts.
-    rows : mapping of str to ndarray of shape (6, 6)
-        By element of the optics: its rigid motion per coordinate.
+    rows : mapping of (str, str) to ndarray of shape (6, 6)
+        `outputs` per coordinate.
 
     Raises
     ------
@@ -139,7 +140,7 @@ def placed(
     nodes: Mapping[str, int],
     rotation: Array | None = None,
     position: Array | None = None,
-    rows: Mapping[str, Array] | None = None,
+    rows: Mapping[Output, Array] | None = None,
 ) -> Body:
     """Return an elastic body: a model at its place in the system.
 
@@ -151,8 +152,8 @@ def placed(
         Which of the model's interfaces, from 0, is called how.
     rotation, position : ndarray, shapes (3, 3) and (3,)
         From the model's frame to the system's; none: they are the same.
-    rows : mapping of str to ndarray of shape (6 + J, n)
-        By element of the optics: its rigid motion and figure per coordinate.
+    rows : mapping of (str, str) to ndarray of shape (6, n) or (J, n)
+        `outputs` per coordinate.
     """
     turn = np.eye(3) if rotation is None else rotation
     shift = np.zeros(3) if position is None else position

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.linalg
 
 from wavequake.errors import UserError
-from wavequake.mechanics.assembly.bodies import GROUND, Body, rigid_body
+from wavequake.mechanics.assembly.bodies import GROUND, Body, Output, rigid_body
 from wavequake.mechanics.assembly.links import Link, connected, joined
 from wavequake.mechanics.model import Array, ReducedModel
 from wavequake.mechanics.multibody.joined import assemble_system
@@ -39,8 +39,9 @@ class Plant:
         By ``body.node``: which inputs are the force and the moment there.
     points : mapping of str to ndarray, shape (3,)
         Where these nodes are, m.
-    outputs : mapping of str to slice
-        By element of the optics: which rows are its rigid motion (6, m and rad) and figure (J, m).
+    outputs : mapping of (str, str) to slice
+        Which rows are ("rigid", element), six motions in m and rad, and ("figure", surface), coefficients in
+        m.
     shapes : ndarray, shape (m, r)
         These rows per modal coordinate.
     carried : ndarray, shape (m, p)
@@ -54,7 +55,7 @@ class Plant:
     modal: ModalModel
     places: Mapping[str, tuple[slice, slice | None]]
     points: Mapping[str, Array]
-    outputs: Mapping[str, slice]
+    outputs: Mapping[Output, slice]
     shapes: Array
     carried: Array
     grounded: bool
@@ -208,8 +209,9 @@ def _group(first: int, group: int) -> slice:
     return slice(first + 3 * group, first + 3 * group + 3)
 
 
-def _outputs(bodies: Sequence[Body]) -> dict[str, slice]:
-    found, first = {}, 0
+def _outputs(bodies: Sequence[Body]) -> dict[Output, slice]:
+    found: dict[Output, slice] = {}
+    first = 0
     for body in bodies:
         for name, count in body.outputs.items():
             found[name] = slice(first, first + count)
