@@ -141,6 +141,7 @@ def placed(
     rotation: Array | None = None,
     position: Array | None = None,
     rows: Mapping[Output, Array] | None = None,
+    turns: Mapping[str, int] | None = None,
 ) -> Body:
     """Return an elastic body: a model at its place in the system.
 
@@ -154,13 +155,15 @@ def placed(
         From the model's frame to the system's; none: they are the same.
     rows : mapping of (str, str) to ndarray of shape (6, n) or (J, n)
         `outputs` per coordinate.
+    turns : mapping of str to int, optional
+        Which interface is the rotation of a node, where it is not one of a finite-element model.
     """
     turn = np.eye(3) if rotation is None else rotation
     shift = np.zeros(3) if position is None else position
     inputs = dense(model.inputs)
     inputs = (inputs.reshape(len(inputs), -1, 3) @ turn.T).reshape(len(inputs), -1)
     points = model.nodes[model.interfaces] @ turn.T + shift
-    named = {one: Node(points[index], index) for one, index in nodes.items()}
+    named = {one: Node(points[index], index, (turns or {}).get(one)) for one, index in nodes.items()}
     if isinstance(model, FiniteElementModel):
         inputs, named = _with_turns(model, inputs, named, turn)
     given = dict(rows or {})
