@@ -172,17 +172,22 @@ def _require_modes(model: ReducedModel, bodies: Sequence[Body], grounded: bool, 
 
 
 def _elastic(modal: ModalModel, damping_ratio: float) -> ModalModel:
-    """Return the elastic modes, damped further."""
+    """Return the elastic modes, damped further: relative to the floor, which drags them along.
+
+    Static shares of the floor's motion, inputs / squared, move without straining any damper.
+    """
     kept = ~modal.free
     if not kept.any():
         raise UserError(f"{modal.name} has no elastic motion; join its bodies by springs or legs")
-    squared = modal.squared[kept]
+    squared, inputs = modal.squared[kept], modal.inputs[kept]
+    rates = 2.0 * damping_ratio * np.sqrt(squared)
+    shares = np.where(modal.prescribed, inputs, 0.0) / squared[:, None]
     return ModalModel(
         modal.name,
         squared,
-        modal.damping[np.ix_(kept, kept)] + np.diag(2.0 * damping_ratio * np.sqrt(squared)),
-        modal.inputs[kept],
-        modal.input_rates[kept],
+        modal.damping[np.ix_(kept, kept)] + np.diag(rates),
+        inputs,
+        modal.input_rates[kept] + rates[:, None] * shares,
         modal.modes[:, kept],
         modal.lift,
         modal.prescribed,

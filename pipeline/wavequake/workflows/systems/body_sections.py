@@ -209,12 +209,14 @@ class LinkSection(Section):
         description="pairs such as ['M1.1', 'tube.a']: body.node; a rigid body or 'ground' alone is joined "
         "where the other end is",
     )
-    stiffness_n_m: float | Point = Field(default=0.0, description="of each spring (x, y, z) or leg")
+    stiffness_n_m: float | Point | None = Field(
+        default=None, description="of each spring (x, y, z) or leg, required; a rigid connection has none"
+    )
     damping_n_s_m: float | Point = Field(default=0.0, description="of the damper beside it")
 
     @model_validator(mode="after")
     def _has_stiffness_or_not(self) -> Self:
-        if (self.kind == "rigid") == ("stiffness_n_m" in self.model_fields_set):
+        if (self.kind == "rigid") != (self.stiffness_n_m is None):
             what = "takes no" if self.kind == "rigid" else "needs its"
             raise ValueError(f"{self.name!r}, of kind {self.kind}, {what} stiffness_n_m")
         if self.kind == "legs" and isinstance(self.stiffness_n_m, tuple):

@@ -152,7 +152,7 @@ def _links(study: SystemStudy) -> list[Link]:
         kind = {"springs": "spring", "legs": "leg", "rigid": "rigid"}[section.kind]
         stiffness, damping = (
             (one,) * 3 if isinstance(one, float) else one
-            for one in (section.stiffness_n_m, section.damping_n_s_m)
+            for one in (section.stiffness_n_m or 0.0, section.damping_n_s_m)
         )
         for first, second in section.joins:
             found.append(
