@@ -105,8 +105,14 @@ def plant(
     assert isinstance(model, ReducedModel)
     prescribed = np.zeros(model.inputs.shape[1], dtype=bool)
     prescribed[FLOOR] = grounded
-    _require_modes(model, chosen, grounded, name)
-    modal = _elastic(modal_model(model, prescribed), damping_ratio)
+    try:
+        modal = modal_model(model, prescribed)
+    except UserError:
+        _require_support(model, chosen, grounded, name)
+        raise
+    if modal.free.sum() != (0 if grounded else 6):
+        _require_support(model, chosen, grounded, name)
+    modal = _elastic(modal, damping_ratio)
     places, points = _nodes(chosen)
     return Plant(
         modal,
@@ -150,8 +156,8 @@ def _require_supports(bodies: Sequence[Body], links: Sequence[Link], name: str) 
     return bool(standing)
 
 
-def _require_modes(model: ReducedModel, bodies: Sequence[Body], grounded: bool, name: str) -> None:
-    """Refuse an assembly of which more moves without stiffness than it has to."""
+def _require_support(model: ReducedModel, bodies: Sequence[Body], grounded: bool, name: str) -> None:
+    """Refuse an assembly of which more moves without stiffness than it has to, and say which body does."""
     squared, shapes = scipy.linalg.eigh(model.stiffness, model.mass)
     free = shapes[:, squared <= _FREE * max(squared[-1], np.finfo(float).tiny)]
     if not grounded and free.shape[1] == 6:
