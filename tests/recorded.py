@@ -78,6 +78,19 @@ SHAKEN = {
 }
 TRACED = {"model.rings": 2, "optics.rays": 120, "optics.zernike_terms": 21, "time.duration_s": 0.002}
 SHORT = {"time.duration_s": 2.0, "time.step_ms": 20.0}
+STRUCTURE = {
+    "body.primary.mirror.rings": 2,
+    "body.secondary.mirror.rings": 2,
+    "body.tube.beams.pieces": 1,
+    "reduction.variants": ["guyan", "craigb24"],
+    "disturbance.floor.instants": 8,
+    "disturbance.floor.share": 1,
+    "disturbance.wheel.instants": 8,
+    "disturbance.wheel.share": 1,
+    "disturbance.gravity.instants": 4,
+    "imaging.pixels": 16,
+    "optics.rays": 120,
+}
 JITTER = {"disturbance.jitter.instants": 4, "disturbance.phasing-and-jitter.instants": 4}
 HISTORY = {"disturbance.history.instants": 4, "optics.rays": 400}
 
@@ -155,6 +168,7 @@ RECORDED = {
     "mirror-trace-residual": Small(
         "mirror-trace", TRACED | {"model.shapes": ["circular"], "optics.residual_limit": 0.0}
     ),
+    "telescope-structure": Small("telescope-structure", STRUCTURE, 9),
     "tmt-exposure": Small("tmt-exposure", HISTORY | {"imaging.pixels": 16, "wavefront.zernike_terms": 28}, 2),
     "tmt-exposure-slit": Small(
         "tmt-exposure",

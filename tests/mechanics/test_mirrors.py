@@ -260,7 +260,8 @@ def test_segment_on_its_supports():
 CASES = [
     (CircularMirror(thickness=0.0), "the thickness of the CircularMirror is 0.0 m; it must be positive"),
     (CircularMirror(diameter=nan), "the diameter of the CircularMirror is nan m"),
-    (CircularMirror(focal_length=-1.7), "the focal_length of the CircularMirror is -1.7 m"),
+    (CircularMirror(focal_length=np.nan), "the focal_length of the CircularMirror is no number"),
+    (CircularMirror(focal_length=-0.1), "-0.1 m, makes its rim steeper .* with a minus sign"),
     (CircularMirror(focal_length=0.12), "0.12 m, makes its rim steeper .* at least 0.125 m"),
     (HexagonalSegment(parent_radius=0.3), "0.15 m, makes its rim steeper"),
     (HexagonalSegment(parent_radius=0.0), "the parent_radius of the HexagonalSegment is 0.0 m"),

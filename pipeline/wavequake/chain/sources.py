@@ -12,6 +12,10 @@ def read_source_files(record: Mapping[str, Any], base: Path) -> None:
     """Add what the files of the disturbances in a study's record hold, where their sources want it."""
     sources = SOURCES.entries()
     for entry in record.get("disturbance") or ():
+        spectrum = entry.get("spectrum") if isinstance(entry, dict) else None
+        if isinstance(spectrum, dict) and isinstance(spectrum.get("file"), str):
+            where = f"disturbance.{entry.get('name')}.spectrum.file"
+            spectrum["file_csv"] = text_of(base / spectrum["file"], where)
         if not (isinstance(entry, dict) and isinstance(entry.get("file"), str)):
             continue
         source = sources.get(str(entry.get("model")), Source)

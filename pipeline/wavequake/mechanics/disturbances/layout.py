@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
+from wavequake.mechanics.assembly.plant import Plant
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,8 @@ class SegmentLayout:
         Names of further elements: surfaces and bodies. None: they are not known, and any name is one.
     owner : str
         Whose elements they are, for messages.
+    plant : Plant or None
+        The bodies with mass that carry some of them.
     """
 
     names: tuple[str, ...]
@@ -40,6 +43,7 @@ class SegmentLayout:
     areas_m2: NDArray[np.float64]
     others: tuple[str, ...] | None = ()
     owner: str = "the telescope"
+    plant: Plant | None = None
 
     def __len__(self) -> int:
         return len(self.names)

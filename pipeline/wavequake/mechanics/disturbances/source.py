@@ -50,8 +50,11 @@ class Source(Population):
     stratified : bool
         Whether a sampling plan spreads its numbers evenly: not where thousands of equal weight make a
         case.
+    random : bool
+        Whether its cases differ.
     """
 
+    random: ClassVar[bool] = True
     fits: ClassVar[tuple[Optics, ...]] = ("segments", "surfaces")
     independent: ClassVar[Literal["element", "whole"]] = "whole"
     stratified: ClassVar[bool] = True

@@ -27,7 +27,8 @@ class CircularMirror:
     Attributes
     ----------
     diameter, thickness, focal_length : float
-        m; an infinite focal length makes a flat mirror. The reference gives no focal length: with 1.7 m the
+        m; an infinite focal length makes a flat mirror, a negative one a convex mirror. The reference gives
+        no focal length: with 1.7 m the
         defocus mode has 295 Hz.
     material : Material
     mount_radius : float
@@ -225,12 +226,10 @@ def _check(mirror: Mirror) -> None:
         value = getattr(mirror, name, 1.0)
         if not (math.isfinite(value) and value > 0):
             raise UserError(f"the {name} of the {what} is {value} m; it must be positive")
-    for name in ("focal_length", "parent_radius"):
-        value = getattr(mirror, name, 1.0)
-        if not value > 0:
-            raise UserError(
-                f"the {name} of the {what} is {value} m; it must be positive (inf for a flat mirror)"
-            )
+    if not getattr(mirror, "parent_radius", 1.0) > 0:
+        raise UserError(f"the parent_radius of the {what} is {mirror.parent_radius} m; it must be positive")  # type: ignore[union-attr]
+    if math.isnan(getattr(mirror, "focal_length", 1.0)):
+        raise UserError(f"the focal_length of the {what} is no number (inf for a flat mirror)")
     for name in ("core", "rings", "layers", "around", "divisions"):
         value, least = getattr(mirror, name, 3), 3 if name == "around" else 1
         if value < least:
@@ -251,10 +250,10 @@ def _check(mirror: Mirror) -> None:
             f"reaches from {inner} m to {outer} m"
         )
     focal_length = getattr(mirror, "focal_length", getattr(mirror, "parent_radius", math.inf) / 2)
-    if focal_length < outer / 4:
+    if abs(focal_length) < outer / 4:
         raise UserError(
             f"the focal length of the {what}, {focal_length} m, makes its rim steeper than 63 deg, which "
-            f"degenerates the mesh; it must be at least {outer / 4} m"
+            f"degenerates the mesh; it must be at least {outer / 4} m, of a convex mirror with a minus sign"
         )
 
 

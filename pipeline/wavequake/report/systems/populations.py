@@ -11,6 +11,7 @@ from wavequake.campaign.contract import DONE
 from wavequake.campaign.store.retention import STATISTICS
 from wavequake.report.histories import has_histories
 from wavequake.report.statistics import Jitter, case_rms, jitter_of_cases
+from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.systems.system_bench import SystemBench
 
 Array = NDArray[np.float64]
@@ -73,6 +74,8 @@ def populations(dataset: xr.Dataset, bench: SystemBench) -> list[SystemPopulatio
     light = dataset.isel(wavelength=bench.system.primary_wavelength)
     names = np.array([str(name) for name in dataset["disturbance"].to_numpy()])
     done = dataset["status"].to_numpy() == DONE
+    if "reduction" in dataset:  # of models that are compared, the full ones tell what a disturbance does
+        done = done & np.array([str(one) == FULL for one in dataset["reduction"].to_numpy()])
     places = {name: np.flatnonzero(done & (names == name)) for name in dict.fromkeys(names.tolist())}
     present = {
         name: np.isfinite(light["time_s"].isel(case=rows[0]).to_numpy())  # as many instants in each case

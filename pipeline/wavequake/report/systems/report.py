@@ -24,6 +24,8 @@ from wavequake.report.statistics import Quantile, quantile
 from wavequake.report.systems import figures as draw_figures
 from wavequake.report.systems import images as system_images
 from wavequake.report.systems.populations import FieldResult, SystemPopulation, populations
+from wavequake.report.systems.variants import model_results, verdict
+from wavequake.report.systems.variants import pictures as model_pictures
 from wavequake.report.table import interval, number, share
 from wavequake.workflows.systems.system_bench import (
     SystemBench,
@@ -79,11 +81,13 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     found = populations(dataset, bench)
     headers = _headers(found)
     rows = [_row(population, one, bench) for population in found for one in population.fields]
+    models = model_results(dataset, bench)
+    largest = bench.study.reduction.largest if bench.study.reduction is not None else 0.0
     page = Page(
-        answer=answer(found),
+        answer=answer(found) + verdict(models, largest),
         table=[{header: row[header] for header in headers} for row in rows],
         small_print=_SMALL_PRINT + _partial(found, bench) + what_is_kept(dataset),
-        overview=[*_overview(found), *budget.pictures(store)],
+        overview=[*_overview(found), *model_pictures(models, largest), *budget.pictures(store)],
         sections=[
             Section(one.name, [*_figures(bench, one, _error(found), dataset, device)]) for one in found
         ],

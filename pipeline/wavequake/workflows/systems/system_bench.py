@@ -1,7 +1,7 @@
 """What a system-disturbance study prepares once per process: the system, its bodies, rays, fits, and rest."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY, choose_device
 from wavequake.kernels.trace.sequential import trace_sequence
 from wavequake.kernels.trace.status import OK
+from wavequake.mechanics.assembly.plant import Plant
 from wavequake.mechanics.disturbances.element_motion import ElementMotion
 from wavequake.mechanics.disturbances.layout import NO_SEGMENTS, SegmentLayout
 from wavequake.mechanics.disturbances.registry import parts
@@ -40,6 +41,8 @@ from wavequake.optics.wavefronts.wavefront import (
     with_slopes,
 )
 from wavequake.prepared import prepared
+from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.systems.system_plant import deforming_terms, plants_of
 from wavequake.workflows.systems.system_study import SystemStudy
 
 Array = NDArray[np.float64]
@@ -54,7 +57,8 @@ class SystemBench:
 
     ``text`` is the study's identity text; ``layout`` names what may move; ``prepared`` and ``static`` hold,
     per field and wavelength in that order, what the trace takes and the wavefront at rest (one instant).
-    ``imager`` makes exposures, if any.
+    ``imager`` makes exposures, if any. ``plants`` are the bodies with mass by the model that is taken of the
+    elastic ones, the full one first, which is that of ``layout``, too.
     """
 
     text: str
@@ -65,6 +69,7 @@ class SystemBench:
     prepared: tuple[tuple[PreparedSystem, ...], ...]
     static: tuple[tuple[SystemWavefront, ...], ...]
     imager: SystemImager | None = None
+    plants: Mapping[str, Plant] = field(default_factory=dict)
 
 
 @prepared(maxsize=2)
@@ -83,8 +88,11 @@ def system_bench(study_text: str) -> SystemBench:
     with threadpool_limits(1):
         system = build(study.system)
         require_cover(system)
-        bodies = tuple(rigid_body(system, one.name, one.surfaces, one.about_mm) for one in study.body)
-        layout = layout_of(study, system)
+        bodies = tuple(
+            rigid_body(system, one.name, one.surfaces, one.about_mm) for one in study.body if one.surfaces
+        )
+        plants = plants_of_text(study_text)
+        layout = replace(layout_of(study, system), plant=plants.get(FULL))
         _require_elements(study, system, layout)
         system = _deformable(study, system, layout)
         prepared = tuple(
@@ -97,7 +105,19 @@ def system_bench(study_text: str) -> SystemBench:
             for one, wavefront in zip(row, found, strict=True):
                 _require_light(one, wavefront, rest)
         imager = _imager(study, prepared, static, rest)
-    return SystemBench(study_text, study, system, layout, bodies, prepared, static, imager)
+    return SystemBench(study_text, study, system, layout, bodies, prepared, static, imager, plants)
+
+
+@prepared(maxsize=2)
+def plants_of_text(study_text: str) -> dict[str, Plant]:
+    """Return the plants of the study with this identity text by the models that it compares."""
+    study = study_from_identity(SystemStudy, study_text)
+    with threadpool_limits(1):
+        system = build(study.system)
+        bodies = [
+            rigid_body(system, one.name, one.surfaces, one.about_mm) for one in study.body if one.surfaces
+        ]
+        return plants_of(study, deformable(system, deforming_terms(study, system)), bodies)
 
 
 def _imager(

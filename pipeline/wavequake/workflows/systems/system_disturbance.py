@@ -5,6 +5,7 @@ all fields and wavelengths.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,9 @@ from wavequake.campaign.measured import Block, CaseTable, study_kind
 from wavequake.campaign.measures import Measure
 from wavequake.campaign.schema import study_from_identity
 from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.chain.images.system import SystemImager
 from wavequake.chain.sampling import Plan, plan_of, replicate_labels
-from wavequake.kernels.device.devices import choose_device
+from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.kernels.trace.sequence import bends
 from wavequake.mechanics.disturbances.element_motion import (
     ElementDisturbance,
@@ -29,7 +31,8 @@ from wavequake.optics.rays.packing import moving
 from wavequake.optics.systems.file import build
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.prepared import prepared
-from wavequake.workflows.segments.segment_disturbance import slot
+from wavequake.words import counted
+from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.systems.system_bench import (
     NM_PER_MM,
     SystemBench,
@@ -37,12 +40,14 @@ from wavequake.workflows.systems.system_bench import (
     imager_on,
     layout_of,
     lost_light,
+    plants_of_text,
     system_bench,
     system_states,
 )
 from wavequake.workflows.systems.system_measure import measured_cases
 from wavequake.workflows.systems.system_measures import axes, fixed, measures
 from wavequake.workflows.systems.system_study import SystemStudy
+from wavequake.workflows.systems.system_variants import model_errors, slot_of
 
 Array = NDArray[np.float64]
 
@@ -52,13 +57,17 @@ _NUMBERS = 1 << 20
 
 def draw(bench: SystemBench, case: int) -> tuple[ElementDisturbance, ElementMotion]:
     """Return the population of a case and its motion: of seed, disturbance and realization only."""
-    study = bench.study
-    population, realization = slot(study.disturbance, case)
-    streams = sampling_plan(bench.text).of(realization)
-    drawn = draw_elements(
-        study.disturbance, population, study.study.seed, realization, streams, layout=bench.layout
-    )
-    return population, drawn
+    population, realization, model = slot_of(bench.study, case)
+    return population, drawn_with(bench, population, realization, model)
+
+
+def drawn_with(
+    bench: SystemBench, population: ElementDisturbance, realization: int, model: str
+) -> ElementMotion:
+    """Return a realization of a population with one of the models that the study compares."""
+    study, streams = bench.study, sampling_plan(bench.text).of(realization)
+    layout = replace(bench.layout, plant=bench.plants.get(model))
+    return draw_elements(study.disturbance, population, study.study.seed, realization, streams, layout=layout)
 
 
 @prepared(maxsize=2)
@@ -72,7 +81,7 @@ def sampling_plan(study_text: str) -> Plan:
     """
     study = study_from_identity(SystemStudy, study_text)
     singles = [entry for entry in study.disturbance if isinstance(entry, Source)]
-    layout = layout_of(study, build(study.system))
+    layout = replace(layout_of(study, build(study.system)), plant=plants_of_text(study_text).get(FULL))
 
     def draw_all(streams: Streams) -> None:
         for entry in singles:
@@ -105,9 +114,32 @@ def compute(bench: SystemBench, table: CaseTable, device_name: str, clock: Stopw
             drawn = [draw(bench, case) for case in cases[first : first + most]]
         motions = [(instants_of(populations, population), motion) for population, motion in drawn]
         found = measured_cases(bench, motions, device, clock, imager)
+        if bench.study.reduction is not None:
+            found = [
+                (numbers if message else numbers | model_errors(numbers, full), message)
+                for (numbers, message), full in zip(
+                    found,
+                    _with_full_models(bench, cases[first : first + most], device, clock, imager),
+                    strict=True,
+                )
+            ]
         for row, (numbers, message) in enumerate(found, first):
             result = {name: np.asarray(values)[None] for name, values in numbers.items()}
             yield Block(result, np.array([row]), {0: message} if message else {})
+
+
+def _with_full_models(
+    bench: SystemBench, cases: list[int], device: Device, clock: Stopwatch, imager: SystemImager | None
+) -> list[dict[str, Array]]:
+    """Return the numbers of the same draws with the full models; each draw once."""
+    slots = [slot_of(bench.study, case) for case in cases]
+    draws = {(population.name, realization): population for population, realization, _ in slots}
+    motions = [
+        (instants_of(bench.study.disturbance, population), drawn_with(bench, population, realization, FULL))
+        for (_, realization), population in draws.items()
+    ]
+    found = dict(zip(draws, measured_cases(bench, motions, device, clock, imager), strict=True))
+    return [found[population.name, realization][0] for population, realization, _ in slots]
 
 
 def _numbers_of_a_case(bench: SystemBench) -> int:
@@ -119,10 +151,12 @@ def _numbers_of_a_case(bench: SystemBench) -> int:
 
 def case_labels(study: SystemStudy, cases: NDArray[np.int64]) -> CaseTable:
     """Return the labels of cases: disturbance, realization and seed."""
-    slots = [slot(study.disturbance, case) for case in cases.tolist()]
-    realizations = np.array([realization for _, realization in slots], dtype=np.int64)
+    slots = [slot_of(study, case) for case in cases.tolist()]
+    realizations = np.array([realization for _, realization, _ in slots], dtype=np.int64)
+    models = {"reduction": np.array([model for *_, model in slots], dtype=object)}
     return {
-        "disturbance": np.array([population.name for population, _ in slots], dtype=object),
+        "disturbance": np.array([population.name for population, *_ in slots], dtype=object),
+        **(models if study.reduction is not None else {}),
         "realization": realizations,
         "seed": np.full(len(cases), study.study.seed, dtype=np.int64),
         **replicate_labels(study.campaign, realizations),
@@ -161,7 +195,21 @@ def describe(bench: SystemBench) -> dict[str, str]:
         + (", which bend where the index varies" if bends(bench.prepared[0][0].sequence) else ""),
         **sampling_plan(bench.text).words(),
         **lines,
+        **_structure(bench),
         "system": system.info(),
+    }
+
+
+def _structure(bench: SystemBench) -> dict[str, str]:
+    """Say what stands where, and its lowest frequencies."""
+    return {
+        f"bodies, {name} models" if len(bench.plants) > 1 else "bodies": (
+            f"{counted(len(plant.omega), 'mode')} "
+            f"{'on the ground' if plant.grounded else 'floating in space'}, the lowest at "
+            + ", ".join(f"{one / (2.0 * np.pi):.4g}" for one in plant.omega[:6])
+            + " Hz"
+        )
+        for name, plant in bench.plants.items()
     }
 
 

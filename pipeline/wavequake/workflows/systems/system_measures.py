@@ -15,6 +15,7 @@ from wavequake.workflows.segments.segment_template import wavefront_source
 from wavequake.workflows.systems.system_bench import NM_PER_MM, SystemBench, field_name
 from wavequake.workflows.systems.system_measure import shaped, wavefront_numbers
 from wavequake.workflows.systems.system_study import SystemStudy
+from wavequake.workflows.systems.system_variants import ERRORS
 
 Array = NDArray[np.float64]
 
@@ -66,6 +67,10 @@ def measures(study: SystemStudy, over_annulus: Mapping[str, str]) -> Iterator[Me
     yield _stored("lost", "1", "largest number of rays at an instant that do not arrive", _OVER[1:])
     if study.imaging is not None:
         yield from _image_measures(study)
+    if study.reduction is not None:
+        for name, (unit, dims, words) in ERRORS.items():
+            if name != "model_error_image" or study.imaging is not None:
+                yield _stored(name, unit, f"difference to the same draw with full models: {words}", dims)
 
 
 def _image_measures(study: SystemStudy) -> Iterator[Measure]:

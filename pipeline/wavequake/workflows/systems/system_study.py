@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
 from wavequake.campaign.schema import Section, Study
 from wavequake.chain.images.extended import ObjectSection, check_object
@@ -15,22 +15,17 @@ from wavequake.mechanics.disturbances.element_motion import ElementDisturbance
 from wavequake.mechanics.disturbances.registry import parts, with_own_axes
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.systems.file import SystemSection, embed_file
+from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.segments.segment_study import require_path_lengths
+from wavequake.workflows.systems.body_sections import (
+    BodySection,
+    ComparedModelsSection,
+    LinkSection,
+    StructureSection,
+    read_body_files,
+)
 
-
-class BodySection(Section):
-    """Surfaces that move as one rigid body, such as the two faces of a lens."""
-
-    name: str = Field(min_length=1, description="by which disturbances address it")
-    surfaces: tuple[str, ...] = Field(
-        min_length=1, strict=False, description="names; the first one's axes at rest are those of the body"
-    )
-    about_mm: tuple[float, float, float] | None = Field(
-        default=None,
-        strict=False,
-        description="where it turns, x, y, z of the system; default: the middle between its first and last "
-        "vertex",
-    )
+_OF_MASSES = ("link", "structure", "reduction")
 
 
 class SystemOpticsSection(Section):
@@ -79,11 +74,21 @@ class SystemStudy(Study):
     campaign: SampledCampaignSection = SampledCampaignSection()
     system: SystemSection
     body: tuple[BodySection, ...] = Field(default=(), strict=False)
+    link: tuple[LinkSection, ...] = Field(default=(), strict=False)
+    structure: StructureSection = StructureSection()
+    reduction: ComparedModelsSection | None = None
     disturbance: tuple[ElementDisturbance, ...] = Field(min_length=1, strict=False)
     optics: SystemOpticsSection = SystemOpticsSection()
     wavefront: SystemWavefrontSection = SystemWavefrontSection()
     imaging: SystemImagingSection | None = None
     object: ObjectSection | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_structure_there_is_none(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        record: dict[str, Any] = write(self)
+        if not any(body.kind for body in self.body):
+            record = {key: value for key, value in record.items() if key not in _OF_MASSES}
+        return record
 
     @field_validator("disturbance")
     @classmethod
@@ -129,6 +134,16 @@ class SystemStudy(Study):
         return self
 
     @model_validator(mode="after")
+    def _links_join_bodies(self) -> "SystemStudy":
+        given = [key for key in _OF_MASSES if key in self.model_fields_set and getattr(self, key)]
+        if given and not any(body.kind for body in self.body):
+            raise ValueError(
+                f"the section {given[0]} is of bodies with mass, but there are none; give a [[body]] a "
+                "mirror, imported, rigid, beams, matrices or modes"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _sampling_is_complete(self) -> "SystemStudy":
         whole_sets(self.campaign, [entry.share for entry in self.disturbance])
         return self
@@ -139,7 +154,13 @@ class SystemStudy(Study):
         return tuple(entry.name for entry in self.disturbance if entry.share and self._is_given(entry))
 
     def _is_given(self, entry: ElementDisturbance) -> bool:
-        return all(part.instants_of_file() is not None for part in parts(self.disturbance, entry))
+        sources = parts(self.disturbance, entry)
+        return all(part.instants_of_file() is not None or not part.random for part in sources)
+
+    @property
+    def compared(self) -> tuple[str, ...]:
+        """Models of elastic bodies that are compared, the full one first; a draw is a case with each."""
+        return (FULL, *self.reduction.variants) if self.reduction is not None else (FULL,)
 
     @property
     def cases(self) -> int:
@@ -147,7 +168,7 @@ class SystemStudy(Study):
         shares = [entry.share for entry in self.disturbance if entry.share]
         if len(self.repeated) < len(shares):
             return self.campaign.cases
-        return min(self.campaign.cases, sum(shares))
+        return min(self.campaign.cases, sum(shares) * len(self.compared))
 
     @property
     def fewest_instants(self) -> int:
@@ -166,3 +187,4 @@ class SystemStudy(Study):
             embed_file(record["system"], base)
         embed_picture(record, base)
         read_source_files(record, base)
+        read_body_files(record, base)

@@ -1,0 +1,292 @@
+"""Sections of a study for bodies: what they are made of, what joins them, and reduced models to compare."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
+
+from wavequake.campaign.schema import Section, base64_of
+from wavequake.errors import UserError
+from wavequake.mechanics.importers.model import ImportedModel
+from wavequake.reduction.names import parse
+from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.mirrors.model_store import keep_imported
+
+Point = Annotated[tuple[float, float, float], Field(strict=False)]
+Points = dict[str, Point]
+Positive = Annotated[float, Field(gt=0)]
+Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _-]*$")]
+
+
+class SolidSection(Section):
+    """Of what a body is made; the defaults are aluminium."""
+
+    youngs_modulus_pa: float = Field(default=70e9, gt=0)
+    poisson_ratio: float = Field(default=0.33, gt=-1, lt=0.5)
+    density_kg_m3: float = Field(default=2700.0, gt=0)
+
+
+class MirrorBodySection(SolidSection):
+    """A built-in elastic mirror behind the first surface of the body, with mounts 1, 2, ... on its rear."""
+
+    shape: Literal["disc", "annulus", "plate"] = Field(
+        default="disc",
+        description="disc and annulus follow the curvature of the surface; a plate is a flat disc",
+    )
+    diameter_m: float | None = Field(
+        default=None, gt=0, description="default: that of the surface, or of what the beams fill of it"
+    )
+    inner_diameter_m: float | None = Field(default=None, gt=0, description="of an annulus, required")
+    thickness_m: float = Field(gt=0)
+    mount_radius_m: float | None = Field(default=None, gt=0, description="default: 0.645 of the radius")
+    mount_angles_deg: tuple[float, ...] = Field(
+        default=(0.0, 120.0, 240.0),
+        strict=False,
+        description="of the mounts, from the x axis of the surface",
+    )
+    rings: int = Field(default=6, ge=2, le=60, description="elements along the radius; less is coarser")
+    figure_terms: int = Field(
+        default=28, ge=4, le=231, description="Noll coefficients of the figure that the optics see"
+    )
+    reduced: str = Field(
+        default=FULL, description="model that is taken, e.g. craigb36; full: the intermediate model"
+    )
+
+    @field_validator("reduced")
+    @classmethod
+    def _is_a_model(cls, value: str) -> str:
+        return canonical(value)
+
+    @model_validator(mode="after")
+    def _an_annulus_has_a_hole(self) -> Self:
+        if (self.shape == "annulus") != (self.inner_diameter_m is not None):
+            raise ValueError("inner_diameter_m belongs to shape = 'annulus', which needs it")
+        return self
+
+
+class ImportedBodySection(Section):
+    """A model from a finite-element program, in the frame of the body's first surface; nodes are 1, 2, ..."""
+
+    file: str | None = Field(
+        default=None,
+        exclude=True,
+        description="stiffness (.sti, .mtx) or all matrices (.full, .op4, .pch, .npz, .h5); further keys as "
+        "in [model] of a mirror study: mass, dofs, mesh, units, interfaces, surface, triangle, zero_rows, "
+        "pads, damping_alpha, damping_beta",
+    )
+    content: str | None = Field(
+        default=None, description="SHA-256 of the imported model; filled in when the study is loaded"
+    )
+    figure_terms: int = Field(default=28, ge=4, le=231, description="as of a mirror")
+    reduced: str = Field(default=FULL, description="as of a mirror")
+
+    @field_validator("reduced")
+    @classmethod
+    def _is_a_model(cls, value: str) -> str:
+        return canonical(value)
+
+
+class RigidBodySection(Section):
+    """A rigid body: any point of it is a node."""
+
+    mass_kg: float = Field(gt=0)
+    inertia_kg_m2: Annotated[tuple[Positive, Positive, Positive], Field(strict=False)] = Field(
+        description="principal moments about the center of mass, along x, y, z of the body's axes"
+    )
+    center_mm: Point | None = Field(
+        default=None, description="center of mass, x, y, z of the system; default: where the body turns"
+    )
+    nodes_mm: Points = Field(default={}, description="named points, x, y, z of the system")
+
+
+class BeamsBodySection(SolidSection):
+    """An elastic structure of beams: round tubes that are welded at named nodes."""
+
+    nodes_mm: Points = Field(min_length=2, description="x, y, z of the system")
+    members: tuple[Annotated[tuple[str, str], Field(strict=False)], ...] = Field(
+        min_length=1, strict=False, description="pairs of nodes"
+    )
+    diameter_mm: float = Field(gt=0, description="of the tubes")
+    wall_mm: float = Field(gt=0, description="of the tubes")
+    masses_kg: dict[str, Positive] = Field(default={}, description="at nodes, beside the tubes")
+    pieces: int = Field(default=2, ge=1, le=20, description="elements along a member")
+    carries: dict[str, str] = Field(
+        default={}, description="surfaces that move with a node: { image = 'focus' }"
+    )
+
+
+class ArraysBodySection(Section):
+    """What bodies of numbers have in common: a file of arrays."""
+
+    file: str | None = Field(default=None, exclude=True, description="the .npz file")
+    file_npz: str = Field(description="that file in base64")
+    carries: dict[str, str] = Field(default={}, description="surfaces that move with a node")
+
+
+class MatricesBodySection(ArraysBodySection):
+    """Own matrices in an .npz file, in the axes of the system.
+
+    mass, stiffness and, if any, damping (n, n); nodes_mm (k, 3); inputs (n, 3 k), whose transpose gives the
+    displacements x, y, z of the nodes; perhaps turns (n, 3 k), which gives their rotations, and names (k).
+    """
+
+
+class ModesBodySection(ArraysBodySection):
+    """A table of modes in an .npz file, in the axes of the system, normalized to a modal mass of 1 kg.
+
+    frequencies_hz (r), damping_ratios (r, or one number), nodes_mm (k, 3), shapes (r, k, 3 or 6):
+    displacements and rotations of the nodes; perhaps names (k). Six modes of 0 Hz make a free body.
+    """
+
+
+_KINDS = ("mirror", "imported", "rigid", "beams", "matrices", "modes")
+
+
+class BodySection(Section):
+    """A body: surfaces that move as one, such as the two faces of a lens, or what is elastic or has mass."""
+
+    name: str = Field(min_length=1, description="by which disturbances and links address it")
+    surfaces: tuple[str, ...] = Field(
+        default=(),
+        strict=False,
+        description="names; the first one's axes at rest are those of the body, and it has the body's figure",
+    )
+    about_mm: Point | None = Field(
+        default=None,
+        description="where it turns, x, y, z of the system; default: the middle between its first and last "
+        "vertex",
+    )
+    mirror: MirrorBodySection | None = None
+    imported: ImportedBodySection | None = None
+    rigid: RigidBodySection | None = None
+    beams: BeamsBodySection | None = None
+    matrices: MatricesBodySection | None = None
+    modes: ModesBodySection | None = None
+
+    @property
+    def kind(self) -> str | None:
+        """What it is made of; None where disturbances alone move it."""
+        return next((kind for kind in _KINDS if getattr(self, kind) is not None), None)
+
+    @property
+    def carries(self) -> dict[str, str]:
+        """Surfaces that move with a node of it."""
+        return dict(getattr(getattr(self, self.kind or "name"), "carries", {}))
+
+    @model_serializer(mode="wrap")
+    def _without_what_it_is_not(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        record: dict[str, Any] = write(self)
+        return {key: value for key, value in record.items() if key not in _KINDS or value is not None}
+
+    @model_validator(mode="after")
+    def _is_one_thing(self) -> Self:
+        given = [kind for kind in _KINDS if getattr(self, kind) is not None]
+        if len(given) > 1:
+            raise ValueError(f"{self.name!r} is {given[0]} and {given[1]}; a body is one of them")
+        if not given and not self.surfaces:
+            raise ValueError(
+                f"{self.name!r} has neither surfaces nor one of {', '.join(_KINDS)}; say what it is"
+            )
+        if self.mirror and not self.surfaces:
+            raise ValueError(f"the mirror {self.name!r} stands behind no surface; name it in surfaces")
+        if self.name == "ground" or ("." in self.name and given):
+            raise ValueError(f"a body cannot be called {self.name!r}; links call the floor 'ground'")
+        return self
+
+
+class LinkSection(Section):
+    """What joins nodes of bodies: springs, legs or rigid connections."""
+
+    name: str = Field(min_length=1)
+    kind: Literal["springs", "legs", "rigid"] = Field(
+        description="springs and dampers along x, y, z of the system between nodes at one place; legs that "
+        "push and pull along the line between nodes, as those of a hexapod; rigid: nodes at one place move "
+        "as one, and turn as one where they can"
+    )
+    joins: tuple[Annotated[tuple[str, str], Field(strict=False)], ...] = Field(
+        min_length=1,
+        strict=False,
+        description="pairs such as ['M1.1', 'tube.a']: body.node; a rigid body or 'ground' alone is joined "
+        "where the other end is",
+    )
+    stiffness_n_m: float | Point | None = Field(
+        default=None, description="of each spring (x, y, z) or leg, required; a rigid connection has none"
+    )
+    damping_n_s_m: float | Point = Field(default=0.0, description="of the damper beside it")
+
+    @model_validator(mode="after")
+    def _has_stiffness_or_not(self) -> Self:
+        if (self.kind == "rigid") != (self.stiffness_n_m is None):
+            what = "takes no" if self.kind == "rigid" else "needs its"
+            raise ValueError(f"{self.name!r}, of kind {self.kind}, {what} stiffness_n_m")
+        if self.kind == "legs" and isinstance(self.stiffness_n_m, tuple):
+            raise ValueError(f"the legs {self.name!r} have one stiffness_n_m each, along their line")
+        return self
+
+
+class StructureSection(Section):
+    """What all bodies of mass have in common."""
+
+    ground_mm: Points = Field(default={}, description="named points of the ground, x, y, z of the system")
+    damping_ratio: float = Field(
+        default=0.01,
+        ge=0,
+        lt=1,
+        description="of every mode of what is joined, beside that of bodies and links",
+    )
+    last_hz: float = Field(
+        default=1200.0, gt=0, description="up to which frequency full models of mirrors are accurate"
+    )
+
+
+class ComparedModelsSection(Section):
+    """Reduced models of elastic bodies that are compared: every draw is a case with each of them."""
+
+    variants: tuple[str, ...] = Field(min_length=1, strict=False, description="e.g. 'craigb36'")
+    of: tuple[str, ...] = Field(
+        default=(),
+        strict=False,
+        description="bodies that are reduced; default: all mirrors and imported ones",
+    )
+    largest: float = Field(
+        default=0.01,
+        gt=0,
+        description="when a model is good enough: error of line of sight and wavefront, rms, in parts of "
+        "what the disturbance does with the full model",
+    )
+
+    @field_validator("variants")
+    @classmethod
+    def _variants_are_canonical(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        names = tuple(canonical(name) for name in value)
+        twice = next((name for name in names if names.count(name) > 1 or name == FULL), None)
+        if twice == FULL:
+            raise ValueError("the full model is compared anyway; leave 'full' out")
+        if twice:
+            raise ValueError(f"the variant {twice!r} is listed twice")
+        return names
+
+
+def canonical(name: str) -> str:
+    """Return the canonical name of a reduced model, or "full"; ValueError if it is none."""
+    try:
+        return name if name == FULL else str(parse(name))
+    except UserError as error:
+        raise ValueError(str(error).rstrip(".")) from None
+
+
+def read_body_files(record: dict[str, Any], base: Path) -> None:
+    """Add what the files of the bodies in a study's record hold."""
+    for entry in record.get("body") or ():
+        if not isinstance(entry, dict):
+            continue
+        for kind in ("matrices", "modes"):
+            section = entry.get(kind)
+            if isinstance(section, dict) and isinstance(section.get("file"), str):
+                section["file_npz"] = base64_of(
+                    base / section["file"], f"body.{entry.get('name')}.{kind}.file"
+                )
+        section = entry.get("imported")
+        if isinstance(section, dict) and isinstance(section.get("file"), str):
+            keys = {key: section.pop(key) for key in list(section) if key in ImportedModel.model_fields}
+            section["content"] = keep_imported(keys, base)

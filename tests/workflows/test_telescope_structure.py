@@ -1,0 +1,373 @@
+"""Bodies of mass in studies of optical systems, against closed forms, dense sums and geometry."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from wavequake.errors import UserError
+from wavequake.kernels.device.devices import NUMPY
+from wavequake.mechanics.assembly.answers import STANDARD_GRAVITY
+from wavequake.mechanics.assembly.beams import Tube, beam_frame
+from wavequake.mechanics.disturbances.registry import instants_of
+from wavequake.mechanics.mirrors.material import Material
+from wavequake.workflows.study import load_study
+from wavequake.workflows.systems.system_bench import system_bench
+from wavequake.workflows.systems.system_disturbance import KIND, draw, prepare
+from wavequake.workflows.systems.system_measure import measured
+from wavequake.workflows.systems.system_variants import slot_of
+
+# A parabola of 1 m focal length; the image, a meter before it, on a camera that is welded to the cell.
+OPTICS = """
+[study]
+name = "bench"
+workflow = "system-disturbance"
+[system]
+entrance_diameter_mm = 100.0
+wavelengths_nm = [500.0]
+[[system.surface]]
+name = "M1"
+radius_mm = -2000.0
+conic = -1.0
+glass = "mirror"
+semi_diameter_mm = 55.0
+stop = true
+[[system.surface]]
+name = "image"
+distance_mm = 1000.0
+[optics]
+rays = 60
+[wavefront]
+zernike_terms = 11
+[campaign]
+cases = 4
+"""
+CELL = """
+[[body]]
+name = "cell"
+surfaces = ["M1"]
+[body.rigid]
+mass_kg = 8.0
+inertia_kg_m2 = [2.0, 3.0, 4.0]
+[body.rigid.nodes_mm]
+a = [300.0, 0.0, 0.0]
+b = [-300.0, 0.0, 0.0]
+c = [0.0, 300.0, 0.0]
+d = [0.0, -300.0, 0.0]
+"""
+CAMERA = """
+[[body]]
+name = "camera"
+surfaces = ["image"]
+[body.rigid]
+mass_kg = 2.0
+inertia_kg_m2 = [1.0, 1.0, 1.0]
+"""
+FEET = """
+[[link]]
+name = "feet"
+kind = "springs"
+joins = [["cell.a", "ground"], ["cell.b", "ground"], ["cell.c", "ground"], ["cell.d", "ground"]]
+stiffness_n_m = [2e5, 3e5, 4e5]
+"""
+WELD = """
+[[link]]
+name = "weld"
+kind = "rigid"
+joins = [["cell.a", "camera"]]
+[structure]
+damping_ratio = 0.02
+"""
+RIGID = CELL + CAMERA + FEET + WELD
+# The mirror itself is elastic, on three pairs of legs.
+ELASTIC = """
+[[body]]
+name = "primary"
+surfaces = ["M1"]
+[body.mirror]
+thickness_m = 0.004
+mount_radius_m = 0.035
+rings = 4
+figure_terms = 11
+[[link]]
+name = "legs"
+kind = "legs"
+joins = [
+    ["primary.1", "ground.f"], ["primary.1", "ground.a"], ["primary.2", "ground.b"],
+    ["primary.2", "ground.c"], ["primary.3", "ground.d"], ["primary.3", "ground.e"],
+]
+stiffness_n_m = 1e7
+[structure.ground_mm]
+a = [43.3, 25.0, 60.0]
+b = [0.0, 50.0, 60.0]
+c = [-43.3, 25.0, 60.0]
+d = [-43.3, -25.0, 60.0]
+e = [0.0, -50.0, 60.0]
+f = [43.3, -25.0, 60.0]
+"""
+
+
+def shaken(keys):
+    return f'[[disturbance]]\nname = "one"\nduration_s = 0.2\ninstants = 16\n{keys}\n'
+
+
+def floor(lines):
+    return shaken(f'model = "base-motion"\nlines = [{lines}]')
+
+
+SLOW = floor("{ frequency_hz = 1e-3, amplitude = { rx_urad = 3.0 } }")
+Z_FORCE = shaken(
+    'model = "body-force"\nat = ["cell"]\ndirection = [0.0, 0.0, 2.0]\n'
+    "lines = [{ frequency_hz = 30.0, force_n = 0.5 }]"
+)
+
+
+def study_of(folder, *parts, **overrides):
+    path = folder / "study.toml"
+    path.write_text("\n".join(parts))
+    return load_study(path, {key.replace("__", "."): value for key, value in overrides.items()})
+
+
+def drawn(study, case=0):
+    """Return the instants and the motion of a case."""
+    population, motion = draw(system_bench(study.identity_text()), case)
+    return instants_of(study.disturbance, population), motion
+
+
+def amplitude(time, values, frequency):
+    """Return the complex amplitude of what is a sinusoid of a frequency."""
+    phase = 2.0 * np.pi * frequency * time
+    basis = np.column_stack([np.cos(phase), -np.sin(phase)])
+    found, *_ = np.linalg.lstsq(basis, values)
+    np.testing.assert_allclose(basis @ found, values, atol=1e-9 * np.abs(values).max())
+    return complex(*found)
+
+
+def test_a_telescope_on_a_floor_that_tilts_slowly_points_elsewhere(tmp_path):
+    """All turns as one: the star's image moves by the angle times the focal length, undistorted.
+
+    At f/100, where the tilt of a coma is small.
+    """
+    study = study_of(tmp_path, OPTICS, RIGID, SLOW, system__entrance_diameter_mm=10.0)
+    time, motion = drawn(study)
+    turn = motion.rigid["cell"][:, 3]
+    assert 0.0 < np.abs(turn).max() <= 3.001e-6
+    np.testing.assert_allclose(motion.rigid["camera"][:, 3], turn, rtol=1e-6)
+    # At z = -1 m the turn e about x moves the camera by e x a: its y part is e.
+    np.testing.assert_allclose(motion.rigid["camera"][:, 1], turn, rtol=1e-5)
+    found, trouble = measured(system_bench(study.identity_text()), time, motion, NUMPY)
+    assert not trouble
+    np.testing.assert_allclose(np.abs(found["los_mm"][:, 0, 0, 1]), 1000.0 * np.abs(turn), rtol=1e-5)
+    assert found["wfe_change"].max() < 0.01  # nm: coma of a field angle of 3 urad
+
+
+def test_the_floor_drags_springs_and_dampers_along(tmp_path):
+    """Transmissibility (k + i w c) / (k - m w^2 + i w c) of 10 kg on springs of 1.6 MN/m in all."""
+    study = study_of(tmp_path, OPTICS, RIGID, floor("{ frequency_hz = 70.0, amplitude = { dz_um = 5.0 } }"))
+    time, motion = drawn(study)
+    own, omega = np.sqrt(4 * 4e5 / 10.0), 2.0 * np.pi * 70.0
+    drag = own**2 + 2j * 0.02 * own * omega
+    expected = 5e-6 * abs(drag / (drag - omega**2))
+    for name in ("cell", "camera"):
+        assert abs(amplitude(time, motion.rigid[name][:, 2], 70.0)) == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_force_on_a_body_is_the_closed_form_of_an_oscillator(tmp_path):
+    time, motion = drawn(study_of(tmp_path, OPTICS, RIGID, Z_FORCE))
+    own, omega = np.sqrt(4 * 4e5 / 10.0), 2.0 * np.pi * 30.0
+    expected = 0.5 / 10.0 / (own**2 - omega**2 + 2j * 0.02 * own * omega)
+    assert abs(amplitude(time, motion.rigid["cell"][:, 2], 30.0)) == pytest.approx(abs(expected), rel=1e-9)
+
+
+def test_random_shaking_has_the_variance_of_the_spectrum_times_the_response(tmp_path):
+    """Flat acceleration between 10 and 120 Hz, through a resonance at 64 Hz, summed densely by hand."""
+    keys = 'model = "base-motion"\naxes = ["z"]\nspectrum = { rms = 0.3, low_hz = 10.0, high_hz = 120.0 }'
+    study = study_of(tmp_path, OPTICS, RIGID, shaken(keys), campaign__cases=400)
+    values = np.array([drawn(study, case)[1].rigid["cell"][:, 2] for case in range(400)])
+    frequency = np.linspace(10.0, 120.0, 400_001)
+    omega, own = 2.0 * np.pi * frequency, np.sqrt(4 * 4e5 / 10.0)
+    drag = own**2 + 2j * 0.02 * own * omega
+    density = 0.3**2 / 110.0 * np.abs(drag / (drag - omega**2)) ** 2 / omega**4
+    expected = np.trapezoid(density, frequency)
+    of_cases = np.mean(values**2, axis=1)
+    error = of_cases.std(ddof=1) / np.sqrt(len(of_cases))
+    assert abs(of_cases.mean() - expected) < 3.0 * error
+    assert error < 0.06 * expected
+
+
+def test_a_wheel_shakes_with_the_square_of_its_speed(tmp_path):
+    """Imbalance m r turns as a vector across the axis: both components have the amplitude m r W^2 |H|."""
+    keys = (
+        'model = "reaction-wheel"\nat = "cell"\naxis = [0.0, 1.0, 0.0]\nspeed_rpm = [2100.0, 2100.0]\n'
+        "harmonics = [{ number = 1.0, radial_g_mm = 50.0 }]"
+    )
+    time, motion = drawn(study_of(tmp_path, OPTICS, RIGID, shaken(keys)))
+    own, omega = np.sqrt(4 * 4e5 / 10.0), 2.0 * np.pi * 35.0
+    expected = 50e-6 * omega**2 / 10.0 / abs(own**2 - omega**2 + 2j * 0.02 * own * omega)
+    along = amplitude(time, motion.rigid["cell"][:, 2], 35.0)
+    across = amplitude(time, motion.rigid["cell"][:, 0], 35.0)
+    assert abs(along) == pytest.approx(expected, rel=1e-9)
+    assert np.abs(np.real(along * np.conj(across))) < 0.9 * abs(along) * abs(across)
+
+
+def test_gravity_moves_with_the_elevation(tmp_path):
+    """Sag along the axis: m g (sin el - sin aligned) / k; nothing is random."""
+    keys = 'model = "gravity"\nelevation_deg = [90.0, 30.0]\naligned_deg = 90.0'
+    study = study_of(tmp_path, OPTICS, RIGID, shaken(keys))
+    assert study.cases == 1
+    _, motion = drawn(study)
+    elevation = np.deg2rad(np.linspace(90.0, 30.0, 16))
+    expected = 10.0 * STANDARD_GRAVITY * (np.sin(elevation) - 1.0) / (4 * 4e5)
+    np.testing.assert_allclose(motion.rigid["cell"][:, 2], expected, rtol=1e-9, atol=1e-15)
+
+
+def test_an_elastic_mirror_bends_under_its_weight_and_not_with_its_floor(tmp_path):
+    """Slow turns strain nothing. Along its axis it sags between three mounts: trefoil, j = 10."""
+    still = drawn(study_of(tmp_path, OPTICS, ELASTIC, SLOW))[1]
+    assert np.abs(still.figure["M1"]).max() < 1e-12
+    np.testing.assert_allclose(still.rigid["primary"][:, 4:], 0.0, atol=1e-12)
+    keys = 'model = "gravity"\nelevation_deg = [90.0, 0.0]\naligned_deg = -90.0'
+    figure = drawn(study_of(tmp_path, OPTICS, ELASTIC, shaken(keys)))[1].figure["M1"][0]
+    trefoil = np.hypot(figure[8], figure[9])
+    assert trefoil > 3.0 * np.hypot(figure[4], figure[5])
+    assert figure[8] == pytest.approx(0.0, abs=1e-3 * trefoil)  # a mount lies on the x axis: cosine
+    assert np.sqrt(np.sum(figure[3:] ** 2)) < 1e-6
+
+
+def test_reduced_models_are_cases_beside_the_full_one(tmp_path):
+    models = '[reduction]\nvariants = ["guyan", "craigb24"]\n'
+    keys = 'model = "base-motion"\naxes = ["z"]\nspectrum = { rms = 1.0, low_hz = 10.0, high_hz = 600.0 }'
+    study = study_of(tmp_path, OPTICS, ELASTIC, models, shaken(keys), campaign__cases=6)
+    table = KIND.case_table(study.identity_text(), 0, 6)
+    assert table["reduction"].tolist() == ["full", "guyan", "craigb24"] * 2
+    assert table["realization"].tolist() == [0, 0, 0, 1, 1, 1]
+    assert slot_of(study, 4)[1:] == (1, "guyan")
+    found = KIND.compute(study.identity_text(), np.arange(6), "numpy").arrays
+    wfe = found["model_error_wfe"][:, 0, 0]
+    assert wfe[0] == wfe[3] == 0.0
+    assert (wfe[[2, 5]] < 0.05 * wfe[[1, 4]]).all()
+    full, guyan = (found["zernike"][case, :16, 0, 0] for case in (3, 4))
+    by_hand = np.sqrt(np.mean(np.sum((guyan - full)[:, 3:] ** 2, axis=1)))
+    assert wfe[4] == pytest.approx(by_hand, rel=1e-12)
+    los = found["los_mm"][4, :16, 0, 0] - found["los_mm"][3, :16, 0, 0]
+    assert found["model_error_los"][4, 0, 0] == pytest.approx(np.sqrt(np.mean(np.sum(los**2, axis=1))))
+
+
+@pytest.mark.parametrize(
+    ("parts", "words"),
+    [
+        ((CELL, SLOW), "has no elastic motion; join its bodies"),
+        ((CELL, FEET.replace('["cell.b", "ground"], ["cell.c", "ground"], ', ""), SLOW), "1 motion without"),
+        ((CELL, FEET, CAMERA, SLOW), "'camera' of the structure of bench has no support"),
+        ((CELL, CAMERA, FEET, WELD.replace("cell.a", "cel.a"), SLOW), "no body; did you mean 'cell'"),
+        ((RIGID, SLOW.replace("base-motion", "base-motions")), "there is no model 'base-motions'"),
+        ((RIGID, Z_FORCE.replace('"cell"', '"cell.x"')), "acts at 'cell.x', which is no node"),
+        ((Z_FORCE,), "acts on bodies with mass, but this study has none"),
+        ((FEET, Z_FORCE), "is of bodies with mass, but there are none"),
+        ((RIGID.replace('surfaces = ["image"]', 'surfaces = ["M1"]'), SLOW), "is carried by the bodies"),
+        ((RIGID.replace('surfaces = ["image"]', 'surfaces = ["imag"]'), SLOW), "did you mean 'image'"),
+        ((RIGID.replace("mass_kg = 2.0", "mass_kg = -2.0"), SLOW), "body.camera.rigid.mass_kg"),
+        ((RIGID.replace("[1.0, 1.0, 1.0]", "[1.0, 1.0, 3.0]"), SLOW), "belong to no mass"),
+        ((RIGID + "surfaces = 3", SLOW), "the key 'structure.surfaces' is unknown"),
+        ((RIGID, '[reduction]\nvariants = ["craigb24"]\n', SLOW), "no body is a mirror or imported"),
+        ((ELASTIC, '[reduction]\nvariants = ["craig24"]\n', SLOW), "no reduction method 'craig'"),
+        ((ELASTIC, '[reduction]\nvariants = ["craigb4"]\n', SLOW), "The body 'primary': "),
+        ((ELASTIC.replace("rings", "diameter_m = 0.05\nrings"), SLOW), "make it larger"),
+        ((ELASTIC.replace("= 4\nfigure_terms = 11", "= 2\nfigure_terms = 231"), SLOW), "behind 'M1': "),
+        ((ELASTIC, SLOW.replace("lines", "axes = ['z', 'z']\nlines")), "names an axis twice"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_bodies_is_said(tmp_path, parts, words):
+    with pytest.raises(UserError, match=words):
+        prepare(study_of(tmp_path, OPTICS, *parts))
+
+
+# A camera on a mast of one tube, given as beams, as their matrices, and as all of their modes.
+MAST = """
+[[body]]
+name = "mast"
+[body.beams]
+diameter_mm = 40.0
+wall_mm = 2.0
+members = [["foot", "top"]]
+pieces = 2
+masses_kg = { top = 1.5 }
+carries = { image = "top" }
+[body.beams.nodes_mm]
+foot = [50.0, 0.0, 200.0]
+top = [50.0, 0.0, -1000.0]
+[[link]]
+name = "weld"
+kind = "rigid"
+joins = [["mast.foot", "ground"]]
+"""
+TOP = shaken(
+    'model = "body-force"\nat = ["mast.top"]\ndirection = [1.0, 2.0, 3.0]\n'
+    "lines = [{ frequency_hz = 20.0, force_n = 0.5 }]"
+)
+
+
+def mast_matrices():
+    points = {"foot": np.array([0.05, 0.0, 0.2]), "top": np.array([0.05, 0.0, -1.0])}
+    model = beam_frame(
+        "mast", points, [("foot", "top")], Tube(0.04, 0.002), Material(70e9, 0.33, 2700.0), 2, {"top": 1.5}
+    )
+    return model.mass.toarray(), model.stiffness.toarray(), 1e3 * np.array(list(points.values()))
+
+
+def as_matrices(mass, stiffness, nodes):
+    moves = np.hstack([np.eye(18)[:, :3], np.eye(18)[:, 6:9]])
+    turns = np.hstack([np.eye(18)[:, 3:6], np.eye(18)[:, 9:12]])
+    return {"mass": mass, "stiffness": stiffness, "nodes_mm": nodes, "inputs": moves, "turns": turns}
+
+
+def as_modes(mass, stiffness, nodes):
+    squared, shapes = scipy.linalg.eigh(stiffness, mass)
+    squared[:6] = 0.0
+    shown = shapes[:12].T.reshape(18, 2, 6)
+    return {
+        "frequencies_hz": np.sqrt(squared) / (2.0 * np.pi),
+        "damping_ratios": np.array(0.0),
+        "nodes_mm": nodes,
+        "shapes": shown,
+    }
+
+
+@pytest.mark.parametrize(("kind", "made"), [("matrices", as_matrices), ("modes", as_modes)])
+def test_own_matrices_and_tables_of_modes_are_the_beams_that_they_are_of(tmp_path, kind, made):
+    beams = drawn(study_of(tmp_path, OPTICS, MAST, TOP))[1].rigid["image"]
+    np.savez(tmp_path / "mast.npz", names=np.array(["foot", "top"]), **made(*mast_matrices()))
+    body = f'[[body]]\nname = "mast"\n[body.{kind}]\nfile = "mast.npz"\ncarries = {{ image = "top" }}\n'
+    weld = MAST[MAST.index("[[link]]") :]
+    found = drawn(study_of(tmp_path, OPTICS, body, weld, TOP))[1].rigid["image"]
+    np.testing.assert_allclose(found, beams, rtol=1e-6, atol=1e-8 * np.abs(beams).max())
+
+
+def test_a_surface_moves_with_a_node_beside_it(tmp_path):
+    """The image stands 50 mm beside the top of the mast: turns about z move it along y by the lever."""
+    moved = drawn(study_of(tmp_path, OPTICS, MAST, TOP))[1].rigid["image"]
+    keys = 'model = "base-motion"\nlines = [{ frequency_hz = 1e-3, amplitude = { rz_urad = 2.0 } }]'
+    slow = drawn(study_of(tmp_path, OPTICS, MAST, shaken(keys)))[1].rigid["image"]
+    assert np.abs(moved).max() > 0.0
+    np.testing.assert_allclose(slow[:, :3], 0.0, atol=1e-12)  # the vertex is on the axis of the turn
+    assert np.abs(slow[:, 5]).max() <= 2.0001e-6
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"mass": None}, "lacks the array 'mass'"),
+        ({"extra": np.zeros(3)}, "holds 'extra', which means nothing"),
+        ({"stiffness": np.eye(17)}, "'stiffness' of the body 'mast' has the shape"),
+        ({"stiffness": np.triu(np.ones((18, 18)))}, "'stiffness' of the body 'mast' is not symmetric"),
+        ({"mass": -np.eye(18)}, "is not positive definite"),
+        ({"inputs": np.full((18, 6), np.nan)}, "no finite number"),
+        ({"names": np.array(["top", "top"])}, "must be 2 different ones"),
+        ({"turns": None}, "'top', which has no rotations"),
+    ],
+)
+def test_bad_arrays_are_said(tmp_path, change, words):
+    arrays = as_matrices(*mast_matrices()) | {"names": np.array(["foot", "top"])} | change
+    np.savez(tmp_path / "mast.npz", **{name: one for name, one in arrays.items() if one is not None})
+    body = '[[body]]\nname = "mast"\n[body.matrices]\nfile = "mast.npz"\ncarries = { image = "top" }\n'
+    with pytest.raises(UserError, match=words):
+        prepare(study_of(tmp_path, OPTICS, body, MAST[MAST.index("[[link]]") :], TOP))
