@@ -44,7 +44,8 @@ from wavequake.workflows.segments.images import (
     summed_images,
 )
 from wavequake.workflows.segments.segment_draws import draw_realization, sampling_plan
-from wavequake.workflows.segments.segment_modal import modal_cases, model_of
+from wavequake.workflows.segments.segment_modal import modal_cases
+from wavequake.workflows.segments.segment_model import model_of
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.segments.segment_template import template, traced
 from wavequake.workflows.segments.vignetting import require_all_rays
