@@ -72,7 +72,7 @@ def estimated(tilt: Tilt, limit: float, seed: int, draws: int) -> RareProbabilit
 def weighted(weights: Array, limit: float) -> RareProbability:
     """Return the probability of which independent draws' weights (n,), 0 of those below, are estimates."""
     mean = float(weights.mean())
-    margin = _WIDE * float(weights.std(ddof=1)) / np.sqrt(len(weights))
+    margin = _WIDE * float(weights.std(ddof=1)) / len(weights) ** 0.5
     return RareProbability(mean, max(mean - margin, 0.0), mean + margin, len(weights), (limit,))
 
 
@@ -99,7 +99,7 @@ def correction(weights: Array, at_limit: float, cheap: Flags, costly: Flags, kno
     more, fewer = known & costly & ~cheap, known & cheap & ~costly
     differs = weights * (more.astype(np.float64) - fewer)
     value = float(differs.mean())
-    scatter = _WIDE * float(differs.std(ddof=1)) / np.sqrt(count)
+    scatter = _WIDE * float(differs.std(ddof=1)) / count**0.5
     ends = []
     for flags in (more, fewer):
         each = max(at_limit, float(weights[flags].mean())) if flags.any() else at_limit

@@ -146,6 +146,10 @@ class Tilt:
         y = unit @ self.form.directions
         return np.asarray(unit + (self.means + (self.widths - 1.0) * y) @ self.form.directions.T)
 
+    def along(self, unit: Array) -> Array:
+        """Return the coordinates (..., r) of :meth:`drawn` along the form's directions."""
+        return np.asarray(self.means + self.widths * (unit @ self.form.directions))
+
     def weights(self, values: Array) -> Array:
         """Return the weights of draws with some values of the form."""
         return np.asarray(np.exp(self.norm - self.rate * values))
