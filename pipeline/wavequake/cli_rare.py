@@ -20,9 +20,9 @@ def rare(
     limit: Annotated[str | None, typer.Option(help="How often is it exceeded? As '120 nm'.")] = None,
     probability: Annotated[float | None, typer.Option(help="What is exceeded so rarely? As 1e-6.")] = None,
     of: Annotated[str | None, typer.Option("--of", help="The disturbance, where there are several.")] = None,
-    traces: Annotated[int, typer.Option(help="Cases near the limit that are traced in full.")] = 1000,
+    traces: Annotated[int, typer.Option(help="Cases near the limit that are traced in full.")] = 2000,
     store: StoreOption = None,
-    on: OnOption = "local",
+    on: OnOption = "serial",
     workers: WorkersOption = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:

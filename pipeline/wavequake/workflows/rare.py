@@ -10,7 +10,7 @@ from wavequake.workflows.segments.segment_rare import RareCases, rare_cases
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.study import study_with
 
-DRAWS = 100_000
+DRAWS = 50_000
 FEWEST = 50
 # What a certificate needs no images and no series for.
 _PLAIN: dict[str, Any] = {
@@ -31,7 +31,7 @@ def rare_study(
     limit: float | None = None,
     probability: float | None = None,
     of: str | None = None,
-    traces: int = 1000,
+    traces: int = 2000,
 ) -> SegmentStudy:
     """Return the study whose cases are those of another one near a limit.
 

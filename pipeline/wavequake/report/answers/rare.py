@@ -86,7 +86,7 @@ def rare_answer(
     probability: float | None = None,
     *,
     of: str | None = None,
-    traces: int = 1000,
+    traces: int = 2000,
     store: Path | str | None = None,
     on: str = "serial",
     workers: int | None = None,
