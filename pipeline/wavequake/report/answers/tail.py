@@ -78,6 +78,10 @@ def rare_events(store: Path | str, question: RareQuestion) -> RareAnswer:
         if value is not None and not np.isfinite(value):
             raise UserError(f"The {name} {value} is no number that a tail can be compared with.")
     dataset = open_store(store)
+    if "log_weight" in dataset.variables:
+        raise UserError(
+            f"The cases of {store} are drawn near a limit and have no tail of their own; take wavequake rare."
+        )
     judged = judged_in(question.variable, dataset)
     done, names = dataset["status"].to_numpy() == DONE, populations_of(dataset)
     numbers = per_case(dataset, judged, question.statistic, question.below)

@@ -95,8 +95,8 @@ class RareCases:
 
     def labels(self, realizations: NDArray[np.int64]) -> dict[str, Array]:
         """Return the weights and modal values of realizations, by the names of their variables."""
-        along = [self.tilt.along(self._unit(int(one))) for one in realizations]
-        squares = self.tilt.form.along(np.array(along))
+        along = (self.tilt.along(self._unit(int(one))) for one in realizations)
+        squares = np.array([float(self.tilt.form.along(one)) for one in along])  # one by one: equal bits
         return {
             "log_weight": self.tilt.norm - self.tilt.rate * squares,
             "modal_value": np.sqrt(np.maximum(squares, 0.0)),
@@ -143,13 +143,9 @@ def rare_cases(study_text: str) -> RareCases:
 def _common(form: QuadraticForm, limit: float, chance: float, unit: str) -> str:
     """Say how often a limit is exceeded that is no rare event, and which would be."""
     typical, far = (float(np.sqrt(limit_of(form, share))) for share in (0.5, 1e-6))
-    words = (
-        "by no case (less than 1e-280 of them)"
-        if chance == 0.0
-        else f"by {100.0 * chance:.3g} % of the cases"
-    )
+    words = "less than 1e-280" if chance == 0.0 else f"{100.0 * chance:.3g} %"
     return (
-        f"rare.limit: {limit:g} {unit} is exceeded {words} of the cases, which is no rare event; half of "
+        f"rare.limit: {limit:g} {unit} is exceeded by {words} of the cases, which is no rare event; half of "
         f"them exceed {typical:.4g} {unit}, and one of a million {far:.4g} {unit}."
     )
 
