@@ -102,7 +102,9 @@ def rare_answer(
     """
     if probability is not None and not 1e-200 < probability < 0.5:
         raise UserError(f"The probability {probability:g} is not rare; it must be below 0.5, as 1e-6.")
-    wanted = None if limit is None else in_unit(limit, _unit_of(measure or "wfe_rms"))
+    own = getattr(study, "rare", None)
+    named = measure or (own.measure if own else "wfe_rms")
+    wanted = None if limit is None else in_unit(limit, _unit_of(named))
     made = rare_study(study, measure, wanted, probability, of, traces)
     cases, modal = modal_answer(made)
     path = rare_folder(study, made, store)
