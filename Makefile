@@ -40,7 +40,7 @@ FAST := test_architecture.py test_recorded_numbers.py \
   firmware/test_gains_header.py imaging/test_mtf.py imaging/test_matrix_fourier.py imaging/test_detector.py \
   kernels/test_strehl.py kernels/test_poses.py mechanics/test_linear_system.py mechanics/test_spectra.py \
   optics/test_paraxial.py optics/test_zernike.py optics/test_shape_sag.py reduction/test_krylov.py \
-  report/test_table.py report/test_statistics.py workflows/test_journal.py workflows/test_study.py \
+  rare/test_quadratic.py report/test_table.py report/test_statistics.py workflows/test_journal.py workflows/test_study.py \
   fuzz/test_fuzz.py viewer/test_film.py
 
 test-fast: $(VENV)/.dev

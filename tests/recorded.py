@@ -186,6 +186,7 @@ RECORDED = {
     "tmt-million-series": Small(
         "tmt-million", {"store.reduce": "none", "optics.modal_tolerance_nm": 1e-4}, 3
     ),
+    "tmt-rare": Small("tmt-rare", {"telescope.name": "tmt-18", "rare.limit": 100.0}, 6),
     "tmt-segment-mor": Small("tmt-segment-mor", SHAKEN),
     "tmt-segments": Small("tmt-segments", SEGMENTS, 8),
     "tmt-segments-figures": Small(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from wavequake.campaign.store.grid import unstack
     from wavequake.campaign.store.store import open_store
     from wavequake.doors.models import load_model, plant, respond
-    from wavequake.doors.studies import budget, compare, export, report, run, studies, tail, verify
+    from wavequake.doors.studies import budget, compare, export, rare, report, run, studies, tail, verify
     from wavequake.drawing.draw import draw
     from wavequake.optics.zemax.export import write_zmx
     from wavequake.reduction.reduce import reduce
@@ -47,6 +47,7 @@ __all__ = [
     "plan",
     "plant",
     "plot",
+    "rare",
     "reduce",
     "report",
     "respond",
@@ -75,6 +76,7 @@ _HOMES = {
     "open_store": "wavequake.campaign.store.store",
     "plan": "wavequake.workflows.run",
     "plant": "wavequake.doors.models",
+    "rare": "wavequake.doors.studies",
     "reduce": "wavequake.reduction.reduce",
     "respond": "wavequake.doors.models",
     "run": "wavequake.doors.studies",

@@ -10,9 +10,24 @@ from typing import Annotated, NoReturn
 import typer
 from rich.table import Table
 
-from wavequake import __version__, cli_firmware, cli_new, cli_pictures, cli_sensitivity, cli_statistics
+from wavequake import (
+    __version__,
+    cli_firmware,
+    cli_new,
+    cli_pictures,
+    cli_rare,
+    cli_sensitivity,
+    cli_statistics,
+)
 from wavequake.campaign.plugins import load_named
-from wavequake.cli_options import ClusterOption, DashboardOption, RecheckOption, StoreOption, WorkersOption
+from wavequake.cli_options import (
+    ClusterOption,
+    DashboardOption,
+    OnOption,
+    RecheckOption,
+    StoreOption,
+    WorkersOption,
+)
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.terminal import EXIT_INTERRUPTED, err, fail, interrupted, live_progress, out, print_pairs
 from wavequake.words import are, counted
@@ -31,6 +46,7 @@ app.command()(cli_pictures.draw)
 app.command()(cli_pictures.view)
 app.command()(cli_statistics.budget)
 app.command()(cli_statistics.tail)
+app.command()(cli_rare.rare)
 app.command()(cli_sensitivity.sensitivity)
 app.command()(cli_sensitivity.devices)
 StudyArgument = Annotated[
@@ -42,12 +58,6 @@ StudyArgument = Annotated[
 StoreArgument = Annotated[Path, typer.Argument(help="Folder of the store.")]
 OverridesArgument = Annotated[
     list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. campaign.cases=40")
-]
-OnOption = Annotated[
-    str,
-    typer.Option(
-        help="serial, local, slurm, ssh, kubernetes, or tcp:// or tls://HOST:PORT (docs/clusters.md)."
-    ),
 ]
 
 

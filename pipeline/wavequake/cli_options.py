@@ -19,6 +19,12 @@ StoreOption = Annotated[
     Path | None,
     typer.Option("--store", parser=folder_named, metavar="FOLDER", help="Folder of the store (store.path)."),
 ]
+OnOption = Annotated[
+    str,
+    typer.Option(
+        help="serial, local, slurm, ssh, kubernetes, or tcp:// or tls://HOST:PORT (docs/clusters.md)."
+    ),
+]
 ClusterOption = Annotated[
     Path | None, typer.Option("--cluster", help="File that describes the cluster (.yaml).")
 ]

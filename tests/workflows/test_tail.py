@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binomtest, expon, genpareto, norm, pareto, uniform
 
 from wavequake.campaign.statistics import tail
-from wavequake.campaign.statistics.tail import exceedance, fit_tail, rare_value, steadiness
+from wavequake.campaign.statistics.tail import exceedance, fit_tail, fits, rare_value, steadiness
 from wavequake.errors import UserError
 
 RARE = 1e-4
@@ -108,3 +108,10 @@ def test_scaling_and_shifting_the_draws_scales_and_shifts_the_rare_value():
     one, other = rare_value(fit_tail(values), RARE), rare_value(fit_tail(3e-9 * values + 5e-8), RARE)
     assert other.value == pytest.approx(3e-9 * one.value + 5e-8, rel=1e-3)
     assert other.high == pytest.approx(3e-9 * one.high + 5e-8, rel=1e-2)
+
+
+def test_a_law_that_does_not_fit_is_told_and_one_that_does_seldom():
+    good = [fits(fit_tail(sample(expon(), seed))) for seed in range(40)]
+    assert good.count(False) <= 4  # one in forty on average; five or more have a chance of 0.3 %
+    ordinary, far = norm.rvs(size=1900, random_state=1), norm.rvs(12.0, 0.1, size=50, random_state=2)
+    assert not fits(fit_tail(np.concatenate([ordinary, far])))

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from wavequake.campaign.store.verify import VerifyReport
+    from wavequake.report.answers.rare import RareAnswer
 
 
 @wraps(workflow_run.run)
@@ -157,6 +158,57 @@ def tail(
             row |= {"odds": one.odds.value, "odds_low": one.odds.low, "odds_high": one.odds.high}
         rows.append(row | {"units": answer.unit})
     return pd.DataFrame(rows)
+
+
+def rare(study: str | Path | Study, **keywords: Any) -> "RareAnswer":
+    """Say how often a limit is exceeded, however rarely, and prove it with full traces near the limit.
+
+    Parameters
+    ----------
+    study : str, Path or Study
+        Of the workflow segment-disturbance.
+    measure : str, optional
+        ``"wfe_rms"`` (the default), ``"wfe_rms_raw"``, ``"zernike[noll=4]"``, ``"los"`` or ``"centroid"``.
+    limit : str or float, optional
+        As ``"120 nm"``; a number is in the unit that is stored.
+    probability : float, optional
+        What is exceeded so rarely? In the place of a limit.
+    of : str, optional
+        The disturbance, where there are several.
+    traces : int
+        Cases near the limit that are traced in full; a store that has some gets the others.
+    store : str or Path, optional
+        Folder of the traces.
+    on : str
+        As of `run`.
+    workers : int, optional
+        As of `run`.
+    **overrides
+        Further keys with double underscores for dots, e.g. ``telescope__name="tmt-18"``.
+
+    Returns
+    -------
+    RareAnswer
+        ``certified`` is the probability with its 95 % interval; ``exact``, ``modal``, ``traced`` and
+        ``correction`` say what it is made of.
+
+    Raises
+    ------
+    UserError
+        If the limit is none that is rarely exceeded, the measure is unknown, or the disturbance does not draw
+        Gaussian numbers.
+
+    Examples
+    --------
+    >>> found = rare("tmt-segments", of="alignment", limit="20 nm")  # doctest: +SKIP
+    >>> print(found.certified)                                      # doctest: +SKIP
+    """
+    from wavequake.report.answers.rare import rare_answer
+
+    overrides = {key: keywords.pop(key) for key in list(keywords) if "__" in key}
+    with progress_bar() as progress:
+        keywords.setdefault("progress", progress)
+        return rare_answer(_loaded(study, overrides), **keywords)
 
 
 def budget(

@@ -18,6 +18,10 @@ _NO_IMAGES = (
     "The store keeps no images (store.images = 'none'), and figures of them are left out. `wavequake rerun "
     "STORE --case ID` gives those of a case."
 )
+_NEAR_LIMIT = (
+    "These cases are drawn near a limit, and no number here is weighted: how often the limit is exceeded "
+    "says wavequake rare."
+)
 
 
 def has_histories(dataset: xr.Dataset) -> bool:
@@ -39,6 +43,8 @@ def what_is_kept(dataset: xr.Dataset) -> str:
         words.append(_DECIMATED.format(_every(dataset)))
     if _kept(dataset).get("images") == "none":
         words.append(_NO_IMAGES)
+    if "log_weight" in dataset.variables:
+        words.append(_NEAR_LIMIT)
     return "".join(f" {one}" for one in words)
 
 

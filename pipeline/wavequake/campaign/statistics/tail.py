@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 FEWEST = 50
 _SHARE, _LARGEST_SHARE = 0.05, 0.25  # of the cases that are taken as the tail
+_TESTED, _SAMPLES = 1000, 39  # exceedances that a test looks at, and samples that it compares them with
 _SMALLEST = 1e-30  # probability that counts as none
 _STEEPEST = -1.0  # shapes below it have no largest likelihood
 _IRREGULAR = -0.5  # shapes below it do not follow the theory of large samples (Smith 1985)
@@ -91,10 +92,7 @@ def fit_tail(values: Array, threshold: float | None = None) -> Tail:
         )
     if np.ptp(excesses) <= 1e-9 * excesses[-1]:
         raise UserError(f"All {len(excesses)} values above {threshold:.6g} are equal: there is no tail.")
-    shape, log_scale = _largest(
-        lambda x: _likelihood(excesses, x[0], np.exp(x[1])), [0.1, np.log(excesses.mean())], 1e-9
-    )[0]
-    return Tail(ordered, threshold, excesses, float(shape), float(np.exp(log_scale)))
+    return Tail(ordered, threshold, excesses, *_fitted(excesses))
 
 
 def rare_value(tail: Tail, probability: float) -> Quantile:
@@ -145,6 +143,38 @@ def steadiness(tail: Tail, probability: float) -> Quantile | None:
     if half < FEWEST or probability >= tail.rate / 2.0:
         return None
     return rare_value(fit_tail(tail.values, float(tail.values[-half - 1])), probability)
+
+
+def fits(tail: Tail) -> bool:
+    """Return whether the exceedances may well be draws of the fitted law.
+
+    It is false of one in forty that are: where the statistic of Anderson and Darling is larger than those of
+    39 samples of the fitted law, each with a fit of its own.
+    """
+    random = np.random.default_rng(0)
+    excesses = tail.excesses
+    if len(excesses) > _TESTED:
+        excesses = np.sort(random.choice(excesses, _TESTED, replace=False))
+    mine = _misfit(excesses)
+    law = scipy.stats.genpareto(tail.shape, scale=tail.scale)
+    return any(_misfit(np.sort(law.rvs(len(excesses), random_state=random))) >= mine for _ in range(_SAMPLES))
+
+
+def _misfit(excesses: Array) -> float:
+    """Return the statistic of Anderson and Darling (1954) of ascending excesses about their own fit."""
+    shape, scale = _fitted(excesses)
+    law = scipy.stats.genpareto(shape, scale=scale)
+    below, above = (np.maximum(part, -700.0) for part in (law.logcdf(excesses), law.logsf(excesses)[::-1]))
+    count = len(excesses)
+    return -count - float(np.sum((2.0 * np.arange(count) + 1.0) * (below + above))) / count
+
+
+def _fitted(excesses: Array) -> tuple[float, float]:
+    """Return shape and scale of largest likelihood."""
+    shape, log_scale = _largest(
+        lambda x: _likelihood(excesses, x[0], np.exp(x[1])), [0.1, np.log(excesses.mean())], 1e-9
+    )[0]
+    return float(shape), float(np.exp(log_scale))
 
 
 def _likelihood(excesses: Array, shape: float, scale: float) -> float:

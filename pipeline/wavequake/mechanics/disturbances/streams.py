@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
 
 Array = NDArray[np.float64]
 Size = int | tuple[int, ...]
@@ -71,3 +71,22 @@ class Coordinates:
         """Return the next coordinates between `low` and `high`."""
         shape = np.broadcast_shapes(np.shape(low), np.shape(high)) if size is None else size
         return np.asarray(low + (np.subtract(high, low)) * self.random(shape), dtype=np.float64)
+
+
+class Normals(Coordinates):
+    """Takes standard normal numbers one after the other; uniform ones by the distribution function.
+
+    Parameters
+    ----------
+    numbers : ndarray, shape (n,)
+    """
+
+    def __init__(self, numbers: Array) -> None:
+        super().__init__(ndtr(numbers))
+        self._numbers = numbers
+
+    def standard_normal(self, size: Size, /) -> Array:
+        """Return the next numbers as they are."""
+        shape = (size,) if isinstance(size, int | np.integer) else size
+        first, self.taken = self.taken, self.taken + prod(shape)
+        return self._numbers[first : self.taken].reshape(shape)

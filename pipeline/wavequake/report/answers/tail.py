@@ -15,7 +15,7 @@ from rich.text import Text
 from wavequake.campaign.contract import DONE
 from wavequake.campaign.statistics.judged import Judged, judged_in, populations_of, selected, title
 from wavequake.campaign.statistics.quantiles import Quantile
-from wavequake.campaign.statistics.tail import Tail, exceedance, fit_tail, rare_value, steadiness
+from wavequake.campaign.statistics.tail import Tail, exceedance, fit_tail, fits, rare_value, steadiness
 from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
 from wavequake.report.table import MISSING, number
@@ -78,6 +78,10 @@ def rare_events(store: Path | str, question: RareQuestion) -> RareAnswer:
         if value is not None and not np.isfinite(value):
             raise UserError(f"The {name} {value} is no number that a tail can be compared with.")
     dataset = open_store(store)
+    if "log_weight" in dataset.variables:
+        raise UserError(
+            f"The cases of {store} are drawn near a limit and have no tail of their own; take wavequake rare."
+        )
     judged = judged_in(question.variable, dataset)
     done, names = dataset["status"].to_numpy() == DONE, populations_of(dataset)
     numbers = per_case(dataset, judged, question.statistic, question.below)
@@ -190,10 +194,20 @@ def rare_notes(answer: RareAnswer, question: RareQuestion) -> Iterator[str]:
         "brackets 95 % confidence intervals of the profile likelihood. It holds as far as the tail goes on "
         "as it is."
     )
+    if any(question.probability * len(one.tail.values) < 1.0 for one in answer.found):
+        yield (
+            "So rare a value is beyond all cases, where normal tails lie somewhat above the law; where a "
+            "disturbance draws Gaussian numbers, wavequake rare gives the probability with proof."
+        )
     yield from (f"Not judged: {reason}" for reason in answer.reasons)
     for one in answer.found:
         if np.isnan(one.value.low):
             yield f"{one.name}: no interval, as stratified cases are not independent (docs/statistics.md)."
+        elif not fits(one.tail):
+            yield (
+                f"WARNING {one.name}: cases beyond the threshold do not follow the law (Anderson-Darling, "
+                "2.5 %); give a farther --threshold."
+            )
         elif one.steady and not one.value.low <= one.steady.value <= one.value.high:
             sign = -1.0 if question.below else 1.0
             yield (

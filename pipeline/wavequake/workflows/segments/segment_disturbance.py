@@ -6,7 +6,7 @@ instants' point spread functions make the case's exposure (`imaging`).
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -44,7 +44,9 @@ from wavequake.workflows.segments.images import (
     summed_images,
 )
 from wavequake.workflows.segments.segment_draws import draw_realization, sampling_plan
-from wavequake.workflows.segments.segment_modal import modal_cases, model_of
+from wavequake.workflows.segments.segment_modal import modal_cases
+from wavequake.workflows.segments.segment_model import model_of
+from wavequake.workflows.segments.segment_rare import rare_cases
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.segments.segment_template import template, traced
 from wavequake.workflows.segments.vignetting import require_all_rays
@@ -162,7 +164,11 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
     """Compute the numbers of `cases` over their instants, by full traces or by the modal model."""
     if bench_of(study_text).study.optics.method == "modal":
         return modal_cases(study_text, cases, device_name, trace_cases)
-    return trace_cases(study_text, cases, device_name)
+    found = trace_cases(study_text, cases, device_name)
+    if bench_of(study_text).study.rare is None:
+        return found
+    weights = rare_cases(study_text).labels(cases)  # one disturbance: the case is its realization
+    return replace(found, arrays={**found.arrays, **weights})
 
 
 def trace_cases(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
@@ -317,6 +323,8 @@ def check(study_text: str) -> None:
     """Raise UserError if the telescope at rest has no image, or a disturbance does not fit its mirror."""
     bench = bench_of(study_text)
     sampling_plan(study_text)
+    if bench.study.rare is not None:
+        rare_cases(study_text)
     if bench.study.imaging.enabled:
         refuse_what_cannot_be_imaged(bench)
     if bench.study.optics.method == "modal":
@@ -331,6 +339,8 @@ def notices(study_text: str) -> Iterator[str]:
     """Yield what to say of keys without effect, of light that mirrors stop, of too few rays for images."""
     bench = bench_of(study_text)
     yield from bench.study.unused_keys(monolithic(bench.system))
+    if bench.study.rare is not None:
+        yield "Cases are drawn near a limit: their statistics are those of wavequake rare, by their weights"
     if words := bench.stopped.words():
         yield words
     for entry in bench.study.disturbance:

@@ -1,4 +1,4 @@
-"""What a case of a segmented telescope draws: motions by generators, or by a sampling plan."""
+"""What a case of a segmented telescope draws: motions by generators, by a sampling plan, or near a limit."""
 
 from wavequake.chain.sampling import Plan, plan_of
 from wavequake.mechanics.disturbances.registry import Disturbance, Motion, draw_case
@@ -6,6 +6,7 @@ from wavequake.mechanics.disturbances.source import Source
 from wavequake.mechanics.disturbances.streams import Streams
 from wavequake.prepared import prepared
 from wavequake.workflows.segments.bench import Bench, bench_of
+from wavequake.workflows.segments.segment_rare import rare_cases
 
 
 @prepared(maxsize=2)
@@ -37,5 +38,6 @@ def sampling_plan(study_text: str) -> Plan:
 def draw_realization(bench: Bench, population: Disturbance, realization: int) -> Motion:
     """Draw a realization, which depends on the study, the population and its number only."""
     study = bench.study
-    streams = sampling_plan(bench.text).of(realization)
+    plan = sampling_plan(bench.text) if study.rare is None else rare_cases(bench.text)
+    streams = plan.of(realization)
     return draw_case(study.disturbance, population, bench.layout, study.study.seed, realization, streams)

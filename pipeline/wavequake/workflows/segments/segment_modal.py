@@ -9,13 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.contract import DONE, ChunkResult
 from wavequake.campaign.stopwatch import Stopwatch
-from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import TILE, padded
-from wavequake.mechanics.disturbances.registry import Disturbance, Motion, draw_case, instants_of, time_axis
+from wavequake.mechanics.disturbances.registry import Disturbance, Motion, instants_of, time_axis
 from wavequake.mechanics.disturbances.sources.common_history import (
     CommonHistory,
     amplitude_generator,
@@ -24,13 +22,12 @@ from wavequake.mechanics.disturbances.sources.common_history import (
 )
 from wavequake.mechanics.disturbances.sources.static_random import StaticRandom
 from wavequake.optics.segments import modal
-from wavequake.optics.segments.modal import COMMON, RIGID, Forms, ModalModel
-from wavequake.optics.segments.modal_derivatives import modal_model
+from wavequake.optics.segments.modal import Forms, ModalModel
 from wavequake.optics.wavefronts.quality import meets_marechal
-from wavequake.prepared import prepared
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis
 from wavequake.workflows.segments.case_pattern import slots
 from wavequake.workflows.segments.segment_draws import draw_realization, sampling_plan
+from wavequake.workflows.segments.segment_model import knows, model_of, motion_rows
 from wavequake.workflows.segments.segment_template import computed
 
 Array = NDArray[np.float64]
@@ -57,27 +54,6 @@ class _Found:
     sizes: Array
     piston: Array
     known: NDArray[np.bool_]
-
-
-@prepared(maxsize=2)
-def model_of(study_text: str, device_name: str) -> ModalModel:
-    """Return the modal model of a study, for the degrees of freedom in which its disturbances move segments.
-
-    Raises
-    ------
-    UserError
-        If there are no derivatives at rest.
-    """
-    bench = bench_of(study_text)
-    study = bench.study
-    moved: set[int] = set()
-    for population in study.disturbance:
-        time = instants_of(study.disturbance, population.model_copy(update={"instants": TILE}))
-        motion = draw_case(study.disturbance, population, bench.layout, study.study.seed, 0, time=time)
-        moved |= set(np.flatnonzero(motion.segment_motion.any(axis=(0, 1))).tolist())
-        moved |= {RIGID + term for term in np.flatnonzero(motion.segment_figure.any(axis=0)).tolist()}
-    with threadpool_limits(1):  # their number decides the last bits
-        return modal_model(bench.prepared, choose_device(device_name), bench.field, tuple(sorted(moved)))
 
 
 def modal_cases(study_text: str, cases: Cases, device_name: str, trace: Trace) -> ChunkResult:
@@ -158,7 +134,7 @@ def _found(
             swing, first_instant = np.ones(population.instants), population.model_copy(update={"instants": 1})
             for k, realization in enumerate(realizations.tolist()):
                 one = draw_realization(bench, first_instant, realization)
-                motions[rows[k]], known[k] = _motion_rows(bench, model, one, 1)[0], _knows(model, one)
+                motions[rows[k]], known[k] = motion_rows(bench, model, one, 1)[0], knows(model, one)
     with clock("modal"):
         return _separable(model, motions, rows, swing, known)
 
@@ -202,29 +178,6 @@ def _draw_pistons(
         motions[rows[run], first : first + segments] = drawn * MM_PER_M
 
 
-def _motion_rows(bench: Bench, model: ModalModel, motion: Motion, rows: int) -> Array:
-    """Return the motion of one case (rows, D S + 4) in mm and rad, padded with rest."""
-    count, segments = len(motion.mount), len(bench.layout)
-    found = np.zeros((rows, len(model.columns)))
-    local = found[:count, :-COMMON].reshape(count, len(model.dofs), segments)
-    for column, dof in enumerate(model.dofs):
-        if dof < RIGID:
-            local[:, column] = motion.segment_motion[:, :, dof] * (MM_PER_M if dof < 3 else 1.0)
-        elif dof - RIGID < motion.segment_figure.shape[1]:
-            local[:, column] = motion.segment_figure[:, dof - RIGID] * MM_PER_M
-    found[:count, :-COMMON] = local.reshape(count, -1)
-    found[:count, -COMMON:-2] = motion.m2 @ bench.m2_tilt.T
-    found[:count, -2:] = motion.mount
-    return found
-
-
-def _knows(model: ModalModel, motion: Motion) -> bool:
-    rigid = [dof for dof in range(RIGID) if dof not in model.dofs]
-    terms = [term for term in range(motion.segment_figure.shape[1]) if RIGID + term not in model.dofs]
-    moved = motion.segment_motion[..., rigid].any() or motion.segment_figure[:, terms].any()
-    return not (moved or any(values.any() for values in motion.rigid.values()))
-
-
 def _separable(
     model: ModalModel, motions: Array, rows: Cases, swing: Array, known: NDArray[np.bool_]
 ) -> _Found:
@@ -238,14 +191,14 @@ def _separable(
 def _by_instants(bench: Bench, model: ModalModel, motion: Motion) -> _Found:
     """Return one case, instant by instant."""
     count = len(motion.mount)
-    motions = _motion_rows(bench, model, motion, padded(count))
+    motions = motion_rows(bench, model, motion, padded(count))
     found = modal.forms(model, motions, TILE)
     sizes = modal.amplitudes(model, motions).max(axis=0)
     return _Found(
         Forms(found.linear[None, :count], found.quadratic[None, :count]),
         sizes[None],
         _piston(model, motions)[None, :count],
-        np.array([_knows(model, motion)]),
+        np.array([knows(model, motion)]),
     )
 
 

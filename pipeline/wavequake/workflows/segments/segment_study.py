@@ -4,7 +4,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from wavequake.campaign.schema import Section, StoreSection, Study, text_of
 from wavequake.chain.sampling import SampledCampaignSection, whole_sets
@@ -160,6 +166,26 @@ class ImagingSection(Section):
     )
 
 
+class RareSection(Section):
+    """A limit near which all cases are drawn; their weights undo it (docs/decide.md)."""
+
+    measure: str = Field(
+        default="wfe_rms", description="wfe_rms, wfe_rms_raw, zernike[noll=4], los or centroid"
+    )
+    limit: float | None = Field(
+        default=None, gt=0, description="of its rms over the instants, in the unit that is stored"
+    )
+    probability: float | None = Field(
+        default=None, gt=1e-200, lt=0.5, description="with which the limit is exceeded, in the place of it"
+    )
+
+    @model_validator(mode="after")
+    def _one_limit(self) -> "RareSection":
+        if (self.limit is None) == (self.probability is None):
+            raise ValueError("give either a limit or a probability")
+        return self
+
+
 class SegmentStoreSection(StoreSection):
     """Where the results go, and what of them is kept."""
 
@@ -181,6 +207,14 @@ class SegmentStudy(Study):
     wavefront: WavefrontSection = WavefrontSection()
     imaging: ImagingSection = ImagingSection()
     store: SegmentStoreSection = SegmentStoreSection()
+    rare: RareSection | None = None
+
+    @model_serializer(mode="wrap")
+    def _no_rare_section_where_there_is_none(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        record: dict[str, Any] = handler(self)
+        if self.rare is None:
+            record.pop("rare", None)
+        return record
 
     @field_validator("disturbance")
     @classmethod
@@ -228,9 +262,21 @@ class SegmentStudy(Study):
             raise ValueError(
                 "optics.method = 'modal' needs wavefront.method = 'opd' and wavefront.reference = 'chief'"
             )
+        if self.rare is not None:
+            self._rare_cases_can_be_drawn()
         if store.reduce == "summary" and store.keep:
             raise ValueError("store.reduce = 'summary' keeps nothing over time; leave store.keep out")
         return self
+
+    def _rare_cases_can_be_drawn(self) -> None:
+        if self.study.workflow != "segment-disturbance" or self.optics.method == "modal":
+            raise ValueError(
+                "rare belongs to the workflow segment-disturbance, with optics.method = 'standard'"
+            )
+        if self.campaign.sampling != "random" or self.campaign.until is not None:
+            raise ValueError("rare draws cases near a limit; leave campaign.sampling and campaign.until out")
+        if sum(entry.share > 0 for entry in self.disturbance) != 1:
+            raise ValueError("rare needs one disturbance; give share = 0 to the others")
 
     @property
     def fewest_instants(self) -> int:

@@ -29,8 +29,10 @@ def template(study_text: str) -> Template:
 @prepared(maxsize=2)
 def computed(study_text: str) -> dict[str, Variable]:
     """Return what is computed of each case, over all of its instants."""
-    variables = traced(study_text)
-    if bench_of(study_text).study.optics.method == "standard":
+    variables, study = traced(study_text), bench_of(study_text).study
+    if study.rare is not None:
+        return variables | _weights()
+    if study.optics.method == "standard":
         return variables
     return {name: one for name, one in variables.items() if name not in TRACED_ONLY} | _modal()
 
@@ -42,6 +44,16 @@ def traced(study_text: str) -> dict[str, Variable]:
     variables = _variables(bench)
     imaging = bench.study.imaging.enabled
     return {name: variable for name, variable in variables.items() if imaging or name not in IMAGED}
+
+
+def _weights() -> dict[str, Variable]:
+    """Return what undoes that cases are drawn near a limit."""
+    weight = "logarithm of the weight of the case: its density over that of the draws, which are near a limit"
+    value = "rms over the instants of what [rare] limits, by the modal model, in its unit"
+    return {
+        "log_weight": Variable((), (), {"units": "1", "long_name": weight}),
+        "modal_value": Variable((), (), {"units": "1", "long_name": value}),
+    }
 
 
 def _modal() -> dict[str, Variable]:

@@ -1,0 +1,51 @@
+"""`wavequake rare`: how often a limit is exceeded, with proof."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from wavequake.cli_options import OnOption, StoreOption, WorkersOption
+from wavequake.terminal import live_progress, out
+
+
+def rare(
+    study: Annotated[str, typer.Argument(help="Study of the workflow segment-disturbance.")],
+    overrides: Annotated[
+        list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. telescope.name=tmt-18")
+    ] = None,
+    measure: Annotated[
+        str | None, typer.Option(help="wfe_rms, wfe_rms_raw, 'zernike[noll=4]', los or centroid.")
+    ] = None,
+    limit: Annotated[str | None, typer.Option(help="How often is it exceeded? As '120 nm'.")] = None,
+    probability: Annotated[float | None, typer.Option(help="What is exceeded so rarely? As 1e-6.")] = None,
+    of: Annotated[str | None, typer.Option("--of", help="The disturbance, where there are several.")] = None,
+    traces: Annotated[int, typer.Option(help="Cases near the limit that are traced in full.")] = 2000,
+    store: StoreOption = None,
+    on: OnOption = "serial",
+    workers: WorkersOption = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Say how often a limit is exceeded, however rarely; full traces near the limit are kept as the proof."""
+    from wavequake.report.answers.rare import rare_answer, rare_notes, rare_table
+    from wavequake.workflows.study import load_study
+
+    loaded = load_study(study, overrides or [])
+    path = Path(store) if store else None
+    with live_progress() as progress:
+        answer = rare_answer(
+            loaded,
+            measure,
+            limit,
+            probability,
+            of=of,
+            traces=traces,
+            store=path,
+            on=on,
+            workers=workers,
+            progress=progress,
+        )
+    out.print(rare_table(answer))
+    for line in rare_notes(answer):
+        out.print(line, markup=False)
+    out.print(f"Traces: {answer.store.resolve()}", markup=False, soft_wrap=True)

@@ -1,0 +1,245 @@
+"""Cases of ``segment-disturbance`` that are drawn near a limit, with weights that undo it (``[rare]``).
+
+A disturbance whose motions are sums of Gaussian numbers makes the mean square of a wavefront error, or of a
+line of sight, a quadratic form of these numbers: by the modal model its distribution is known exactly, and so
+is the one that makes a rare case a common one. What a case draws depends on its number and the study alone.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from wavequake.campaign.rare.quadratic import (
+    QuadraticForm,
+    Tilt,
+    exceedance,
+    limit_of,
+    quadratic_form,
+    tilt_to,
+)
+from wavequake.campaign.statistics.judged import Judged, judged_of_template
+from wavequake.errors import UserError
+from wavequake.mechanics.disturbances.motion import generator
+from wavequake.mechanics.disturbances.registry import Disturbance, Motion, draw_case, instants_of
+from wavequake.mechanics.disturbances.streams import Coordinates, Normals, Streams
+from wavequake.optics.segments.modal import ModalModel, layout_of
+from wavequake.optics.segments.modal_forms import MotionForm, length_form, raw_form
+from wavequake.prepared import prepared
+from wavequake.workflows.segments.bench import MAS_PER_RAD, Bench, bench_of, in_basis
+from wavequake.workflows.segments.segment_model import knows, model_of, motion_rows
+from wavequake.workflows.segments.segment_template import template
+
+Array = NDArray[np.float64]
+
+MEASURES = ("wfe_rms", "wfe_rms_raw", "zernike", "los", "centroid")
+_STREAM = "~rare"  # no disturbance can have this in its name
+_MOST_NUMBERS = 5_000  # that move something: matrices of their squares
+_MOST_ENTRIES = 2**26  # of all motions: 0.5 GB
+_LINEAR = 1e-6  # share by which a sum of numbers may miss what is drawn
+_RARE = 0.5
+
+
+@dataclass(frozen=True)
+class GaussianMotions:
+    """Motions of a disturbance as sums of Gaussian numbers.
+
+    Attributes
+    ----------
+    streams : tuple of (str, int)
+        Names of the streams, and how many numbers each gives.
+    moving : ndarray, shape (d,)
+        Which of the numbers move something.
+    rest : ndarray, shape (n, D S + 4)
+        Motion over n instants where all numbers are zero, mm and rad.
+    columns : ndarray, shape (d, n, D S + 4)
+        What each number adds.
+    """
+
+    streams: tuple[tuple[str, int], ...]
+    moving: NDArray[np.int64]
+    rest: Array
+    columns: Array
+
+    def of(self, numbers: Array) -> Streams:
+        """Return what the streams of a case with `numbers` (d,) draw from."""
+        return _streams(self.streams, self.moving, numbers)
+
+
+@dataclass(frozen=True)
+class RareCases:
+    """How cases near a limit are drawn.
+
+    ``limit`` is in the measure's unit and exceeded with ``probability`` by the modal model, of which
+    ``tilt.form`` is the square.
+    """
+
+    motions: GaussianMotions
+    tilt: Tilt
+    limit: float
+    probability: float
+    seed: int
+    stream: str
+
+    def numbers(self, realization: int) -> Array:
+        """Return the Gaussian numbers (d,) of a realization."""
+        return self.tilt.drawn(self._unit(realization))
+
+    def _unit(self, realization: int) -> Array:
+        return generator(self.seed, self.stream, realization).standard_normal(len(self.motions.moving))
+
+    def of(self, realization: int) -> Streams:
+        """Return what the streams of a realization draw from."""
+        return self.motions.of(self.numbers(realization))
+
+    def labels(self, realizations: NDArray[np.int64]) -> dict[str, Array]:
+        """Return the weights and modal values of realizations, by the names of their variables."""
+        along = (self.tilt.along(self._unit(int(one))) for one in realizations)
+        squares = np.array([float(self.tilt.form.along(one)) for one in along])  # one by one: equal bits
+        return {
+            "log_weight": self.tilt.norm - self.tilt.rate * squares,
+            "modal_value": np.sqrt(np.maximum(squares, 0.0)),
+        }
+
+
+@prepared(maxsize=2)
+def rare_cases(study_text: str) -> RareCases:
+    """Return how the cases of a study with the section [rare] are drawn.
+
+    Raises
+    ------
+    UserError
+        If the disturbance is no sum of Gaussian numbers, the measure no length of what is linear in them, or
+        the limit is exceeded by most cases or by none.
+    """
+    bench = bench_of(study_text)
+    section = bench.study.rare
+    assert section is not None
+    population = next(entry for entry in bench.study.disturbance if entry.share)
+    judged = judged_of_template(section.measure, template(study_text))
+    if judged.variable not in MEASURES:
+        raise UserError(
+            f"rare.measure: {judged.variable!r} is not among what is known of rare cases by the modal model: "
+            f"{', '.join(MEASURES)}."
+        )
+    model = model_of(study_text, "numpy")  # the same on every worker
+    with threadpool_limits(1):
+        motions = gaussian_motions(bench, model, population)
+        form = _of_numbers(_of_motions(bench, model, judged), motions)
+    if section.limit is None:
+        assert section.probability is not None
+        limit = float(np.sqrt(limit_of(form, section.probability)))
+    else:
+        limit = section.limit
+    chance = exceedance(form, limit**2)
+    if not 0.0 < chance < _RARE:
+        unit = str(template(study_text).per_case[judged.variable].attrs["units"])
+        raise UserError(_common(form, limit, chance, unit))
+    tilt = tilt_to(form, limit**2)
+    return RareCases(motions, tilt, limit, chance, bench.study.study.seed, population.name + _STREAM)
+
+
+def _common(form: QuadraticForm, limit: float, chance: float, unit: str) -> str:
+    """Say how often a limit is exceeded that is no rare event, and which would be."""
+    typical, far = (float(np.sqrt(limit_of(form, share))) for share in (0.5, 1e-6))
+    words = "less than 1e-280" if chance == 0.0 else f"{100.0 * chance:.3g} %"
+    return (
+        f"rare.limit: {limit:g} {unit} is exceeded by {words} of the cases, which is no rare event; half of "
+        f"them exceed {typical:.4g} {unit}, and one of a million {far:.4g} {unit}."
+    )
+
+
+def gaussian_motions(bench: Bench, model: ModalModel, population: Disturbance) -> GaussianMotions:
+    """Return the motions of a disturbance as sums of Gaussian numbers, found by drawing with one at a time.
+
+    Raises
+    ------
+    UserError
+        If they are no such sums, or too many.
+    """
+    study, counters = bench.study, dict[str, Coordinates]()
+    time = instants_of(study.disturbance, population)
+
+    def drawn(streams: Streams) -> Motion:
+        return draw_case(study.disturbance, population, bench.layout, 0, 0, streams, time)
+
+    drawn(lambda name: counters.setdefault(name, Coordinates()))
+    streams = tuple((name, counter.taken) for name, counter in counters.items())
+    total = sum(count for _, count in streams)
+    everything = np.arange(total)
+    trial = np.random.default_rng(0).standard_normal(total)
+    moved = drawn(_streams(streams, everything, trial))
+    if not knows(model, moved):
+        raise UserError(
+            f"The disturbance {population.name!r} moves what the modal model does not know; rare events are "
+            "of motions of segments, M2 and mount."
+        )
+    wanted = motion_rows(bench, model, moved, len(time))
+    if (wanted == wanted[0]).all():  # constant over the instants
+        time, wanted = time[:1], wanted[:1]
+    if total * wanted.size > _MOST_ENTRIES:
+        raise UserError(
+            f"A case of {population.name!r} draws {total} numbers for {len(time)} instants, too many for "
+            "rare events; take fewer instants."
+        )
+
+    def rows(numbers: Array) -> Array:
+        return motion_rows(bench, model, drawn(_streams(streams, everything, numbers)), len(time))
+
+    rest = rows(np.zeros(total))
+    columns = np.array([rows(one) - rest for one in np.eye(total)]).reshape(total, *rest.shape)
+    scale = np.abs(wanted).max(axis=0)
+    missed = np.abs(rest + np.tensordot(trial, columns, 1) - wanted)
+    if not (missed <= _LINEAR * np.where(scale > 0.0, scale, 1.0)).all():
+        raise UserError(
+            f"The motions of the disturbance {population.name!r} are no sums of Gaussian numbers (uniform "
+            "amplitudes, or random frequencies and phases), which rare events need."
+        )
+    moving = np.flatnonzero(columns.any(axis=(1, 2)))
+    if not 0 < len(moving) <= _MOST_NUMBERS:
+        words = "nothing" if not len(moving) else f"by {len(moving)} numbers, more than {_MOST_NUMBERS}"
+        raise UserError(f"The disturbance {population.name!r} moves {words}: there are no rare events of it.")
+    return GaussianMotions(streams, moving, rest, columns[moving])
+
+
+def _streams(streams: tuple[tuple[str, int], ...], moving: NDArray[np.int64], numbers: Array) -> Streams:
+    """Return streams that give some numbers where something moves, and zeros elsewhere."""
+    whole = np.zeros(sum(count for _, count in streams))
+    whole[moving] = numbers
+    ends = np.cumsum([count for _, count in streams])[:-1]
+    parts = {name: Normals(part) for (name, _), part in zip(streams, np.split(whole, ends), strict=True)}
+    return parts.__getitem__
+
+
+def _of_motions(bench: Bench, model: ModalModel, judged: Judged) -> MotionForm:
+    """Return the square of a measure, in its unit, as a form of the motions."""
+    places, to_nm = layout_of(model.terms), bench.study.optics.wavelength_nm
+    if judged.variable == "wfe_rms_raw":
+        raw = raw_form(model)
+        return MotionForm(raw.constant * to_nm**2, raw.linear * to_nm**2, raw.square * to_nm**2)
+    if judged.variable in ("los", "centroid"):
+        place = places.los if judged.variable == "los" else places.centroid
+        columns = model.columns[:, place] * (MAS_PER_RAD / bench.first_order.focal_length)
+        if "axis" in judged.chosen:
+            columns = columns[:, judged.chosen["axis"]][:, None]
+        return length_form(np.zeros(columns.shape[1]), columns)
+    rest, columns = model.rest[places.zernike] * to_nm, model.columns[:, places.zernike] * to_nm
+    if judged.variable == "wfe_rms":
+        return length_form(rest[3:], columns[:, 3:])
+    term = judged.chosen["noll"]
+    return length_form(in_basis(bench, rest)[[term]], in_basis(bench, columns)[:, [term]])
+
+
+def _of_numbers(form: MotionForm, motions: GaussianMotions) -> QuadraticForm:
+    """Return the mean over the instants of a form of the motions, as one of the numbers behind them."""
+    count, instants, _ = motions.columns.shape
+    constant, linear, square = 0.0, np.zeros(count), np.zeros((count, count))
+    for instant in range(instants):
+        columns, rest = motions.columns[:, instant], motions.rest[instant]
+        bent = form.square @ rest
+        constant += form.constant + float(form.linear @ rest + rest @ bent)
+        linear += columns @ (form.linear + 2.0 * bent)
+        square += columns @ form.square @ columns.T
+    square = (square + square.T) / (2.0 * instants)
+    return quadratic_form(constant / instants, linear / instants, square)

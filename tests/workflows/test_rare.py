@@ -1,0 +1,220 @@
+"""Rare events of studies against ordinary campaigns of them, and as stores."""
+
+import shutil
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+import wavequake as wq
+from wavequake.campaign.statistics.tail import fit_tail, rare_value
+from wavequake.errors import UserError
+from wavequake.report.answers.rare import in_unit, rare_answer, rare_notes
+from wavequake.report.exports.rerun import rerun_stored
+from wavequake.workflows.rare import rare_study
+from wavequake.workflows.segments.segment_rare import rare_cases
+from wavequake.workflows.study import load_study, study_with
+
+STUDY = """
+[study]
+name = "small"
+workflow = "segment-disturbance"
+seed = 7
+[telescope]
+name = "tmt-18"
+gap_mm = 20.0
+[optics]
+rays_per_segment = 6
+[wavefront]
+zernike_terms = 21
+[imaging]
+enabled = false
+[[disturbance]]
+name = "swing"
+model = "common-history"
+instants = 4
+[[disturbance]]
+name = "aligned"
+model = "static-random"
+piston_nm = 20.0
+tip_nrad = 5.0
+tilt_nrad = 5.0
+figure_nm = { 4 = 5.0 }
+instants = 2
+[[disturbance]]
+name = "noise"
+model = "edge-sensor-noise"
+instants = 3
+share = 0
+[[disturbance]]
+name = "uniform"
+model = "static-random"
+piston_nm = 20.0
+piston_distribution = "uniform"
+share = 0
+[[disturbance]]
+name = "still"
+model = "static-random"
+share = 0
+[[disturbance]]
+name = "gusts"
+model = "segment-wind"
+share = 0
+[[disturbance]]
+name = "both"
+model = "combine"
+of = ["swing", "aligned"]
+instants = 4
+share = 0
+"""
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    path = tmp_path_factory.mktemp("study") / "small.toml"
+    path.write_text(STUDY)
+    return load_study(path)
+
+
+def share_beyond(study, name, measure, limit, cases, folder):
+    """Return how many cases of an ordinary campaign by the modal model exceed a limit."""
+    keys = {f"disturbance.{entry.name}.share": int(entry.name == name) for entry in study.disturbance}
+    ordinary = study_with(study, {**keys, "optics.method": "modal", "optics.modal_sample": 0.0})
+    values = wq.run(ordinary, cases=cases, store=folder)[measure.partition("[")[0]]
+    if measure == "zernike[noll=5]":
+        values = values.sel(noll=5)
+    square = (values**2).sum("axis", skipna=False) if "axis" in values.dims else values**2
+    return int((square.mean("time") > limit**2).sum())
+
+
+@pytest.mark.parametrize(
+    ("name", "measure"),
+    [
+        ("aligned", "wfe_rms"),
+        ("aligned", "wfe_rms_raw"),
+        ("aligned", "zernike[noll=5]"),
+        ("swing", "wfe_rms_raw"),
+        ("swing", "los"),
+        ("both", "wfe_rms"),
+        ("noise", "wfe_rms"),
+    ],
+)
+def test_a_limit_is_exceeded_as_often_as_by_plain_monte_carlo(study, tmp_path, name, measure):
+    found = rare_study(study, measure, None, 0.05, name)
+    limit = rare_cases(found.identity_text()).limit
+    above = share_beyond(study, name, measure, limit, 2000, tmp_path / "s")
+    assert binom.ppf(1e-3, 2000, 0.05) <= above <= binom.isf(1e-3, 2000, 0.05)
+
+
+@pytest.fixture(scope="module")
+def proof(study, tmp_path_factory):
+    store = tmp_path_factory.mktemp("rare") / "s"
+    return rare_answer(study, "wfe_rms", None, 1e-6, of="aligned", traces=400, store=store)
+
+
+def test_traces_confirm_the_modal_model(proof):
+    assert proof.exact == pytest.approx(1e-6, rel=1e-9)
+    assert proof.modal.low <= 1e-6 <= proof.modal.high
+    assert (proof.modal.high - proof.modal.low) / 2 < 0.1e-6
+    assert proof.traced.low <= 1e-6 <= proof.traced.high
+    assert proof.difference < 2e-3
+    assert proof.correction.more + proof.correction.fewer <= 1
+    assert proof.certified.low < 1e-6 < proof.certified.high
+    assert proof.limits.low < proof.limits.value < proof.limits.high
+
+
+def test_the_store_has_what_undoes_the_draws(proof):
+    dataset = wq.open_store(proof.store).load()
+    weights = np.exp(dataset.log_weight)
+    above = dataset.wfe_rms.mean("time") > proof.limit
+    assert 0.3 < float(above.mean()) < 0.7
+    assert float((weights * above).mean()) == pytest.approx(proof.traced.value, rel=1e-12)
+    np.testing.assert_allclose(dataset.modal_value, dataset.wfe_rms.isel(time=0), atol=2e-3)
+    with pytest.raises(UserError, match="drawn near a limit"):
+        wq.tail(proof.store, "wfe_rms")
+
+
+def test_traces_are_cases_of_a_store_that_goes_on_is_verified_and_computed_again(proof, study, tmp_path):
+    store = tmp_path / "s"
+    shutil.copytree(proof.store, store)
+    assert wq.verify(store).ok
+    more = rare_answer(study, "wfe_rms", None, 1e-6, of="aligned", traces=480, store=store)
+    assert more.correction.cases == 480
+    first = wq.open_store(store).wfe_rms.isel(case=slice(400)).to_numpy()
+    np.testing.assert_array_equal(first, wq.open_store(proof.store).wfe_rms.to_numpy())
+    assert not rerun_stored(store, 3).differing
+
+
+def test_where_motions_are_large_the_traces_correct_the_modal_model(study, tmp_path):
+    large = study_with(study, {"disturbance.aligned.tip_nrad": 3e6, "disturbance.aligned.tilt_nrad": 3e6})
+    found = rare_answer(large, "wfe_rms_raw", None, 1e-4, of="aligned", traces=200, store=tmp_path / "s")
+    assert found.correction.more > 0
+    assert found.correction.low > 0.0
+    assert found.certified.low <= found.traced.high
+    assert found.certified.high >= found.traced.low
+    assert any(line.startswith("WARNING Full traces do not confirm") for line in rare_notes(found))
+
+
+def test_tails_of_normal_cases_sit_low(study):
+    """The fitted tail against the exact limit: within its interval, or below it."""
+    cases = rare_cases(rare_study(study, "zernike[noll=5]", None, 1e-4, "swing").identity_text())
+    form = cases.tilt.form
+    below = 0
+    for seed in range(10):
+        y = np.random.default_rng(seed).standard_normal((2000, len(form.slopes)))
+        found = rare_value(fit_tail(np.sqrt(np.maximum(form.along(y), 0.0))), 1e-4)
+        below += found.value < cases.limit
+        assert found.low < cases.limit * 1.02
+    assert below >= 5
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"limit": "1 nm"}, "is exceeded by 100 % of the cases, which is no rare event; half of them"),
+        ({"limit": "9 mm"}, "is exceeded by less than 1e-280 of the cases"),
+        ({"limit": "1 mas"}, "has the unit 'mas'; use one of pm, nm"),
+        ({"limit": "much"}, "is no positive number with a unit, as '120 nm'"),
+        ({"limit": "-3 nm"}, "is no positive number"),
+        ({}, "What is rare"),
+        ({"limit": "60 nm", "probability": 1e-6}, "not both"),
+        ({"probability": 0.9}, "is not rare"),
+        ({"probability": 1e-6, "measure": "strehl"}, "'strehl' is not among what is known of rare cases"),
+        ({"probability": 1e-6, "measure": "wfe"}, "There is no 'wfe' to judge"),
+        ({"probability": 1e-6, "measure": "zernike"}, "has a number for each noll"),
+        ({"probability": 1e-6, "of": None}, "choose one with --of: swing, aligned"),
+        ({"probability": 1e-6, "of": "x"}, "There is no disturbance 'x'"),
+        ({"probability": 1e-6, "of": "uniform"}, "are no sums of Gaussian numbers"),
+        ({"probability": 1e-6, "of": "gusts"}, "are no sums of Gaussian numbers"),
+        ({"probability": 1e-6, "of": "still"}, "moves nothing"),
+        ({"probability": 1e-6, "traces": 3}, "take at least 50"),
+    ],
+)
+def test_what_cannot_be_judged_is_a_sentence(study, tmp_path, keywords, message):
+    with pytest.raises(UserError, match=message):
+        rare_answer(study, **{"of": "aligned", "traces": 50, "store": tmp_path / "s", **keywords})
+    assert not (tmp_path / "s").exists()
+
+
+def test_other_studies_are_refused():
+    with pytest.raises(UserError, match="Rare events are of segment-disturbance studies, not of lens-exp"):
+        rare_study(load_study("lens-experiment"), limit=1.0)
+
+
+def test_limits_have_units():
+    assert in_unit("0.12 um", "nm") == pytest.approx(120.0)
+    assert in_unit(5, "mas") == 5.0
+    assert in_unit("1urad", "mas") == pytest.approx(206.264806)
+
+
+def test_the_command_prints_the_answer_and_where_the_traces_are(tmp_path, wavequake):
+    words = ["tmt-segments", "telescope.name=tmt-18", "optics.rays_per_segment=6", "--of", "alignment"]
+    store = tmp_path / "s"
+    code, out, _ = wavequake("rare", *words, "--limit", "104 nm", "--traces", 60, "--store", store)
+    assert code == 0
+    assert "certified" in out
+    assert "correction by full traces" in out
+    assert str(store) in out.replace("\n", "")
+    code, _, err = wavequake("rare", *words, "--limit", "0.1 nm")
+    assert code == 2
+    assert "no rare event" in err
