@@ -14,7 +14,7 @@ from wavequake.control.linear import Array, LinearModel
 from wavequake.control.robustness.plant import Complex, Plant, linear
 from wavequake.errors import UserError
 
-_STEPS, _SETTLED = 20, 1e-12
+_STEPS, _SETTLED = 20, 1e-10
 
 
 def lqg(model: Plant, effort: float, noise: float) -> LinearModel:
