@@ -144,7 +144,7 @@ def _sensor_nodes(study: ControllerStudy, model: FiniteElementModel) -> Integers
             "Two sensors of [sensors] fall on one node of the mesh; set their angles farther apart, or raise "
             "model.divisions."
         )
-    return chosen.astype(np.int64)
+    return np.asarray(chosen, dtype=np.int64)
 
 
 def _modes(study: ControllerStudy, model: FiniteElementModel, sensors: Integers) -> dict[str, Array]:

@@ -100,12 +100,14 @@ class JudgedVariantsSection(VariantsSection):
 
 
 class ControllerCriterionSection(Section):
-    """When a reduced model is good enough for its controller: the loop is stable, and"""
+    """When a reduced model is good enough for its controller; a loop that is not stable never is."""
 
     excess: float = Field(
-        default=0.05, gt=0, description="its wavefront is at most this share above that of the best variant"
+        default=0.05,
+        gt=0,
+        description="its wavefront is at most this share above the smallest of all variants",
     )
-    peak: float = Field(default=4.0, gt=1, description="the largest that its sensitivity may be")
+    peak: float = Field(default=4.0, gt=1, description="at most so large is the peak of its sensitivity")
 
 
 class ControllerCampaignSection(CampaignSection):
