@@ -26,6 +26,7 @@ _REPORTS = {
     "mirror-exposure": "mirrors.exposures",
     "lens-experiment": "lens.report",
     "lens-passive": "lens.passive",
+    "controller-mor": "loops.controllers",
 }
 
 

@@ -37,11 +37,14 @@ def lqg(model: Plant, effort: float, noise: float) -> LinearModel:
     Raises
     ------
     UserError
-        If a weight is not positive, or a mode that does not decay is not driven or not seen; says which.
+        If a weight is not positive, no force or sensor reaches the model, or a mode that does not decay is not driven or not seen; says which.
     """
     for name, value in (("effort", effort), ("noise", noise)):
         if not (np.isfinite(value) and value > 0):
             raise UserError(f"The {name} of a controller is {value}; it must be positive and finite.")
+    for part, what in ((model.inputs, "no force moves"), (model.outputs, "no sensor sees")):
+        if not np.abs(part).max(initial=0.0) > 0:
+            raise UserError(f"{what[0].upper()}{what[1:]} any mode of the model; it has no controller.")
     known = linear(model)
     gain = regulator_gain(known, known.c.T @ known.c, effort)
     filtered = kalman_bucy_gain(known, 1.0, noise, known.b)

@@ -1,4 +1,4 @@
-"""What the cases of ``controller-mor`` share: the full model, its modes with a bound of the others, its light."""
+"""What the cases of ``controller-mor`` share: the full model, its modes, a bound of the others, its light."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -106,8 +106,8 @@ def bench_of(study: ControllerStudy) -> Bench:
     sensors = _sensor_nodes(study, model)
     if 2 * study.model.modes >= model.order:
         raise UserError(
-            f"model.modes is {study.model.modes}, but the full model has {model.order} degrees of freedom; ask for "
-            "fewer than half of them."
+            f"model.modes is {study.model.modes}, but the full model has {model.order} degrees of freedom; "
+            "ask for fewer than half of them."
         )
     record = {"loop": study.model.model_dump(mode="json"), "sensors": sensors.tolist()}
     kept = kept_arrays(digest(record), lambda: _modes(study, model, sensors))

@@ -1,4 +1,4 @@
-"""The workflow "controller-mor": which reduced model is good enough to design a controller on?
+"""The workflow "controller-mor": reduced models, judged by the controllers that are designed on them.
 
 A case is a variant with an effort. Regulator and filter are designed on the variant alone, and their loop is
 closed with the full model: its poles, what spills over, margins, and the wavefront that is left, beside how
@@ -41,6 +41,8 @@ POLES = 40
 # A mode of the full model is that of a variant which resembles it and its like by this much at least; modes
 # nearer in frequency than this are alike, as the pairs of a symmetric mirror.
 _RESEMBLES, _ALIKE = 0.5, 0.01
+# A shape whose frequency is farther off than this share is a static shape with some mass, not the mode.
+_FAR = 0.5
 _NM = 1e9
 
 
@@ -100,6 +102,7 @@ def _open_loop(bench: Bench, model: Plant, shapes: Array) -> Numbers:
         "error_max": float(inside.max()),
         "error_beyond": float(outside.max()),
         "mode_shift": shift,
+        "missing_modes": float(np.isnan(near).sum()),
         "shift_over_zeta": float(np.nanmax(near, initial=-np.inf)) if np.isfinite(near).any() else np.nan,
     }
 
@@ -131,8 +134,9 @@ def frequency_shifts(bench: Bench, model: Plant, shapes: Array) -> Array:
     shift = np.full(bench.shapes.shape[1], np.nan)
     for one, other in zip(ours, theirs, strict=True):
         like = np.abs(omega - omega[one]) <= _ALIKE * omega[one]
-        if alike[like, other].sum() >= _RESEMBLES:
-            shift[one] = abs(own[other] / omega[one] - 1.0)
+        off = abs(own[other] / omega[one] - 1.0)
+        if alike[like, other].sum() >= _RESEMBLES and off < _FAR:
+            shift[one] = off
     return shift
 
 
@@ -258,6 +262,7 @@ def measures(bench: Bench) -> Iterable[Measure]:
             "1",
             "largest |dw/w| of the modes in the band, as a share of their damping ratio",
         ),
+        _said("missing_modes", "1", "modes of the full model in the band that the variant has not"),
         _said("stable", "1", "1 where the loop with the full model is stable"),
         _said("unstable_poles", "1", "poles of that loop that do not decay"),
         _said("growth", "1/s", "largest real part of its poles"),

@@ -10,7 +10,7 @@ from wavequake.workflows.mirrors.mirror_study import VariantsSection
 
 
 class SupportedModelSection(Section):
-    """An elastic mirror on springs: a segment of glass ceramic, or a circular or annular mirror of aluminium."""
+    """An elastic mirror on springs: a glass-ceramic segment, or a circular or annular mirror of aluminium."""
 
     shape: Literal["segment", "circular", "annular"] = "segment"
     divisions: int = Field(
@@ -25,7 +25,7 @@ class SupportedModelSection(Section):
         default=300,
         ge=10,
         le=3000,
-        description="of the full model that are followed one by one; the others are their flexibility, with a bound",
+        description="of the full model, followed one by one; the others are their flexibility, with a bound",
     )
 
     @field_validator("spring_n_m")
