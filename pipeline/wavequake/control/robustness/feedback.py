@@ -37,7 +37,8 @@ def lqg(model: Plant, effort: float, noise: float) -> LinearModel:
     Raises
     ------
     UserError
-        If a weight is not positive, no force or sensor reaches the model, or a mode that does not decay is not driven or not seen; says which.
+        If a weight is not positive, no force or sensor reaches the model, or a mode that does not decay is
+        not driven or not seen; says which.
     """
     for name, value in (("effort", effort), ("noise", noise)):
         if not (np.isfinite(value) and value > 0):
@@ -138,7 +139,10 @@ def refined_pole(pole: complex, plant: Response, controller: LinearModel) -> com
         values, right = np.linalg.eig(np.eye(len(g)) + g @ h)
         near = int(np.abs(values).argmin())
         left = np.linalg.inv(right)[near]
-        step = values[near] / (left @ (slope @ h + g @ bend) @ right[:, near])
+        change = left @ (slope @ h + g @ bend) @ right[:, near]
+        if change == 0:
+            break
+        step = values[near] / change
         s -= complex(step)
         if abs(step) <= _SETTLED * abs(s):
             return s

@@ -196,7 +196,8 @@ def _crossings(
 def _gain_factors(loop: Loop, omega: Array, loci: Complex) -> tuple[float, float]:
     """Return the factors at which an eigenvalue of the loop gain would pass through -1."""
     found = [value.real for _, value in _crossings(loop, omega, loci, np.imag) if value.real < 0]
-    if loop.plant.squared.min() > 0:  # at rest the loop gain is real: a pole can leave through the origin
+    resting = np.abs(np.linalg.eigvals(loop.controller.a)).min(initial=np.inf) > 0 < loop.plant.squared.min()
+    if resting:  # at rest the loop gain is real then: a pole can leave through the origin
         still = np.linalg.eigvals(loop_gain(loop, np.zeros(1))[0])
         found += [value.real for value in still if value.real < 0 and abs(value.imag) < _REAL * abs(value)]
     factors = -1.0 / np.array(found)

@@ -1,4 +1,4 @@
-"""The transfer matrix of a finite-element model at any complex frequency: one sparse factorization, no modes."""
+"""The transfer matrix of a finite-element model at a complex frequency: a sparse factorization, no modes."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -78,7 +78,9 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
                 f"outcome-{number_}",
                 f"Open-loop error and what becomes of the loop, effort {level.effort:g}",
                 draw.error_and_outcome(level),
-                "If the open-loop error decided, crosses would stand at the right and points rise to them.",
+                "If the open-loop error decided, crosses would stand at the right and points rise to them. "
+                "An unstable loop has no wavefront: its cross lies on the dashed line. Names stand where "
+                "there is room.",
             )
             for number_, level in enumerate(draw.drawable(levels))
         ],

@@ -11,10 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH, power_of_ten
-from wavequake.report.loops.outcomes import Level, Outcome
+from wavequake.report.loops.outcomes import Level
 
 _STABLE, _UNSTABLE, _GROUND = COLORS[0], COLORS[1], "#999999"
 _MODES = 14
+_POINTS, _LETTER, _LINE = 72.0, 3.8, 8.0  # per inch; of the names' letters
 
 
 def _panels(rows: int, height: float = HEIGHT) -> tuple[Figure, list[Axes]]:
@@ -27,10 +28,20 @@ def _powers(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def _label(axes: Axes, one: Outcome, x: float, y: float) -> None:
-    axes.annotate(
-        one.variant, (x, y), (3, 3), textcoords="offset points", fontsize=6.5, color="#444444", clip_on=True
-    )
+def _names(axes: Axes, points: Sequence[tuple[str, float, float]]) -> None:
+    """Write names beside points, each where it covers no earlier one."""
+    axes.margins(0.08, 0.12)
+    axes.autoscale_view()
+    taken: list[tuple[float, float, float]] = []
+    for name, x, y in points:
+        left, base = axes.transData.transform((x, y)) / axes.figure.dpi * _POINTS
+        width = _LETTER * len(name)
+        if all(
+            abs(base - other) > _LINE or left > there + long or there > left + width
+            for there, other, long in taken
+        ):
+            taken.append((left, base, width))
+            axes.annotate(name, (x, y), (3, 3), textcoords="offset points", fontsize=6.5, color="#444444")
 
 
 @rc_context(STYLE)
@@ -41,17 +52,19 @@ def error_and_outcome(level: Level) -> Figure:
     worst = max((one["wavefront"] for one in stable), default=1.0)
     least = min((one["wavefront"] for one in stable), default=0.9)
     top = worst + 0.35 * max(worst - least, 0.02 * worst)
+    points = []
     for one in level.outcomes:
         y = one["wavefront"] if one.stable else top
         x = max(one["error_median"], 1e-9)
         axes.plot(x, y, "o" if one.stable else "X", color=_STABLE if one.stable else _UNSTABLE, markersize=6)
-        _label(axes, one, x, y)
+        points.append((one.variant, x, y))
     axes.axhline(top, color=_UNSTABLE, linewidth=0.7, linestyle=(0, (5, 2)))
     axes.set_xscale("log")
     _powers(axes.xaxis)
     axes.set_xlabel("error of the open-loop transfer function in the band, median")
     axes.set_ylabel("wavefront in the loop (nm rms)")
-    axes.set_title(f"effort {level.effort:g}: ● stable, ✖ unstable (on the dashed line, at any wavefront)")
+    axes.set_title(f"effort {level.effort:g}: ● stable, ✖ unstable")
+    _names(axes, points)
     return figure
 
 
@@ -68,14 +81,13 @@ def margins_over_order(level: Level, peak: float) -> Figure:
         strict=True,
     ):
         axes.plot(orders, [one[name] for one in stable], "o", color=_STABLE, markersize=4.5)
-        for one in stable:
-            _label(axes, one, one.order, one[name])
         for one in level.outcomes:
             if not one.stable:
                 axes.plot(
                     one.order, 0.03, "X", color=_UNSTABLE, transform=axes.get_xaxis_transform(), markersize=6
                 )
         axes.set_ylabel(label)
+        _names(axes, [(one.variant, one.order, one[name]) for one in stable if np.isfinite(one[name])])
     panels[0].axhline(peak, color="#444444", linewidth=0.8, linestyle=(0, (5, 2)))
     panels[0].set_title(f"effort {level.effort:g}: ✖ at the bottom, unstable")
     panels[-1].set_xlabel("order (coordinates of the variant)")
@@ -93,15 +105,14 @@ def poles(dataset: xr.Dataset, level: Level) -> Figure:
     axes.plot(hertz, -2 * np.pi * hertz * zeta, "s", color=_GROUND, markersize=4, fillstyle="none", zorder=1)
     axes.plot(high[~grows], real[~grows], ".", color=_STABLE, markersize=4)
     axes.plot(high[grows], real[grows], "X", color=_UNSTABLE, markersize=6)
-    for one in level.outcomes:
-        if not one.stable:
-            _label(axes, one, one["growth_hz"], one["growth"])
     axes.axhline(0.0, color="#444444", linewidth=0.8)
     axes.set_xscale("log")
     axes.set_yscale("symlog", linthresh=0.1)
     _powers(axes.xaxis)
     axes.set_xlabel("frequency of the pole (Hz)")
     axes.set_ylabel("real part (1/s)")
+    growing = sorted((one for one in level.outcomes if not one.stable), key=lambda one: -one["growth"])
+    _names(axes, [(one.variant, one["growth_hz"], one["growth"]) for one in growing])
     axes.set_title(f"effort {level.effort:g}: □ without a controller, · loops that decay, ✖ that grow")
     return figure
 
