@@ -76,6 +76,13 @@ SHAKEN = {
     "optics.zernike_terms": 11,
     "imaging.pixels": 12,
 }
+CONTROLLED = {
+    "model.divisions": 3,
+    "model.modes": 60,
+    "controller.effort": [0.1],
+    "reduction.variants": ["modal10", "craigb18", "rubin15", "krylov27(50)"],
+    "reduction.frequencies": 40,
+}
 TRACED = {"model.rings": 2, "optics.rays": 120, "optics.zernike_terms": 21, "time.duration_s": 0.002}
 SHORT = {"time.duration_s": 2.0, "time.step_ms": 20.0}
 STRUCTURE = {
@@ -105,6 +112,7 @@ class Small:
 
 
 RECORDED = {
+    "controller-mor": Small("controller-mor", CONTROLLED),
     "double-gauss": Small("double-gauss", {"optics.rays": 100}, 8),
     "double-gauss-slopes": Small(
         "double-gauss", {"optics.rays": 120, "wavefront.method": "slopes", "wavefront.zernike_terms": 15}, 8

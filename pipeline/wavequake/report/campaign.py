@@ -27,6 +27,7 @@ _REPORTS = {
     "lens-experiment": "lens.report",
     "lens-passive": "lens.passive",
     "sweep": "sweeps",
+    "controller-mor": "loops.controllers",
 }
 
 

@@ -21,6 +21,7 @@ _BUNDLED = {
     "mirror-exposure": "wavequake.workflows.exposures.mirror_exposure",
     "lens-experiment": "wavequake.workflows.lens.lens_experiment",
     "lens-passive": "wavequake.workflows.lens.lens_passive",
+    "controller-mor": "wavequake.workflows.loops.controller_mor",
 }
 # Kinds that no study file names: the loader makes such studies.
 _MADE = {"sweep": "wavequake.workflows.sweep"}

@@ -1,0 +1,160 @@
+"""The report of a controller-mor store: controllers of reduced models on the full one, and a verdict."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+
+from wavequake.report.loops import figures as draw
+from wavequake.report.loops.outcomes import Level, Outcome, answer, certificate, levels_of, spilled
+from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.populations import left_out
+from wavequake.report.table import MISSING, number
+
+_DEFINITIONS = (
+    ("error", "‖G - G_rom‖ / ‖G‖ of the transfer matrix from forces to sensors: median in the band."),
+    ("above", "The largest such error above the band, up to reduction.beyond_hz."),
+    ("Δω/ζ", "Largest |Δω/ω| of the modes in the band that the variant has, over their damping ratio."),
+    ("growth", "Largest real part of the closed loop's poles with the full model."),
+    ("spill-over", "The mode of the full model with the most energy in the growing motion."),
+    ("S peak", "Largest singular value of (I + G H)^-1 over frequency, with the full model."),
+    ("gain, phase, delay", "By how much all channels may change together before the loop is unstable."),
+    ("wavefront", "Twice the surface's motion along z, rms over surface and time, piston included."),
+    ("promised", "The same of the reduced model in its own loop: what its designer would expect."),
+)
+_SMALL_PRINT = "Margins and wavefronts are those of the full model; an unstable loop has none."
+
+
+def table_of(store: Path, dataset: xr.Dataset) -> Table:
+    """Return the table of a store for the terminal."""
+    levels = levels_of(dataset)
+    words = f"{answer(levels)} {certificate(levels)}"
+    table = Table(
+        box=SIMPLE_HEAD, caption=words, caption_justify="left", padding=(0, 1, 0, 0), pad_edge=False
+    )
+    for header in (
+        "variant",
+        "error\n(%)",
+        "Δω/ζ",
+        "grows at\n(1/s, Hz)",
+        "S\npeak",
+        "gain",
+        "phase\n(deg)",
+        "WFE\n(nm)",
+    ):
+        table.add_column(header, justify="left" if header == "variant" else "right", no_wrap=True)
+    for level in levels:
+        table.add_row(Text(f"effort {level.effort:g}", style="bold"))
+        for one in level.outcomes:
+            grows = "" if one.stable else f"{number(one['growth'])}, {number(one['spill_hz'])}"
+            table.add_row(
+                one.variant + (" ←" if one is level.enough else ""),
+                _percent(one["error_median"]),
+                _short(one["shift_over_zeta"]),
+                Text(grows, style="red"),
+                number(one["sensitivity_peak"]),
+                number(one["gain_up"]),
+                number(one["phase_margin"]),
+                number(one["wavefront"]),
+            )
+    return table
+
+
+def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
+    """Write the HTML report."""
+    dataset = dataset.load()
+    levels = levels_of(dataset)
+    page = Page(
+        answer=answer(levels),
+        table=[row_of(level, one) for level in levels for one in level.outcomes],
+        small_print=f"{_SMALL_PRINT} {certificate(levels)}",
+        overview=[
+            picture(
+                f"outcome-{number_}",
+                f"Open-loop error and what becomes of the loop, effort {level.effort:g}",
+                draw.error_and_outcome(level),
+                "If the open-loop error decided, crosses would stand at the right and points rise to them. "
+                "An unstable loop has no wavefront: its cross lies on the dashed line. Names stand where "
+                "there is room.",
+            )
+            for number_, level in enumerate(draw.drawable(levels))
+        ],
+        sections=[
+            Section(f"Effort {level.effort:g}", [*_figures(dataset, level, place)])
+            for place, level in enumerate(draw.drawable(levels))
+        ],
+        definitions=list(_DEFINITIONS),
+        kind="variant",
+        left_out=left_out(dataset, ["variant", "effort"], most=1000),
+    )
+    return write_page(render_page(dataset, page), target)
+
+
+def row_of(level: Level, one: Outcome) -> dict[str, tuple[str, str]]:
+    """Return header -> (value, small print) of one case."""
+    own = "" if one["controller_growth"] < 0 else "controller unstable by itself"
+    exact = one["growth_full"]
+    return {
+        "effort": (f"{one.effort:g}", ""),
+        "variant": (one.variant + (" ←" if one is level.enough else ""), own),
+        "order": (str(one.order), ""),
+        "error (%)": (_percent(one["error_median"]), f"max {_percent(one['error_max'])}"),
+        "above (%)": (_percent(one["error_beyond"]), ""),
+        "Δω/ζ": (
+            _short(one["shift_over_zeta"]),
+            f"{one['missing_modes']:.0f} modes missing" if one["missing_modes"] else "",
+        ),
+        "loop": ("stable" if one.stable else f"{one['unstable_poles']:.0f} poles grow", ""),
+        "growth (1/s)": (number(one["growth"]), "" if np.isnan(exact) else f"all modes {number(exact)}"),
+        "spill-over": (MISSING if one.stable else spilled(one), ""),
+        "S peak": (number(one["sensitivity_peak"]), ""),
+        "gain": (
+            number(one["gain_up"]),
+            "" if not one["gain_down"] > 0 else f"from {number(one['gain_down'])}",
+        ),
+        "phase (deg)": (number(one["phase_margin"]), ""),
+        "delay (ms)": (number(one["delay_margin"]), ""),
+        "wavefront (nm)": (
+            number(one["wavefront"]),
+            "" if not one.stable else f"promised {number(one['wavefront_promised'])}",
+        ),
+    }
+
+
+def _percent(share: float) -> str:
+    return _short(100 * share)
+
+
+def _short(value: float) -> str:
+    if np.isnan(value):
+        return MISSING
+    return f"{value:.0e}" if 0 < value < 1e-3 else number(value, 2)
+
+
+def _figures(dataset: xr.Dataset, level: Level, place: int) -> Iterator[Picture]:
+    criterion = json.loads(dataset.attrs["study"])["criterion"]
+    yield picture(
+        f"poles-{place}",
+        "Poles of the loops with the full model",
+        draw.poles(dataset, level),
+        "Above the line a motion grows. Names stand at the pole that grows fastest; squares are the modes "
+        "that the structure has by itself.",
+    )
+    yield picture(
+        f"margins-{place}",
+        "Margins over the order of the model",
+        draw.margins_over_order(level, criterion["peak"]),
+        "The dashed line is the peak that the study allows; 1 over the peak is the distance to -1.",
+    )
+    yield picture(
+        f"shifts-{place}",
+        "How far the frequencies of each mode are off",
+        draw.shifts(dataset, level),
+        "A frequency that is off by its damping ratio (dashed line) turns the phase at the resonance: what "
+        "was damped may be driven. It matters for modes that forces move and sensors see.",
+    )

@@ -1,0 +1,1 @@
+"""Closed loops: controllers and the models that they were designed on."""

@@ -1,0 +1,342 @@
+"""The workflow "controller-mor": reduced models, judged by the controllers that are designed on them.
+
+A case is a variant with an effort. Regulator and filter are designed on the variant alone, and their loop is
+closed with the full model: its poles, what spills over, margins, and the wavefront that is left, beside how
+far the transfer function and the frequencies of the variant are off.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from threadpoolctl import threadpool_limits
+
+from wavequake.campaign.measured import Block, CaseTable, study_kind
+from wavequake.campaign.measures import Axis, Measure
+from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.control.linear import LinearModel
+from wavequake.control.robustness.feedback import Loop, Pole, closed_poles, lqg, refined_pole
+from wavequake.control.robustness.margins import grid, margins, truncation_share
+from wavequake.control.robustness.plant import Plant, transfer
+from wavequake.control.robustness.residual import closed_covariance
+from wavequake.errors import UserError
+from wavequake.mechanics.model import Array, Integers
+from wavequake.reduction.metrics import eps_mor, mac
+from wavequake.reduction.names import parse
+from wavequake.reduction.reduce import reduce
+from wavequake.workflows.loops.controller_bench import (
+    COMPARED,
+    Bench,
+    bench_of,
+    exact_response,
+    reduced_plant,
+    wavefront_grams,
+)
+from wavequake.workflows.loops.controller_study import ControllerStudy
+
+Numbers = dict[str, float | Array]
+
+POLES = 40
+# A mode of the full model is that of a variant which resembles it and its like by this much at least; modes
+# nearer in frequency than this are alike, as the pairs of a symmetric mirror.
+_RESEMBLES, _ALIKE = 0.5, 0.01
+# A shape whose frequency is farther off than this share is a static shape with some mass, not the mode.
+_FAR = 0.5
+_NM = 1e9
+
+
+def cases(study: ControllerStudy, ids: Integers) -> CaseTable:
+    """Return variant, method and effort of cases; the variants of the first effort come first."""
+    names = study.reduction.variants
+    chosen = [names[one % len(names)] for one in ids]
+    return {
+        "variant": np.array(chosen, dtype=object),
+        "method": np.array([parse(one).method for one in chosen], dtype=object),
+        "effort": np.array(study.controller.effort)[np.asarray(ids) // len(names)],
+    }
+
+
+def compute(bench: Bench, table: CaseTable, device: str, clock: Stopwatch) -> Iterator[Block]:
+    """Judge variants one by one; one that does not suit the model, or gives no controller, says why."""
+    with threadpool_limits(1):
+        for row, (name, effort) in enumerate(zip(table["variant"], table["effort"], strict=True)):
+            rows = np.array([row])
+            try:
+                found = judged(bench, str(name), float(effort), clock)
+            except UserError as error:
+                yield Block({}, rows, {0: f"{name}, effort {effort:g}: {error}"})
+                continue
+            yield Block({key: np.array([value]) for key, value in found.items()}, rows)
+
+
+def judged(bench: Bench, name: str, effort: float, clock: Stopwatch) -> Numbers:
+    """Return all numbers of a variant and the controller that is designed on it."""
+    with clock("reduce"):
+        variant = reduce(bench.full(), name)
+        model, shapes = reduced_plant(bench, variant)
+    with clock("design"):
+        controller = lqg(model, effort, effort)
+    found: Numbers = {"order": float(variant.order), "reduce_seconds": variant.seconds}
+    found |= _open_loop(bench, model, shapes)
+    with clock("loop"):
+        own = Loop(model, controller)
+        promised = closed_covariance(own, effort)[0]
+        whole = wavefront_grams(variant, shapes[2::3])[0]
+        found["wavefront_promised"] = _rms(whole, promised)
+        found |= _closed_loop(bench, Loop(bench.plant, controller), found, effort)
+    return found
+
+
+def _open_loop(bench: Bench, model: Plant, shapes: Array) -> Numbers:
+    """Return how far a variant is off without a controller: transfer function and every frequency."""
+    section = bench.study.reduction
+    band = np.linspace(section.first_hz, section.last_hz, section.frequencies)
+    above = np.linspace(section.last_hz, section.beyond_hz, section.frequencies)
+    inside, outside = (_error(bench, model, hz) for hz in (band, above))
+    shift = frequency_shifts(bench, model, shapes)
+    ratio = shift / _zeta(bench)[: len(shift)]
+    near = ratio[bench_frequencies(bench)[: len(shift)] <= section.last_hz]
+    return {
+        "error_median": float(np.median(inside)),
+        "error_max": float(inside.max()),
+        "error_beyond": float(outside.max()),
+        "mode_shift": shift,
+        "missing_modes": float(np.isnan(near).sum()),
+        "shift_over_zeta": float(np.nanmax(near, initial=-np.inf)) if np.isfinite(near).any() else np.nan,
+    }
+
+
+def _error(bench: Bench, model: Plant, hertz: Array) -> Array:
+    s = np.asarray(2j * np.pi * hertz * bench.time_unit)
+    return eps_mor(transfer(bench.plant, s), transfer(model, s))
+
+
+def bench_frequencies(bench: Bench) -> Array:
+    """Return the frequencies of the full model's modes, Hz."""
+    found: Array = np.sqrt(bench.plant.squared) / bench.time_unit / (2 * np.pi)
+    return found
+
+
+def _zeta(bench: Bench) -> Array:
+    found: Array = bench.plant.rates / (2 * np.sqrt(bench.plant.squared))
+    return found
+
+
+def frequency_shifts(bench: Bench, model: Plant, shapes: Array) -> Array:
+    """Return |dw/w| of the first modes of the full model in a variant; NaN where it has no such mode.
+
+    Modes are told by their shapes on the optical surface.
+    """
+    alike = mac(bench.shapes, shapes)
+    ours, theirs = linear_sum_assignment(-alike)
+    omega, own = np.sqrt(bench.plant.squared[:COMPARED]), np.sqrt(model.squared)
+    shift = np.full(bench.shapes.shape[1], np.nan)
+    for one, other in zip(ours, theirs, strict=True):
+        like = np.abs(omega - omega[one]) <= _ALIKE * omega[one]
+        off = abs(own[other] / omega[one] - 1.0)
+        if alike[like, other].sum() >= _RESEMBLES and off < _FAR:
+            shift[one] = off
+    return shift
+
+
+def _closed_loop(bench: Bench, loop: Loop, known: Mapping[str, Any], effort: float) -> Numbers:
+    """Return what becomes of a controller on the full model."""
+    unit = bench.time_unit
+    poles, worst = closed_poles(loop)
+    own = np.linalg.eigvals(loop.controller.a)
+    omega = grid(loop, poles)
+    stable = worst.value.real < 0
+    shown = poles[poles.imag >= 0]
+    shown = shown[np.argsort(-shown.real / np.abs(shown), kind="stable")][:POLES]
+    filled = np.full(POLES, np.nan + 1j * np.nan)
+    filled[: len(shown)] = shown / unit
+    return {
+        "stable": float(stable),
+        "unstable_poles": float(np.sum(poles.real >= 0)),
+        "growth": worst.value.real / unit,
+        "growth_hz": abs(worst.value.imag) / unit / (2 * np.pi),
+        "growth_full": np.nan if stable else _refined(bench, worst, loop.controller),
+        "controller_growth": float(own.real.max()) / unit,
+        "truncation": truncation_share(loop, omega),
+        "pole_real": filled.real,
+        "pole_hz": filled.imag / (2 * np.pi),
+        **_spill_over(bench, worst, known["mode_shift"], stable),
+        **(_robustness(bench, loop, omega) if stable else dict.fromkeys(_ROBUSTNESS, np.nan)),
+        **_residual(bench, loop, effort, stable),
+    }
+
+
+def _refined(bench: Bench, worst: Pole, controller: LinearModel) -> float:
+    try:
+        return refined_pole(worst.value, exact_response(bench), controller).real / bench.time_unit
+    except UserError:
+        return np.nan
+
+
+def _spill_over(bench: Bench, worst: Pole, shift: Array, stable: bool) -> Numbers:
+    """Return which mode of the full model grows, and whether the variant knew it."""
+    if stable:
+        return dict.fromkeys(("spill_mode", "spill_hz", "spill_share", "spill_shift"), np.nan)
+    known = shift[worst.mode] if worst.mode < len(shift) else np.nan
+    return {
+        "spill_mode": worst.mode + 1.0,
+        "spill_hz": float(bench_frequencies(bench)[worst.mode]),
+        "spill_share": worst.share,
+        "spill_shift": float(known / _zeta(bench)[worst.mode]),
+    }
+
+
+_ROBUSTNESS = (
+    "sensitivity_peak",
+    "sensitivity_hz",
+    "gain_up",
+    "gain_down",
+    "phase_margin",
+    "delay_margin",
+    "last_hz",
+)
+
+
+def _robustness(bench: Bench, loop: Loop, omega: Array) -> Numbers:
+    found, unit = margins(loop, omega), bench.time_unit
+    values = (
+        found.peak,
+        found.peak_omega / unit / (2 * np.pi),
+        found.gain_up,
+        found.gain_down,
+        float(np.degrees(found.phase)),
+        1e3 * found.delay * unit,
+        found.last_omega / unit / (2 * np.pi),
+    )
+    return dict(zip(_ROBUSTNESS, values, strict=True))
+
+
+def _residual(bench: Bench, loop: Loop, effort: float, stable: bool) -> Numbers:
+    open_loop = _NM * bench.open_wavefront
+    if not stable:
+        return {"wavefront_open": open_loop, "wavefront": np.nan, "figure": np.nan, "force": np.nan}
+    moved, forces = closed_covariance(loop, effort)
+    return {
+        "wavefront_open": open_loop,
+        "wavefront": _rms(bench.gram, moved),
+        "figure": _rms(bench.figure_gram, moved),
+        "force": bench.study.controller.force_n * float(np.sqrt(np.trace(forces))),
+    }
+
+
+def _rms(gram: Array, covariance: Array) -> float:
+    return _NM * float(np.sqrt(max(np.sum(gram * covariance), 0.0)))
+
+
+def _said(name: str, units: str, words: str, dims: tuple[str, ...] = (), measured: bool = False) -> Measure:
+    return Measure(name, units, words, dims, _Taken(name), measured=measured)
+
+
+class _Taken:
+    """Take one array of what a case computed, by its name."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __call__(self, found: Mapping[str, Array]) -> Array:
+        return found[self.name]
+
+
+def measures(bench: Bench) -> Iterable[Measure]:
+    """Return what is stored of a case."""
+    return (
+        _said("order", "1", "coordinates of the variant"),
+        _said("reduce_seconds", "s", "time of the reduction", measured=True),
+        _said("error_median", "1", "relative error of the open-loop transfer function in the band, median"),
+        _said("error_max", "1", "relative error of the open-loop transfer function in the band, largest"),
+        _said("error_beyond", "1", "the same from the band's end to reduction.beyond_hz, largest"),
+        _said(
+            "mode_shift",
+            "1",
+            "|dw/w| of each mode of the full model in the variant; NaN: not in it",
+            ("mode",),
+        ),
+        _said(
+            "shift_over_zeta",
+            "1",
+            "largest |dw/w| of the modes in the band, as a share of their damping ratio",
+        ),
+        _said("missing_modes", "1", "modes of the full model in the band that the variant has not"),
+        _said("stable", "1", "1 where the loop with the full model is stable"),
+        _said("unstable_poles", "1", "poles of that loop that do not decay"),
+        _said("growth", "1/s", "largest real part of its poles"),
+        _said("growth_hz", "Hz", "frequency of that pole"),
+        _said(
+            "growth_full",
+            "1/s",
+            "the same of an unstable pole by Newton's iteration with all degrees of freedom",
+        ),
+        _said("controller_growth", "1/s", "largest real part of the controller's own poles"),
+        _said(
+            "truncation", "1", "certificate: below 1 the modes left out change no number of unstable poles"
+        ),
+        _said("pole_real", "1/s", "real parts of the least damped poles", ("pole",)),
+        _said("pole_hz", "Hz", "frequencies of the least damped poles", ("pole",)),
+        _said("spill_mode", "1", "number of the mode that grows; NaN: none"),
+        _said("spill_hz", "Hz", "its frequency"),
+        _said("spill_share", "1", "its share of the energy of all modes of the growing motion"),
+        _said(
+            "spill_shift", "1", "its |dw/w| in the variant as a share of its damping ratio; NaN: not in it"
+        ),
+        _said("sensitivity_peak", "1", "largest singular value of (I + G H)^-1 over frequency"),
+        _said("sensitivity_hz", "Hz", "where it is"),
+        _said("gain_up", "1", "factor of all gains at which the loop becomes unstable, above 1"),
+        _said("gain_down", "1", "the same below 1; 0: none"),
+        _said("phase_margin", "deg", "phase of all channels at which the loop becomes unstable"),
+        _said("delay_margin", "ms", "delay of all channels at which the loop becomes unstable"),
+        _said("last_hz", "Hz", "highest frequency at which the loop gain reaches 1"),
+        _said("wavefront_open", "nm", "rms of the wavefront over surface and time without a controller"),
+        _said("wavefront", "nm", "rms of the wavefront over surface and time in the loop, piston included"),
+        _said("figure", "nm", "the same with piston, tip and tilt taken out"),
+        _said(
+            "wavefront_promised",
+            "nm",
+            "the same of the variant with its own controller, as a designer would see",
+        ),
+        _said("force", "N", "rms of the forces together"),
+    )
+
+
+def axes(bench: Bench) -> Mapping[str, Axis]:
+    """Return the modes, numbered, and the poles."""
+    count = bench.shapes.shape[1]
+    return {"mode": Axis(np.arange(1, count + 1), "mode of the full model"), "pole": Axis(POLES)}
+
+
+def fixed(bench: Bench) -> dict[str, Any]:
+    """Return frequency and damping ratio of the full model's modes."""
+    count = bench.shapes.shape[1]
+    return {
+        "mode_hz": (("mode",), bench_frequencies(bench)[:count], {"units": "Hz", "long_name": "frequency"}),
+        "mode_zeta": (("mode",), _zeta(bench)[:count], {"units": "1", "long_name": "damping ratio"}),
+    }
+
+
+def describe(bench: Bench) -> Mapping[str, str]:
+    """Return what the full model is, for the plan."""
+    frequencies = bench_frequencies(bench)
+    return {
+        "full model": f"{bench.full().order} degrees of freedom, {len(frequencies)} modes up to "
+        f"{frequencies[-1]:.0f} Hz one by one, the others as their flexibility",
+        "without a controller": f"wavefront {_NM * bench.open_wavefront:.1f} nm rms",
+    }
+
+
+KIND = study_kind(
+    "controller-mor",
+    ControllerStudy,
+    prepare=bench_of,
+    cases=cases,
+    compute=compute,
+    measures=measures,
+    axes=axes,
+    fixed=fixed,
+    describe=describe,
+    compared=("variant",),
+)
