@@ -369,7 +369,7 @@ def rerun_case(
 
 def _write_report(store: Path, fresh: bool) -> None:
     from wavequake.report.campaign import is_current, report_path, report_store, summary_table
-    from wavequake.report.page import read_answer
+    from wavequake.report.written import read_answer
 
     if fresh or not is_current(store):
         table, path = report_store(store)

@@ -5,7 +5,7 @@ from browser import MISSING, PROGRAM, Browser
 from test_film import bench, store  # noqa: F401
 
 import wavequake as wq
-from wavequake.report.page import read_answer
+from wavequake.report.written import read_answer
 
 pytestmark = pytest.mark.skipif(PROGRAM is None, reason=MISSING)
 

@@ -6,6 +6,7 @@ import pytest
 import xarray as xr
 
 import wavequake as wq
+from wavequake.campaign.store import arrays
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.device.devices import NUMPY
 from wavequake.optics.segments.sensitivity import sensitivities
@@ -193,20 +194,20 @@ def test_a_write_that_fails_leaves_nothing(study, tmp_path, monkeypatch):
     def full(folder):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(module.arrays, "consolidate", full)
+    monkeypatch.setattr(arrays, "consolidate", full)
     with pytest.raises(UserError, match="disk"):
         stored_sensitivity(study, tmp_path / "store")
     assert not list((tmp_path / "store").iterdir())
 
 
 def test_two_processes_may_write_the_same(study, tmp_path, monkeypatch):
-    original = module.arrays.consolidate
+    original = arrays.consolidate
 
     def another_is_faster(folder):
         original(folder)
         shutil.copytree(folder, folder.with_name("sensitivity.zarr"))
 
-    monkeypatch.setattr(module.arrays, "consolidate", another_is_faster)
+    monkeypatch.setattr(arrays, "consolidate", another_is_faster)
     ds, _ = stored_sensitivity(study, tmp_path / "store")
     assert ds.sizes["segment"] == 18
     assert [path.name for path in (tmp_path / "store").iterdir()] == ["sensitivity.zarr"]

@@ -7,7 +7,6 @@ import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -122,13 +121,6 @@ def write_page(text: str, path: str | Path) -> Path:
 def picture(id_: str, text: str, figure: Figure, how: str = "") -> Picture:
     """Return a figure as part of a page; `id_` is unique in it, `text` its title, `how` how to read it."""
     return Picture(id_, text, Markup(inline_svg(figure, id_)), how)
-
-
-def read_answer(report: Path) -> str:
-    """Return the answer that a written report gives; empty where it has none."""
-    with open(report, encoding="utf-8") as file:
-        found = re.search(r'<meta name="description" content="([^"]*)">', file.read(8192))
-    return unescape(found[1]) if found else ""
 
 
 def inline_svg(figure: Figure, salt: str) -> str:

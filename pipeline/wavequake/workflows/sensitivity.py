@@ -1,9 +1,6 @@
 """The sensitivities of a study's telescope as a labelled dataset, computed once and kept with its store."""
 
 import json
-import os
-import shutil
-import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,17 +11,15 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.provenance import collect
 from wavequake.campaign.schema import Study
-from wavequake.campaign.store import arrays
-from wavequake.campaign.store.journal import digest, flush
 from wavequake.campaign.store.store import (
     MANIFEST,
     SENSITIVITY,
     read_manifest,
     refuse_foreign,
     refuse_other,
-    write_errors_explained,
 )
-from wavequake.errors import StoreDamageError, UserError
+from wavequake.campaign.store.whole import read_dataset, write_dataset
+from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.optics.checks import whole
 from wavequake.optics.derivatives.central import DOFS, SensitivityMatrix
@@ -329,30 +324,6 @@ def _text(names: tuple[str, ...]) -> Any:
     return np.array(names, dtype=object)
 
 
-def write_dataset(made: "xr.Dataset", target: Path) -> None:
-    """Write a dataset to `target`, or nothing."""
-    partial = target.with_name(f"{target.name}.partial-{uuid.uuid4().hex}")
-    with write_errors_explained(target.parent):
-        target.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            attrs = {str(key): value for key, value in made.attrs.items()}
-            group = arrays.create_group(partial, {**attrs, "digests": _digests(made)})
-            for name, variable in made.variables.items():
-                dims = tuple(map(str, variable.dims))
-                arrays.create_fixed(group, str(name), dims, variable.values, variable.attrs)
-            arrays.consolidate(partial)
-            if target.exists():  # of the same study, but with other figure terms
-                shutil.rmtree(target)
-            try:
-                os.replace(partial, target)
-            except OSError:
-                if not target.exists():
-                    raise  # otherwise another process wrote the same numbers meanwhile
-            flush(target.parent)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
-
-
 def open_sensitivity(path: Path | str) -> "xr.Dataset":
     """Read the sensitivities that a store keeps.
 
@@ -367,28 +338,3 @@ def open_sensitivity(path: Path | str) -> "xr.Dataset":
     if not target.exists():
         raise UserError(f"There are no sensitivities at {target}; wavequake sensitivity STUDY computes them.")
     return read_dataset(target, SCHEMA)
-
-
-def read_dataset(target: Path, expected: int) -> "xr.Dataset":
-    """Read what :func:`write_dataset` wrote with the attribute ``schema``; raises as `open_sensitivity`."""
-    import xarray as xr
-
-    try:
-        with arrays.damage_explained(target):
-            found: xr.Dataset = xr.open_zarr(target, chunks=None, consolidated=False).load()
-            schema, written = found.attrs["schema"], found.attrs.pop("digests")
-        # A file that is missing or empty reads as fill values without any error.
-        if schema == expected and written != _digests(found):
-            raise StoreDamageError(f"{target} is damaged: its numbers are not those that were written.")
-    except StoreDamageError as error:
-        raise StoreDamageError(f"{error} Delete it and repeat the command.") from None
-    if schema != expected:
-        raise UserError(f"{target} has schema {schema}; this version of Wavequake reads schema {expected}.")
-    ordered: xr.Dataset = found[sorted(map(str, found.data_vars))]
-    return ordered
-
-
-def _digests(values: "xr.Dataset") -> dict[str, str]:
-    return {
-        str(name): digest(variable.values) for name, variable in sorted(values.variables.items(), key=str)
-    }

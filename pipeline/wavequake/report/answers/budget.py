@@ -14,7 +14,7 @@ from wavequake.campaign.store.store import BUDGET
 from wavequake.report.figures import COLORS, STYLE, WIDTH
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import MISSING, number
-from wavequake.workflows.budgets.budget import UNITS, open_budget
+from wavequake.workflows.budgets.kept import UNITS, open_budget
 
 if TYPE_CHECKING:
     import xarray as xr

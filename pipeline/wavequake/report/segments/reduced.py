@@ -45,7 +45,6 @@ _ERRORS = {
 _SERIES = ("wfe_rms_raw", "wfe_rms", "los", "segment_piston_rms")
 _PERCENTILES = ((0.5, "P50"), (0.95, "P95"), (0.999, "P99.9"))
 _LISTED = 1000
-_MOST_INSTANTS = 2_000_000  # of all cases: the report of every instant takes some 0.3 GB then
 
 
 @dataclass(frozen=True)
@@ -65,12 +64,6 @@ class ReducedPopulation:
     def quantile(self, values: Array, probability: float) -> Quantile:
         """Return a quantile over the cases."""
         return quantile(values, probability, sets=self.sets)
-
-
-def is_reduced(dataset: xr.Dataset) -> bool:
-    """Return whether a store has no images or no instants, or too many instants to be in memory together."""
-    series = dataset["wfe_rms"]
-    return "exposure" not in dataset or "time" not in series.dims or series.size > _MOST_INSTANTS
 
 
 def _loaded(dataset: xr.Dataset) -> xr.Dataset:

@@ -11,21 +11,28 @@ from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import from_tiles
 from wavequake.mechanics.disturbances.registry import analytic_rms
 from wavequake.optics.segments.prepared import trace_states
-from wavequake.report.answers import budget
 from wavequake.report.histories import what_is_kept
 from wavequake.report.populations import Summary, populations, representatives, summarize
-from wavequake.report.segments import reduced
 from wavequake.report.segments.detail import Detail
-from wavequake.report.segments.page import write_report
 from wavequake.report.segments.vignetting import stopped_light
 from wavequake.report.table import terminal_table
 from wavequake.workflows.segments.bench import MAS_PER_RAD, bench_of
 from wavequake.workflows.segments.segment_disturbance import draw, surface_states
 
+_MOST_INSTANTS = 2_000_000  # of all cases: the report of every instant takes some 0.3 GB then
+
+
+def is_reduced(dataset: xr.Dataset) -> bool:
+    """Return whether a store has no images or no instants, or too many instants to be in memory together."""
+    series = dataset["wfe_rms"]
+    return "exposure" not in dataset or "time" not in series.dims or series.size > _MOST_INSTANTS
+
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
-    if reduced.is_reduced(dataset):
+    if is_reduced(dataset):
+        from wavequake.report.segments import reduced  # what draws is slow to load
+
         return reduced.table_of(store, dataset)
     table = terminal_table(_summaries(dataset, _analytic(store)))
     light = stopped_light(store, dataset)
@@ -39,7 +46,11 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     The worst case of every disturbance is recomputed in full for the maps; its numbers are those of the
     store, bit for bit, if the device that computed them is at hand.
     """
-    if reduced.is_reduced(dataset):
+    from wavequake.report.answers import budget
+    from wavequake.report.segments import reduced
+    from wavequake.report.segments.page import write_report
+
+    if is_reduced(dataset):
         return reduced.write_report_of(store, dataset, target, device)
     study = read_manifest(store).study
     worst = [case for _, case in representatives(dataset).values()]

@@ -23,14 +23,15 @@ from wavequake.campaign.store.store import (
     refuse_other,
     write_errors_explained,
 )
+from wavequake.campaign.store.whole import write_dataset
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.registry import Combine
 from wavequake.workflows.budgets import budget_segments, budget_systems
 from wavequake.workflows.budgets.budget_factors import Experiment
 from wavequake.workflows.budgets.indices import Estimate, removed_shares, variance_shares
+from wavequake.workflows.budgets.kept import SCHEMA, UNITS, open_budget
 from wavequake.workflows.segments.segment_study import SegmentStudy
-from wavequake.workflows.sensitivity import read_dataset, write_dataset
 from wavequake.workflows.systems.system_study import SystemStudy
 
 if TYPE_CHECKING:
@@ -39,8 +40,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, int], None]
 
-SCHEMA = 1
-UNITS = {"wfe_rms_raw": "nm", "wfe_rms": "nm", "los": "mas", "wfe_change": "nm", "image_motion": "µm"}
 FEWEST = 16  # cases below which an interval says nothing
 # Cases that are measured, until all are: one line each.
 _UNFINISHED = f"{BUDGET}.partial.jsonl"
@@ -298,19 +297,3 @@ def stored_budget(
     write_dataset(made, target)
     (path / _UNFINISHED).unlink(missing_ok=True)
     return made, False
-
-
-def open_budget(path: Path | str) -> "xr.Dataset":
-    """Read the budget that the folder of a store keeps.
-
-    Raises
-    ------
-    UserError
-        If it keeps none, or one of another version of Wavequake.
-    StoreDamageError
-        If it cannot be read.
-    """
-    target = Path(path) / BUDGET
-    if not target.exists():
-        raise UserError(f"There is no budget at {target}; wavequake budget STUDY computes it.")
-    return read_dataset(target, SCHEMA)
