@@ -168,8 +168,8 @@ def test_gravity_sags_a_hanging_bar_as_in_closed_form():
     beyond = [masses[i:].sum() * g for i in range(6)]
     expected = beyond[0] / 1e5 + sum(beyond[1:]) / 3e5
     moved = sag(found, np.array([[g, 0.0, 0.0], [0.0, 0.0, -g]]))
-    assert moved[0, 0] == pytest.approx(expected, rel=1e-10)
-    assert moved[1, 2] == pytest.approx(-(beyond[0] / 1e5 + sum(beyond[1:]) / 1e5), rel=1e-10)
+    assert moved[0, 0] == pytest.approx(expected, rel=1e-10, abs=0.0)
+    assert moved[1, 2] == pytest.approx(-(beyond[0] / 1e5 + sum(beyond[1:]) / 1e5), rel=1e-10, abs=0.0)
 
 
 def test_gravity_turns_a_block_whose_center_is_above_its_springs():
@@ -179,8 +179,8 @@ def test_gravity_turns_a_block_whose_center_is_above_its_springs():
     links = [spring(one, End("block", one), GROUND, (1e6, 1e6, 1e6)) for one in corners]
     moved = sag(plant([body], links), np.array([[0.0, 10.0, 0.0]]))[0]
     turn = -8.0 * 10.0 * 0.4 / (4 * 1e6 * 0.25)
-    assert moved[3] == pytest.approx(turn, rel=1e-10)
-    assert moved[1] == pytest.approx(8.0 * 10.0 / 4e6 - 0.4 * turn, rel=1e-10)
+    assert moved[3] == pytest.approx(turn, rel=1e-10, abs=0.0)
+    assert moved[1] == pytest.approx(8.0 * 10.0 / 4e6 - 0.4 * turn, rel=1e-10, abs=0.0)
 
 
 def test_a_floating_pair_keeps_its_center_of_mass():
