@@ -258,6 +258,16 @@ def test_reduced_models_are_cases_beside_the_full_one(tmp_path):
     assert found["model_error_los"][4, 0, 0] == pytest.approx(np.sqrt(np.mean(np.sum(los**2, axis=1))))
 
 
+def test_all_models_of_a_draw_are_shaken_alike(tmp_path):
+    """The floor moves the mirror in the same way, whichever model bends on it."""
+    models = '[reduction]\nvariants = ["guyan", "craigb15"]\n'
+    keys = 'model = "base-motion"\nspectrum = { rms = 1.0, low_hz = 10.0, high_hz = 1500.0 }'
+    study = study_of(tmp_path, OPTICS, ELASTIC, models, shaken(keys), campaign__cases=3)
+    full, *others = (drawn(study, case)[1].rigid["primary"][:, :3] for case in range(3))
+    for one in others:
+        np.testing.assert_allclose(one, full, atol=0.05 * np.abs(full).max())
+
+
 @pytest.mark.parametrize(
     ("parts", "words"),
     [
