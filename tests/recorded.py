@@ -95,6 +95,8 @@ STRUCTURE = {
     "disturbance.wheel.instants": 8,
     "disturbance.wheel.share": 1,
     "disturbance.gravity.instants": 4,
+    "disturbance.all.instants": 8,
+    "disturbance.all.share": 1,
     "imaging.pixels": 16,
     "optics.rays": 120,
 }
@@ -176,7 +178,7 @@ RECORDED = {
     "mirror-trace-residual": Small(
         "mirror-trace", TRACED | {"model.shapes": ["circular"], "optics.residual_limit": 0.0}
     ),
-    "telescope-structure": Small("telescope-structure", STRUCTURE, 9),
+    "telescope-structure": Small("telescope-structure", STRUCTURE, 12),
     "tmt-exposure": Small("tmt-exposure", HISTORY | {"imaging.pixels": 16, "wavefront.zernike_terms": 28}, 2),
     "tmt-exposure-slit": Small(
         "tmt-exposure",

@@ -50,6 +50,9 @@ class Plant:
         Whether it stands on the floor; inputs begin with the floor's motion then.
     held : tuple of str
         Bodies that are held in space by stiffness of their own, whose supports the floor does not move.
+    resonances : ndarray, shape (2, k)
+        Angular frequencies, rad/s, and damping ratios about which random vibration is drawn finely: its own
+        ones, or those of another plant with which it is compared, so that both are shaken alike.
     """
 
     modal: ModalModel
@@ -60,16 +63,12 @@ class Plant:
     carried: Array
     grounded: bool
     held: tuple[str, ...]
+    resonances: Array
 
     @property
     def omega(self) -> Array:
         """Undamped angular frequencies (r,), rad/s, increasing."""
         return np.sqrt(self.modal.squared)
-
-    @property
-    def damping_ratios(self) -> Array:
-        """Damping of each mode (r,) relative to its critical one, couplings between modes left out."""
-        return np.asarray(0.5 * np.diag(self.modal.damping) / self.omega)
 
 
 def plant(
@@ -123,6 +122,7 @@ def plant(
         np.asarray(model.surface @ modal.lift),
         grounded,
         tuple(body.name for body in bodies if body.held),
+        np.array([omega := np.sqrt(modal.squared), 0.5 * np.diag(modal.damping) / omega]),
     )
 
 

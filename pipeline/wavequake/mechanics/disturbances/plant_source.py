@@ -136,8 +136,8 @@ def bands_about(plant: Plant, spectrum: Spectrum) -> Bands:
     There are 64 even in log f, and edges up to 16 half-widths to either side of each frequency.
     """
     low, high = spectrum.low_hz, spectrum.high_hz
-    own = plant.omega / (2.0 * np.pi)
-    flanks = np.outer(own * np.maximum(plant.damping_ratios, 1e-6), _FLANKS)
+    own = plant.resonances[0] / (2.0 * np.pi)
+    flanks = np.outer(own * np.maximum(plant.resonances[1], 1e-6), _FLANKS)
     edges = np.concatenate(
         [np.geomspace(low, high, _EVEN), (own[:, None] + flanks).ravel(), (own[:, None] - flanks).ravel()]
     )

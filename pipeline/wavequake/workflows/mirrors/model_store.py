@@ -64,8 +64,8 @@ def kept_arrays(name: str, build: Callable[[], Arrays]) -> Arrays:
     return found
 
 
-def keep_imported(keys: Mapping[str, Any], base: Path) -> str:
-    """Import the model that the keys of a study's [model] name, keep it, and return its hash.
+def keep_imported(keys: Mapping[str, Any], base: Path, section_name: str = "model") -> str:
+    """Import the model that the keys of a study's [model], or another section, name; return its hash.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def keep_imported(keys: Mapping[str, Any], base: Path) -> str:
         section = ImportedModel.model_validate(dict(keys))
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        where = ".".join(("model", *map(str, first["loc"])))
+        where = ".".join((section_name, *map(str, first["loc"])))
         reason = "is missing" if first["type"] == "missing" else first["msg"]
         raise UserError(f"{where}: {reason[0].lower()}{reason[1:]}.") from None
     imported = load_model(section, base)

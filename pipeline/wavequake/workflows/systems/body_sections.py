@@ -7,7 +7,9 @@ from pydantic import Field, SerializerFunctionWrapHandler, field_validator, mode
 
 from wavequake.campaign.schema import Section, base64_of
 from wavequake.errors import UserError
-from wavequake.mechanics.importers.model import ImportedModel
+from wavequake.mechanics.importers.checks import Triangle
+from wavequake.mechanics.importers.model import PADS, TRIANGLE, ZERO_ROWS, ImportedModel, Nodes
+from wavequake.mechanics.importers.pads import PadKind
 from wavequake.reduction.names import parse
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.mirrors.model_store import keep_imported
@@ -65,20 +67,39 @@ class MirrorBodySection(SolidSection):
 
 
 class ImportedBodySection(Section):
-    """A model from a finite-element program, in the frame of the body's first surface; nodes are 1, 2, ..."""
+    """A model from a finite-element program, in the frame of its first surface; nodes are 1, 2, ..."""
 
     file: str | None = Field(
         default=None,
         exclude=True,
-        description="stiffness (.sti, .mtx) or all matrices (.full, .op4, .pch, .npz, .h5); further keys as "
-        "in [model] of a mirror study: mass, dofs, mesh, units, interfaces, surface, triangle, zero_rows, "
-        "pads, damping_alpha, damping_beta",
+        description="stiffness (.sti, .mtx) or all matrices (.full, .op4, .pch, .npz, .h5)",
     )
+    mass: str | None = Field(default=None, exclude=True, description="default: beside file")
+    dofs: str | None = Field(default=None, exclude=True, description="default: beside file")
+    mesh: str | None = Field(default=None, exclude=True, description="default: beside file")
+    units: str | None = Field(default=None, exclude=True, description="e.g. 'm,kg,s,N'")
+    interfaces: str | Nodes | None = Field(
+        default=None, exclude=True, description="node set or node numbers: what links join"
+    )
+    surface: str | Nodes | None = Field(
+        default=None, exclude=True, description="node set or node numbers of the optical surface"
+    )
+    triangle: Triangle | None = Field(default=None, exclude=True, description=TRIANGLE)
+    zero_rows: Literal["drop"] | None = Field(default=None, exclude=True, description=ZERO_ROWS)
+    pads: PadKind | None = Field(default=None, exclude=True, description=PADS)
+    damping_alpha: float = Field(default=0.0, ge=0, exclude=True, description="1/s, times the mass")
+    damping_beta: float = Field(default=0.0, ge=0, exclude=True, description="s, times the stiffness")
     content: str | None = Field(
         default=None, description="SHA-256 of the imported model; filled in when the study is loaded"
     )
     figure_terms: int = Field(default=28, ge=4, le=231, description="as of a mirror")
     reduced: str = Field(default=FULL, description="as of a mirror")
+
+    @model_validator(mode="after")
+    def _is_a_file(self) -> Self:
+        if self.content is None:
+            raise ValueError("an imported body needs its file")
+        return self
 
     @field_validator("reduced")
     @classmethod
@@ -287,6 +308,9 @@ def read_body_files(record: dict[str, Any], base: Path) -> None:
                     base / section["file"], f"body.{entry.get('name')}.{kind}.file"
                 )
         section = entry.get("imported")
-        if isinstance(section, dict) and isinstance(section.get("file"), str):
-            keys = {key: section.pop(key) for key in list(section) if key in ImportedModel.model_fields}
-            section["content"] = keep_imported(keys, base)
+        if not isinstance(section, dict) or section.keys() - ImportedBodySection.model_fields.keys():
+            continue  # a misspelled key is said before what would be wrong without it
+        if isinstance(section.get("file"), str):
+            keys = {key: one for key, one in section.items() if key in ImportedModel.model_fields}
+            keys.setdefault("damping_beta", 0.0)
+            section["content"] = keep_imported(keys, base, f"body.{entry.get('name')}.imported")

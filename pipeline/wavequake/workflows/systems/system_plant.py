@@ -2,7 +2,7 @@
 
 import fnmatch
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -99,7 +99,7 @@ def plants_of(study: SystemStudy, system: OpticalSystem, bodies: Sequence[Optica
 
     variants = (FULL, *(study.reduction.variants if study.reduction else ()))
     ground = {name: _m(point) for name, point in study.structure.ground_mm.items()}
-    return {
+    found = {
         variant: plant(
             [made(one, variant) for one in study.body if one.kind],
             _links(study),
@@ -109,6 +109,8 @@ def plants_of(study: SystemStudy, system: OpticalSystem, bodies: Sequence[Optica
         )
         for variant in variants
     }
+    # All are shaken alike, whatever their own resonances.
+    return {name: replace(one, resonances=found[FULL].resonances) for name, one in found.items()}
 
 
 def _m(point: Sequence[float] | Array) -> Array:
