@@ -43,12 +43,21 @@ ALLOWED = {
     "cli_firmware": BASE | {"campaign", "control", "firmware", "workflows", "terminal"},
     "cli_sensitivity": BASE | {"campaign", "kernels", "workflows", "report", "terminal"},
     "cli_statistics": BASE | {"campaign", "workflows", "report", "terminal"},
+    "cli_loops": BASE | {"campaign", "workflows", "report", "terminal"},
     "cli_new": BASE | {"workflows", "terminal"},
     "cli_pictures": BASE | {"drawing", "optics", "viewer", "workflows", "terminal"},
     "cli": BASE
     | PHYSICS
     | {"campaign", "chain", "kernels", "workflows", "report", "cluster", "terminal"}
-    | {"cli_firmware", "cli_new", "cli_options", "cli_pictures", "cli_sensitivity", "cli_statistics"},
+    | {
+        "cli_firmware",
+        "cli_loops",
+        "cli_new",
+        "cli_options",
+        "cli_pictures",
+        "cli_sensitivity",
+        "cli_statistics",
+    },
     "__main__": {"cli"},
 }
 # The package's front door imports lazily, for users; provenance may ask it for the version.

@@ -10,7 +10,15 @@ from typing import Annotated, NoReturn
 import typer
 from rich.table import Table
 
-from wavequake import __version__, cli_firmware, cli_new, cli_pictures, cli_sensitivity, cli_statistics
+from wavequake import (
+    __version__,
+    cli_firmware,
+    cli_loops,
+    cli_new,
+    cli_pictures,
+    cli_sensitivity,
+    cli_statistics,
+)
 from wavequake.campaign.plugins import load_named
 from wavequake.cli_options import ClusterOption, DashboardOption, RecheckOption, StoreOption, WorkersOption
 from wavequake.errors import StoreDamageError, UserError
@@ -32,6 +40,7 @@ app.command()(cli_pictures.view)
 app.command()(cli_statistics.budget)
 app.command()(cli_statistics.tail)
 app.command()(cli_sensitivity.sensitivity)
+app.command()(cli_loops.margins)
 app.command()(cli_sensitivity.devices)
 StudyArgument = Annotated[
     str,
