@@ -1,4 +1,4 @@
-"""Loops of frames: a published table of residuals, closed forms, integrals over frequency, another recursion."""
+"""Loops of frames: a table of residuals, closed forms, integrals over frequency, another recursion."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def densities():
     return [spectra.Spectrum(one.density, 1e-4, 1e5, one.breaks_hz) for one in parts]
 
 
-@pytest.mark.parametrize(("hertz", "frames"), [(100, 1), (100, 2), (500, 2), (1000, 3)])
+@pytest.mark.parametrize(("hertz", "frames"), [(100, 1), (500, 2)])
 @pytest.mark.parametrize("kind", ["integrator", "lqg"])
 def test_the_covariance_is_the_integral_over_frequency(hertz, frames, kind):
     """Without noise; that of a spectrum's formula times 1 - sinc^2 (1 - |S|^2), to 1e-4 mas."""
@@ -54,7 +54,7 @@ def test_the_covariance_is_the_integral_over_frequency(hertz, frames, kind):
     factor = passed(controller, 1 / hertz)
     total = 0.0
     for one in densities():
-        knots = np.unique([*one.breaks_hz, *np.arange(hertz / 8, 40 * hertz, hertz / 8)])
+        knots = np.unique([*one.breaks_hz, *np.arange(hertz / 4, 20 * hertz, hertz / 4)])
         left = spectra.Spectrum(
             lambda f, d=one.density: d(f) * factor(f), one.low_hz, one.high_hz, tuple(knots)
         )
@@ -67,9 +67,7 @@ def test_an_integrator_is_stable_up_to_the_closed_form(frames):
     most = largest_gain(frames)
     assert most == pytest.approx([2.0, 1.0, 0.618034, 0.445042][frames - 1], abs=1e-6)
     assert spectral_radius(integrator(most * (1 - 1e-6), frames)) < 1
-    with pytest.raises(
-        UserError, match=f"An integrator of gain .* with {frames} frames of delay is unstable"
-    ):
+    with pytest.raises(UserError, match=f"with {frames} frames of delay is unstable"):
         integrator(most * (1 + 1e-6), frames)
 
 

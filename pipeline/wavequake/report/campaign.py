@@ -27,6 +27,7 @@ _REPORTS = {
     "lens-experiment": "lens.report",
     "lens-passive": "lens.passive",
     "controller-mor": "loops.controllers",
+    "tip-tilt-vibration": "loops.tip_tilt",
 }
 
 

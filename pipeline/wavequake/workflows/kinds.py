@@ -22,6 +22,7 @@ _BUNDLED = {
     "lens-experiment": "wavequake.workflows.lens.lens_experiment",
     "lens-passive": "wavequake.workflows.lens.lens_passive",
     "controller-mor": "wavequake.workflows.loops.controller_mor",
+    "tip-tilt-vibration": "wavequake.workflows.loops.tip_tilt",
 }
 _registered: dict[str, StudyKind] = {}
 

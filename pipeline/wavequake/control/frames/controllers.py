@@ -39,8 +39,8 @@ def integrator(gain: float, frames: int) -> FrameController:
     _check(frames)
     if not 0 < gain < largest_gain(frames):
         raise UserError(
-            f"An integrator of gain {gain:g} with {frames} frames of delay is unstable; its gain lies between "
-            f"0 and {largest_gain(frames):.6g}."
+            f"An integrator of gain {gain:g} with {frames} frames of delay is unstable; give it a gain "
+            f"between 0 and {largest_gain(frames):.6g}."
         )
     # States: the errors that wait, the newest first, then the command.
     a, b, c = np.eye(frames, k=-1), np.zeros(frames), np.zeros(frames)

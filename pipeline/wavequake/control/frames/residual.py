@@ -51,12 +51,15 @@ def residual(disturbance: Sampled, controller: FrameController, noise: float) ->
 
 
 def sensitivity(controller: FrameController, frame: float, hertz: Array) -> tuple[Array, Array]:
-    """Return |S|^2 and |T|^2 of frame means at frequencies (f,)."""
-    z = np.exp(2j * np.pi * np.asarray(hertz) * frame)
-    unit = np.eye(len(controller.a))
-    gain = np.linalg.solve(z[:, None, None] * unit - controller.a, controller.b[:, None].astype(complex))
-    open_loop = gain[..., 0] @ controller.c
-    return np.abs(1 / (1 + open_loop)) ** 2, np.abs(open_loop / (1 + open_loop)) ** 2
+    """Return |S|^2 and |T|^2 of frame means at frequencies (f,).
+
+    S = det(z - a) / det(z - a + b c), the poles of the open loop over those of the closed one.
+    """
+    z = np.exp(2j * np.pi * np.asarray(hertz) * frame)[:, None]
+    closed = controller.a - np.outer(controller.b, controller.c)
+    before, after = np.linalg.eigvals(controller.a), np.linalg.eigvals(closed)
+    s = np.prod((z - before) / (z - after), axis=1)
+    return np.abs(s) ** 2, np.abs(1 - s) ** 2
 
 
 def passed(controller: FrameController, frame: float) -> Callable[[Array], Array]:
