@@ -66,7 +66,7 @@ def loops_of(dataset: xr.Dataset) -> list[Loop]:
 
 
 def answer(dataset: xr.Dataset, loops: Sequence[Loop]) -> str:
-    """Say what the best loop leaves, what a model of the vibration gains, and whether all three ways agree."""
+    """Say what the best loop leaves, what a model of the vibration gains, and whether all ways agree."""
     if not loops:
         return "No case is done yet."
     best = min(loops, key=lambda one: one.exact)
@@ -128,7 +128,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
             "cumulative",
             "Cumulative residual over frequency",
             _curves(dataset, loops, "cumulative", "rms below this frequency (mas)"),
-            "Where a curve rises, the residual comes from; the thick line is the motion without a controller. "
+            "Where a curve rises, the residual comes from; the thick line is the motion without a loop. "
             "The sensor's noise is counted from the start.",
         ),
     ]

@@ -36,6 +36,7 @@ from wavequake.workflows.loops.tip_tilt_study import TipTiltStudy
 
 # Spectra are integrated from and to these frequencies, beyond which nothing is left; edges in the report.
 _LOW, _HIGH, _SHOWN = 1e-4, 1e5, 400
+_LEVEL = 1 << 16  # points up to half the rate, at which noise and peak are taken
 _BLOCK = 256
 
 
@@ -156,7 +157,7 @@ def _loop(
         Spectrum(_product(one.density, factor), _LOW, _HIGH, (*one.breaks_hz, *_turns(rate)))
         for one in spectra
     ]
-    level = (np.arange(1 << 18) + 0.5) / (1 << 19) * rate
+    level = (np.arange(_LEVEL) + 0.5) / (2 * _LEVEL) * rate
     s, t = sensitivity(controller, frame, level)
     from_noise = noise**2 * float(t.mean())
     rejection = np.where(hertz < rate / 2, sensitivity(controller, frame, hertz)[0], np.nan)
