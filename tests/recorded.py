@@ -179,6 +179,9 @@ RECORDED = {
         "mirror-trace", TRACED | {"model.shapes": ["circular"], "optics.residual_limit": 0.0}
     ),
     "telescope-structure": Small("telescope-structure", STRUCTURE, 12),
+    "tip-tilt-vibration": Small(
+        "tip-tilt-vibration", {"simulated.duration_s": 4.0, "simulated.settling_s": 1.0}, 6
+    ),
     "tmt-exposure": Small("tmt-exposure", HISTORY | {"imaging.pixels": 16, "wavefront.zernike_terms": 28}, 2),
     "tmt-exposure-slit": Small(
         "tmt-exposure",

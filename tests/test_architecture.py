@@ -44,6 +44,7 @@ ALLOWED = {
     "cli_sensitivity": BASE | {"campaign", "kernels", "workflows", "report", "terminal"},
     "cli_statistics": BASE | {"campaign", "workflows", "report", "terminal"},
     "cli_rare": BASE | {"cli_options", "report", "workflows", "terminal"},
+    "cli_loops": BASE | {"campaign", "workflows", "report", "terminal"},
     "cli_new": BASE | {"workflows", "terminal"},
     "cli_pictures": BASE | {"drawing", "optics", "viewer", "workflows", "terminal"},
     "cli": BASE
@@ -51,6 +52,7 @@ ALLOWED = {
     | {"campaign", "chain", "kernels", "workflows", "report", "cluster", "terminal"}
     | {
         "cli_firmware",
+        "cli_loops",
         "cli_new",
         "cli_options",
         "cli_pictures",

@@ -13,6 +13,7 @@ from rich.table import Table
 from wavequake import (
     __version__,
     cli_firmware,
+    cli_loops,
     cli_new,
     cli_pictures,
     cli_rare,
@@ -48,6 +49,7 @@ app.command()(cli_statistics.budget)
 app.command()(cli_statistics.tail)
 app.command()(cli_rare.rare)
 app.command()(cli_sensitivity.sensitivity)
+app.command()(cli_loops.margins)
 app.command()(cli_sensitivity.devices)
 StudyArgument = Annotated[
     str,

@@ -158,3 +158,17 @@ def test_a_variant_without_a_controller_says_why(tmp_path):
     )
     assert json.loads(dataset.attrs["study"])["study"]["workflow"] == "controller-mor"
     assert levels_of(dataset)[0].outcomes[0].variant == "modal10"
+
+
+def test_margins_are_told_without_a_run_and_unstable_loops_have_none():
+    words = [f"{key}={json.dumps(value)}" for key, value in SMALL.items()]
+    done = CliRunner().invoke(app, ["margins", "controller-mor", *words])
+    assert done.exit_code == 0, done.output
+    bench = controller_bench.bench_of(wq.load_study("controller-mor", SMALL))
+    for name in SMALL["reduction.variants"]:
+        found = controller_mor.judged(bench, name, 0.1, Stopwatch())
+        (line,) = (one for one in done.output.splitlines() if one.strip().startswith(f"{name},"))
+        wanted = f"{found['sensitivity_peak']:.3g}" if found["stable"] else "unstable"
+        assert wanted in line
+    with pytest.raises(UserError, match="mirror-mor has no loops; controller-mor has"):
+        CliRunner().invoke(app, ["margins", "mirror-mor"], catch_exceptions=False)

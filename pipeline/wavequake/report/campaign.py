@@ -28,6 +28,7 @@ _REPORTS = {
     "lens-passive": "lens.passive",
     "sweep": "sweeps",
     "controller-mor": "loops.controllers",
+    "tip-tilt-vibration": "loops.tip_tilt",
 }
 
 

@@ -22,6 +22,7 @@ _BUNDLED = {
     "lens-experiment": "wavequake.workflows.lens.lens_experiment",
     "lens-passive": "wavequake.workflows.lens.lens_passive",
     "controller-mor": "wavequake.workflows.loops.controller_mor",
+    "tip-tilt-vibration": "wavequake.workflows.loops.tip_tilt",
 }
 # Kinds that no study file names: the loader makes such studies.
 _MADE = {"sweep": "wavequake.workflows.sweep"}

@@ -34,6 +34,7 @@ from wavequake.workflows.loops.controller_bench import (
     wavefront_grams,
 )
 from wavequake.workflows.loops.controller_study import ControllerStudy
+from wavequake.workflows.loops.loop_margins import LoopMargins, margins_of
 
 Numbers = dict[str, float | Array]
 
@@ -326,6 +327,17 @@ def describe(bench: Bench) -> Mapping[str, str]:
         f"{frequencies[-1]:.0f} Hz one by one, the others as their flexibility",
         "without a controller": f"wavefront {_NM * bench.open_wavefront:.1f} nm rms",
     }
+
+
+def loops(study: ControllerStudy) -> Iterator[LoopMargins]:
+    """Yield the loop of every case with its margins, or with what grows."""
+    with threadpool_limits(1):
+        bench = bench_of(study)
+        table = cases(study, np.arange(study.cases))
+        for name, effort in zip(table["variant"], table["effort"], strict=True):
+            model, _ = reduced_plant(bench, reduce(bench.full(), str(name)))
+            loop = Loop(bench.plant, lqg(model, float(effort), float(effort)))
+            yield margins_of(f"{name}, effort {effort:g}", loop, bench.time_unit)
 
 
 KIND = study_kind(

@@ -119,7 +119,7 @@ class ControllerCampaignSection(CampaignSection):
 class ControllerStoreSection(StoreSection):
     """Where the results go, and what of them is kept."""
 
-    chunk_cases: int = Field(default=5, ge=1, le=100_000, description="K: cases per task and per shard")
+    chunk_cases: int = Field(default=2, ge=1, le=100_000, description="K: cases per task and per shard")
 
 
 class ControllerStudy(Study):

@@ -1,0 +1,45 @@
+"""`wavequake margins`: whether the loops of a study are stable, and how far from the opposite."""
+
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from wavequake.terminal import out
+
+OverridesArgument = Annotated[
+    list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. campaign.cases=4")
+]
+
+
+def margins(
+    study: Annotated[str, typer.Argument(help="Name of a bundled study or path of a .toml file.")],
+    overrides: OverridesArgument = None,
+) -> None:
+    """Show stability and margins of every loop of a study; nothing is run or stored."""
+    from wavequake.report.table import number
+    from wavequake.workflows.loops.loop_margins import loops_of
+    from wavequake.workflows.study import load_study
+
+    table = Table(box=None)
+    heads = ("loop", "S peak", "gain", "phase (deg)", "delay (ms)", "gain 1 up to (Hz)")
+    for head in heads:
+        table.add_column(head, justify="left" if head == "loop" else "right")
+    unstable = total = 0
+    for one in loops_of(load_study(study, overrides or [])):
+        total += 1
+        if one.stable:
+            gain = number(one.gain_up) + (f", {number(one.gain_down)}" if one.gain_down > 0 else "")
+            values = (one.peak, one.phase_deg, one.delay_ms, one.last_hz)
+            peak, phase, delay, last = map(number, values)
+            table.add_row(escape(one.name), peak, gain, phase, delay, last)
+        else:
+            unstable += 1
+            table.add_row(
+                escape(one.name),
+                f"[red]unstable: {number(one.growth_hz)} Hz grows with {number(one.growth)} 1/s[/red]",
+            )
+    out.print(table)
+    if unstable:
+        out.print(f"{unstable} of {total} loops are unstable: no margins, and what they leave is no result.")

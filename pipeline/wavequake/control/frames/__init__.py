@@ -1,0 +1,1 @@
+"""Loops of a sensor that averages over frames and a mirror that holds commands, without steps in time."""

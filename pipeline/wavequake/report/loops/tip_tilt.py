@@ -1,0 +1,208 @@
+"""The report of a tip-tilt-vibration store: what integrator and LQG leave, exactly and in runs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from wavequake.campaign.contract import DONE
+from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH, power_of_ten
+from wavequake.report.page import Page, Section, picture, render_page, write_page
+from wavequake.report.populations import left_out
+from wavequake.report.table import MISSING, number
+
+_DEFINITIONS = (
+    ("exact", "From the joint stationary covariance of disturbance and loop (Van Loan, Lyapunov)."),
+    ("integral", "The spectrum times 1 - sinc²(fT)(1 - |S|²) over all frequencies, and the noise."),
+    ("runs", "Root of the mean square over all runs, ± its standard error."),
+    ("|S| max", "Largest amplification of frame means over frequency."),
+)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A controller at a rate; rms in mas, with the standard error of the runs' (NaN for one run)."""
+
+    controller: str
+    rate_hz: float
+    row: int
+    runs: int
+    exact: float
+    integral: float
+    simulated: float
+    error: float
+    gain: float
+    peak: float
+
+
+def loops_of(dataset: xr.Dataset) -> list[Loop]:
+    """Return the loops of a store in the order of its cases."""
+    done = dataset["status"].to_numpy() == DONE
+    names, rates = dataset["controller"].to_numpy(), dataset["rate_hz"].to_numpy()
+    found = []
+    for name, rate in dict.fromkeys(zip(names.tolist(), rates.tolist(), strict=True)):
+        rows = np.flatnonzero(done & (names == name) & (rates == rate))
+        if not len(rows):
+            continue
+        squares = dataset["simulated_mas"].to_numpy()[rows] ** 2
+        rms = float(np.sqrt(squares.mean()))
+        error = float(squares.std(ddof=1) / np.sqrt(len(rows)) / (2 * rms)) if len(rows) > 1 else np.nan
+        exact, integral, gain, peak = (
+            float(dataset[one].to_numpy()[rows[0]])
+            for one in ("exact_mas", "integral_mas", "gain", "sensitivity_peak")
+        )
+        found.append(
+            Loop(name, float(rate), int(rows[0]), len(rows), exact, integral, rms, error, gain, peak)
+        )
+    return found
+
+
+def answer(dataset: xr.Dataset, loops: Sequence[Loop]) -> str:
+    """Say what the best loop leaves, what a model of the vibration gains, and whether all ways agree."""
+    if not loops:
+        return "No case is done yet."
+    best = min(loops, key=lambda one: one.exact)
+    shaken = float(dataset["open_mas"].to_numpy()[best.row])
+    words = (
+        f"Of {number(shaken)} mas, {best.controller} at {best.rate_hz:g} Hz leaves the least, "
+        f"{number(best.exact)} mas."
+    )
+    for rate in dict.fromkeys(one.rate_hz for one in loops):
+        pair = {one.controller: one for one in loops if one.rate_hz == rate}
+        if len(pair) == 2:
+            words += (
+                f" At {rate:g} Hz the integrator leaves {number(pair['integrator'].exact)} and LQG "
+                f"{number(pair['lqg'].exact)} mas."
+            )
+    apart = max(abs(one.exact - one.integral) for one in loops)
+    away = [abs(one.simulated - one.exact) / one.error for one in loops if one.error > 0]
+    words += f" Covariances and integrals over frequency agree to {apart:.0e} mas"
+    return words + (f", runs lie within {max(away):.1f} standard errors." if away else ".")
+
+
+def table_of(store: Path, dataset: xr.Dataset) -> Table:
+    """Return the table of a store for the terminal."""
+    loops = loops_of(dataset)
+    table = Table(box=SIMPLE_HEAD, caption=answer(dataset, loops), caption_justify="left")
+    rows = [row_of(one) for one in loops]
+    for header in rows[0] if rows else ():
+        table.add_column(header, justify="left" if header == "controller" else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*(" ".join(part for part in cell if part) for cell in row.values()))
+    return table
+
+
+def row_of(one: Loop) -> dict[str, tuple[str, str]]:
+    """Return header -> (value, small print) of a loop."""
+    return {
+        "controller": (one.controller, ""),
+        "rate (Hz)": (f"{one.rate_hz:g}", ""),
+        "exact (mas)": (f"{one.exact:.4f}", ""),
+        "integral (mas)": (f"{one.integral:.4f}", ""),
+        "runs (mas)": (f"{one.simulated:.3f}", f"± {one.error:.3f}" if one.error > 0 else ""),
+        "gain": (MISSING if np.isnan(one.gain) else number(one.gain), ""),
+        "|S| max": (number(one.peak), ""),
+    }
+
+
+def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
+    """Write the HTML report."""
+    dataset = dataset.load()
+    loops = loops_of(dataset)
+    curves = [
+        picture(
+            "rejection",
+            "What is left of a motion, over its frequency",
+            _curves(dataset, loops, "rejection", "|S| of frame means"),
+            "Below 1 a loop helps, above 1 it amplifies. LQG digs notches where it knows lines to be.",
+        ),
+        picture(
+            "cumulative",
+            "Cumulative residual over frequency",
+            _curves(dataset, loops, "cumulative", "rms below this frequency (mas)"),
+            "Where a curve rises, the residual comes from; the thick line is the motion without a loop. "
+            "The sensor's noise is counted from the start.",
+        ),
+    ]
+    page = Page(
+        answer=answer(dataset, loops),
+        table=[row_of(one) for one in loops],
+        small_print="The rms over time of the line of sight along one axis.",
+        overview=[
+            picture(
+                "rates",
+                "Residual over the rate of frames",
+                _rates(loops),
+                "Marks with bars are runs in time with three standard errors; lines join the exact values.",
+            )
+        ]
+        if loops
+        else [],
+        sections=[Section("Over frequency", curves)] if loops else [],
+        definitions=list(_DEFINITIONS),
+        kind="controller",
+        left_out=left_out(dataset, ["controller", "rate_hz"], most=1000),
+    )
+    return write_page(render_page(dataset, page), target)
+
+
+def _style(place: int) -> dict[str, Any]:
+    return {"color": COLORS[place % len(COLORS)], "linestyle": LINES[place % len(LINES)], "linewidth": 1.2}
+
+
+@rc_context(STYLE)
+def _rates(loops: Sequence[Loop]) -> Figure:
+    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
+    axes = figure.add_subplot()
+    for place, name in enumerate(dict.fromkeys(one.controller for one in loops)):
+        mine = sorted((one for one in loops if one.controller == name), key=lambda one: one.rate_hz)
+        rates = [one.rate_hz for one in mine]
+        axes.plot(rates, [one.exact for one in mine], label=name, **_style(place))
+        bars = [0.0 if np.isnan(one.error) else 3 * one.error for one in mine]
+        axes.errorbar(
+            rates,
+            [one.simulated for one in mine],
+            bars,
+            fmt="o",
+            color=COLORS[place],
+            markersize=4,
+            capsize=3,
+        )
+    axes.set_xscale("log")
+    axes.set_xticks(sorted({one.rate_hz for one in loops}))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set_ylim(bottom=0)
+    axes.set(xlabel="frames per second (Hz)", ylabel="line of sight (mas rms)", title="What is left")
+    axes.legend()
+    return figure
+
+
+@rc_context(STYLE)
+def _curves(dataset: xr.Dataset, loops: Sequence[Loop], name: str, label: str) -> Figure:
+    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
+    axes = figure.add_subplot()
+    hertz, values = dataset["frequency"].to_numpy(), dataset[name].to_numpy()
+    if name == "cumulative":
+        axes.plot(hertz, dataset["open_cumulative"].to_numpy(), color="#999999", linewidth=2.6, label="open")
+    for place, one in enumerate(loops):
+        axes.plot(hertz, values[one.row], label=f"{one.controller}, {one.rate_hz:g} Hz", **_style(place))
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter(FuncFormatter(power_of_ten))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(FuncFormatter(power_of_ten))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    if name == "rejection":
+        axes.axhline(1.0, color="#444444", linewidth=0.8)
+    axes.set(xlabel="frequency (Hz)", ylabel=label, title=label)
+    axes.legend(fontsize=7.5)
+    return figure

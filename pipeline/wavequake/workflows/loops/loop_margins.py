@@ -1,0 +1,78 @@
+"""Margins of the loops of a study, before anything is run: `wavequake margins`."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import import_module
+
+import numpy as np
+
+from wavequake.campaign.schema import Study
+from wavequake.control.robustness.feedback import Loop, closed_poles
+from wavequake.control.robustness.margins import grid, margins
+from wavequake.errors import UserError
+
+# Modules with loops(study), which yields LoopMargins.
+_LOOPS = {"controller-mor": "wavequake.workflows.loops.controller_mor"}
+
+
+@dataclass(frozen=True)
+class LoopMargins:
+    """A loop in Hz, deg and ms; an unstable one has no margins (NaN).
+
+    Attributes
+    ----------
+    name : str
+    growth, growth_hz : float
+        Largest real part of its poles, 1/s, and the frequency of that pole.
+    peak, gain_up, gain_down, phase_deg, delay_ms, last_hz : float
+        As `wavequake.control.robustness.margins.Margins`.
+    """
+
+    name: str
+    growth: float
+    growth_hz: float
+    peak: float = np.nan
+    gain_up: float = np.nan
+    gain_down: float = np.nan
+    phase_deg: float = np.nan
+    delay_ms: float = np.nan
+    last_hz: float = np.nan
+
+    @property
+    def stable(self) -> bool:
+        """Whether all that moves decays."""
+        return self.growth < 0
+
+
+def margins_of(name: str, loop: Loop, time_unit: float) -> LoopMargins:
+    """Return the margins of a loop whose unit of time is so many seconds."""
+    poles, worst = closed_poles(loop)
+    hertz = 1.0 / time_unit / (2 * np.pi)
+    grows = worst.value.real / time_unit, abs(worst.value.imag) * hertz
+    if worst.value.real >= 0:
+        return LoopMargins(name, *grows)
+    found = margins(loop, grid(loop, poles))
+    return LoopMargins(
+        name,
+        *grows,
+        found.peak,
+        found.gain_up,
+        found.gain_down,
+        float(np.degrees(found.phase)),
+        1e3 * found.delay * time_unit,
+        found.last_omega * hertz,
+    )
+
+
+def loops_of(study: Study) -> Iterator[LoopMargins]:
+    """Yield the loops of a study one by one.
+
+    Raises
+    ------
+    UserError
+        If its workflow has none.
+    """
+    name = study.study.workflow
+    if name not in _LOOPS:
+        raise UserError(f"The workflow {name} of {study.study.name} has no loops; {', '.join(_LOOPS)} has.")
+    yield from import_module(_LOOPS[name]).loops(study)

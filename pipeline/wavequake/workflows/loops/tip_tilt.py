@@ -1,0 +1,304 @@
+"""The workflow "tip-tilt-vibration": integrator against LQG on a line of sight that wind and lines shake.
+
+What a loop leaves is known exactly (covariances) and as an integral over frequency; a case is a run in time
+of disturbances that are drawn from their spectra, which knows neither.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from wavequake.campaign.measured import Block, CaseTable, study_kind
+from wavequake.campaign.measures import Axis, Measure
+from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.control.frames.controllers import FrameController, integrator, largest_gain, predictor
+from wavequake.control.frames.disturbance import Shaped, joined, line, sampled, wind_shake
+from wavequake.control.frames.residual import best_gain, passed, residual, run, sensitivity
+from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
+from wavequake.mechanics.disturbances.sources.line_of_sight import LineOfSight, sight_spectrum
+from wavequake.mechanics.disturbances.sources.vibration_lines import Line, VibrationLines, lines_of
+from wavequake.mechanics.disturbances.spectra import (
+    Bands,
+    Spectrum,
+    band_variance,
+    frequencies,
+    resonance,
+    scaled,
+    split,
+    total,
+    variance,
+)
+from wavequake.mechanics.model import Array, Integers
+from wavequake.workflows.loops.tip_tilt_study import TipTiltStudy
+
+# Spectra are integrated from and to these frequencies, beyond which nothing is left; edges in the report.
+_LOW, _HIGH, _SHOWN = 1e-4, 1e5, 400
+_LEVEL = 1 << 16  # points up to half the rate, at which noise and peak are taken
+_BLOCK = 256
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A controller at a rate, and what is known of it without a run; mas."""
+
+    name: str
+    rate_hz: float
+    controller: FrameController
+    gain: float
+    exact: float
+    integral: float
+    peak: float
+    rejection: Array
+    cumulative: Array
+
+
+@dataclass(frozen=True)
+class Bench:
+    """The disturbance of a study and its loops, in the order of cases."""
+
+    study: TipTiltStudy
+    bands: Bands
+    open_mas: float
+    hertz: Array
+    open_cumulative: Array
+    loops: tuple[Loop, ...]
+
+
+def lines_along(study: TipTiltStudy, off: float = 0.0) -> list[Line]:
+    """Return the lines along the motion, by a share `off` higher than the study says."""
+    section = study.shaken
+    if section.lines == "none":
+        return []
+    named = VibrationLines(
+        name="lines", set=section.lines, rms_mas=section.lines_mas, fwhm_hz=section.fwhm_hz
+    )
+    return [
+        one.model_copy(update={"frequency_hz": one.frequency_hz * (1 + off)})
+        for one in lines_of(named)
+        if not one.across
+    ]
+
+
+def spectra_of(study: TipTiltStudy, off: float = 0.0) -> list[Spectrum]:
+    """Return the one-sided spectra of the disturbance, mas^2/Hz."""
+    found = []
+    if study.shaken.wind_percentile:
+        wind = sight_spectrum(LineOfSight(name="wind", percentile=study.shaken.wind_percentile))
+        found.append(scaled(wind, 1 / RAD_PER_MAS**2))
+    return found + [resonance(one.frequency_hz, one.fwhm_hz, one.rms_mas) for one in lines_along(study, off)]
+
+
+def shaped(study: TipTiltStudy, off: float = 0.0) -> Shaped:
+    """Return the same as filtered white noise."""
+    parts = []
+    if study.shaken.wind_percentile:
+        wind = LineOfSight(name="wind", percentile=study.shaken.wind_percentile)
+        corner, mode = wind.windshake_corner_hz, wind.windshake_mode_hz
+        free = wind_shake(wind.windshake_amplitude_rad2_s3, corner, mode, wind.windshake_damping)
+        power = variance(sight_spectrum(wind)) / variance(
+            sight_spectrum(wind.model_copy(update={"percentile": 50}))
+        )
+        parts.append(Shaped(free.a, free.g, free.c * np.sqrt(power) / RAD_PER_MAS))
+    return joined(
+        [*parts, *(line(one.frequency_hz, one.fwhm_hz, one.rms_mas) for one in lines_along(study, off))]
+    )
+
+
+def bench_of(study: TipTiltStudy) -> Bench:
+    """Prepare a study.
+
+    Raises
+    ------
+    UserError
+        If an integrator of the given gain is unstable.
+    """
+    off = study.loop.lines_off
+    spectra = spectra_of(study, off)
+    hertz = np.geomspace(0.01, max(study.loop.rates_hz) / 2, _SHOWN)
+    believed, true = shaped(study), shaped(study, off)
+    count = len(lines_along(study))
+    loops = tuple(
+        _loop(study, name, rate, believed, true, spectra, hertz)
+        for rate in study.loop.rates_hz
+        for name in study.loop.controllers
+    )
+    return Bench(
+        study,
+        split(total(spectra), 128 + 48 * count),
+        float(np.sqrt(sampled(true, 1.0).variance)),
+        hertz,
+        _cumulative(spectra, None, hertz),
+        loops,
+    )
+
+
+def _loop(
+    study: TipTiltStudy,
+    name: str,
+    rate: float,
+    believed: Shaped,
+    true: Shaped,
+    spectra: list[Spectrum],
+    hertz: Array,
+) -> Loop:
+    section, frame = study.loop, 1.0 / rate
+    noise, frames = section.noise_mas, section.delay_frames
+    by_frames, gain = sampled(true, frame), np.nan
+    if name == "integrator":
+        gain = best_gain(by_frames, noise, frames) if section.gain is None else section.gain
+        controller = integrator(gain, frames)
+    else:
+        controller = predictor(sampled(believed, frame), noise, frames)
+    factor = passed(controller, frame)
+    left = [
+        Spectrum(_product(one.density, factor), _LOW, _HIGH, (*one.breaks_hz, *_turns(rate)))
+        for one in spectra
+    ]
+    level = (np.arange(_LEVEL) + 0.5) / (2 * _LEVEL) * rate
+    s, t = sensitivity(controller, frame, level)
+    from_noise = noise**2 * float(t.mean())
+    rejection = np.where(hertz < rate / 2, sensitivity(controller, frame, hertz)[0], np.nan)
+    return Loop(
+        name,
+        rate,
+        controller,
+        gain,
+        residual(by_frames, controller, noise),
+        float(np.sqrt(sum(variance(one) for one in left) + from_noise)),
+        float(np.sqrt(s.max())),
+        np.sqrt(rejection),
+        _cumulative(left, from_noise, hertz),
+    )
+
+
+def _product(density: Callable[[Array], Array], factor: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    return lambda f: density(f) * factor(f)
+
+
+def _turns(rate: float) -> Iterable[float]:
+    """Return frequencies between which the sensitivity, periodic with the rate, is smooth enough."""
+    return map(float, np.arange(1, 81) * rate / 4)
+
+
+def _cumulative(spectra: list[Spectrum], from_noise: float | None, hertz: Array) -> Array:
+    """Return the rms of all that is below each frequency; what noise adds is counted from the start."""
+    edges = np.concatenate([[_LOW], hertz])
+    found = sum(np.cumsum(band_variance(one, edges)) for one in spectra) + (from_noise or 0.0)
+    return np.asarray(np.sqrt(found))
+
+
+def cases(study: TipTiltStudy, ids: Integers) -> CaseTable:
+    """Return controller, rate and realization; all loops of a realization share its draw."""
+    loops = [(name, rate) for rate in study.loop.rates_hz for name in study.loop.controllers]
+    chosen = [loops[int(one) % len(loops)] for one in ids]
+    return {
+        "controller": np.array([name for name, _ in chosen], dtype=object),
+        "rate_hz": np.array([rate for _, rate in chosen]),
+        "realization": np.asarray(ids) // len(loops),
+    }
+
+
+def compute(bench: Bench, table: CaseTable, device: str, clock: Stopwatch) -> Iterator[Block]:
+    """Run cases one by one."""
+    with threadpool_limits(1):
+        for row, (case, realization) in enumerate(zip(table["case"], table["realization"], strict=True)):
+            loop = bench.loops[int(case) % len(bench.loops)]
+            found = {
+                "open_mas": bench.open_mas,
+                "exact_mas": loop.exact,
+                "integral_mas": loop.integral,
+                "gain": loop.gain,
+                "sensitivity_peak": loop.peak,
+                "rejection": loop.rejection,
+                "cumulative": loop.cumulative,
+                "simulated_mas": _simulated(bench, loop, int(realization), clock),
+            }
+            yield Block({name: np.array([value]) for name, value in found.items()}, np.array([row]))
+
+
+def _simulated(bench: Bench, loop: Loop, realization: int, clock: Stopwatch) -> float:
+    """Return the rms of a run; what a frame hides within itself no command changes, and is added exactly."""
+    section, frame = bench.study.simulated, 1.0 / loop.rate_hz
+    late, count = (int(np.ceil(one * loop.rate_hz)) for one in (section.settling_s, section.duration_s))
+    random = np.random.default_rng([bench.study.study.seed, realization])
+    with clock("draw"):
+        means = frame_means(bench.bands, frame, late + count, random)
+        noise = bench.study.loop.noise_mas * random.standard_normal(late + count)
+    with clock("loop"):
+        left = means - run(loop.controller, means + noise)
+    off = bench.study.loop.lines_off
+    within = sampled(shaped(bench.study, off), frame).within
+    return float(np.sqrt(np.mean(left[late:] ** 2) + within))
+
+
+def frame_means(bands: Bands, frame: float, count: int, random: np.random.Generator) -> Array:
+    """Return the means (count,) over frames of a random series with a spectrum's variance in every band."""
+    hertz = frequencies(bands, random)
+    cosine, sine = random.standard_normal((2, len(hertz))) * np.sqrt(bands.variances) * np.sinc(hertz * frame)
+    starts = np.arange(-(-count // _BLOCK))[:, None] * _BLOCK + 0.5
+    slow = np.exp(2j * np.pi * frame * starts * hertz) * (cosine - 1j * sine)
+    fast = np.exp(2j * np.pi * frame * np.arange(_BLOCK) * hertz[:, None])
+    found: Array = (slow @ fast).real.ravel()[:count]
+    return found
+
+
+class _Taken:
+    """Take one array of what a case computed, by its name."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __call__(self, found: Mapping[str, Array]) -> Array:
+        return found[self.name]
+
+
+def measures(bench: Bench) -> Iterable[Measure]:
+    """Return what is stored of a case."""
+    for name, units, words, dims in (
+        ("simulated_mas", "mas", "rms of the line of sight over a run in time", ()),
+        ("exact_mas", "mas", "the same exactly, from covariances (Van Loan, Lyapunov)", ()),
+        ("integral_mas", "mas", "the same as an integral over frequency", ()),
+        ("open_mas", "mas", "rms without a controller", ()),
+        ("gain", "1", "of the integrator", ()),
+        ("sensitivity_peak", "1", "largest amplification of frame means over frequency", ()),
+        ("rejection", "1", "what is left of frame means at a frequency, |S|", ("frequency",)),
+        ("cumulative", "mas", "rms of what is left below a frequency, noise from the start", ("frequency",)),
+    ):
+        yield Measure(name, units, words, dims, _Taken(name))
+
+
+def axes(bench: Bench) -> Mapping[str, Axis]:
+    """Return the frequencies of the curves."""
+    return {"frequency": Axis(bench.hertz, "frequency", "Hz")}
+
+
+def fixed(bench: Bench) -> dict[str, Any]:
+    """Return the cumulative disturbance without a controller."""
+    words = {"units": "mas", "long_name": "rms of the disturbance below a frequency"}
+    return {"open_cumulative": (("frequency",), bench.open_cumulative, words)}
+
+
+def describe(bench: Bench) -> Mapping[str, str]:
+    """Return the disturbance and the stable gains, for the plan."""
+    frames = bench.study.loop.delay_frames
+    return {
+        "without a controller": f"{bench.open_mas:.3f} mas rms",
+        "delay": f"{frames} frames; integrators are stable below a gain of {largest_gain(frames):.4f}",
+    }
+
+
+KIND = study_kind(
+    "tip-tilt-vibration",
+    TipTiltStudy,
+    prepare=bench_of,
+    cases=cases,
+    compute=compute,
+    measures=measures,
+    axes=axes,
+    fixed=fixed,
+    describe=describe,
+    compared=("controller", "rate_hz"),
+)
