@@ -47,6 +47,7 @@ app.command()(cli_pictures.view)
 app.command()(cli_statistics.budget)
 app.command()(cli_statistics.tail)
 app.command()(cli_rare.rare)
+app.command()(cli_rare.allow)
 app.command()(cli_sensitivity.sensitivity)
 app.command()(cli_sensitivity.devices)
 StudyArgument = Annotated[
