@@ -1,4 +1,4 @@
-"""`wavequake rare`: how often a limit is exceeded, with proof."""
+"""`wavequake rare` and `wavequake allow`: how often a limit is exceeded, and what may be off."""
 
 from pathlib import Path
 from typing import Annotated
@@ -49,3 +49,38 @@ def rare(
     for line in rare_notes(answer):
         out.print(line, markup=False)
     out.print(f"Traces: {answer.store.resolve()}", markup=False, soft_wrap=True)
+
+
+def allow(
+    study: Annotated[str, typer.Argument(help="Study of the workflow segment-disturbance.")],
+    overrides: Annotated[
+        list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. telescope.name=tmt-18")
+    ] = None,
+    measure: Annotated[str, typer.Option(help="What is limited, as wfe_rms.p95.")] = "wfe_rms.p95",
+    limit: Annotated[str, typer.Option(help="As '60 nm'.")] = "",
+    by: Annotated[str, typer.Option(help="shares: equal ones; factor: on what the study has.")] = "shares",
+    of: Annotated[str | None, typer.Option("--of", help="The disturbance, where there are several.")] = None,
+    cases: Annotated[int, typer.Option(help="Cases that are traced in full as the check.")] = 400,
+    file: Annotated[
+        Path | None, typer.Option("--output", "-o", help="FILE.csv of every segment and axis.")
+    ] = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Say how far every segment may be off along every axis, so that the whole stays below a limit."""
+    from wavequake.errors import UserError
+    from wavequake.report.answers.allow import allow_notes, allow_table, goal_of, write_allowances
+    from wavequake.workflows.allow import allowances
+    from wavequake.workflows.study import load_study
+
+    if by not in ("shares", "factor"):
+        raise UserError(f"There is no way {by!r} to allow; use shares or factor.")
+    name, probability, value = goal_of(measure, limit)
+    loaded = load_study(study, overrides or [])
+    with live_progress() as progress:
+        found = allowances(loaded, name, probability, value, by, of, cases, progress)  # type: ignore[arg-type]
+    out.print(allow_table(found))
+    for line in allow_notes(found, measure, value):
+        out.print(line, markup=False)
+    if file is not None:
+        write_allowances(found, file)
+        out.print(f"Written: {file.resolve()}", markup=False, soft_wrap=True)

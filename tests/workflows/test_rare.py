@@ -7,11 +7,13 @@ import pytest
 from scipy.stats import binom
 
 import wavequake as wq
+from wavequake.campaign.rare.certificate import estimated
+from wavequake.campaign.rare.splitting import probability
 from wavequake.campaign.statistics.tail import fit_tail, rare_value
 from wavequake.errors import UserError
 from wavequake.report.answers.rare import in_unit, rare_answer, rare_notes
 from wavequake.report.exports.rerun import rerun_stored
-from wavequake.workflows.rare import rare_study
+from wavequake.workflows.rare import modal_answer, rare_study
 from wavequake.workflows.segments.segment_rare import rare_cases
 from wavequake.workflows.study import load_study, study_with
 
@@ -153,6 +155,18 @@ def test_where_motions_are_large_the_traces_correct_the_modal_model(study, tmp_p
     assert found.certified.low <= found.traced.high
     assert found.certified.high >= found.traced.low
     assert any(line.startswith("WARNING Full traces do not confirm") for line in rare_notes(found))
+
+
+def test_the_alignment_of_the_tmt_to_ten_percent_by_two_ways_that_share_no_weights():
+    made = rare_study(load_study("tmt-segments"), "wfe_rms", None, 1e-6, "alignment")
+    cases, drawn = modal_answer(made)
+    form = cases.tilt.form
+    assert drawn.high - drawn.low < 0.2 * drawn.value
+    hits = [estimated(cases.tilt, cases.limit**2, seed, 10_000) for seed in range(200)]
+    assert sum(one.low <= 1e-6 <= one.high for one in hits) >= 183
+    split = probability(form.along, len(form.slopes), cases.limit**2)
+    assert split.low <= 1e-6 <= split.high
+    assert split.high - split.low < 0.2 * split.value
 
 
 def test_tails_of_normal_cases_sit_low(study):

@@ -6,7 +6,7 @@ so that 1e-30 is known to as many digits as 0.1.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,6 +119,34 @@ def limit_of(form: QuadraticForm, probability: float) -> float:
 
     found: float = brentq(lacks, low, high, xtol=1e-13 * scale, rtol=1e-13)
     return found
+
+
+def largest_factor(form: QuadraticForm, limit: float, probability: float) -> float:
+    """Return by what all numbers may grow until a limit is exceeded with a probability.
+
+    Raises
+    ------
+    UserError
+        If the limit is exceeded without any, or none reaches it.
+    """
+    if form.constant >= limit:
+        raise UserError(f"The limit is exceeded at rest: {form.constant:.6g} against {limit:.6g}.")
+    if not form.curvatures.any() and not form.slopes.any():
+        raise UserError("Nothing changes what is limited, so that anything is allowed.")
+
+    def lacks(logarithm: float) -> float:
+        factor = float(np.exp(logarithm))
+        grown = replace(form, slopes=factor * form.slopes, curvatures=factor**2 * form.curvatures)
+        return limit_of(grown, probability) - limit
+
+    size = form.mean - form.constant + float(np.linalg.norm(form.slopes)) * np.sqrt(limit - form.constant)
+    low = high = 0.5 * float(np.log((limit - form.constant) / max(size, 1e-300)))
+    while lacks(low) > 0.0:
+        low -= 1.0
+    while lacks(high) < 0.0:
+        high += 1.0
+    found: float = brentq(lacks, low, high, xtol=1e-12)
+    return float(np.exp(found))
 
 
 @dataclass(frozen=True)

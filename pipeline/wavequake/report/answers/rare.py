@@ -104,7 +104,7 @@ def rare_answer(
         raise UserError(f"The probability {probability:g} is not rare; it must be below 0.5, as 1e-6.")
     own = getattr(study, "rare", None)
     named = measure or (own.measure if own else "wfe_rms")
-    wanted = None if limit is None else in_unit(limit, _unit_of(named))
+    wanted = None if limit is None else in_unit(limit, unit_of(named))
     made = rare_study(study, measure, wanted, probability, of, traces)
     cases, modal = modal_answer(made)
     path = rare_folder(study, made, store)
@@ -145,7 +145,8 @@ def rare_answer(
     )
 
 
-def _unit_of(measure: str) -> str:
+def unit_of(measure: str) -> str:
+    """Return the unit in which a measure of :func:`rare_answer` is stored."""
     return "mas" if measure.partition("[")[0] in ("los", "centroid") else "nm"
 
 

@@ -126,7 +126,7 @@ def rare_cases(study_text: str) -> RareCases:
     model = model_of(study_text, "numpy")  # the same on every worker
     with threadpool_limits(1):
         motions = gaussian_motions(bench, model, population)
-        form = _of_numbers(_of_motions(bench, model, judged), motions)
+        form = form_of_numbers(form_of_motions(bench, model, judged), motions)
     if section.limit is None:
         assert section.probability is not None
         limit = float(np.sqrt(limit_of(form, section.probability)))
@@ -212,7 +212,7 @@ def _streams(streams: tuple[tuple[str, int], ...], moving: NDArray[np.int64], nu
     return parts.__getitem__
 
 
-def _of_motions(bench: Bench, model: ModalModel, judged: Judged) -> MotionForm:
+def form_of_motions(bench: Bench, model: ModalModel, judged: Judged) -> MotionForm:
     """Return the square of a measure, in its unit, as a form of the motions."""
     places, to_nm = layout_of(model.terms), bench.study.optics.wavelength_nm
     if judged.variable == "wfe_rms_raw":
@@ -231,7 +231,7 @@ def _of_motions(bench: Bench, model: ModalModel, judged: Judged) -> MotionForm:
     return length_form(in_basis(bench, rest)[[term]], in_basis(bench, columns)[:, [term]])
 
 
-def _of_numbers(form: MotionForm, motions: GaussianMotions) -> QuadraticForm:
+def form_of_numbers(form: MotionForm, motions: GaussianMotions) -> QuadraticForm:
     """Return the mean over the instants of a form of the motions, as one of the numbers behind them."""
     count, instants, _ = motions.columns.shape
     constant, linear, square = 0.0, np.zeros(count), np.zeros((count, count))

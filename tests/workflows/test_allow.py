@@ -1,0 +1,131 @@
+"""Allowances against ordinary campaigns, and against sensitivities that know nothing of the modal model."""
+
+import csv
+
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2
+
+import wavequake as wq
+from wavequake.campaign.rare.quadratic import largest_factor, quadratic_form
+from wavequake.errors import UserError
+from wavequake.report.answers.allow import allow_notes, goal_of, write_allowances
+from wavequake.workflows.allow import allowances
+from wavequake.workflows.study import load_study, study_with
+
+STUDY = """
+[study]
+name = "small"
+workflow = "segment-disturbance"
+seed = 7
+[telescope]
+name = "tmt-18"
+gap_mm = 20.0
+[optics]
+rays_per_segment = 6
+[wavefront]
+zernike_terms = 21
+[imaging]
+enabled = false
+[[disturbance]]
+name = "aligned"
+model = "static-random"
+piston_nm = 20.0
+tip_nrad = 5.0
+tilt_nrad = 5.0
+figure_nm = { 4 = 5.0 }
+instants = 2
+"""
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    path = tmp_path_factory.mktemp("study") / "small.toml"
+    path.write_text(STUDY)
+    return load_study(path)
+
+
+def test_a_factor_is_that_of_chi_squared():
+    form = quadratic_form(2.0, np.zeros(5), np.eye(5))
+    found = largest_factor(form, 3.0, 0.05)
+    np.testing.assert_allclose(found**2 * chi2.isf(0.05, 5), 1.0, rtol=1e-10)
+    with pytest.raises(UserError, match="exceeded at rest"):
+        largest_factor(form, 1.0, 0.05)
+
+
+def test_what_a_study_has_grown_by_the_factor_meets_the_limit(study, tmp_path):
+    found = allowances(study, "wfe_rms", 0.05, 60.0, "factor", "aligned", cases=200)
+    assert found.axes == ("dz", "rx", "ry", "figure 4")
+    np.testing.assert_allclose(found.rms[0], found.factor * 20e-9, rtol=1e-12)
+    np.testing.assert_allclose(found.rms[1], found.factor * 5e-9, rtol=1e-12)
+    np.testing.assert_allclose(found.shares.sum(), 1.0, rtol=1e-9)
+    assert found.check.low <= 60.0 <= found.check.high
+    sizes = {"piston_nm": 20.0, "tip_nrad": 5.0, "tilt_nrad": 5.0}
+    keys = {f"disturbance.aligned.{key}": found.factor * value for key, value in sizes.items()}
+    keys["disturbance.aligned.figure_nm"] = {"4": found.factor * 5.0}
+    grown = study_with(study, {**keys, "optics.method": "modal", "optics.modal_sample": 0.0})
+    values = wq.run(grown, cases=2000, store=tmp_path / "s").wfe_rms.isel(time=0)
+    above = int((values > 60.0).sum())
+    assert binom.ppf(1e-3, 2000, 0.05) <= above <= binom.isf(1e-3, 2000, 0.05)
+
+
+def test_equal_shares_are_equal_by_the_sensitivities(study, tmp_path):
+    found = allowances(study, "wfe_rms", 0.05, 60.0, "shares", "aligned", cases=200)
+    np.testing.assert_allclose(found.shares, found.shares[0, 0], rtol=1e-9)
+    np.testing.assert_allclose(found.shares.sum(), 1.0, rtol=1e-9)
+    assert found.check.low <= 60.0 <= found.check.high
+    known = wq.sensitivity(study, store=tmp_path / "s").sensitivity_zernike_segment
+    columns = known.sel(noll=slice(4, None)).transpose("dof", "segment", "noll")
+    sizes = np.linalg.norm(columns.sel(dof=["dz", "rx", "ry"]).to_numpy(), axis=2)
+    costs = found.rms[:3] * sizes
+    np.testing.assert_allclose(costs, costs[0, 0], rtol=1e-5)
+
+
+def test_every_allowance_stands_in_the_file(study, tmp_path):
+    found = allowances(study, "wfe_rms_raw", 0.01, 80.0, "shares", "aligned", cases=200)
+    file = tmp_path / "a.csv"
+    write_allowances(found, file)
+    rows = list(csv.DictReader(file.open()))
+    assert len(rows) == 4 * 18
+    assert rows[0]["axis"] == "dz"
+    assert float(rows[0]["rms"]) == found.rms[0, 0]
+    assert any("traced in full" in line for line in allow_notes(found, "wfe_rms_raw.p99", 80.0))
+    with pytest.raises(UserError, match="cannot be written"):
+        write_allowances(found, tmp_path / "no" / "a.csv")
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"limit": 1e-9}, "At rest wfe_rms is"),
+        ({"measure": "strehl"}, "'strehl' has no allowances"),
+        ({"of": "x"}, "There is no disturbance 'x'"),
+        ({"measure": "zernike[noll=5]"}, "do nothing to what is limited"),  # where sin 2 theta is none
+        ({"cases": 10}, "take at least 100"),
+    ],
+)
+def test_what_cannot_be_allowed_is_a_sentence(study, keywords, message):
+    words = {"measure": "wfe_rms", "probability": 0.05, "limit": 60.0, "of": "aligned", **keywords}
+    with pytest.raises(UserError, match=message):
+        allowances(study, **words)
+
+
+def test_other_studies_and_goals_are_refused():
+    with pytest.raises(UserError, match="Allowances are of segment-disturbance studies"):
+        allowances(load_study("lens-experiment"), "wfe_rms", 0.05, 60.0)
+    for words in ("wfe_rms", "wfe_rms.p5", "wfe_rms.p100"):
+        with pytest.raises(UserError, match=r"write it as wfe_rms\.p95"):
+            goal_of(words, "60 nm")
+    assert goal_of("wfe_rms.p99.9", "0.06 um") == ("wfe_rms", pytest.approx(1e-3), pytest.approx(60.0))
+
+
+def test_the_command_prints_and_writes_allowances(tmp_path, wavequake):
+    words = ["tmt-segments", "telescope.name=tmt-18", "optics.rays_per_segment=6", "--of", "alignment"]
+    file = tmp_path / "a.csv"
+    code, out, _ = wavequake("allow", *words, "--limit", "60 nm", "--cases", 100, "-o", file)
+    assert code == 0
+    assert "nrad rms" in out
+    assert file.exists()
+    code, _, err = wavequake("allow", *words, "--limit", "60 nm", "--by", "cost")
+    assert code == 2
+    assert "use shares or factor" in err
