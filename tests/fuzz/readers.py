@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+import full_file
 import lens_readers as lenses
 import numpy as np
 
@@ -306,3 +307,9 @@ READERS = {
     "picture-npy": Reader(".npy", picture, (npy,)),
     "picture-csv": Reader(".csv", picture, text(SAG)),
 }
+try:
+    import ansys.mapdl.reader  # noqa: F401 - now, not in each fork
+
+    READERS["full"] = Reader(".full", full_file.read, (full_file.small,))
+except ImportError:
+    pass  # the library is optional
