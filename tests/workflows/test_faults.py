@@ -192,8 +192,8 @@ def test_a_scheduler_that_dies_ends_the_run_with_one_sentence(tmp_path, referenc
         "import time\n"
         "from distributed import LocalCluster\n"
         "if __name__ == '__main__':\n"
-        f"    with LocalCluster(n_workers={workers}, threads_per_worker=1, dashboard_address=None) as cluster:\n"
-        "        print(cluster.scheduler_address, flush=True)\n"
+        f"    with LocalCluster(n_workers={workers}, threads_per_worker=1, dashboard_address=None) as it:\n"
+        "        print(it.scheduler_address, flush=True)\n"
         "        time.sleep(60)\n"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
