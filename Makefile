@@ -51,6 +51,8 @@ soak: $(VENV)/.dev
 	  $(BIN)/python -m pytest -q -s tests/workflows/test_soak.py tests/workflows/test_simulation.py
 
 fuzz: $(VENV)/.dev
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[ansys]' || \
+	  echo "The reader of Ansys' files is not installable here; .full is left out."
 	$(BIN)/python tests/fuzz/fuzz.py $${FUZZ_FILES:-2000}
 
 slurm: $(VENV)/.dev

@@ -3,7 +3,7 @@
 A recording is kept in ``tests/data/recorded/NAME.npz``. Large arrays are condensed to some of their numbers
 and to a few weighted sums of all. What agrees with the recording there is stays as it is; the command prints
 what has moved, come or gone, which belongs in the change log. ``--compare NAME...`` changes nothing and ends
-with code 1 if something differs.
+with code 1 if something differs; with ``--workers`` two worker processes compute, chunks half as large.
 
 Rounding is magnified where numbers are errors of something (`modal_error_los`), or depend on a basis that
 rounding chooses (a pair of equal modes): another BLAS kernel changes them by more than their size. So all is
@@ -230,21 +230,28 @@ RECORDED = {
 }
 
 
-def compute(name):
-    """Return every number of a recording's study by its name, without what a stopwatch measured."""
+def compute(name, workers=False):
+    """Return every number of a recording's study by its name, without what a stopwatch measured.
+
+    With `workers`, two processes of Dask compute a half each.
+    """
     import wavequake as wq
     from wavequake.workflows.run import kind_of
 
     small = RECORDED[name]
     cases = {} if small.cases is None else {"campaign.cases": small.cases}
-    study = wq.load_study(small.study, small.keys | cases | {"campaign.device": "cpu"})
+    keys = small.keys | cases | {"campaign.device": "cpu"}
+    study, where = wq.load_study(small.study, keys), {"on": "serial"}
+    if workers:
+        study = wq.load_study(small.study, keys | {"store.chunk_cases": -(-study.cases // 2)})
+        where = {"on": "local", "workers": 2}
     kind, text = kind_of(study), study.identity_text()
     # What the command line asks before it computes, and what may prepare something in this process.
     kind.check(text)
     per_case = kind.template(text).per_case
     _ = [*kind.notices(text)], kind.describe(text), kind.case_table(text, 0, 1)
     with TemporaryDirectory() as folder:
-        dataset = wq.run(study, store=Path(folder) / "store").load()
+        dataset = wq.run(study, store=Path(folder) / "store", **where).load()
     return {
         str(key): values.to_numpy()
         for key, values in dataset.variables.items()
@@ -312,9 +319,9 @@ def changes(kept, now):
     return found
 
 
-def compare(name, *, record):
+def compare(name, *, record, workers=False):
     """Return the bits of a study as a digest, and what has changed since it was recorded, in words."""
-    numbers, path = compute(name), FOLDER / f"{name}.npz"
+    numbers, path = compute(name, workers), FOLDER / f"{name}.npz"
     now = {key + suffix: part for key, values in numbers.items() for suffix, part in condense(values).items()}
     kept = dict(np.load(path)) if path.exists() else {}
     changed = changes(kept, now)
@@ -336,12 +343,12 @@ def run_alike(*words, threads=1):
 
 def main(*words):
     """Make the recordings that are named, or all; with --compare, compare them with those there are."""
-    names = [word for word in words if word != "--compare"] or list(RECORDED)
+    names = [word for word in words if not word.startswith("--")] or list(RECORDED)
     if unknown := set(names) - set(RECORDED):
         sys.exit(f"There is no recording {', '.join(sorted(unknown))}; there are {', '.join(RECORDED)}.")
     same = True
     for name in names:
-        bits, changed = compare(name, record="--compare" not in words)
+        bits, changed = compare(name, record="--compare" not in words, workers="--workers" in words)
         same = same and not changed
         print(f"{name}: {changed or 'agrees'} {bits[:16]}", flush=True)
     return int("--compare" in words and not same)

@@ -13,7 +13,7 @@ BASE = {"errors", "files", "prepared", "registry", "tables", "user_files", "word
 
 # What each package may import of ours, besides itself.
 ALLOWED = {
-    "errors": set(),
+    "errors": {"words"},
     "files": set(),
     "user_files": {"errors"},
     "words": set(),

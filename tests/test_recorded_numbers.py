@@ -38,10 +38,11 @@ def test_every_bundled_study_gives_the_recorded_numbers(compared):
 
 
 @pytest.mark.slow
-def test_bits_do_not_depend_on_how_many_threads_a_process_has(compared):
-    """What commands prepare in the client with all threads is what workers prepare with one."""
+@pytest.mark.parametrize("place", [[], ["--workers"]], ids=["serial", "two workers"])
+def test_bits_do_not_depend_on_threads_and_place(compared, place):
+    """With two threads in this process or client, and halves by workers that have one each."""
     names = [name for name in comparable() if name in bundled_studies()]
-    done = recorded.run_alike("--compare", *names, threads=2)
+    done = recorded.run_alike("--compare", *place, *names, threads=2)
     assert len(names) >= len(bundled_studies()) - 1, done.stderr
     assert done.stdout.splitlines() == [line for line in compared if line.partition(":")[0] in names]
 

@@ -11,6 +11,7 @@ from html import escape
 from typing import Any
 
 from wavequake.errors import StoreDamageError, UserError
+from wavequake.words import printable
 
 _DRAWN = (
     ("wavequake.optics.systems.system", "OpticalSystem"),
@@ -50,10 +51,10 @@ def shown(thing: Any) -> str:
     table = ""
     try:
         if hasattr(thing, "info"):
-            table = f"<pre>{escape(thing.info())}</pre>"
+            table = f"<pre>{_text(thing.info())}</pre>"
         svg = draw(thing)._repr_svg_()
     except UserError as error:
-        return f"<p>{escape(repr(thing))}</p>{table}<p>{escape(str(error))}</p>"
+        return f"<p>{_text(repr(thing))}</p>{table}<p>{_text(str(error))}</p>"
     return f"{svg[svg.index('<svg') :]}{table}"
 
 
@@ -61,14 +62,19 @@ def shown_study(study: Any) -> str:
     """Return what a study is about: title, drawing, and its sections."""
     import json
 
-    name, title = escape(study.study.name), escape(study.study.title)
+    name, title = _text(study.study.name), _text(study.study.title)
     sections = json.dumps(study.model_dump(mode="json", exclude_defaults=True), indent=2, ensure_ascii=False)
     picture = shown(study)
     return (
         f"<h4>{name}</h4><p>{title}</p>{picture}"
-        f"<details><summary>{study.cases} cases of {escape(study.study.workflow)}</summary>"
-        f"<pre>{escape(sections[:20000])}</pre></details>"
+        f"<details><summary>{study.cases} cases of {_text(study.study.workflow)}</summary>"
+        f"<pre>{_text(sections[:20000])}</pre></details>"
     )
+
+
+def _text(words: str) -> str:
+    """Return words as HTML that shows them."""
+    return escape(printable(words))
 
 
 @contextmanager

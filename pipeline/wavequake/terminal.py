@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
-from wavequake.words import printable, shortened
+from wavequake.words import plain, printable
 
 EXIT_INTERRUPTED = 130
 
@@ -54,7 +54,7 @@ def fail(message: str, code: int, debug: bool, details: str = "") -> NoReturn:
     """End with a message, lines of details below it, and an exit code."""
     if debug:
         err.print_exception()
-    err.print(shortened(printable(message)), markup=False, soft_wrap=True)
+    err.print(plain(message), markup=False, soft_wrap=True)
     for line in details.splitlines():
         err.print(printable(line), markup=False, soft_wrap=True, highlight=False)
     sys.exit(code)

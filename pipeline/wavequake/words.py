@@ -1,12 +1,16 @@
-"""Words for numbers of things, and words of others made fit to be shown."""
+"""Words for numbers of things, and words of others made fit to be shown: the one place that does so."""
 
 import re
 
 MOST = 600  # characters of a message
 
 # What terminals obey instead of showing it, what turns the direction of text, and what no file can hold:
-# control characters but line feed and tab, bidirectional marks, separators of lines, halves of characters.
-_OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+# control characters but line feed and tab, bidirectional marks, separators of lines, halves of characters,
+# marks of byte order.
+_OBEYED = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff\ufeff]"
+)
+_BREAKS = re.compile(r"[ \t]*[\t\n\r]\s*")
 
 
 def printable(text: str) -> str:
@@ -32,6 +36,17 @@ def shortened(text: str, most: int = MOST) -> str:
         return text
     tail = most // 3
     return f"{text[: most - tail - 5]} ... {text[-tail:]}"
+
+
+def plain(message: object) -> str:
+    r"""Return a message as one printable line of at most `MOST` characters.
+
+    Examples
+    --------
+    >>> print(plain("two\n  lines" + chr(27)))
+    two lines\x1b
+    """
+    return shortened(printable(_BREAKS.sub(" ", str(message))))
 
 
 def counted(number: int, noun: str) -> str:

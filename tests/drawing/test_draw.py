@@ -1,7 +1,9 @@
 """Drawings of systems, telescopes, models and studies: what they show, and as files."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -101,6 +103,20 @@ def test_objects_are_drawn_as_their_names_are():
     model = circular_mirror()
     assert "7083 degrees of freedom" in draw(model).axes[0].get_title(loc="left")
     assert "craigb36: 36 degrees" in draw(reduce(model, "craigb36")).axes[0].get_title(loc="left")
+
+
+@pytest.mark.parametrize("solid", [False, True])
+@pytest.mark.parametrize("evil", ["$\\frac{ x$", "a\x1b[2J\r\x00\u202eb", "<script>"])
+def test_names_from_files_are_shown_as_they_are(tmp_path, evil, solid):
+    """They are no formulas, no markup, and nothing in them is obeyed."""
+    plain = optical_system("double-gauss")
+    surfaces = tuple(replace(one, name=f"{one.name}{evil}") for one in plain.surfaces)
+    figure = draw(replace(plain, name=evil, surfaces=surfaces), solid=solid)
+    shown = evil.replace("<", "&lt;").replace(">", "&gt;")
+    for code, words in {"\x1b": r"\x1b", "\r": r"\r", "\0": r"\x00", "\u202e": r"\u202e"}.items():
+        shown = shown.replace(code, words)
+    assert shown in figure._repr_svg_()
+    ElementTree.fromstring(figure._repr_svg_())
 
 
 def test_what_cannot_be_drawn_says_so():

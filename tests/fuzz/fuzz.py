@@ -1,6 +1,6 @@
 """Give damaged files to readers: ``python tests/fuzz/fuzz.py COUNT [READER ...]``.
 
-A reader may succeed, or raise one UserError of one line within LONGEST characters: nothing else, in bounded
+A reader may succeed, or raise one UserError of one line within MOST characters: nothing else, in bounded
 time and memory. Prints a line of JSON for each reader: how many files it read and refused, its slowest, and
 what it did wrong. A process that dies has said before which reader it was at.
 """
@@ -21,7 +21,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 import mutations
 import readers
 
-from wavequake.errors import LONGEST, UserError, plain
+from wavequake.errors import UserError
+from wavequake.words import MOST, plain
 
 TIME_S = 10.0  # on a busy machine; the usual file takes milliseconds
 MEMORY = 1_500_000_000  # bytes beyond what the libraries have taken
@@ -50,7 +51,7 @@ def trouble(read, path):
         read(path)
     except UserError as error:
         words = str(error)
-        good = words and len(words) <= LONGEST and plain(words) == words
+        good = words and len(words) <= MOST and plain(words) == words
         return False, None if good else f"message {words!r}"
     except TooLongError:
         return False, f"takes more than {TIME_S} s"

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+import full_file
+import lens_readers as lenses
 import numpy as np
 
 DATA = Path(__file__).parents[1] / "data"
@@ -298,7 +300,16 @@ READERS = {
     "sag-dat": Reader(".dat", sag, text(GRID)),
     "polygons": Reader(".csv", polygons, (head("tmt_sector.csv", 12),)),
     "corners": Reader(".csv", corners, (corner_table,)),
+    "zmx": Reader(".zmx", lenses.lens, lenses.lens_files()),
+    "seq": Reader(".seq", lenses.lens, text(lenses.SEQUENCE)),
+    "agf": Reader(".agf", lenses.glasses, text(lenses.GLASSES)),
     "picture-png": Reader(".png", picture, (png,)),
     "picture-npy": Reader(".npy", picture, (npy,)),
     "picture-csv": Reader(".csv", picture, text(SAG)),
 }
+try:
+    import ansys.mapdl.reader  # noqa: F401 - now, not in each fork
+
+    READERS["full"] = Reader(".full", full_file.read, (full_file.small,))
+except ImportError:
+    pass  # the library is optional

@@ -1,9 +1,9 @@
 """Every file format gives the matrices of one truss whose closed form is known."""
 
 import csv
+import os
 import sys
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
 
 import h5py
 import numpy as np
@@ -165,15 +165,63 @@ def test_hdf5_dense_and_sparse(folder):
     check(import_model(folder / "truss.h5", **CHOICE).model)
 
 
-def test_ansys_reader_returns_upper_triangles_and_counts_directions_from_zero(folder, monkeypatch):
-    upper = [scipy.sparse.csc_matrix(np.triu(matrix)) for matrix in (K, M)]
-    full = SimpleNamespace(load_km=lambda as_sparse, sort: (tetrahedron.DOFS - [0, 1], *upper))
-    mapdl = ModuleType("ansys.mapdl")
-    mapdl.reader = SimpleNamespace(read_binary=lambda path: full)
-    monkeypatch.setitem(sys.modules, "ansys", ModuleType("ansys"))
-    monkeypatch.setitem(sys.modules, "ansys.mapdl", mapdl)
-    (folder / "truss.full").write_bytes(b"stub")
+@pytest.fixture
+def stub(tmp_path, monkeypatch):
+    """Put a package in the place of ansys-mapdl-reader whose `load_km` has this body."""
+
+    def make(body):
+        package = tmp_path / "stub" / "ansys" / "mapdl"
+        package.mkdir(parents=True)
+        for place in (package, package.parent):
+            (place / "__init__.py").touch()
+        (package / "reader.py").write_text(
+            "import json, os, sys\nimport numpy as np\nimport scipy.sparse\n"
+            "class File:\n    def __init__(self, path):\n        self.path = path\n"
+            f"    def load_km(self, as_sparse, sort):\n        {body}\nread_binary = File\n"
+        )
+        forget()
+        monkeypatch.syspath_prepend(tmp_path / "stub")
+        monkeypatch.setenv("PYTHONPATH", str(tmp_path / "stub"), prepend=os.pathsep)
+
+    def forget():
+        for name in [name for name in sys.modules if name.split(".")[0] == "ansys"]:
+            del sys.modules[name]
+
+    yield make
+    forget()
+
+
+def test_ansys_reader_returns_upper_triangles_and_counts_directions_from_zero(folder, stub):
+    stub(
+        "found = np.load(self.path); "
+        "return found['dofs'], *(scipy.sparse.csc_matrix(found[one]) for one in 'KM')"
+    )
+    with open(folder / "truss.full", "wb") as file:
+        np.savez(file, dofs=tetrahedron.DOFS - [0, 1], K=np.triu(K), M=np.triu(M))
     check(import_model(folder / "truss.full", **CHOICE).model)
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("raise KeyError('ptrSTF')", r"\.full file: 'ptrSTF'$"),
+        ("print('hello'); os.abort()", r"its reader was ended by SIGABRT$"),
+        ("import ctypes; ctypes.string_at(8)", r"its reader was ended by SIGSEGV$"),
+        ("return np.zeros(10**9)", "allocate"),
+        ("return [[1, 0]], None, None", "it holds no stiffness$"),
+        (
+            "bad = scipy.sparse.csc_matrix(np.eye(3)); bad.indices[1] = 7; return np.ones((3, 2)), bad, bad",
+            "entries outside|indices|index",
+        ),
+        ("return [[1, 0]], *[scipy.sparse.csc_matrix(np.eye(3))] * 2", "3 rows, but there are 1 degrees"),
+    ],
+)
+def test_an_ansys_reader_that_fails_takes_nobody_with_it(folder, stub, monkeypatch, body, words):
+    monkeypatch.setenv("WAVEQUAKE_MOST_MB", "500")
+    stub(body)
+    (folder / "truss.full").write_bytes(b"stub")
+    with pytest.raises(UserError, match=words):
+        import_model(folder / "truss.full", **CHOICE)
 
 
 def test_ansys_without_its_reader(folder, monkeypatch):

@@ -1,6 +1,8 @@
 """The report is one well-formed file that loads nothing and believes nothing."""
 
 import re
+import unicodedata
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -88,13 +90,27 @@ def test_hostile_disturbances_messages_and_segments_are_text(campaign, detail):
     names = np.where(campaign["disturbance"] == "wind", evil, campaign["disturbance"])
     messages = np.where(campaign["message"] == "", "", evil)
     hostile = campaign.assign_coords(disturbance=("case", names)).assign(message=("case", messages))
-    from dataclasses import replace
-
     case = replace(detail, disturbance=evil, segment_names=(evil,) * 7)
     html = render_report(hostile, [case])
     read(html)
     assert "<script" not in html
     assert "<svg onload" not in html
+
+
+def test_nothing_that_is_obeyed_is_written(campaign, detail, tmp_path):
+    """Titles, names and reasons may hold what terminals and browsers obey; editors of lenses write them."""
+    evil = "a\x1b]0;t\x07\x1b[2J\x9b31m\r\x00b\u202ec\u2066d\u2028\ufeff"
+    shown = r"a\x1b]0;t\x07\x1b[2J\x9b31m\r\x00b\u202ec\u2066d\u2028\ufeff"
+    names = np.where(campaign["disturbance"] == "wind", evil, campaign["disturbance"])
+    messages = np.where(campaign["message"] == "", "", evil)
+    hostile = campaign.assign_coords(disturbance=("case", names)).assign(message=("case", messages))
+    hostile = hostile.assign_attrs(study_title=evil, device=evil)
+    case = replace(detail, disturbance=evil, segment_names=(evil,) * 7)
+    text = write_report(hostile, [case], tmp_path / "report.html").read_text(encoding="utf-8")
+    assert text.count(shown) > 20
+    assert not [one for one in text if unicodedata.category(one) in ("Cc", "Cs", "Zl", "Zp") and one != "\n"]
+    assert not re.search("[\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069\ufeff]", text)
+    read(text)
 
 
 def test_it_says_everything_that_it_should(html):
@@ -170,7 +186,5 @@ def test_a_failed_write_keeps_the_old_report(campaign, tmp_path, monkeypatch):
 
 
 def test_a_detail_of_another_campaign_is_refused(campaign, detail):
-    from dataclasses import replace
-
     with pytest.raises(UserError, match="'quake'"):
         render_report(campaign, [replace(detail, disturbance="quake")])

@@ -155,6 +155,18 @@ def test_what_is_too_large_is_left_out_and_said():
     assert len(render_film(Film("large", "store", (stage,), takes[:1]))) < LIMIT
 
 
+def test_names_are_shown_and_not_obeyed():
+    evil, shown = "a\x1b[2J\x00\u202eb", r"a\x1b[2J\x00\u202eb"
+    points, faces = np.eye(3), np.array([[0, 1, 2]])
+    stage = Stage(points, faces, np.zeros(3, int), ("#000000",), (evil,), np.zeros((1, 3)), np.eye(3)[None])
+    take = Take(evil, np.zeros(2), note=evil, poses=np.zeros((2, 1, 6)))
+    text = render_film(Film(evil, evil, (stage,), (take,)))
+    assert text.count(shown) == 4  # title, heading, row and its note
+    assert text.count(json.dumps(shown)[1:-1]) == 5  # title, source, name, label and note of the film
+    assert "\\u001b" not in text
+    assert not re.search("[\x00\x1b\u202e]", text)
+
+
 def test_shapes_give_the_displacements_again():
     rng = np.random.default_rng(5)
     moved = np.tensordot(rng.normal(size=(30, 3)), rng.normal(size=(3, 7, 3)), 1)

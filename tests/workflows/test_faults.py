@@ -49,7 +49,10 @@ def test_a_killed_worker_costs_nothing(tmp_path, reference):
 
 
 def test_a_killed_driver_leaves_no_workers_and_the_next_run_completes(tmp_path, reference):
-    driver = toy.driver(tmp_path / "s", SLOW, cases=100, on="local", workers=2)
+    """What is begun twice was lost: a chunk of ten cases per worker at most."""
+    begun = tmp_path / "begun"
+    options = {**SLOW, "count": str(begun)}
+    driver = toy.driver(tmp_path / "s", options, cases=100, on="local", workers=2)
     toy.wait_for_records(tmp_path / "s", 3)
     children = children_of(driver.pid)
     driver.kill()
@@ -57,8 +60,9 @@ def test_a_killed_driver_leaves_no_workers_and_the_next_run_completes(tmp_path, 
     assert not still_there(children)
     before = toy.records(tmp_path / "s")
     assert 3 <= before < 10
-    summary = toy.run(tmp_path / "s", SLOW, cases=100, on="local", workers=2)
+    summary = toy.run(tmp_path / "s", options, cases=100, on="local", workers=2)
     assert summary.done_before == 10 * before
+    assert len(begun.read_text().split()) <= 100 + 10 * 2
     assert toy.records(tmp_path / "s") == 10  # no chunk has two records
     assert toy.digests(tmp_path / "s") == reference
     assert verify_store(tmp_path / "s").ok
@@ -167,13 +171,29 @@ def test_a_driver_with_workers_says_nothing_but_its_result(tmp_path):
     assert driver.communicate(timeout=60) == ("40\n", "")
 
 
-def test_a_scheduler_that_dies_ends_the_run_with_one_sentence(tmp_path, reference):
+def test_what_workers_print_is_in_the_log_alone(tmp_path):
+    """Case 3 kills its worker twice, and then a process of its own."""
+    driver = toy.driver(tmp_path / "s", {"say": [14, 27], "crash": [3]}, on="local", workers=2)
+    assert driver.communicate(timeout=60) == ("40\n", "")
+    (file,) = (tmp_path / "s" / "log").iterdir()
+    log = file.read_text()
+    for words in ("a sentence of Python", "UserWarning: a warning of Python", r"\x1b[2Jlast words of C"):
+        assert log.count(f"a worker said: {words}") + log.count(words + "\n") >= 2, words
+    assert log.count("ZeroDivisionError: division by zero") == 2
+    assert log.count("Fatal Python error: Segmentation fault") >= 3
+    assert 'toy.py", line' in log
+    assert log.endswith("the run is complete\n")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_scheduler_that_dies_ends_the_run_with_one_sentence(tmp_path, reference, workers):
+    """What is begun twice was lost: a chunk of ten cases per worker at most."""
     host = (
         "import time\n"
         "from distributed import LocalCluster\n"
         "if __name__ == '__main__':\n"
-        "    with LocalCluster(1, threads_per_worker=1, dashboard_address=None) as cluster:\n"
-        "        print(cluster.scheduler_address, flush=True)\n"
+        f"    with LocalCluster(n_workers={workers}, threads_per_worker=1, dashboard_address=None) as it:\n"
+        "        print(it.scheduler_address, flush=True)\n"
         "        time.sleep(60)\n"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
@@ -181,16 +201,19 @@ def test_a_scheduler_that_dies_ends_the_run_with_one_sentence(tmp_path, referenc
         [sys.executable, "-c", host], env=environment, stdout=subprocess.PIPE, text=True
     )
     address = process.stdout.readline().strip()
+    begun = tmp_path / "begun"
+    options = {**SLOW, "count": str(begun)}
 
     def kill(done, total, quarantined):
         if done == 20:
             process.kill()
 
     with pytest.raises(UserError, match="scheduler went away; what is done is kept"):
-        toy.run(tmp_path / "s", SLOW, cases=100, on=address, progress=kill)
+        toy.run(tmp_path / "s", options, cases=100, on=address, progress=kill)
     process.communicate()
-    assert toy.run(tmp_path / "s", SLOW, cases=100).done_before >= 20
+    assert toy.run(tmp_path / "s", options, cases=100).done_before >= 20
     assert toy.digests(tmp_path / "s") == reference
+    assert len(begun.read_text().split()) <= 100 + 10 * workers
 
 
 @pytest.mark.parametrize(

@@ -3,15 +3,19 @@
 import dataclasses
 import errno
 import os
+import shutil
 import signal
 import subprocess
+import sys
 import time
+from pathlib import Path
 
 import psutil
 import pytest
 import toy
 from test_faults import children_of
 
+import wavequake
 from wavequake.campaign.contract import StudyKind
 from wavequake.campaign.engine import chunks
 from wavequake.campaign.engine.driver import run_campaign
@@ -126,6 +130,62 @@ def test_a_disk_that_becomes_read_only_ends_the_run_and_loses_nothing(tmp_path, 
     done = 10 if what == "data" else 20
     assert toy.run(tmp_path / "s").done_before == done
     assert verify_store(tmp_path / "s").ok
+
+
+@pytest.mark.parametrize("where", [{"on": "serial"}, {"on": "local", "workers": 2}], ids=["serial", "local"])
+def test_a_disk_that_is_really_read_only_from_now_on_loses_nothing(tmp_path, where):
+    """A mount over the store shows it read-only; what is open stays so, as on a disk that fails."""
+    path = tmp_path / "s"
+    options = {"sleep_s": 0.02}
+
+    def protect(done, total, quarantined):
+        if done == 20:
+            for words in (["--bind", path, path], ["-o", "remount,bind,ro", path]):
+                subprocess.run(["mount", *map(str, words)], check=True, capture_output=True)
+
+    toy.run(path, options, cases=10)
+    try:
+        with pytest.raises(UserError, match=r"cannot be written \(read-only file system\)"):
+            toy.run(path, options, cases=100, progress=protect, **where)
+    except subprocess.CalledProcessError:
+        pytest.skip("mounting needs root")
+    finally:
+        subprocess.run(["umount", "--lazy", str(path)], check=False, capture_output=True)
+    assert toy.run(path, options, cases=100).done_before >= 20
+    toy.run(tmp_path / "whole", options, cases=100)
+    assert toy.digests(path) == toy.digests(tmp_path / "whole")
+    assert verify_store(path).ok
+
+
+def test_a_store_goes_on_with_another_version_if_that_is_allowed(tmp_path):
+    """A copy of the package, in which one line of what makes numbers has changed."""
+    path, other = tmp_path / "s", tmp_path / "other"
+    root = Path(wavequake.__file__).parents[2]
+    shutil.copytree(root / "pipeline", other / "pipeline", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("kernels", "workflows", "cluster", "firmware"):
+        (other / name).symlink_to(root / name)
+    with (other / "pipeline/wavequake/optics/checks.py").open("a") as file:
+        file.write("# another version\n")
+    toy.run(path, cases=40)
+
+    def resume(allow_mixed):
+        script = f"import toy; print(toy.run({str(path)!r}, cases=60, allow_mixed={allow_mixed}).computed)"
+        where = os.pathsep.join([str(other / "pipeline"), *sys.path])
+        return subprocess.run(
+            [sys.executable, "-c", script],
+            env={**os.environ, "PYTHONPATH": where},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    assert "was begun by wavequake" in resume(False).stderr
+    assert toy.records(path) == 4
+    assert resume(True).stdout == "20\n"
+    assert sorted(store_status(path).codes.values()) == [2, 4]
+    toy.run(tmp_path / "whole", cases=60)
+    assert toy.digests(path) == toy.digests(tmp_path / "whole")
+    assert verify_store(path).ok
 
 
 def test_a_clock_that_jumps_back_takes_no_later_result_away(tmp_path, monkeypatch):

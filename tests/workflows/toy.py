@@ -5,7 +5,9 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+import warnings
 
 import numpy as np
 
@@ -18,7 +20,7 @@ def study(**options):
     """Canonical study text.
 
     Options: seed, sleep_s (per case), folder, and ids of cases in poison, reasons, crash, once, wait,
-    hang, hoard and blow; liar is the folder of a flag.
+    hang, hoard, blow and say; liar is the folder of a flag, count a file of what is begun.
     """
     return json.dumps({"study": {"name": "toy", "seed": 7}, **options}, sort_keys=True, separators=(",", ":"))
 
@@ -91,9 +93,24 @@ def _is_liar(folder):
         return file.read() == str(os.getpid())
 
 
+def _talk():
+    """Print in all ways that a library has."""
+    print("a sentence of Python")
+    warnings.warn("a warning of Python", stacklevel=1)
+    os.write(2, b"\x1b[2Jlast words of C\n")
+    thread = threading.Thread(target=lambda: 1 / 0)
+    thread.start()
+    thread.join()
+
+
 def _misbehave(options, cases):
+    if "count" in options:
+        with open(options["count"], "a") as file:
+            file.write("".join(f"{case}\n" for case in cases))
     for case in cases:
         time.sleep(options.get("sleep_s", 0.0))
+        if case in options.get("say", ()):
+            _talk()
         if case in options.get("crash", ()):
             os.kill(os.getpid(), signal.SIGSEGV)
         if case in options.get("wait", ()):

@@ -35,6 +35,7 @@ WORKER_ENVIRONMENT = {**THREADS, "DASK_LOGGING__DISTRIBUTED": "critical"}
 UNSET = ("POCL_AFFINITY",)
 
 NO_HTTP = "wavequake.cluster.no_http"
+_UNSEEN = {"distributed.worker.preload": [NO_HTTP, "wavequake.cluster.output"]}
 
 # A task takes seconds: slow clocks save idle CPU time, and as no result stays in memory, nobody has to manage
 # it. A worker holds no task but the one it runs, so that its death is blamed on no other.
@@ -99,7 +100,7 @@ def local_cluster(workers: int | None = None, dashboard: bool = False) -> Iterat
     from distributed import Client, LocalCluster
 
     silence()
-    with worker_environment(), dask.config.set(settings(dashboard)):
+    with worker_environment(), dask.config.set(settings(dashboard) | _UNSEEN):
         client = None
         try:
             with interrupts_blocked():

@@ -8,8 +8,9 @@ from typing import Any
 from matplotlib import rc_context
 
 from wavequake.drawing.draw import draw
-from wavequake.drawing.style import STYLE, Drawing, svg_text
+from wavequake.drawing.style import STYLE, Drawing, show_names, svg_text
 from wavequake.errors import UserError
+from wavequake.words import printable
 
 _PAGE = """<!doctype html>
 <html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
@@ -39,6 +40,7 @@ def write_drawing(
         elif target.suffix.lower() == ".svg":
             target.write_text(svg_text(figure), encoding="utf-8")
         else:
+            show_names(figure)
             with rc_context(STYLE):
                 figure.savefig(
                     target, dpi=150, metadata={"CreationDate": None} if target.suffix == ".pdf" else None
@@ -50,4 +52,4 @@ def write_drawing(
 
 def _page(figure: Drawing, title: str) -> str:
     text = svg_text(figure)
-    return _PAGE.format(title=escape(title), svg=text[text.index("<svg") :])
+    return _PAGE.format(title=escape(printable(title)), svg=text[text.index("<svg") :])

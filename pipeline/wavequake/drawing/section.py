@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wavequake.drawing.layout import Layout, Part, layouts
 from wavequake.drawing.light import field_names
-from wavequake.drawing.style import COLORS, LINES, STYLE, Drawing
+from wavequake.drawing.style import COLORS, LINES, STYLE, Drawing, as_name
 from wavequake.optics.systems.system import OpticalSystem
 
 Array = NDArray[np.float64]
@@ -147,7 +147,8 @@ def _label(axes: Axes, parts: Sequence[Part], scale: float) -> None:
     for part in named:
         points = axes.transData.transform(scale * np.concatenate(part.lines))
         box = Bbox([points.min(axis=0), points.max(axis=0)])
-        text = axes.text(0, 0, part.name, fontsize=8.5, color=_DARK, ha="center", va="center", zorder=6)
+        name = as_name(part.name)
+        text = axes.text(0, 0, name, fontsize=8.5, color=_DARK, ha="center", va="center", zorder=6)
         text.set_bbox(HALO)
         size = text.get_window_extent()
         for right, up in _AROUND:

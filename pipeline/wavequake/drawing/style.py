@@ -5,7 +5,11 @@ from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cbook import is_math_text
 from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from wavequake.words import printable
 
 WIDTH, HEIGHT = 5.5, 4.7  # inches
 STYLE: dict[Any, Any] = {
@@ -45,9 +49,24 @@ class Drawing(Figure):
         return svg_text(self)
 
 
-def svg_text(figure: Figure) -> str:
-    """Return a figure as SVG, the same bytes every time."""
+def svg_text(figure: Figure, salt: str = "wavequake") -> str:
+    """Return a figure as SVG, the same bytes every time; its ids are unique as long as `salt` is."""
     buffer = io.StringIO()
-    with rc_context(STYLE):
+    show_names(figure)
+    with rc_context({**STYLE, "svg.hashsalt": salt}):
         figure.savefig(buffer, format="svg", dpi=150, metadata={"Date": None})
-    return buffer.getvalue()
+    return printable(buffer.getvalue())
+
+
+def as_name(name: str) -> str:
+    """Return a name for a figure that measures it before `show_names`: no formula, and nothing is obeyed."""
+    return printable(name).replace("$", r"\$")
+
+
+def show_names(figure: Figure) -> None:
+    """Have names in a figure shown as they are: they are no formulas, and nothing in them is obeyed."""
+    for text in figure.findobj(Text):
+        words = text.get_text()
+        if is_math_text(words) and r"\math" not in words:  # which stands in powers on axes
+            text.set_parse_math(False)
+        text.set_text(printable(words))

@@ -92,6 +92,7 @@ def _hints(kind: Any) -> dict[str, Any]:
 
 def _wrong(value: Any, kind: Any) -> tuple[str, Any, str] | None:
     """Return where in a value there is what, and what would be right; None if all is."""
+    kind = _meant(kind)
     origin = get_origin(kind)
     if origin in (Union, UnionType):
         own = [one for one in get_args(kind) if is_dataclass(one) and type(value) is one]
@@ -121,6 +122,11 @@ def _wrong(value: Any, kind: Any) -> tuple[str, Any, str] | None:
         if found is not None:
             return name + found[0], *found[1:]
     return None
+
+
+def _meant(kind: Any) -> Any:
+    """Return what an alias stands for: NDArray of NumPy 2.5 is one of the statement `type`."""
+    return getattr(kind, "__value__", kind)
 
 
 def _fits(value: Any, kind: Any, origin: Any) -> bool:
@@ -155,6 +161,7 @@ def _is_masked(values: Any) -> bool:
 
 
 def _words(kind: Any) -> str:
+    kind = _meant(kind)
     origin, entries = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType):
         return " or ".join(dict.fromkeys(map(_words, entries)))

@@ -25,6 +25,7 @@ from wavequake.drawing.style import HEIGHT as HEIGHT
 from wavequake.drawing.style import LINES as LINES
 from wavequake.drawing.style import STYLE as STYLE
 from wavequake.drawing.style import WIDTH as WIDTH
+from wavequake.drawing.style import as_name
 from wavequake.report.labels import Labels
 from wavequake.report.populations import Population
 from wavequake.report.segments.detail import Detail
@@ -117,7 +118,9 @@ def history(population: Population) -> Figure:
         axes.set_ylim(_common_limits(panels[1:]))
     panels[0].set_ylim(0, 1.06 * panels[0].get_ylim()[1])
     panels[-1].set_xlabel("time (s)")
-    panels[0].set_title(f"{_plain(population.name)}: median and worst case by {population.ranked_by}", pad=18)
+    panels[0].set_title(
+        f"{as_name(population.name)}: median and worst case by {population.ranked_by}", pad=18
+    )
     if len(population.cases):
         panels[0].legend(
             loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, borderpad=0.1, ncols=3,
@@ -157,11 +160,6 @@ def power_of_ten(value: float, place: int | None = None) -> str:
     """Return a power of ten in plain text: parsing formulas takes longer than all the rest of a figure."""
     exponent = f"{np.log10(value):.0f}" if value > 0 else ""
     return "10" + exponent.translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-
-
-def _plain(name: str) -> str:
-    """Keep matplotlib from reading a name as mathematics."""
-    return name.replace("$", r"\$")
 
 
 def _colorbar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str) -> None:
@@ -295,7 +293,7 @@ def _draw_distributions(
 ) -> None:
     named = [population for population in populations if len(population.cases)]
     left, bottom, width, height = box
-    names = [f"{_plain(population.name)} ({len(population.cases)})" for population in named]
+    names = [f"{as_name(population.name)} ({len(population.cases)})" for population in named]
     # Letters are about 0.075 inches wide; two columns only where they fit.
     columns = 2 if 2 * (0.075 * max(map(len, names), default=0) + 0.5) <= width + 0.5 else 1
     legend = 0.185 * -(-len(names) // columns)

@@ -9,6 +9,8 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.text import Text
 from numpy.typing import NDArray
 
+from wavequake.words import printable
+
 _HALF_DIGIT = 0.365  # of the size: half the height of the digits of DejaVu Sans
 
 
@@ -30,7 +32,8 @@ class Labels(Artist):
         self, words: Sequence[str], points: NDArray[np.float64], colors: Sequence[str], size: float
     ) -> None:
         super().__init__()
-        self.words, self.points, self.colors, self.size = tuple(words), points, tuple(colors), size
+        self.words, self.points = tuple(map(printable, words)), points
+        self.colors, self.size = tuple(colors), size
 
     def draw(self, renderer: RendererBase) -> None:
         """Draw each word about its point; the width of one is the sum of those of its letters."""

@@ -1,6 +1,5 @@
 """The page of a report: one self-contained HTML file, no scripts, the same bytes for the same data."""
 
-import io
 import json
 import os
 import re
@@ -13,16 +12,15 @@ from typing import Any
 import xarray as xr
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
-from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from wavequake.drawing.style import WIDTH, svg_text
 from wavequake.errors import UserError
-from wavequake.report import figures
 from wavequake.report.populations import Excluded
 from wavequake.words import printable
 
 LISTED = 200
-_WIDE = 1.2 * 72.0 * figures.WIDTH  # points
+_WIDE = 1.2 * 72.0 * WIDTH  # points
 _LONGEST = 100_000  # characters of a file of a study
 
 
@@ -96,11 +94,10 @@ def render_page(dataset: xr.Dataset, page: Page) -> str:
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
-        finalize=lambda value: printable(value) if type(value) is str else value,  # markup is ours
         undefined=StrictUndefined,
         trim_blocks=True,
     )
-    return environment.get_template("report.html.j2").render(
+    text = environment.get_template("report.html.j2").render(
         name=_entry(study, "name") or "Campaign",
         title=str(dataset.attrs.get("study_title", "")),
         page=page,
@@ -109,6 +106,7 @@ def render_page(dataset: xr.Dataset, page: Page) -> str:
         provenance=list(_provenance(dataset)),
         study=json.dumps(_shortened(study), indent=2, ensure_ascii=False) if study else "",
     )
+    return printable(text)
 
 
 def write_page(text: str, path: str | Path) -> Path:
@@ -128,10 +126,7 @@ def inline_svg(figure: Figure, salt: str) -> str:
 
     Its ids are unique as long as `salt` is. Matplotlib has escaped all text in it.
     """
-    buffer = io.StringIO()
-    with rc_context({**figures.STYLE, "svg.hashsalt": salt}):
-        figure.savefig(buffer, format="svg", dpi=150, metadata={"Date": None})
-    text = buffer.getvalue()
+    text = svg_text(figure, salt)
     text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
     # Groups are numbered alike in each figure and never referred to; outlines need no more than 0.01 points.
     text = re.sub(r'<g id="[^"]*"', "<g", text)

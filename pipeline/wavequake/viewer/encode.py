@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.viewer.film import Array, Film, Stage, Take, displacements
+from wavequake.words import printable
 
 LIMIT = 10_000_000  # bytes of a page
 DECADES = 4.0
@@ -75,7 +76,18 @@ def encode(film: Film) -> tuple[str, Blocks]:
         "stages": stages,
         "takes": said,
     }
-    return json.dumps(record, separators=(",", ":"), ensure_ascii=True).replace("<", "\\u003c"), blocks
+    return json.dumps(_shown(record), separators=(",", ":"), ensure_ascii=True).replace(
+        "<", "\\u003c"
+    ), blocks
+
+
+def _shown(value: Any) -> Any:
+    """Return a description with its texts printable."""
+    if isinstance(value, dict):
+        return {key: _shown(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_shown(one) for one in value]
+    return printable(value) if isinstance(value, str) else value
 
 
 def _stage(stage: Stage, blocks: Blocks) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from wavequake.drawing.still import viewing
 from wavequake.drawing.style import STYLE, Drawing
 from wavequake.viewer.encode import encode
 from wavequake.viewer.film import Film, Stage
+from wavequake.words import printable
 
 _PAGE = """<!doctype html>
 <html lang="en">
@@ -51,11 +52,11 @@ def render_film(film: Film) -> str:
         for name in ("viewer.js", "viewer.css")
     )
     rows = [
-        f"<tr><td>{escape(take.label)}</td><td>{len(take.time)}</td><td>{escape(take.note)}</td></tr>"
+        f"<tr><td>{escape(printable(take.label))}</td><td>{len(take.time)}</td><td>{escape(printable(take.note))}</td></tr>"
         for take in film.takes
     ]
     return _PAGE.format(
-        title=escape(film.title),
+        title=escape(printable(film.title)),
         script=script,
         style=style,
         script_hash=_hash(script),

@@ -26,6 +26,7 @@ from wavequake.campaign.engine.chunks import (
 )
 from wavequake.campaign.store import fence
 from wavequake.cluster.local import GUARDED, interrupts_blocked, memory_limit, worker_environment
+from wavequake.cluster.output import redirect
 from wavequake.errors import UserError
 from wavequake.prepared import one_thread
 
@@ -117,6 +118,7 @@ def _in_process(job: Job, cases: range, limit_s: float) -> tuple[list[ChunkResul
 
 def _serve(connection: Connection, job: Job, cases: range, memory: int) -> None:
     """Be the process of :func:`_in_process`: say None when ready, and then the result of each case."""
+    redirect()
     try:
         opened = opened_store(job.workflow, job.path, job.run)
     except Exception as error:

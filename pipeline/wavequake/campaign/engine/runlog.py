@@ -7,7 +7,10 @@ from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
+from wavequake.cluster.output import OUTPUT
 from wavequake.words import printable, shortened
+
+_MOST_LINES = 1000  # of what workers print, in a log
 
 
 class _QuietHandler(logging.FileHandler):
@@ -37,19 +40,21 @@ class _Formatter(logging.Formatter):
 
 @contextmanager
 def run_log(folder: Path) -> Iterator[logging.Logger]:
-    """Make a new file in `folder`, write what is logged to it, and at last how the run ended."""
+    """Make a new file in `folder`; write to it what is logged, what workers print, and how the run ended."""
     logger = logging.Logger("wavequake.run")  # of this run alone: no global state
     start = datetime.now(UTC)
     handler: logging.Handler = logging.NullHandler()
+    file = folder / f"{start:%Y%m%dT%H%M%SZ}-{os.getpid()}.log"
     try:
         folder.mkdir(exist_ok=True)
-        handler = _QuietHandler(folder / f"{start:%Y%m%dT%H%M%SZ}-{os.getpid()}.log", encoding="utf-8")
+        handler = _QuietHandler(file, encoding="utf-8")
     except OSError:
         pass  # what cannot be written, the data will say
     handler.setFormatter(_Formatter("%(asctime)s %(levelname)-7s %(message)s"))
     logger.addHandler(handler)
     try:
-        yield logger
+        with _workers_heard(file.with_suffix(".workers"), logger):
+            yield logger
         logger.info("the run is complete")
     except KeyboardInterrupt:
         logger.warning("interrupted; what is done is kept, and the next run continues")
@@ -60,3 +65,26 @@ def run_log(folder: Path) -> Iterator[logging.Logger]:
     finally:
         logger.removeHandler(handler)
         handler.close()
+
+
+@contextmanager
+def _workers_heard(file: Path, logger: logging.Logger) -> Iterator[None]:
+    """Log in the end what worker processes have printed, which they do into a file of their own."""
+    try:
+        said = file.open("w+b")
+    except OSError:  # nor is there a log
+        yield
+        return
+    before = os.environ.get(OUTPUT, os.devnull)
+    os.environ[OUTPUT] = str(file)
+    try:
+        yield
+    finally:
+        os.environ[OUTPUT] = before
+        with suppress(OSError), said:
+            for number, line in enumerate(line for line in said if line.strip()):
+                if number == _MOST_LINES:
+                    logger.warning("workers said more, which is lost")
+                    break
+                logger.warning("a worker said: %s", line.decode(errors="replace").rstrip())
+            file.unlink(missing_ok=True)

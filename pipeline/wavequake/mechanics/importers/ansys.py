@@ -1,13 +1,19 @@
 """Matrices of an Ansys ``.full`` file, through the optional package ansys-mapdl-reader."""
 
+import signal
+import subprocess
+import sys
+from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
-from scipy.sparse import coo_array
 
+from wavequake import user_files
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.entries import Contents, Entries
-from wavequake.user_files import require_file
+
+READER = Path(__file__).with_name("ansys_reader.py")
 
 
 def read_matrices(path: Path) -> Contents:
@@ -18,23 +24,47 @@ def read_matrices(path: Path) -> Contents:
     UserError
         If ansys-mapdl-reader is not installed, or the file is no ``.full`` file.
     """
-    try:
-        from ansys.mapdl import reader
-    except ImportError as error:
+    if not _is_installed():
         raise UserError(
             f"reading {path.name} needs the package ansys-mapdl-reader: pip install ansys-mapdl-reader"
-        ) from error
-    require_file(path)
+        )
+    user_files.require_file(path)
     try:
-        dofs, stiffness, mass = reader.read_binary(str(path)).load_km(as_sparse=True, sort=False)
-    except Exception as error:  # the reader raises whatever its parser trips over
-        raise UserError(f"{path.name} cannot be read as an Ansys .full file: {error}") from error
+        return _contents(_arrays(path), path.name)
+    except UserError as error:
+        raise UserError(f"{path.name} cannot be read as an Ansys .full file: {error}") from None
+
+
+def _is_installed() -> bool:
+    try:
+        return find_spec("ansys.mapdl.reader") is not None
+    except (ImportError, ValueError):
+        return False
+
+
+def _arrays(path: Path) -> user_files.Arrays:
+    """Return what the library reads, in a process of its own, which a damaged file may end."""
+    with TemporaryDirectory() as folder:
+        out = Path(folder) / "matrices.npz"
+        code, said = run([str(path.resolve()), str(out), str(int(user_files.most_bytes()))])
+        if code > 0 or not out.exists():
+            last = (said.splitlines() or [""])[-1] if code > 0 else ""
+            raise UserError(last or f"its reader was ended by {signal.Signals(-code).name}")
+        return user_files.read_npz(out.read_bytes())
+
+
+def run(words: list[str]) -> tuple[int, str]:
+    """Run `READER` with these arguments; return its exit code (of a signal: negative) and what it printed."""
+    done = subprocess.run([sys.executable, "-P", READER, *words], capture_output=True, check=False)
+    return done.returncode, done.stdout.decode(errors="replace")
+
+
+def _contents(arrays: user_files.Arrays, name: str) -> Contents:
     matrices = {}
-    for name, matrix in (("stiffness", coo_array(stiffness)), ("mass", coo_array(mass))):
-        rows, columns = (place.astype(np.int64) for place in matrix.coords)
-        values = np.asarray(matrix.data, dtype=np.float64)
-        source = f"{name} of {path.name}"
-        matrices[name] = Entries(source, rows, columns, values, matrix.shape[0], True)
+    for matrix in ("stiffness", "mass"):
+        rows, columns, values = (arrays[f"{matrix}_{part}"] for part in ("rows", "columns", "values"))
+        matrices[matrix] = Entries(
+            f"{matrix} of {name}", rows, columns, values, int(arrays[f"{matrix}_size"]), True
+        )
     # Its directions count from 0, ours from 1.
-    table = np.asarray(dofs, dtype=np.int64) + np.array([0, 1])
-    return Contents(matrices, dofs=table, keeps_fixed=True)
+    return Contents(matrices, dofs=arrays["dofs"] + np.array([0, 1]), keeps_fixed=True)

@@ -1,0 +1,51 @@
+"""Run ansys-mapdl-reader on one file, in a process of its own: ``python ansys_reader.py FILE OUT BYTES``.
+
+The library believes what a file says, and a damaged one ends its process. OUT becomes an .npz file of the
+degrees of freedom and both matrices; where there is none, the last line that is printed says why.
+"""
+
+import resource
+import sys
+from typing import Any
+
+import numpy as np
+import psutil  # type: ignore[import-untyped]
+
+_CPU_S = 60
+
+
+def read(file: str) -> dict[str, Any]:
+    """Return ``dofs`` and, of ``stiffness`` and ``mass``, the rows, columns, values and size."""
+    from ansys.mapdl import reader
+    from scipy.sparse import coo_array
+
+    dofs, *matrices = reader.read_binary(file).load_km(as_sparse=True, sort=False)
+    found = {"dofs": np.asarray(dofs, dtype=np.int64)}
+    for name, matrix in zip(("stiffness", "mass"), matrices, strict=True):
+        if matrix is None:
+            raise ValueError(f"it holds no {name}")
+        sparse = coo_array(matrix)
+        rows, columns = sparse.coords
+        found[f"{name}_rows"], found[f"{name}_columns"] = rows.astype(np.int64), columns.astype(np.int64)
+        found[f"{name}_values"] = np.asarray(sparse.data, dtype=np.float64)
+        found[f"{name}_size"] = np.array(matrix.shape[0])
+    return found
+
+
+def main(file: str, out: str, most: int) -> None:
+    """Read a file with at most so many bytes of memory beyond those of the libraries."""
+    try:
+        import scipy.sparse  # noqa: F401 - takes memory of its own
+
+        used = psutil.Process().memory_info().data
+        for what, limit in ((resource.RLIMIT_DATA, used + most), (resource.RLIMIT_CORE, 0)):
+            resource.setrlimit(what, (limit, resource.getrlimit(what)[1]))
+        resource.setrlimit(resource.RLIMIT_CPU, (_CPU_S + most // 10**7,) * 2)
+        np.savez(out, **read(file))
+    except Exception as error:  # the library raises whatever its parser trips over
+        print(str(error) or type(error).__name__)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2], int(sys.argv[3]))
