@@ -39,27 +39,12 @@ ALLOWED = {
     "plot": BASE | {"drawing"},
     "doors": BASE | PHYSICS | {"campaign", "notebook", "report", "workflows"},
     "terminal": {"words"},
-    "cli_options": {"errors"},
-    "cli_firmware": BASE | {"campaign", "control", "firmware", "workflows", "terminal"},
-    "cli_sensitivity": BASE | {"campaign", "kernels", "workflows", "report", "terminal"},
-    "cli_statistics": BASE | {"campaign", "workflows", "report", "terminal"},
-    "cli_rare": BASE | {"cli_options", "report", "workflows", "terminal"},
-    "cli_loops": BASE | {"campaign", "workflows", "report", "terminal"},
-    "cli_new": BASE | {"workflows", "terminal"},
-    "cli_pictures": BASE | {"drawing", "optics", "viewer", "workflows", "terminal"},
+    "commands": BASE
+    | {"campaign", "control", "drawing", "firmware", "kernels", "optics", "report", "viewer", "workflows"}
+    | {"terminal"},
     "cli": BASE
     | PHYSICS
-    | {"campaign", "chain", "kernels", "workflows", "report", "cluster", "terminal"}
-    | {
-        "cli_firmware",
-        "cli_loops",
-        "cli_new",
-        "cli_options",
-        "cli_pictures",
-        "cli_rare",
-        "cli_sensitivity",
-        "cli_statistics",
-    },
+    | {"campaign", "chain", "commands", "kernels", "workflows", "report", "cluster", "terminal"},
     "__main__": {"cli"},
 }
 # The package's front door imports lazily, for users; provenance may ask it for the version.

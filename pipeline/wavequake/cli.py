@@ -10,18 +10,10 @@ from typing import Annotated, NoReturn
 import typer
 from rich.table import Table
 
-from wavequake import (
-    __version__,
-    cli_firmware,
-    cli_loops,
-    cli_new,
-    cli_pictures,
-    cli_rare,
-    cli_sensitivity,
-    cli_statistics,
-)
+from wavequake import __version__
 from wavequake.campaign.plugins import load_named
-from wavequake.cli_options import (
+from wavequake.commands import firmware, loops, new, pictures, rare, sensitivity, statistics
+from wavequake.commands.options import (
     ClusterOption,
     DashboardOption,
     OnOption,
@@ -40,22 +32,22 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-app.add_typer(cli_firmware.app, name="firmware")
-app.command()(cli_new.new)
-app.command()(cli_pictures.info)
-app.command()(cli_pictures.draw)
-app.command()(cli_pictures.view)
-app.command()(cli_statistics.budget)
-app.command()(cli_statistics.tail)
-app.command()(cli_rare.rare)
-app.command()(cli_rare.allow)
-app.command()(cli_sensitivity.sensitivity)
-app.command()(cli_loops.margins)
-app.command()(cli_sensitivity.devices)
+app.add_typer(firmware.app, name="firmware")
+app.command()(new.new)
+app.command()(pictures.info)
+app.command()(pictures.draw)
+app.command()(pictures.view)
+app.command()(statistics.budget)
+app.command()(statistics.tail)
+app.command()(rare.rare)
+app.command()(rare.allow)
+app.command()(sensitivity.sensitivity)
+app.command()(loops.margins)
+app.command()(sensitivity.devices)
 StudyArgument = Annotated[
     str,
     typer.Argument(
-        help="Name of a bundled study or path of a .toml file.", autocompletion=cli_pictures.complete_study
+        help="Name of a bundled study or path of a .toml file.", autocompletion=pictures.complete_study
     ),
 ]
 StoreArgument = Annotated[Path, typer.Argument(help="Folder of the store.")]

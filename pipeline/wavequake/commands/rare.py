@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from wavequake.cli_options import OnOption, StoreOption, WorkersOption
+from wavequake.commands.options import OnOption, StoreOption, WorkersOption
 from wavequake.terminal import live_progress, out
 
 
