@@ -66,6 +66,21 @@ zernike_terms = 11
 name = "double-gauss"
 fields_deg = [[0.0, 0.0]]
 wavelengths_nm = [587.6]
+[[body]]
+name = "stand"
+surfaces = ["surface 10"]
+[body.rigid]
+mass_kg = 1.0
+inertia_kg_m2 = [1e-3, 1e-3, 1e-3]
+[[link]]
+name = "feet"
+kind = "springs"
+joins = [["stand", "ground.a"], ["stand", "ground.b"], ["stand", "ground.c"]]
+stiffness_n_m = 1e5
+[structure.ground_mm]
+a = [50.0, 0.0, 0.0]
+b = [-50.0, 0.0, 0.0]
+c = [0.0, 50.0, 0.0]
 """
 HISTORY = "time_s,NAME.dz_um,NAME.rx_urad,line_of_sight.x_mas\n0.0,0.0,0.0,0.0\n0.1,1.0,2.0,3.0\n"
 # Keys of an example of each, for elements called NAME.
@@ -82,6 +97,11 @@ EXAMPLES = {
     "surface-vibration": 'of = ["NAME"]\nlines = [{ frequency_hz = 20.0, amplitude = { rx_urad = 1.0 } }]',
     "surface-history": 'file = "history.csv"',
     "surface-deformation": 'of = ["NAME"]\nrms_nm = { 5 = 10.0 }',
+    "base-motion": "spectrum = { rms = 1e-3 }",
+    "body-force": 'at = ["stand"]\nlines = [{ frequency_hz = 20.0, force_n = 1.0 }]',
+    "reaction-wheel": 'at = "stand"\nspeed_rpm = [600.0, 1200.0]\n'
+    "harmonics = [{ number = 1.0, axial_g_mm = 1.0 }]",
+    "gravity": "",
     "creaking": 'of = ["NAME"]\nstep_nm = 20.0',
 }
 OPTICS = {"segments": (SEGMENTS, "M2"), "surfaces": (SYSTEM, "surface 3")}

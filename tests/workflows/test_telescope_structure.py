@@ -453,3 +453,49 @@ stiffness_n_m = 1e5
     assert abs(amplitude(time, cell - camera, 30.0)) == pytest.approx(stretch, rel=1e-9, abs=0.0)
     with pytest.raises(UserError, match="stands on the ground"):
         prepare(study_of(tmp_path, OPTICS, CELL, CAMERA, springs, SLOW))
+
+
+LENS = """
+[study]
+name = "lens"
+workflow = "system-disturbance"
+[system]
+name = "double-gauss"
+[[body]]
+name = "L4"
+surfaces = ["surface 10", "surface 11"]
+[body.rigid]
+mass_kg = 1.0
+inertia_kg_m2 = [1e-3, 1e-3, 1e-3]
+center_mm = [3.0, 40.0, 90.0]
+[[link]]
+name = "feet"
+kind = "springs"
+joins = [["L4", "ground.a"], ["L4", "ground.b"], ["L4", "ground.c"]]
+stiffness_n_m = 1e5
+[structure.ground_mm]
+a = [50.0, 0.0, 0.0]
+b = [-50.0, 0.0, 0.0]
+c = [0.0, 50.0, 0.0]
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        (LENS, "L4"),
+        (
+            OPTICS + ELASTIC.replace("[body.mirror]", "about_mm = [20.0, -30.0, 40.0]\n[body.mirror]"),
+            "primary",
+        ),
+    ],
+)
+def test_a_body_turns_about_its_own_point(tmp_path, text, name):
+    """On a floor that turns slowly by e, every point p moves by e x p; so does where a body turns about."""
+    lines = "{ frequency_hz = 1e-3, amplitude = { rx_urad = 3.0, ry_urad = 2.0, rz_urad = 1.0 } }"
+    study = study_of(tmp_path, text, floor(lines))
+    bench = system_bench(study.identity_text())
+    point = bench.bodies[0].point / 1e3
+    moved = drawn(study)[1].rigid[name]
+    np.testing.assert_allclose(moved[:, :3], np.cross(moved[:, 3:], point), rtol=1e-6, atol=1e-12)
+    assert np.abs(moved[:, :3]).max() > 1e-8
