@@ -122,6 +122,7 @@ def test_traces_confirm_the_modal_model(proof):
     assert proof.difference < 2e-3
     assert proof.correction.more + proof.correction.fewer <= 1
     assert proof.certified.low < 1e-6 < proof.certified.high
+    assert any("take --traces" in line for line in rare_notes(proof))
     assert proof.limits.low < proof.limits.value < proof.limits.high
 
 
