@@ -225,8 +225,8 @@ def rare_notes(answer: RareAnswer) -> Iterator[str]:
     if left > _WIDE and not found.more + found.fewer + found.unknown:
         enough = int(np.ceil(found.cases * left / _WIDE))
         yield (
-            f"WARNING {found.cases} traces without a difference prove the probability to {100.0 * left:.2g} % "
-            f"only; for {100.0 * _WIDE:g} % take --traces {enough}."
+            f"WARNING {found.cases} traces without a difference prove the probability to {100.0 * left:.2g} "
+            f"% only; for {100.0 * _WIDE:g} % take --traces {enough}."
         )
     elif left > _WIDE:
         yield (
