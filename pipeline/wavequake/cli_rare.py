@@ -20,7 +20,9 @@ def rare(
     limit: Annotated[str | None, typer.Option(help="How often is it exceeded? As '120 nm'.")] = None,
     probability: Annotated[float | None, typer.Option(help="What is exceeded so rarely? As 1e-6.")] = None,
     of: Annotated[str | None, typer.Option("--of", help="The disturbance, where there are several.")] = None,
-    traces: Annotated[int, typer.Option(help="Cases near the limit that are traced in full.")] = 2000,
+    traces: Annotated[
+        int | None, typer.Option(min=1, help="Cases near the limit that are traced in full (default: 2000).")
+    ] = None,
     store: StoreOption = None,
     on: OnOption = "serial",
     workers: WorkersOption = None,

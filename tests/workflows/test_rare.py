@@ -216,6 +216,15 @@ def test_other_studies_are_refused():
         rare_study(load_study("lens-experiment"), limit=1.0)
 
 
+def test_a_study_that_names_its_limit_has_one_store_for_run_and_rare():
+    own = load_study("tmt-rare")
+    made = rare_study(own)
+    assert made.identity() == own.identity()
+    assert made.cases == own.cases
+    assert rare_study(own, traces=60).cases == 60
+    assert rare_study(own, limit=21.0).identity() != own.identity()
+
+
 def test_limits_have_units():
     assert in_unit("0.12 um", "nm") == pytest.approx(120.0)
     assert in_unit(5, "mas") == 5.0

@@ -175,8 +175,8 @@ def rare(study: str | Path | Study, **keywords: Any) -> "RareAnswer":
         What is exceeded so rarely? In the place of a limit.
     of : str, optional
         The disturbance, where there are several.
-    traces : int
-        Cases near the limit that are traced in full; a store that has some gets the others.
+    traces : int, optional
+        Cases near the limit that are traced in full, by default 2000; a store that has some gets the others.
     store : str or Path, optional
         Folder of the traces.
     on : str

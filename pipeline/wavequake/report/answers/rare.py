@@ -87,7 +87,7 @@ def rare_answer(
     probability: float | None = None,
     *,
     of: str | None = None,
-    traces: int = 2000,
+    traces: int | None = None,
     store: Path | str | None = None,
     on: str = "serial",
     workers: int | None = None,
