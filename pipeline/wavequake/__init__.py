@@ -19,7 +19,18 @@ if TYPE_CHECKING:
     from wavequake.campaign.store.grid import unstack
     from wavequake.campaign.store.store import open_store
     from wavequake.doors.models import load_model, plant, respond
-    from wavequake.doors.studies import budget, compare, export, rare, report, run, studies, tail, verify
+    from wavequake.doors.studies import (
+        allow,
+        budget,
+        compare,
+        export,
+        rare,
+        report,
+        run,
+        studies,
+        tail,
+        verify,
+    )
     from wavequake.drawing.draw import draw
     from wavequake.optics.zemax.export import write_zmx
     from wavequake.reduction.reduce import reduce
@@ -35,6 +46,7 @@ __all__ = [
     "StoreDamageError",
     "Study",
     "UserError",
+    "allow",
     "budget",
     "compare",
     "convert_zernike",
@@ -65,6 +77,7 @@ __all__ = [
 # stay quick.
 _HOMES = {
     "Study": "wavequake.campaign.schema",
+    "allow": "wavequake.doors.studies",
     "budget": "wavequake.doors.studies",
     "compare": "wavequake.doors.studies",
     "convert_zernike": "wavequake.workflows.zernike_arrays",

@@ -122,6 +122,7 @@ def test_traces_confirm_the_modal_model(proof):
     assert proof.difference < 2e-3
     assert proof.correction.more + proof.correction.fewer <= 1
     assert proof.certified.low < 1e-6 < proof.certified.high
+    assert any("take --traces" in line for line in rare_notes(proof))
     assert proof.limits.low < proof.limits.value < proof.limits.high
 
 
@@ -213,6 +214,15 @@ def test_what_cannot_be_judged_is_a_sentence(study, tmp_path, keywords, message)
 def test_other_studies_are_refused():
     with pytest.raises(UserError, match="Rare events are of segment-disturbance studies, not of lens-exp"):
         rare_study(load_study("lens-experiment"), limit=1.0)
+
+
+def test_a_study_that_names_its_limit_has_one_store_for_run_and_rare():
+    own = load_study("tmt-rare")
+    made = rare_study(own)
+    assert made.identity() == own.identity()
+    assert made.cases == own.cases
+    assert rare_study(own, traces=60).cases == 60
+    assert rare_study(own, limit=21.0).identity() != own.identity()
 
 
 def test_limits_have_units():

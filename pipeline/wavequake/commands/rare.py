@@ -20,7 +20,9 @@ def rare(
     limit: Annotated[str | None, typer.Option(help="How often is it exceeded? As '120 nm'.")] = None,
     probability: Annotated[float | None, typer.Option(help="What is exceeded so rarely? As 1e-6.")] = None,
     of: Annotated[str | None, typer.Option("--of", help="The disturbance, where there are several.")] = None,
-    traces: Annotated[int, typer.Option(help="Cases near the limit that are traced in full.")] = 2000,
+    traces: Annotated[
+        int | None, typer.Option(min=1, help="Cases near the limit that are traced in full (default: 2000).")
+    ] = None,
     store: StoreOption = None,
     on: OnOption = "serial",
     workers: WorkersOption = None,
@@ -67,17 +69,14 @@ def allow(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Say how far every segment may be off along every axis, so that the whole stays below a limit."""
-    from wavequake.errors import UserError
     from wavequake.report.answers.allow import allow_notes, allow_table, goal_of, write_allowances
     from wavequake.workflows.allow import allowances
     from wavequake.workflows.study import load_study
 
-    if by not in ("shares", "factor"):
-        raise UserError(f"There is no way {by!r} to allow; use shares or factor.")
     name, probability, value = goal_of(measure, limit)
     loaded = load_study(study, overrides or [])
     with live_progress() as progress:
-        found = allowances(loaded, name, probability, value, by, of, cases, progress)  # type: ignore[arg-type]
+        found = allowances(loaded, name, probability, value, by, of, cases, progress)
     out.print(allow_table(found))
     for line in allow_notes(found, measure, value):
         out.print(line, markup=False)

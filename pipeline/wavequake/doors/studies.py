@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from wavequake.campaign.store.verify import VerifyReport
     from wavequake.report.answers.rare import RareAnswer
+    from wavequake.workflows.allow import Allowances
 
 
 @wraps(workflow_run.run)
@@ -175,8 +176,8 @@ def rare(study: str | Path | Study, **keywords: Any) -> "RareAnswer":
         What is exceeded so rarely? In the place of a limit.
     of : str, optional
         The disturbance, where there are several.
-    traces : int
-        Cases near the limit that are traced in full; a store that has some gets the others.
+    traces : int, optional
+        Cases near the limit that are traced in full, by default 2000; a store that has some gets the others.
     store : str or Path, optional
         Folder of the traces.
     on : str
@@ -209,6 +210,58 @@ def rare(study: str | Path | Study, **keywords: Any) -> "RareAnswer":
     with progress_bar() as progress:
         keywords.setdefault("progress", progress)
         return rare_answer(_loaded(study, overrides), **keywords)
+
+
+def allow(
+    study: str | Path | Study,
+    measure: str = "wfe_rms.p95",
+    *,
+    limit: str | float,
+    by: str = "shares",
+    of: str | None = None,
+    cases: int = 400,
+    **overrides: Any,
+) -> "Allowances":
+    """Say how far every segment may be off along every axis, so that the whole stays below a limit.
+
+    Parameters
+    ----------
+    study : str, Path or Study
+        Of the workflow segment-disturbance.
+    measure : str
+        An upper quantile of what is limited.
+    limit : str or float
+        As ``"60 nm"``; a number is in the unit that is stored.
+    by : {"shares", "factor"}
+        Equal shares of the mean square, or what the study has times the largest factor.
+    of : str, optional
+        The disturbance, where there are several.
+    cases : int
+        That are drawn with these allowances and traced in full, as the check.
+    **overrides
+        Further keys with double underscores for dots, e.g. ``telescope__name="tmt-18"``.
+
+    Returns
+    -------
+    Allowances
+        ``rms`` (axis, element) in m, or rad of turns; ``check`` is the quantile of the full traces.
+
+    Raises
+    ------
+    UserError
+        If the limit is exceeded at rest, or the study has none that can be allowed.
+
+    Examples
+    --------
+    >>> found = allow("tmt-segments", of="alignment", limit="30 nm")  # doctest: +SKIP
+    >>> print(found.check)                                           # doctest: +SKIP
+    """
+    from wavequake.report.answers.allow import goal_of
+    from wavequake.workflows.allow import allowances
+
+    name, probability, value = goal_of(measure, limit)
+    with progress_bar() as progress:
+        return allowances(_loaded(study, overrides), name, probability, value, by, of, cases, progress)
 
 
 def budget(

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,10 +31,10 @@ from wavequake.workflows.segments.segment_rare import (
 from wavequake.workflows.segments.segment_template import template
 
 Array = NDArray[np.float64]
-By = Literal["shares", "factor"]
 Progress = Callable[[int, int, int], None]
 
 AXES = ("dx", "dy", "dz", "rx", "ry", "rz")
+WAYS = ("shares", "factor")
 FEWEST = 100
 _STREAM = "~allow"
 _AT_ONCE = 32
@@ -80,7 +79,7 @@ def allowances(
     measure: str,
     probability: float,
     limit: float,
-    by: By = "shares",
+    by: str = "shares",
     of: str | None = None,
     cases: int = 400,
     progress: Progress | None = None,
@@ -113,6 +112,8 @@ def allowances(
     """
     if study.study.workflow != "segment-disturbance":
         raise UserError(f"Allowances are of segment-disturbance studies, not of {study.study.workflow}.")
+    if by not in WAYS:
+        raise UserError(f"There is no way {by!r} to allow; use {' or '.join(WAYS)}.")
     if cases < FEWEST:
         raise UserError(f"{cases} cases check nothing; take at least {FEWEST}.")
     made = rare_study(study, measure, None, probability, of)

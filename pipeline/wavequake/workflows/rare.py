@@ -11,6 +11,7 @@ from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.study import study_with
 
 DRAWS = 50_000
+TRACES = 2000
 FEWEST = 50
 # What a certificate needs no images and no series for.
 _PLAIN: dict[str, Any] = {
@@ -31,7 +32,7 @@ def rare_study(
     limit: float | None = None,
     probability: float | None = None,
     of: str | None = None,
-    traces: int = 2000,
+    traces: int | None = None,
 ) -> SegmentStudy:
     """Return the study whose cases are those of another one near a limit.
 
@@ -45,8 +46,8 @@ def rare_study(
         One of them, or what the study's ``[rare]`` says.
     of : str, optional
         The disturbance; by default the only one of which there are cases.
-    traces : int
-        Number of cases.
+    traces : int, optional
+        Number of cases; by default 2000, or as many as a study with ``[rare]`` has.
 
     Raises
     ------
@@ -56,11 +57,12 @@ def rare_study(
     """
     if not isinstance(study, SegmentStudy) or study.study.workflow != "segment-disturbance":
         raise UserError(f"Rare events are of segment-disturbance studies, not of {study.study.workflow}.")
+    own = study.rare
+    traces = traces or (study.cases if own else TRACES)
     if traces < FEWEST:
         raise UserError(f"{traces} traces prove nothing; take at least {FEWEST}.")
     if limit is not None and probability is not None:
         raise UserError("Give either a limit or a probability, not both.")
-    own = study.rare
     if limit is None and probability is None:
         if own is None:
             raise UserError("What is rare? Give a limit, as --limit '120 nm', or a probability.")

@@ -21,6 +21,7 @@ from wavequake.report.answers.tail import per_case
 from wavequake.report.table import number
 from wavequake.workflows.rare import modal_answer, rare_folder, rare_study
 from wavequake.workflows.run import run_study
+from wavequake.workflows.segments.segment_rare import RareCases
 
 _WIDE = 0.1  # share of the probability that a correction may leave open
 _FORM = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\S*)\s*")
@@ -86,7 +87,7 @@ def rare_answer(
     probability: float | None = None,
     *,
     of: str | None = None,
-    traces: int = 2000,
+    traces: int | None = None,
     store: Path | str | None = None,
     on: str = "serial",
     workers: int | None = None,
@@ -132,17 +133,17 @@ def rare_answer(
         traced=weighted(np.where(exceeds, weights, 0.0), cases.limit),
         correction=found,
         certified=certified,
-        limits=Quantile(
-            *(
-                float(np.sqrt(max(limit_of(cases.tilt.form, min(exact**2 / one, 0.9)), 0.0)))
-                if one
-                else np.nan
-                for one in (certified.value, certified.low, certified.high)
-            )
-        ),
+        limits=Quantile(*(_limit(cases, one) for one in (certified.value, *ends))),
         difference=float(np.abs(values - cheap)[known].max()) if known.any() else np.nan,
         store=path,
     )
+
+
+def _limit(cases: RareCases, chance: float) -> float:
+    """Return what is exceeded as often as the limit by the modal model, if that is exceeded with `chance`."""
+    if chance <= 0.0:
+        return 0.0
+    return float(np.sqrt(max(limit_of(cases.tilt.form, min(cases.probability**2 / chance, 0.9)), 0.0)))
 
 
 def unit_of(measure: str) -> str:
@@ -220,7 +221,14 @@ def rare_notes(answer: RareAnswer) -> Iterator[str]:
             f"WARNING {found.unknown} of {found.cases} cases cannot be traced; the interval counts them on "
             "the worse side (wavequake status says why)."
         )
-    if (found.high - found.low) / 2.0 > _WIDE * answer.exact:
+    left = (found.high - found.low) / 2.0 / answer.exact
+    if left > _WIDE and not found.more + found.fewer + found.unknown:
+        enough = int(np.ceil(found.cases * left / _WIDE))
+        yield (
+            f"WARNING {found.cases} traces without a difference prove the probability to {100.0 * left:.2g} "
+            f"% only; for {100.0 * _WIDE:g} % take --traces {enough}."
+        )
+    elif left > _WIDE:
         yield (
             "WARNING Full traces do not confirm the modal model's probability to 10 %: the interval says "
             "what they do; it narrows with more --traces."
