@@ -24,7 +24,7 @@ def test_exact_values_are_those_of_the_table_and_of_the_integral():
     for one in bench.loops:
         assert one.exact == pytest.approx(one.integral, abs=1e-4)
         assert one.cumulative[-1] < one.exact + 1e-4
-        # The peak over frequency is that of another grid; LQG amplifies what it believes impossible, near 0 Hz.
+        # The peak is that of another grid; near 0 Hz LQG amplifies what it believes impossible.
         high = one.rate_hz / 2
         other = np.concatenate([np.geomspace(1e-6, high, 20_000), np.linspace(0, high, 50_001)[1:]])
         seen = np.sqrt(sensitivity(one.controller, 1 / one.rate_hz, other)[0].max())

@@ -81,8 +81,9 @@ def dense_grid(controller: FrameController, frame: float) -> Array:
     """Return rising frequencies up to half the rate of frames, Hz, many about each resonance of a loop."""
     hertz, width = resonances(controller, frame)
     about = (hertz[:, None] + width[:, None] * np.linspace(-6, 6, 241)).ravel()
-    even = np.linspace(0, 0.5 / frame, 2001)[1:]
-    return np.unique(np.concatenate([about[(about > 0) & (about <= 0.5 / frame)], even]))
+    high = 0.5 / frame
+    between = [np.linspace(0, high, 2001)[1:], np.geomspace(1e-8 * high, high, 1000)]
+    return np.unique(np.concatenate([about[(about > 0) & (about <= high)], *between]))
 
 
 def passed(controller: FrameController, frame: float) -> Callable[[Array], Array]:
