@@ -28,7 +28,7 @@ def test_exact_values_are_those_of_the_table_and_of_the_integral():
         high = one.rate_hz / 2
         other = np.concatenate([np.geomspace(1e-6, high, 20_000), np.linspace(0, high, 50_001)[1:]])
         seen = np.sqrt(sensitivity(one.controller, 1 / one.rate_hz, other)[0].max())
-        assert seen * (1 - 1e-6) <= one.peak < 1.01 * seen
+        assert seen * (1 - 1e-5) <= one.peak < 1.01 * seen
     assert bench.open_cumulative[-1] == pytest.approx(bench.open_mas, rel=1e-3)
 
 
