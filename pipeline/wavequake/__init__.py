@@ -18,7 +18,17 @@ if TYPE_CHECKING:
     from wavequake.campaign.schema import Study
     from wavequake.campaign.store.store import open_store
     from wavequake.doors.models import load_model, plant, respond
-    from wavequake.doors.studies import budget, compare, export, report, run, studies, tail, verify
+    from wavequake.doors.studies import (
+        budget,
+        compare,
+        export,
+        margins,
+        report,
+        run,
+        studies,
+        tail,
+        verify,
+    )
     from wavequake.drawing.draw import draw
     from wavequake.optics.zemax.export import write_zmx
     from wavequake.reduction.reduce import reduce
@@ -42,6 +52,7 @@ __all__ = [
     "load_model",
     "load_study",
     "load_system",
+    "margins",
     "open_store",
     "plan",
     "plant",
@@ -70,6 +81,7 @@ _HOMES = {
     "load_model": "wavequake.doors.models",
     "load_study": "wavequake.workflows.study",
     "load_system": "wavequake.workflows.systems.system_source",
+    "margins": "wavequake.doors.studies",
     "open_store": "wavequake.campaign.store.store",
     "plan": "wavequake.workflows.run",
     "plant": "wavequake.doors.models",
