@@ -5,6 +5,7 @@ import pytest
 
 from wavequake.control.frames.controllers import FrameController, integrator, largest_gain, predictor
 from wavequake.control.frames.disturbance import Sampled, Shaped, joined, line, sampled, wind_shake
+from wavequake.control.frames.margins import frame_margins
 from wavequake.control.frames.residual import best_gain, passed, residual, run, sensitivity, spectral_radius
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances import spectra
@@ -69,6 +70,21 @@ def test_an_integrator_is_stable_up_to_the_closed_form(frames):
     assert spectral_radius(integrator(most * (1 - 1e-6), frames)) < 1
     with pytest.raises(UserError, match=f"with {frames} frames of delay is unstable"):
         integrator(most * (1 + 1e-6), frames)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3])
+def test_margins_of_an_integrator_are_those_of_closed_forms(frames):
+    g, frame = 0.25, 0.01
+    found = frame_margins(integrator(g, frames), frame)
+    assert found.gain_up == pytest.approx(largest_gain(frames) / g, rel=1e-9)
+    assert found.gain_down == 0.0
+    phase = np.pi / 2 - (2 * frames - 1) * np.arcsin(g / 2)
+    assert found.phase == pytest.approx(phase, rel=1e-8)
+    crossover = 2 * np.arcsin(g / 2) / frame
+    assert found.delay == pytest.approx(phase / crossover, rel=1e-8)
+    assert found.last_omega == pytest.approx(crossover, rel=1e-8)
+    if frames == 1:
+        assert found.peak == pytest.approx(2 / (2 - g), rel=1e-6)
 
 
 def test_noise_and_random_walk_of_integrators_are_those_of_closed_forms():

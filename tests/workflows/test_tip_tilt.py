@@ -6,6 +6,7 @@ from typer.testing import CliRunner
 
 import wavequake as wq
 from wavequake.cli import app
+from wavequake.control.frames.residual import sensitivity
 from wavequake.errors import UserError
 from wavequake.report.loops.tip_tilt import answer, loops_of
 from wavequake.workflows.loops import tip_tilt
@@ -22,7 +23,12 @@ def test_exact_values_are_those_of_the_table_and_of_the_integral():
         assert found[rate, "lqg"].exact == pytest.approx(lqg, abs=6e-4)
     for one in bench.loops:
         assert one.exact == pytest.approx(one.integral, abs=1e-4)
-        assert one.cumulative[-1] <= one.exact
+        assert one.cumulative[-1] < one.exact + 1e-4
+        # The peak is that of another grid; near 0 Hz LQG amplifies what it believes impossible.
+        high = one.rate_hz / 2
+        other = np.concatenate([np.geomspace(1e-6, high, 20_000), np.linspace(0, high, 50_001)[1:]])
+        seen = np.sqrt(sensitivity(one.controller, 1 / one.rate_hz, other)[0].max())
+        assert seen * (1 - 1e-5) <= one.peak < 1.01 * seen
     assert bench.open_cumulative[-1] == pytest.approx(bench.open_mas, rel=1e-3)
 
 

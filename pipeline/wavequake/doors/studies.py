@@ -35,7 +35,7 @@ def studies() -> dict[str, str]:
     Examples
     --------
     >>> sorted(studies())[:3]
-    ['double-gauss', 'euv', 'jwst-segments']
+    ['controller-mor', 'double-gauss', 'euv']
     """
     from wavequake.workflows.study import bundled_studies, load_study
 
@@ -327,6 +327,43 @@ def export(store: str | Path, file: str | Path, *, overwrite: bool = False) -> P
     from wavequake.report.campaign import export_store
 
     return export_store(Path(store), Path(file), overwrite)
+
+
+def margins(study: str | Path, **overrides: Any) -> "pd.DataFrame":
+    """Return stability and margins of every loop of a study; nothing is run or stored.
+
+    Parameters
+    ----------
+    study : str or Path
+        Of a workflow with loops.
+    **overrides
+        Keys with double underscores for dots, e.g. ``loop__delay_frames=1``.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row per loop: `wavequake.workflows.loops.loop_margins.LoopMargins`, and whether it is ``stable``.
+
+    Raises
+    ------
+    UserError
+        If the study has no loops.
+
+    Examples
+    --------
+    >>> margins("tip-tilt-vibration", loop__rates_hz=[100.0])["stable"].all()
+    np.True_
+    """
+    from dataclasses import asdict
+
+    import pandas as pd
+
+    from wavequake.workflows.loops.loop_margins import loops_of
+    from wavequake.workflows.study import load_study
+
+    changes = {key.replace("__", "."): value for key, value in overrides.items()}
+    found = loops_of(load_study(study, changes))
+    return pd.DataFrame([{**asdict(one), "stable": one.stable} for one in found])
 
 
 def verify(store: str | Path) -> "VerifyReport":

@@ -7,6 +7,7 @@ and the variance of the frames' means.
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 from scipy.optimize import minimize_scalar
 
@@ -14,6 +15,9 @@ from wavequake.control.frames.controllers import FrameController, integrator, la
 from wavequake.control.frames.disturbance import Sampled
 from wavequake.control.linear import Array
 from wavequake.errors import UserError
+
+# A pole that a step makes this small has no resonance.
+_GONE = 1e-6
 
 
 def spectral_radius(controller: FrameController) -> float:
@@ -51,15 +55,35 @@ def residual(disturbance: Sampled, controller: FrameController, noise: float) ->
 
 
 def sensitivity(controller: FrameController, frame: float, hertz: Array) -> tuple[Array, Array]:
-    """Return |S|^2 and |T|^2 of frame means at frequencies (f,).
+    """Return |S|^2 and |T|^2 of frame means at frequencies (f,)."""
+    s = error_transfer(controller, frame, hertz)
+    return np.abs(s) ** 2, np.abs(1 - s) ** 2
 
-    S = det(z - a) / det(z - a + b c), the poles of the open loop over those of the closed one.
-    """
+
+def error_transfer(controller: FrameController, frame: float, hertz: Array) -> NDArray[np.complex128]:
+    """Return S at frequencies (f,): det(z - a) / det(z - a + b c), poles of the open loop over the closed."""
     z = np.exp(2j * np.pi * np.asarray(hertz) * frame)[:, None]
     closed = controller.a - np.outer(controller.b, controller.c)
     before, after = np.linalg.eigvals(controller.a), np.linalg.eigvals(closed)
-    s = np.prod((z - before) / (z - after), axis=1)
-    return np.abs(s) ** 2, np.abs(1 - s) ** 2
+    return np.asarray(np.prod((z - before) / (z - after), axis=1))
+
+
+def resonances(controller: FrameController, frame: float) -> tuple[Array, Array]:
+    """Return frequencies and half widths, Hz, of the closed loop's poles up to half the rate of frames."""
+    closed = controller.a - np.outer(controller.b, controller.c)
+    values = np.linalg.eigvals(closed)
+    poles = np.log(values[np.abs(values) > _GONE].astype(complex)) / frame / (2 * np.pi)
+    poles = poles[poles.imag >= 0]
+    return poles.imag, np.abs(poles.real)
+
+
+def dense_grid(controller: FrameController, frame: float) -> Array:
+    """Return rising frequencies up to half the rate of frames, Hz, many about each resonance of a loop."""
+    hertz, width = resonances(controller, frame)
+    about = (hertz[:, None] + width[:, None] * np.linspace(-6, 6, 241)).ravel()
+    high = 0.5 / frame
+    between = [np.linspace(0, high, 2001)[1:], np.geomspace(1e-8 * high, high, 1000)]
+    return np.unique(np.concatenate([about[(about > 0) & (about <= high)], *between]))
 
 
 def passed(controller: FrameController, frame: float) -> Callable[[Array], Array]:

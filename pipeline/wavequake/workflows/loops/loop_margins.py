@@ -8,11 +8,14 @@ import numpy as np
 
 from wavequake.campaign.schema import Study
 from wavequake.control.robustness.feedback import Loop, closed_poles
-from wavequake.control.robustness.margins import grid, margins
+from wavequake.control.robustness.margins import Margins, grid, margins
 from wavequake.errors import UserError
 
 # Modules with loops(study), which yields LoopMargins.
-_LOOPS = {"controller-mor": "wavequake.workflows.loops.controller_mor"}
+_LOOPS = {
+    "controller-mor": "wavequake.workflows.loops.controller_mor",
+    "tip-tilt-vibration": "wavequake.workflows.loops.tip_tilt",
+}
 
 
 @dataclass(frozen=True)
@@ -51,16 +54,23 @@ def margins_of(name: str, loop: Loop, time_unit: float) -> LoopMargins:
     grows = worst.value.real / time_unit, abs(worst.value.imag) * hertz
     if worst.value.real >= 0:
         return LoopMargins(name, *grows)
-    found = margins(loop, grid(loop, poles))
+    return converted(name, *grows, margins(loop, grid(loop, poles)), time_unit)
+
+
+def converted(
+    name: str, growth: float, growth_hz: float, found: Margins, time_unit: float = 1.0
+) -> LoopMargins:
+    """Return margins in Hz, deg and ms, whose unit of time is so many seconds."""
     return LoopMargins(
         name,
-        *grows,
+        growth,
+        growth_hz,
         found.peak,
         found.gain_up,
         found.gain_down,
         float(np.degrees(found.phase)),
         1e3 * found.delay * time_unit,
-        found.last_omega * hertz,
+        found.last_omega / time_unit / (2 * np.pi),
     )
 
 
@@ -74,5 +84,7 @@ def loops_of(study: Study) -> Iterator[LoopMargins]:
     """
     name = study.study.workflow
     if name not in _LOOPS:
-        raise UserError(f"The workflow {name} of {study.study.name} has no loops; {', '.join(_LOOPS)} has.")
+        raise UserError(
+            f"The workflow {name} of {study.study.name} has no loops; {' and '.join(_LOOPS)} have."
+        )
     yield from import_module(_LOOPS[name]).loops(study)

@@ -16,7 +16,17 @@ from wavequake.campaign.measures import Axis, Measure
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.control.frames.controllers import FrameController, integrator, largest_gain, predictor
 from wavequake.control.frames.disturbance import Shaped, joined, line, sampled, wind_shake
-from wavequake.control.frames.residual import best_gain, passed, residual, run, sensitivity
+from wavequake.control.frames.margins import frame_margins
+from wavequake.control.frames.residual import (
+    best_gain,
+    dense_grid,
+    passed,
+    residual,
+    resonances,
+    run,
+    sensitivity,
+    spectral_radius,
+)
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
 from wavequake.mechanics.disturbances.sources.line_of_sight import LineOfSight, sight_spectrum
 from wavequake.mechanics.disturbances.sources.vibration_lines import Line, VibrationLines, lines_of
@@ -32,11 +42,13 @@ from wavequake.mechanics.disturbances.spectra import (
     variance,
 )
 from wavequake.mechanics.model import Array, Integers
+from wavequake.workflows.loops.loop_margins import LoopMargins, converted
 from wavequake.workflows.loops.tip_tilt_study import TipTiltStudy
 
 # Spectra are integrated from and to these frequencies, beyond which nothing is left; edges in the report.
 _LOW, _HIGH, _SHOWN = 1e-4, 1e5, 400
-_LEVEL = 1 << 16  # points up to half the rate, at which noise and peak are taken
+# Where integrals are parted about a pole, in its half widths.
+_ABOUT = np.array([-30.0, -10.0, -4.0, -1.5, -0.5, 0.0, 0.5, 1.5, 4.0, 10.0, 30.0])
 _BLOCK = 256
 
 
@@ -153,13 +165,12 @@ def _loop(
     else:
         controller = predictor(sampled(believed, frame), noise, frames)
     factor = passed(controller, frame)
-    left = [
-        Spectrum(_product(one.density, factor), _LOW, _HIGH, (*one.breaks_hz, *_turns(rate)))
-        for one in spectra
-    ]
-    level = (np.arange(_LEVEL) + 0.5) / (2 * _LEVEL) * rate
-    s, t = sensitivity(controller, frame, level)
-    from_noise = noise**2 * float(t.mean())
+    turns = _turns(controller, rate)
+    left = [Spectrum(_product(one.density, factor), _LOW, _HIGH, (*one.breaks_hz, *turns)) for one in spectra]
+    white = 2 * noise**2 * frame  # one-sided
+    heard = Spectrum(lambda f: white * _noise_passed(controller, frame, f), 1e-9 * rate, rate / 2, turns)
+    from_noise = variance(heard)
+    peak = float(np.sqrt(sensitivity(controller, frame, dense_grid(controller, frame))[0].max()))
     rejection = np.where(hertz < rate / 2, sensitivity(controller, frame, hertz)[0], np.nan)
     return Loop(
         name,
@@ -168,7 +179,7 @@ def _loop(
         gain,
         residual(by_frames, controller, noise),
         float(np.sqrt(sum(variance(one) for one in left) + from_noise)),
-        float(np.sqrt(s.max())),
+        peak,
         np.sqrt(rejection),
         _cumulative(left, from_noise, hertz),
     )
@@ -178,9 +189,15 @@ def _product(density: Callable[[Array], Array], factor: Callable[[Array], Array]
     return lambda f: density(f) * factor(f)
 
 
-def _turns(rate: float) -> Iterable[float]:
-    """Return frequencies between which the sensitivity, periodic with the rate, is smooth enough."""
-    return map(float, np.arange(1, 81) * rate / 4)
+def _noise_passed(controller: FrameController, frame: float, hertz: Array) -> Array:
+    return sensitivity(controller, frame, hertz.ravel())[1].reshape(hertz.shape)
+
+
+def _turns(controller: FrameController, rate: float) -> tuple[float, ...]:
+    """Return frequencies between which the sensitivity, periodic with the rate, is smooth."""
+    hertz, width = resonances(controller, 1 / rate)
+    about = (hertz[:, None] + width[:, None] * _ABOUT).ravel()
+    return tuple(map(float, [*np.arange(1, 81) * rate / 4, *about[(about > 0) & (about < rate / 2)]]))
 
 
 def _cumulative(spectra: list[Spectrum], from_noise: float | None, hertz: Array) -> Array:
@@ -288,6 +305,15 @@ def describe(bench: Bench) -> Mapping[str, str]:
         "without a controller": f"{bench.open_mas:.3f} mas rms",
         "delay": f"{frames} frames; integrators are stable below a gain of {largest_gain(frames):.4f}",
     }
+
+
+def loops(study: TipTiltStudy) -> Iterator[LoopMargins]:
+    """Yield the margins of every controller at every rate."""
+    for one in bench_of(study).loops:
+        frame = 1.0 / one.rate_hz
+        name = f"{one.name}, {one.rate_hz:g} Hz"
+        growth = float(np.log(spectral_radius(one.controller))) / frame
+        yield converted(name, growth, np.nan, frame_margins(one.controller, frame))
 
 
 KIND = study_kind(
