@@ -10,7 +10,7 @@ MOST = 600  # characters of a message
 _OBEYED = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff\ufeff]"
 )
-_BREAKS = re.compile(r"[ \t]*[\t\n\r]\s*")
+_BREAKS = re.compile(r"[\t\n\r]++ *+")
 
 
 def printable(text: str) -> str:

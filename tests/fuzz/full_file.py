@@ -68,7 +68,8 @@ def forked(words: list[str]) -> tuple[int, str]:
     if not (child := os.fork()):
         os.dup2(into, 1)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(8)  # a fork may hang where threads held locks, which a process of its own has not
         try:
             ansys_reader.main(words[0], words[1], int(words[2]))
         except SystemExit as end:

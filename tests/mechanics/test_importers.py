@@ -208,6 +208,7 @@ def test_ansys_reader_returns_upper_triangles_and_counts_directions_from_zero(fo
         ("print('hello'); os.abort()", r"its reader was ended by SIGABRT$"),
         ("import ctypes; ctypes.string_at(8)", r"its reader was ended by SIGSEGV$"),
         ("return np.zeros(10**9)", "allocate"),
+        ("exec('while True: pass')", r"its reader was ended by SIGXCPU$"),
         ("return [[1, 0]], None, None", "it holds no stiffness$"),
         (
             "bad = scipy.sparse.csc_matrix(np.eye(3)); bad.indices[1] = 7; return np.ones((3, 2)), bad, bad",

@@ -3,6 +3,7 @@
 import io
 import logging
 import re
+import time
 import unicodedata
 
 import pytest
@@ -17,7 +18,7 @@ from wavequake.campaign.engine.driver import run_campaign
 from wavequake.campaign.engine.runlog import run_log
 from wavequake.campaign.store.store import open_store
 from wavequake.cli import main
-from wavequake.words import MOST, printable, shortened
+from wavequake.words import MOST, plain, printable, shortened
 
 HOSTILE = "a\x1b]0;title\x07\x1b[2J\x9b31m\r\x00b\u202ec\u2066d\u2028"
 SHOWN = r"a\x1b]0;title\x07\x1b[2J\x9b31m\r\x00b\u202ec\u2066d\u2028"
@@ -96,3 +97,10 @@ def test_a_line_of_the_log_cannot_pass_for_two(tmp_path):
     assert len(lines) == 2
     assert SHOWN in lines[0]
     assert logging.getLogger("wavequake.run").handlers == []
+
+
+@pytest.mark.parametrize("text", [" " * 10**6 + "x", "\n" * 10**6, "\t \n " * 10**6, "\x1b" * 10**6])
+def test_messages_of_any_length_are_made_plain_at_once(text):
+    start = time.process_time()
+    assert len(plain(text)) <= MOST
+    assert time.process_time() - start < 3.0
