@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.linalg
+import scipy.sparse
 import tetrahedron
 from numpy.testing import assert_array_equal
 
