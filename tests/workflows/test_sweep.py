@@ -129,6 +129,9 @@ def test_labels_are_whole_keys_where_their_last_part_is_taken():
     labels = kind_of(study).case_table(study.identity_text(), 0, 16)
     assert {"wavelength_nm", "disturbance_wind_instants", "disturbance_wind-shake_instants"} <= labels.keys()
     np.testing.assert_array_equal(labels["wavelength_nm"], np.repeat([500.0, 1000.0], 8))
+    study = load_study("tip-tilt-vibration", {"loop.rates_hz": [500.0], "sweep.loop.gain": [0.1, 0.2]})
+    labels = kind_of(study).case_table(study.identity_text(), 0, 1)  # each case has a number "gain"
+    assert labels.keys() == {"controller", "rate_hz", "realization", "loop_gain"}
 
 
 @pytest.mark.parametrize(

@@ -166,14 +166,23 @@ def point_study(base: Mapping[str, Any], values: Mapping[str, Value]) -> Study:
     return overridden(model, json.loads(json.dumps(base)), values, f"sweep, {_words(values)}")
 
 
-def label_names(study: SweepStudy) -> list[str]:
+def label_names(study: SweepStudy) -> tuple[str, ...]:
     """Return how the swept keys label cases: by their last part, or by all of them where that is taken."""
-    taken = set(study.base) | {"case", "model", "variant", "method", "disturbance", "realization", "seed"}
+    return _labels(study.identity_text())
+
+
+@prepared(maxsize=8)
+def _labels(study_text: str) -> tuple[str, ...]:
+    kind, texts, study = _texts(study_text)
+    stored = kind.template(texts[0])
+    dims = {dim for one in stored.per_case.values() for dim in one.dims}
+    taken = {*study.base, *stored.per_case, *stored.fixed, *dims, *kind.case_table(texts[0], 0, 1)}
+    taken |= {"case", "model", "variant", "method", "disturbance", "realization", "seed"}
     last = [one.key.rpartition(".")[2] for one in study.sweep]
-    return [
+    return tuple(
         name if last.count(name) == 1 and name not in taken else one.key.replace(".", "_")
         for one, name in zip(study.sweep, last, strict=True)
-    ]
+    )
 
 
 @prepared(maxsize=8)
