@@ -61,6 +61,17 @@ def test_a_damaged_table_is_made_anew(folder, damage):
     assert file.read_bytes()[:2] == b"PK"
 
 
+def test_no_damaged_bit_is_believed_or_ends_a_run(folder):
+    kept(Table, make, np.arange(2.0))
+    (file,) = folder.iterdir()
+    whole = file.read_bytes()
+    directory = whole.rindex(b"PK\x01\x02")  # names methods of compression, encryption and versions
+    for place in range(directory, len(whole)):
+        file.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        found = kept(Table, make, np.arange(2.0))
+        np.testing.assert_array_equal(found.values, np.arange(2.0))
+
+
 def test_the_folder_is_bounded_and_the_newest_stays(folder, monkeypatch):
     monkeypatch.setattr(tables, "_MOST_BYTES", 20_000)
     for factor in range(6):

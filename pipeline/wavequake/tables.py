@@ -46,7 +46,7 @@ def kept(kind: type[Table], make: Callable[..., Table], *arguments: Any, **keys:
         with np.load(file, allow_pickle=False) as found:  # zip files check what they hold
             values = {one.name: found[one.name] for one in fields(kind)}  # type: ignore[arg-type]
         os.utime(file)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile):
         made = make(*arguments, **keys)
         _write(file, {one.name: np.asarray(getattr(made, one.name)) for one in fields(kind)})  # type: ignore[arg-type]
         return made

@@ -1,5 +1,6 @@
 """Studies over lists of values of their keys."""
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -7,10 +8,12 @@ import pytest
 
 import wavequake as wq
 from wavequake.campaign import plugins
+from wavequake.campaign.statistics.judged import populations_of
 from wavequake.campaign.store.grid import unstack
 from wavequake.errors import UserError
 from wavequake.reduction.names import orders_of
 from wavequake.workflows import kinds
+from wavequake.workflows.kinds import compared_labels
 from wavequake.workflows.run import kind_of
 from wavequake.workflows.study import load_study, study_with
 
@@ -35,15 +38,17 @@ MIRROR = {
     "time.duration_s": 0.001,
     "campaign.device": "numpy",
 }
+THIN = {"sweep.model.thickness_m": [0.01, 0.04], "sweep.model.damping_beta": [5e-6, 1e-5]}
 
 
 @pytest.fixture(scope="module")
 def mirror(tmp_path_factory):
-    keys = MIRROR | {"sweep.model.thickness_m": [0.01, 0.04], "sweep.model.damping_beta": [5e-6, 1e-5]}
     folder = tmp_path_factory.mktemp("sweep") / "store"
-    return folder, wq.run(
-        "mirror-mor", store=folder, **{key.replace(".", "__"): one for key, one in keys.items()}
-    )
+    return folder, wq.run("mirror-mor", store=folder, **_words(MIRROR | THIN))
+
+
+def _words(keys):
+    return {key.replace(".", "__"): one for key, one in keys.items()}
 
 
 def test_a_point_has_the_bits_of_its_own_study(mirror):
@@ -83,6 +88,25 @@ def test_commands_take_stores_of_sweeps(mirror, wavequake):
     assert "reduce_seconds over" not in page  # a stopwatch's
 
 
+def test_a_complete_store_is_run_again_and_its_table_says_which_case_is_what(mirror, tmp_path):
+    folder, dataset = mirror
+    again = wq.run("mirror-mor", store=folder, **_words(MIRROR | THIN))
+    assert again.identical(dataset)
+    rows = list(csv.DictReader(wq.export(folder, tmp_path / "cases.csv").open()))
+    for name in ("thickness_m", "damping_beta"):
+        np.testing.assert_array_equal([float(row[name]) for row in rows], dataset[name])
+    for name in ("model", "variant"):
+        np.testing.assert_array_equal([row[name] for row in rows], dataset[name])
+
+
+def test_every_point_is_a_population_of_its_own(mirror):
+    """Cases of two points are of two distributions: no tail or quantile takes them together."""
+    _, dataset = mirror
+    found = populations_of(dataset, compared_labels(dataset.attrs["study"]))
+    assert len(set(found)) == 4 * 3
+    assert found[-1] == "circular, craigb36, 0.04, 1e-05"
+
+
 def test_overrides_and_files_say_the_same(tmp_path):
     file = tmp_path / "waves.toml"
     file.write_text(
@@ -105,6 +129,9 @@ def test_labels_are_whole_keys_where_their_last_part_is_taken():
     labels = kind_of(study).case_table(study.identity_text(), 0, 16)
     assert {"wavelength_nm", "disturbance_wind_instants", "disturbance_wind-shake_instants"} <= labels.keys()
     np.testing.assert_array_equal(labels["wavelength_nm"], np.repeat([500.0, 1000.0], 8))
+    study = load_study("tip-tilt-vibration", {"loop.rates_hz": [500.0], "sweep.loop.gain": [0.1, 0.2]})
+    labels = kind_of(study).case_table(study.identity_text(), 0, 1)  # each case has a number "gain"
+    assert labels.keys() == {"controller", "rate_hz", "realization", "loop_gain"}
 
 
 @pytest.mark.parametrize(
@@ -114,6 +141,8 @@ def test_labels_are_whole_keys_where_their_last_part_is_taken():
         ({"sweep.optics.wavelength_nm": 5.0}, "give a list of values"),
         ({"sweep.optics.wavelength_nm": []}, "give a list of values"),
         ({"sweep.optics.wavelength_nm": [5.0, 5.0]}, "listed twice"),
+        ({"sweep.disturbance.alignment.piston_nm": [0.0, 0.0]}, "0.0 is listed twice"),
+        (WAVES | {"campaign.until": "wfe_rms.p95 ci<=2%"}, "campaign.until judges cases of one point"),
         ({"sweep.optics.wavelength_nm": [5.0, -6.0]}, r"optics\.wavelength_nm = -6.0: .*greater than 0"),
         ({"sweep.optics.wavelength_nm": ["a", 5.0]}, "partly numbers and partly texts"),
         ({"sweep.optics.wavelength_nm": [[1.0], [2.0]]}, "neither a number nor a text"),

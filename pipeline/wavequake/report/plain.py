@@ -27,6 +27,7 @@ from wavequake.report.statistics import quantile
 from wavequake.report.systems.figures import distributions
 from wavequake.report.table import interval, number
 from wavequake.words import counted
+from wavequake.workflows import kinds
 from wavequake.workflows.kinds import find_kind
 
 Array = NDArray[np.float64]
@@ -68,10 +69,7 @@ class Row:
 
 def compared_labels(store: Path, dataset: xr.Dataset) -> list[str]:
     """Return the labels that the store's cases are told apart by."""
-    manifest = read_manifest(store)
-    kind = find_kind(manifest.workflow)
-    names = kind.compared_of(manifest.study) if kind.compared_of else kind.compared
-    return [one for one in names if one in dataset.coords]
+    return [one for one in kinds.compared_labels(read_manifest(store).study) if one in dataset.coords]
 
 
 def groups_of(store: Path, dataset: xr.Dataset) -> dict[str, NDArray[np.bool_]]:

@@ -1,6 +1,7 @@
 """The kinds of studies by name: bundled ones, those of plug-ins, and those of installed packages."""
 
 import difflib
+import json
 from collections.abc import Iterator
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -75,6 +76,12 @@ def find_kind(name: str) -> StudyKind:
         f"there is no workflow {name!r}{hint} Choose one of {', '.join(kind_names())}; one of your own is "
         "loaded with --plugin FILE."
     )
+
+
+def compared_labels(study: str) -> tuple[str, ...]:
+    """Return the labels by which a study tells its cases apart, from the text of its identity."""
+    kind = find_kind(json.loads(study)["study"]["workflow"])
+    return kind.compared_of(study) if kind.compared_of else kind.compared
 
 
 def _installed() -> Iterator[str]:

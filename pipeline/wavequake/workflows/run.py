@@ -22,7 +22,7 @@ from wavequake.campaign.store.store import JOURNAL, MANIFEST, done_records, open
 from wavequake.chain.doubts import doubts
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
-from wavequake.workflows.kinds import find_kind
+from wavequake.workflows.kinds import compared_labels, find_kind
 from wavequake.workflows.study import load_study, study_with
 
 if TYPE_CHECKING:
@@ -120,11 +120,12 @@ def _run_until(
     run_to: Callable[[int], CampaignSummary],
 ) -> CampaignSummary:
     """Add cases until the goal is met; the summary is of all steps together."""
+    compared = compared_labels(study.identity_text())
     total: CampaignSummary | None = None
     for cases in steps:
         step = run_to(cases)
         total = step if total is None else total.followed_by(step)
-        found = quantiles_of(goal, open_store(path).isel(case=slice(cases)))
+        found = quantiles_of(goal, open_store(path).isel(case=slice(cases)), compared)
         words = "is met" if is_met(goal, found) else "is not met"
         total = replace(
             total, goal=(f"{study.campaign.until} {words} after {cases} cases", *described(goal, found))

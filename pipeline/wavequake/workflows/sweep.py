@@ -84,11 +84,16 @@ def swept_study(study: Study, sweep: Mapping[str, Any]) -> SweepStudy:
     ------
     UserError
         If a key is unknown, names a file or belongs to no case, its values are no list of different numbers
-        or texts, or a point is no valid study; names the key and the value.
+        or texts, a point is no valid study, or `campaign.until` is set; names the key and the value.
     """
     keys = [_swept(str(key), values) for key, values in sweep.items()]
     if not keys:
         raise UserError(f"{study.study.name}: sweep is empty; give a key and its values.")
+    if study.campaign.until is not None:  # points come one after the other: the first would decide
+        raise UserError(
+            f"{study.study.name}: campaign.until judges cases of one point alone; leave it out, or leave out "
+            "sweep."
+        )
     base = json.loads(study.identity_text())
     base["store"] = {}  # what is kept is the sweep's own
     campaign, store = (
@@ -127,8 +132,8 @@ def _swept(key: str, values: Any) -> dict[str, Any]:
     for one in values:
         if not isinstance(one, bool | int | float | str):
             raise UserError(f"{where}: {one!r} is neither a number nor a text.")
-    if twice := next((one for one, count in Counter(values).items() if count > 1), None):
-        raise UserError(f"{where}: {twice!r} is listed twice.")
+    if twice := [one for one, count in Counter(values).items() if count > 1]:
+        raise UserError(f"{where}: {twice[0]!r} is listed twice.")
     if len({isinstance(one, str) for one in values}) > 1:
         raise UserError(f"{where}: the values are partly numbers and partly texts.")
     return {"key": key, "values": list(values)}
@@ -161,14 +166,23 @@ def point_study(base: Mapping[str, Any], values: Mapping[str, Value]) -> Study:
     return overridden(model, json.loads(json.dumps(base)), values, f"sweep, {_words(values)}")
 
 
-def label_names(study: SweepStudy) -> list[str]:
+def label_names(study: SweepStudy) -> tuple[str, ...]:
     """Return how the swept keys label cases: by their last part, or by all of them where that is taken."""
-    taken = set(study.base) | {"case", "model", "variant", "method", "disturbance", "realization", "seed"}
+    return _labels(study.identity_text())
+
+
+@prepared(maxsize=8)
+def _labels(study_text: str) -> tuple[str, ...]:
+    kind, texts, study = _texts(study_text)
+    stored = kind.template(texts[0])
+    dims = {dim for one in stored.per_case.values() for dim in one.dims}
+    taken = {*study.base, *stored.per_case, *stored.fixed, *dims, *kind.case_table(texts[0], 0, 1)}
+    taken |= {"case", "model", "variant", "method", "disturbance", "realization", "seed"}
     last = [one.key.rpartition(".")[2] for one in study.sweep]
-    return [
+    return tuple(
         name if last.count(name) == 1 and name not in taken else one.key.replace(".", "_")
         for one, name in zip(study.sweep, last, strict=True)
-    ]
+    )
 
 
 @prepared(maxsize=8)
@@ -210,8 +224,10 @@ def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[Any]
 
 
 def _parts(each: int, first: int, last: int) -> Iterator[tuple[int, int, int]]:
-    """Yield every point that cases belong to, and the first and last of its own cases."""
-    for point in range(first // each, -(-last // each)):
+    """Yield every point that cases belong to, and the first and last of its own cases; of no cases one."""
+    if first == last:
+        yield 0, 0, 0
+    for point in range(first // each, -(-last // each) if last > first else 0):
         yield point, max(first - point * each, 0), min(last - point * each, each)
 
 

@@ -1,7 +1,7 @@
 """What of a store is judged: a variable, or what it is at some labels, as ``deviation[controller=FF]``."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,8 @@ Labels = Mapping[str, NDArray[Any]]
 WORST_OF = ("field", "wavelength")  # of these the worst value counts, unless one is chosen
 _OVER_TIME = ("time", "statistic")
 _IMAGE = {"y", "x"}
-_POPULATIONS = ("disturbance", "springs")  # labels of cases that are drawn from different distributions
+# Labels of cases that are drawn from different distributions.
+_POPULATIONS = ("disturbance", "springs", "model", "variant", "reduction")
 _FORM = re.compile(r"\s*(\w+)\s*(?:\[(.*)\])?\s*")
 _SHOWN = 12  # labels in a sentence
 
@@ -168,12 +169,19 @@ def selected(judged: Judged, values: "xr.DataArray") -> "Iterator[tuple[slice, d
         yield cases, found
 
 
-def populations_of(dataset: "xr.Dataset") -> NDArray[np.str_]:
-    """Return which population each case is drawn from."""
-    for name in _POPULATIONS:
+def populations_of(dataset: "xr.Dataset", compared: Iterable[str] = ()) -> NDArray[np.str_]:
+    """Return which population each case is drawn from, by its labels and those that its kind compares.
+
+    Labels that tell no more cases apart than those before them are left out.
+    """
+    found, kinds = np.full(dataset.sizes["case"], "all cases"), 0
+    for name in dict.fromkeys([*_POPULATIONS, *compared]):
         if name in dataset.variables:
-            return np.array([str(one) for one in dataset[name].to_numpy()], dtype=str)
-    return np.full(dataset.sizes["case"], "all cases")
+            words = np.array([_written(one) for one in dataset[name].to_numpy().tolist()], dtype=str)
+            longer = np.char.add(np.char.add(found, ", "), words) if kinds else words
+            if (count := len(np.unique(longer))) > kinds:
+                found, kinds = longer, count
+    return found
 
 
 def title(population: str, label: str) -> str:

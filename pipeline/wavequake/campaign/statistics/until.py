@@ -1,7 +1,7 @@
 """Stop a campaign once its statistics are good enough: ``campaign.until = "wfe_rms.p95 ci<=2%"``."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -70,7 +70,7 @@ def looks(cases: int, chunk: int) -> Iterator[int]:
     yield cases
 
 
-def quantiles_of(goal: Goal, dataset: "xr.Dataset") -> dict[str, Quantile]:
+def quantiles_of(goal: Goal, dataset: "xr.Dataset", compared: Iterable[str] = ()) -> dict[str, Quantile]:
     """Return the quantile of each population; instants of one case count as one draw.
 
     Of a summary it is that of the cases' rms over their instants; of several fields and wavelengths, of the
@@ -78,7 +78,7 @@ def quantiles_of(goal: Goal, dataset: "xr.Dataset") -> dict[str, Quantile]:
     largest; and of other labels that were not chosen (controllers) there is one each.
     """
     judged = judged_in(goal.variable, dataset)
-    variable, names = dataset[judged.variable], populations_of(dataset)
+    variable, names = dataset[judged.variable], populations_of(dataset, compared)
     if "statistic" in variable.dims:
         variable = variable.sel(statistic="rms")
     done = dataset["status"].to_numpy() == DONE

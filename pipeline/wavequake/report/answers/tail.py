@@ -19,6 +19,7 @@ from wavequake.campaign.statistics.tail import Tail, exceedance, fit_tail, fits,
 from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
 from wavequake.report.table import MISSING, number
+from wavequake.workflows.kinds import compared_labels
 
 Array = NDArray[np.float64]
 
@@ -83,7 +84,9 @@ def rare_events(store: Path | str, question: RareQuestion) -> RareAnswer:
             f"The cases of {store} are drawn near a limit and have no tail of their own; take wavequake rare."
         )
     judged = judged_in(question.variable, dataset)
-    done, names = dataset["status"].to_numpy() == DONE, populations_of(dataset)
+    compared = compared_labels(dataset.attrs["study"]) if "study" in dataset.attrs else ()
+    names = populations_of(dataset, compared)
+    done = dataset["status"].to_numpy() == DONE
     numbers = per_case(dataset, judged, question.statistic, question.below)
     stratified = "replicate" in dataset.variables
     sign = -1.0 if question.below else 1.0

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from wavequake.campaign.statistics.blocks import blocks
 from wavequake.errors import UserError
 
-_LABELS = ("case", "seed", "disturbance", "springs", "realization", "replicate", "status", "message")
+_FIRST, _LAST = ("case", "seed", "disturbance", "springs"), ("realization", "replicate", "status", "message")
 # Dimensions of which each entry has a column of its own: by its name, or by its number from 1.
 _NAMED = ("controller", "firmware", "signal", "statistic")
 _SPREAD = ("excitation", "field", "wavelength", "axis", "mode", *_NAMED)
@@ -76,7 +76,8 @@ def _write_fits(dataset: xr.Dataset, path: Path) -> None:
 
 
 def _write_csv(dataset: xr.Dataset, path: Path) -> None:
-    shown = dataset[[name for name in dataset.data_vars if name in _LABELS or _has_columns(dataset[name])]]
+    texts = _FIRST + _LAST
+    shown = dataset[[name for name in dataset.data_vars if name in texts or _has_columns(dataset[name])]]
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         # Text takes several times the memory of numbers; where there are no cases there is a head.
@@ -94,9 +95,11 @@ def _has_columns(variable: xr.DataArray) -> bool:
 
 def _columns(dataset: xr.Dataset) -> dict[str, list[Any]]:
     """Return header -> cells of the cases of a dataset."""
-    columns = {name: dataset[name].to_numpy().tolist() for name in _LABELS if name in dataset.variables}
+    others = (str(name) for name, one in dataset.coords.items() if one.dims == ("case",))
+    labels = [*_FIRST, *(name for name in others if name not in _FIRST + _LAST), *_LAST]
+    columns = {name: dataset[name].to_numpy().tolist() for name in labels if name in dataset.variables}
     for name in dataset.data_vars:
-        if name in _LABELS:
+        if name in _FIRST + _LAST:
             continue
         variable = dataset[name].load()  # once, not entry by entry
         dims = tuple(map(str, variable.dims))
