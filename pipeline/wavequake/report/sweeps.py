@@ -1,7 +1,7 @@
 """The report of a sweep: every number over the values of every key, and what plain reports show."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from wavequake.report import plain
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import number
+from wavequake.words import counted
 from wavequake.workflows.sweep import SweepStudy, label_names, template
 
 _MOST_LINES, _MOST_ENTRIES, _MOST_COLUMNS, _MOST_PICTURES = 8, 4, 6, 12
@@ -57,7 +58,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     ]
     each = (over_values(dataset, found, name, names) for name in swept)
     pictures = [picture for one in each for picture in islice(one, _MOST_PICTURES)]
-    answer = " ".join(_words(dataset, found, name) for name in swept)
+    answer = " ".join(_words(dataset, found, name, names) for name in swept)
     return plain.write_report_of(store, dataset, target, device, found, pictures, answer)
 
 
@@ -77,29 +78,31 @@ def rows(store: Path, dataset: xr.Dataset) -> list[plain.Row]:
     ]
 
 
-def _words(dataset: xr.Dataset, found: list[plain.Row], name: str) -> str:
-    """Say between which medians the number lies that changes most with a key."""
-    values, done = dataset[name].to_numpy().astype(np.float64), dataset["status"].to_numpy() == DONE
+def _words(dataset: xr.Dataset, found: list[plain.Row], name: str, swept: Sequence[str]) -> str:
+    """Say of which cases what number changes most with a key, where all of them are done."""
+    values, status = dataset[name].to_numpy().astype(np.float64), dataset["status"].to_numpy()
     best, words = 1.0, f"Nothing changes with {name}."
-    for row in found:
-        known = done & np.isfinite(row.values)
-        places = np.unique(values[known])
-        medians = np.array([np.median(row.values[known & (values == one)]) for one in places])
-        if len(places) < 2 or not (medians > 0.0).all():
-            continue
-        if (ratio := medians.max() / medians.min()) > best:
-            best = ratio
+    kinds = _kinds(dataset, name, swept)
+    for kind, mine in kinds.items():
+        whole = [one for one in np.unique(values) if (status[mine & (values == one)] == DONE).all()]
+        for row in found:
+            medians = np.array([np.median(row.values[mine & (values == one)]) for one in whole])
+            if len(whole) < 2 or not (medians > 0.0).all() or medians.max() / medians.min() <= best:
+                continue
+            best = medians.max() / medians.min()
             low, high = medians.argmin(), medians.argmax()
-            unit = f" {row.units}" if row.units else ""
+            of, unit = f" of {kind}" if len(kinds) > 1 else "", f" {row.units}" if row.units else ""
             words = (
-                f"With {name}, {row.name} changes most: its median is {number(medians[low])}{unit} at "
-                f"{places[low]:g} and {number(medians[high])}{unit} at {places[high]:g}."
+                f"With {name}, {row.name}{of} changes most: its median is {number(medians[low])}{unit} at "
+                f"{whole[low]:g} and {number(medians[high])}{unit} at {whole[high]:g}."
             )
+    if failed := int(np.count_nonzero(status > DONE)):
+        words += f" {counted(failed, 'case')} failed; values at which some did are left out of this."
     return words
 
 
 def over_values(
-    dataset: xr.Dataset, found: list[plain.Row], name: str, swept: list[str]
+    dataset: xr.Dataset, found: list[plain.Row], name: str, swept: Sequence[str]
 ) -> Iterator[Picture]:
     """Yield a picture of every number that changes with one key."""
     values, done = dataset[name].to_numpy().astype(np.float64), dataset["status"].to_numpy() == DONE
@@ -119,8 +122,14 @@ def over_values(
             yield picture(f"sweep-{name}-{index}", f"{row.title} over {name}", figure, _HOW)
 
 
-def _lines(dataset: xr.Dataset, name: str, swept: list[str]) -> dict[str, NDArray[np.bool_]]:
+def _lines(dataset: xr.Dataset, name: str, swept: Sequence[str]) -> dict[str, NDArray[np.bool_]]:
     """Return which cases make a line, by their other labels; one line if there are too many."""
+    kinds = _kinds(dataset, name, swept)
+    return kinds if len(kinds) <= _MOST_LINES else {"all cases": np.ones(dataset.sizes["case"], dtype=bool)}
+
+
+def _kinds(dataset: xr.Dataset, name: str, swept: Sequence[str]) -> dict[str, NDArray[np.bool_]]:
+    """Return which cases have the same labels but for one key."""
     others = [
         one
         for one in dataset.coords
@@ -134,8 +143,6 @@ def _lines(dataset: xr.Dataset, name: str, swept: list[str]) -> dict[str, NDArra
         longer = [" / ".join(filter(None, pair)) for pair in zip(words, labels, strict=True)]
         if len(set(longer)) > len(set(words)):  # it tells cases apart that the others do not
             words = longer
-    if len(set(words)) > _MOST_LINES:
-        return {"all cases": np.ones(len(words), dtype=bool)}
     return {kind: np.array(words) == kind for kind in dict.fromkeys(words)}
 
 

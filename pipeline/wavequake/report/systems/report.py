@@ -13,7 +13,7 @@ from rich.text import Text
 
 from wavequake.campaign.store.store import read_manifest
 from wavequake.kernels.device.devices import choose_device
-from wavequake.mechanics.disturbances.registry import instants_of
+from wavequake.mechanics.disturbances.registry import Combine, instants_of
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.wavefronts.wavefront import trace_system
 from wavequake.report.answers import budget
@@ -84,7 +84,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     models = model_results(dataset, bench)
     largest = bench.study.reduction.largest if bench.study.reduction is not None else 0.0
     page = Page(
-        answer=answer(found) + verdict(models, largest),
+        answer=answer(found, _sums(bench)) + verdict(models, largest),
         table=[{header: row[header] for header in headers} for row in rows],
         small_print=_SMALL_PRINT + _partial(found, bench) + what_is_kept(dataset),
         overview=[*_overview(found), *model_pictures(models, largest), *budget.pictures(store)],
@@ -128,6 +128,8 @@ _HEADERS = (
     "peak P50",
     "EE80 P50 (λ/D)",
 )
+# Cases below which there is no 5 % of them.
+_FEWEST = 20
 _OF_PARTS = ("arrived WFE P50 (nm)", "lost")
 _OF_IMAGES = ("peak P50", "EE80 P50 (λ/D)")
 
@@ -196,22 +198,31 @@ def _quantile(found: Quantile) -> tuple[str, str]:
     return number(found.value), interval(found)
 
 
-def answer(found: Sequence[SystemPopulation]) -> str:
-    """Say which disturbance changes the wavefront most, and where; where light is missing, what it leaves."""
-    results = [(population.name, one) for population in found for one in population.fields]
+def _sums(bench: SystemBench) -> frozenset[str]:
+    """Return the names of disturbances that are sums of others, which rank nothing."""
+    return frozenset(one.name for one in bench.study.disturbance if isinstance(one, Combine))
+
+
+def answer(found: Sequence[SystemPopulation], sums: frozenset[str] = frozenset()) -> str:
+    """Say which disturbance changes the wavefront most, and where; where light is missing, what it leaves.
+
+    The `sums` of disturbances are left out, unless there is nothing else.
+    """
+    every = [(population.name, one) for population in found for one in population.fields]
+    results = [result for result in every if result[0] not in sums] or every
     if not results:
         return "No case is done yet."
     if _incomplete(found):
         name, one = max(results, key=lambda result: quantile(result[1].raw, 0.95).value)
         return (
             f"Rays are missing at some instants. Of the light that arrives, {name} has the largest wavefront "
-            f"error: in 95 % of its cases at most {number(quantile(one.raw, 0.95).value)} nm rms at field "
+            f"error: {_share_of(95, one)} at most {number(_level(one.raw, 95))} nm rms at field "
             f"{one.field}, where the median Strehl ratio is {number(one.strehl_p50)}."
         )
     name, one = max(results, key=lambda result: quantile(result[1].change, 0.95).value)
-    value = number(quantile(one.change, 0.95).value)
+    value = number(_level(one.change, 95))
     return (
-        f"{name} changes the wavefront most: in 95 % of its cases by at most {value} nm rms at field "
+        f"{name} changes the wavefront most: {_share_of(95, one)} by at most {value} nm rms at field "
         f"{one.field}, where the line of sight moves by {number(one.los.radial)} µm rms."
         + _worst_image(results)
     )
@@ -219,14 +230,28 @@ def answer(found: Sequence[SystemPopulation]) -> str:
 
 def _worst_image(results: Sequence[tuple[str, FieldResult]]) -> str:
     """Say which disturbance costs most of the exposure, line of sight included, where there are images."""
-    imaged = [(name, one, quantile(one.peak, 0.05)) for name, one in results if one.peak is not None]
+    imaged = [(name, one, _level(one.peak, 5)) for name, one in results if one.peak is not None]
     if not imaged:
         return ""
-    name, one, peak = min(imaged, key=lambda result: result[2].value)
+    name, one, peak = min(imaged, key=lambda result: result[2])
     return (
         f" Of exposures, which the motion of the line of sight blurs, too, {name} costs most: at field "
-        f"{one.field} 5 % of its cases have a peak below {number(peak.value)} of the perfect image's."
+        f"{one.field} {_share_of(5, one)} the peak is at most {number(peak)} of the perfect image's."
     )
+
+
+def _level(values: Array, percent: int) -> float:
+    """Return a percentile over the cases, or of few cases the last one."""
+    few = 1.0 if percent > 50 else 0.0
+    return quantile(values, percent / 100.0 if len(values) >= _FEWEST else few).value
+
+
+def _share_of(percent: int, one: FieldResult) -> str:
+    """Return of which cases a percentile speaks: few cases have none."""
+    cases = len(one.wfe)
+    if cases >= _FEWEST:
+        return f"in {percent} % of its cases"
+    return f"in all of its {cases} cases" if percent > 50 else f"in the worst of its {cases} cases"
 
 
 def _worst_fields(found: Sequence[SystemPopulation]) -> dict[str, Array]:
