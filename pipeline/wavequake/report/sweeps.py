@@ -1,7 +1,7 @@
 """The report of a sweep: every number over the values of every key, and what plain reports show."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
@@ -99,7 +99,7 @@ def _words(dataset: xr.Dataset, found: list[plain.Row], name: str) -> str:
 
 
 def over_values(
-    dataset: xr.Dataset, found: list[plain.Row], name: str, swept: list[str]
+    dataset: xr.Dataset, found: list[plain.Row], name: str, swept: Sequence[str]
 ) -> Iterator[Picture]:
     """Yield a picture of every number that changes with one key."""
     values, done = dataset[name].to_numpy().astype(np.float64), dataset["status"].to_numpy() == DONE
@@ -119,7 +119,7 @@ def over_values(
             yield picture(f"sweep-{name}-{index}", f"{row.title} over {name}", figure, _HOW)
 
 
-def _lines(dataset: xr.Dataset, name: str, swept: list[str]) -> dict[str, NDArray[np.bool_]]:
+def _lines(dataset: xr.Dataset, name: str, swept: Sequence[str]) -> dict[str, NDArray[np.bool_]]:
     """Return which cases make a line, by their other labels; one line if there are too many."""
     others = [
         one
