@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import wavequake as wq
 from wavequake.campaign import plugins
@@ -12,6 +13,7 @@ from wavequake.campaign.statistics.judged import populations_of
 from wavequake.campaign.store.grid import unstack
 from wavequake.errors import UserError
 from wavequake.reduction.names import orders_of
+from wavequake.report import plain
 from wavequake.workflows import kinds
 from wavequake.workflows.kinds import compared_labels
 from wavequake.workflows.run import kind_of
@@ -105,6 +107,14 @@ def test_every_point_is_a_population_of_its_own(mirror):
     found = populations_of(dataset, compared_labels(dataset.attrs["study"]))
     assert len(set(found)) == 4 * 3
     assert found[-1] == "circular, craigb36, 0.04, 1e-05"
+
+
+def test_reports_picture_points_that_are_done_beside_numbers_of_no_case():
+    images = np.arange(2 * 3 * 3.0).reshape(2, 3, 3)
+    dataset = xr.Dataset({"strehl_static": ((), 0.9), "exposure": (("case", "y", "x"), images)})
+    groups = {"thin": np.array([False, False]), "thick": np.array([False, True])}
+    (found,) = plain._images(dataset, groups)
+    assert "case 1, thick" in str(found)
 
 
 def test_overrides_and_files_say_the_same(tmp_path):

@@ -287,9 +287,11 @@ def _history(time_s: Array, values: Array, groups: dict[str, NDArray[np.bool_]],
 def _images(dataset: xr.Dataset, groups: dict[str, NDArray[np.bool_]]) -> Iterator[Picture]:
     for name in dataset.data_vars:
         one = dataset[name]
-        if one.dims[0] != "case" or not set(_IMAGE) <= set(one.dims):
+        if one.dims[:1] != ("case",) or not set(_IMAGE) <= set(one.dims):
             continue
         for group, mine in groups.items():
+            if not mine.any():  # none of its cases is done
+                continue
             case = int(np.flatnonzero(mine)[0])
             rest = [dim for dim in one.dims if dim not in ("case", *_IMAGE)]
             image = one.isel({"case": case, **dict.fromkeys(rest, 0)}).transpose(*_IMAGE)

@@ -262,4 +262,5 @@ KIND = study_kind(
     describe=describe,
     work=work,
     notices=notices,
+    compared=("disturbance", "reduction"),
 )
