@@ -122,6 +122,7 @@ def allowances(
         raise UserError(f"There is no way {by!r} to allow; use {', '.join(WAYS[:-1])} or {WAYS[-1]}.")
     if cases < FEWEST:
         raise UserError(f"{cases} cases check nothing; take at least {FEWEST}.")
+    cost = _cost_of(study, by)
     movable = _movable(study, measure, probability, of)
     rest = np.sqrt(movable.form.constant)
     if rest >= limit:
@@ -138,8 +139,8 @@ def allowances(
         if by == "factor":
             exact, found = _grown(movable, goal)
         else:
-            weights = _weights(movable, _cost_of(study, by))
-            exact, found = True, _of_gaussian(movable, _shared(movable, weights), goal)
+            motions = _shared(movable, _weights(movable, cost))
+            exact, found = True, _of_gaussian(movable, motions, goal)
     values = _checked(movable, found.case, cases, progress)
     known = np.sort(values[np.isfinite(values)])
     if len(known) < FEWEST:

@@ -154,17 +154,19 @@ def _named(names: Sequence[str], places: NDArray[np.int64]) -> str:
 @rc_context(STYLE)
 def allow_figure(found: Allowances, measure: str) -> Figure:
     """Draw how far every element may be off along every axis, a panel for shifts, turns and figures each."""
-    kinds = list(dict.fromkeys(_kind(axis) for axis in found.axes))
+    limited = [bool(np.isfinite(values).any()) for values in found.rms]
+    kinds = list(dict.fromkeys(_kind(axis) for axis, one in zip(found.axes, limited, strict=True) if one))
     figure = Figure(figsize=(WIDTH, 0.55 * HEIGHT * len(kinds)), layout="constrained")
     panels = figure.subplots(len(kinds), 1, sharex=True, squeeze=False)[:, 0]
     at, units = np.arange(len(found.elements)), _units(found)
     for axes, kind in zip(panels, kinds, strict=True):
-        rows = [row for row, axis in enumerate(found.axes) if _kind(axis) == kind]
+        rows = [row for row, axis in enumerate(found.axes) if _kind(axis) == kind and limited[row]]
         for index, row in enumerate(rows):
             scale, unit = units[row]
+            beside = (index - (len(rows) - 1) / 2.0) * min(0.1, 0.6 / len(rows))
             style = {"color": COLORS[index % len(COLORS)], "marker": _MARKS[index % len(_MARKS)]}
             values = np.where(np.isfinite(found.rms[row]), scale * found.rms[row], np.nan)
-            axes.plot(at, values, linestyle="none", markersize=5.0, label=found.axes[row], **style)
+            axes.plot(at + beside, values, linestyle="none", markersize=5.0, label=found.axes[row], **style)
             axes.set_ylabel(f"{kind} ({unit} rms)")
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
