@@ -160,22 +160,20 @@ def _linear(
     bench: SystemBench, judged: Judged, labels: Sequence[Label], device: Device
 ) -> tuple[MotionForm, Array]:
     """Return the square of a measure of motions in m and rad, and what of it is nothing, column by column."""
-    figured = {element: surface_index(bench.system, element) for element, axis in labels if axis not in DOFS}
+    groups: dict[int, list[str]] = {}
+    for element in dict.fromkeys(element for element, axis in labels if axis not in DOFS):
+        groups.setdefault(_terms(labels, element), []).append(element)
     columns, rests, sizes = [], [], []
     for (prepared,), (static,) in zip(bench.prepared, bench.static, strict=True):
         rigid = rigid_sensitivity(prepared, bench.bodies, device)
         moved = _values(bench, judged, prepared, rigid)
         moved[:, :3] *= MM_PER_M
-        figures = {
-            element: MM_PER_M
-            * _values(
-                bench,
-                judged,
-                prepared,
-                figure_sensitivity(prepared, [index], _terms(labels, element), device),
-            )[0]
-            for element, index in figured.items()
-        }
+        figures: dict[str, Array] = {}
+        for terms, names in groups.items():
+            surfaces = [surface_index(bench.system, name) for name in names]
+            matrix = figure_sensitivity(prepared, surfaces, terms, device)
+            values = MM_PER_M * _values(bench, judged, prepared, matrix)
+            figures |= zip(names, values, strict=True)
         columns.append(
             [
                 moved[rigid.elements.index(element), DOFS.index(axis)]
