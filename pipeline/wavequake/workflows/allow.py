@@ -145,8 +145,8 @@ def allowances(
     known = np.sort(values[np.isfinite(values)])
     if len(known) < FEWEST:
         raise UserError(
-            f"{cases - len(known)} of {cases} cases cannot be traced with these allowances; take a lower limit "
-            "or more cases."
+            f"{cases - len(known)} of {cases} cases cannot be traced with these allowances; take a lower "
+            "limit or more cases."
         )
     count = len(movable.place)
     costs, (axis, element) = np.diag(movable.form.square)[:count], movable.place.T
