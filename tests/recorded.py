@@ -130,6 +130,7 @@ RECORDED = {
         8,
     ),
     "euv": Small("euv", {"optics.rays": 120}, 6),
+    "euv-allowances": Small("euv-allowances", {"optics.rays": 120}, 6),
     "euv-every": Small(
         "euv",
         {

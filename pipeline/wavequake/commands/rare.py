@@ -54,32 +54,48 @@ def rare(
 
 
 def allow(
-    study: Annotated[str, typer.Argument(help="Study of the workflow segment-disturbance.")],
+    study: Annotated[
+        str, typer.Argument(help="Study of the workflow segment-disturbance or system-disturbance.")
+    ],
     overrides: Annotated[
         list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. telescope.name=tmt-18")
     ] = None,
-    measure: Annotated[str, typer.Option(help="What is limited, as wfe_rms.p95.")] = "wfe_rms.p95",
-    limit: Annotated[str, typer.Option(help="As '60 nm'.")] = "",
-    by: Annotated[str, typer.Option(help="shares: equal ones; factor: on what the study has.")] = "shares",
+    measure: Annotated[
+        str | None, typer.Option(help="What is limited, as wfe_rms.p95 or los_mm.p99.")
+    ] = None,
+    limit: Annotated[str | None, typer.Option(help="As '60 nm'.")] = None,
+    by: Annotated[
+        str | None,
+        typer.Option(help="shares: equal ones; cost: by [allow.cost]; factor: on what the study has."),
+    ] = None,
     of: Annotated[str | None, typer.Option("--of", help="The disturbance, where there are several.")] = None,
     cases: Annotated[int, typer.Option(help="Cases that are traced in full as the check.")] = 400,
-    file: Annotated[
-        Path | None, typer.Option("--output", "-o", help="FILE.csv of every segment and axis.")
+    files: Annotated[
+        list[Path] | None,
+        typer.Option("--output", "-o", help="FILE.csv (every element and axis), FILE.svg, .png or .pdf."),
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Say how far every segment may be off along every axis, so that the whole stays below a limit."""
-    from wavequake.report.answers.allow import allow_notes, allow_table, goal_of, write_allowances
+    """Say how far every element may be off along every axis, so that the whole stays below a limit."""
+    from wavequake.report.answers.allow import (
+        allow_notes,
+        allow_table,
+        asked_of,
+        require_writable,
+        write_allowances,
+    )
     from wavequake.workflows.allow import allowances
     from wavequake.workflows.study import load_study
 
-    name, probability, value = goal_of(measure, limit)
+    for file in files or ():
+        require_writable(file)
     loaded = load_study(study, overrides or [])
+    asked = asked_of(loaded, measure, limit, by)
     with live_progress() as progress:
-        found = allowances(loaded, name, probability, value, by, of, cases, progress)
+        found = allowances(loaded, asked.name, asked.probability, asked.limit, asked.by, of, cases, progress)
     out.print(allow_table(found))
-    for line in allow_notes(found, measure, value):
+    for line in allow_notes(found, asked.measure, asked.limit):
         out.print(line, markup=False)
-    if file is not None:
-        write_allowances(found, file)
+    for file in files or ():
+        write_allowances(found, file, asked.measure)
         out.print(f"Written: {file.resolve()}", markup=False, soft_wrap=True)

@@ -1,48 +1,42 @@
-"""How far segments may be off, so that a wavefront stays below a limit, and full traces as the check."""
+"""How far the elements of a study may be off so that a measure stays below a limit, and traces as the check.
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+Segments of a telescope, or surfaces and bodies of any optical system.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE
 from wavequake.campaign.rare.quadratic import largest_factor
 from wavequake.campaign.schema import Study
-from wavequake.campaign.statistics.judged import judged_of_template
 from wavequake.campaign.statistics.quantiles import Quantile, quantile
+from wavequake.chain.gaussian_forms import form_of_numbers
 from wavequake.errors import UserError
-from wavequake.kernels.device.devices import choose_device
-from wavequake.mechanics.disturbances.motion import Motion, generator, still
-from wavequake.mechanics.disturbances.registry import instants_of
-from wavequake.optics.segments.modal import COMMON, RIGID, ModalModel
-from wavequake.workflows.rare import rare_study
-from wavequake.workflows.segments.bench import MM_PER_M, Bench, bench_of
-from wavequake.workflows.segments.segment_disturbance import CaseDraw, trace_draws
-from wavequake.workflows.segments.segment_model import model_of
-from wavequake.workflows.segments.segment_rare import (
-    MEASURES,
-    GaussianMotions,
-    form_of_motions,
-    form_of_numbers,
-    gaussian_motions,
-)
-from wavequake.workflows.segments.segment_template import template
+from wavequake.mechanics.disturbances.gaussian import GaussianMotions, NotGaussianError
+from wavequake.mechanics.disturbances.motion import generator
+from wavequake.workflows.movable import Movable
+from wavequake.workflows.rare import chosen_disturbance, rare_study
+from wavequake.workflows.segments.segment_allow import segment_movable
+from wavequake.workflows.systems.system_allow import system_movable
+from wavequake.workflows.systems.system_study import SystemStudy
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, int], None]
 
-AXES = ("dx", "dy", "dz", "rx", "ry", "rz")
-WAYS = ("shares", "factor")
+WAYS = ("shares", "cost", "factor")
 FEWEST = 100
 _STREAM = "~allow"
 _AT_ONCE = 32
+_TRIALS = 4000  # by the linear model, of motions that are no sums of Gaussian numbers
 
 
 @dataclass(frozen=True)
 class Allowances:
-    """How far every segment may be off along every axis that its disturbance moves.
+    """How far every element may be off along every axis that its disturbance moves.
 
     Attributes
     ----------
@@ -50,11 +44,13 @@ class Allowances:
     axes : tuple of str, length D
         dx ... rz, or ``figure 4`` for the figure's Noll term.
     rms : ndarray, shape (D, S)
-        In m, or rad of turns; infinite of what does nothing.
+        In m, or rad of turns; infinite of what does nothing, NaN of what the disturbance does not move.
     shares : ndarray, shape (D, S)
         Of the mean square of the measure beyond that at rest, at these allowances.
     factor : float
-        By which this is what the study has; NaN of equal shares.
+        By which this is what the study has; NaN of shares.
+    exact : bool
+        Whether the quantile of the linear model is exact, not that of drawn cases.
     unit : str
         Of the measure.
     check : Quantile
@@ -68,10 +64,21 @@ class Allowances:
     rms: Array
     shares: Array
     factor: float
+    exact: bool
     unit: str
     check: Quantile
     cases: int
     failed: int
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Rms (K,) of the columns, the mean square that they cost, the factor, and the motion of a case."""
+
+    rms: Array
+    excess: float
+    factor: float
+    case: Callable[[int], Array]
 
 
 def allowances(
@@ -84,21 +91,22 @@ def allowances(
     cases: int = 400,
     progress: Progress | None = None,
 ) -> Allowances:
-    """Return how far segments may be off until a quantile of a measure reaches a limit.
+    """Return how far segments, surfaces and bodies may be off until a quantile of a measure reaches a limit.
 
     Parameters
     ----------
     study : Study
-        Of the workflow segment-disturbance.
+        Of the workflow segment-disturbance or system-disturbance.
     measure : str
-        As ``[rare]`` names it: the rms over the instants of a case.
+        As `wavequake tail` names it: the rms over the instants of a case; of a system over the field points,
+        too, unless one is chosen, at the primary wavelength.
     probability : float
         With which the limit may be exceeded, below 0.5.
     limit : float
         In the measure's unit.
-    by : "shares" or "factor"
-        Every segment and axis that the disturbance moves costs the same mean square, each independent of the
-        others; or what the study has, times one factor.
+    by : "shares", "cost" or "factor"
+        Every element and axis that the disturbance moves costs the same mean square, each independent of the
+        others; or in proportion to its cost in ``[allow]``; or what the study has, times one factor.
     of : str, optional
         The disturbance, where there are several.
     cases : int
@@ -107,136 +115,172 @@ def allowances(
     Raises
     ------
     UserError
-        If the limit is exceeded at rest, the disturbance is no sum of Gaussian numbers or moves more than
-        segments (shares), or the measure is unknown.
+        If the limit is exceeded at rest, nothing that moves changes the measure, the disturbance moves more
+        than elements (shares), or the measure is unknown.
     """
-    if study.study.workflow != "segment-disturbance":
-        raise UserError(f"Allowances are of segment-disturbance studies, not of {study.study.workflow}.")
     if by not in WAYS:
-        raise UserError(f"There is no way {by!r} to allow; use {' or '.join(WAYS)}.")
+        raise UserError(f"There is no way {by!r} to allow; use {', '.join(WAYS[:-1])} or {WAYS[-1]}.")
     if cases < FEWEST:
         raise UserError(f"{cases} cases check nothing; take at least {FEWEST}.")
-    made = rare_study(study, measure, None, probability, of)
-    text = made.identity_text()
-    bench, model = bench_of(text), model_of(text, "numpy")
-    judged = judged_of_template(measure, template(text))
-    if judged.variable not in MEASURES:
-        raise UserError(f"{judged.variable!r} has no allowances; use one of {', '.join(MEASURES)}.")
-    unit = str(template(text).per_case[judged.variable].attrs["units"])
-    population = next(entry for entry in made.disturbance if entry.share)
+    cost = _cost_of(study, by)
+    movable = _movable(study, measure, probability, of)
+    rest = np.sqrt(movable.form.constant)
+    if rest >= limit:
+        raise UserError(
+            f"At rest {measure} is {rest:.4g} {movable.unit} already; no allowance keeps it below {limit:g} "
+            f"{movable.unit}."
+        )
+    if not (movable.moved & ~movable.idle).any():
+        raise UserError(
+            f"What the disturbance {movable.name!r} moves does nothing to {measure}: anything is allowed."
+        )
+    goal = (limit**2, probability)
     with threadpool_limits(1):
-        motions = gaussian_motions(bench, model, population)
-        if motions.rest.any():
-            raise UserError(f"{population.name!r} is not zero on average, and has no allowances.")
-        square = form_of_motions(bench, model, judged)
-        costs = np.diag(square.square)
-        if by == "shares":
-            motions = _equal(motions, costs, population.name)
-        form = form_of_numbers(square, motions)
-        if form.constant >= limit**2:
-            raise UserError(
-                f"At rest {measure} is {np.sqrt(form.constant):.4g} {unit} already; no allowance keeps it "
-                f"below {limit:g} {unit}."
-            )
-        factor = largest_factor(form, limit**2, probability)
-    motions = replace(motions, columns=factor * motions.columns)
-    rms = np.sqrt(np.mean(np.sum(motions.columns**2, axis=0), axis=0))[:-COMMON]
-    each = (rms**2 * costs[:-COMMON]).reshape(len(model.dofs), -1)
-    found, failed = _traced(bench, model, motions, judged.chosen, (judged.variable, cases), progress)
-    turns = np.array([RIGID > dof >= 3 for dof in model.dofs])
-    metric = rms.reshape(len(model.dofs), -1) / np.where(turns, 1.0, MM_PER_M)[:, None]
-    moved = metric.any(axis=1)
+        if by == "factor":
+            exact, found = _grown(movable, goal)
+        else:
+            motions = _shared(movable, _weights(movable, cost))
+            exact, found = True, _of_gaussian(movable, motions, goal)
+    values = _checked(movable, found.case, cases, progress)
+    known = np.sort(values[np.isfinite(values)])
+    if len(known) < FEWEST:
+        raise UserError(
+            f"{cases - len(known)} of {cases} cases cannot be traced with these allowances; take a lower "
+            "limit or more cases."
+        )
+    count = len(movable.place)
+    costs, (axis, element) = np.diag(movable.form.square)[:count], movable.place.T
+    moved, idle = movable.moved[:count], movable.idle[:count]
+    rms = np.full((len(movable.axes), len(movable.elements)), np.nan)
+    shares = np.full(rms.shape, np.nan)
+    allowed = np.where(idle, np.inf, found.rms[:count] * movable.metric)
+    rms[axis[moved], element[moved]] = allowed[moved]
+    share = np.where(idle, 0.0, found.rms[:count] ** 2 * costs / max(found.excess, 1e-300))
+    shares[axis[moved], element[moved]] = share[moved]
+    used = ~np.isnan(rms).all(axis=1)
     return Allowances(
-        bench.layout.names,
-        tuple(_name(dof) for dof, any_ in zip(model.dofs, moved, strict=True) if any_),
-        metric[moved],
-        (each / max(form.mean - form.constant, 1e-300) / factor**2)[moved],
-        factor if by == "factor" else np.nan,
-        unit,
-        quantile(np.sort(found), 1.0 - probability),
-        cases,
-        failed,
+        elements=movable.elements,
+        axes=tuple(name for name, one in zip(movable.axes, used, strict=True) if one),
+        rms=rms[used],
+        shares=shares[used],
+        factor=found.factor if by == "factor" else np.nan,
+        exact=exact,
+        unit=movable.unit,
+        check=quantile(known, 1.0 - probability),
+        cases=cases,
+        failed=cases - len(known),
     )
 
 
-def _name(dof: int) -> str:
-    return AXES[dof] if dof < RIGID else f"figure {dof - RIGID + 1}"
-
-
-def _equal(motions: GaussianMotions, costs: Array, name: str) -> GaussianMotions:
-    """Return independent motions of all that a disturbance moves, each of which costs the same."""
-    moved: NDArray[np.bool_] = np.asarray(motions.columns.any(axis=(0, 1)))
-    if moved[-COMMON:].any():
+def _movable(study: Study, measure: str, probability: float, of: str | None) -> Movable:
+    if isinstance(study, SystemStudy):
+        return system_movable(study, measure, chosen_disturbance(study.disturbance, of))
+    if study.study.workflow != "segment-disturbance":
         raise UserError(
-            f"The disturbance {name!r} moves M2 or the mount; equal shares are of motions of segments: take "
-            "--by factor."
+            "Allowances are of segment-disturbance and system-disturbance studies, not of "
+            f"{study.study.workflow}."
         )
-    acting: NDArray[np.bool_] = moved & (costs > 1e-12 * costs[moved].max())
-    idle = int(np.count_nonzero(moved & ~acting))
-    if idle:
+    return segment_movable(rare_study(study, measure, None, probability, of), measure)
+
+
+def _cost_of(study: Study, by: str) -> Mapping[str, float]:
+    """Return the own costs of a study, none for equal shares."""
+    if by != "cost":
+        return {}
+    if not isinstance(study, SystemStudy):
+        raise UserError("Costs are of the elements of system-disturbance studies; use shares or factor.")
+    own = study.allow.cost if study.allow else {}
+    if not own:
         raise UserError(
-            f"{idle} of {np.count_nonzero(moved)} motions of the disturbance {name!r} do nothing to what is "
-            "limited, and have no share of it: leave them out of the study."
+            "By which cost? Give the study a table [allow.cost] of elements, or elements and axes: M1 = 2.0, "
+            '"M2 rx" = 5.0.'
         )
-    places = np.flatnonzero(acting)
-    columns = np.zeros((len(places), 1, len(costs)))
-    columns[np.arange(len(places)), 0, places] = 1.0 / np.sqrt(costs[places])
-    return GaussianMotions((), np.arange(len(places)), np.zeros((1, len(costs))), columns)
+    return own
 
 
-def _traced(
-    bench: Bench,
-    model: ModalModel,
-    motions: GaussianMotions,
-    chosen: object,
-    what: tuple[str, int],
-    progress: Progress | None,
-) -> tuple[Array, int]:
-    """Return a measure of cases that are drawn and traced in full, and how many could not be."""
-    population = next(entry for entry in bench.study.disturbance if entry.share)
-    (variable, cases), places = what, dict(chosen)  # type: ignore[call-overload]
-    device = choose_device(bench.study.campaign.device).name
-    instants = len(motions.rest)
-    time = instants_of(bench.study.disturbance, population)[:instants]
-    found: list[Array] = []
+def _weights(movable: Movable, cost: Mapping[str, float]) -> Array:
+    """Return the cost of each of the first columns: that of its element and axis, of its element, or 1."""
+    names = [movable.column_name(column) for column in range(len(movable.place))]
+    known = {element for element, _ in names} | {" ".join(name) for name in names}
+    if unknown := next((name for name in cost if name not in known), None):
+        raise UserError(
+            f"allow.cost: the disturbance {movable.name!r} does not move {unknown!r}; it moves "
+            f"{', '.join(movable.elements)} along {', '.join(movable.axes)}: write an element, or an element "
+            "and an axis."
+        )
+    return np.array([cost.get(f"{element} {axis}", cost.get(element, 1.0)) for element, axis in names])
+
+
+def _shared(movable: Movable, weights: Array) -> GaussianMotions:
+    """Return independent motions of all that acts, each of which costs its weight of mean square."""
+    count, total = len(movable.place), len(movable.moved)
+    if movable.moved[count:].any():
+        raise UserError(
+            f"The disturbance {movable.name!r} moves M2 or the mount; equal shares are of motions of "
+            "segments: take --by factor."
+        )
+    places = np.flatnonzero(movable.moved & ~movable.idle)
+    columns = np.zeros((len(places), 1, total))
+    sizes = np.sqrt(weights[places] / np.diag(movable.form.square)[places])
+    columns[np.arange(len(places)), 0, places] = sizes
+    return GaussianMotions((), np.arange(len(places)), np.zeros((1, total)), columns)
+
+
+def _of_gaussian(movable: Movable, motions: GaussianMotions, goal: tuple[float, float]) -> _Found:
+    """Return how far sums of Gaussian numbers may grow until the goal's limit is exceeded so often: exact."""
+    if motions.rest.any():
+        raise UserError(f"{movable.name!r} is not zero on average, and has no allowances.")
+    form = form_of_numbers(movable.form, motions)
+    factor = largest_factor(form, *goal)
+    columns = factor * motions.columns
+
+    def case(number: int) -> Array:
+        random = generator(movable.seed, movable.name + _STREAM, number)
+        return np.asarray(np.tensordot(random.standard_normal(len(columns)), columns, 1))
+
+    rms = np.sqrt(np.mean(np.sum(columns**2, axis=0), axis=0))
+    return _Found(rms, factor**2 * (form.mean - form.constant), factor, case)
+
+
+def _grown(movable: Movable, goal: tuple[float, float]) -> tuple[bool, _Found]:
+    """Return whether it is exact, and how far a study's own motions may grow."""
+    try:
+        return True, _of_gaussian(movable, movable.gaussian(), goal)
+    except NotGaussianError:
+        return False, _of_draws(movable, goal)
+
+
+def _of_draws(movable: Movable, goal: tuple[float, float]) -> _Found:
+    """Return how far any motions may grow, by the quantile of many draws of the linear model."""
+    form, (limit, probability) = movable.form, goal
+    slopes, squares, total = np.empty(_TRIALS), np.empty(_TRIALS), np.zeros(len(movable.moved))
+    for trial in range(_TRIALS):
+        rows = movable.drawn(trial)
+        slopes[trial] = np.mean(rows @ form.linear)
+        squares[trial] = np.mean(np.sum((rows @ form.square) * rows, axis=1))
+        total += np.mean(rows**2, axis=0)
+
+    def lacks(logarithm: float) -> float:
+        factor = np.exp(logarithm)
+        return (
+            float(np.quantile(form.constant + factor * slopes + factor**2 * squares, 1 - probability)) - limit
+        )
+
+    middle = 0.5 * float(np.log((limit - form.constant) / squares.mean()))
+    factor = float(np.exp(brentq(lacks, middle - 20.0, middle + 20.0, xtol=1e-12)))
+    rms = factor * np.sqrt(total / _TRIALS)
+    return _Found(
+        rms, factor**2 * float(squares.mean()), factor, lambda k: factor * movable.drawn(_TRIALS + k)
+    )
+
+
+def _checked(movable: Movable, case: Callable[[int], Array], cases: int, progress: Progress | None) -> Array:
+    """Return the measure of cases that are drawn with the allowances and traced in full."""
+    found = []
     for first in range(0, cases, _AT_ONCE):
         if progress:
             progress(first, cases, 0)
-        draws = []
-        for case in range(first, min(first + _AT_ONCE, cases)):
-            random = generator(bench.study.study.seed, population.name + _STREAM, case)
-            numbers = random.standard_normal(len(motions.columns))
-            motion = _motion(bench, model, np.tensordot(numbers, motions.columns, 1))
-            draws.append(CaseDraw(population, case, time, motion))
-        result = trace_draws(bench.text, draws, device)
-        values = result.arrays[variable][:, :instants]
-        if "axis" in places:
-            values = values[..., places["axis"]]
-        elif variable in ("los", "centroid"):
-            values = np.linalg.norm(values, axis=2)
-        elif "noll" in places:
-            values = values[..., places["noll"]]
-        found.append(np.sqrt(np.mean(values**2, axis=1))[result.status == DONE])
+        found.append(movable.traced([case(k) for k in range(first, min(first + _AT_ONCE, cases))]))
     if progress:
         progress(cases, cases, 0)
-    good = np.concatenate(found)
-    if len(good) < FEWEST:
-        raise UserError(f"{cases - len(good)} of {cases} cases cannot be traced with these allowances.")
-    return good, cases - len(good)
-
-
-def _motion(bench: Bench, model: ModalModel, rows: Array) -> Motion:
-    """Return the motion of rows (n, D S + 4) in mm and rad, as `motion_rows` gives them."""
-    count, segments = len(rows), len(bench.layout)
-    terms = max((dof - RIGID + 1 for dof in model.dofs), default=0)
-    motion = still(count, segments, max(terms, 0))
-    local = rows[:, :-COMMON].reshape(count, len(model.dofs), segments)
-    for column, dof in enumerate(model.dofs):
-        if dof < RIGID:
-            motion.segment_motion[:, :, dof] = local[:, column] / (MM_PER_M if dof < 3 else 1.0)
-        else:
-            motion.segment_figure[:, dof - RIGID] = local[0, column] / MM_PER_M
-    motion.mount[:] = rows[:, -2:]
-    if rows[:, -COMMON:-2].any():
-        motion.m2[:] = rows[:, -COMMON:-2] @ np.linalg.inv(bench.m2_tilt.T)
-    return motion
+    return np.concatenate(found)

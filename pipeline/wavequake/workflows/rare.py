@@ -1,11 +1,13 @@
 """The campaign that proves a rare event: a study whose cases are drawn near a limit and traced in full."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from wavequake.campaign.rare.certificate import RareProbability, estimated
 from wavequake.campaign.schema import Study
 from wavequake.errors import UserError
+from wavequake.mechanics.disturbances.population import Population
 from wavequake.workflows.segments.segment_rare import RareCases, rare_cases
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.study import study_with
@@ -68,15 +70,7 @@ def rare_study(
             raise UserError("What is rare? Give a limit, as --limit '120 nm', or a probability.")
         limit, probability = own.limit, own.probability
     names = [entry.name for entry in study.disturbance]
-    active = [entry.name for entry in study.disturbance if entry.share]
-    if of is not None and of not in names:
-        raise UserError(f"There is no disturbance {of!r} in this study; there is {', '.join(names)}.")
-    if of is None and len(active) > 1:
-        raise UserError(
-            f"This study has several disturbances; choose one with --of: {', '.join(active)}; "
-            'a sum of them is a disturbance of the model "combine".'
-        )
-    chosen = of or active[0]
+    chosen = chosen_disturbance(study.disturbance, of)
     keys = {
         **_PLAIN,
         **{f"disturbance.{name}.share": int(name == chosen) for name in names},
@@ -88,6 +82,26 @@ def rare_study(
     found = study_with(study, keys)
     assert isinstance(found, SegmentStudy)
     return found
+
+
+def chosen_disturbance(entries: Sequence[Population], of: str | None) -> str:
+    """Return the name of the disturbance `of` a study's, by default of the only one that has cases.
+
+    Raises
+    ------
+    UserError
+        If there is none of that name, or several to choose from.
+    """
+    names = [entry.name for entry in entries]
+    active = [entry.name for entry in entries if entry.share]
+    if of is not None and of not in names:
+        raise UserError(f"There is no disturbance {of!r} in this study; there is {', '.join(names)}.")
+    if of is None and len(active) > 1:
+        raise UserError(
+            f"This study has several disturbances; choose one with --of: {', '.join(active)}; "
+            'a sum of them is a disturbance of the model "combine".'
+        )
+    return of or active[0]
 
 
 def rare_folder(study: Study, made: SegmentStudy, store: Path | str | None) -> Path:

@@ -1,20 +1,63 @@
-"""Allowances as a table and as a CSV file."""
+"""Allowances as a table, a figure and a CSV file."""
 
 import csv
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter
+from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from wavequake.campaign.schema import Study
+from wavequake.drawing.style import COLORS, HEIGHT, STYLE, WIDTH, svg_text
 from wavequake.errors import UserError
 from wavequake.report.answers.rare import in_unit, unit_of
 from wavequake.report.table import number
 from wavequake.workflows.allow import Allowances
+from wavequake.workflows.systems.system_study import SystemStudy
+
+Array = NDArray[np.float64]
 
 _FORM = re.compile(r"\s*(\w+(?:\[.*\])?)\.p(\d+(?:\.\d+)?)\s*")
+_TURNS = ("rx", "ry", "rz")
+_MARKS = "os^Dv<>Xp*"
+_FEW = 12  # elements of which each has a row of the table
+_NAMES = 40  # elements that are named along an axis
+_PICTURES = (".svg", ".png", ".pdf")
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is limited: ``measure`` is ``name`` with its quantile, ``limit`` in its unit."""
+
+    measure: str
+    name: str
+    probability: float
+    limit: float
+    by: str
+
+
+def asked_of(study: Study, measure: str | None, limit: str | float | None, by: str | None) -> Asked:
+    """Return what allowances are asked for: by a user, or else by the section ``[allow]`` of the study.
+
+    Raises
+    ------
+    UserError
+        If no limit is given, or as :func:`goal_of`.
+    """
+    own = study.allow if isinstance(study, SystemStudy) else None
+    measure = measure or (own.measure if own else "wfe_rms.p95")
+    limit = limit or (own.limit if own else None)
+    if limit is None:
+        raise UserError(f"Below what shall {measure} stay? Give a limit, as --limit '60 nm'.")
+    name, probability, value = goal_of(measure, limit)
+    return Asked(measure, name, probability, value, by or (own.by if own else "shares"))
 
 
 def goal_of(measure: str, limit: str | float) -> tuple[str, float, float]:
@@ -32,20 +75,51 @@ def goal_of(measure: str, limit: str | float) -> tuple[str, float, float]:
 
 
 def allow_table(found: Allowances) -> Table:
-    """Return the allowances of each axis over the segments as a table for the terminal."""
+    """Return the allowances as a table for the terminal: of few elements each, of many those of each axis."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("axis")
+    units = _units(found)
+    if len(found.elements) <= _FEW:
+        for name in found.elements:
+            table.add_column(name, justify="right")
+        table.add_column("unit")
+        for row, (axis, values) in enumerate(zip(found.axes, found.rms, strict=True)):
+            scale, unit = units[row]
+            table.add_row(axis, *(_allowed(scale * value) for value in values), f"{unit} rms")
+        share = [number(100.0 * one) for one in np.nansum(found.shares, axis=0)]
+        table.add_row("share", *share, "%")
+        return table
     for column in ("least", "median", "most", "unit", "share"):
         table.add_column(column, justify="left" if column == "unit" else "right")
-    for axis, values, shares in zip(found.axes, found.rms, found.shares, strict=True):
-        scale, unit = _scale(axis)
-        numbers = (values.min(), float(np.median(values)), values.max())
-        table.add_row(axis, *(number(scale * one) for one in numbers), unit, f"{shares.sum():.1%}")
+    for (scale, unit), axis, values, shares in zip(units, found.axes, found.rms, found.shares, strict=True):
+        known = values[~np.isnan(values)]
+        numbers = (known.min(), float(np.median(known)), known.max())
+        table.add_row(
+            axis, *(_allowed(scale * one) for one in numbers), f"{unit} rms", f"{np.nansum(shares):.1%}"
+        )
     return table
 
 
-def _scale(axis: str) -> tuple[float, str]:
-    return (1e9, "nrad rms") if axis in ("rx", "ry", "rz") else (1e9, "nm rms")
+def _allowed(value: float) -> str:
+    return "any" if np.isinf(value) else number(value)
+
+
+def _units(found: Allowances) -> list[tuple[float, str]]:
+    """Return the factor and the unit in which the allowances of each axis read best: one for each kind."""
+    kinds = [_kind(axis) for axis in found.axes]
+    units = {kind: _unit(found.rms[[one == kind for one in kinds]], kind == "turn") for kind in set(kinds)}
+    return [units[kind] for kind in kinds]
+
+
+def _kind(axis: str) -> str:
+    return "turn" if axis in _TURNS else "figure" if axis.startswith("figure") else "shift"
+
+
+def _unit(values: Array, turns: bool) -> tuple[float, str]:
+    known = values[np.isfinite(values)]
+    power = int(np.floor(np.log10(np.median(known)) / 3.0)) if known.size else -3
+    power = min(max(power, -4), -1)
+    return 10.0 ** (-3 * power), {-1: "m", -2: "u", -3: "n", -4: "p"}[power] + ("rad" if turns else "m")
 
 
 def allow_notes(found: Allowances, measure: str, limit: float) -> Iterator[str]:
@@ -53,32 +127,95 @@ def allow_notes(found: Allowances, measure: str, limit: float) -> Iterator[str]:
     if np.isfinite(found.factor):
         yield f"What the study has, times {found.factor:.4g}."
     check, unit = found.check, found.unit
+    how = "by the linear model, exactly" if found.exact else "in 4000 draws of the linear model"
     yield (
-        f"{measure} is {number(limit, 4)} {unit} by the modal model; of {found.cases - found.failed} cases "
-        f"that were drawn with these allowances and traced in full {number(check.value, 4)} {unit} "
+        f"{measure} is {number(limit, 4)} {unit} {how}; of {found.cases - found.failed} cases that were "
+        f"drawn with these allowances and traced in full {number(check.value, 4)} {unit} "
         f"({number(check.low, 4)}–{number(check.high, 4)})."
     )
+    for axis, values in zip(found.axes, found.rms, strict=True):
+        idle = np.flatnonzero(np.isinf(values))
+        if idle.size:
+            names = _named(found.elements, idle)
+            yield f"Any {axis} is allowed, since it does nothing to {measure}: {names}."
     if found.failed:
         yield f"WARNING {found.failed} of {found.cases} cases cannot be traced, and are left out."
     if not check.low <= limit <= check.high:
-        yield "WARNING Full traces do not confirm the limit: the motions are too large for the modal model."
+        yield "WARNING Full traces do not confirm the limit: the motions are too large for the linear model."
 
 
-def write_allowances(found: Allowances, file: Path) -> None:
-    """Write a row per segment and axis.
+def _named(names: Sequence[str], places: NDArray[np.int64]) -> str:
+    if len(places) == len(names) > 1:
+        return "all elements"
+    shown = ", ".join(names[place] for place in places[:_FEW])
+    return shown + (f" and {len(places) - _FEW} more" if len(places) > _FEW else "")
+
+
+@rc_context(STYLE)
+def allow_figure(found: Allowances, measure: str) -> Figure:
+    """Draw how far every element may be off along every axis, a panel for shifts, turns and figures each."""
+    limited = [bool(np.isfinite(values).any()) for values in found.rms]
+    kinds = list(dict.fromkeys(_kind(axis) for axis, one in zip(found.axes, limited, strict=True) if one))
+    figure = Figure(figsize=(WIDTH, 0.55 * HEIGHT * len(kinds)), layout="constrained")
+    panels = figure.subplots(len(kinds), 1, sharex=True, squeeze=False)[:, 0]
+    at, units = np.arange(len(found.elements)), _units(found)
+    for axes, kind in zip(panels, kinds, strict=True):
+        rows = [row for row, axis in enumerate(found.axes) if _kind(axis) == kind and limited[row]]
+        for index, row in enumerate(rows):
+            scale, unit = units[row]
+            beside = (index - (len(rows) - 1) / 2.0) * min(0.1, 0.6 / len(rows))
+            style = {"color": COLORS[index % len(COLORS)], "marker": _MARKS[index % len(_MARKS)]}
+            values = np.where(np.isfinite(found.rms[row]), scale * found.rms[row], np.nan)
+            axes.plot(at + beside, values, linestyle="none", markersize=5.0, label=found.axes[row], **style)
+            axes.set_ylabel(f"{kind} ({unit} rms)")
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.yaxis.set_minor_formatter(NullFormatter())
+        axes.grid(axis="y", color="#dddddd", linewidth=0.6)
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    panels[0].set_title(f"What every element is allowed: {measure}")
+    if len(at) <= _NAMES:
+        panels[-1].set_xticks(at, found.elements, rotation=0 if len(at) <= 8 else 90)
+    else:
+        panels[-1].set_xlabel("element")
+    return figure
+
+
+def require_writable(file: Path) -> None:
+    """Raise UserError unless the name of a file says what it holds, and its folder is there."""
+    if file.suffix.lower() not in (".csv", *_PICTURES):
+        raise UserError(
+            f"{file} must end in .csv (a table) or {', '.join(_PICTURES[:-1])} or .pdf (a figure)."
+        )
+    if not file.absolute().parent.is_dir():
+        raise UserError(f"{file} cannot be written: there is no folder {file.parent}.")
+
+
+def write_allowances(found: Allowances, file: Path, measure: str = "") -> None:
+    """Write a row per element and axis, or draw the figure.
 
     Raises
     ------
     UserError
         If the file cannot be written.
     """
-    rows: list[tuple[object, ...]] = [("element", "axis", "rms", "unit", "share")]
-    for axis, values, shares in zip(found.axes, found.rms, found.shares, strict=True):
-        unit = "rad" if axis in ("rx", "ry", "rz") else "m"
-        parts = zip(found.elements, values.tolist(), shares.tolist(), strict=True)
-        rows += [(name, axis, value, unit, part) for name, value, part in parts]
+    require_writable(file)
     try:
-        with file.open("w", encoding="utf-8", newline="") as out:
-            csv.writer(out, lineterminator="\n").writerows(rows)
+        if file.suffix.lower() == ".svg":
+            file.write_text(svg_text(allow_figure(found, measure)), encoding="utf-8")
+        elif file.suffix.lower() in _PICTURES:
+            allow_figure(found, measure).savefig(file, dpi=150)
+        else:
+            with file.open("w", encoding="utf-8", newline="") as out:
+                csv.writer(out, lineterminator="\n").writerows(_rows(found))
     except OSError as error:
         raise UserError(f"{file} cannot be written: {error.strerror}.") from None
+
+
+def _rows(found: Allowances) -> Iterator[tuple[object, ...]]:
+    yield ("element", "axis", "rms", "unit", "share")
+    for axis, values, shares in zip(found.axes, found.rms, found.shares, strict=True):
+        unit = "rad" if axis in _TURNS else "m"
+        for name, value, part in zip(found.elements, values.tolist(), shares.tolist(), strict=True):
+            if not np.isnan(value):
+                yield name, axis, value, unit, part

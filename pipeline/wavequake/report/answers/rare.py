@@ -27,6 +27,7 @@ _WIDE = 0.1  # share of the probability that a correction may leave open
 _FORM = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\S*)\s*")
 _UNITS = {
     "nm": {"pm": 1e-3, "nm": 1.0, "um": 1e3, "µm": 1e3, "mm": 1e6, "m": 1e9},
+    "mm": {"pm": 1e-9, "nm": 1e-6, "um": 1e-3, "µm": 1e-3, "mm": 1.0, "m": 1e3},
     "mas": {
         "uas": 1e-3,
         "µas": 1e-3,
@@ -147,8 +148,9 @@ def _limit(cases: RareCases, chance: float) -> float:
 
 
 def unit_of(measure: str) -> str:
-    """Return the unit in which a measure of :func:`rare_answer` is stored."""
-    return "mas" if measure.partition("[")[0] in ("los", "centroid") else "nm"
+    """Return the unit in which a measure of :func:`rare_answer`, or of allowances, is stored."""
+    name = measure.partition("[")[0]
+    return "mas" if name in ("los", "centroid") else "mm" if name in ("los_mm", "centroid_mm") else "nm"
 
 
 def in_unit(text: str | float, unit: str) -> float:

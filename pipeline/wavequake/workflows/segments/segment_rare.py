@@ -11,19 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.rare.quadratic import (
-    QuadraticForm,
-    Tilt,
-    exceedance,
-    limit_of,
-    quadratic_form,
-    tilt_to,
-)
+from wavequake.campaign.rare.quadratic import QuadraticForm, Tilt, exceedance, limit_of, tilt_to
 from wavequake.campaign.statistics.judged import Judged, judged_of_template
+from wavequake.chain.gaussian_forms import form_of_numbers
 from wavequake.errors import UserError
+from wavequake.mechanics.disturbances.gaussian import GaussianMotions, gaussian_motions
 from wavequake.mechanics.disturbances.motion import generator
-from wavequake.mechanics.disturbances.registry import Disturbance, Motion, draw_case, instants_of
-from wavequake.mechanics.disturbances.streams import Coordinates, Normals, Streams
+from wavequake.mechanics.disturbances.registry import Disturbance, draw_case, instants_of
+from wavequake.mechanics.disturbances.streams import Streams
 from wavequake.optics.segments.modal import ModalModel, layout_of
 from wavequake.optics.segments.modal_forms import MotionForm, length_form, raw_form
 from wavequake.prepared import prepared
@@ -35,36 +30,7 @@ Array = NDArray[np.float64]
 
 MEASURES = ("wfe_rms", "wfe_rms_raw", "zernike", "los", "centroid")
 _STREAM = "~rare"  # no disturbance can have this in its name
-_MOST_NUMBERS = 5_000  # that move something: matrices of their squares
-_MOST_ENTRIES = 2**26  # of all motions: 0.5 GB
-_LINEAR = 1e-6  # share by which a sum of numbers may miss what is drawn
 _RARE = 0.5
-
-
-@dataclass(frozen=True)
-class GaussianMotions:
-    """Motions of a disturbance as sums of Gaussian numbers.
-
-    Attributes
-    ----------
-    streams : tuple of (str, int)
-        Names of the streams, and how many numbers each gives.
-    moving : ndarray, shape (d,)
-        Which of the numbers move something.
-    rest : ndarray, shape (n, D S + 4)
-        Motion over n instants where all numbers are zero, mm and rad.
-    columns : ndarray, shape (d, n, D S + 4)
-        What each number adds.
-    """
-
-    streams: tuple[tuple[str, int], ...]
-    moving: NDArray[np.int64]
-    rest: Array
-    columns: Array
-
-    def of(self, numbers: Array) -> Streams:
-        """Return what the streams of a case with `numbers` (d,) draw from."""
-        return _streams(self.streams, self.moving, numbers)
 
 
 @dataclass(frozen=True)
@@ -125,7 +91,7 @@ def rare_cases(study_text: str) -> RareCases:
         )
     model = model_of(study_text, "numpy")  # the same on every worker
     with threadpool_limits(1):
-        motions = gaussian_motions(bench, model, population)
+        motions = segment_motions(bench, model, population)
         form = form_of_numbers(form_of_motions(bench, model, judged), motions)
     if section.limit is None:
         assert section.probability is not None
@@ -150,66 +116,26 @@ def _common(form: QuadraticForm, limit: float, chance: float, unit: str) -> str:
     )
 
 
-def gaussian_motions(bench: Bench, model: ModalModel, population: Disturbance) -> GaussianMotions:
-    """Return the motions of a disturbance as sums of Gaussian numbers, found by drawing with one at a time.
+def segment_motions(bench: Bench, model: ModalModel, population: Disturbance) -> GaussianMotions:
+    """Return the motions of a disturbance, rows (n, D S + 4) in mm and rad, as sums of Gaussian numbers.
 
     Raises
     ------
     UserError
-        If they are no such sums, or too many.
+        If they are no such sums, too many, or the modal model does not know them.
     """
-    study, counters = bench.study, dict[str, Coordinates]()
-    time = instants_of(study.disturbance, population)
+    study = bench.study
 
-    def drawn(streams: Streams) -> Motion:
-        return draw_case(study.disturbance, population, bench.layout, 0, 0, streams, time)
+    def rows(streams: Streams, time: Array) -> Array:
+        moved = draw_case(study.disturbance, population, bench.layout, 0, 0, streams, time)
+        if not knows(model, moved):
+            raise UserError(
+                f"The disturbance {population.name!r} moves what the modal model does not know; rare events "
+                "are of motions of segments, M2 and mount."
+            )
+        return motion_rows(bench, model, moved, len(time))
 
-    drawn(lambda name: counters.setdefault(name, Coordinates()))
-    streams = tuple((name, counter.taken) for name, counter in counters.items())
-    total = sum(count for _, count in streams)
-    everything = np.arange(total)
-    trial = np.random.default_rng(0).standard_normal(total)
-    moved = drawn(_streams(streams, everything, trial))
-    if not knows(model, moved):
-        raise UserError(
-            f"The disturbance {population.name!r} moves what the modal model does not know; rare events are "
-            "of motions of segments, M2 and mount."
-        )
-    wanted = motion_rows(bench, model, moved, len(time))
-    if (wanted == wanted[0]).all():  # constant over the instants
-        time, wanted = time[:1], wanted[:1]
-    if total * wanted.size > _MOST_ENTRIES:
-        raise UserError(
-            f"A case of {population.name!r} draws {total} numbers for {len(time)} instants, too many for "
-            "rare events; take fewer instants."
-        )
-
-    def rows(numbers: Array) -> Array:
-        return motion_rows(bench, model, drawn(_streams(streams, everything, numbers)), len(time))
-
-    rest = rows(np.zeros(total))
-    columns = np.array([rows(one) - rest for one in np.eye(total)]).reshape(total, *rest.shape)
-    scale = np.abs(wanted).max(axis=0)
-    missed = np.abs(rest + np.tensordot(trial, columns, 1) - wanted)
-    if not (missed <= _LINEAR * np.where(scale > 0.0, scale, 1.0)).all():
-        raise UserError(
-            f"The motions of the disturbance {population.name!r} are no sums of Gaussian numbers (uniform "
-            "amplitudes, or random frequencies and phases), which rare events need."
-        )
-    moving = np.flatnonzero(columns.any(axis=(1, 2)))
-    if not 0 < len(moving) <= _MOST_NUMBERS:
-        words = "nothing" if not len(moving) else f"by {len(moving)} numbers, more than {_MOST_NUMBERS}"
-        raise UserError(f"The disturbance {population.name!r} moves {words}: there are no rare events of it.")
-    return GaussianMotions(streams, moving, rest, columns[moving])
-
-
-def _streams(streams: tuple[tuple[str, int], ...], moving: NDArray[np.int64], numbers: Array) -> Streams:
-    """Return streams that give some numbers where something moves, and zeros elsewhere."""
-    whole = np.zeros(sum(count for _, count in streams))
-    whole[moving] = numbers
-    ends = np.cumsum([count for _, count in streams])[:-1]
-    parts = {name: Normals(part) for (name, _), part in zip(streams, np.split(whole, ends), strict=True)}
-    return parts.__getitem__
+    return gaussian_motions(population.name, rows, instants_of(study.disturbance, population))
 
 
 def form_of_motions(bench: Bench, model: ModalModel, judged: Judged) -> MotionForm:
@@ -229,17 +155,3 @@ def form_of_motions(bench: Bench, model: ModalModel, judged: Judged) -> MotionFo
         return length_form(rest[3:], columns[:, 3:])
     term = judged.chosen["noll"]
     return length_form(in_basis(bench, rest)[[term]], in_basis(bench, columns)[:, [term]])
-
-
-def form_of_numbers(form: MotionForm, motions: GaussianMotions) -> QuadraticForm:
-    """Return the mean over the instants of a form of the motions, as one of the numbers behind them."""
-    count, instants, _ = motions.columns.shape
-    constant, linear, square = 0.0, np.zeros(count), np.zeros((count, count))
-    for instant in range(instants):
-        columns, rest = motions.columns[:, instant], motions.rest[instant]
-        bent = form.square @ rest
-        constant += form.constant + float(form.linear @ rest + rest @ bent)
-        linear += columns @ (form.linear + 2.0 * bent)
-        square += columns @ form.square @ columns.T
-    square = (square + square.T) / (2.0 * instants)
-    return quadratic_form(constant / instants, linear / instants, square)

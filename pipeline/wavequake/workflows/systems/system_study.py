@@ -1,7 +1,7 @@
 """Study files of the workflow "system-disturbance": any optical system, and what moves its surfaces."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
@@ -68,6 +68,20 @@ class SystemWavefrontSection(Section):
         return self
 
 
+class AllowSection(Section):
+    """What `wavequake allow` limits, and how it shares it out."""
+
+    measure: str = Field(default="wfe_change.p95", description="an upper quantile, as wfe_change.p95")
+    limit: str = Field(description="with its unit, as '60 nm'")
+    by: Literal["shares", "cost", "factor"] = Field(
+        default="shares", description="equal shares, shares by cost, or what the study has, times a factor"
+    )
+    cost: dict[str, Annotated[float, Field(gt=0)]] = Field(
+        default={},
+        description='what it costs to halve a motion, by element or element and axis ("M1 rx"); all others 1',
+    )
+
+
 class SystemStudy(Study):
     """A validated study file."""
 
@@ -82,12 +96,15 @@ class SystemStudy(Study):
     wavefront: SystemWavefrontSection = SystemWavefrontSection()
     imaging: SystemImagingSection | None = None
     object: ObjectSection | None = None
+    allow: AllowSection | None = None
 
     @model_serializer(mode="wrap")
     def _without_structure_there_is_none(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
         record: dict[str, Any] = write(self)
         if not any(body.kind for body in self.body):
             record = {key: value for key, value in record.items() if key not in _OF_MASSES}
+        if self.allow is None:
+            record.pop("allow", None)
         return record
 
     @field_validator("disturbance")

@@ -1,0 +1,99 @@
+"""Motions of a disturbance as sums of Gaussian numbers, found by drawing with one of them at a time."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.errors import UserError
+from wavequake.mechanics.disturbances.streams import Coordinates, Normals, Streams
+
+Array = NDArray[np.float64]
+
+# Draws from streams at instants (n,) and returns motions (n, m), whatever their columns are.
+Rows = Callable[[Streams, Array], Array]
+
+_MOST_NUMBERS = 5_000  # that move something: matrices of their squares
+_MOST_ENTRIES = 2**26  # of all motions: 0.5 GB
+_LINEAR = 1e-6  # share by which a sum of numbers may miss what is drawn
+
+
+class NotGaussianError(UserError):
+    """The motions of a disturbance are no sums of Gaussian numbers."""
+
+
+@dataclass(frozen=True)
+class GaussianMotions:
+    """Motions of a disturbance as sums of Gaussian numbers.
+
+    Attributes
+    ----------
+    streams : tuple of (str, int)
+        Names of the streams, and how many numbers each gives.
+    moving : ndarray, shape (d,)
+        Which of the numbers move something.
+    rest : ndarray, shape (n, m)
+        Motion over n instants where all numbers are zero.
+    columns : ndarray, shape (d, n, m)
+        What each number adds.
+    """
+
+    streams: tuple[tuple[str, int], ...]
+    moving: NDArray[np.int64]
+    rest: Array
+    columns: Array
+
+    def of(self, numbers: Array) -> Streams:
+        """Return what the streams of a case with `numbers` (d,) draw from."""
+        return _streams(self.streams, self.moving, numbers)
+
+
+def gaussian_motions(name: str, rows: Rows, time: Array) -> GaussianMotions:
+    """Return the motions of the disturbance `name`, which `rows` draws at the instants `time` (n,), as sums.
+
+    Raises
+    ------
+    NotGaussianError
+        If they are no such sums.
+    UserError
+        If they are too many, or nothing moves.
+    """
+    counters: dict[str, Coordinates] = {}
+    rows(lambda stream: counters.setdefault(stream, Coordinates()), time)
+    streams = tuple((stream, counter.taken) for stream, counter in counters.items())
+    total = sum(count for _, count in streams)
+    everything = np.arange(total)
+    trial = np.random.default_rng(0).standard_normal(total)
+    wanted = rows(_streams(streams, everything, trial), time)
+    if (wanted == wanted[0]).all():  # constant over the instants
+        time, wanted = time[:1], wanted[:1]
+    if total * wanted.size > _MOST_ENTRIES:
+        raise UserError(
+            f"A case of {name!r} draws {total} numbers for {len(time)} instants, too many for rare events; "
+            "take fewer instants."
+        )
+    rest = rows(_streams(streams, everything, np.zeros(total)), time)
+    columns = np.array([rows(_streams(streams, everything, one), time) - rest for one in np.eye(total)])
+    columns = columns.reshape(total, *rest.shape)
+    scale = np.abs(wanted).max(axis=0)
+    missed = np.abs(rest + np.tensordot(trial, columns, 1) - wanted)
+    if not (missed <= _LINEAR * np.where(scale > 0.0, scale, 1.0)).all():
+        raise NotGaussianError(
+            f"The motions of the disturbance {name!r} are no sums of Gaussian numbers (uniform amplitudes, "
+            "or random frequencies and phases), which rare events need."
+        )
+    moving = np.flatnonzero(columns.any(axis=(1, 2)))
+    if not 0 < len(moving) <= _MOST_NUMBERS:
+        words = "nothing" if not len(moving) else f"by {len(moving)} numbers, more than {_MOST_NUMBERS}"
+        raise UserError(f"The disturbance {name!r} moves {words}: there are no rare events of it.")
+    return GaussianMotions(streams, moving, rest, columns[moving])
+
+
+def _streams(streams: tuple[tuple[str, int], ...], moving: NDArray[np.int64], numbers: Array) -> Streams:
+    """Return streams that give some numbers where something moves, and zeros elsewhere."""
+    whole = np.zeros(sum(count for _, count in streams))
+    whole[moving] = numbers
+    ends = np.cumsum([count for _, count in streams])[:-1]
+    parts = {name: Normals(part) for (name, _), part in zip(streams, np.split(whole, ends), strict=True)}
+    return parts.__getitem__
