@@ -6,7 +6,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from wavequake.terminal import out
+from wavequake.terminal import EXIT_QUARANTINED, out
 
 OverridesArgument = Annotated[
     list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. campaign.cases=4")
@@ -17,7 +17,9 @@ def margins(
     study: Annotated[str, typer.Argument(help="Name of a bundled study or path of a .toml file.")],
     overrides: OverridesArgument = None,
 ) -> None:
-    """Show stability and margins of every loop of a study; nothing is run or stored."""
+    """Show stability and margins of every loop of a study; nothing is run. Exit code 3: one is unstable."""
+    import sys
+
     from wavequake.report.table import number
     from wavequake.workflows.loops.loop_margins import loops_of
     from wavequake.workflows.study import load_study
@@ -43,3 +45,4 @@ def margins(
     out.print(table)
     if unstable:
         out.print(f"{unstable} of {total} loops are unstable: no margins, and what they leave is no result.")
+        sys.exit(EXIT_QUARANTINED)

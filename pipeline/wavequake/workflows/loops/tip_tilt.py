@@ -6,6 +6,7 @@ of disturbances that are drawn from their spectra, which knows neither.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,14 @@ from threadpoolctl import threadpool_limits
 from wavequake.campaign.measured import Block, CaseTable, study_kind
 from wavequake.campaign.measures import Axis, Measure
 from wavequake.campaign.stopwatch import Stopwatch
-from wavequake.control.frames.controllers import FrameController, integrator, largest_gain, predictor
-from wavequake.control.frames.disturbance import Shaped, joined, line, sampled, wind_shake
+from wavequake.control.frames.controllers import (
+    FrameController,
+    integrator,
+    largest_gain,
+    plant_and_controller,
+    predictor,
+)
+from wavequake.control.frames.disturbance import Sampled, Shaped, joined, line, sampled, wind_shake
 from wavequake.control.frames.margins import frame_margins
 from wavequake.control.frames.residual import (
     best_gain,
@@ -42,7 +49,7 @@ from wavequake.mechanics.disturbances.spectra import (
     variance,
 )
 from wavequake.mechanics.model import Array, Integers
-from wavequake.workflows.loops.loop_margins import LoopMargins, converted
+from wavequake.workflows.loops.loop_margins import LoopMargins, Makers, StudyLoop, converted
 from wavequake.workflows.loops.tip_tilt_study import TipTiltStudy
 
 # Spectra are integrated from and to these frequencies, beyond which nothing is left; edges in the report.
@@ -130,10 +137,10 @@ def bench_of(study: TipTiltStudy) -> Bench:
     off = study.loop.lines_off
     spectra = spectra_of(study, off)
     hertz = np.geomspace(0.01, max(study.loop.rates_hz) / 2, _SHOWN)
-    believed, true = shaped(study), shaped(study, off)
+    true = shaped(study, off)
     count = len(lines_along(study))
     loops = tuple(
-        _loop(study, name, rate, believed, true, spectra, hertz)
+        _loop(study, name, rate, true, spectra, hertz)
         for rate in study.loop.rates_hz
         for name in study.loop.controllers
     )
@@ -147,23 +154,33 @@ def bench_of(study: TipTiltStudy) -> Bench:
     )
 
 
+def designed(study: TipTiltStudy, name: str, true: Sampled) -> tuple[FrameController, float]:
+    """Return a controller for a disturbance by frames, and the gain of an integrator (else NaN).
+
+    Raises
+    ------
+    UserError
+        If an integrator of the given gain is unstable.
+    """
+    section = study.loop
+    noise, frames = section.noise_mas, section.delay_frames
+    if name == "integrator":
+        gain = best_gain(true, noise, frames) if section.gain is None else section.gain
+        return integrator(gain, frames), gain
+    return predictor(sampled(shaped(study), true.frame), noise, frames), np.nan
+
+
 def _loop(
     study: TipTiltStudy,
     name: str,
     rate: float,
-    believed: Shaped,
     true: Shaped,
     spectra: list[Spectrum],
     hertz: Array,
 ) -> Loop:
-    section, frame = study.loop, 1.0 / rate
-    noise, frames = section.noise_mas, section.delay_frames
-    by_frames, gain = sampled(true, frame), np.nan
-    if name == "integrator":
-        gain = best_gain(by_frames, noise, frames) if section.gain is None else section.gain
-        controller = integrator(gain, frames)
-    else:
-        controller = predictor(sampled(believed, frame), noise, frames)
+    noise, frame = study.loop.noise_mas, 1.0 / rate
+    by_frames = sampled(true, frame)
+    controller, gain = designed(study, name, by_frames)
     factor = passed(controller, frame)
     turns = _turns(controller, rate)
     left = [Spectrum(_product(one.density, factor), _LOW, _HIGH, (*one.breaks_hz, *turns)) for one in spectra]
@@ -307,13 +324,25 @@ def describe(bench: Bench) -> Mapping[str, str]:
     }
 
 
-def loops(study: TipTiltStudy) -> Iterator[LoopMargins]:
-    """Yield the margins of every controller at every rate."""
-    for one in bench_of(study).loops:
-        frame = 1.0 / one.rate_hz
-        name = f"{one.name}, {one.rate_hz:g} Hz"
-        growth = float(np.log(spectral_radius(one.controller))) / frame
-        yield converted(name, growth, np.nan, frame_margins(one.controller, frame))
+def loops(study: TipTiltStudy) -> Makers:
+    """Return every controller at every rate."""
+    return {
+        f"{name}, {rate:g} Hz": partial(_made, study, name, rate)
+        for rate in study.loop.rates_hz
+        for name in study.loop.controllers
+    }
+
+
+def _made(study: TipTiltStudy, name: str, rate: float) -> StudyLoop:
+    frame = 1.0 / rate
+    true = sampled(shaped(study, study.loop.lines_off), frame)
+    controller, _ = designed(study, name, true)
+
+    def found() -> LoopMargins:
+        growth = float(np.log(spectral_radius(controller))) / frame
+        return converted(f"{name}, {rate:g} Hz", growth, np.nan, frame_margins(controller, frame))
+
+    return StudyLoop(*plant_and_controller(controller, study.loop.delay_frames, frame), found)
 
 
 KIND = study_kind(
