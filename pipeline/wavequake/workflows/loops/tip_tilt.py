@@ -27,6 +27,7 @@ from wavequake.control.frames.margins import frame_margins
 from wavequake.control.frames.residual import (
     best_gain,
     dense_grid,
+    loop_gain,
     passed,
     residual,
     resonances,
@@ -53,7 +54,9 @@ from wavequake.workflows.loops.loop_margins import LoopMargins, Makers, StudyLoo
 from wavequake.workflows.loops.tip_tilt_study import TipTiltStudy
 
 # Spectra are integrated from and to these frequencies, beyond which nothing is left; edges in the report.
-_LOW, _HIGH, _SHOWN = 1e-4, 1e5, 400
+_LOW, _HIGH, _FIRST, _SHOWN = 1e-4, 1e5, 0.01, 400
+# Points of curves about a line, in its widths.
+_ABOUT_LINES = np.array([-4.0, -2.0, -1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0, 2.0, 4.0])
 # Where integrals are parted about a pole, in its half widths.
 _ABOUT = np.array([-30.0, -10.0, -4.0, -1.5, -0.5, 0.0, 0.5, 1.5, 4.0, 10.0, 30.0])
 _BLOCK = 256
@@ -61,7 +64,11 @@ _BLOCK = 256
 
 @dataclass(frozen=True)
 class Loop:
-    """A controller at a rate, and what is known of it without a run; mas."""
+    """A controller at a rate, and what is known of it without a run; mas.
+
+    `curves` are measures over the frequencies of the bench; NaN above half the rate of frames where a frame's
+    mean is all that there is.
+    """
 
     name: str
     rate_hz: float
@@ -70,8 +77,9 @@ class Loop:
     exact: float
     integral: float
     peak: float
-    rejection: Array
-    cumulative: Array
+    gain_up: float
+    phase_deg: float
+    curves: Mapping[str, Array]
 
 
 @dataclass(frozen=True)
@@ -82,6 +90,7 @@ class Bench:
     bands: Bands
     open_mas: float
     hertz: Array
+    open_psd: Array
     open_cumulative: Array
     loops: tuple[Loop, ...]
 
@@ -136,7 +145,7 @@ def bench_of(study: TipTiltStudy) -> Bench:
     """
     off = study.loop.lines_off
     spectra = spectra_of(study, off)
-    hertz = np.geomspace(0.01, max(study.loop.rates_hz) / 2, _SHOWN)
+    hertz = _shown(study, off)
     true = shaped(study, off)
     count = len(lines_along(study))
     loops = tuple(
@@ -149,6 +158,7 @@ def bench_of(study: TipTiltStudy) -> Bench:
         split(total(spectra), 128 + 48 * count),
         float(np.sqrt(sampled(true, 1.0).variance)),
         hertz,
+        total(spectra).density(hertz),
         _cumulative(spectra, None, hertz),
         loops,
     )
@@ -188,7 +198,8 @@ def _loop(
     heard = Spectrum(lambda f: white * _noise_passed(controller, frame, f), 1e-9 * rate, rate / 2, turns)
     from_noise = variance(heard)
     peak = float(np.sqrt(sensitivity(controller, frame, dense_grid(controller, frame))[0].max()))
-    rejection = np.where(hertz < rate / 2, sensitivity(controller, frame, hertz)[0], np.nan)
+    found, density = frame_margins(controller, frame), total(spectra).density(hertz)
+    around = np.where(hertz < rate / 2, loop_gain(controller, frame, hertz), np.nan)
     return Loop(
         name,
         rate,
@@ -197,9 +208,26 @@ def _loop(
         residual(by_frames, controller, noise),
         float(np.sqrt(sum(variance(one) for one in left) + from_noise)),
         peak,
-        np.sqrt(rejection),
-        _cumulative(left, from_noise, hertz),
+        found.gain_up,
+        float(np.degrees(found.phase)),
+        {
+            "rejection": 1 / np.abs(1 + around),
+            "passed_noise": np.abs(around / (1 + around)),
+            "loop_gain": np.abs(around),
+            "loop_phase": np.degrees(np.angle(around)),
+            "left_psd": density * factor(hertz),
+            "cumulative": _cumulative(left, from_noise, hertz),
+        },
     )
+
+
+def _shown(study: TipTiltStudy, off: float) -> Array:
+    """Return the frequencies of the curves, Hz, some about each line."""
+    high = max(study.loop.rates_hz) / 2
+    lines = np.array([one.frequency_hz for one in lines_along(study, off)])
+    about = (lines[:, None] + study.shaken.fwhm_hz * _ABOUT_LINES).ravel()
+    inside = about[(about > _FIRST) & (about < high)]
+    return np.unique(np.concatenate([np.geomspace(_FIRST, high, _SHOWN), inside]))
 
 
 def _product(density: Callable[[Array], Array], factor: Callable[[Array], Array]) -> Callable[[Array], Array]:
@@ -246,8 +274,9 @@ def compute(bench: Bench, table: CaseTable, device: str, clock: Stopwatch) -> It
                 "integral_mas": loop.integral,
                 "gain": loop.gain,
                 "sensitivity_peak": loop.peak,
-                "rejection": loop.rejection,
-                "cumulative": loop.cumulative,
+                "gain_up": loop.gain_up,
+                "phase_margin": loop.phase_deg,
+                **loop.curves,
                 "simulated_mas": _simulated(bench, loop, int(realization), clock),
             }
             yield Block({name: np.array([value]) for name, value in found.items()}, np.array([row]))
@@ -298,6 +327,12 @@ def measures(bench: Bench) -> Iterable[Measure]:
         ("open_mas", "mas", "rms without a controller", ()),
         ("gain", "1", "of the integrator", ()),
         ("sensitivity_peak", "1", "largest amplification of frame means over frequency", ()),
+        ("gain_up", "1", "factor of the gain at which the loop becomes unstable", ()),
+        ("phase_margin", "deg", "phase at which the loop becomes unstable", ()),
+        ("loop_gain", "1", "size of the loop gain", ("frequency",)),
+        ("loop_phase", "deg", "phase of the loop gain", ("frequency",)),
+        ("passed_noise", "1", "complementary sensitivity of frame means, |T|", ("frequency",)),
+        ("left_psd", "mas^2/Hz", "what is left of the disturbance's spectrum", ("frequency",)),
         ("rejection", "1", "what is left of frame means at a frequency, |S|", ("frequency",)),
         ("cumulative", "mas", "rms of what is left below a frequency, noise from the start", ("frequency",)),
     ):
@@ -310,9 +345,13 @@ def axes(bench: Bench) -> Mapping[str, Axis]:
 
 
 def fixed(bench: Bench) -> dict[str, Any]:
-    """Return the cumulative disturbance without a controller."""
+    """Return the disturbance without a controller: its spectrum, and the rms below each frequency."""
     words = {"units": "mas", "long_name": "rms of the disturbance below a frequency"}
-    return {"open_cumulative": (("frequency",), bench.open_cumulative, words)}
+    power = {"units": "mas^2/Hz", "long_name": "one-sided spectrum of the disturbance"}
+    return {
+        "open_cumulative": (("frequency",), bench.open_cumulative, words),
+        "open_psd": (("frequency",), bench.open_psd, power),
+    }
 
 
 def describe(bench: Bench) -> Mapping[str, str]:
