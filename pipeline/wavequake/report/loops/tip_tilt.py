@@ -102,7 +102,8 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     table = Table(box=SIMPLE_HEAD, caption=answer(dataset, loops), caption_justify="left")
     rows = [row_of(one) for one in loops]
     for header in rows[0] if rows else ():
-        table.add_column(header.replace(" ", "\n"), justify="left" if header == "controller" else "right", no_wrap=True)
+        left = header == "controller"
+        table.add_column(header.replace(" ", "\n"), justify="left" if left else "right", no_wrap=True)
     for row in rows:
         table.add_row(*(" ".join(part for part in cell if part) for cell in row.values()))
     return table
@@ -141,7 +142,11 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         ]
         if loops
         else [],
-        sections=[Section("Over frequency", _over_frequency(dataset, loops))] if loops else [],
+        sections=[
+            Section(f"Over frequency, {rate:g} Hz", _over_frequency(dataset, rate, mine))
+            for rate in dict.fromkeys(one.rate_hz for one in loops)
+            if (mine := [one for one in loops if one.rate_hz == rate])
+        ],
         definitions=list(_DEFINITIONS),
         kind="controller",
         left_out=left_out(dataset, ["controller", "rate_hz"], most=1000),
@@ -149,38 +154,38 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     return write_page(render_page(dataset, page), target)
 
 
-def _over_frequency(dataset: xr.Dataset, loops: Sequence[Loop]) -> list[Picture]:
+def _over_frequency(dataset: xr.Dataset, rate: float, loops: Sequence[Loop]) -> list[Picture]:
     curves = frequency_curves(dataset, loops)
     return [
         picture(
-            "bode",
+            f"bode-{rate:g}",
             "Loop gain over frequency with its margins",
             bode(curves),
             "Bars end where a loop would be unstable: as a factor of the gain above, in degrees below. "
             "Curves end at half the rate of frames.",
         ),
         picture(
-            "nyquist",
+            f"nyquist-{rate:g}",
             "Loop gain in the complex plane",
             nyquist(curves),
             "The nearer to the cross at -1, the nearer to instability. Marks on the real axis are gain "
             "margins, those on the unit circle phase margins.",
         ),
         picture(
-            "rejection",
+            f"rejection-{rate:g}",
             "Sensitivity and complementary sensitivity",
             sensitivities(curves),
             "|S| is what is left of a motion, |T| what comes of the sensor's noise. Below 1 a loop helps, "
             "above 1 it amplifies. LQG digs notches where it knows lines to be.",
         ),
         picture(
-            "spectrum",
+            f"spectrum-{rate:g}",
             "Spectrum of the disturbance, and what is left of it",
             _curves(dataset, loops, "left_psd", "spectrum (mas²/Hz)"),
             "The thick line is the motion without a loop. What the sensor's noise adds is not in it.",
         ),
         picture(
-            "cumulative",
+            f"cumulative-{rate:g}",
             "Cumulative residual over frequency",
             _curves(dataset, loops, "cumulative", "rms below this frequency (mas)"),
             "Where a curve rises, the residual comes from; the thick line is the motion without a loop. "

@@ -19,7 +19,7 @@ from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.control.linear import LinearModel
 from wavequake.control.linear import in_units as model_in_units
 from wavequake.control.robustness.feedback import Loop, Pole, closed_poles, lqg, refined_pole
-from wavequake.control.robustness.margins import grid, margins, truncation_share
+from wavequake.control.robustness.margins import curves, grid, margins, truncation_share
 from wavequake.control.robustness.plant import Plant, in_units, linear, transfer
 from wavequake.control.robustness.residual import closed_covariance
 from wavequake.errors import UserError
@@ -167,6 +167,19 @@ def _closed_loop(bench: Bench, loop: Loop, known: Mapping[str, Any], effort: flo
         **_spill_over(bench, worst, known["mode_shift"], stable),
         **(_robustness(bench, loop, omega) if stable else dict.fromkeys(_ROBUSTNESS, np.nan)),
         **_residual(bench, loop, effort, stable),
+        **_curves(bench, loop, stable),
+    }
+
+
+def _curves(bench: Bench, loop: Loop, stable: bool) -> Numbers:
+    """Return the loop over frequency; an unstable one has no sensitivity."""
+    loci, rejected, rest = curves(loop, 2 * np.pi * bench.hertz * bench.time_unit)
+    none = np.full(len(bench.hertz), np.nan)
+    return {
+        "loop_gain": np.abs(loci),
+        "loop_phase": np.degrees(np.angle(loci)),
+        "sensitivity": rejected if stable else none,
+        "complementary": rest if stable else none,
     }
 
 
@@ -303,13 +316,22 @@ def measures(bench: Bench) -> Iterable[Measure]:
             "the same of the variant with its own controller, as a designer would see",
         ),
         _said("force", "N", "rms of the forces together"),
+        _said("loop_gain", "1", "sizes of the eigenvalues of the loop gain", ("frequency", "channel")),
+        _said("loop_phase", "deg", "phases of the eigenvalues of the loop gain", ("frequency", "channel")),
+        _said("sensitivity", "1", "largest singular value of S = (I + G H)^-1", ("frequency",)),
+        _said("complementary", "1", "largest singular value of T = I - S", ("frequency",)),
     )
 
 
 def axes(bench: Bench) -> Mapping[str, Axis]:
-    """Return the modes, numbered, and the poles."""
+    """Return the modes, numbered, the poles, and frequencies and channels of curves."""
     count = bench.shapes.shape[1]
-    return {"mode": Axis(np.arange(1, count + 1), "mode of the full model"), "pole": Axis(POLES)}
+    return {
+        "mode": Axis(np.arange(1, count + 1), "mode of the full model"),
+        "pole": Axis(POLES),
+        "frequency": Axis(bench.hertz, "frequency", "Hz"),
+        "channel": Axis(len(bench.plant.outputs)),
+    }
 
 
 def fixed(bench: Bench) -> dict[str, Any]:

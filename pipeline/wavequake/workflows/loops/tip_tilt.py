@@ -56,7 +56,7 @@ from wavequake.workflows.loops.tip_tilt_study import TipTiltStudy
 # Spectra are integrated from and to these frequencies, beyond which nothing is left; edges in the report.
 _LOW, _HIGH, _FIRST, _SHOWN = 1e-4, 1e5, 0.01, 400
 # Points of curves about a line, in its widths.
-_ABOUT_LINES = np.array([-4.0, -2.0, -1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0, 2.0, 4.0])
+_ABOUT_LINES = np.linspace(-4.0, 4.0, 41)
 # Where integrals are parted about a pole, in its half widths.
 _ABOUT = np.array([-30.0, -10.0, -4.0, -1.5, -0.5, 0.0, 0.5, 1.5, 4.0, 10.0, 30.0])
 _BLOCK = 256
