@@ -31,8 +31,10 @@ from wavequake.workflows.mirrors.model_store import digest, kept_arrays
 
 # Modes of the full model that are looked for in a reduced one.
 COMPARED = 60
-# Points of curves over the whole band, and about a mode in its half widths.
-_SHOWN, _ABOUT = 400, np.array([-30.0, -10, -4, -2, -1, -0.5, 0, 0.5, 1, 2, 4, 10, 30])
+# Points of curves over the whole band, and about a mode in its half widths: out to where even a sharp
+# resonance is small.
+_SHOWN, _BESIDE = 400, np.geomspace(0.3, 300.0, 30)
+_ABOUT = np.concatenate([-_BESIDE[::-1], [0.0], _BESIDE])
 # A wavefront changes by twice the way of the mirror.
 _REFLECTED = 2.0
 

@@ -66,8 +66,7 @@ _BLOCK = 256
 class Loop:
     """A controller at a rate, and what is known of it without a run; mas.
 
-    `curves` are measures over the frequencies of the bench; NaN above half the rate of frames where a frame's
-    mean is all that there is.
+    `curves` are measures over the frequencies of the bench; those of frame means end (NaN) at half the rate.
     """
 
     name: str
@@ -199,7 +198,13 @@ def _loop(
     from_noise = variance(heard)
     peak = float(np.sqrt(sensitivity(controller, frame, dense_grid(controller, frame))[0].max()))
     found, density = frame_margins(controller, frame), total(spectra).density(hertz)
-    around = np.where(hertz < rate / 2, loop_gain(controller, frame, hertz), np.nan)
+    around = loop_gain(controller, frame, hertz)
+    by_means = {
+        "rejection": 1 / np.abs(1 + around),
+        "passed_noise": np.abs(around / (1 + around)),
+        "loop_gain": np.abs(around),
+        "loop_phase": np.degrees(np.angle(around)),
+    }
     return Loop(
         name,
         rate,
@@ -211,10 +216,7 @@ def _loop(
         found.gain_up,
         float(np.degrees(found.phase)),
         {
-            "rejection": 1 / np.abs(1 + around),
-            "passed_noise": np.abs(around / (1 + around)),
-            "loop_gain": np.abs(around),
-            "loop_phase": np.degrees(np.angle(around)),
+            **{key: np.where(hertz < rate / 2, values, np.nan) for key, values in by_means.items()},
             "left_psd": density * factor(hertz),
             "cumulative": _cumulative(left, from_noise, hertz),
         },
