@@ -25,7 +25,7 @@ def margins(
     from wavequake.workflows.study import load_study
 
     table = Table(box=None)
-    heads = ("loop", "S peak", "gain", "phase (deg)", "delay (ms)", "gain 1 up to (Hz)")
+    heads = ("loop", "S peak", "gain", "phase (deg)", "delay (ms)", "gain 1 up to (Hz)", "grows (1/s, Hz)")
     for head in heads:
         table.add_column(head, justify="left" if head == "loop" else "right")
     unstable = total = 0
@@ -38,10 +38,8 @@ def margins(
             table.add_row(escape(one.name), peak, gain, phase, delay, last)
         else:
             unstable += 1
-            table.add_row(
-                escape(one.name),
-                f"[red]unstable: {number(one.growth_hz)} Hz grows with {number(one.growth)} 1/s[/red]",
-            )
+            grows = f"{number(one.growth)}, {number(one.growth_hz)}"
+            table.add_row(escape(one.name), "[red]unstable[/red]", "", "", "", "", grows)
     out.print(table)
     if unstable:
         out.print(f"{unstable} of {total} loops are unstable: no margins, and what they leave is no result.")
