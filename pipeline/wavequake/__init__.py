@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from wavequake.campaign.schema import Study
     from wavequake.campaign.store.grid import unstack
     from wavequake.campaign.store.store import open_store
-    from wavequake.doors.models import load_model, plant, respond
+    from wavequake.doors.models import load_model, loop, plant, respond
     from wavequake.doors.studies import (
         allow,
         budget,
@@ -56,6 +56,7 @@ __all__ = [
     "load_model",
     "load_study",
     "load_system",
+    "loop",
     "margins",
     "open_store",
     "plan",
@@ -88,6 +89,7 @@ _HOMES = {
     "load_model": "wavequake.doors.models",
     "load_study": "wavequake.workflows.study",
     "load_system": "wavequake.workflows.systems.system_source",
+    "loop": "wavequake.doors.models",
     "margins": "wavequake.doors.studies",
     "open_store": "wavequake.campaign.store.store",
     "plan": "wavequake.workflows.run",

@@ -22,10 +22,19 @@ from wavequake.commands.options import (
     WorkersOption,
 )
 from wavequake.errors import StoreDamageError, UserError
-from wavequake.terminal import EXIT_INTERRUPTED, err, fail, interrupted, live_progress, out, print_pairs
+from wavequake.terminal import (
+    EXIT_BAD_INPUT,
+    EXIT_DAMAGED,
+    EXIT_INTERRUPTED,
+    EXIT_QUARANTINED,
+    err,
+    fail,
+    interrupted,
+    live_progress,
+    out,
+    print_pairs,
+)
 from wavequake.words import are, counted
-
-EXIT_BAD_INPUT, EXIT_QUARANTINED, EXIT_DAMAGED = 2, 3, 4
 
 app = typer.Typer(
     help="What does vibration do to the image, and which model, mirror or controller is good enough?",

@@ -16,7 +16,8 @@ from rich.text import Text
 
 from wavequake.words import plain, printable
 
-EXIT_INTERRUPTED = 130
+# How a command ended; quarantined are cases that failed, and loops that are unstable.
+EXIT_BAD_INPUT, EXIT_QUARANTINED, EXIT_DAMAGED, EXIT_INTERRUPTED = 2, 3, 4, 130
 
 
 class _Console(Console):

@@ -6,7 +6,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from wavequake.terminal import out
+from wavequake.terminal import EXIT_QUARANTINED, out
 
 OverridesArgument = Annotated[
     list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. campaign.cases=4")
@@ -17,13 +17,15 @@ def margins(
     study: Annotated[str, typer.Argument(help="Name of a bundled study or path of a .toml file.")],
     overrides: OverridesArgument = None,
 ) -> None:
-    """Show stability and margins of every loop of a study; nothing is run or stored."""
+    """Show stability and margins of every loop of a study; nothing is run. Exit code 3: one is unstable."""
+    import sys
+
     from wavequake.report.table import number
     from wavequake.workflows.loops.loop_margins import loops_of
     from wavequake.workflows.study import load_study
 
     table = Table(box=None)
-    heads = ("loop", "S peak", "gain", "phase (deg)", "delay (ms)", "gain 1 up to (Hz)")
+    heads = ("loop", "S peak", "gain", "phase (deg)", "delay (ms)", "gain 1 up to (Hz)", "grows (1/s, Hz)")
     for head in heads:
         table.add_column(head, justify="left" if head == "loop" else "right")
     unstable = total = 0
@@ -36,10 +38,9 @@ def margins(
             table.add_row(escape(one.name), peak, gain, phase, delay, last)
         else:
             unstable += 1
-            table.add_row(
-                escape(one.name),
-                f"[red]unstable: {number(one.growth_hz)} Hz grows with {number(one.growth)} 1/s[/red]",
-            )
+            grows = f"{number(one.growth)}, {number(one.growth_hz)}"
+            table.add_row(escape(one.name), "[red]unstable[/red]", "", "", "", "", grows)
     out.print(table)
     if unstable:
         out.print(f"{unstable} of {total} loops are unstable: no margins, and what they leave is no result.")
+        sys.exit(EXIT_QUARANTINED)

@@ -75,6 +75,11 @@ def second_order_model(
     return linear_model(a, b, np.hstack([np.atleast_2d(rows), np.zeros((len(np.atleast_2d(rows)), count))]))
 
 
+def in_units(model: LinearModel, time: float, inputs: float, outputs: float) -> LinearModel:
+    """Return a continuous model in other units of time, input and output, each given in the present one."""
+    return LinearModel(model.a * time, model.b * time * inputs, model.c / outputs, model.d * inputs / outputs)
+
+
 def poles(model: LinearModel) -> NDArray[np.complex128]:
     """Return the eigenvalues of A, in 1/s (or of one step, if sampled)."""
     return np.asarray(np.linalg.eigvals(model.a), dtype=np.complex128)

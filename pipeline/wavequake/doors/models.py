@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -12,6 +12,7 @@ from wavequake.errors import UserError
 if TYPE_CHECKING:
     import xarray as xr
 
+    from wavequake.campaign.schema import Study
     from wavequake.mechanics.model import FiniteElementModel, Model
     from wavequake.mechanics.vibration.state_space import StateSpace
 
@@ -122,13 +123,18 @@ def respond(
     )
 
 
-def plant(model: "Model", outputs: Any = None) -> "StateSpace":
-    """Return a model as a state space from forces at its interfaces, for control software.
+@overload
+def plant(model: "Model", outputs: Any = None) -> "StateSpace": ...
+@overload
+def plant(model: "str | Path | Study") -> Any: ...
+def plant(model: "Model | str | Path | Study", outputs: Any = None) -> Any:
+    """Return a model as a state space from forces at its interfaces, or the plant of a study with loops.
 
     Parameters
     ----------
-    model : FiniteElementModel or ReducedModel
-        Of at most 3000 coordinates.
+    model : FiniteElementModel, ReducedModel, or a study
+        A model of at most 3000 coordinates. A study by name or file, or `load_study` of it: its first loop's
+        plant, as `loop` gives it.
     outputs : ndarray or sparse array, shape (m, n), optional
         Rows that make the outputs of the model's coordinates, such as ``model.surface``; by default the
         displacements of the interfaces.
@@ -136,19 +142,62 @@ def plant(model: "Model", outputs: Any = None) -> "StateSpace":
     Returns
     -------
     StateSpace
-        ``(a, b, c, d)``, which `scipy.signal.StateSpace` and `control.ss` unpack.
+        ``(a, b, c, d)``, which `scipy.signal.StateSpace` and `control.ss` unpack; of a study a
+        ``control.StateSpace``.
 
     Raises
     ------
     UserError
-        If the model is too large, or the rows do not fit it.
+        If the model is too large, the rows do not fit it, or the study has no loops.
 
     Examples
     --------
     >>> plant(load_model("circular", core=2, rings=2)).b.shape[1]
     9
     """
+    from wavequake.campaign.schema import Study
     from wavequake.mechanics.vibration.modal import modal_model
     from wavequake.mechanics.vibration.state_space import state_space
 
+    if isinstance(model, str | Path | Study):
+        return loop(model)[0]
     return state_space(modal_model(model), model.inputs.T if outputs is None else outputs)
+
+
+def loop(study: "str | Path | Study", name: str | None = None) -> tuple[Any, Any]:
+    """Return plant and controller of a loop of a study, for python-control.
+
+    The loop is u = -H y: ``plant * controller`` is its loop gain, ``control.feedback(plant, controller)`` has
+    its poles.
+
+    Parameters
+    ----------
+    study : str, Path or Study
+        Of a workflow with loops, by name or file, or `load_study` of it.
+    name : str, optional
+        As `wavequake margins` prints it; by default the first one.
+
+    Returns
+    -------
+    plant, controller : control.StateSpace
+        Continuous with forces in N and readings in m (``controller-mor``), or by frames in mas, where the
+        plant is the delay (``tip-tilt-vibration``).
+
+    Raises
+    ------
+    UserError
+        If the study has no loops, or none of this name, or python-control is not installed.
+
+    Examples
+    --------
+    >>> plant, controller = loop("tip-tilt-vibration", "lqg, 500 Hz")
+    >>> plant.dt
+    0.002
+    """
+    from wavequake.campaign.schema import Study
+    from wavequake.control.python_control import to_control
+    from wavequake.workflows.loops.loop_margins import loop_named
+    from wavequake.workflows.study import load_study
+
+    found = loop_named(study if isinstance(study, Study) else load_study(study), name)
+    return to_control(found.plant), to_control(found.controller)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from wavequake.control.frames.disturbance import Sampled
-from wavequake.control.linear import Array
+from wavequake.control.linear import Array, LinearModel
 from wavequake.errors import UserError
 
 
@@ -88,6 +88,29 @@ def predictor(known: Sampled, noise: float, frames: int) -> FrameController:
         a[:count] += np.outer(gain, c)
         b[:count] = gain
     return FrameController(a, b, c)
+
+
+def plant_and_controller(
+    controller: FrameController, frames: int, frame: float
+) -> tuple[LinearModel, LinearModel]:
+    """Return a loop as models by frames: a plant that is the delay alone, z^-n, and the controller before it.
+
+    A controller of n frames delay is c (z - a)^-1 b with c a^j b = 0 for j < n - 1, so that
+    z^n c (z - a)^-1 b = c a^n (z - a)^-1 b + c a^(n-1) b. Their product is the loop gain.
+
+    Parameters
+    ----------
+    controller : FrameController
+    frames : int
+        n, its delay.
+    frame : float
+        s.
+    """
+    unit = np.eye(frames)
+    plant = LinearModel(np.eye(frames, k=-1), unit[:, :1], unit[-1:], np.zeros((1, 1)), frame)
+    row = controller.c @ np.linalg.matrix_power(controller.a, frames - 1)
+    b = controller.b[:, None]
+    return plant, LinearModel(controller.a, b, (row @ controller.a)[None], (row @ b)[None], frame)
 
 
 def _check(frames: int) -> None:

@@ -68,6 +68,12 @@ def error_transfer(controller: FrameController, frame: float, hertz: Array) -> N
     return np.asarray(np.prod((z - before) / (z - after), axis=1))
 
 
+def loop_gain(controller: FrameController, frame: float, hertz: Array) -> NDArray[np.complex128]:
+    """Return the loop gain c (z - a)^-1 b = 1 / S - 1 at frequencies (f,)."""
+    s = error_transfer(controller, frame, hertz)
+    return np.asarray((1 - s) / s)
+
+
 def resonances(controller: FrameController, frame: float) -> tuple[Array, Array]:
     """Return frequencies and half widths, Hz, of the closed loop's poles up to half the rate of frames."""
     closed = controller.a - np.outer(controller.b, controller.c)

@@ -135,6 +135,22 @@ def margins(loop: Loop, omega: Array) -> Margins:
     return Margins(peak, where, up, down, phase, delay, last)
 
 
+def curves(loop: Loop, omega: Array) -> tuple[Complex, Array, Array]:
+    """Return a loop at angular frequencies (f,).
+
+    Returns
+    -------
+    loci : ndarray of complex, shape (f, m)
+        Eigenvalues of the loop gain, each as near as can be to its predecessor.
+    sensitivity, complementary : ndarray, shape (f,)
+        Largest singular values of S = (I + G H)^-1 and of T = I - S.
+    """
+    gain = loop_gain(loop, omega)
+    loci = _sorted(np.asarray(np.linalg.eigvals(gain), dtype=np.complex128))
+    rest = np.linalg.norm(np.linalg.solve(np.eye(gain.shape[1]) + gain, gain), 2, axis=(1, 2))
+    return loci, _sensitivity(gain), np.asarray(rest)
+
+
 def _followed(loop: Loop, omega: Array) -> tuple[Array, Complex, Complex]:
     """Return frequencies, loop gains (f, m, m) and their eigenvalues (f, m), each a smooth curve."""
     gain = loop_gain(loop, omega)

@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wavequake.report.loops import figures as draw
+from wavequake.report.loops.frequency import Curve, bode, nyquist, sensitivities
 from wavequake.report.loops.outcomes import Level, Outcome, answer, certificate, levels_of, spilled
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
@@ -157,4 +158,47 @@ def _figures(dataset: xr.Dataset, level: Level, place: int) -> Iterator[Picture]
         draw.shifts(dataset, level),
         "A frequency that is off by its damping ratio (dashed line) turns the phase at the resonance: what "
         "was damped may be driven. It matters for modes that forces move and sensors see.",
+    )
+    yield from _over_frequency(dataset, level, place)
+
+
+def _over_frequency(dataset: xr.Dataset, level: Level, place: int) -> Iterator[Picture]:
+    shown = [_curve(dataset, one) for one in level.telling]
+    yield picture(
+        f"bode-{place}",
+        "Loop gain over frequency with its margins",
+        bode(shown),
+        "A line for each eigenvalue of the loop gain with the full model. Bars end where a stable loop would "
+        "become unstable: as a factor of the gain above, in degrees below. Shown are the model that is "
+        "enough, the most accurate one that destabilizes and the least accurate one that does not.",
+    )
+    yield picture(
+        f"nyquist-{place}",
+        "Loop gain in the complex plane",
+        nyquist(shown),
+        "The nearer to the cross at -1, the nearer to instability. Marks on the real axis are gain margins, "
+        "those on the unit circle phase margins.",
+    )
+    yield picture(
+        f"sensitivity-{place}",
+        "Sensitivity and complementary sensitivity",
+        sensitivities(shown),
+        "Largest singular values: of what is left of a disturbance at the sensors, and of what comes of "
+        "their noise. An unstable loop has none.",
+    )
+
+
+def _curve(dataset: xr.Dataset, one: Outcome) -> Curve:
+    size, phase, sensitivity, complementary = (
+        dataset[name].to_numpy()[one.row]
+        for name in ("loop_gain", "loop_phase", "sensitivity", "complementary")
+    )
+    return Curve(
+        one.variant if one.stable else f"{one.variant}, unstable",
+        dataset["frequency"].to_numpy(),
+        size * np.exp(1j * np.radians(phase)),
+        sensitivity,
+        complementary,
+        one["gain_up"],
+        one["phase_margin"],
     )

@@ -84,6 +84,24 @@ class Level:
     best: float
     enough: Outcome | None
 
+    @property
+    def sharp(self) -> Outcome | None:
+        """The unstable one of the smallest open-loop error."""
+        growing = (one for one in self.outcomes if not one.stable)
+        return min(growing, key=lambda one: one["error_median"], default=None)
+
+    @property
+    def blunt(self) -> Outcome | None:
+        """The stable one of the largest open-loop error."""
+        calm = (one for one in self.outcomes if one.stable)
+        return max(calm, key=lambda one: one["error_median"], default=None)
+
+    @property
+    def telling(self) -> tuple[Outcome, ...]:
+        """The one that is enough, the sharp and the blunt one, each once."""
+        every = (self.enough, self.sharp, self.blunt)
+        return tuple({one.row: one for one in every if one is not None}.values())
+
     def excess(self, one: Outcome) -> float:
         """Return how far a wavefront is above the smallest, as a share."""
         return one["wavefront"] / self.best - 1.0
@@ -148,16 +166,13 @@ def _sentence(level: Level) -> str:
         )
     if not growing:
         return head + f"; all {count} loops are stable."
-    return f"{head}; {len(growing)} of {count} loops are unstable.{_misled(level, growing)}"
+    return f"{head}; {len(growing)} of {count} loops are unstable.{_misled(level)}"
 
 
-def _misled(level: Level, growing: Sequence[Outcome]) -> str:
+def _misled(level: Level) -> str:
     """Name an accurate model that destabilizes beside a less accurate one that does not."""
-    sharp = min(growing, key=lambda one: one["error_median"])
-    blunt = max(
-        (one for one in level.outcomes if one.stable), key=lambda one: one["error_median"], default=None
-    )
-    if blunt is None or blunt["error_median"] <= sharp["error_median"]:
+    sharp, blunt = level.sharp, level.blunt
+    if sharp is None or blunt is None or blunt["error_median"] <= sharp["error_median"]:
         return ""
     return (
         f" The open-loop error would mislead: {sharp.variant} errs by "

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -14,16 +13,20 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.campaign.contract import DONE
-from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH, power_of_ten
-from wavequake.report.page import Page, Section, picture, render_page, write_page
+from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
+from wavequake.report.loops.frequency import Curve, bode, logarithmic, nyquist, sensitivities, style
+from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number
 
+# The same without a loop.
+_OPEN = {"left_psd": "open_psd", "cumulative": "open_cumulative"}
 _DEFINITIONS = (
     ("exact", "From the joint stationary covariance of disturbance and loop (Van Loan, Lyapunov)."),
     ("integral", "The spectrum times 1 - sinc²(fT)(1 - |S|²) over all frequencies, and the noise."),
     ("runs", "Root of the mean square over all runs, ± its standard error."),
     ("|S| max", "Largest amplification of frame means over frequency."),
+    ("gain margin, phase", "By which factor, or phase, the loop gain may change before it is unstable."),
 )
 
 
@@ -41,6 +44,13 @@ class Loop:
     error: float
     gain: float
     peak: float
+    gain_up: float
+    phase_deg: float
+
+    @property
+    def label(self) -> str:
+        """Name of its curves."""
+        return f"{self.controller}, {self.rate_hz:g} Hz"
 
 
 def loops_of(dataset: xr.Dataset) -> list[Loop]:
@@ -55,13 +65,11 @@ def loops_of(dataset: xr.Dataset) -> list[Loop]:
         squares = dataset["simulated_mas"].to_numpy()[rows] ** 2
         rms = float(np.sqrt(squares.mean()))
         error = float(squares.std(ddof=1) / np.sqrt(len(rows)) / (2 * rms)) if len(rows) > 1 else np.nan
-        exact, integral, gain, peak = (
+        exact, integral, *others = (
             float(dataset[one].to_numpy()[rows[0]])
-            for one in ("exact_mas", "integral_mas", "gain", "sensitivity_peak")
+            for one in ("exact_mas", "integral_mas", "gain", "sensitivity_peak", "gain_up", "phase_margin")
         )
-        found.append(
-            Loop(name, float(rate), int(rows[0]), len(rows), exact, integral, rms, error, gain, peak)
-        )
+        found.append(Loop(name, float(rate), int(rows[0]), len(rows), exact, integral, rms, error, *others))
     return found
 
 
@@ -94,7 +102,8 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     table = Table(box=SIMPLE_HEAD, caption=answer(dataset, loops), caption_justify="left")
     rows = [row_of(one) for one in loops]
     for header in rows[0] if rows else ():
-        table.add_column(header, justify="left" if header == "controller" else "right", no_wrap=True)
+        left = header == "controller"
+        table.add_column(header.replace(" ", "\n"), justify="left" if left else "right", no_wrap=True)
     for row in rows:
         table.add_row(*(" ".join(part for part in cell if part) for cell in row.values()))
     return table
@@ -110,6 +119,8 @@ def row_of(one: Loop) -> dict[str, tuple[str, str]]:
         "runs (mas)": (f"{one.simulated:.3f}", f"± {one.error:.3f}" if one.error > 0 else ""),
         "gain": (MISSING if np.isnan(one.gain) else number(one.gain), ""),
         "|S| max": (number(one.peak), ""),
+        "gain margin": (number(one.gain_up), ""),
+        "phase (deg)": (number(one.phase_deg), ""),
     }
 
 
@@ -117,21 +128,6 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     """Write the HTML report."""
     dataset = dataset.load()
     loops = loops_of(dataset)
-    curves = [
-        picture(
-            "rejection",
-            "What is left of a motion, over its frequency",
-            _curves(dataset, loops, "rejection", "|S| of frame means"),
-            "Below 1 a loop helps, above 1 it amplifies. LQG digs notches where it knows lines to be.",
-        ),
-        picture(
-            "cumulative",
-            "Cumulative residual over frequency",
-            _curves(dataset, loops, "cumulative", "rms below this frequency (mas)"),
-            "Where a curve rises, the residual comes from; the thick line is the motion without a loop. "
-            "The sensor's noise is counted from the start.",
-        ),
-    ]
     page = Page(
         answer=answer(dataset, loops),
         table=[row_of(one) for one in loops],
@@ -146,7 +142,11 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         ]
         if loops
         else [],
-        sections=[Section("Over frequency", curves)] if loops else [],
+        sections=[
+            Section(f"Over frequency, {rate:g} Hz", _over_frequency(dataset, rate, mine))
+            for rate in dict.fromkeys(one.rate_hz for one in loops)
+            if (mine := [one for one in loops if one.rate_hz == rate])
+        ],
         definitions=list(_DEFINITIONS),
         kind="controller",
         left_out=left_out(dataset, ["controller", "rate_hz"], most=1000),
@@ -154,8 +154,64 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     return write_page(render_page(dataset, page), target)
 
 
-def _style(place: int) -> dict[str, Any]:
-    return {"color": COLORS[place % len(COLORS)], "linestyle": LINES[place % len(LINES)], "linewidth": 1.2}
+def _over_frequency(dataset: xr.Dataset, rate: float, loops: Sequence[Loop]) -> list[Picture]:
+    curves = frequency_curves(dataset, loops)
+    return [
+        picture(
+            f"bode-{rate:g}",
+            "Loop gain over frequency with its margins",
+            bode(curves),
+            "Bars end where a loop would be unstable: as a factor of the gain above, in degrees below. "
+            "Curves end at half the rate of frames.",
+        ),
+        picture(
+            f"nyquist-{rate:g}",
+            "Loop gain in the complex plane",
+            nyquist(curves),
+            "The nearer to the cross at -1, the nearer to instability. Marks on the real axis are gain "
+            "margins, those on the unit circle phase margins.",
+        ),
+        picture(
+            f"rejection-{rate:g}",
+            "Sensitivity and complementary sensitivity",
+            sensitivities(curves),
+            "|S| is what is left of a motion, |T| what comes of the sensor's noise. Below 1 a loop helps, "
+            "above 1 it amplifies. LQG digs notches where it knows lines to be.",
+        ),
+        picture(
+            f"spectrum-{rate:g}",
+            "Spectrum of the disturbance, and what is left of it",
+            _curves(dataset, loops, "left_psd", "spectrum (mas²/Hz)"),
+            "The thick line is the motion without a loop. What the sensor's noise adds is not in it.",
+        ),
+        picture(
+            f"cumulative-{rate:g}",
+            "Cumulative residual over frequency",
+            _curves(dataset, loops, "cumulative", "rms below this frequency (mas)"),
+            "Where a curve rises, the residual comes from; the thick line is the motion without a loop. "
+            "The sensor's noise is counted from the start.",
+        ),
+    ]
+
+
+def frequency_curves(dataset: xr.Dataset, loops: Sequence[Loop]) -> list[Curve]:
+    """Return the loops over frequency."""
+    hertz = dataset["frequency"].to_numpy()
+    size, phase, rejection, passed = (
+        dataset[name].to_numpy() for name in ("loop_gain", "loop_phase", "rejection", "passed_noise")
+    )
+    return [
+        Curve(
+            one.label,
+            hertz,
+            (size[one.row] * np.exp(1j * np.radians(phase[one.row])))[:, None],
+            rejection[one.row],
+            passed[one.row],
+            one.gain_up,
+            one.phase_deg,
+        )
+        for one in loops
+    ]
 
 
 @rc_context(STYLE)
@@ -165,7 +221,7 @@ def _rates(loops: Sequence[Loop]) -> Figure:
     for place, name in enumerate(dict.fromkeys(one.controller for one in loops)):
         mine = sorted((one for one in loops if one.controller == name), key=lambda one: one.rate_hz)
         rates = [one.rate_hz for one in mine]
-        axes.plot(rates, [one.exact for one in mine], label=name, **_style(place))
+        axes.plot(rates, [one.exact for one in mine], label=name, **style(place))
         bars = [0.0 if np.isnan(one.error) else 3 * one.error for one in mine]
         axes.errorbar(
             rates,
@@ -191,18 +247,10 @@ def _curves(dataset: xr.Dataset, loops: Sequence[Loop], name: str, label: str) -
     figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
     axes = figure.add_subplot()
     hertz, values = dataset["frequency"].to_numpy(), dataset[name].to_numpy()
-    if name == "cumulative":
-        axes.plot(hertz, dataset["open_cumulative"].to_numpy(), color="#999999", linewidth=2.6, label="open")
+    axes.plot(hertz, dataset[_OPEN[name]].to_numpy(), color="#999999", linewidth=2.6, label="without a loop")
     for place, one in enumerate(loops):
-        axes.plot(hertz, values[one.row], label=f"{one.controller}, {one.rate_hz:g} Hz", **_style(place))
-    axes.set_xscale("log")
-    axes.xaxis.set_major_formatter(FuncFormatter(power_of_ten))
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set_yscale("log")
-    axes.yaxis.set_major_formatter(FuncFormatter(power_of_ten))
-    axes.yaxis.set_minor_formatter(NullFormatter())
-    if name == "rejection":
-        axes.axhline(1.0, color="#444444", linewidth=0.8)
+        axes.plot(hertz, values[one.row], label=one.label, **style(place))
+    logarithmic(axes)
     axes.set(xlabel="frequency (Hz)", ylabel=label, title=label)
     axes.legend(fontsize=7.5)
     return figure

@@ -31,6 +31,10 @@ from wavequake.workflows.mirrors.model_store import digest, kept_arrays
 
 # Modes of the full model that are looked for in a reduced one.
 COMPARED = 60
+# Points of curves over the whole band, and about a mode in its half widths: out to where even a sharp
+# resonance is small.
+_SHOWN, _BESIDE = 400, np.geomspace(0.3, 300.0, 30)
+_ABOUT = np.concatenate([-_BESIDE[::-1], [0.0], _BESIDE])
 # A wavefront changes by twice the way of the mirror.
 _REFLECTED = 2.0
 
@@ -54,6 +58,8 @@ class Bench:
         Wavefront^2 = q' gram q, in m^2, averaged over the surface; with piston and tilt taken out.
     open_wavefront : float
         rms without a controller, m.
+    hertz : ndarray, shape (f,)
+        Frequencies of curves, some about each mode up to twice the last that errors are looked at.
     """
 
     study: ControllerStudy
@@ -64,6 +70,7 @@ class Bench:
     gram: Array
     figure_gram: Array
     open_wavefront: float
+    hertz: Array
 
     @property
     def time_unit(self) -> float:
@@ -124,7 +131,17 @@ def bench_of(study: ControllerStudy) -> Bench:
     heights = kept["shapes"][2::3]
     gram, figure = wavefront_grams(model, heights)
     open_wavefront = float(np.sqrt(np.sum(gram * open_covariance(plant))))
-    return Bench(study, full, sensors, plant, kept["shapes"][:, :COMPARED], gram, figure, open_wavefront)
+    shapes, hertz = kept["shapes"][:, :COMPARED], _shown(study, plant)
+    return Bench(study, full, sensors, plant, shapes, gram, figure, open_wavefront, hertz)
+
+
+def _shown(study: ControllerStudy, plant: Plant) -> Array:
+    section = study.reduction
+    first, last = section.first_hz, 2 * section.beyond_hz
+    poles = plant.poles / time_unit(study) / (2 * np.pi)
+    about = (poles.imag[:, None] + np.abs(poles.real)[:, None] * _ABOUT).ravel()
+    inside = about[(about > first) & (about < last)]
+    return np.unique(np.concatenate([np.geomspace(first, last, _SHOWN), inside]))
 
 
 def scaled(study: ControllerStudy, plant: Plant) -> Plant:

@@ -6,6 +6,7 @@ far the transfer function and the frequencies of the variant are off.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,10 @@ from wavequake.campaign.measured import Block, CaseTable, study_kind
 from wavequake.campaign.measures import Axis, Measure
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.control.linear import LinearModel
+from wavequake.control.linear import in_units as model_in_units
 from wavequake.control.robustness.feedback import Loop, Pole, closed_poles, lqg, refined_pole
-from wavequake.control.robustness.margins import grid, margins, truncation_share
-from wavequake.control.robustness.plant import Plant, transfer
+from wavequake.control.robustness.margins import curves, grid, margins, truncation_share
+from wavequake.control.robustness.plant import Plant, in_units, linear, transfer
 from wavequake.control.robustness.residual import closed_covariance
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, Integers
@@ -34,7 +36,7 @@ from wavequake.workflows.loops.controller_bench import (
     wavefront_grams,
 )
 from wavequake.workflows.loops.controller_study import ControllerStudy
-from wavequake.workflows.loops.loop_margins import LoopMargins, margins_of
+from wavequake.workflows.loops.loop_margins import Makers, StudyLoop, margins_of
 
 Numbers = dict[str, float | Array]
 
@@ -165,6 +167,19 @@ def _closed_loop(bench: Bench, loop: Loop, known: Mapping[str, Any], effort: flo
         **_spill_over(bench, worst, known["mode_shift"], stable),
         **(_robustness(bench, loop, omega) if stable else dict.fromkeys(_ROBUSTNESS, np.nan)),
         **_residual(bench, loop, effort, stable),
+        **_curves(bench, loop, stable),
+    }
+
+
+def _curves(bench: Bench, loop: Loop, stable: bool) -> Numbers:
+    """Return the loop over frequency; an unstable one has no sensitivity."""
+    loci, rejected, rest = curves(loop, 2 * np.pi * bench.hertz * bench.time_unit)
+    none = np.full(len(bench.hertz), np.nan)
+    return {
+        "loop_gain": np.abs(loci),
+        "loop_phase": np.degrees(np.angle(loci)),
+        "sensitivity": rejected if stable else none,
+        "complementary": rest if stable else none,
     }
 
 
@@ -301,13 +316,22 @@ def measures(bench: Bench) -> Iterable[Measure]:
             "the same of the variant with its own controller, as a designer would see",
         ),
         _said("force", "N", "rms of the forces together"),
+        _said("loop_gain", "1", "sizes of the eigenvalues of the loop gain", ("frequency", "channel")),
+        _said("loop_phase", "deg", "phases of the eigenvalues of the loop gain", ("frequency", "channel")),
+        _said("sensitivity", "1", "largest singular value of S = (I + G H)^-1", ("frequency",)),
+        _said("complementary", "1", "largest singular value of T = I - S", ("frequency",)),
     )
 
 
 def axes(bench: Bench) -> Mapping[str, Axis]:
-    """Return the modes, numbered, and the poles."""
+    """Return the modes, numbered, the poles, and frequencies and channels of curves."""
     count = bench.shapes.shape[1]
-    return {"mode": Axis(np.arange(1, count + 1), "mode of the full model"), "pole": Axis(POLES)}
+    return {
+        "mode": Axis(np.arange(1, count + 1), "mode of the full model"),
+        "pole": Axis(POLES),
+        "frequency": Axis(bench.hertz, "frequency", "Hz"),
+        "channel": Axis(len(bench.plant.outputs)),
+    }
 
 
 def fixed(bench: Bench) -> dict[str, Any]:
@@ -329,15 +353,28 @@ def describe(bench: Bench) -> Mapping[str, str]:
     }
 
 
-def loops(study: ControllerStudy) -> Iterator[LoopMargins]:
-    """Yield the loop of every case with its margins, or with what grows."""
+def loops(study: ControllerStudy) -> Makers:
+    """Return the loops of all cases, with forces in N and readings in m."""
     with threadpool_limits(1):
         bench = bench_of(study)
-        table = cases(study, np.arange(study.cases))
-        for name, effort in zip(table["variant"], table["effort"], strict=True):
-            model, _ = reduced_plant(bench, reduce(bench.full(), str(name)))
-            loop = Loop(bench.plant, lqg(model, float(effort), float(effort)))
-            yield margins_of(f"{name}, effort {effort:g}", loop, bench.time_unit)
+    table = cases(study, np.arange(study.cases))
+    return {
+        f"{name}, effort {effort:g}": partial(_made, bench, str(name), float(effort))
+        for name, effort in zip(table["variant"], table["effort"], strict=True)
+    }
+
+
+def _made(bench: Bench, name: str, effort: float) -> StudyLoop:
+    with threadpool_limits(1):
+        model, _ = reduced_plant(bench, reduce(bench.full(), name))
+        loop = Loop(bench.plant, lqg(model, effort, effort))
+    unit, section = bench.time_unit, bench.study.controller
+    second, newton, metre = 1 / unit, 1 / section.force_n, 1 / section.length_m
+    return StudyLoop(
+        linear(in_units(loop.plant, second, newton, metre)),
+        model_in_units(loop.controller, second, metre, newton),
+        lambda: margins_of(f"{name}, effort {effort:g}", loop, unit),
+    )
 
 
 KIND = study_kind(

@@ -1,17 +1,18 @@
-"""Margins of the loops of a study, before anything is run: `wavequake margins`."""
+"""The loops of a study, before anything is run: their margins, and their parts for other tools."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 
 import numpy as np
 
 from wavequake.campaign.schema import Study
+from wavequake.control.linear import LinearModel
 from wavequake.control.robustness.feedback import Loop, closed_poles
 from wavequake.control.robustness.margins import Margins, grid, margins
 from wavequake.errors import UserError
 
-# Modules with loops(study), which yields LoopMargins.
+# Modules with loops(study), which returns Makers.
 _LOOPS = {
     "controller-mor": "wavequake.workflows.loops.controller_mor",
     "tip-tilt-vibration": "wavequake.workflows.loops.tip_tilt",
@@ -47,6 +48,27 @@ class LoopMargins:
         return self.growth < 0
 
 
+@dataclass(frozen=True)
+class StudyLoop:
+    """A loop u = -H y of a study.
+
+    Attributes
+    ----------
+    plant, controller : LinearModel
+        From u to y in SI or by frames, and H.
+    margins : callable
+        Returns its `LoopMargins`, which takes longer.
+    """
+
+    plant: LinearModel
+    controller: LinearModel
+    margins: Callable[[], LoopMargins]
+
+
+# What makes each loop of a study, by the loop's name.
+Makers = Mapping[str, Callable[[], StudyLoop]]
+
+
 def margins_of(name: str, loop: Loop, time_unit: float) -> LoopMargins:
     """Return the margins of a loop whose unit of time is so many seconds."""
     poles, worst = closed_poles(loop)
@@ -74,8 +96,8 @@ def converted(
     )
 
 
-def loops_of(study: Study) -> Iterator[LoopMargins]:
-    """Yield the loops of a study one by one.
+def makers_of(study: Study) -> Makers:
+    """Return what makes each loop of a study, by name.
 
     Raises
     ------
@@ -87,4 +109,32 @@ def loops_of(study: Study) -> Iterator[LoopMargins]:
         raise UserError(
             f"The workflow {name} of {study.study.name} has no loops; {' and '.join(_LOOPS)} have."
         )
-    yield from import_module(_LOOPS[name]).loops(study)
+    makers: Makers = import_module(_LOOPS[name]).loops(study)
+    return makers
+
+
+def loops_of(study: Study) -> Iterator[LoopMargins]:
+    """Yield the margins of the loops of a study one by one.
+
+    Raises
+    ------
+    UserError
+        If its workflow has none.
+    """
+    for make in makers_of(study).values():
+        yield make().margins()
+
+
+def loop_named(study: Study, name: str | None = None) -> StudyLoop:
+    """Return the loop of a study of this name; by default the first one.
+
+    Raises
+    ------
+    UserError
+        If there is none of this name; says which there are.
+    """
+    makers = makers_of(study)
+    wanted = next(iter(makers)) if name is None else name
+    if wanted not in makers:
+        raise UserError(f"{study.study.name} has no loop {name!r}; it has {'; '.join(makers)}.")
+    return makers[wanted]()

@@ -6,6 +6,7 @@ of disturbances that are drawn from their spectra, which knows neither.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,19 @@ from threadpoolctl import threadpool_limits
 from wavequake.campaign.measured import Block, CaseTable, study_kind
 from wavequake.campaign.measures import Axis, Measure
 from wavequake.campaign.stopwatch import Stopwatch
-from wavequake.control.frames.controllers import FrameController, integrator, largest_gain, predictor
-from wavequake.control.frames.disturbance import Shaped, joined, line, sampled, wind_shake
+from wavequake.control.frames.controllers import (
+    FrameController,
+    integrator,
+    largest_gain,
+    plant_and_controller,
+    predictor,
+)
+from wavequake.control.frames.disturbance import Sampled, Shaped, joined, line, sampled, wind_shake
 from wavequake.control.frames.margins import frame_margins
 from wavequake.control.frames.residual import (
     best_gain,
     dense_grid,
+    loop_gain,
     passed,
     residual,
     resonances,
@@ -42,11 +50,13 @@ from wavequake.mechanics.disturbances.spectra import (
     variance,
 )
 from wavequake.mechanics.model import Array, Integers
-from wavequake.workflows.loops.loop_margins import LoopMargins, converted
+from wavequake.workflows.loops.loop_margins import LoopMargins, Makers, StudyLoop, converted
 from wavequake.workflows.loops.tip_tilt_study import TipTiltStudy
 
 # Spectra are integrated from and to these frequencies, beyond which nothing is left; edges in the report.
-_LOW, _HIGH, _SHOWN = 1e-4, 1e5, 400
+_LOW, _HIGH, _FIRST, _SHOWN = 1e-4, 1e5, 0.01, 400
+# Points of curves about a line, in its widths.
+_ABOUT_LINES = np.linspace(-4.0, 4.0, 41)
 # Where integrals are parted about a pole, in its half widths.
 _ABOUT = np.array([-30.0, -10.0, -4.0, -1.5, -0.5, 0.0, 0.5, 1.5, 4.0, 10.0, 30.0])
 _BLOCK = 256
@@ -54,7 +64,10 @@ _BLOCK = 256
 
 @dataclass(frozen=True)
 class Loop:
-    """A controller at a rate, and what is known of it without a run; mas."""
+    """A controller at a rate, and what is known of it without a run; mas.
+
+    `curves` are measures over the frequencies of the bench; those of frame means end (NaN) at half the rate.
+    """
 
     name: str
     rate_hz: float
@@ -63,8 +76,9 @@ class Loop:
     exact: float
     integral: float
     peak: float
-    rejection: Array
-    cumulative: Array
+    gain_up: float
+    phase_deg: float
+    curves: Mapping[str, Array]
 
 
 @dataclass(frozen=True)
@@ -75,6 +89,7 @@ class Bench:
     bands: Bands
     open_mas: float
     hertz: Array
+    open_psd: Array
     open_cumulative: Array
     loops: tuple[Loop, ...]
 
@@ -129,11 +144,11 @@ def bench_of(study: TipTiltStudy) -> Bench:
     """
     off = study.loop.lines_off
     spectra = spectra_of(study, off)
-    hertz = np.geomspace(0.01, max(study.loop.rates_hz) / 2, _SHOWN)
-    believed, true = shaped(study), shaped(study, off)
+    hertz = _shown(study, off)
+    true = shaped(study, off)
     count = len(lines_along(study))
     loops = tuple(
-        _loop(study, name, rate, believed, true, spectra, hertz)
+        _loop(study, name, rate, true, spectra, hertz)
         for rate in study.loop.rates_hz
         for name in study.loop.controllers
     )
@@ -142,28 +157,39 @@ def bench_of(study: TipTiltStudy) -> Bench:
         split(total(spectra), 128 + 48 * count),
         float(np.sqrt(sampled(true, 1.0).variance)),
         hertz,
+        total(spectra).density(hertz),
         _cumulative(spectra, None, hertz),
         loops,
     )
+
+
+def designed(study: TipTiltStudy, name: str, true: Sampled) -> tuple[FrameController, float]:
+    """Return a controller for a disturbance by frames, and the gain of an integrator (else NaN).
+
+    Raises
+    ------
+    UserError
+        If an integrator of the given gain is unstable.
+    """
+    section = study.loop
+    noise, frames = section.noise_mas, section.delay_frames
+    if name == "integrator":
+        gain = best_gain(true, noise, frames) if section.gain is None else section.gain
+        return integrator(gain, frames), gain
+    return predictor(sampled(shaped(study), true.frame), noise, frames), np.nan
 
 
 def _loop(
     study: TipTiltStudy,
     name: str,
     rate: float,
-    believed: Shaped,
     true: Shaped,
     spectra: list[Spectrum],
     hertz: Array,
 ) -> Loop:
-    section, frame = study.loop, 1.0 / rate
-    noise, frames = section.noise_mas, section.delay_frames
-    by_frames, gain = sampled(true, frame), np.nan
-    if name == "integrator":
-        gain = best_gain(by_frames, noise, frames) if section.gain is None else section.gain
-        controller = integrator(gain, frames)
-    else:
-        controller = predictor(sampled(believed, frame), noise, frames)
+    noise, frame = study.loop.noise_mas, 1.0 / rate
+    by_frames = sampled(true, frame)
+    controller, gain = designed(study, name, by_frames)
     factor = passed(controller, frame)
     turns = _turns(controller, rate)
     left = [Spectrum(_product(one.density, factor), _LOW, _HIGH, (*one.breaks_hz, *turns)) for one in spectra]
@@ -171,7 +197,14 @@ def _loop(
     heard = Spectrum(lambda f: white * _noise_passed(controller, frame, f), 1e-9 * rate, rate / 2, turns)
     from_noise = variance(heard)
     peak = float(np.sqrt(sensitivity(controller, frame, dense_grid(controller, frame))[0].max()))
-    rejection = np.where(hertz < rate / 2, sensitivity(controller, frame, hertz)[0], np.nan)
+    found, density = frame_margins(controller, frame), total(spectra).density(hertz)
+    around = loop_gain(controller, frame, hertz)
+    by_means = {
+        "rejection": 1 / np.abs(1 + around),
+        "passed_noise": np.abs(around / (1 + around)),
+        "loop_gain": np.abs(around),
+        "loop_phase": np.degrees(np.angle(around)),
+    }
     return Loop(
         name,
         rate,
@@ -180,9 +213,23 @@ def _loop(
         residual(by_frames, controller, noise),
         float(np.sqrt(sum(variance(one) for one in left) + from_noise)),
         peak,
-        np.sqrt(rejection),
-        _cumulative(left, from_noise, hertz),
+        found.gain_up,
+        float(np.degrees(found.phase)),
+        {
+            **{key: np.where(hertz < rate / 2, values, np.nan) for key, values in by_means.items()},
+            "left_psd": density * factor(hertz),
+            "cumulative": _cumulative(left, from_noise, hertz),
+        },
     )
+
+
+def _shown(study: TipTiltStudy, off: float) -> Array:
+    """Return the frequencies of the curves, Hz, some about each line."""
+    high = max(study.loop.rates_hz) / 2
+    lines = np.array([one.frequency_hz for one in lines_along(study, off)])
+    about = (lines[:, None] + study.shaken.fwhm_hz * _ABOUT_LINES).ravel()
+    inside = about[(about > _FIRST) & (about < high)]
+    return np.unique(np.concatenate([np.geomspace(_FIRST, high, _SHOWN), inside]))
 
 
 def _product(density: Callable[[Array], Array], factor: Callable[[Array], Array]) -> Callable[[Array], Array]:
@@ -229,8 +276,9 @@ def compute(bench: Bench, table: CaseTable, device: str, clock: Stopwatch) -> It
                 "integral_mas": loop.integral,
                 "gain": loop.gain,
                 "sensitivity_peak": loop.peak,
-                "rejection": loop.rejection,
-                "cumulative": loop.cumulative,
+                "gain_up": loop.gain_up,
+                "phase_margin": loop.phase_deg,
+                **loop.curves,
                 "simulated_mas": _simulated(bench, loop, int(realization), clock),
             }
             yield Block({name: np.array([value]) for name, value in found.items()}, np.array([row]))
@@ -281,6 +329,12 @@ def measures(bench: Bench) -> Iterable[Measure]:
         ("open_mas", "mas", "rms without a controller", ()),
         ("gain", "1", "of the integrator", ()),
         ("sensitivity_peak", "1", "largest amplification of frame means over frequency", ()),
+        ("gain_up", "1", "factor of the gain at which the loop becomes unstable", ()),
+        ("phase_margin", "deg", "phase at which the loop becomes unstable", ()),
+        ("loop_gain", "1", "size of the loop gain", ("frequency",)),
+        ("loop_phase", "deg", "phase of the loop gain", ("frequency",)),
+        ("passed_noise", "1", "complementary sensitivity of frame means, |T|", ("frequency",)),
+        ("left_psd", "mas^2/Hz", "what is left of the disturbance's spectrum", ("frequency",)),
         ("rejection", "1", "what is left of frame means at a frequency, |S|", ("frequency",)),
         ("cumulative", "mas", "rms of what is left below a frequency, noise from the start", ("frequency",)),
     ):
@@ -293,9 +347,13 @@ def axes(bench: Bench) -> Mapping[str, Axis]:
 
 
 def fixed(bench: Bench) -> dict[str, Any]:
-    """Return the cumulative disturbance without a controller."""
+    """Return the disturbance without a controller: its spectrum, and the rms below each frequency."""
     words = {"units": "mas", "long_name": "rms of the disturbance below a frequency"}
-    return {"open_cumulative": (("frequency",), bench.open_cumulative, words)}
+    power = {"units": "mas^2/Hz", "long_name": "one-sided spectrum of the disturbance"}
+    return {
+        "open_cumulative": (("frequency",), bench.open_cumulative, words),
+        "open_psd": (("frequency",), bench.open_psd, power),
+    }
 
 
 def describe(bench: Bench) -> Mapping[str, str]:
@@ -307,13 +365,25 @@ def describe(bench: Bench) -> Mapping[str, str]:
     }
 
 
-def loops(study: TipTiltStudy) -> Iterator[LoopMargins]:
-    """Yield the margins of every controller at every rate."""
-    for one in bench_of(study).loops:
-        frame = 1.0 / one.rate_hz
-        name = f"{one.name}, {one.rate_hz:g} Hz"
-        growth = float(np.log(spectral_radius(one.controller))) / frame
-        yield converted(name, growth, np.nan, frame_margins(one.controller, frame))
+def loops(study: TipTiltStudy) -> Makers:
+    """Return every controller at every rate."""
+    return {
+        f"{name}, {rate:g} Hz": partial(_made, study, name, rate)
+        for rate in study.loop.rates_hz
+        for name in study.loop.controllers
+    }
+
+
+def _made(study: TipTiltStudy, name: str, rate: float) -> StudyLoop:
+    frame = 1.0 / rate
+    true = sampled(shaped(study, study.loop.lines_off), frame)
+    controller, _ = designed(study, name, true)
+
+    def found() -> LoopMargins:
+        growth = float(np.log(spectral_radius(controller))) / frame
+        return converted(f"{name}, {rate:g} Hz", growth, np.nan, frame_margins(controller, frame))
+
+    return StudyLoop(*plant_and_controller(controller, study.loop.delay_frames, frame), found)
 
 
 KIND = study_kind(
