@@ -87,13 +87,24 @@ def test_a_camera_sees_light_go_to_the_right_without_distortion():
         assert up[2] or eye[0, 2] > 0.5
 
 
-@pytest.mark.parametrize("name", [*system_names(), *bundled_studies()])
+# A loop about one number: there is no system.
+SHAPELESS = "tip-tilt-vibration"
+
+
+@pytest.mark.parametrize("name", [*system_names(), *sorted(set(bundled_studies()) - {SHAPELESS})])
 def test_everything_bundled_can_be_drawn(name):
     seen = look(name)
     assert seen.system is not None or seen.models
     figure = draw(name)
     assert figure.axes
     assert all(axes.get_xlabel() or axes.get_ylabel() for axes in figure.axes)
+
+
+def test_what_has_no_shape_is_told():
+    with pytest.raises(UserError, match="tip-tilt-vibration has nothing to be drawn"):
+        draw(SHAPELESS)
+    study = load_study(SHAPELESS)
+    assert list(layout_picture(xr.Dataset(attrs={"study": study.identity_text()}))) == []
 
 
 def test_objects_are_drawn_as_their_names_are():
@@ -151,7 +162,7 @@ def test_files_of_the_command_line(wavequake, tmp_path, monkeypatch):
     assert (code, "cannot be written" in err) == (2, True)
 
 
-@pytest.mark.parametrize("name", bundled_studies())
+@pytest.mark.parametrize("name", sorted(set(bundled_studies()) - {SHAPELESS}))
 def test_every_report_begins_with_what_it_is_about(name):
     """The store keeps the study's identity alone, and that is enough."""
     study = load_study(name, {"model.rings": 3} if name.startswith("mirror") else {})

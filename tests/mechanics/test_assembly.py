@@ -278,11 +278,13 @@ def test_a_cantilever_has_its_closed_form_modes_and_sag():
     across = np.array([1.0, 0.0, 0.0])
     moved = sag(found, np.stack([9.81 * across, 9.81 * along]))
     deep = line * 9.81 * length**4 / (8 * bending)
-    np.testing.assert_allclose(moved[0, :3], deep * across, rtol=1e-9, atol=1e-9 * deep)
+    # Modes of a pair are at right angles to the rounding of the stiffest mode.
+    rounding = np.finfo(float).eps * (found.omega.max() / found.omega.min()) ** 2
+    np.testing.assert_allclose(moved[0, :3], deep * across, rtol=1e-9, atol=rounding * deep)
     stretch = STEEL.density * 9.81 * length**2 / (2 * STEEL.young)
-    np.testing.assert_allclose(moved[1, :3], stretch * along, rtol=1e-8, atol=1e-8 * stretch)
+    np.testing.assert_allclose(moved[1, :3], stretch * along, rtol=1e-8, atol=rounding * deep)
     turn = line * 9.81 * length**3 / (6 * bending)
-    np.testing.assert_allclose(moved[0, 3:], turn * np.cross(along, across), rtol=1e-9, atol=1e-9 * turn)
+    np.testing.assert_allclose(moved[0, 3:], turn * np.cross(along, across), rtol=1e-9, atol=rounding * turn)
 
 
 def test_a_force_and_a_moment_bend_a_cantilever_as_in_closed_form():

@@ -20,9 +20,11 @@ def test_kinds_of_work_and_kernels_have_their_shares(tmp_path):
     wq.run("double-gauss", cases=4, store=store, on="serial", **SMALL)
     told = profile(store)
     shares = {name: float(line.split()[2].rstrip("%")) for name, line in told.items() if " s  " in line}
+    assert shares.pop("all chunks") == 100.0
     assert sum(share for name, share in shares.items() if not name.startswith("kernel ")) == pytest.approx(
         100.0, abs=0.5
     )
+    assert all(told[name].endswith(" s CPU") for name in ("draw", "trace", "wavefront", "all chunks"))
     for kernel in ("sequential", "coefficients", "moments"):
         found = re.fullmatch(r" *([\d.]+) s +([\d.]+)%  (\d+) x ([\d.e-]+) ms", told[f"kernel {kernel}"])
         assert found is not None, told

@@ -25,6 +25,8 @@ from wavequake.optics.systems.system import OpticalSystem
 from wavequake.optics.zemax.read import read_zmx
 from wavequake.workflows.lens.lens_passive import PassiveStudy
 from wavequake.workflows.lens.lens_study import LensStudy
+from wavequake.workflows.loops.controller_bench import build_model as controlled_model
+from wavequake.workflows.loops.controller_study import ControllerStudy
 from wavequake.workflows.mirrors.mirror_bench import build_model
 from wavequake.workflows.mirrors.mirror_study import AnyMirrorStudy
 from wavequake.workflows.overrides import split_overrides
@@ -152,6 +154,8 @@ def _of_study(study: Study) -> Seen:
     if isinstance(study, AnyMirrorStudy):
         names = ("file",) if study.model.content is not None else study.model.shapes
         return Seen(models=tuple(build_model(study, name) for name in names))
+    if isinstance(study, ControllerStudy):
+        return Seen(models=(controlled_model(study),))
     if isinstance(study, SegmentStudy | SegmentMorStudy):
         segmented = build_telescope(study)  # type: ignore[arg-type]  # both have a section telescope
         field = np.array(study.optics.field_arcmin) * _ARCMIN

@@ -63,7 +63,7 @@ def find_kind(name: str) -> StudyKind:
     UserError
         If there is none; names the nearest one, and says how a plug-in is given.
     """
-    if module := {**_BUNDLED, **_MADE}.get(name):
+    if name not in _registered and (module := {**_BUNDLED, **_MADE}.get(name)):
         return with_extra(import_module(module).KIND)
     if name not in _registered and name in _installed():
         (entry,) = entry_points(group=_GROUP, name=name)
