@@ -9,11 +9,12 @@ import xarray as xr
 
 import wavequake as wq
 from wavequake.campaign import plugins
+from wavequake.campaign.contract import DONE, RAISED
 from wavequake.campaign.statistics.judged import populations_of
 from wavequake.campaign.store.grid import unstack
 from wavequake.errors import UserError
 from wavequake.reduction.names import orders_of
-from wavequake.report import plain
+from wavequake.report import plain, sweeps
 from wavequake.workflows import kinds
 from wavequake.workflows.kinds import compared_labels
 from wavequake.workflows.run import kind_of
@@ -221,3 +222,19 @@ def test_impossible_ranges_are_told(name):
         orders_of(name)
     with pytest.raises(UserError, match="range"):
         load_study("mirror-mor", {"reduction.variants": [name]})
+
+
+def test_the_answer_compares_like_with_like_and_leaves_failures_out():
+    """Wind grows with its speed until its cases fail, and noise does not: medians of both would fall."""
+    speed, kinds_of = np.repeat([1.0, 2.0, 4.0], 4), np.tile(["wind", "wind", "noise", "noise"], 3)
+    numbers = np.where(kinds_of == "wind", 10.0 * speed**2, 1.0)
+    failed = (kinds_of == "wind") & (speed == 4.0)
+    dataset = xr.Dataset(
+        {"status": ("case", np.where(failed, RAISED, DONE).astype(np.int8))},
+        coords={"speed": ("case", speed), "disturbance": ("case", kinds_of.astype(object))},
+    )
+    row = plain.Row("wfe_rms", "", "nm", np.where(failed, np.nan, numbers))
+    assert sweeps._words(dataset, [row], "speed", ["speed"]) == (
+        "With speed, wfe_rms of wind changes most: its median is 10.0 nm at 1 and 40.0 nm at 2. 2 cases "
+        "failed; values at which some did are left out of this."
+    )
