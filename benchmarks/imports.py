@@ -1,8 +1,9 @@
 """How long finite-element models take to read and to factorize, and how well that is forecast.
 
-Text files of one million entries (seconds of processor time and the most memory that reading traces), then
-factorizations of three mirrors by nested dissection against SuperLU: time and memory, and the forecast of
-both over what was measured. One thread.
+Text files of one million entries, and displacements of a million directions of nodes (seconds of processor
+time and the most memory that reading traces), then factorizations of mirrors by nested dissection
+against SuperLU and, where it is installed, PARDISO: time and memory, and the forecast of both over what was
+measured. One thread.
 """
 
 import tempfile
@@ -20,13 +21,14 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.mechanics.importers import abaqus, calculix, matrix_market, nastran, op4
 from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror
-from wavequake.mechanics.vibration import factors
+from wavequake.mechanics.nodal import frd, tables
+from wavequake.mechanics.vibration import factors, pardiso
 from wavequake.mechanics.vibration.dissection import dissect
 from wavequake.mechanics.vibration.forecast import forecast
 
 ENTRIES = 1_000_000
 BAND = 40  # entries of each column
-MIRRORS = ((8, 2), (9, 2), (11, 3))  # elements along a side of the core, layers
+MIRRORS = ((8, 2), (9, 2), (11, 3), (16, 2))  # elements along a side of the core, layers
 PATIENCE = 30_000
 """Unknowns up to which SuperLU is tried: beyond, its minimum degree takes minutes."""
 
@@ -86,6 +88,49 @@ def write_files(folder: Path) -> dict[str, tuple[Path, Callable[[Path], Any]]]:
     return files
 
 
+def write_displacements(folder: Path) -> dict[str, tuple[Path, Callable[[Path], Any]]]:
+    """Write ten instants of the same displacements in every format of nodal results that is easily made."""
+    random = np.random.default_rng(1)
+    steps, nodes = 10, ENTRIES // 30
+    points, moved = random.standard_normal((nodes, 3)), random.standard_normal((steps, nodes, 3)) * 1e-6
+    labels = np.arange(1, nodes + 1)
+    files = {
+        f"displacements, {suffix}": (folder / f"nodes{suffix}", reader)
+        for suffix, reader in (
+            (".csv", tables.read_csv),
+            (".npz", tables.read_arrays),
+            (".frd", frd.read_frd),
+        )
+    }
+    rows = np.hstack([np.tile(np.column_stack([labels, points]), (steps, 1)), moved.reshape(-1, 3) * 1e6])
+    table = np.column_stack([np.repeat(np.arange(steps) * 0.1, nodes), rows])
+    np.savetxt(
+        folder / "nodes.csv",
+        table,
+        "%.9g",
+        ",",
+        header="time_s,node,x_m,y_m,z_m,dx_um,dy_um,dz_um",
+        comments="",
+    )
+    (folder / "nodes.npz").write_bytes(tables.packed(True, np.arange(steps) * 0.1, points, moved))
+
+    def block(values: np.ndarray) -> str:
+        lines = (
+            f" -1{label:10d}{x:12.5E}{y:12.5E}{z:12.5E}\n"
+            for label, (x, y, z) in zip(labels, values.tolist(), strict=True)
+        )
+        return "".join(lines) + " -3\n"
+
+    with open(folder / "nodes.frd", "w") as file:
+        file.write(f"    1C\n    2C{'':18}{nodes:12d}{'':37}1\n" + block(points))
+        for number, values in enumerate(moved, 1):
+            file.write(f"  100CL  101{number * 0.1:12.5E}{nodes:12d}{'':20} 1{number:5d}{'':10} 1\n")
+            file.write(" -4  DISP        4    1\n" + "".join(f" -5  D{k}\n" for k in (1, 2, 3)))
+            file.write(" -5  ALL\n" + block(values))
+        file.write(" 9999\n")
+    return files
+
+
 def measured(job: Callable[[], Any]) -> tuple[float, float]:
     """Return the least processor time of three runs in s, and the most memory that one traces, in GB."""
     times = []
@@ -103,7 +148,8 @@ def measured(job: Callable[[], Any]) -> tuple[float, float]:
 def reading() -> Table:
     table = Table("file of a million entries", "MB", "s", "GB", box=None)
     with tempfile.TemporaryDirectory() as name:
-        for format_name, (path, reader) in write_files(Path(name)).items():
+        made = write_files(Path(name)) | write_displacements(Path(name))
+        for format_name, (path, reader) in made.items():
             seconds, memory = measured(lambda path=path, reader=reader: reader(path))  # type: ignore[misc]
             size = path.stat().st_size / 1e6
             table.add_row(format_name, f"{size:.0f}", f"{seconds:.2f}", f"{memory:.2f}")
@@ -112,7 +158,17 @@ def reading() -> Table:
 
 def factorizing() -> Table:
     table = Table(
-        "unknowns", "entries", "factors", "s", "GB", "forecast/s", "forecast/GB", "SuperLU s", box=None
+        "unknowns",
+        "entries",
+        "factors",
+        "s",
+        "GB",
+        "forecast/s",
+        "forecast/GB",
+        "SuperLU s",
+        "PARDISO s",
+        "GB",
+        box=None,
     )
     for core, layers in MIRRORS:
         mirror = CircularMirror(core=core, rings=core, layers=layers, thickness=0.1)
@@ -138,8 +194,18 @@ def factorizing() -> Table:
             f"{told.seconds / seconds:.2f}",
             f"{told.memory / 1e9 / memory:.2f}",
             f"{superlu:.2f}" if told.order <= PATIENCE else "",
+            *by_pardiso(matrix),
         )
     return table
+
+
+def by_pardiso(matrix: csc_array) -> tuple[str, str]:
+    """Return seconds and memory of PARDISO; empty where it is not installed."""
+    if not pardiso.is_there():
+        return "", ""
+    start = time.process_time()
+    found = pardiso.Pardiso(matrix, True, lambda needed, order: None)
+    return f"{time.process_time() - start:.2f}", f"{found.memory / 1e9:.2f}"
 
 
 def main() -> None:

@@ -21,6 +21,7 @@ from rich.table import Table
 
 from benchmarks._limits import limit_jobs, limits
 from benchmarks._numba_trace import numba_tracer
+from benchmarks._verdict import Row, verdict
 from benchmarks._warm import warm
 from benchmarks.segmented import workload
 from wavequake.kernels.device.devices import Device, list_devices
@@ -58,11 +59,10 @@ WAVELENGTH, APERTURE = 550e-6, 1.0 / 30.0
 DEMANDS = {
     "10^6 rays, times batoid": ("least", (50.0, 90.0), (80.0, 150.0)),
     "1000 instants of 2000 rays, times a batoid loop": ("least", (70.0, 130.0), (120.0, 200.0)),
-    "10^6 rays, times the same algorithm in numba": ("least", (1.8, 1.8), (2.5, 2.5)),
-    "share of the tightest bound": ("least", (0.55, 0.55), (0.8, 0.8)),
+    "share of the tightest bound": ("least", (0.6, 0.6), (0.8, 0.8)),
     "492 segments, with search and flags, of the plain rate": ("least", (0.5, 0.5), (0.7, 0.7)),
     "host work (poses, packing, fit, line of sight) of the kernel": ("most", (0.25, 0.25), (0.1, 0.1)),
-    "one instant of 2000 rays, ms": ("most", (0.3, 0.3), (0.3, 0.3)),
+    "one instant of 2000 rays, ms": ("most", (0.3, 0.3), (0.15, 0.15)),
 }
 
 
@@ -257,34 +257,29 @@ def report(
     apart = 4e-6 * speed["apart"] / ARITHMETIC[terms]
     table.add_row("limit by multiplying and adding apart", f"{apart:.1f}")
     console.print(table)
-    ratios = {("kernel", "batoid"): 0, ("batch", "batoid loop"): 1, ("kernel", "numba"): 2}
+    if "numba" in rates:  # compares instruction sets of compilers, and is therefore not demanded
+        times = float(np.median(rates["kernel"]) / np.median(rates["numba"]))
+        console.print(f"10^6 rays, times the same algorithm in numba: {times:.2f}")
+    ratios = {("kernel", "batoid"): 0, ("batch", "batoid loop"): 1}
     names, found = list(DEMANDS), {}
     for (own, peer), place in ratios.items():
         if peer in rates:
             found[names[place]] = float(np.median(rates[own]) / np.median(rates[peer]))
     launched = seconds["batch"] - seconds["packing"]
-    found[names[3]] = float(np.median(rates["kernel"])) / min(bounds.values())
-    found[names[4]] = float(np.median(rates["492 segments"] / rates["kernel"]))
-    found[names[5]] = float(np.median((seconds["host"] + seconds["packing"]) / launched))
-    found[names[6]] = 1e3 * float(np.median(seconds["small"]))
+    found[names[2]] = float(np.median(rates["kernel"])) / min(bounds.values())
+    found[names[3]] = float(np.median(rates["492 segments"] / rates["kernel"]))
+    found[names[4]] = float(np.median((seconds["host"] + seconds["packing"]) / launched))
+    found[names[5]] = 1e3 * float(np.median(seconds["small"]))
     return found
 
 
-def verdict(found: dict[int, dict[str, float]], console: Console) -> None:
-    """Print what was measured beside what is demanded."""
-    headers = [word for terms in found for word in (f"{terms} terms", "demanded", "aim", "")]
-    table = Table("", *headers, box=None)
-    for name, (kind, demanded, aims) in DEMANDS.items():
-        row = []
-        for measured, demand, aim in zip(found.values(), demanded, aims, strict=True):
-            value = measured.get(name)
-            if value is None:
-                row += ["-", f"{demand:g}", f"{aim:g}", "skipped"]
-            else:
-                met = value >= demand if kind == "least" else value <= demand
-                row += [f"{value:.3g}", f"{demand:g}", f"{aim:g}", "met" if met else "short"]
-        table.add_row(name, *row)
-    console.print(table)
+def demands(found: dict[int, dict[str, float]], threads: str) -> list[Row]:
+    """Return what was measured with some threads beside what is demanded."""
+    return [
+        Row(f"{name}; {terms} terms, {threads} threads", measured.get(name), demand, aim, kind == "least")
+        for name, (kind, demanded, aims) in DEMANDS.items()
+        for (terms, measured), demand, aim in zip(found.items(), demanded, aims, strict=True)
+    ]
 
 
 def main() -> None:
@@ -312,7 +307,7 @@ def measure_all(threads: str) -> None:
     for terms in (28, 105):
         console.print(f"{devices[0].name}, {threads} thread(s), {terms} terms, {RAYS} rays")
         found[terms] = measure(devices[0], terms, batoid is not None, console)
-    verdict(found, console)
+    console.print(verdict(demands(found, threads)))
 
 
 if __name__ == "__main__":

@@ -19,3 +19,4 @@ autodoc_typehints = "none"
 copybutton_prompt_text = "$ "
 copybutton_only_copy_prompt_lines = True
 suppress_warnings = ["myst.xref_missing", "misc.highlighting_failure"]
+html_show_copyright = False

@@ -1,11 +1,16 @@
 // Why a ray is lost, as the host names it (wavequake/kernels/trace/status.py): one table for all traces.
 
-enum { OK = 0, VIGNETTED = 1, MISS = 2, TOTAL_REFLECTION = 3, DIVERGED = 4, GAP = 5 };
+enum { OK = 0, VIGNETTED = 1, MISS = 2, TOTAL_REFLECTION = 3, DIVERGED = 4, GAP = 5, NO_ORDER = 6 };
 
 // Of several reasons at one surface the one of the highest rank counts.
 #define RANK(reason) \
-    ((reason) == TOTAL_REFLECTION ? 1 : (reason) == VIGNETTED ? 2 : (reason) == DIVERGED ? 3 : (reason) == MISS ? 4 : 5)
-#define RANKED (TOTAL_REFLECTION << 4 | VIGNETTED << 8 | DIVERGED << 12 | MISS << 16 | GAP << 20)
+    ((reason) == NO_ORDER           ? 1 \
+     : (reason) == TOTAL_REFLECTION ? 2 \
+     : (reason) == VIGNETTED        ? 3 \
+     : (reason) == DIVERGED         ? 4 \
+     : (reason) == MISS             ? 5 \
+                                    : 6)
+#define RANKED (NO_ORDER << 4 | TOTAL_REFLECTION << 8 | VIGNETTED << 12 | DIVERGED << 16 | MISS << 20 | GAP << 24)
 
 // Losses are numbers that fall from surface to surface, so that a ray keeps its largest: masks that are
 // combined with one another cost processors without 512-bit vectors as much as the trace itself. 0: none.

@@ -249,3 +249,11 @@ def test_from_python(tiny, tmp_path):
     assert "run" in dir(wq)
     with pytest.raises(wq.UserError, match="nearest valid key"):
         wq.run(tiny, optics__wavelength=1.0)
+
+
+def test_help_puts_every_command_into_a_group(wavequake):
+    code, out, _ = wavequake("--help")
+    assert code == 0
+    assert "─ Commands ─" not in out
+    for group in ("Begin", "Run", "Decide", "Measurements", "Machines"):
+        assert f"─ {group}" in out

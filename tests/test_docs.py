@@ -1,16 +1,21 @@
 """Documentation that runs: snippets are executed, tables are made from the code."""
 
 import importlib.util
+import json
 import re
 import shlex
 import shutil
 import subprocess
 import sys
+from base64 import b64decode
+from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import unquote
 
 import pytest
 from benchmarks.measured import named_tests
 
+import wavequake as wq
 from wavequake.workflows.study import load_study
 
 ROOT = Path(__file__).parents[1]
@@ -92,31 +97,120 @@ def test_links_lead_somewhere():
                 assert (page.parent / target).exists(), (page.name, target)
 
 
-def test_the_site_builds_without_a_warning(tmp_path):
-    """All but the gallery, whose reports `make docs` computes."""
-    pytest.importorskip("sphinx", reason="needs: pip install 'wavequake[docs]'")
-    shutil.copytree(ROOT / "docs", tmp_path / "docs", ignore=shutil.ignore_patterns("_site"))
-    (tmp_path / "docs" / "_site" / "extra").mkdir(parents=True)
-    (tmp_path / "docs" / "gallery.md").write_text("# Gallery\n")
+def loaded(path):
+    """Return a module of the documentation, which is no package."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+class Targets(HTMLParser):
+    """Collects what a page of the site refers to."""
+
+    def __init__(self):
+        super().__init__()
+        self.found = []
+
+    def handle_starttag(self, tag, attrs):
+        self.found += [value for name, value in attrs if name in ("href", "src") and value]
+
+
+def test_the_site_builds_without_a_warning_and_its_links_lead_somewhere(tmp_path, monkeypatch):
+    """As `make docs` does, with one short tutorial and two studies in the gallery."""
+    pytest.importorskip("sphinx", reason="needs: pip install -e '.[docs]'")
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(ROOT / "docs", tmp_path / "docs", ignore=shutil.ignore_patterns("_site", "gallery.md"))
     for folder in ("workflows", "tests", "cluster", "benchmarks", "firmware", "pipeline"):
         (tmp_path / folder).symlink_to(ROOT / folder)
-    build = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html"]
-    made = subprocess.run(
-        [*build, str(tmp_path / "docs"), str(tmp_path / "site")], capture_output=True, text=True
+    (tmp_path / "short.md").write_text(TUTORIAL)
+    module = loaded(tmp_path / "docs" / "make_site.py")
+    monkeypatch.setitem(
+        module.SMALL, "tip-tilt-vibration", {"simulated.duration_s": 2.0, "campaign.cases": 4}
     )
-    assert made.returncode == 0, made.stderr
-    assert "craigb36" in (tmp_path / "site" / "tutorials" / "reduction.html").read_text()
-    assert "wavequake.run" in (tmp_path / "site" / "api.html").read_text()
+    assert module.build(["tip-tilt-vibration"], [tmp_path / "short.md"]) == 0
+    site = tmp_path / "docs" / "_site" / "html"
+    assert "craigb36" in (site / "tutorials" / "reduction.html").read_text()
+    assert "wavequake.run" in (site / "api.html").read_text()
+    lost = []
+    for page in site.rglob("*.html"):
+        targets = Targets()
+        targets.feed(page.read_text(encoding="utf-8"))
+        for target in targets.found:
+            local = unquote(target.partition("#")[0].partition("?")[0])
+            if (
+                "://" in target
+                or target.startswith(("data:", "mailto:"))
+                or not local
+                or local == "view.html"
+            ):
+                continue
+            if not (page.parent / local).exists():
+                lost.append((page.name, target))
+    assert lost == []
+    notebook = json.loads((site / "notebooks" / "short.ipynb").read_text())
+    kinds = [cell["cell_type"] for cell in notebook["cells"]]
+    assert kinds == ["markdown", "code", "markdown", "code"]
+    command, snippet = (cell for cell in notebook["cells"] if cell["cell_type"] == "code")
+    assert command["source"] == "!wavequake studies"
+    assert "double-gauss" in command["outputs"][0]["text"]
+    assert snippet["outputs"][0] == {"output_type": "stream", "name": "stdout", "text": "mirror-mor\n"}
+    assert b64decode(snippet["outputs"][1]["data"]["image/png"]).startswith(b"\x89PNG")
+    assert len({cell["id"] for cell in notebook["cells"]}) == 4
+    assert "![" not in "".join(str(cell["source"]) for cell in notebook["cells"])
+
+
+TUTORIAL = """# Short
+
+What there is:
+```console
+$ wavequake studies
+```
+![A picture](../pictures/one.png)
+
+And drawn:
+```python
+import wavequake as wq
+
+print([name for name in wq.studies() if name == "mirror-mor"][0])
+wq.draw("tmt-18").savefig("one.png")
+```
+"""
+
+
+def test_nobody_is_told_to_install_what_is_on_no_index():
+    """Wavequake is installed from its folder or wheel; by its name pip would find nothing, or worse."""
+    asked = re.compile(r"pip install (?:-U |--upgrade )?['\"]?wavequake(?!-)")
+    texts = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+    texts += [*(ROOT / "pipeline").rglob("*.py"), *(ROOT / "workflows").glob("*.toml")]
+    assert [text.name for text in texts if asked.search(text.read_text(encoding="utf-8"))] == []
+
+
+def test_the_reference_of_the_door_has_every_name():
+    text = (ROOT / "docs/api.md").read_text()
+    named = set(re.findall(r":: (?:wavequake\.(?:[\w]+\.)*)?(\w+)$", text, flags=re.M))
+    assert set(wq.__all__) <= named
 
 
 def test_the_reference_of_keys_is_what_the_code_says():
-    spec = importlib.util.spec_from_file_location(
-        "make_study_reference", ROOT / "docs" / "make_study_reference.py"
-    )
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = loaded(ROOT / "docs" / "make_study_reference.py")
     made = (ROOT / "docs" / "study.md").read_text().split(module.MARK)[1].strip()
     assert made == module.reference().strip(), "run python docs/make_study_reference.py"
+
+
+def test_the_page_on_the_reference_text_names_every_figure_and_table():
+    """Of Chapters 4 and 5: in a row of its own, or in a range of them."""
+    text = (ROOT / "docs" / "thesis.md").read_text(encoding="utf-8")
+    named = set()
+    for chapter, first, last in re.findall(r"\b([45])\.(\d+)(?:(?: to |-)\1\.(\d+))?", text):
+        named |= {(int(chapter), number) for number in range(int(first), int(last or first) + 1)}
+    assert named >= {(4, number) for number in range(1, 47)} | {(5, number) for number in range(1, 40)}
+    assert re.search(r"\| Table 4\.1:", text)
+    assert re.search(r"\| Table 4\.2:", text)
+    assert re.search(r"\| Table 5\.1:", text)
+    rows = [row for row in text.splitlines() if row.startswith("| ") and "statement" not in row]
+    for row in rows:
+        assert re.search(r"agree|differs|partly|fitted|open", row.split("|")[3]), row
 
 
 def test_the_tests_that_the_page_on_validation_names_exist():

@@ -45,6 +45,15 @@ def test_lenses_are_found_by_their_glass():
     assert glass_groups(wq.load_system("euv")) == []
 
 
+def test_bodies_are_called_what_their_surfaces_are(wavequake):
+    """Rubin's filter and its third lens keep their names; surfaces that are numbered make numbered lenses."""
+    assert wavequake("new", "rubin")[0] == 0
+    bodies = {body.name: list(body.surfaces) for body in load_study("rubin.toml").body}
+    assert bodies == {name: [f"{name} front", f"{name} back"] for name in ("L1", "L2", "filter", "L3")}
+    assert wavequake("new", "cooke_triplet.zmx")[0] == 0
+    assert [body.name for body in load_study("cooke_triplet.toml").body] == ["L1", "L2", "L3"]
+
+
 def test_a_begun_study_runs(wavequake):
     assert wavequake("new", "cooke_triplet.zmx", "-o", "mine.toml")[0] == 0
     ds = wq.run("mine.toml", cases=4, store="mine", optics__rays=60, wavefront__zernike_terms=11).load()
@@ -82,13 +91,22 @@ def test_what_is_not_there_is_said(wavequake):
 
 
 def test_names_complete_in_a_shell():
-    asked = {"_WAVEQUAKE_COMPLETE": "complete_bash", "COMP_WORDS": "wavequake run tmt-m", "COMP_CWORD": "2"}
-    done = subprocess.run(
-        [sys.executable, "-c", "from wavequake.cli import app; app(prog_name='wavequake')"],
-        env={**os.environ, **asked},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.stdout.split() == ["tmt-million"]
+    def offered(words):
+        asked = {
+            "_WAVEQUAKE_COMPLETE": "complete_bash",
+            "COMP_WORDS": f"wavequake {words}",
+            "COMP_CWORD": "2",
+        }
+        done = subprocess.run(
+            [sys.executable, "-c", "from wavequake.cli import app; app(prog_name='wavequake')"],
+            env={**os.environ, **asked},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        return done.stdout.split()
+
+    assert offered("run tmt-mi") == ["tmt-million"]
     assert "tmt-million" in bundled_studies()
+    for command in ("draw", "new"):
+        assert offered(f"{command} ke") == ["keck"]

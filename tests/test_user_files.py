@@ -1,5 +1,6 @@
 """What is no file, or more than it seems, is refused before it takes memory or time."""
 
+import base64
 import io
 import os
 import time
@@ -11,7 +12,9 @@ import numpy as np
 import pytest
 
 from wavequake import user_files
+from wavequake.campaign.plugins import load_plugin
 from wavequake.errors import UserError
+from wavequake.mechanics.assembly.arrays import from_matrices, from_modes
 from wavequake.mechanics.importers.arrays import read_npz as read_matrices
 from wavequake.user_files import LIMIT, read_bytes, read_hdf5, read_npy, read_npz, read_text, read_toml
 from wavequake.words import MOST
@@ -50,6 +53,61 @@ def test_what_is_no_regular_file_is_refused_at_once(tmp_path, kind):
         with pytest.raises(UserError, match=r"cannot be read \("):
             read(path)
     assert time.monotonic() - begin < 1.0
+
+
+def test_a_study_that_is_a_device_is_no_regular_file():
+    with pytest.raises(UserError, match="The file /dev/zero is no regular file"):
+        load_study("/dev/zero")
+
+
+def test_plug_ins_are_files_of_users_too(tmp_path):
+    with pytest.raises(UserError, match=r"The plug-in /dev/zero cannot be read \(it is no regular file\)"):
+        load_plugin("/dev/zero")
+    (tmp_path / "a.py").write_bytes(b"\xff\xfe")
+    with pytest.raises(UserError, match="no text in UTF-8"):
+        load_plugin(tmp_path / "a.py")
+
+
+@pytest.mark.parametrize(
+    ("make", "label", "values"),
+    [
+        ("modes", "frequencies_hz", np.array(3.0)),
+        ("modes", "damping_ratios", np.ones((2, 2))),
+        ("modes", "damping_ratios", np.ones(3)),
+        ("modes", "shapes", np.array(1.0)),
+        ("modes", "nodes_mm", np.ones(6)),
+        ("modes", "names", np.array("a")),
+        ("matrices", "mass", np.array(1.0)),
+        ("matrices", "stiffness", np.ones(6)),
+        ("matrices", "inputs", np.ones((6, 6, 1))),
+        ("matrices", "nodes_mm", np.ones((2, 2))),
+    ],
+)
+def test_bodies_of_numbers_with_other_shapes_are_one_sentence(make, label, values):
+    good = {
+        "modes": {
+            "frequencies_hz": np.ones(2),
+            "damping_ratios": np.array(0.01),
+            "nodes_mm": np.eye(2, 3),
+            "shapes": np.ones((2, 2, 3)),
+        },
+        "matrices": {
+            "mass": np.eye(6),
+            "stiffness": np.eye(6),
+            "nodes_mm": np.eye(2, 3),
+            "inputs": np.eye(6),
+        },
+    }[make]
+    read = {"modes": from_modes, "matrices": from_matrices}[make]
+    assert len(read("tube", in_base64(good)).nodes) == 2
+    with pytest.raises(UserError, match=f"'{label}' of the body 'tube'|names of the body"):
+        read("tube", in_base64(good | {label: values}))
+
+
+def in_base64(arrays):
+    out = io.BytesIO()
+    np.savez(out, **arrays)
+    return base64.b64encode(out.getvalue()).decode()
 
 
 def test_a_link_to_a_file_is_read(tmp_path):

@@ -18,24 +18,25 @@ if TYPE_CHECKING:
     from wavequake.campaign.schema import Study
     from wavequake.campaign.store.grid import unstack
     from wavequake.campaign.store.store import open_store
+    from wavequake.doors.decisions import allow, budget, rare, sharpen, store_errors
     from wavequake.doors.models import load_model, loop, plant, respond
     from wavequake.doors.studies import (
-        allow,
-        budget,
         compare,
         export,
         margins,
-        rare,
         report,
         run,
         studies,
         tail,
         verify,
     )
+    from wavequake.doors.telemetry import agreement, identify
     from wavequake.drawing.draw import draw
     from wavequake.optics.zemax.export import write_zmx
     from wavequake.reduction.reduce import reduce
+    from wavequake.viewer.animate import animate
     from wavequake.viewer.view import view
+    from wavequake.workflows.migrate import migrate
     from wavequake.workflows.run import plan
     from wavequake.workflows.sensitivity import sensitivity
     from wavequake.workflows.study import load_study
@@ -47,17 +48,21 @@ __all__ = [
     "StoreDamageError",
     "Study",
     "UserError",
+    "agreement",
     "allow",
+    "animate",
     "budget",
     "compare",
     "convert_zernike",
     "draw",
     "export",
+    "identify",
     "load_model",
     "load_study",
     "load_system",
     "loop",
     "margins",
+    "migrate",
     "open_store",
     "plan",
     "plant",
@@ -68,6 +73,8 @@ __all__ = [
     "respond",
     "run",
     "sensitivity",
+    "sharpen",
+    "store_errors",
     "studies",
     "tail",
     "unstack",
@@ -80,25 +87,31 @@ __all__ = [
 # stay quick.
 _HOMES = {
     "Study": "wavequake.campaign.schema",
-    "allow": "wavequake.doors.studies",
-    "budget": "wavequake.doors.studies",
+    "agreement": "wavequake.doors.telemetry",
+    "allow": "wavequake.doors.decisions",
+    "animate": "wavequake.viewer.animate",
+    "budget": "wavequake.doors.decisions",
     "compare": "wavequake.doors.studies",
     "convert_zernike": "wavequake.workflows.zernike_arrays",
     "draw": "wavequake.drawing.draw",
     "export": "wavequake.doors.studies",
+    "identify": "wavequake.doors.telemetry",
     "load_model": "wavequake.doors.models",
     "load_study": "wavequake.workflows.study",
     "load_system": "wavequake.workflows.systems.system_source",
     "loop": "wavequake.doors.models",
     "margins": "wavequake.doors.studies",
+    "migrate": "wavequake.workflows.migrate",
     "open_store": "wavequake.campaign.store.store",
     "plan": "wavequake.workflows.run",
     "plant": "wavequake.doors.models",
-    "rare": "wavequake.doors.studies",
+    "rare": "wavequake.doors.decisions",
     "reduce": "wavequake.reduction.reduce",
     "respond": "wavequake.doors.models",
     "run": "wavequake.doors.studies",
     "sensitivity": "wavequake.workflows.sensitivity",
+    "sharpen": "wavequake.doors.decisions",
+    "store_errors": "wavequake.doors.decisions",
     "studies": "wavequake.doors.studies",
     "tail": "wavequake.doors.studies",
     "unstack": "wavequake.campaign.store.grid",

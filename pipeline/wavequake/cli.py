@@ -3,7 +3,7 @@
 import io
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -12,7 +12,7 @@ from rich.table import Table
 
 from wavequake import __version__
 from wavequake.campaign.plugins import load_named
-from wavequake.commands import firmware, loops, new, pictures, rare, sensitivity, statistics
+from wavequake.commands import firmware, identify, loops, new, pictures, rare, sensitivity, statistics
 from wavequake.commands.options import (
     ClusterOption,
     DashboardOption,
@@ -32,27 +32,36 @@ from wavequake.terminal import (
     interrupted,
     live_progress,
     out,
+    print_in_blocks,
     print_pairs,
 )
-from wavequake.words import are, counted
+from wavequake.words import are, counted, unsaid
 
 app = typer.Typer(
     help="What does vibration do to the image, and which model, mirror or controller is good enough?",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-app.add_typer(firmware.app, name="firmware")
-app.command()(new.new)
-app.command()(pictures.info)
-app.command()(pictures.draw)
-app.command()(pictures.view)
-app.command()(statistics.budget)
-app.command()(statistics.tail)
-app.command()(rare.rare)
-app.command()(rare.allow)
-app.command()(sensitivity.sensitivity)
-app.command()(loops.margins)
-app.command()(sensitivity.devices)
+_BEGIN, _RUN, _DECIDE, _SURE, _MEASURED, _PARTS = (
+    "Begin: files and pictures",
+    "Run, watch, keep",
+    "Decide: what costs, how stable, how rare, how still",
+    "How sure the numbers of a store are",
+    "Measurements and other stores",
+    "Machines",
+)
+_PANELS: dict[str, list[Callable[..., None]]] = {
+    _BEGIN: [new.new, new.migrate, pictures.info, pictures.draw],
+    _RUN: [pictures.view],
+    _DECIDE: [statistics.budget, sensitivity.sensitivity, loops.margins, rare.rare, rare.allow],
+    _SURE: [statistics.errors, statistics.sharpen, statistics.tail],
+    _MEASURED: [identify.identify, identify.compare],
+    _PARTS: [sensitivity.devices],
+}
+for _panel, _commands in _PANELS.items():
+    for _command in _commands:
+        app.command(rich_help_panel=_panel)(_command)
+app.add_typer(firmware.app, name="firmware", rich_help_panel=_PARTS)
 StudyArgument = Annotated[
     str,
     typer.Argument(
@@ -127,7 +136,7 @@ def _global(
     """Take the options that every command shares."""
 
 
-@app.command()
+@app.command(rich_help_panel=_RUN)
 def run(
     study: StudyArgument,
     overrides: OverridesArgument = None,
@@ -150,9 +159,10 @@ def run(
     profile: Annotated[bool, typer.Option("--profile", help="Say where the time went.")] = False,
 ) -> None:
     """Run a study, or what of it is not done yet, and write its report. Safe to repeat and to interrupt."""
+    from wavequake.campaign.engine.driver import begin_workers
     from wavequake.campaign.engine.driver_lock import shard_of
     from wavequake.campaign.engine.recheck import share_of
-    from wavequake.workflows.run import notices, run_study
+    from wavequake.workflows.run import kind_of, notices, run_study
     from wavequake.workflows.run import profile as profile_of
     from wavequake.workflows.study import load_study
 
@@ -160,7 +170,10 @@ def run(
     share = share_of(recheck)
     loaded = load_study(study, overrides or [])
     path = store or Path(loaded.store.path or loaded.default_store())
-    out.print(f"{loaded.study.name}  {loaded.cases} cases  ->  {path}", markup=False, soft_wrap=True)
+    out.print(
+        f"{loaded.study.name}  {counted(loaded.cases, 'case')}  ->  {path}", markup=False, soft_wrap=True
+    )
+    begin_workers(kind_of(loaded), path, on)
     for line in notices(loaded):
         out.print(line, markup=False, soft_wrap=True)
     with live_progress() as progress:
@@ -204,20 +217,33 @@ def _show_link(link: str) -> None:
     out.print(f"Dashboard: {link}", markup=False, soft_wrap=True)
 
 
-@app.command()
+@app.command(rich_help_panel=_RUN)
 def plan(
     study: StudyArgument,
     overrides: OverridesArgument = None,
     store: StoreOption = None,  # so that `run` can be replaced by `plan`; nothing is stored
+    accuracy: Annotated[
+        str | None, typer.Option(help="Propose rays, terms, order and cases for it, as '1 %'.")
+    ] = None,
+    measure: Annotated[str | None, typer.Option(help="What shall be as accurate (default: wfe_rms).")] = None,
 ) -> None:
     """Show cases, chunks, memory and an estimate of the time; stores nothing."""
     from wavequake.workflows.run import plan as plan_study
     from wavequake.workflows.study import load_study
 
-    print_pairs(plan_study(load_study(study, overrides or [])))
+    if accuracy is None and measure is not None:
+        raise UserError("--measure belongs to an accuracy; say --accuracy '1 %', too.")
+    loaded, wanted = load_study(study, overrides or []), None
+    if accuracy is not None:
+        from wavequake.report.answers.accuracy import accuracy_of, plan_accuracy
+
+        wanted = accuracy_of(accuracy)
+    print_pairs(plan_study(loaded))
+    if wanted is not None:
+        print_pairs(plan_accuracy(loaded, wanted, measure, [study, *(overrides or [])]))
 
 
-@app.command()
+@app.command(rich_help_panel=_BEGIN)
 def studies() -> None:
     """List the bundled studies."""
     from wavequake.workflows.study import bundled_titles
@@ -230,7 +256,7 @@ def studies() -> None:
     out.print(table)
 
 
-@app.command()
+@app.command(rich_help_panel=_RUN)
 def status(store: StoreArgument) -> None:
     """Say what of a store is done, quarantined (and why) and still to do."""
     from wavequake.campaign.store.status import store_status
@@ -239,7 +265,7 @@ def status(store: StoreArgument) -> None:
         out.print(line, markup=False, soft_wrap=True)
 
 
-@app.command()
+@app.command(rich_help_panel=_RUN)
 def verify(store: StoreArgument) -> None:
     """Read every stored number again and compare it with the journal's digests (exit code 4 if damaged)."""
     from wavequake.campaign.store.verify import verify_store
@@ -251,30 +277,28 @@ def verify(store: StoreArgument) -> None:
         sys.exit(EXIT_DAMAGED)
 
 
-@app.command()
+@app.command(rich_help_panel=_RUN)
 def report(
     store: StoreArgument,
     animate: Annotated[
-        int | None, typer.Option(min=0, help="Write an animation of this case of an exposure, too.")
+        int | None, typer.Option(min=0, help="Write a moving picture of this case (and no report).")
     ] = None,
     controller: Annotated[
         str | None,
-        typer.Option(help="Controller that is animated (disturbed), or excitation of a mirror (the first)."),
+        typer.Option("--controller", "--of", help="What of the case: a controller, excitation or mode."),
     ] = None,
     format: Annotated[str | None, typer.Option(help="Of the animation: gif, or mp4 (by ffmpeg).")] = None,
 ) -> None:
     """Print the table of a store and write its HTML report."""
     if animate is None and (controller or format):
         raise UserError("--controller and --format belong to an animation; say --animate CASE, too.")
-    _write_report(store, fresh=True)
-    if animate is not None:
-        from wavequake.report.exposures.animation import animate_case
-
-        film = animate_case(store, animate, controller, kind=format or "gif")
-        out.print(f"Written: {film}", markup=False, soft_wrap=True)
+    if animate is None:
+        _write_report(store, fresh=True)
+        return
+    pictures.animate(store, animate, controller, format or "gif")
 
 
-@app.command()
+@app.command(rich_help_panel=_RUN)
 def export(
     store: StoreArgument,
     file: Annotated[
@@ -302,23 +326,7 @@ def export(
     out.print(f"Written: {export_store(store, file, overwrite)}", markup=False, soft_wrap=True)
 
 
-@app.command()
-def compare(
-    stores: Annotated[list[Path], typer.Argument(help="The reference store, then those to compare with it.")],
-    figure: Annotated[
-        Path | None,
-        typer.Option("--figure", help="Where the figure goes (.png, .svg, .pdf; default: the last store)."),
-    ] = None,
-) -> None:
-    """Compare stores case by case: cases of equal labels (the same draws) are paired."""
-    from wavequake.report.answers.comparison import compare_stores
-
-    table, path = compare_stores(stores, figure)
-    out.print(table)
-    out.print(f"Figure: {path.resolve()}", markup=False, soft_wrap=True)
-
-
-@app.command()
+@app.command(rich_help_panel=_RUN)
 def retry(
     store: StoreArgument,
     statuses: Annotated[
@@ -352,7 +360,7 @@ def retry(
         sys.exit(EXIT_QUARANTINED)
 
 
-@app.command("rerun")
+@app.command("rerun", rich_help_panel=_RUN)
 def rerun_case(
     store: StoreArgument,
     case: Annotated[int, typer.Option("--case", min=0, help="Id of the case.")],
@@ -379,7 +387,10 @@ def _write_report(store: Path, fresh: bool) -> None:
         table, path = report_store(store)
     else:
         table, path = summary_table(store), report_path(store)
-    out.print(table)
-    if answer := read_answer(path):
+    answer = read_answer(path)
+    if table.caption:
+        table.caption = unsaid(str(table.caption), answer) or None
+    print_in_blocks(table)
+    if answer:
         out.print(answer, markup=False, style="bold", highlight=False)
     out.print(f"Report: {path.resolve()}", markup=False, soft_wrap=True)

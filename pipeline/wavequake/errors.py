@@ -21,3 +21,7 @@ class StoreDamageError(Exception):
 
     def __init__(self, message: object) -> None:
         super().__init__(plain(message))
+
+
+class NoWorkersError(UserError):
+    """Worker processes do not start here."""

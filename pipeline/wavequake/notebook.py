@@ -11,7 +11,7 @@ from html import escape
 from typing import Any
 
 from wavequake.errors import StoreDamageError, UserError
-from wavequake.words import printable
+from wavequake.words import counted, printable
 
 _DRAWN = (
     ("wavequake.optics.systems.system", "OpticalSystem"),
@@ -67,7 +67,7 @@ def shown_study(study: Any) -> str:
     picture = shown(study)
     return (
         f"<h4>{name}</h4><p>{title}</p>{picture}"
-        f"<details><summary>{study.cases} cases of {_text(study.study.workflow)}</summary>"
+        f"<details><summary>{counted(study.cases, 'case')} of {_text(study.study.workflow)}</summary>"
         f"<pre>{_text(sections[:20000])}</pre></details>"
     )
 
@@ -102,4 +102,6 @@ def progress_bar() -> Iterator[Callable[[int, int, int], None] | None]:
 def bar(done: int, total: int, quarantined: int) -> str:
     """Return a progress bar with its numbers as HTML."""
     words = f", {quarantined} quarantined" if quarantined else ""
-    return f'<progress value="{done}" max="{max(1, total)}"></progress> {done}/{total} cases{words}'
+    return (
+        f'<progress value="{done}" max="{max(1, total)}"></progress> {done}/{counted(total, "case")}{words}'
+    )

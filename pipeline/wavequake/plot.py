@@ -18,6 +18,8 @@ from matplotlib.colors import LogNorm
 from wavequake.drawing.aperture import draw_aperture
 from wavequake.drawing.draw import look, scene_of
 from wavequake.drawing.layout import layouts
+from wavequake.drawing.periodogram import has_spectrum
+from wavequake.drawing.periodogram import spectrum as power_density
 from wavequake.drawing.section import draw_section
 from wavequake.drawing.still import draw_scene
 from wavequake.drawing.style import COLORS, STYLE, Drawing
@@ -26,7 +28,12 @@ from wavequake.errors import UserError
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["aperture", "distribution", "history", "image", "section", "solid"]
+__all__ = ["aperture", "distribution", "history", "image", "section", "solid", "spectrum"]
+
+
+def __dir__() -> list[str]:
+    """Return what is offered, for the completion of names."""
+    return __all__
 
 
 def section(what: Any, axes: Axes | None = None, *, rays: int = 7) -> Axes:
@@ -36,6 +43,11 @@ def section(what: Any, axes: Axes | None = None, *, rays: int = 7) -> Axes:
     ------
     UserError
         If there is no such system.
+
+    Examples
+    --------
+    >>> section("double-gauss", rays=3).get_ylabel()
+    'y (mm)'
     """
     system = look(what).system
     if system is None:
@@ -53,6 +65,11 @@ def aperture(what: Any, axes: Axes | None = None) -> Axes:
     ------
     UserError
         If there is no such telescope.
+
+    Examples
+    --------
+    >>> aperture("tmt-18").get_ylabel()
+    'y (m)'
     """
     telescope = look(what).telescope
     if telescope is None:
@@ -64,7 +81,13 @@ def aperture(what: Any, axes: Axes | None = None) -> Axes:
 
 
 def solid(what: Any, axes: Axes | None = None) -> Axes:
-    """Draw a system, telescope or model in space; raises as `wavequake.draw`."""
+    """Draw a system, telescope or model in space; raises as `wavequake.draw`.
+
+    Examples
+    --------
+    >>> len(solid("euv").collections) > 0
+    True
+    """
     axes = axes or _axes(9.0, 6.0)
     with rc_context(STYLE):
         draw_scene(axes, scene_of(look(what)))
@@ -86,6 +109,14 @@ def image(values: "xr.DataArray", axes: Axes | None = None, *, decades: float = 
     ------
     UserError
         If there are other dims.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> pixels = {"y": [-1.0, 0.0, 1.0], "x": [-1.0, 0.0, 1.0]}
+    >>> axes = image(xr.DataArray(np.eye(3) + 1e-3, pixels, ("y", "x"), "psf"))
+    >>> axes.get_xlabel()
+    'x'
     """
     if set(values.dims) != {"y", "x"}:
         raise UserError(f"An image has the dims y and x; choose one of {_others(values, {'x', 'y'})}.")
@@ -131,6 +162,14 @@ def history(values: "xr.DataArray", axes: Axes | None = None, *, label: str | No
     ------
     UserError
         If there are other dims.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> time = {"time_s": ("time", [0.0, 0.1, 0.2])}
+    >>> sight = xr.DataArray([0.0, 2.0, 1.0], time, "time", "los", {"units": "mas"})
+    >>> history(sight).get_ylabel()
+    'los (mas)'
     """
     others = [str(dim) for dim in values.dims if dim != "time"]
     if "time" not in values.dims or len(others) > 1:
@@ -146,6 +185,52 @@ def history(values: "xr.DataArray", axes: Axes | None = None, *, label: str | No
         for number, (line, name) in enumerate(zip(lines.T, names, strict=True)):
             axes.plot(time, line, color=COLORS[number % len(COLORS)], lw=1.0, label=name)
         axes.set(xlabel="time (s)" if found else "instant", ylabel=_label(values))
+        if any(names):
+            axes.legend()
+    return axes
+
+
+def spectrum(values: "xr.DataArray", axes: Axes | None = None) -> Axes:
+    """Draw the amplitude spectral density of a variable of one case, a line per entry of its other dim.
+
+    Parameters
+    ----------
+    values : xarray.DataArray
+        With the dim ``time``, evenly spaced, and at most one other, such as ``ds.los.sel(case=0)``.
+    axes : matplotlib Axes, optional
+
+    Raises
+    ------
+    UserError
+        If there are other dims, no times, fewer than 16 instants, or uneven ones.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> time = {"time_s": ("time", np.arange(64) * 0.01)}
+    >>> swing = np.sin(2 * np.pi * 12.5 * time["time_s"][1])
+    >>> axes = spectrum(xr.DataArray(swing, time, "time", "los", {"units": "mas"}))
+    >>> hertz, density = axes.lines[0].get_data()
+    >>> print(hertz[density.argmax()])
+    12.5
+    """
+    others = [str(dim) for dim in values.dims if dim != "time"]
+    time = next((values[name] for name in ("time_s", "time") if name in values.coords), None)
+    if "time" not in values.dims or len(others) > 1 or time is None or time.ndim != 1:
+        raise UserError("A spectrum is of one case over time, with at most one other dim.")
+    seconds = np.asarray(time.to_numpy(), dtype=np.float64)
+    there = np.isfinite(seconds)
+    if not has_spectrum(seconds[there]):
+        raise UserError("A spectrum needs at least 16 instants, evenly spaced.")
+    axes = axes or _axes(7.0, 3.5)
+    lines = values.transpose("time", *others).to_numpy().reshape(len(seconds), -1)[there]
+    names = [str(name) for name in values[others[0]].to_numpy()] if others else [None]
+    with rc_context(STYLE):
+        for number, (line, name) in enumerate(zip(lines.T, names, strict=True)):
+            hertz, density = power_density(seconds[there], line)
+            axes.loglog(hertz, np.sqrt(density), color=COLORS[number % len(COLORS)], lw=1.0, label=name)
+        unit = str(values.attrs.get("units", ""))
+        axes.set(xlabel="frequency (Hz)", ylabel=f"{values.name or ''} ({unit} / √Hz)")
         if any(names):
             axes.legend()
     return axes
@@ -173,6 +258,13 @@ def distribution(
     ------
     UserError
         If there are other dims.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> errors = xr.DataArray([3.0, 1.0, 2.0], dims="case", name="wfe", attrs={"units": "nm"})
+    >>> distribution(errors).get_xlabel()
+    'wfe (nm)'
     """
     if not {"case"} <= set(values.dims) <= {"case", "time"}:
         raise UserError(f"A distribution is over cases; choose one of {_others(values, {'case', 'time'})}.")
@@ -184,11 +276,11 @@ def distribution(
     with rc_context(STYLE):
         for number, name in enumerate(dict.fromkeys(populations.tolist())):
             mine = np.sort(cases[(populations == name) & np.isfinite(cases)])
-            share = np.arange(1, len(mine) + 1) / max(1, len(mine))
+            share = np.arange(len(mine) + 1) / max(1, len(mine))
             share = share if side == "below" else 1.0 - share
-            axes.step(
-                mine, share, where="post", color=COLORS[number % len(COLORS)], label=f"{name} ({len(mine)})"
-            )
+            label_of, steps = f"{name} ({len(mine)})", np.append(mine[:1], mine)  # none is below the least
+            color = COLORS[number % len(COLORS)]
+            axes.step(steps, share[: len(steps)], where="post", color=color, label=label_of)
         axes.set(xlabel=_label(values), ylabel=f"share of cases {side}", ylim=(0.0, 1.0))
         if label:
             axes.legend()

@@ -13,6 +13,19 @@ from typing import Generic, TypeVar
 from wavequake.errors import UserError
 
 Entry = TypeVar("Entry")
+_own: dict[str, None] = {}
+
+
+def note_own(entry: object) -> None:
+    """Remember that something comes from a module that worker processes do not load by themselves."""
+    module = str(getattr(entry, "__module__", ""))
+    if not module.startswith("wavequake"):
+        _own[module] = None
+
+
+def own_modules() -> tuple[str, ...]:
+    """Return the modules that have registered something and are neither installed parts nor plug-ins."""
+    return tuple(_own)
 
 
 class Registry(Generic[Entry]):
@@ -33,7 +46,7 @@ class Registry(Generic[Entry]):
     def __init__(self, what: str, home: str, group: str, name_of: Callable[[Entry], str]) -> None:
         self._what, self._home, self._group, self._name_of = what, home, group, name_of
         self._entries: dict[str, Entry] = {}
-        self._loaded = False
+        self._loaded = self._installing = False
 
     def add(self, entry: Entry) -> Entry:
         """Add an entry and return it; one that was made anew from the same file replaces the former.
@@ -51,6 +64,8 @@ class Registry(Generic[Entry]):
                 "each needs a name of its own"
             )
         self._entries[name] = entry
+        if not self._installing:
+            note_own(entry)
         return entry
 
     def known(self) -> Mapping[str, Entry]:
@@ -72,6 +87,7 @@ class Registry(Generic[Entry]):
                 import_module(f"{self._home}.{module.name}")
             for point in entry_points(group=self._group):
                 try:
+                    self._installing = True
                     point.load()
                 except Exception as error:
                     raise UserError(
@@ -79,6 +95,8 @@ class Registry(Generic[Entry]):
                         f"{point.dist.name if point.dist else point.value} cannot be loaded: "
                         f"{type(error).__name__}: {error}"
                     ) from error
+                finally:
+                    self._installing = False
         return self._entries
 
 

@@ -7,17 +7,23 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from copy import copy
+from dataclasses import replace
 from typing import Any, NoReturn
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
-from wavequake.words import plain, printable
+from wavequake.words import counted, plain, printable
 
 # How a command ended; quarantined are cases that failed, and loops that are unstable.
 EXIT_BAD_INPUT, EXIT_QUARANTINED, EXIT_DAMAGED, EXIT_INTERRUPTED = 2, 3, 4, 130
+
+
+_LABEL = 24  # characters of labels in wide tables, where their words allow it
 
 
 class _Console(Console):
@@ -49,6 +55,84 @@ def interrupted() -> NoReturn:
         err.print(f"\nInterrupted. What is done is kept; to continue: {words}", markup=False, soft_wrap=True)
         sys.stdout.flush()
     os._exit(EXIT_INTERRUPTED)
+
+
+def print_fitting(table: Table) -> None:
+    """Print a table, or where it is too wide its rows below each other, a line for every column."""
+    widest = out.measure(table, options=out.options.update(max_width=10_000)).maximum
+    out.print(table if widest - _spare(table) <= out.width else stacked(table))
+
+
+def _spare(table: Table) -> int:
+    """Return by how much the columns of a table that may wrap can be narrower."""
+    spare = 0
+    for column in table.columns:
+        lines = [line for cell in (column.header, *column.cells) for line in str(cell).split("\n")]
+        least = max([column.min_width or 0, *(len(word) for line in lines for word in line.split())])
+        if not column.no_wrap:
+            spare += max(max(map(len, lines)) - least, 0)
+    return spare
+
+
+def stacked(table: Table) -> Table:
+    """Return a table of three columns: the first column of another one, the headers of its others, cells."""
+    first, *others = table.columns
+    found = Table(box=table.box, title=table.title, title_justify=table.title_justify, pad_edge=False)
+    for header in (first.header, "", ""):
+        found.add_column(header, overflow="fold")
+    for name, *cells in zip(first.cells, *(column.cells for column in others), strict=True):
+        for place, (column, cell) in enumerate(zip(others, cells, strict=True)):
+            header = " ".join(str(column.header).split())
+            last = place == len(others) - 1
+            found.add_row("" if place else name, header, cell, end_section=last)
+    return found
+
+
+def print_in_blocks(table: Table) -> None:
+    """Print a table, where it is too wide as blocks of columns one below the other; then what it says."""
+    for block in in_blocks(table, out.width):
+        out.print(block)
+    if table.caption:
+        out.print(table.caption, style="table.caption")
+
+
+def in_blocks(table: Table, width: int) -> list[Table]:
+    """Return a table as blocks of columns, each with the labels, that fit a width without cutting a number.
+
+    Labels are the first columns that are aligned to the left; long ones wrap.
+    """
+    gap = sum(table.padding[1::2]) + (table.box is not None)
+    wide = [
+        max(cell_len(line) for cell in (column.header, *column.cells) for line in _plain(cell).split("\n"))
+        for column in table.columns
+    ]
+    labels = next((place for place, one in enumerate(table.columns) if one.justify == "right"), 1) or 1
+    for place in range(labels):
+        words = [_plain(cell) for cell in (table.columns[place].header, *table.columns[place].cells)]
+        longest = max(cell_len(word) for one in words for word in one.split() or [""])
+        wide[place] = min(wide[place], max(longest, _LABEL // labels))
+        table.columns[place].width = wide[place]
+    room = width - 2 - sum(wide[:labels]) - gap * labels
+    groups: list[list[int]] = [[]]
+    for place in range(labels, len(wide)):
+        if groups[-1] and sum(wide[one] + gap for one in (*groups[-1], place)) > room:
+            groups.append([])
+        groups[-1].append(place)
+    blocks = []
+    for group in groups:
+        block = copy(table)
+        block.columns = [
+            replace(table.columns[place], _index=number)
+            for number, place in enumerate((*range(labels), *group))
+        ]
+        block.title = table.title if group is groups[0] else None
+        block.caption = None
+        blocks.append(block)
+    return blocks
+
+
+def _plain(cell: object) -> str:
+    return cell.plain if isinstance(cell, Text) else Text.from_markup(str(cell)).plain
 
 
 def fail(message: str, code: int, debug: bool, details: str = "") -> NoReturn:
@@ -83,11 +167,30 @@ def live_progress() -> Iterator[Callable[[int, int, int], None]]:
         yield update
 
 
+@contextmanager
+def frame_progress() -> Iterator[Callable[[int, int], None]]:
+    """Give a callback (drawn, total) for the frames of a moving picture; it says first that it computes."""
+    if not out.is_terminal:
+        out.print("computing the case")
+
+        def say(drawn: int, total: int) -> None:
+            if drawn in (1, total):
+                out.print(f"frame {drawn} of {total}")
+
+        yield say
+        return
+    with Progress(BarColumn(), TextColumn("{task.description}"), console=out, transient=True) as bar:
+        task = bar.add_task("computing the case", total=None)
+        yield lambda drawn, total: bar.update(
+            task, completed=drawn, total=total, description=f"frame {drawn} of {total}"
+        )
+
+
 def progress_words(done: int, total: int, rate: float, quarantined: int) -> str:
     """Return how far a run is, in words; before the first case is done there is no rate."""
     speed = f"  {rate_words(rate)}/s" if rate > 0 else "  starting"
     lost = f"  {quarantined} quarantined" if quarantined else ""
-    return f"{done}/{total} cases{speed}{lost}"
+    return f"{done}/{counted(total, 'case')}{speed}{lost}"
 
 
 class _Rate:
@@ -118,6 +221,8 @@ def _plain_progress(every_s: float = 5.0) -> Callable[[int, int, int], None]:
             return
         last[0] = now
         left = f"{(total - done) / speed:.0f} s left" if speed > 0 else "starting"
-        out.print(f"{done}/{total} cases  {rate_words(speed)}/s  {left}  {quarantined} quarantined")
+        out.print(
+            f"{done}/{counted(total, 'case')}  {rate_words(speed)}/s  {left}  {quarantined} quarantined"
+        )
 
     return update

@@ -10,6 +10,7 @@ MOST = 600  # characters of a message
 _OBEYED = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff\ufeff]"
 )
+_SENTENCES = re.compile(r"(?<=[.:]) (?=[A-Z])")
 _BREAKS = re.compile(r"[\t\n\r]++ *+")
 
 
@@ -49,6 +50,18 @@ def plain(message: object) -> str:
     return shortened(printable(_BREAKS.sub(" ", str(message))))
 
 
+def unsaid(text: str, said: str) -> str:
+    """Return a text without the sentences that were said already.
+
+    Examples
+    --------
+    >>> unsaid("A is best. Over 3 cases. B is e.g. worst.", "A is best. B is e.g. worst.")
+    'Over 3 cases.'
+    """
+    known = " ".join(said.split())
+    return " ".join(one for one in _SENTENCES.split(" ".join(text.split())) if one and one not in known)
+
+
 def counted(number: int, noun: str) -> str:
     """Return a number and its noun: 1 case, 2 cases.
 
@@ -58,6 +71,17 @@ def counted(number: int, noun: str) -> str:
     ('1 leftover file', '0 cases')
     """
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def lasting(seconds: float) -> str:
+    """Return a time in the unit that suits it.
+
+    Examples
+    --------
+    >>> lasting(0.1714), lasting(9.592)
+    ('171 ms', '9.59 s')
+    """
+    return f"{seconds * 1e3:.3g} ms" if seconds < 1.0 else f"{seconds:.3g} s"
 
 
 def are(number: int, noun: str) -> str:

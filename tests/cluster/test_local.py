@@ -4,6 +4,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 
 import psutil
 import pytest
@@ -21,7 +22,7 @@ def listening(pid):
     process = psutil.Process(pid)
     return {
         c.laddr.ip
-        for p in (process, *process.children())
+        for p in (process, *process.children(recursive=True))
         for c in p.net_connections("tcp")
         if c.status == "LISTEN"
     }
@@ -78,7 +79,12 @@ def test_interrupts_wait_until_they_may_come():
     [
         ("campaign.engine.driver", ["dask"]),
         # SciPy loads these when they are first used, which few studies do; each takes half a second.
-        ("workflows.run", ["dask", "matplotlib", "scipy.signal", "scipy.stats"]),
+        ("workflows.run", ["dask", "matplotlib", "scipy.signal", "scipy.special", "scipy.stats"]),
+        ("workflows.segments.segment_disturbance", ["scipy.optimize", "scipy.spatial", "scipy.special"]),
+        (
+            "drawing.draw",
+            ["wavequake.workflows.mirrors.mirror_study", "wavequake.workflows.lens.lens_study"],
+        ),
     ],
 )
 def test_importing_wavequake_is_quick_because_much_stays_out(module, absent):
@@ -107,3 +113,40 @@ def test_workers_take_their_time_between_reports():
     with local_cluster(1) as client:
         assert until(lambda: min(client.run(pause_between_reports).values()) >= 5.0)
         assert client.cluster.scheduler.extensions["amm"].running is False
+
+
+def place_in_the_tree(names):
+    me = psutil.Process()
+    loaded = {name: name in sys.modules for name in names}
+    return me.ppid(), me.parent().num_threads(), loaded, "pyopencl" in sys.modules
+
+
+def test_workers_are_forked_from_a_process_of_one_thread_that_has_loaded():
+    """Also in place of one that died; what it may not have done yet is to speak to OpenCL."""
+    names = ["distributed.nanny", "wavequake.cluster.output"]
+    with local_cluster(1) as client:
+        (before,) = client.run(place_in_the_tree, names).values()
+        (pid,) = client.run(os.getpid).values()
+
+        def another():
+            with suppress(OSError):  # the connection to the one that died
+                return [found for found in client.run(os.getpid).values() if found != pid]
+            return []
+
+        os.kill(pid, signal.SIGKILL)
+        assert until(another, 20.0)
+        (after,) = client.run(place_in_the_tree, names).values()
+    assert before == after
+    parent, threads, loaded, opencl = before
+    assert parent != os.getpid()
+    assert threads == 1
+    assert all(loaded.values())
+    assert opencl
+
+
+def test_what_the_environment_says_reaches_workers_that_are_forked_later(monkeypatch):
+    with local_cluster(1):
+        pass
+    monkeypatch.setenv("WAVEQUAKE_SAYS", "now")
+    with local_cluster(1) as client:
+        assert list(client.run(environment, ["WAVEQUAKE_SAYS"]).values()) == [{"WAVEQUAKE_SAYS": "now"}]

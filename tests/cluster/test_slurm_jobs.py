@@ -13,7 +13,7 @@ from test_attack import attack, ports
 from wavequake.cluster.places import place_of
 
 if not find_spec("dask_jobqueue"):
-    pytest.skip("needs: pip install 'wavequake[slurm]'", allow_module_level=True)
+    pytest.skip("needs: pip install -e '.[slurm]'", allow_module_level=True)
 
 SBATCH = """\
 #!/bin/sh

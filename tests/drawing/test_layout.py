@@ -177,3 +177,21 @@ def test_without_light_there_is_no_drawing():
     system = replace(optical_system("double-gauss"), fields=np.array([[0.0, 1.5]]))
     with pytest.raises(UserError, match=r"at field \(0, 85.944\) deg"):
         layouts(system)
+
+
+def test_rings_that_share_a_blank_do_not_cover_each_other():
+    """Rubin: M1 is a ring about M3, both have their bodies behind them, and all mirrors are round.
+
+    M1 has its light between 2.558 and 4.18 m, M3 within 2.508 m, as the observatory says.
+    """
+    (layout,) = layouts(optical_system("rubin"))
+    below, above = part(layout, "mirror", "M1 (stop)").lines
+    inner = part(layout, "mirror", "M3").lines[0]
+    assert 2450.0 < above[:, 1].min() < 2558.0
+    assert inner[:, 1].max() < above[:, 1].min() + 60.0  # their bodies meet, and do not cover each other
+    for line in (below, above, inner):
+        half = len(line) // 2
+        assert (line[half:, 0].mean() - line[:half, 0].mean()) > 0.0  # light comes along +z
+    for one in (below, above), (inner,):
+        y = np.concatenate(one)[:, 1]
+        assert y.max() == pytest.approx(-y.min(), rel=1e-9)

@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.signal import dlsim
 
 from wavequake.control.bench import fitted_bench
 from wavequake.control.experiment import Settings, design
+from wavequake.control.linear import linear_model
+from wavequake.control.linear_regulator import linear_regulator
 from wavequake.control.regulator import run_regulators
 from wavequake.control.sensor import SensorChain, dac_codes
 from wavequake.control.stage import Stage
@@ -203,3 +206,23 @@ def test_decoder_codes_are_those_of_the_sensor_chain(images):
     assert (words >> 12 == 0b0011).all()
     np.testing.assert_array_equal((words >> 2) & 1023, codes)
     assert (words & 3 == 0).all()
+
+
+INTEGRATOR = linear_model([[1.0, 0.0], [1.0, 0.0]], [[0.3], [0.0]], [[0.0, -1.0]], [[0.0]], 0.002)
+NOTCH = linear_model([[0.9, 0.2], [-0.2, 0.9]], [[0.1], [0.2]], [[-0.5, 0.3]], [[0.4]], 0.002)
+
+
+@pytest.mark.parametrize("controller", [INTEGRATOR, NOTCH], ids=["integrator, a frame late", "notch"])
+# Integers are rounded down: an integrator adds up what its states lose, half a bit of 2^-28 reaches a step.
+@pytest.mark.parametrize(("variant", "beyond"), [("float", 0.05e-6), ("q31", 0.3e-6)])
+def test_any_linear_controller_runs_in_the_core(controller, variant, beyond, tmp_path):
+    """A reading that swings about zero, so that an integrator stays within the converters."""
+    steps = np.arange(600)
+    adc = np.rint(2047.5 + 300 * np.sin(0.15 * steps) + 100 * np.sin(1.1 * steps)).astype(np.uint16)
+    image = build("host", gains_of(linear_regulator(controller), CHAIN, variant), tmp_path)
+    codes = HostDevice(image).run(adc, np.zeros(len(adc), dtype=bool))
+    readings = adc * (2 * CHAIN.reach / 4095) - CHAIN.reach
+    parts = (controller.a, controller.b, controller.c, controller.d, controller.sample_time)
+    wanted = dlsim(parts, readings)[1][:, 0]
+    assert STEP * 100 < np.abs(wanted).max() < CHAIN.reach
+    assert np.abs(positions_of(codes, CHAIN.reach) - wanted).max() < STEP / 2 + beyond

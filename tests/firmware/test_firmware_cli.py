@@ -86,8 +86,9 @@ def test_all_images_give_the_commands_of_the_host(monkeypatch, firmware, tmp_pat
         (["build", "--arithmetic", "q7"], "There is no arithmetic 'q7'"),
         (
             ["build", "--controller", "best"],
-            "no controller 'best'; there are nominal and",
+            "no controller 'best'; there are nominal, identified, and .npz files",
         ),
+        (["build", "--controller", "none.npz"], "none.npz"),
         (["build", "tmt-segments"], "firmware is made from one of lens-experiment"),
     ],
 )
@@ -95,6 +96,25 @@ def test_bad_input(firmware, tmp_path, words, sentence):
     code, said = firmware(*words, "--to", tmp_path)
     assert code == 2
     assert sentence in said
+
+
+def test_a_file_brings_any_linear_controller(firmware, tmp_path):
+    needs("host")
+    file = tmp_path / "own.npz"
+    integrator = {"A": [[1.0]], "B": [[0.2]], "C": [[-1.0]], "D": [[-0.2]]}
+    np.savez(file, **integrator, sample_time_s=0.0005)  # faster than the simulated bench
+    code, said = firmware("test", "--controller", file, "--to", tmp_path)
+    assert code == 0
+    assert "DIFFER" not in said
+    assert said.count("reference") == 3
+    assert "Commands are compared over 2000 steps" in said
+    assert firmware("build", "--controller", file, "--boards", "none", "--to", tmp_path)[0] == 0
+    assert "#define WQ_SAMPLE_TIME_US 500L" in (tmp_path / "gains-q31" / "wq_gains.h").read_text()
+    np.savez(file, **integrator | {"A": [[2.0]]}, sample_time_s=0.0005)
+    code, said = firmware("build", "--controller", file, "--to", tmp_path)
+    assert (code, "own.npz: The controller grows by itself" in said) == (2, True)
+    code, said = firmware("build", "--controller", file, "--record", "run.csv", "--to", tmp_path)
+    assert (code, "not both" in said) == (2, True)
 
 
 def test_a_machine_without_compilers_is_told_what_to_install(monkeypatch, firmware, tmp_path):

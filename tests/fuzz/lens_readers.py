@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import zar_file
 
 DATA = Path(__file__).parents[1] / "data"
 
@@ -16,7 +17,8 @@ SEQUENCE = (
     "RDM;LEN ! radii\nTITLE 'A doublet; with a stop'\nEPD 10.0\nDIM M\nWL 656.3 587.6 &\n   486.1\nREF 2\n"
     "XAN 0.0 0.0\nYAN 0.0 3.0\nVUY 0.0 0.2\nVLY 0.0 0.4\nSO 0.0 0.1e14\nS 61.5 6.0 NBK7_SCHOTT\n  CIR 8.0\n"
     "S -43.5 2.5 'SF5_SCHOTT'\n  CCY 0; THC 0\nS -124.0 3.0\n  CON\n  K -0.5\nS 0.0 1.5 517.642\n  ASP\n"
-    "  A 1.0e-6; B 2e-9\nS 0.0 80.0\n  STO\nSI 0.0 -0.1\nGO\n"
+    "  A 1.0e-6; B 2e-9\nS 0.0 80.0\n  STO\n  DAR\n  YDE 0.1; ADE -0.5\n  REX 9.0; REY 9.0; ADY 0.1\n"
+    "SI 0.0 -0.1\nGO\n"
 )
 GLASSES = (
     "CC two glasses\nNM N-BK7 2 517642.251 1.5168 64.17 0 1\nED 7.1 8.3 2.51 -0.0009 0\n"
@@ -51,12 +53,25 @@ def glasses(path: Path) -> object:
 
 
 def lens_files() -> tuple[Callable[[], bytes], ...]:
-    """Lenses, mirrors behind coordinate breaks, a varying index, a grid, heights and vignetting factors."""
+    """Lenses, mirrors behind coordinate breaks, a varying index, a grid, heights and vignetting factors.
+
+    And a toroid, a grating, a perfect lens and an asphere of Forbes'.
+    """
     names = (
         "cooke_triplet",
         "lenses/pyzdde_doublet",
         "lenses/optiland_one_mirror_up_45deg",
         "lenses/pyzdde_tessar_lens_using_vignetting_factors",
         "lenses/otk_aspheric_telecentric_lens",
+        "lenses/ray_optics_asl5040_uv_zemax_zmx",
+        "lenses/ray_optics_hoo_v2c18ex46",
+        "lenses/optiland_curved_transmission_grating",
+        "lenses/deeplens_zemax_double_gaussian",
     )
     return (*((DATA / f"{name}.zmx").read_bytes for name in names), ROD.encode, lambda: grid().encode())
+
+
+def archives() -> tuple[Callable[[], bytes], ...]:
+    """Archives of both kinds, with a lens among other files."""
+    lens = (DATA / "lenses" / "pyzdde_doublet.zmx").read_bytes
+    return tuple(lambda recent=recent: zar_file.archive(lens(), recent) for recent in (True, False))

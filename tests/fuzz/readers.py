@@ -161,6 +161,17 @@ def blow(content: str, name: str) -> object:
     return read_recorded(content, name)
 
 
+def linear_controller(path: Path) -> object:
+    from wavequake.control.linear_regulator import linear_regulator, read_controller
+
+    return linear_regulator(read_controller(path.read_bytes()))
+
+
+def controller_npz() -> bytes:
+    a = np.array([[0.9, 0.2], [-0.2, 0.9]])
+    return packed(A=a, B=np.ones((2, 1)), C=np.ones((1, 2)), D=np.eye(1), sample_time_s=0.002)
+
+
 def history_arrays(path: Path) -> object:
     from wavequake.mechanics.disturbances.history_arrays import read_arrays
 
@@ -247,10 +258,135 @@ def history_npz() -> bytes:
     return packed(**{"time_s": time, "M1.dx_um": time, "M1.grid_nm": heights, "M1.grid_spacing_mm": 10.0})
 
 
+def telemetry(path: Path) -> object:
+    from wavequake.mechanics.telemetry.record import read_record
+
+    return read_record(path)
+
+
+def telemetry_table() -> dict[str, object]:
+    values = np.random.default_rng(2).normal(size=(520, 2)).round(3)
+    return {"time_s": np.arange(520) / 100, "M2.dx_um": values[:, 0], "line_of_sight.x_mas": values[:, 1]}
+
+
+def telemetry_csv() -> bytes:
+    table = telemetry_table()
+    rows = "".join(f"{t:.2f},{a:.3f},{b:.3f}\n" for t, a, b in zip(*table.values(), strict=True))
+    note = "# what a damage to the rows would mostly be: a gap in time\n" * 400
+    return (note + ",".join(table) + "\n" + rows).encode()
+
+
+def telemetry_npz() -> bytes:
+    return packed(**telemetry_table())
+
+
+def telemetry_fits() -> bytes:
+    from astropy.io import fits
+
+    out = io.BytesIO()
+    columns = [fits.Column(name, "D", array=values) for name, values in telemetry_table().items()]
+    fits.HDUList([fits.PrimaryHDU(), fits.BinTableHDU.from_columns(columns)]).writeto(out)
+    return out.getvalue()
+
+
 def npy() -> bytes:
     out = io.BytesIO()
     np.save(out, np.arange(24.0).reshape(4, 6))
     return out.getvalue()
+
+
+def body_of(make: str) -> Callable[[Path], object]:
+    """Return what reads a body of numbers, as a study does: all of it in base64."""
+
+    def read(path: Path) -> object:
+        from wavequake.mechanics.assembly import arrays
+
+        return getattr(arrays, make)("tube", base64.b64encode(path.read_bytes()).decode())
+
+    return read
+
+
+def matrices_npz() -> bytes:
+    stiffness, mass = squares()
+    return packed(mass=mass, stiffness=stiffness, nodes_mm=np.eye(2, 3), inputs=np.eye(6), names=["a", "b"])
+
+
+def turning_npz() -> bytes:
+    stiffness, mass = squares()
+    arrays = {"mass": mass, "stiffness": stiffness, "damping": 0.01 * stiffness, "nodes_mm": np.eye(2, 3)}
+    return packed(**arrays, inputs=np.eye(6), turns=np.eye(6))
+
+
+def modes_npz() -> bytes:
+    shapes = np.arange(24.0).reshape(2, 2, 6)
+    return packed(
+        frequencies_hz=[3.0, 5.0], damping_ratios=0.01, nodes_mm=np.eye(2, 3), shapes=shapes, names=["a", "b"]
+    )
+
+
+def nodal(path: Path) -> object:
+    """Read displacements or modes at nodes, as a study does."""
+    from wavequake.mechanics.nodal.results import read_results
+
+    unit = None if path.suffix in (".csv", ".npz") else "mm"
+    return read_results(path, unit, None, ("time", "case", "mode"))
+
+
+def mode_table(path: Path) -> object:
+    from wavequake.mechanics.nodal.modes import modes_of
+
+    return modes_of(path, None)
+
+
+def nodal_npz() -> bytes:
+    shifts = np.arange(30.0).reshape(2, 5, 3)
+    return packed(nodes_mm=np.eye(5, 3), displacements_um=shifts, time_s=[0.0, 1.0])
+
+
+def nodal_rows(head: str, steps: tuple[str, ...]) -> str:
+    rows = [f"{step},{node},{node}.5,0,{node % 3},0.1,-0.{node},0.3" for step in steps for node in range(9)]
+    return "\n".join([head, *rows, ""])
+
+
+def source_file(source: str) -> Callable[[Path], object]:
+    """Return what gives a file to a disturbance, as a study does: its text, or all of it in base64."""
+
+    def read(path: Path) -> object:
+        from wavequake.mechanics.disturbances.sources import load_history, temperature_table
+        from wavequake.user_files import read_text
+
+        if source == "temperatures":
+            return temperature_table._read(read_text(path))
+        if path.suffix == ".csv":
+            return load_history._read(read_text(path), None)
+        return load_history._read(None, base64.b64encode(path.read_bytes()).decode())
+
+    return read
+
+
+def loads_npz() -> bytes:
+    time = np.linspace(0.0, 1.0, 8)
+    return packed(**{"time_s": time, "tube.top.fx_n": np.sin(time), "ground.dx_um": time})
+
+
+def own_model(path: Path) -> object:
+    from wavequake.workflows.mirrors.own_models import own_arrays
+
+    return own_arrays(base64.b64encode(path.read_bytes()).decode(), "mine")
+
+
+def results_of_ansys() -> bytes:
+    """Return the results that come with the library that reads them."""
+    from ansys.mapdl.reader import examples
+
+    return Path(examples.rstfile).read_bytes()
+
+
+def plugin(path: Path) -> object:
+    """Read a plug-in; running it is what its user asked for."""
+    from wavequake.campaign.plugins import read_plugin
+
+    return read_plugin(path)
 
 
 def png() -> bytes:
@@ -264,6 +400,8 @@ def png() -> bytes:
 SAG = "# mm\n" + "\n".join(",".join(f"{row * column:.3f}" for column in range(5)) for row in range(4)) + "\n"
 GRID = "4 4 10.0 10.0 0 0 0\n" + "".join(f"{k * 0.01:.4f} 0 0 0\n" for k in range(16))
 HISTORY = "time_s,M1.dx_um,M1.rx_urad\n" + "".join(f"{k / 10},{k},{-k}\n" for k in range(8))
+TEMPERATURES = "temperature_c,M1.dz_um,M1.z4_nm\n" + "".join(f"{k},{k}.5,{-k}\n" for k in range(9))
+LOADS = "time_s,tube.top.fx_n,ground.rx_urad\n" + "".join(f"{k / 10},{k % 3},{-k}\n" for k in range(9))
 SPECTRUM = "frequency_hz,psd\n" + "".join(f"{k},{1 / k}\n" for k in range(1, 9))
 RECORD = "time_s,command_mm,sensor_mm,image_mm\n" + "".join(
     f"{k / 1000},0,{0.1 * k},{'' if k % 2 else 0.2 * k}\n" for k in range(40)
@@ -290,8 +428,28 @@ READERS = {
     "op4": Reader(".op4", matrices, data(*OP4)),
     "npz": Reader(".npz", matrices, (dense_npz, sparse_npz, scipy_npz)),
     "h5": Reader(".h5", matrices, (hdf5,)),
+    "controller": Reader(".npz", linear_controller, (controller_npz,)),
     "history-csv": Reader(".csv", through_text(history_table), text(HISTORY)),
     "history-npz": Reader(".npz", history_arrays, (history_npz,)),
+    "body-matrices": Reader(".npz", body_of("from_matrices"), (matrices_npz, turning_npz)),
+    "body-modes": Reader(".npz", body_of("from_modes"), (modes_npz,)),
+    "nodal-csv": Reader(
+        ".csv", nodal, text(nodal_rows("time_s,node,x_mm,y_mm,z_mm,dx_um,dy_um,dz_um", ("0", "0.5")))
+    ),
+    "nodal-npz": Reader(".npz", nodal, (nodal_npz,)),
+    "nodal-txt": Reader(".txt", nodal, text("x y z dx dy dz\n" + "1.5 2 3 0.1 -0.2 1e-3\n2 1 3 0 0 1\n" * 9)),
+    "op2": Reader(".op2", nodal, data("nodal/angle.op2", "nodal/rod_modes.op2")),
+    "frd": Reader(".frd", nodal, data("nodal/brick.frd")),
+    "mode-table": Reader(
+        ".csv",
+        mode_table,
+        text(nodal_rows("mode,frequency_hz,node,x_mm,y_mm,z_mm,dx,dy,dz", ("1,20", "2,33.5"))),
+    ),
+    "plugin": Reader(".py", plugin, text("NAME = 'pendulum'\n")),
+    "temperatures": Reader(".csv", source_file("temperatures"), text(TEMPERATURES)),
+    "loads-csv": Reader(".csv", source_file("loads"), text(LOADS)),
+    "loads-npz": Reader(".npz", source_file("loads"), (loads_npz,)),
+    "own-model": Reader(".npz", own_model, (dense_npz,)),
     "spectrum": Reader(".csv", through_text(spectrum), text(SPECTRUM)),
     "forces": Reader(".csv", through_text(forces), text(FORCES)),
     "rec": Reader(".csv", through_text(blow), text(RECORD)),
@@ -301,15 +459,25 @@ READERS = {
     "polygons": Reader(".csv", polygons, (head("tmt_sector.csv", 12),)),
     "corners": Reader(".csv", corners, (corner_table,)),
     "zmx": Reader(".zmx", lenses.lens, lenses.lens_files()),
+    "zar": Reader(".zar", lenses.lens, lenses.archives()),
     "seq": Reader(".seq", lenses.lens, text(lenses.SEQUENCE)),
     "agf": Reader(".agf", lenses.glasses, text(lenses.GLASSES)),
     "picture-png": Reader(".png", picture, (png,)),
     "picture-npy": Reader(".npy", picture, (npy,)),
     "picture-csv": Reader(".csv", picture, text(SAG)),
+    "telemetry-csv": Reader(".csv", telemetry, (telemetry_csv,)),
+    "telemetry-npz": Reader(".npz", telemetry, (telemetry_npz,)),
 }
+try:
+    import astropy.io.fits  # noqa: F401 - now, not in each fork
+
+    READERS["telemetry-fits"] = Reader(".fits", telemetry, (telemetry_fits,))
+except ImportError:
+    pass  # the library is optional
 try:
     import ansys.mapdl.reader  # noqa: F401 - now, not in each fork
 
     READERS["full"] = Reader(".full", full_file.read, (full_file.small,))
+    READERS["rst"] = Reader(".rst", nodal, (results_of_ansys,))
 except ImportError:
     pass  # the library is optional

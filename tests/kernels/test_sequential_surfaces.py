@@ -210,3 +210,16 @@ def test_any_number_of_rays_and_a_shared_direction_give_the_same_bits(count, dev
     assert (whole.status == OK).all()
     for name in ("path", "x", "y", "u", "v", "w_sign", "status", "surface"):
         np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[:, :count])
+
+
+def test_instants_at_rest_are_as_if_there_were_no_figure():
+    """Of several instants only some deform: each is what it is alone, to the last bit."""
+    element, deformation, grid = surfaces()["moving"]
+    x, y = np.random.default_rng(6).uniform(-100.0, 100.0, (2, 3, 20))
+    some = np.stack([0.0 * deformation[0], deformation[0], 0.0 * deformation[0]])
+    together = np.stack(sag_and_slopes(element, x, y, some, grid))
+    rest = np.stack(sag_and_slopes(element, x, y, None, grid))
+    np.testing.assert_array_equal(together[:, [0, 2]], rest[:, [0, 2]])
+    alone = np.stack(sag_and_slopes(element, x[1:2], y[1:2], some[1:2], grid))
+    np.testing.assert_array_equal(together[:, 1:2], alone)
+    assert np.abs(together[0, 1] - rest[0, 1]).max() > 0.0

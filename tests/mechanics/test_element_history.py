@@ -16,8 +16,7 @@ from wavequake.mechanics.disturbances.element_motion import draw_elements
 from wavequake.mechanics.disturbances.layout import NO_SEGMENTS
 from wavequake.mechanics.disturbances.registry import Combine, instants_of
 from wavequake.mechanics.disturbances.sources.element_history import SurfaceHistory, history_of, read_table
-from wavequake.mechanics.disturbances.sources.surface_deformation import SurfaceDeformation
-from wavequake.mechanics.disturbances.sources.surface_random import SurfaceRandom
+from wavequake.mechanics.disturbances.sources.surface_random import SurfaceDeformation, SurfaceRandom
 
 TABLE = """# measured on a Tuesday
 time_s, L1 front.dx_um ,M1.rz_urad,M1.z3_nm,M1.z5_nm,L1 front.dz_um,line_of_sight.y_mas

@@ -6,8 +6,7 @@ from wavequake.mechanics.disturbances.element_motion import draw_elements
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
 from wavequake.mechanics.disturbances.registry import Combine
 from wavequake.mechanics.disturbances.sources.line_of_sight import LineOfSight
-from wavequake.mechanics.disturbances.sources.surface_deformation import SurfaceDeformation
-from wavequake.mechanics.disturbances.sources.surface_random import SurfaceRandom
+from wavequake.mechanics.disturbances.sources.surface_random import SurfaceDeformation, SurfaceRandom
 from wavequake.mechanics.disturbances.sources.surface_vibration import SurfaceVibration
 
 RANDOM = SurfaceRandom(name="askew", of=("A", "B"), rms={"dx_um": 2.0, "rz_urad": 5.0})

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.sparse import block_diag, coo_array, csc_array, diags_array, eye_array, kron
 
 from wavequake.errors import UserError
-from wavequake.mechanics.vibration import factors
+from wavequake.mechanics.vibration import factors, pardiso
 from wavequake.mechanics.vibration.dissection import LEAF, dissect
 from wavequake.mechanics.vibration.factors import NotDefiniteError, factorize
 from wavequake.mechanics.vibration.forecast import forecast
@@ -30,6 +30,17 @@ def grid(*counts):
 @pytest.fixture(autouse=True)
 def everything_is_large(monkeypatch):
     monkeypatch.setattr(factors, "LARGE", 0)
+    monkeypatch.setenv(pardiso.OFF, "1")
+
+
+@pytest.fixture(params=["ours", "pardiso"])
+def way(request, monkeypatch):
+    """Factors of our own, and those of PARDISO where it is installed."""
+    if request.param == "pardiso":
+        monkeypatch.delenv(pardiso.OFF)
+        if not pardiso.is_there():
+            pytest.skip("PARDISO is not installed: pip install mkl")
+    return request.param
 
 
 MATRICES = {
@@ -44,7 +55,7 @@ MATRICES = {
 
 @pytest.mark.parametrize("name", MATRICES)
 @pytest.mark.parametrize("kind", ["definite", "indefinite", "complex"])
-def test_solutions_are_those_of_dense_algebra(name, kind):
+def test_solutions_are_those_of_dense_algebra(name, kind, way):
     matrix = MATRICES[name]
     size = matrix.shape[0]
     shift = {"definite": 0.0, "indefinite": 4.3, "complex": 4.3 - 0.2j}[kind]
@@ -59,11 +70,14 @@ def test_solutions_are_those_of_dense_algebra(name, kind):
     assert_allclose(found.solve(1j * loads), 1j * wanted, rtol=0, atol=1e-9 * np.abs(wanted).max())
 
 
-def test_pivots_have_the_determinant_and_tell_where_a_matrix_is_not_definite():
+def test_pivots_have_the_determinant_and_tell_where_a_matrix_is_not_definite(way):
     matrix = MATRICES["sheet"]
     pivots, rows = factorize(matrix, definite=True).elimination()
     assert np.log(pivots).sum() == pytest.approx(np.linalg.slogdet(matrix.toarray())[1], rel=1e-12)
     assert np.array_equal(np.sort(rows), np.arange(matrix.shape[0]))
+    # Elimination takes from a diagonal and adds nothing; the first row has its own.
+    assert (pivots <= matrix.diagonal()[rows] * (1 + 1e-12)).all()
+    assert pivots[0] == pytest.approx(matrix.diagonal()[rows[0]])
     change = csc_array(coo_array(([-50.0], ([100], [100])), shape=matrix.shape))
     with pytest.raises(NotDefiniteError) as caught:
         factorize(csc_array(matrix + change), definite=True)
@@ -72,7 +86,7 @@ def test_pivots_have_the_determinant_and_tell_where_a_matrix_is_not_definite():
     assert 0 <= caught.value.row < matrix.shape[0]
 
 
-def test_blocks_that_are_singular_by_themselves_are_no_obstacle():
+def test_blocks_that_are_singular_by_themselves_are_no_obstacle(way):
     """Springs between points and Lagrange multipliers: no pivot of the latter comes from its own block."""
     half = grid(8, 8)
     size = half.shape[0]
@@ -83,7 +97,7 @@ def test_blocks_that_are_singular_by_themselves_are_no_obstacle():
 
 
 @pytest.mark.parametrize("definite", [True, False])
-def test_singular_matrices_are_refused(definite):
+def test_singular_matrices_are_refused(definite, way):
     free = csc_array(grid(20, 20) * 0.0)
     with pytest.raises(UserError, match="singular"):
         factorize(free, definite=definite)
@@ -144,7 +158,7 @@ def test_forecast_counts_entries_and_operations():
     assert told.startswith("a factorization of 90 unknowns (0.0081 million entries) holds 0.0081 million")
 
 
-def test_what_does_not_fit_the_memory_is_refused_with_what_it_needs(monkeypatch):
+def test_what_does_not_fit_the_memory_is_refused_with_what_it_needs(monkeypatch, way):
     class Memory:
         available = 10_000
 

@@ -6,9 +6,9 @@ from scipy import integrate, signal, stats
 from wavequake.mechanics.disturbances.registry import analytic_rms, draw_case, generator
 from wavequake.mechanics.disturbances.sources.segment_wind import (
     SegmentWind,
-    _gusts,
     compliance,
     draw_wind,
+    gusts_of,
     segment_wind_rms_nm,
 )
 
@@ -103,7 +103,7 @@ def expected_correlation(layout, p):
 @pytest.mark.parametrize("speed", [0.5, 1.0, 5.0])
 def test_the_model_covariance_is_the_integral_of_the_cross_spectra(few, speed):
     p = SegmentWind(name="wind", mean_speed_m_s=speed)
-    gusts = _gusts(p, few)
+    gusts = gusts_of(p, few)
     covariance = np.einsum("bik,bjk->ij", gusts.factors, gusts.factors)
     covariance[np.diag_indices(5)] += gusts.apart.variances.sum()
     power = covariance[0, 0]
@@ -161,8 +161,8 @@ def test_only_the_normal_moves_and_larger_segments_move_more(tmt):
 
 
 def test_492_segments_fit_into_memory(tmt):
-    _gusts.cache_clear()
-    gusts = _gusts(WIND, tmt)
+    gusts_of.cache_clear()
+    gusts = gusts_of(WIND, tmt)
     assert gusts.factors.nbytes < 50e6
 
 

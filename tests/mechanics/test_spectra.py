@@ -196,6 +196,15 @@ def test_a_long_series_equals_its_pieces():
     np.testing.assert_allclose(whole[-3:], last, rtol=0, atol=1e-10)
 
 
+@pytest.mark.parametrize("count", [256, 1000, 1024])
+def test_evenly_spaced_instants_are_those_in_any_order(count):
+    bands, time = split(KECK_LINE), 3.0 + np.arange(count) * 0.007
+    order = np.random.default_rng(1).permutation(count)
+    evenly = synthesize(bands, time, np.random.default_rng(5), channels=2)
+    one_by_one = synthesize(bands, time[order], np.random.default_rng(5), channels=2)
+    np.testing.assert_allclose(evenly[order], one_by_one, rtol=0, atol=1e-12 * np.abs(evenly).max())
+
+
 def test_frequencies_are_distributed_as_the_power():
     bands = banded(TMT_VIBRATION, np.array([1.0, 4.0, 50.0]))
     rng = np.random.default_rng(1)

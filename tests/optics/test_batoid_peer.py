@@ -1,14 +1,20 @@
 """The bundled systems against batoid, a ray tracer that shares no code with this one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
-from wavequake.optics.catalog.names import optical_system
+from wavequake.optics.catalog.names import optical_system, system_names
 from wavequake.optics.rays.aiming import pupil_rays
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.segments.catalog import telescope
+from wavequake.optics.segments.parent import parent_system
+from wavequake.optics.shapes.sag import shape_sag
 from wavequake.optics.systems.kinematics import rest_states
+from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import wavelength_of
 
 batoid = pytest.importorskip("batoid", reason="batoid is the extra 'bench'")
@@ -52,12 +58,20 @@ def traced_by_batoid(system, sequence, rays):
         ("double-gauss", 1e-6, 1e-8),
         ("six-lens", 1e-6, 1e-8),
         ("euv", 1e-5, 1e-5),
+        ("rubin", 1e-4, 1e-5),
         ("jwst", 0.05, 1e-5),
         ("tmt-thesis", 0.2, 3e-5),
+        ("keck", 0.05, 2e-5),
+        ("gtc", 0.05, 2e-5),
+        ("gmt", 0.05, 2e-5),
+        ("elt", 0.05, 2e-5),
     ],
 )
 def test_batoid_agrees(name, nanometers, waves):
-    system = optical_system(name)
+    if name in system_names():
+        system = optical_system(name)
+    else:  # from 3 arcmin beside the axis
+        system = replace(parent_system(telescope(name)), fields=np.array([[0.0, np.deg2rad(0.05)]]))
     wavelength = wavelength_of(system)
     points = sunflower(system.pupil.obscuration, 1.0, 300)
     rays = pupil_rays(system, system.fields[-1], wavelength, points.x, points.y)
@@ -66,3 +80,23 @@ def test_batoid_agrees(name, nanometers, waves):
     x, y, path = traced_by_batoid(system, sequence, rays)
     assert np.abs(np.stack([ours.x[0] - x, ours.y[0] - y])).max() < 1e-6 * nanometers
     assert np.abs(ours.path[0] - rays.path - path).max() < waves * wavelength
+
+
+def test_rubin_is_that_of_the_public_model():
+    """Heights and sags of every surface; z is the other way round."""
+    system = optical_system("rubin")
+    found, rest = [], [batoid.Optic.fromYaml("LSST_r.yaml")]
+    while rest:
+        one = rest.pop(0)
+        rest = [*one.items, *rest] if hasattr(one, "items") else rest
+        if not hasattr(one, "items"):
+            found.append(one)
+    assert len(found) == len(system.surfaces) == 14 - 2
+    for ours, theirs in zip(system.surfaces, found, strict=True):
+        assert ours.position[2] == pytest.approx(-1e3 * theirs.coordSys.origin[2], abs=1e-6)
+        x = np.linspace(0.0, 300.0, 7)
+        sag = shape_sag(ours.shape, x, 0.5 * x)[0]
+        np.testing.assert_allclose(sag, -1e3 * theirs.surface.sag(1e-3 * x, 0.5e-3 * x), rtol=0.0, atol=1e-9)
+    optics = paraxial(system)
+    assert abs(optics.focal_length) == pytest.approx(10310.0, rel=1e-3)  # published: 10.31 m, f/1.234
+    assert abs(optics.f_number) == pytest.approx(1.234, rel=2e-3)

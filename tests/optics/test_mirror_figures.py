@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import j1
 
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY, list_devices
@@ -54,6 +55,24 @@ def at_m2(x, y, field=0.0):
     hit, toward = meet(np.stack([x, y, np.full_like(x, -1874.9721)]), incoming, 0.0, M1)
     on_m2, outgoing = meet(hit, toward, -27093.75, M2)
     return on_m2, toward, outgoing
+
+
+def test_the_conic_of_m2_is_misprinted(monkeypatch):
+    """Störkle 2018, Table 4.2: only with a minus do rays meet the axis at one place."""
+    x = np.linspace(1600.0, 15000.0, 8)
+    for sign, spread in ((1, (0, 0.03)), (-1, (1e5, np.inf))):
+        monkeypatch.setitem(globals(), "M2", (M2[0], sign * abs(M2[1]) * -1))
+        hit, _, outgoing = at_m2(x, 0 * x)
+        focus = hit[2] - hit[0] * outgoing[2] / outgoing[0]
+        assert spread[0] <= np.ptp(focus) <= spread[1]
+
+
+def test_an_annular_pupil_has_a_distinct_first_ring():
+    """Störkle 2018, Fig. 4.39: 4.3 % of the peak for the pupil of 18 segments, 1.75 % for a full circle."""
+    at = np.pi * np.linspace(1.2, 2.2, 2001)  # lambda / D
+    for inner, height in ((0.27735, 0.0430), (0.0, 0.01750)):
+        field = 2 * (j1(at) - inner * j1(inner * at)) / (at * (1 - inner**2))
+        assert (field**2).max() == pytest.approx(height, abs=1e-4)
 
 
 @pytest.fixture(scope="module")

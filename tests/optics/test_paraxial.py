@@ -8,8 +8,12 @@ from hypothesis import strategies as st
 
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
+from wavequake.kernels.trace.sequence import Rays
+from wavequake.kernels.trace.sequential import trace_sequence
 from wavequake.optics.media.glasses import Medium, constant
+from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.shapes.forms.toroid import Toroid
 from wavequake.optics.shapes.shapes import Conic, EvenAsphere, GridDeformation, ZernikeDeformation
 from wavequake.optics.systems.kinematics import Break, SurfaceRow, rest_states, sequential
 from wavequake.optics.systems.paraxial import entrance_pupil_center, paraxial
@@ -165,6 +169,67 @@ def test_immersion_keeps_the_lagrange_invariant():
     assert data.back_focus == pytest.approx(1.33 * 50.0 / 0.33)
 
 
+@pytest.mark.parametrize("height", [20.0, 95.3, 190.6])
+def test_an_off_axis_paraboloid_has_the_focal_length_of_its_place(height):
+    """f + h^2 / (4 f), and the image of a star in the parent's focus, without aberration."""
+    parent = 95.3
+    turn = np.arctan2(height, parent - height**2 / (4.0 * parent))
+    rows = [
+        SurfaceRow("stop", thickness=200.0),
+        Break(decenter=(0.0, -height, 0.0)),
+        SurfaceRow("M", Conic(-2.0 * parent, -1.0), -parent, "reflect"),
+        Break(tilt=(float(turn), 0.0, 0.0)),
+        SurfaceRow("image"),
+    ]
+    system = OpticalSystem("off axis", sequential(rows), 0, Pupil("entrance_diameter", 20.0))
+    data = paraxial(system)
+    assert data.focal_length == pytest.approx(parent + height**2 / (4.0 * parent), rel=1e-10)
+    assert data.defocus == pytest.approx(0.0, abs=1e-8)
+    rays = sunflower(0.0, 1.0, 200)
+    prepared = prepare_system(system, rays.x, rays.y, rays.weight, 11)
+    found = measure_system(prepared, rest_states(system), NUMPY)
+    assert found.rms[0] < 1e-8
+    np.testing.assert_allclose(found.chief[0], 0.0, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("shape", "action"),
+    [
+        (Conic(60.0), "refract"),
+        (Conic(-60.0, 2.0), "refract"),
+        (EvenAsphere(-80.0, 0.5, (0.0, 1e-7)), "reflect"),
+        (Toroid(70.0, 0.0, 50.0), "refract"),
+        (Toroid(-70.0, 0.0, np.inf), "reflect"),
+    ],
+)
+def test_beside_the_vertex_powers_are_those_of_neighboring_rays(shape, action):
+    """The mean of what rays beside the axis ray bend by, in the plane of incidence and across it."""
+    rows = [
+        SurfaceRow("stop", thickness=30.0),
+        Break(decenter=(4.0, -12.0, 0.0)),
+        SurfaceRow("off", shape, 10.0 if action == "refract" else -10.0, action, constant(1.5)),
+        SurfaceRow("image"),
+    ]
+    system = OpticalSystem("off axis", sequential(rows), 0, Pupil("entrance_diameter", 1.0))
+    sequence, rest = pack(system, 550e-6), moving(system, rest_states(system))
+    h = 1e-3
+    azimuth = np.arange(0.0, 2.0 * np.pi, np.pi / 2.0)
+    x, y = h * np.cos(azimuth), h * np.sin(azimuth)
+    rays = Rays(np.stack([x, y, 0.0 * x]), np.tile([[0.0], [0.0], [1.0]], (1, 4)), np.zeros(4))
+    found = trace_sequence(sequence, rays, rest, NUMPY)
+    w = found.w_sign[0] * np.sqrt(1.0 - found.u[0] ** 2 - found.v[0] ** 2)
+    d = np.stack([found.u[0], found.v[0], w])
+    middle = d.mean(axis=1) / np.linalg.norm(d.mean(axis=1))
+    across = np.cross([0.0, 0.0, 1.0], middle)
+    across /= np.linalg.norm(across)
+    sense = 1.0 if action == "refract" else -1.0  # a mirror turns the plane of incidence over
+    before, behind = np.cross(across, [0.0, 0.0, 1.0]), np.cross(across, sense * middle)
+    bends = np.array([d[:, 0] - d[:, 2], d[:, 1] - d[:, 3]]) / (2.0 * h)  # by x, by y
+    powers = [-before[:2] @ bends @ behind, -across[:2] @ bends @ across]
+    index = 1.5 if action == "refract" else 1.0
+    assert paraxial(system).focal_length == pytest.approx(1.0 / (index * np.mean(powers)), rel=1e-6)
+
+
 def test_folds_do_not_matter():
     def rows(fold):
         turn = [Break(tilt=(fold, 0.0, 0.0))]
@@ -250,12 +315,12 @@ def test_entrance_pupil_follows_a_decentered_stop():
     np.testing.assert_allclose(entrance_pupil_center(system), [700.0, 0.0, 0.0], rtol=0, atol=1e-12)
 
 
-def test_an_off_axis_mirror_is_given_about_its_parent_s_axis_as_the_refusal_says():
+def test_an_off_axis_mirror_stands_beside_the_axis_or_about_its_parent_s():
     stop, mirror = SurfaceRow("stop"), SurfaceRow("M1", Conic(-2000.0, -1.0), -1000.0, "reflect")
     pupil = Pupil("entrance_diameter", 100.0)
     beside = [stop, Break((0.0, -191.0, 900.0)), mirror, Break((0.0, 191.0, 0.0)), SurfaceRow("image")]
-    with pytest.raises(UserError, match="about its parent's axis, and decenter the stop"):
-        paraxial(OpticalSystem("x", sequential(beside), 0, pupil))
+    one = OpticalSystem("x", sequential(beside), 0, pupil)
+    assert paraxial(one).focal_length == pytest.approx(1000.0 + 191.0**2 / 4000.0)  # of its place
     about = [Break((0.0, 191.0, 0.0)), stop, Break((0.0, -191.0, 900.0)), mirror, SurfaceRow("image")]
     system = OpticalSystem("x", sequential(about), 0, pupil)
     assert paraxial(system).focal_length == pytest.approx(1000.0)
@@ -265,6 +330,9 @@ def test_an_off_axis_mirror_is_given_about_its_parent_s_axis_as_the_refusal_says
     about_stop = prepared.rays.position[:2].T - [0.0, 191.0]
     np.testing.assert_allclose(about_stop, 50.0 * np.stack([rays.x, rays.y], axis=1), rtol=0, atol=1e-6)
     at_rest = measure_system(prepared, rest_states(system), NUMPY)
+    same = measure_system(prepare_system(one, rays.x, rays.y, rays.weight, 10), rest_states(one), NUMPY)
+    assert same.rms_raw[0] < 1e-8
+    assert same.spot_rms[0] < 1e-9
     np.testing.assert_allclose(at_rest.chief, 0.0, rtol=0, atol=1e-9)
     assert at_rest.spot_rms[0] < 1e-9
     assert at_rest.rms_raw[0] < 1e-8
@@ -305,11 +373,11 @@ def test_an_off_axis_mirror_is_given_about_its_parent_s_axis_as_the_refusal_says
         (
             {
                 "surfaces": (
-                    Surface("M", Conic(-9.0), np.array([1.0, 0, 0]), action="reflect"),
+                    Surface("M", Conic(-9.0), np.array([10.0, 0, 0]), action="reflect"),
                     Surface("image"),
                 )
             },
-            "misses the vertex of the surface M by 1 mm",
+            "misses the vertex of M by 10 mm, and the surface",
         ),
         (
             {

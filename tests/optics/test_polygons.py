@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavequake.optics.segments.layout import jwst_segments, tmt18_segments, tmt_segments
+from wavequake.optics.segments.arrangements import tmt_segments
+from wavequake.optics.segments.layout import jwst_segments, tmt18_segments
 from wavequake.optics.shapes.polygons import (
     centroids,
     distance_from_origin,

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from wavequake.errors import UserError
 from wavequake.optics.rays.pupils import grid_rays, on_glass, segment_rays, sunflower
+from wavequake.optics.segments.arrangements import tmt_segments
 from wavequake.optics.segments.catalog import telescope
-from wavequake.optics.segments.layout import areas, jwst_segments, segments_on_conic, tmt_segments
+from wavequake.optics.segments.layout import areas, jwst_segments, segments_on_conic
 
 DEGREE = {1: 1, 3: 2, 6: 4, 12: 6}
 

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
+from wavequake.optics.segments.arrangements import tmt_segments
 from wavequake.optics.segments.layout import (
     areas,
     candidates,
@@ -20,7 +21,6 @@ from wavequake.optics.segments.layout import (
     polygons_from_csv,
     segments_on_conic,
     tmt18_segments,
-    tmt_segments,
 )
 
 DATA = Path(__file__).parents[1] / "data"

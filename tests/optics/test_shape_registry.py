@@ -18,6 +18,10 @@ from wavequake.kernels.trace.status import OK
 from wavequake.optics.media.glasses import constant
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.rays.pupils import sunflower
+from wavequake.optics.shapes.forms.biconic import Biconic
+from wavequake.optics.shapes.forms.forbes_asphere import ForbesAsphere
+from wavequake.optics.shapes.forms.odd_asphere import OddAsphere
+from wavequake.optics.shapes.forms.toroid import Toroid
 from wavequake.optics.shapes.sag import shape_sag, vertex_curvature
 from wavequake.optics.shapes.shape import SHAPES, Shape, register
 from wavequake.optics.shapes.shapes import Conic, EvenAsphere, ExtendedPolynomial, GridSag, ZernikeSag
@@ -47,6 +51,22 @@ EXAMPLES = {
     "GridSag": (
         GridSag(-300.0, -0.5, np.round(RNG.normal(size=(9, 12)), 2) * 1e-2, 12.0, 14.0),
         None,
+    ),
+    "OddAsphere": (
+        OddAsphere(-300.0, -0.5, (0.0, 1e-5, -2e-7, 3e-9)),
+        FLAT + "odd_asphere = [0.0, 1e-5, -2e-7, 3e-9]",
+    ),
+    "Biconic": (
+        Biconic(-300.0, -0.5, 250.0, -1.5),
+        FLAT + "biconic_radius_mm = 250.0\nbiconic_conic = -1.5",
+    ),
+    "Toroid": (
+        Toroid(-300.0, -0.5, 200.0, (1e-5, -2e-8)),
+        FLAT + "toroid_radius_mm = 200.0\ntoroid_coefficients = [1e-5, -2e-8]",
+    ),
+    "ForbesAsphere": (
+        ForbesAsphere(-300.0, -0.5, (0.3, -0.1, 0.05), 50.0, "bfs"),
+        FLAT + "qbfs_mm = [0.3, -0.1, 0.05]\nnormalization_radius_mm = 50.0",
     ),
     "Cylinder": (cylinder_shape.Cylinder(-300.0, -0.5, 400.0), FLAT + "cylinder_radius_mm = 400.0"),
 }

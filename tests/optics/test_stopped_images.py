@@ -6,9 +6,12 @@ from scipy.optimize import brentq
 from scipy.special import j0, j1
 from sky_tracer import Tracer, glass, huygens, whole
 
+import wavequake as wq
 from wavequake.campaign.contract import DONE
 from wavequake.kernels.device.devices import list_devices
 from wavequake.mechanics.disturbances.motion import still
+from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
+from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.segment_study import SegmentStudy
@@ -152,3 +155,73 @@ def pick(motion, instant):
         for name, values in vars(motion).items()
     }
     return type(motion)(**picked)
+
+
+def test_coherent_objects_miss_the_light_that_a_mirror_stops(monkeypatch):
+    """A slit is the sum of its points' amplitudes, Airy's of the round light that is left."""
+    slit = {"slit": 0.2, "light": "coherent"}
+    case_study = study(1e-6, 8000, imaging={"pixels": 32, "sampling": 0.2}, object=slit)
+    bench = bench_of(case_study.identity_text())
+    got = computed(case_study, monkeypatch, still(1, 4))
+    smaller = BEAM / bench.system.pupil_outer
+    axis = (np.arange(32) - 16) * 0.2
+    parts = (np.arange(5) - 2) * 0.04  # of a pixel
+    along = (axis[:, None] + parts).ravel()
+    across = (axis[:, None] - parts)[None, :, :, None]
+    up = (axis[:, None] - along)[:, None, None, :]
+    v = np.maximum(np.pi * smaller * np.hypot(across, up), 1e-9)
+    field = (2.0 * j1(v) / v).sum(axis=(2, 3))
+    expected = (field * 0.04**2 * 0.25 * np.pi * smaller**2) ** 2
+    np.testing.assert_allclose(got["object_image"], expected, rtol=0, atol=5e-3 * expected.max())
+
+
+def exposure_study(rays, scale=1.0, **sections):
+    """The same telescope, whose flat mirror corrects, in the workflow telescope-exposure."""
+    record = study(1e-6, rays).model_dump(mode="json") | sections
+    for key in ("allow", "budget", "rare", "detector", "structure", "segment"):
+        record.pop(key, None)
+    record["study"]["workflow"] = "telescope-exposure"
+    record["exposure"] = {"scale": scale, "figure_terms": 6}
+    return TelescopeExposureStudy.model_validate(record, strict=False)
+
+
+def test_controllers_expose_the_light_that_a_mirror_leaves():
+    """At rest Airy's pattern of the round light; disturbed, what segment-disturbance makes of the draw."""
+    given = {"name": "given", "model": "static-random", "piston_nm": 60.0, "tip_nrad": 100.0}
+    one = exposure_study(8000, disturbance=[given])
+    kind = find_kind("telescope-exposure")
+    kind.check(one.identity_text())
+    told = " ".join(kind.notices(one.identity_text()))
+    assert "fold stops" in told
+    found = kind.compute(one.identity_text(), np.array([0]), DEVICE)
+    assert found.status[0] == DONE, found.messages
+    controllers = kind.template(one.identity_text()).fixed["controller"][1].tolist()
+    images = dict(zip(controllers, found.arrays["exposure"][0], strict=True))
+    bench = bench_of(study(1e-6, 8000).identity_text())
+    smaller = BEAM / bench.system.pupil_outer
+    axis = (np.arange(48) - 24) * 0.25 * smaller * np.pi
+    v = np.maximum(np.hypot(axis, axis[:, None]), 1e-9)
+    np.testing.assert_allclose(images["static"], (2 * j1(v) / v) ** 2, rtol=0, atol=1e-3)
+    plain = study(1e-6, 8000, disturbance=[given])
+    other = workflow.compute(plain.identity_text(), np.array([0]), DEVICE).arrays
+    np.testing.assert_allclose(images["disturbed"], other["exposure"][0], rtol=0, atol=1e-3)
+    row = controllers.index("disturbed")
+    np.testing.assert_allclose(found.arrays["los"][0, row], other["los"][0], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found.arrays["ee50"][0, row], other["ee50"][0], rtol=2e-3)
+    # A tilt takes the motion of the image away, and nothing else.
+    rigid = controllers.index("rigid")
+    away, back = (np.abs(found.arrays["los"][0, one]).max() for one in (row, rigid))
+    assert back < 1e-4 * away
+    np.testing.assert_allclose(found.arrays["wfe_rms"][0, rigid], found.arrays["wfe_rms"][0, row], rtol=1e-3)
+    assert found.arrays["wfe_rms"][0, controllers.index("elastic")].max() < 0.01 * other["wfe_rms"][0].max()
+
+
+def test_views_of_controllers_show_light_that_is_stopped(tmp_path):
+    given = {"name": "given", "model": "common-history", "piston_nm": 60.0, "instants": 2}
+    one = exposure_study(1000, disturbance=[given], imaging={"pixels": 16, "sampling": 0.25})
+    one = one.model_copy(update={"campaign": one.campaign.model_copy(update={"cases": 1, "device": "numpy"})})
+    surfaces = one.telescope.surfaces
+    named = (surfaces[0].model_copy(update={"name": "M2"}), *surfaces[1:])
+    one = one.model_copy(update={"telescope": one.telescope.model_copy(update={"surfaces": named})})
+    wq.run(one, store=tmp_path / "store", on="serial")
+    assert wq.view(tmp_path / "store", file=tmp_path / "view.html").exists()

@@ -331,3 +331,21 @@ def test_elastic_modes_have_little_pose_and_keep_their_figure(mirror):
     # What is split off is a rigid motion: with it, the sum is what it was.
     whole = apply(fit, rest) + apply(fit, (poses @ fit.rigid.T).reshape(rest.shape))
     assert_allclose(whole, apply(fit, modes), rtol=0, atol=1e-12)
+
+
+def test_a_position_found_beforehand_does_not_improve_the_fit():
+    """Störkle 2018, Section 4.2.2: an auxiliary plane is not needed; what terms miss hardly changes."""
+    mirror = circular_mirror(CircularMirror(core=3, rings=3))
+    known = {pair: k for k, pair in enumerate(zip(mirror.dof_node, mirror.dof_direction, strict=True))}
+    rows = [[known[node, axis] for axis in range(3)] for node in mirror.surface_nodes]
+    shapes = eigenmodes(mirror, 16)[1][rows].transpose(2, 0, 1)
+    amplitudes = np.random.default_rng(1).normal(size=(20, 16)) * 0.01  # mm: 10 um
+    moved = np.einsum("tk,kpd->tpd", amplitudes, shapes / np.abs(shapes).max(axis=(1, 2), keepdims=True))
+    nodes = 1e3 * mirror.nodes[mirror.surface_nodes]
+    fit = surface_fit(nodes[:, :2], np.ones(len(nodes)), 28, A, 0.0, PARABOLA)
+    missed = []
+    for shifts in (moved, separate_pose(fit, moved, linear=False)[1]):
+        above = heights(fit, shifts, linear=False)
+        missed.append(np.sqrt(residual(fit, above, coefficients(fit, above)) ** 2 @ fit.weights))
+    assert missed[0].min() > 1e-6
+    assert_allclose(missed[1], missed[0], rtol=3e-5)

@@ -101,7 +101,8 @@ FIELDS = [(name, field) for name in system_names() for field in range(len(optica
 def test_slopes_and_path_lengths_agree(name, field):
     """As many polynomials as describe the wavefronts, to which both are fits: then nothing is left out."""
     system, random = optical_system(name), np.random.default_rng(1)
-    terms, size, radii = (231, 1e-2, 24) if name == "euv" else (91, 1.0, 16)
+    terms, radii = (231, 24) if name in ("euv", "rubin") else (91, 16)
+    size = 1e-2 if name == "euv" else 1.0
     prepared = prepare_system(system, *quadrature(system.pupil.obscuration, radii, 48), terms, field)
     states = rest_states(system, 3)
     motion = random.normal(size=(2, len(system.surfaces), 6)) * [*[0.02] * 3, *[1e-4] * 3]

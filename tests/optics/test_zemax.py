@@ -212,8 +212,8 @@ STOP = "  STOP\n  DISZ 1"
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        (lens("  TYPE BICONICX\n" + STOP), r"line 8 \(TYPE\): surface 1 is of the type BICONICX"),
-        (lens("  TYPE TOROIDAL\n" + STOP), "TOROIDAL, which is not supported"),
+        (lens("  TYPE HOLOGRM1\n" + STOP), r"line 8 \(TYPE\): surface 1 is of the type HOLOGRM1"),
+        (lens("  TYPE HOLOGRM2\n" + STOP), "HOLOGRM2, which is not supported"),
         (lens("  TYPE GRINSUR9\n" + STOP), "GRINSUR9, which is not supported"),
         (lens(STOP).replace("DISZ INFINITY", "DISZ 9\n  CURV 0.1"), "the object is no plane"),
         (lens(STOP).replace("DISZ INFINITY", "TYPE GRINSUR2\n  PARM 2 2"), "the object is no plane"),

@@ -41,9 +41,11 @@ numbers = st.floats(-10, 10).map(lambda value: round(value, 6))
 lengths = st.floats(0.5, 1e5)
 radii = st.one_of(st.just(np.inf), lengths, lengths.map(lambda value: -value))
 coefficients = st.lists(st.floats(-1e-3, 1e-3), max_size=8).map(tuple)
+# A file has as many powers as it has parameters: zeros behind the last one do not come back.
+powers = coefficients.filter(lambda found: not found or found[-1] != 0.0)
 shapes = st.one_of(
     st.builds(Conic, radii, numbers),
-    st.builds(EvenAsphere, radii, numbers, coefficients),
+    st.builds(EvenAsphere, radii, numbers, powers),
     st.builds(ExtendedPolynomial, radii, numbers, coefficients, lengths),
     st.builds(ZernikeSag, radii, numbers, coefficients, lengths),
 )

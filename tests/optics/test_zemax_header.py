@@ -51,8 +51,6 @@ def test_a_header_as_it_is_written_says_nothing_of_the_light():
 @pytest.mark.parametrize(
     ("line", "match"),
     [
-        ("ENVD -80 0 1", r"line 5 \(ENVD\): indices .* of -80 degrees Celsius and 0 atmospheres"),
-        ("ENVD 20 0 1", "20 degrees Celsius and 0 atmospheres are not supported, only those at 20 and 1"),
         ("ENVD x 1 1", "'x' is not a number"),
         ("GFAC 1 1", r"line 5 \(GFAC\): the apodization of the pupil \(Gaussian\) is not supported"),
         ("GFAC 1 2", r"\(cosine cubed\)"),

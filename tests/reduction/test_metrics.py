@@ -9,6 +9,7 @@ from wavequake.mechanics.vibration.eigen import eigenmodes
 from wavequake.reduction.metrics import (
     acceleration,
     eps_mor,
+    eps_of,
     frobenius,
     full_receptance,
     interface_modes,
@@ -18,6 +19,7 @@ from wavequake.reduction.metrics import (
     pseudo_frequencies,
     receptance,
     relative_errors,
+    residues,
     surface_modes,
 )
 from wavequake.reduction.reduce import reduce
@@ -110,6 +112,29 @@ def test_error_is_relative_in_the_frobenius_norm():
     reference = np.array([[[3.0, 0.0], [0.0, 4.0]]], dtype=complex)
     assert frobenius(reference) == pytest.approx([5.0])
     assert eps_mor(reference, reference + np.array([[0, 0.3j], [0.4, 0]])) == pytest.approx([0.1])
+
+
+@pytest.mark.parametrize("coupled", [False, True], ids=["proportional damping", "damping couples modes"])
+def test_errors_by_inner_products_are_those_of_the_matrices(lattice, coupled):
+    """Large ones, and those of the reference itself, where the products cancel."""
+    frequencies, random = np.linspace(20.0, 400.0, 60), np.random.default_rng(6)
+    whole = reduce(lattice, "craigb48")
+    if coupled:
+        damping = whole.damping_matrix.copy()
+        damping[6, 7] = damping[7, 6] = 0.5 * damping[6, 6]
+        whole = replace(whole, damping_matrix=damping)
+    outputs = random.standard_normal((40, len(whole.surface)))
+    reference = residues(whole, frequencies, outputs @ whole.surface)
+    largest = []
+    for variant in (reduce(lattice, "craigb24"), turned(reduce(lattice, "craigb36")), whole):
+        rows = outputs @ variant.surface
+        transfer = receptance(variant, frequencies, rows)
+        norm, error = eps_of(reference, variant, frequencies, rows)
+        exact = eps_mor(reference.transfer, transfer)
+        np.testing.assert_allclose(norm, frobenius(transfer), rtol=1e-12)
+        np.testing.assert_allclose(error, exact, rtol=1e-6, atol=1e-13)
+        largest.append(exact.max())
+    assert largest[0] > 1e-3 > largest[-1]
 
 
 def test_errors_of_many_variants_are_in_order(lattice, exact):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import LinearNDInterpolator
 
 from wavequake.reduction.metrics import eps_mor, mac, pseudo_frequencies, receptance, surface_modes
 from wavequake.reduction.two_stage import reduce_variants, reference
@@ -98,3 +99,17 @@ def test_mode_shapes_of_krylov36_fail_earlier_than_those_of_craigb36(mirror_stag
         found[variant.method] = criterion.sum(axis=1) > 0.8
     assert found["krylov"][:13].all()
     assert found["krylov"][15:25].sum() < found["craigb"][15:25].sum()
+
+
+def test_the_first_two_shapes_of_both_mirrors_are_alike(mirror_stage, annular_stage):
+    """Störkle 2018, Fig. 4.16: two pairs of modes, which may be turned within a pair."""
+    at, shapes = [], []
+    for stage in (mirror_stage, annular_stage):
+        at.append(stage.nodes[stage.surface_nodes, :2])
+        shapes.append(surface_modes(reference(stage))[2::3, 6:10])
+    whole = LinearNDInterpolator(at[0], shapes[0])(0.99 * at[1])
+    inside = np.isfinite(whole).all(axis=1)
+    assert inside.mean() > 0.8
+    criterion = mac(whole[inside], shapes[1][inside])
+    assert criterion[:2, :2].sum(axis=1).min() > 0.99
+    assert criterion[2:, 2:].sum(axis=1).min() > 0.98

@@ -51,6 +51,12 @@ def test_a_share_that_may_be_none_is_never_negative(value):
     assert "(" not in row
 
 
+def test_shares_too_small_for_the_table_are_neither_zero_nor_negative():
+    row = printed([(0.9, 0.8, 0.95), (1e-6, -1e-6, 1e-5)])["noise"]
+    assert row.count("below 0.1") == 3
+    assert "-" not in printed([(0.9, 0.8, 0.95), (-1e-6, -2e-6, -1e-7)])["noise"].split("unresolved")[0]
+
+
 def test_an_interval_that_says_nothing_is_called_so():
     shares = [(0.91, 0.48, 1.64), (0.09, 0.05, 0.13)]
     row = printed(shares)["wind"]
@@ -58,3 +64,9 @@ def test_an_interval_that_says_nothing_is_called_so():
     assert "91" not in row
     lines = explanations(budget_of(shares))
     assert any(line.startswith("Unresolved: ") and "take more" in line for line in lines)
+
+
+def test_a_part_of_a_variance_is_never_said_to_be_negative():
+    row = printed([(0.9, 0.8, 0.95), (-0.17, -0.33, -0.01)])["noise"]
+    assert row.count("unresolved (-33 to -1)") == 2
+    assert "-17.0 (-33.0 to -1.0)" in row  # of the mean square: what cancels others

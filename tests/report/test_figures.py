@@ -12,6 +12,7 @@ from matplotlib.image import imread
 from wavequake.report import figures
 from wavequake.report.page import inline_svg
 from wavequake.report.populations import populations
+from wavequake.report.segments.detail import Bent
 
 
 def pixels(figure, dpi=60):
@@ -203,3 +204,16 @@ def test_the_spot_diagram_shows_the_worst_instant_about_its_centroid(detail):
     rms = np.sqrt(np.mean(np.sum(shown**2, axis=1)))
     assert f"rms {rms:.0f} mas, circle: Airy disk, 5.00 mas" in axes.get_title(loc="left")
     assert axes.get_xlim()[1] > np.hypot(*shown.T).max()
+
+
+def test_figures_of_segments_have_their_heights_as_colors(detail):
+    """Two triangles of -6 and +12 nm at the worst instant: colors by height, white is 0, rms in the title."""
+    points = np.array([[0.0, 0.0], [500.0, 0.0], [0.0, 500.0], [0.0, 0.0], [-500.0, 0.0], [0.0, -500.0]])
+    heights = np.repeat([[-6.0, 12.0]], 3, axis=1).reshape(1, 6).repeat(3, axis=0)
+    bent = Bent(points, np.arange(6).reshape(2, 3), heights)
+    axes, side = figures.figure_map(detail, bent).axes
+    glass = axes.collections[0]
+    expected = figures.colormaps["RdBu_r"]((np.array([-6.0, 12.0]) + 12.0) / 24.0)
+    np.testing.assert_allclose(glass.get_facecolor(), expected, atol=1e-12)
+    assert "rms 9.49 nm" in axes.get_title(loc="left")  # the root of (36 + 144) / 2
+    assert side.get_ylabel() == "height (nm)"

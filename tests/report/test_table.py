@@ -4,11 +4,14 @@ import io
 
 import numpy as np
 import pytest
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.table import Table
 
 from wavequake.report.populations import populations, summarize
 from wavequake.report.statistics import Quantile
 from wavequake.report.table import interval, number, rows, share, terminal_table
+from wavequake.terminal import in_blocks
 
 
 @pytest.mark.parametrize(
@@ -48,7 +51,7 @@ def test_rows_of_a_hand_made_campaign(campaign):
     # Cases of 10 and 20 and 30 nm, of which the segments move a quarter: rms of 2.5, 5 and 7.5 nm.
     assert wind["segments (nm)"] == ("5.40", "")
     assert wind["segments model (nm)"] == ("–", "")
-    assert shake["EE80 P50 (λ/D)"][0] == "> field"
+    assert shake["EE80 P50 (λ/D)"][0] == "> 1, the frame"
     assert empty["cases"] == ("0", "2 to do")
     assert empty["WFE on glass P50 (nm)"] == ("–", "")
     assert empty["Strehl P5"] == ("–", "")
@@ -81,3 +84,27 @@ def test_terminal_table_fits_80_columns_and_takes_names_as_they_are(campaign):
 def test_no_population_gives_an_empty_table():
     assert terminal_table([]).row_count == 0
     assert rows([]) == []
+
+
+@pytest.mark.parametrize("width", [60, 80, 200])
+def test_wide_tables_become_blocks_that_hold_every_number(width):
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), caption="what it says")
+    table.add_column("a rather long name of what is told apart")
+    headers = [f"column {k} (nm)" for k in range(9)]
+    for header in headers:
+        table.add_column(header, justify="right")
+    rows = {f"row number {r}": [f"{100 * r + k}.25" for k in range(9)] for r in range(1, 4)}
+    for name, cells in rows.items():
+        table.add_row(name, *cells)
+    console = Console(width=width, file=io.StringIO(), highlight=False)
+    blocks = in_blocks(table, width)
+    assert (len(blocks) == 1) == (width == 200)
+    for block in blocks:
+        console.print(block)
+    said = console.file.getvalue()
+    assert max(map(len, said.splitlines())) <= width
+    assert "…" not in said
+    for name, cells in rows.items():
+        assert said.count(name) == len(blocks)
+        assert all(said.count(cell) == 1 for cell in cells)
+    assert all(said.count(header) == 1 for header in headers)

@@ -108,7 +108,8 @@ class Browser:
 
     def close(self):
         """End the browser."""
-        self._connection.close()
+        self._loop.call_soon(self._connection.close)  # which asks for the loop that runs
+        self._run(asyncio.sleep(0))
         self._process.terminate()
         self._process.wait(10)
         self._loop.close()

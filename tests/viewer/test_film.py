@@ -8,12 +8,13 @@ from hashlib import sha256
 
 import numpy as np
 import pytest
+from scipy.interpolate import LinearNDInterpolator
 
 import wavequake as wq
 from wavequake.errors import UserError
 from wavequake.optics.segments.kinematics import segment_poses
 from wavequake.viewer import segments
-from wavequake.viewer.encode import LIMIT, encode
+from wavequake.viewer.encode import LIMIT, Blocks, encode
 from wavequake.viewer.film import Film, Stage, Take, displacements, principal
 from wavequake.viewer.page import render_film
 from wavequake.workflows.segments.bench import bench_of
@@ -137,6 +138,16 @@ def test_the_page_holds_what_was_computed_and_asks_for_nothing(store, tmp_path):
     assert "<title>Eighteen segments &lt;/script&gt; shaken</title>" in page
 
 
+@pytest.mark.parametrize("key", ["store.reduce=summary", "imaging.enabled=false"])
+def test_stores_of_summaries_or_without_images_are_shown(store, tmp_path, key):
+    wq.run(wq.load_study(store.parent / "tiny.toml", [key]), store=tmp_path / "s")
+    record = record_of(wq.view(tmp_path / "s").read_text())
+    worst = int(record["takes"][0]["label"].rpartition(" ")[2])
+    ds = wq.open_store(store).load()
+    error = (ds.wfe_rms_raw[ds.disturbance == "shaken"] ** 2).mean("time")
+    assert worst == int(error.case[int(np.argmax(error.to_numpy()))])
+
+
 def test_what_is_too_large_is_left_out_and_said():
     stage = Stage(
         np.eye(3),
@@ -147,8 +158,8 @@ def test_what_is_too_large_is_left_out_and_said():
         np.zeros((1, 3)),
         np.eye(3)[None],
     )
-    noise = np.random.default_rng(3).uniform(1e-4, 1.0, (40, 256, 256))
-    takes = tuple(Take(f"case {k}", np.arange(40.0), images=noise) for k in range(4))
+    noise = np.random.default_rng(3).uniform(1e-4, 1.0, (4, 40, 256, 256))
+    takes = tuple(Take(f"case {k}", np.arange(40.0), images=one) for k, one in enumerate(noise))
     text, blocks = encode(Film("large", "store", (stage,), takes))
     assert blocks.size < LIMIT
     assert json.loads(text)["notes"][0].startswith("1 of ")
@@ -226,3 +237,55 @@ def test_what_cannot_be_viewed_says_so(wavequake, tmp_path, store):
     assert "shaken, case 0" in out
     assert wavequake("draw", "euv", "--3d", "-o", tmp_path / "euv.html")[0] == 0
     assert "M6" in (tmp_path / "euv.html").read_text()
+
+
+def test_equal_arrays_are_kept_once():
+    blocks = Blocks()
+    one = np.arange(6.0).reshape(2, 3)
+    first, again, other = (blocks.add_scaled(values)["id"] for values in (one, one.copy(), one[::-1]))
+    assert first == again != other
+    assert len(blocks.texts) == 2
+
+
+BENT = """
+[study]
+name = "bent"
+workflow = "segment-disturbance"
+[telescope]
+name = "tmt-18"
+[optics]
+rays_per_segment = 72
+[imaging]
+enabled = false
+[campaign]
+cases = 1
+device = "numpy"
+[[disturbance]]
+name = "polished"
+model = "static-random"
+
+figure_nm = { 5 = 20.0, 8 = 10.0 }
+"""
+
+
+def test_segments_bend_by_the_figures_that_the_trace_meets(tmp_path):
+    """Heights of the drawn triangles, looked up where rays are, are half the change of their paths."""
+    (tmp_path / "bent.toml").write_text(BENT)
+    bench = bench_of(wq.load_study(tmp_path / "bent.toml").identity_text())
+    stage, take = segments.stage_of_telescope(bench), segments.take_of(bench, 0, "numpy")
+    bent = displacements(stage, take)[0]
+    rays, glass = bench.prepared.rays, take.maps[0]
+    change = (glass.weights @ glass.shapes)[0]
+    cosine = bench.system.segments.axes[:, 2, 2]
+    agreeing = []
+    for one in range(18):
+        mine, corners = rays.segment == one, stage.body == one
+        points, heights = stage.points[corners, :2] * 1e3, bent[corners, 2] * 1e9
+        inside = LinearNDInterpolator(points, heights)(rays.x[mine], rays.y[mine])
+        both = np.isfinite(inside)
+        agreeing.append(np.stack([inside[both] * np.abs(cosine[one]), change[mine][both]]))
+    height, path = np.concatenate(agreeing, axis=1)
+    flat = np.stack([np.ones_like(height), height], axis=1)
+    (_, factor), left = np.linalg.lstsq(flat, path)[:2]
+    assert abs(factor) == pytest.approx(2.0, rel=0.1)  # straight between corners: lower than the polynomial
+    assert left[0] < 0.1 * np.sum((path - path.mean()) ** 2)

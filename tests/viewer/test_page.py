@@ -10,7 +10,8 @@ from test_film import bench, store  # noqa: F401
 
 import wavequake as wq
 from wavequake.viewer import segments
-from wavequake.viewer.film import displacements
+from wavequake.viewer.film import Film, Map, Stage, Take, displacements
+from wavequake.viewer.page import render_film
 
 pytestmark = pytest.mark.skipif(PROGRAM is None, reason=MISSING)
 
@@ -159,4 +160,59 @@ def test_reports_fit_the_window_with_text_that_can_be_read(browser, store):  # n
         full = "every(f => f.querySelector('svg').children.length > 0)"
         assert browser.ask(f"[...document.querySelectorAll('figure')].{full}")
         assert browser.ask("document.querySelector('figure').id") == "layout"
+    assert browser.said == []
+
+
+def test_maps_and_the_track_of_the_line_of_sight_are_drawn(browser, tmp_path):
+    """A map whose numbers are 1 left and -1 right is red left and blue right, and turns over in time."""
+    points, faces = np.eye(3), np.array([[0, 1, 2]])
+    stage = Stage(points, faces, np.zeros(3, int), ("#888888",), ("a",), np.zeros((1, 3)), np.eye(3)[None])
+    cells = np.tile(np.repeat([0, 1], 8), (16, 1))
+    cells[:2] = -1
+    shown = Map("wavefront", "nm", cells, np.array([[2.0, -2.0]]), np.array([[1.0], [-1.0]]), 2.0)
+    image = np.full((2, 16, 16), 1e-9)
+    image[0, 8, 8] = image[1, 8, 12] = 1.0
+    track = np.array([[0.0, 0.0], [2.0, 0.0]])
+    nothing = np.array([[1.0], [np.nan]])
+    take = Take(
+        *("moves", np.arange(2.0)),
+        images=image,
+        pixel=0.5,
+        track=track,
+        maps=(shown,),
+        series={"known in part": ("nm", nothing)},
+    )
+    (tmp_path / "map.html").write_text(render_film(Film("map", "store", (stage,), (take,))))
+    opened(browser, tmp_path / "map.html")
+    at = """(() => {{ const c = document.querySelector('{}');
+      return [...c.getContext('2d').getImageData({} * c.width, {} * c.height, 1, 1).data]; }})()"""
+    left, right = (browser.ask(at.format(".map", x, 0.5)) for x in (0.3, 0.7))
+    assert left[0] > left[2] + 50
+    assert right[2] > right[0] + 20
+    assert browser.ask(at.format(".image", 0.5 + 0.5 / 16, 0.5 - 0.5 / 16))[2] > 200  # the dot of the track
+    after(browser, put("time", 1))
+    left, right = (browser.ask(at.format(".map", x, 0.5)) for x in (0.3, 0.7))
+    assert left[2] > left[0] + 20
+    assert right[0] > right[2] + 50
+    assert browser.ask(at.format(".image", 0.5 + 4.5 / 16, 0.5 - 0.5 / 16))[2] > 200
+    assert browser.said == []
+
+
+def test_figures_bend_what_is_drawn(browser, tmp_path):
+    """A flat square whose figure lifts its middle stands still flat, and is colored by its displacement."""
+    points = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [0, 0, 0]], dtype=float)
+    faces = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+    stage = Stage(
+        *(points, faces, np.zeros(5, int), ("#888888",) * 4, ("a",), np.zeros((1, 3)), np.eye(3)[None]),
+        terms=np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.5, 2.0]]),
+    )
+    take = Take("bends", np.arange(2.0), figures=np.array([[[0.0, 0.0]], [[2e-6, 1e-6]]]))
+    moved = displacements(stage, take)
+    np.testing.assert_allclose(moved[1], [[0, 0, 0]] * 4 + [[0, 0, 3e-6]], atol=1e-18)
+    (tmp_path / "bent.html").write_text(render_film(Film("bent", "store", (stage,), (take,))))
+    opened(browser, tmp_path / "bent.html")
+    flat = browser.ask(SUM)
+    bent = after(browser, put("time", 1))
+    assert bent != flat
+    assert after(browser, put("factor", -1)) != bent  # without exaggeration it is flat, and still colored
     assert browser.said == []

@@ -59,6 +59,18 @@ TELESCOPE = {
     "disturbance.mount.instants": 4,
 }
 EXPOSED = small_telescope.STUDY.replace("segment-disturbance", "telescope-exposure")
+LOOPS = {
+    "optics.rays": 300,
+    "wavefront.zernike_terms": 11,
+    "actuator.figure.terms": 11,
+    "disturbance.history.instants": 20,
+    "imaging.pixels": 16,
+    "look.traced": 2,
+    "controller.rigid.vary": {"latency_frames": [0.5]},
+    "controller.elastic.vary": {"latency_frames": [0.5]},
+    "controller.elastic-faint.vary": {},
+    "controller.elastic-lqg.vary": {},
+}
 LENS = {"time.duration_s": 2.0, "time.step_ms": 20.0, "bench.springs": ["initial"]}
 SEGMENTS = {"segments.disturbed": ["one"], "reduction.variants": ["modal12"], "excitation.sine.name": "hum"}
 # Study, changed keys, cases.
@@ -66,6 +78,7 @@ SMALL = {
     "system-disturbance": (SYSTEM, {}, 5),
     "segment-disturbance": (small_telescope.STUDY, {"imaging.enabled": False}, 7),
     "telescope-exposure": (EXPOSED, TELESCOPE, 3),
+    "telescope-loop": ("tmt-ao", LOOPS, 3),
     "lens-experiment": ("lens-experiment", LENS, 3),
     "mirror-trace": ("mirror-trace", MIRROR, None),
     "mirror-mor": ("mirror-mor", MOR, None),

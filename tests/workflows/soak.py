@@ -142,7 +142,7 @@ def _at_random(path, cases, kind, dice):
             return alive
         killed = 0
         for _ in range(4):  # the nanny starts them again
-            workers = [child for child in psutil.Process(driver.pid).children() if _is_worker(child)]
+            workers = _workers(driver.pid)
             if workers and driver.poll() is None:
                 dice.choice(workers).kill()
                 killed += 1
@@ -155,8 +155,10 @@ def _at_random(path, cases, kind, dice):
         driver.communicate()
 
 
-def _is_worker(process):
+def _workers(pid):
+    """Return the worker processes of a run, if it has got that far."""
     try:
-        return "spawn_main" in " ".join(process.cmdline())
+        servers = [one for one in psutil.Process(pid).children() if "forkserver" in " ".join(one.cmdline())]
+        return [worker for one in servers for worker in one.children()]
     except psutil.Error:
-        return False
+        return []

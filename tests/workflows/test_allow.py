@@ -81,6 +81,26 @@ def test_equal_shares_are_equal_by_the_sensitivities(study, tmp_path):
     np.testing.assert_allclose(costs, costs[0, 0], rtol=1e-5)
 
 
+def test_segments_have_costs_and_kinds_of_their_own(study):
+    keys = {"allow.limit": "60 nm", "allow.cost": {"1": 4.0, "1?": 2.0, "dz": 3.0, "2 dz": 1.0}}
+    found = allowances(study_with(study, keys), "wfe_rms", 0.05, 60.0, "cost", "aligned", cases=100)
+    shares = found.shares / found.shares[1, 1]  # 2 rx
+    np.testing.assert_allclose(shares[0, :3], [3.0, 1.0, 3.0], rtol=1e-9)
+    np.testing.assert_allclose(shares[1, :3], [4.0, 1.0, 1.0], rtol=1e-9)
+    np.testing.assert_allclose(shares[3, 8:11], [1.0, 2.0, 2.0], rtol=1e-9)
+    assert found.check.low <= 60.0 <= found.check.high
+    shaken = study_with(study, {**keys, "allow.kind": {"dz": "rms", "rx": "rms"}, "allow.cost": {}})
+    moving = allowances(shaken, "wfe_rms", 0.05, 60.0, "shares", "aligned", cases=100)
+    static = allowances(study, "wfe_rms", 0.05, 60.0, "shares", "aligned", cases=100)
+    assert (moving.rms > static.rms).all()  # two instants of a case average
+    assert moving.check.low <= 60.0 <= moving.check.high
+    bent = study_with(shaken, {"allow.kind": {"figure 4": "rms"}})
+    with pytest.raises(UserError, match="figures of segments do not change during a case"):
+        allowances(bent, "wfe_rms", 0.05, 60.0, "shares", "aligned", cases=100)
+    with pytest.raises(UserError, match="allow belongs to the workflow segment-disturbance"):
+        load_study("tmt-exposure", {"allow.limit": "60 nm"})
+
+
 def test_every_allowance_stands_in_the_file(study, tmp_path):
     found = allowances(study, "wfe_rms_raw", 0.01, 80.0, "shares", "aligned", cases=200)
     file = tmp_path / "a.csv"
@@ -110,6 +130,7 @@ def test_what_does_nothing_is_allowed_anything(study):
         ({"measure": "strehl"}, "'strehl' has no allowances"),
         ({"of": "x"}, "There is no disturbance 'x'"),
         ({"cases": 10}, "take at least 100"),
+        ({"cases": 10**12}, "are too many; 1000000 are enough, and all that is possible"),
     ],
 )
 def test_what_cannot_be_allowed_is_a_sentence(study, keywords, message):
@@ -121,6 +142,9 @@ def test_what_cannot_be_allowed_is_a_sentence(study, keywords, message):
 def test_other_studies_and_goals_are_refused():
     with pytest.raises(UserError, match="Allowances are of segment-disturbance and system"):
         allowances(load_study("lens-experiment"), "wfe_rms", 0.05, 60.0)
+    for limit in ("1e300", "1e-300 nm"):
+        with pytest.raises(UserError, match=f"'{limit}' is no positive .* between 1e-100 and 1e.100"):
+            goal_of("wfe_rms.p95", limit)
     for words in ("wfe_rms", "wfe_rms.p5", "wfe_rms.p100"):
         with pytest.raises(UserError, match=r"write it as wfe_rms\.p95"):
             goal_of(words, "60 nm")
@@ -136,7 +160,7 @@ def test_the_command_prints_and_writes_allowances(tmp_path, wavequake):
     assert file.exists()
     code, _, err = wavequake("allow", *words, "--limit", "60 nm", "--by", "cost")
     assert code == 2
-    assert "use shares or factor" in err
+    assert "By which cost?" in err
     code, _, err = wavequake("allow", *words)
     assert code == 2
     assert "Give a limit" in err

@@ -14,6 +14,7 @@ from wavequake.optics.derivatives.central import DOFS
 from wavequake.report.answers.allow import allow_figure, allow_notes, asked_of
 from wavequake.workflows.allow import allowances
 from wavequake.workflows.study import load_study, study_with
+from wavequake.workflows.systems.system_allow import system_movable
 from wavequake.workflows.systems.system_bench import system_bench
 from wavequake.workflows.systems.system_measure import measured
 
@@ -191,3 +192,14 @@ def test_a_study_names_what_is_asked_and_the_command_writes_it(euv, tmp_path, wa
     code, _, err = wavequake("allow", "euv-allowances", "-o", tmp_path / "a.txt")
     assert code == 2
     assert "must end in .csv" in err
+
+
+def test_a_detector_has_no_part_in_allowances(tmp_path):
+    text = DETECTOR.replace("{SIZES}", "{ dx_um = 1.0 }").replace('["image"]', '["surface 3"]')
+    camera = "[imaging]\npixels = 16\n[detector]\npixel_um = 5.0\nphotons = 1e4\n"
+    found = []
+    for name, more in (("plain", ""), ("camera", camera)):
+        (tmp_path / f"{name}.toml").write_text(text + more)
+        study = load_study(tmp_path / f"{name}.toml")
+        found.append(system_movable(study, "los_mm", "detector"))
+    np.testing.assert_array_equal(found[0].form.square, found[1].form.square)

@@ -7,6 +7,7 @@ from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.registry import draw_case
 from wavequake.workflows.budgets.budget import budget, open_budget, stored_budget, summed
 from wavequake.workflows.budgets.budget_segments import Factors, rings_of, variants
+from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.study import load_study
 
@@ -194,3 +195,52 @@ def test_other_studies_have_no_budget(tmp_path):
         budget(load_study("lens-experiment"), 16)
     with pytest.raises(UserError, match=r"There is no budget at .*; wavequake budget STUDY computes it"):
         open_budget(tmp_path)
+
+
+SHAKEN = """
+[study]
+name = "shaken"
+workflow = "segment-disturbance"
+seed = 11
+[telescope]
+name = "tmt-18"
+[optics]
+rays_per_segment = 6
+wavelength_nm = 1000.0
+[imaging]
+pixels = 48
+[[disturbance]]
+name = "pistons"
+model = "static-random"
+instants = 1
+piston_nm = 15.0
+[[disturbance]]
+name = "shake"
+model = "vibration-lines"
+lines = [{ frequency_hz = 20.0, fwhm_hz = 1.0, rms_mas = 5.0 }]
+duration_s = 1.0
+instants = 4
+"""
+
+
+def test_the_peak_of_the_exposure_ranks_what_no_strehl_ratio_sees(tmp_path):
+    """A shaken line of sight costs the peak, of which a campaign of the combination knows the same."""
+    both = '[[disturbance]]\nname = "both"\nmodel = "combine"\nof = ["pistons", "shake"]\n'
+    both += "duration_s = 1.0\ninstants = 4\n"
+    study = loaded(tmp_path, SHAKEN + both)
+    found = budget(study, 16, measure="peak")
+    assert found["quantity"].values[0] == "peak"
+    assert float(found["share"].sel(quantity="peak", factor="shake")) > 0.7
+    assert float(found["share"].sel(quantity="wfe_rms", factor="shake")) < 0.01
+    kind = find_kind("segment-disturbance")
+    cases = np.arange(3) * 3 + 2  # of the combination
+    exposed = kind.compute(study.identity_text(), cases, "auto").arrays["peak"]
+    kept = found["value"].sel(quantity="peak", variant="all").values[:3]
+    np.testing.assert_allclose(kept, 1.0 - exposed, atol=1e-9)
+    still = found["value"].sel(quantity="peak", variant="without shake").values
+    assert (still < found["value"].sel(quantity="peak", variant="all").values).all()
+
+
+def test_a_measure_that_there_is_not_is_refused(study):
+    with pytest.raises(UserError, match="A budget has no measure 'peek'; did you mean 'peak'"):
+        budget(study, 16, measure="peek")

@@ -199,3 +199,23 @@ def test_light_that_an_opening_stops_is_counted(tmp_path, edge, shift, words):
         assert (beyond > 0) == (shift == 0.0)
         assert re.match(words.format(beyond), said)
         assert said in explanations(found)
+
+
+# Static motions, and a swing that leaves a streak between its four instants.
+LINE = "{ frequency_hz = 30.0, amplitude = { dx_um = 9.0 } }"
+SWING = f'model = "surface-vibration"\ninstants = 4\nlines = [{LINE}]'
+
+
+@pytest.mark.parametrize("fine", ['model = "surface-random"\nrms = { dx_um = 1.0 }', SWING])
+def test_the_peak_of_exposures_is_a_measure_too(tmp_path, monkeypatch, fine):
+    monkeypatch.setattr("wavequake.workflows.budgets.budget.FEWEST", 4)
+    text, _ = STUDY.rsplit("[[disturbance]]", 1)
+    entry = f'[[disturbance]]\nname = "fine"\nof = ["L1"]\n{fine}\n'
+    (tmp_path / "lens.toml").write_text(text + entry + "[imaging]\npixels = 32\n")
+    study = load_study(tmp_path / "lens.toml")
+    found = budget(study, 4, measure="peak")
+    slots = [slot(study.disturbance, case) for case in range(4)]
+    case = next(i for i, (one, realization) in enumerate(slots) if (one.name, realization) == ("fine", 0))
+    peak = KIND.compute(study.identity_text(), np.array([case]), "numpy").arrays["peak"][0]
+    value = found["value"].sel(case=0, variant="without coarse", quantity="peak")
+    assert float(value) == pytest.approx(np.sqrt(np.mean((1.0 - peak) ** 2)), rel=1e-6)

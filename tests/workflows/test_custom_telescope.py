@@ -168,3 +168,14 @@ def test_rays_that_are_too_few_for_a_figure_are_named(tmp_path, rays, term, reme
     values = annular_zernike(*place, term, 0.0)[:, -1]
     found = np.sqrt(share @ (values - share @ values) ** 2)
     assert (abs(found / fine - 1.0) > 0.05) == bool(remedy)
+
+
+def test_an_image_off_the_focus_is_told_with_its_place(newton, tmp_path):
+    (tmp_path / "newton.toml").write_text(
+        CUSTOM.replace("distance_mm = 5000.0 },\n]", "distance_mm = 5500.0 },\n]").replace(
+            "figure_nm", "# figure_nm"
+        )
+    )
+    words = r"image stands 500 mm beyond the paraxial focus, which is 5000 mm behind fold; mend a distance_mm"
+    with pytest.raises(UserError, match=words):
+        workflow.check(load_study(tmp_path / "newton.toml").identity_text())

@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 import toy
-from threadpoolctl import threadpool_info, threadpool_limits
+from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.contract import ChunkResult, StudyKind
 from wavequake.campaign.engine.chunks import BrokenWorkflowError
@@ -131,7 +131,7 @@ def test_there_is_one_blas_thread_in_a_chunk(tmp_path):
     threads = []
 
     def watch(*arguments):
-        threads.append({pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"})
+        threads.append(toy.blas_threads())
         return toy.compute(*arguments)
 
     with threadpool_limits(2):
@@ -183,6 +183,6 @@ def test_a_script_without_a_main_guard_is_told_so(tmp_path):
         [sys.executable, script], env=environment, capture_output=True, text=True, timeout=60
     )
     last = done.stderr.strip().splitlines()[-1]
-    assert last.startswith("wavequake.errors.UserError: The worker processes do not start")
+    assert last.startswith("wavequake.errors.NoWorkersError: The worker processes do not start")
     assert '`if __name__ == "__main__":`' in last
     assert done.stderr.count("Traceback") == 1

@@ -31,6 +31,12 @@ def children_of(pid):
     return psutil.Process(pid).children(recursive=True)
 
 
+def workers_of(pid):
+    """Return the worker processes of a run, which the process that it has started forked."""
+    servers = [one for one in psutil.Process(pid).children() if "forkserver" in " ".join(one.cmdline())]
+    return [worker for one in servers for worker in one.children()]
+
+
 def still_there(processes):
     _, alive = psutil.wait_procs(processes, timeout=5)
     return [process for process in alive if process.status() != psutil.STATUS_ZOMBIE]
@@ -186,6 +192,16 @@ def test_what_workers_print_is_in_the_log_alone(tmp_path):
     assert log.endswith("the run is complete\n")
 
 
+def test_words_of_a_killed_process_are_kept(tmp_path):
+    """A worker that ends slowly is killed, and so is its buffer of what Python printed."""
+    said = tmp_path / "said"
+    said.touch()
+    words = "from wavequake.cluster.output import redirect; redirect(); print('alive'); "
+    words += "import os; os.kill(os.getpid(), 9)"
+    subprocess.run([sys.executable, "-c", words], env={**os.environ, "WAVEQUAKE_WORKER_OUTPUT": str(said)})
+    assert said.read_text() == "alive\n"
+
+
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_scheduler_that_dies_ends_the_run_with_one_sentence(tmp_path, reference, workers):
     """What is begun twice was lost: a chunk of ten cases per worker at most."""
@@ -240,7 +256,7 @@ def test_a_command_that_is_interrupted_says_how_to_resume(tmp_path, on, sent):
         text=True,
         start_new_session=True,
     )
-    toy.wait_for_records(tmp_path / "s", 1, timeout_s=60)
+    toy.wait_for_records(tmp_path / "s", 1)
     children = children_of(process.pid)
     for number in sent:
         os.killpg(process.pid, number)

@@ -85,7 +85,10 @@ def test_loops_of_segments_have_the_poles_and_curves_of_python_control(control):
         assert abs(found["growth"] - worst.real) < 1e-9 * abs(worst)
         assert found["unstable_poles"] == (poles.real >= 0).sum()
         assert found["stable"] == stable
-        response = control.frequency_response(plant * controller, omega).frdata.transpose(2, 0, 1)
+        # By its matrices: its own responses are off by 3e-6 at a resonance where slycot computes them.
+        both = plant * controller
+        inner = 1j * omega[:, None, None] * np.eye(len(both.A)) - both.A
+        response = both.C @ np.linalg.solve(inner, both.B.astype(complex)) + both.D
         size, phase = found["loop_gain"][::60], np.radians(found["loop_phase"][::60])
         unit = np.eye(3)
         np.testing.assert_allclose(
@@ -117,13 +120,20 @@ def test_an_unstable_loop_ends_margins_with_3_and_has_none():
     assert line.split()[3] == "unstable"
     assert "1 of 2 loops are unstable" in done.output
     stable = ["margins", "tip-tilt-vibration", "loop.rates_hz=[100.0]"]
-    assert CliRunner().invoke(app, stable).exit_code == 0
+    done = CliRunner().invoke(app, stable)
+    assert done.exit_code == 0
+    assert "S peak: how much it amplifies at worst" in " ".join(done.output.split())
 
 
 @pytest.mark.parametrize(
     ("study", "name", "words"),
     [
-        ("mirror-mor", None, "mirror-mor has no loops; controller-mor and tip-tilt-vibration have."),
+        (
+            "mirror-mor",
+            None,
+            "mirror-mor has no loops; controller-mor, tip-tilt-vibration, telescope-loop and segment-control "
+            "have.",
+        ),
         ("tip-tilt-vibration", "pid", "has no loop 'pid'; it has integrator, 100 Hz; lqg, 100 Hz;"),
     ],
 )

@@ -2,7 +2,6 @@
 
 import shutil
 import tracemalloc
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from small_mirrors import eleven
 from typer.testing import CliRunner
 
 from wavequake.campaign.contract import DONE, RAISED
-from wavequake.campaign.store.store import open_store, read_manifest
+from wavequake.campaign.store.store import open_store
 from wavequake.cli import app
 from wavequake.errors import UserError
 from wavequake.imaging.engines.matrix_fourier import matrix_fourier, psf
@@ -19,9 +18,9 @@ from wavequake.imaging.exposures.mtf import ideal_mtf
 from wavequake.imaging.exposures.through_focus import through_focus
 from wavequake.imaging.pupils.pupil_function import annular_pupil
 from wavequake.report.campaign import report_store, summary_table
-from wavequake.report.exposures import animation, psf_figures
-from wavequake.report.exposures.animation import animate_case
+from wavequake.report.exposures import psf_figures
 from wavequake.report.mirrors import exposures as mirror_exposures
+from wavequake.viewer.animate import animate
 from wavequake.workflows.exposures import mirror_exposure
 from wavequake.workflows.exposures.mirror_exposure import (
     KIND,
@@ -197,7 +196,7 @@ def test_images_wider_than_the_pupils_period_are_refused_before_a_case_runs():
 
 def test_the_table_of_a_mirror(store, dataset):
     table = summary_table(store)
-    columns = {column.header: list(column.cells) for column in table.columns}
+    columns = {str(column.header).replace("\n", " "): list(column.cells) for column in table.columns}
     assert columns["variant"] == ["krylov108(200,450,700)", "craigb18"] * 2
     assert columns["image off"][0] == columns["image off"][2] == "reference"
     peaks = dataset["peak"].to_numpy().T.ravel()
@@ -244,7 +243,10 @@ def test_the_report_of_a_telescope(telescope_store):
 
 
 def test_the_table_of_a_telescope_says_what_its_store_holds(telescope_store):
-    columns = {column.header: list(column.cells) for column in summary_table(telescope_store).columns}
+    columns = {
+        str(column.header).replace("\n", " "): list(column.cells)
+        for column in summary_table(telescope_store).columns
+    }
     stored = open_store(telescope_store).load()
     peaks = stored["peak"].median("case").to_numpy()
     np.testing.assert_allclose([float(value) for value in columns["peak"]], peaks, rtol=6e-3)
@@ -254,7 +256,7 @@ def test_the_table_of_a_telescope_says_what_its_store_holds(telescope_store):
 
 
 def test_a_case_is_animated(telescope_store):
-    path = animate_case(telescope_store, 0, "elastic", "numpy")
+    path = animate(telescope_store, 0, "elastic")
     assert path.name == "case-0-elastic.gif"
     with Image.open(path) as film:
         assert film.n_frames == 6
@@ -264,19 +266,26 @@ def test_a_case_is_animated(telescope_store):
 
 @pytest.mark.parametrize(
     ("case", "controller", "words"),
-    [(0, "robust", "choose one of static"), (-1, "static", "has cases 0 to 1; there is no case -1")],
+    [
+        (0, "robust", "choose one of disturbed, rigid, elastic"),
+        (-1, "rigid", "has cases 0 to 1; there is no case -1"),
+    ],
 )
 def test_what_cannot_be_animated(telescope_store, case, controller, words):
     with pytest.raises(UserError, match=words):
-        animate_case(telescope_store, case, controller)
+        animate(telescope_store, case, controller)
     with pytest.raises(UserError, match="there is no format 'avi'; choose one of gif, mp4"):
-        animate_case(telescope_store, 0, kind="avi")
+        animate(telescope_store, 0, kind="avi")
 
 
-def test_the_command_line_animates(telescope_store):
+def test_the_command_line_animates_and_leaves_the_report(telescope_store):
+    report_store(telescope_store)
+    before = (telescope_store / "report.html").stat().st_mtime_ns
     result = CliRunner().invoke(app, ["report", str(telescope_store), "--animate", "1"])
     assert result.exit_code == 0, result.output
+    assert "frame 6 of 6" in result.output
     assert (telescope_store / "case-1-disturbed.gif").stat().st_size > 1000
+    assert (telescope_store / "report.html").stat().st_mtime_ns == before
 
 
 def test_the_command_line_writes_an_mp4(telescope_store):
@@ -301,8 +310,8 @@ def program(folder, script):
 def test_an_mp4_has_the_frames_of_the_gif(telescope_store, tmp_path, monkeypatch):
     """What ffmpeg is sent: raw pixels, one frame after the other."""
     monkeypatch.setenv("PATH", program(tmp_path, 'for last; do :; done\ncat > "$last"\n'))
-    sent = animate_case(telescope_store, 0, "elastic", "numpy", "mp4").read_bytes()
-    path = animate_case(telescope_store, 0, "elastic", "numpy")
+    sent = animate(telescope_store, 0, "elastic", "mp4").read_bytes()
+    path = animate(telescope_store, 0, "elastic")
     with Image.open(path) as film:
         frames = np.frombuffer(sent, np.uint8).reshape(film.n_frames, film.height, film.width, 4)
         for number, frame in enumerate(frames):
@@ -316,7 +325,7 @@ def test_an_mp4_without_ffmpeg_names_the_package(telescope_store, tmp_path, monk
     monkeypatch.setenv("PATH", str(tmp_path))
     before = set(telescope_store.iterdir())
     with pytest.raises(UserError, match="not on the PATH: install the package ffmpeg"):
-        animate_case(telescope_store, 0, "elastic", "numpy", "mp4")
+        animate(telescope_store, 0, "elastic", "mp4")
     assert set(telescope_store.iterdir()) == before
 
 
@@ -324,7 +333,7 @@ def test_an_ffmpeg_that_fails_leaves_nothing(telescope_store, tmp_path, monkeypa
     monkeypatch.setenv("PATH", program(tmp_path, 'echo "Unknown encoder h264" >&2\nexit 1\n'))
     before = set(telescope_store.iterdir())
     with pytest.raises(UserError, match=r"could not write the MP4 \(Unknown encoder h264\)"):
-        animate_case(telescope_store, 0, "rigid", "numpy", "mp4")
+        animate(telescope_store, 0, "rigid", "mp4")
     assert set(telescope_store.iterdir()) == before
 
 
@@ -335,19 +344,13 @@ def test_options_of_an_animation_need_one(telescope_store, option, value):
 
 
 def test_a_mirror_is_animated(store):
-    path = animate_case(store, 1, "one300", "numpy")
+    assert animate(store, 1, "mode 2").name == "case-1-mode-2.gif"
+    path = animate(store, 1, "one300")
     assert path.name == "case-1-one300.gif"
     with Image.open(path) as film:
         assert 2 <= film.n_frames <= 60
-    with pytest.raises(UserError, match="there is no excitation 'disturbed'; choose one of sine300, one300"):
-        animate_case(store, 0, "disturbed")
-
-
-def test_only_exposures_are_animated(store, monkeypatch):
-    other = replace(read_manifest(store), workflow="mirror-mor")
-    monkeypatch.setattr(animation, "read_manifest", lambda _: other)
-    with pytest.raises(UserError, match="is one of mirror-mor"):
-        animate_case(store, 0)
+    with pytest.raises(UserError, match=r"there is no take 'disturbed'; choose one of mode 1, .*one300"):
+        animate(store, 0, "disturbed")
 
 
 def test_figures_of_images():
@@ -357,7 +360,7 @@ def test_figures_of_images():
     transform = matrix_fourier(pupil, 64, 0.25)
     images = through_focus(transform, np.zeros(len(pupil.cells)), [-0.2, 0.0, 0.2])
     assert len(psf_figures.log_psf(images[1], axis).axes) == 2
-    (axes,) = psf_figures.mtf_curves({"perfect": images[1]}, 0.25).axes
+    (axes,) = psf_figures.mtf_curves({"perfect": images[1]}, 0.25, psf_figures.annulus(0.0)).axes
     curve = axes.lines[0]
     np.testing.assert_allclose(curve.get_ydata(), ideal_mtf(curve.get_xdata()), rtol=0, atol=0.05)
     panels = psf_figures.focus_panels(images, [-0.2, 0.0, 0.2], axis).axes

@@ -11,6 +11,7 @@ from wavequake.campaign.rare.certificate import estimated
 from wavequake.campaign.rare.splitting import probability
 from wavequake.campaign.statistics.tail import fit_tail, rare_value
 from wavequake.errors import UserError
+from wavequake.mechanics.disturbances.gaussian import gaussian_motions
 from wavequake.report.answers.rare import in_unit, rare_answer, rare_notes
 from wavequake.report.exports.rerun import rerun_stored
 from wavequake.workflows.rare import modal_answer, rare_study
@@ -193,7 +194,10 @@ def test_tails_of_normal_cases_sit_low(study):
         ({"limit": "-3 nm"}, "is no positive number"),
         ({}, "What is rare"),
         ({"limit": "60 nm", "probability": 1e-6}, "not both"),
-        ({"probability": 0.9}, "is not rare"),
+        ({"limit": "1e99 nm"}, "is exceeded by less than 1e-280 of the cases"),
+        ({"limit": "1e300 nm"}, "between 1e-100 and 1e.100"),
+        ({"probability": 0.9}, "0.9 must be between 1e-200 and 0.5"),
+        ({"probability": 1e-300}, "1e-300 must be between 1e-200 and 0.5"),
         ({"probability": 1e-6, "measure": "strehl"}, "'strehl' is not among what is known of rare cases"),
         ({"probability": 1e-6, "measure": "wfe"}, "There is no 'wfe' to judge"),
         ({"probability": 1e-6, "measure": "zernike"}, "has a number for each noll"),
@@ -209,6 +213,18 @@ def test_what_cannot_be_judged_is_a_sentence(study, tmp_path, keywords, message)
     with pytest.raises(UserError, match=message):
         rare_answer(study, **{"of": "aligned", "traces": 50, "store": tmp_path / "s", **keywords})
     assert not (tmp_path / "s").exists()
+
+
+def test_what_is_no_sum_is_refused_before_it_is_drawn_with_each_of_its_numbers():
+    calls = []
+
+    def rows(streams, time):
+        calls.append(1)
+        return np.sin(streams("x").standard_normal(500).sum() + time)[:, None]
+
+    with pytest.raises(UserError, match="no sums of Gaussian numbers"):
+        gaussian_motions("phases", rows, np.linspace(0.0, 1.0, 5))
+    assert len(calls) < 10
 
 
 def test_other_studies_are_refused():

@@ -23,7 +23,7 @@ from wavequake.cluster.places import place_of
 from wavequake.cluster.template import Address, read_template, tls_settings
 from wavequake.errors import UserError
 
-trustme = pytest.importorskip("trustme", reason="certificates need trustme: pip install 'wavequake[test]'")
+trustme = pytest.importorskip("trustme", reason="certificates need trustme: pip install -e '.[test]'")
 
 
 def certificates(folder):

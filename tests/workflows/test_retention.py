@@ -93,7 +93,9 @@ def test_summaries_are_the_statistics_of_the_histories(small, name):
     assert small_bytes < sum(whole[key].nbytes for key in over_time(whole))
 
 
-@pytest.mark.parametrize("name", ["system-disturbance", "lens-experiment", "telescope-exposure"])
+@pytest.mark.parametrize(
+    "name", ["system-disturbance", "lens-experiment", "telescope-exposure", "telescope-loop"]
+)
 def test_each_case_alone_has_the_bits_that_it_has_in_a_chunk(small, name, tmp_path):
     study_of, dataset = small
     whole = dataset(name, reduce="summary")
@@ -184,7 +186,7 @@ def test_a_workflow_without_histories_has_nothing_to_thin_out():
 
 
 def test_every_workflow_is_tested_here():
-    nothing_over_time = {"lens-passive", "controller-mor", "tip-tilt-vibration"}
+    nothing_over_time = {"lens-passive", "controller-mor", "tip-tilt-vibration", "segment-control"}
     assert set(SMALL) == set(bundled_kinds()) - nothing_over_time
 
 

@@ -11,6 +11,7 @@ from wavequake.kernels.device.devices import choose_device, list_devices
 from wavequake.mechanics.disturbances.sources.edge_sensors import EdgeSensorNoise
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.segments.prepared import trace_states
+from wavequake.workflows.segments import launches
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.images import energy_scale, image_axis
@@ -78,11 +79,11 @@ def test_cases_that_stand_still_are_traced_once_and_do_not_depend_on_each_other(
     """They share tiles, at the place of their realization; the rest of the chunk moves."""
     bench = bench_of(study.identity_text())
     draws = [workflow.draw(bench, case) for case in range(60)]
-    instants = [workflow._traced_instants(drawn) for drawn in draws]
+    instants = [launches.traced_instants(drawn) for drawn in draws]
     still = [row for row, count in enumerate(instants) if count == 1]
     assert len(still) > 20
     assert {draws[row].population.name for row in still} == {"pistons", "figure", "both"}
-    pieces = [piece for launch in workflow._launches(draws, instants) for piece in launch]
+    pieces = [piece for launch in launches.launches(draws, instants) for piece in launch]
     assert sum(piece.last - piece.first for piece in pieces) == sum(instants)
     tiles = {piece.place // 16 for piece in pieces if piece.row in still}
     assert len(tiles) < len(still) / 6
@@ -358,7 +359,7 @@ def test_preparation_has_the_same_bits_on_any_number_of_threads():
 def test_long_cases_are_cut_into_launches_without_changing_bits(study, monkeypatch):
     text = study_with(study, {"disturbance.mount.instants": 70}).identity_text()
     whole = workflow.compute(text, np.array([2, 3]), DEVICE)
-    monkeypatch.setattr(workflow, "_LAUNCH_TILES", 2)
+    monkeypatch.setattr(launches, "_LAUNCH_TILES", 2)
     cut = workflow.compute(text, np.array([2, 3]), DEVICE)
     for name in ("zernike", "los", "strehl"):
         np.testing.assert_array_equal(cut.arrays[name], whole.arrays[name])

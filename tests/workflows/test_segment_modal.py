@@ -306,12 +306,16 @@ def test_a_plan_does_not_take_the_first_cases_for_the_others(study, monkeypatch)
     monkeypatch.setattr(campaign, "_PILOT_S", 1e9)
     monkeypatch.setattr(campaign, "_WHOLE_S", 0.0)
     campaign.plan(chosen)
-    assert [len(cases) for cases in asked] == [8, 8, 64, 512, 1000]
+    assert [len(cases) for cases in asked] == [1, 1, 8, 64, 512, 1000]
     assert all(cases[-1] == 99_999 for cases in asked)
     del asked[:]
     monkeypatch.setattr(campaign, "_PILOT_S", 0.0)
     campaign.plan(study_with(chosen, {"campaign.cases": 5}))
-    assert [cases.tolist() for cases in asked] == [[0, 1, 2, 3, 4]] * 2
+    assert [cases.tolist() for cases in asked] == [[4], [4], [0, 1, 2, 3, 4]]
+    del asked[:]
+    monkeypatch.setattr(campaign, "_LONG_S", 1e-9)  # a case that takes long is the whole pilot
+    assert "(pilot of 1 case, " in campaign.plan(chosen)["one case"]
+    assert [len(cases) for cases in asked] == [1, 1]
 
 
 def test_a_campaign_of_summaries_stops_when_a_quantile_is_known(study, tmp_path):

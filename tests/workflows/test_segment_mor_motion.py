@@ -12,14 +12,12 @@ from small_segments import STUDY, text_of
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.mirrors.models import HexagonalSegment, mirror_mesh
 from wavequake.optics.segments.catalog import telescope
+from wavequake.workflows.mirrors.segment_body import build_segment, hexagon_of, motion_rows
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.segment_mor import launches, traced
 from wavequake.workflows.segments.segment_mor_bench import (
-    build_segment,
     chosen_segments,
-    hexagon_of,
     model_of,
-    motion_rows,
     motions,
     reduced,
     segment_drive,
@@ -119,7 +117,7 @@ def test_the_response_is_that_of_the_whole_model_by_matrix_exponentials():
     text = text_of("model.divisions=2", "model.mount_radius_m=1.72")
     study, model = study_of(text), model_of(text)
     side, turn = hexagon_of(model.bench.system)
-    full = build_segment(study, side, model.bench.system.primary_radius)
+    full = build_segment(study.model, side, model.bench.system.primary_radius)
     mass, damping, stiffness = (
         np.asarray(matrix.todense()) for matrix in (full.mass, full.damping_matrix, full.stiffness)
     )

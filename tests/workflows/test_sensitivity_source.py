@@ -108,7 +108,11 @@ def test_the_command_takes_a_bare_name_and_says_where_it_wrote(folder, wavequake
         ("", [], "There is no study and no optical system ''[.] Bundled ones are"),
         ("nosuch", [], "There is no study and no optical system 'nosuch'[.] Bundled ones are"),
         ("gone.zmx", [], "The lens file gone.zmx cannot be read"),
-        ("herschel", ["optics.rais=3"], "herschel: the key 'optics.rais' is unknown"),
+        (
+            "herschel",
+            ["optics.rais=3"],
+            "herschel, overridden by optics.rais=...: the key 'optics.rais' is unknown",
+        ),
         ("herschel", ["nonsense"], "'nonsense' is not an override"),
         ("jwst", ["telescope.name=vlt"], "telescope.name"),
         ("jwst", ["telescope.name=tmt"], "'telescope.name' puts something else in the place of jwst; give"),

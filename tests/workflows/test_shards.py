@@ -48,18 +48,18 @@ def test_a_shard_on_local_workers_counts_and_completes_its_own_chunks_only(tmp_p
 
 
 def test_one_store_has_one_driver_per_shard_and_one_way_to_divide_it(tmp_path):
-    slow = toy.driver(tmp_path / "s", SLOW, cases=200, chunk=5, shard="1/3")
+    slow = toy.driver(tmp_path / "s", SLOW, cases=2000, chunk=5, shard="1/3")
     try:
         toy.wait_for_records(tmp_path / "s", 1)
 
-        def refused(words, cases=200, **shard):
+        def refused(words, cases=2000, **shard):
             with pytest.raises(UserError, match=words):
                 toy.run(tmp_path / "s", SLOW, cases=cases, chunk=5, **shard)
 
         refused(rf"^Shard 1/3 of .* is in use by process {slow.pid} on ", shard="1/3")
         refused(rf"is in use by a run of shard 1/3, process {slow.pid} on ")
         refused(r"other shards \(1/3\), and yours is 0/2", shard="0/2")
-        refused(r"computed to 200 cases \(shard 1/3\): give all shards the same", cases=300, shard="0/3")
+        refused(r"computed to 2000 cases \(shard 1/3\): give all shards the same", cases=3000, shard="0/3")
         assert toy.run(tmp_path / "s", SLOW, cases=20, chunk=5, shard="0/3").computed == 10
         assert slow.poll() is None
     finally:

@@ -96,12 +96,18 @@ EXAMPLES = {
     "surface-random": 'of = ["NAME"]\nrms = { dz_um = 1.0 }',
     "surface-vibration": 'of = ["NAME"]\nlines = [{ frequency_hz = 20.0, amplitude = { rx_urad = 1.0 } }]',
     "surface-history": 'file = "history.csv"',
+    "nodal-displacements": 'file = "nodes.csv"\nsurface = "NAME"\nterms = 6',
     "surface-deformation": 'of = ["NAME"]\nrms_nm = { 5 = 10.0 }',
     "base-motion": "spectrum = { rms = 1e-3 }",
     "body-force": 'at = ["stand"]\nlines = [{ frequency_hz = 20.0, force_n = 1.0 }]',
     "reaction-wheel": 'at = "stand"\nspeed_rpm = [600.0, 1200.0]\n'
     "harmonics = [{ number = 1.0, axial_g_mm = 1.0 }]",
     "gravity": "",
+    "segment-shaking": "spectrum = { rms = 1e-3 }\n[segment]\nthickness_m = 0.5\ndivisions = 3",
+    "body-wind": "areas_m2 = { stand = 0.1 }",
+    "load-history": 'file = "loads.csv"',
+    "temperature-table": 'temperature_c = [10.0, 20.0]\naligned_c = 15.0\nspread_c = 2.0\nfile = "hot.csv"',
+    "pattern-vibration": 'pattern = { "NAME.dx_um" = 1.0 }\nlines = [{ frequency_hz = 20.0, fwhm_hz = 0.2 }]',
     "creaking": 'of = ["NAME"]\nstep_nm = 20.0',
 }
 OPTICS = {"segments": (SEGMENTS, "M2"), "surfaces": (SYSTEM, "surface 3")}
@@ -114,9 +120,20 @@ def entry(model, keys, name="one", instants=4):
 
 def loaded(folder, text, element, *entries, **keys):
     (folder / "history.csv").write_text(HISTORY.replace("NAME", element))
+    (folder / "nodes.csv").write_text(nodes_of_lens())
+    (folder / "loads.csv").write_text("time_s,stand.fz_n\n0,0\n1,3\n")
+    (folder / "hot.csv").write_text(f"temperature_c,{element}.dz_um\n0,0\n30,5\n")
     path = folder / "study.toml"
     path.write_text((text + "".join(entries)).replace("NAME", element))
     return load_study(path, keys)
+
+
+def nodes_of_lens():
+    """Nodes on the third surface of the double-Gauss, which go up along its axis."""
+    (surface,) = (one for one in wq.load_system("double-gauss").surfaces if one.name == "surface 3")
+    x, y = (part.ravel() for part in np.meshgrid(*[np.linspace(-8.0, 8.0, 9)] * 2))
+    rows = [f"{a},{b},{c!r},0,0,3" for a, b, c in zip(x, y, surface.shape.sag(x, y)[0].tolist(), strict=True)]
+    return "\n".join(["x_mm,y_mm,z_mm,dx_um,dy_um,dz_um", *rows, ""])
 
 
 def own_sources():
@@ -308,12 +325,12 @@ def test_elements_that_there_are_not_are_named(tmp_path, keys, message):
 
 
 def test_a_figure_that_no_mirror_of_a_telescope_takes_is_refused(tmp_path):
-    (tmp_path / "given.csv").write_text("time_s,M2.z5_nm\n0.0,1.0\n0.1,2.0\n")
+    (tmp_path / "given.csv").write_text("time_s,image.z5_nm\n0.0,1.0\n0.1,2.0\n")
     path = tmp_path / "study.toml"
     path.write_text(
         SEGMENTS + '[[disturbance]]\nname = "given"\nmodel = "surface-history"\nfile = "given.csv"'
     )
-    with pytest.raises(UserError, match=r"'given' deforms 'M2' of the telescope .*: only segments deform"):
+    with pytest.raises(UserError, match=r"'given' deforms 'image' of the telescope .*, where the image is"):
         bench_of(load_study(path).identity_text())
 
 

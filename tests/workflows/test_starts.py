@@ -13,7 +13,7 @@ from pathlib import Path
 import psutil
 import pytest
 import toy
-from test_faults import children_of
+from test_faults import workers_of
 
 import wavequake
 from wavequake.campaign.contract import StudyKind
@@ -71,9 +71,18 @@ def test_a_store_in_which_something_is_computed_stays(tmp_path):
     assert toy.run(tmp_path / "s").done_before == 20
 
 
-def test_an_empty_name_of_a_store_is_refused(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(
+    ("command", "study"),
+    [
+        ("run", "tmt18-history"),
+        ("sensitivity", "tmt-18"),
+        ("budget", "tmt-segments"),
+        ("rare", "tmt-rare"),
+    ],
+)
+def test_an_empty_name_of_a_store_is_refused(tmp_path, monkeypatch, capsys, command, study):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.argv", ["wavequake", "run", "tmt18-history", "--store", ""])
+    monkeypatch.setattr("sys.argv", ["wavequake", command, study, "--store", ""])
     with pytest.raises(SystemExit) as end:
         main()
     assert end.value.code == 2
@@ -217,8 +226,8 @@ def stopped_for(tmp_path, seconds):
     """Stop a worker in the middle of a run for some time."""
     driver = toy.driver(tmp_path / "s", {"sleep_s": 0.02}, cases=100, on="local", workers=2)
     try:
-        toy.wait_for_records(tmp_path / "s", 2, timeout_s=60)
-        workers = [p for p in children_of(driver.pid) if "spawn_main" in " ".join(p.cmdline())]
+        toy.wait_for_records(tmp_path / "s", 2)
+        workers = workers_of(driver.pid)
         psutil.Process(workers[0].pid).send_signal(signal.SIGSTOP)
         time.sleep(seconds)
         psutil.Process(workers[0].pid).send_signal(signal.SIGCONT)

@@ -14,7 +14,13 @@ import zarr
 from wavequake.campaign.contract import ChunkResult, Variable
 from wavequake.campaign.store import arrays, journal, store
 from wavequake.campaign.store.status import store_status
-from wavequake.campaign.store.store import create_store, extend_store, open_store, read_manifest
+from wavequake.campaign.store.store import (
+    create_store,
+    extend_store,
+    open_for_report,
+    open_store,
+    read_manifest,
+)
 from wavequake.errors import StoreDamageError, UserError
 
 
@@ -56,6 +62,15 @@ def test_open_store_is_lazy_labelled_and_complete(tmp_path):
     np.testing.assert_array_equal(dataset.zernike_static, [1.5, 3.0, 4.5])
     assert list(dataset.data_vars)[:2] == ["zernike", "strehl"]
     assert "wave" in repr(dataset).lower()
+
+
+def test_a_small_store_is_read_for_reports_without_dask_and_says_the_same(tmp_path, monkeypatch):
+    toy.run(tmp_path / "s", {"poison": [17]}, cases=43)
+    small = open_for_report(tmp_path / "s")
+    assert not small.chunks
+    xr.testing.assert_identical(small.load(), open_store(tmp_path / "s").load())
+    monkeypatch.setattr("wavequake.campaign.store.store._SMALL", 100)
+    assert open_for_report(tmp_path / "s").chunks["case"] == (10, 10, 10, 10, 3)
 
 
 def test_every_chunk_is_one_file_of_every_array(tmp_path):

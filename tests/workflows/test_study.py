@@ -6,6 +6,7 @@ import pytest
 
 from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
+from wavequake.files import folder
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.study import bundled_studies, load_study, study_with
 
@@ -205,3 +206,13 @@ def test_a_custom_telescope_carries_its_polygons(tmp_path, own):
 def test_an_override_of_no_key_says_what_would_be_one(override, words):
     with pytest.raises(UserError, match=re.escape(words)):
         load_study("tmt-segments", [override])
+
+
+@pytest.mark.parametrize("key", ["optics.wavelength_nm", "disturbance.wind.mean_speed_m_s"])
+def test_the_sentence_blames_the_override_and_not_the_file(key, tmp_path):
+    with pytest.raises(UserError, match=rf"^tmt-segments.toml, overridden by {key}=\.\.\.: .*{key}.* -1"):
+        load_study("tmt-segments", ["campaign.cases=8", f"{key}=-1"])
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text((folder("workflows") / "tmt-segments.toml").read_text() + "rays = -2\n")
+    with pytest.raises(UserError, match=r"^wrong.toml: "):
+        load_study(wrong, ["campaign.cases=8"])

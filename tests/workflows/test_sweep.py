@@ -1,6 +1,8 @@
 """Studies over lists of values of their keys."""
 
 import csv
+import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +15,13 @@ from wavequake.campaign.contract import DONE, RAISED
 from wavequake.campaign.statistics.judged import populations_of
 from wavequake.campaign.store.grid import unstack
 from wavequake.errors import UserError
+from wavequake.reduction.intermediate import intermediate
 from wavequake.reduction.names import orders_of
 from wavequake.report import plain, sweeps
 from wavequake.workflows import kinds
+from wavequake.workflows import sweep as swept
 from wavequake.workflows.kinds import compared_labels
+from wavequake.workflows.mirrors import mirror_bench, model_store
 from wavequake.workflows.run import kind_of
 from wavequake.workflows.study import load_study, study_with
 
@@ -156,7 +161,7 @@ def test_labels_are_whole_keys_where_their_last_part_is_taken():
         (WAVES | {"campaign.until": "wfe_rms.p95 ci<=2%"}, "campaign.until judges cases of one point"),
         ({"sweep.optics.wavelength_nm": [5.0, -6.0]}, r"optics\.wavelength_nm = -6.0: .*greater than 0"),
         ({"sweep.optics.wavelength_nm": ["a", 5.0]}, "partly numbers and partly texts"),
-        ({"sweep.optics.wavelength_nm": [[1.0], [2.0]]}, "neither a number nor a text"),
+        ({"sweep.optics.wavelength_nm": [[1.0], [2.0]]}, "input should be a valid number"),
         ({"sweep.campaign.cases": [5, 6]}, "says nothing of a case's numbers"),
         ({"sweep.telescope.polygons": ["a", "b"]}, "files are read when a study is loaded"),
         ({"sweep.study.seed": list(range(100_001))}, "points of 4 cases each are more than"),
@@ -174,6 +179,41 @@ def test_points_that_need_other_stores_are_named():
         kind_of(study).check(study.identity_text())
     with pytest.raises(UserError, match=r"sweep\.reduction\.variants: \['craigb18'\] is neither"):
         load_study("mirror-mor", MIRROR | {"sweep.reduction.variants": [["craigb18"], ["craigb36"]]})
+
+
+def test_points_between_the_first_and_the_last_one_are_compared_too():
+    """The longest series of both disturbances has 2, 2, 1 and 2 instants."""
+    keys = {
+        **{f"disturbance.{name}.instants": 1 for name in ("alignment", "edge-sensors")},
+        "sweep.disturbance.wind.instants": [2, 1],
+        "sweep.disturbance.wind-shake.instants": [1, 2],
+    }
+    study = load_study("tmt-segments", SMALL | keys)
+    with pytest.raises(UserError, match=r"another shape at .*wind\.instants = 1, .*shake\.instants = 1 than"):
+        kind_of(study).check(study.identity_text())
+
+
+def test_what_is_of_no_case_must_not_change_between_points_that_agree(monkeypatch):
+    """The store would keep the first point's; where first and last differ, it keeps none."""
+    study = load_study("tmt-segments", SMALL | {"sweep.study.seed": [1, 5, 3]})
+    text, real = study.identity_text(), kinds.find_kind("segment-disturbance")
+
+    def parted(text):
+        template = real.template(text)
+        seed = np.array(float(json.loads(text)["study"]["seed"]))
+        fixed = {"far": ((), (seed - 2.0) ** 2, {}), "seed": ((), seed, {})}
+        return dataclasses.replace(template, fixed={**template.fixed, **fixed})
+
+    kind = dataclasses.replace(real, template=parted)
+    monkeypatch.setattr("wavequake.workflows.sweep.find_kind", lambda name: kind)
+    swept._texts.cache_clear()
+    try:
+        with pytest.raises(UserError, match=r"'far' is the same at .* = 1 and at .* = 3, but not at .* = 5"):
+            swept.check(text)
+        assert "far" in swept.template(text).fixed
+        assert "seed" not in swept.template(text).fixed
+    finally:
+        swept._texts.cache_clear()
 
 
 def test_no_study_names_the_workflow_itself(tmp_path):
@@ -238,3 +278,51 @@ def test_the_answer_compares_like_with_like_and_leaves_failures_out():
         "With speed, wfe_rms of wind changes most: its median is 10.0 nm at 1 and 40.0 nm at 2. 2 cases "
         "failed; values at which some did are left out of this."
     )
+
+
+def test_damping_shares_one_intermediate_model_over_all_points(tmp_path, monkeypatch):
+    """Its basis does not depend on damping: it is built once, and each point answers with its own damping."""
+    built = []
+    monkeypatch.setattr(model_store, "model_folder", lambda: tmp_path / "models")
+    monkeypatch.setattr(
+        mirror_bench, "intermediate", lambda *a, **k: built.append(1) or intermediate(*a, **k)
+    )
+    keys = {"sweep.model.damping_beta": [4.1e-6, 8.2e-6, 1.64e-5], "reduction.variants": ["craigb18"]}
+    study = wq.load_study("mirror-mor", MIRROR | keys)
+    swept = wq.run(study, store=tmp_path / "swept", on="serial").load()
+    assert len(built) == 1
+    for value in (4.1e-6, 1.64e-5):
+        keys = {"model.damping_beta": value, "reduction.variants": ["craigb18"]}
+        one = wq.load_study("mirror-mor", MIRROR | keys)
+        alone = wq.run(one, store=tmp_path / f"{value}", on="serial").load()
+        mine = swept.isel(case=swept.damping_beta.values == value)
+        np.testing.assert_array_equal(mine.wfe_rms.values, alone.wfe_rms.values)
+    assert len(built) == 1
+    peaks = swept.wfe_rms.max([dim for dim in swept.wfe_rms.dims if dim != "case"])
+    assert (np.diff(peaks.values[:: len(peaks) // 3]) != 0.0).all()
+
+
+def test_lists_of_numbers_are_swept_too(tmp_path):
+    """Several field points of a segmented telescope, on the same draws."""
+    keys = SMALL | {
+        "sweep.optics.field_arcmin": [[0.0, 0.0], [3.0, -1.5]],
+        "sweep.optics.wavelength_nm": [550.0, 1000.0],
+    }
+    found = wq.unstack(wq.run(wq.load_study("tmt-segments", keys), store=tmp_path / "s", on="serial"))
+    assert found.field_arcmin.values.tolist() == ["0, 0", "3, -1.5"]
+    alone = {key: value for key, value in keys.items() if not key.startswith("sweep")}
+    alone |= {"optics.field_arcmin": [3.0, -1.5], "optics.wavelength_nm": 1000.0}
+    one = wq.run(wq.load_study("tmt-segments", alone), store=tmp_path / "one", on="serial")
+    assert "over wavelength_nm" in wq.report(tmp_path / "s").read_text()
+    mine = found.sel(field_arcmin="3, -1.5", wavelength_nm=1000.0).wfe_rms.values
+    expected = one.wfe_rms.values
+    assert np.sort(mine[np.isfinite(mine)]).tolist() == np.sort(expected[np.isfinite(expected)]).tolist()
+    with pytest.raises(UserError, match=r"field_arcmin: .* is neither a number nor a text, nor a list"):
+        wq.load_study("tmt-segments", {"sweep.optics.field_arcmin": [[0.0, "a"]]})
+
+
+def test_lists_that_nearly_agree_have_labels_of_their_own():
+    keys = SMALL | {"sweep.optics.field_arcmin": [[0.1234567, 0.0], [0.1234568, 2.5]]}
+    study = load_study("tmt-segments", keys)
+    labels = swept.case_table(study.identity_text(), 0, study.cases)["field_arcmin"]
+    assert list(dict.fromkeys(labels)) == ["0.1234567, 0", "0.1234568, 2.5"]

@@ -298,7 +298,7 @@ def test_what_is_not_random_has_one_case(tmp_path):
     assert (alone.cases, alone.campaign.cases) == (1, 6)
     assert list(notices(alone)) == ["Nothing in this study is random: it has 1 case."]
     assert run(alone, store=tmp_path / "s").sizes["case"] == 1
-    assert plan(alone)["cases"].startswith("1 in 1 chunks")
+    assert plan(alone)["cases"].startswith("1 in 1 chunk ")
     mixed = written(tmp_path, HEAD + RANDOM)
     assert mixed.cases == 6
     (notice,) = notices(mixed)

@@ -8,8 +8,10 @@ import pytest
 from wavequake.campaign.contract import DONE, RAISED
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
-from wavequake.kernels.device.tiles import from_tiles
+from wavequake.kernels.device.tiles import TILE, from_tiles
+from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.segments.sensitivity import sensitivities
+from wavequake.optics.segments.states import rest
 from wavequake.workflows.exposures import telescope_exposure as workflow
 from wavequake.workflows.exposures.telescope_control import (
     CONTROLLERS,
@@ -241,3 +243,55 @@ def test_sums_over_rays_of_figured_segments_name_the_rays_they_need(keys, words)
         assert re.search(words, sentence)
         enough = int(re.search(r"take (\d+) rays .*, or fewer imaging.pixels$", sentence).group(1))
         assert enough == pytest.approx(128**2 * 1296 / 46.0574**2, rel=1e-3)
+
+
+FINER = ["exposure.scale=1.0", "optics.rays=1200", "wavefront.zernike_terms=66"]
+
+
+@pytest.fixture(scope="module")
+def figured(tmp_path_factory):
+    """The same telescope, whose segments may deform; unscaled."""
+    path = tmp_path_factory.mktemp("figured") / "figured.toml"
+    path.write_text(STUDY + '[[disturbance]]\nname="bent"\nmodel="static-random"\nfigure_nm={4 = 1.0}\n')
+    return control_bench_of(load_study(path, FINER).identity_text())
+
+
+def test_m2_takes_the_fitted_terms_of_a_deformed_segment_away_but_not_its_edges(figured):
+    """Störkle 2018, Fig. 4.46, where all of it is eliminated: a few terms of M2 are too smooth for that."""
+    device, prepared = choose_device("numpy"), figured.prepared
+    states = _at_rest(figured)
+    flat = from_tiles(trace(prepared, states, device)[0].opd)[0]
+    states.segment_figure[:, 5, 3] = 35e-6  # mm rms of defocus
+    bent, measured = trace(prepared, states, device)
+    mended, left = trace(prepared, controlled(figured, "elastic", states, measured), device)
+    change = [np.abs(one.zernike[0, 3:] - figured.static.zernike[0, 3:]).max() for one in (measured, left)]
+    assert change[0] > 0.003  # waves
+    assert change[1] < 1e-3 * change[0]
+    rays, root = prepared.rays, np.sqrt(prepared.weight / prepared.weight.sum())
+    plane = np.column_stack([np.ones_like(rays.x), rays.x / 15e3, rays.y / 15e3]) * root[:, None]
+    over_rays = [
+        np.sqrt(np.linalg.lstsq(plane, root * (from_tiles(one.opd)[0] - flat))[1][0])
+        for one in (bent, mended)
+    ]
+    assert 12e-6 < over_rays[0] < 20e-6  # mm
+    assert 0.5 < over_rays[1] / over_rays[0] < 1.0
+
+
+def test_m2_is_bent_contrary_to_the_segments_by_as_much(figured):
+    """Störkle 2018, Fig. 4.42."""
+    states = _at_rest(figured)
+    pistons = np.random.default_rng(1).uniform(-70e-6, 70e-6, len(figured.bench.system.segments))
+    states.segment_motion[:, :, 2] = pistons
+    measured = trace(figured.prepared, states, choose_device("numpy"))[1]
+    figure = controlled(figured, "elastic", states, measured).mirror_figure[0, 0]
+    rays, outer = figured.prepared.rays, figured.bench.system.pupil_outer
+    shape = annular_zernike(rays.x / outer, rays.y / outer, len(figure), 0.0) @ figure
+    assert np.corrcoef(shape, pistons[rays.segment])[0, 1] < -0.7
+    assert 0.5 < np.std(shape) / np.std(pistons[rays.segment]) < 2.0
+
+
+def _at_rest(control):
+    system, bench = control.bench.system, control.bench
+    return rest(
+        TILE, len(system.segments), len(system.surfaces), bench.figure_terms, control.study.figure_terms
+    )

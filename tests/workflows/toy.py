@@ -10,6 +10,7 @@ import time
 import warnings
 
 import numpy as np
+from threadpoolctl import threadpool_info
 
 from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
 
@@ -197,9 +198,14 @@ def records(path):
     return sum('"counts":[0,' in line or bool(line and '"counts":' not in line) for line in lines)
 
 
-def wait_for_records(path, count, timeout_s=15.0):
-    """Return once the journal has at least `count` records."""
+def wait_for_records(path, count, timeout_s=120.0):
+    """Return once the journal has at least `count` records, however busy the machine is."""
     end = time.monotonic() + timeout_s
     while records(path) < count:
         assert time.monotonic() < end, f"only {records(path)} records after {timeout_s} s"
         time.sleep(0.02)
+
+
+def blas_threads():
+    """Return the numbers of threads of all libraries of NumPy's and SciPy's kind; MKL is used with one."""
+    return {pool["num_threads"] for pool in threadpool_info() if pool["internal_api"] == "openblas"}

@@ -16,6 +16,7 @@ from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Te
 from wavequake.campaign.measures import Axis, Measure, evaluate, template_of
 from wavequake.campaign.schema import store_measures
 from wavequake.errors import UserError
+from wavequake.registry import note_own
 
 _GROUP = "wavequake.measures"
 _registered: dict[str, Measure] = {}
@@ -34,6 +35,7 @@ def register(measure: Measure) -> None:
     if _registered.get(measure.name, measure) != measure:
         raise UserError(f"There is a measure {measure.name!r} already; choose another name.")
     _registered[measure.name] = measure
+    note_own(measure.value)
 
 
 def with_extra(kind: StudyKind) -> StudyKind:

@@ -14,6 +14,7 @@ from traceback import extract_tb
 from types import ModuleType
 
 from wavequake.errors import UserError
+from wavequake.user_files import read_text
 
 _loaded: dict[str, "Plugin"] = {}
 
@@ -57,13 +58,15 @@ def load_plugin(path: str | Path) -> Plugin:
     UserError
         If the file cannot be read, or running it fails; names the line.
     """
-    path = Path(path)
+    return load_text(Path(path).name, read_plugin(path))
+
+
+def read_plugin(path: str | Path) -> str:
+    """Return the text of a plug-in; raises UserError if the file cannot be read."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        why = getattr(error, "strerror", None) or "it is no UTF-8 text"
-        raise UserError(f"The plug-in {path} cannot be read: {why}.") from None
-    return load_text(path.name, text)
+        return read_text(path)
+    except UserError as error:
+        raise UserError(f"The plug-in {error}") from None
 
 
 def load_text(name: str, text: str) -> Plugin:

@@ -8,17 +8,19 @@ study is loaded and become part of the effective study, so a store never depends
 import difflib
 import hashlib
 import json
+import re
 from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from wavequake.errors import UserError
 from wavequake.user_files import read_bytes, read_text
+from wavequake.words import counted
 
 Location = Sequence[str | int]
 
@@ -97,8 +99,11 @@ class Study(Section):
     campaign: CampaignSection = CampaignSection()
     store: StoreSection = StoreSection()
 
+    asked: ClassVar[frozenset[str]] = frozenset()  # sections that only ask something of a study's cases
+
     def __repr__(self) -> str:
-        return f"<{type(self).__name__} {self.study.name}: {self.cases} cases of {self.study.workflow}>"
+        cases = counted(self.cases, "case")
+        return f"<{type(self).__name__} {self.study.name}: {cases} of {self.study.workflow}>"
 
     def __str__(self) -> str:
         return repr(self)
@@ -139,7 +144,7 @@ class Study(Section):
 
     def identity_text(self) -> str:
         """Return the canonical JSON text of all that determines one case's numbers (and of what is kept)."""
-        record = self.model_dump(mode="json", exclude={"campaign", "store"})
+        record = self.model_dump(mode="json", exclude={"campaign", "store", *self.asked})
         record["study"].pop("title")
         record["store"] = self.store.identity_record()
         if campaign := self.campaign.identity_record():
@@ -198,6 +203,15 @@ def base64_of(path: Path, key: str) -> str:
         raise UserError(f"{key}: the file {error}") from None
 
 
+# What a study file calls the types of Python.
+_WORDS_OF_FILES = {
+    "valid tuple": "list",
+    "valid list": "list",
+    "valid dictionary": "table",
+    "Tuple should": "list should",
+}
+
+
 def describe(error: ValidationError, record: Mapping[str, Any], model: type[BaseModel]) -> str:
     """Turn the first error of a validation into one sentence: where, what, what would be right."""
     found = error.errors(include_url=False)
@@ -233,6 +247,9 @@ def describe(error: ValidationError, record: Mapping[str, Any], model: type[Base
             f" '.', '_' and '-'{more}."
         )
     message = first["msg"].removeprefix("Value error, ")
+    for theirs, ours in _WORDS_OF_FILES.items():
+        message = message.replace(theirs, ours)
+    message = re.sub(r" or instance of \w+", "", message)
     given = first.get("input")
     shown = (
         ""

@@ -16,9 +16,9 @@ from wavequake.errors import UserError
 if TYPE_CHECKING:
     from distributed.security import Security
 
-# Clocks of a cluster differ, and may be set back while a campaign runs.
-_EARLIER = datetime.timedelta(days=2)
-_VALID = datetime.timedelta(days=730)
+# Clocks of a cluster differ, and jump; as the key dies with its run, the certificate need not expire.
+_FROM = datetime.datetime(1970, 1, 1)
+_UNTIL = datetime.datetime(9999, 12, 31, 23, 59, 59)  # "no date" of RFC 5280, section 4.1.2.5
 
 
 class Certificate(NamedTuple):
@@ -37,15 +37,14 @@ def make_certificate() -> Certificate:
 
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "wavequake-run")])
-    now = datetime.datetime.now(tz=datetime.UTC)
     certificate = (
         x509.CertificateBuilder()
         .subject_name(name)
         .issuer_name(name)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - _EARLIER)
-        .not_valid_after(now + _VALID)
+        .not_valid_before(_FROM)
+        .not_valid_after(_UNTIL)
         .sign(key, hashes.SHA256())
     )
     pem = serialization.Encoding.PEM

@@ -10,11 +10,11 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
-from multiprocessing import resource_tracker
+from multiprocessing import forkserver, resource_tracker
 from typing import TYPE_CHECKING, Any
 
 from wavequake.cluster.certificate import make_certificate, make_security
-from wavequake.errors import UserError
+from wavequake.errors import NoWorkersError, UserError
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -35,7 +35,12 @@ WORKER_ENVIRONMENT = {**THREADS, "DASK_LOGGING__DISTRIBUTED": "critical"}
 UNSET = ("POCL_AFFINITY",)
 
 NO_HTTP = "wavequake.cluster.no_http"
-_UNSEEN = {"distributed.worker.preload": [NO_HTTP, "wavequake.cluster.output"]}
+_UNSEEN = {
+    "distributed.worker.preload": [NO_HTTP, "wavequake.cluster.output"],
+    "distributed.worker.multiprocessing-method": "forkserver",
+}
+# What every worker imports: no thread runs afterwards, and OpenCL is not spoken to, so that it may be forked.
+_IMPORTED = ("distributed.nanny", NO_HTTP, "wavequake.cluster.output", "pyopencl")
 
 # A task takes seconds: slow clocks save idle CPU time, and as no result stays in memory, nobody has to manage
 # it. A worker holds no task but the one it runs, so that its death is blamed on no other.
@@ -75,6 +80,20 @@ def leave_if_imported_by_a_worker() -> None:
         sys.exit(1)
 
 
+def prepare_workers(*modules: str) -> None:
+    """Start the process that workers will be forked from, once, and do not wait for what it imports.
+
+    It has a single thread and ends with this process. A worker that is forked, also in place of one that
+    died, has the modules already.
+    """
+    leave_if_imported_by_a_worker()
+    with worker_environment(), interrupts_blocked():
+        # Modules of plug-ins are no files that can be found there; what fails to load would end that process.
+        ours = [name for name in modules if name.startswith("wavequake.")]
+        forkserver.set_forkserver_preload([*_IMPORTED, *ours])
+        forkserver.ensure_running()
+
+
 @contextmanager
 def local_cluster(workers: int | None = None, dashboard: bool = False) -> Iterator["Client"]:
     """Start worker processes and yield the Dask client that feeds them.
@@ -90,8 +109,10 @@ def local_cluster(workers: int | None = None, dashboard: bool = False) -> Iterat
 
     Raises
     ------
+    NoWorkersError
+        If the worker processes do not start.
     UserError
-        If the worker processes do not start, or the dashboard lacks its library.
+        If the dashboard lacks its library.
     """
     if dashboard and find_spec("bokeh") is None:
         raise UserError("The dashboard needs Bokeh: pip install bokeh.")
@@ -99,6 +120,7 @@ def local_cluster(workers: int | None = None, dashboard: bool = False) -> Iterat
     from dask.system import CPU_COUNT
     from distributed import Client, LocalCluster
 
+    prepare_workers()
     silence()
     with worker_environment(), dask.config.set(settings(dashboard) | _UNSEEN):
         client = None
@@ -115,13 +137,14 @@ def local_cluster(workers: int | None = None, dashboard: bool = False) -> Iterat
                         scheduler_kwargs={} if dashboard else {"dashboard_address": "127.0.0.1:0"},
                         security=make_security(make_certificate()),
                         memory_limit=memory_limit() // (workers or CPU_COUNT),
+                        env=dict(os.environ),  # it may have changed since that process started
                         silence_logs=logging.CRITICAL,
                         scheduler_sync_interval=_HEARTBEAT_S,
                     )
                     if not dashboard:  # which shows what workers report
                         _calm(cluster.scheduler)
-                except RuntimeError as error:
-                    raise UserError(f"The worker processes do not start ({error}): {_GUARD}") from None
+                except (RuntimeError, AssertionError, OSError) as error:  # a daemon may have no children
+                    raise NoWorkersError(f"The worker processes do not start ({error}): {_GUARD}") from None
                 client = Client(cluster, set_as_default=False)
             yield client
         finally:

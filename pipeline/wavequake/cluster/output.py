@@ -5,7 +5,9 @@ of this machine, also in those that are started again (its setting ``distributed
 """
 
 import faulthandler
+import io
 import os
+import sys
 from typing import Any
 
 OUTPUT = "WAVEQUAKE_WORKER_OUTPUT"
@@ -21,6 +23,8 @@ def redirect() -> None:
     os.dup2(handle, 1)
     os.dup2(handle, 2)
     os.close(handle)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(line_buffering=True)  # what is in a buffer dies with its process
     faulthandler.enable(all_threads=False)
 
 

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from wavequake.control.sensor import SensorChain
     from wavequake.control.stage import Stage
 
+_STEPS = 2000  # of a trial without a bench
+
 app = typer.Typer(help="Build, test and flash the boards of the lens experiment.", no_args_is_help=True)
 
 StudyArgument = Annotated[str, typer.Argument(help="Study of the workflow lens-experiment.")]
@@ -28,7 +30,10 @@ FolderOption = Annotated[Path, typer.Option("--to", help="Folder of headers and 
 ArithmeticOption = Annotated[str, typer.Option(help="float, q31 or q16.")]
 ControllerOption = Annotated[
     str,
-    typer.Option(help="nominal, or identified: from an uncontrolled run of a plant that the study draws."),
+    typer.Option(
+        help="nominal; identified: from an uncontrolled run of a plant that the study draws; or an .npz file "
+        "of any sampled linear controller: A, B, C, D, sample_time_s."
+    ),
 ]
 PlantOption = Annotated[int, typer.Option(min=0, help="Which plant is identified: its realization.")]
 RecordOption = Annotated[
@@ -42,11 +47,11 @@ DebugOption = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 
 @dataclass(frozen=True)
 class Designed:
-    """A regulator, and what it is tried on: a drawn plant, or the nominal bench and stage."""
+    """A regulator, and what it is tried on: a drawn plant, or the nominal bench; without a stage, neither."""
 
     regulator: "ModalRegulator"
     bench: "Bench"
-    stage: "Stage"
+    stage: "Stage | None"
     chain: "SensorChain"
     friction: float
     strength: float = 1.0
@@ -68,8 +73,14 @@ def _designed(
             f"The study {study!r} is of the workflow {loaded.study.workflow}; firmware is made from one of "
             "lens-experiment."
         )
-    if controller not in ("nominal", "identified"):
-        raise UserError(f"There is no controller {controller!r}; there are nominal and identified.")
+    file = Path(controller) if controller.endswith(".npz") else None
+    if file is None and controller not in ("nominal", "identified"):
+        raise UserError(
+            f"There is no controller {controller!r}; there are nominal, identified, and .npz files of "
+            "linear controllers."
+        )
+    if file is not None and record is not None:
+        raise UserError(f"Give the controller {file.name} or a record to identify the bench from, not both.")
     springs = loaded.bench.springs[0]
     chain, friction = lens.chain_of(loaded), lens.errors_of(loaded).friction
     if controller == "identified" and not record:
@@ -78,6 +89,8 @@ def _designed(
         return Designed(
             regulator, drawn.bench, drawn.stage, chain, friction, strength, drawn.phases, drawn.late
         )
+    if file is not None:
+        return Designed(_linear(file), lens.bench_of(loaded, springs), None, chain, friction)
     designs = lens.designs_of(loaded.identity_text(), springs)
     regulator = designs.regulator
     if record:
@@ -96,6 +109,18 @@ def _read(path: Path) -> "Record":
     except UserError as error:
         raise UserError(f"The record {error}") from None
     return read_recorded(text, path.name)
+
+
+def _linear(path: Path) -> "ModalRegulator":
+    """Return the regulator that does what the controller of an .npz file does."""
+    from wavequake.control.linear_regulator import linear_regulator, read_controller
+    from wavequake.errors import UserError
+    from wavequake.user_files import read_bytes
+
+    try:
+        return linear_regulator(read_controller(read_bytes(path)))
+    except UserError as error:
+        raise UserError(f"{path.name}: {error}") from None
 
 
 @app.command()
@@ -144,20 +169,23 @@ def try_images(
 ) -> None:
     """Run the images in emulators on a simulated blow (exit code 4 if one differs from the host)."""
     from wavequake.firmware import trial
-    from wavequake.firmware.loop import blow
+    from wavequake.firmware.loop import blow, wandering
 
     designed = _designed(study, overrides, controller, plant)
     regulator = designed.regulator
-    hit = blow(
-        designed.bench,
-        designed.chain,
-        regulator.sample_time,
-        duration=trial.DURATION,
-        friction=designed.friction,
-        strength=designed.strength,
-        phases=designed.phases,
-        late=designed.late,
-    )
+    if designed.stage is None:
+        hit = wandering(_STEPS, 2**designed.chain.adc_bits - 1)
+    else:
+        hit = blow(
+            designed.bench,
+            designed.chain,
+            regulator.sample_time,
+            duration=trial.DURATION,
+            friction=designed.friction,
+            strength=designed.strength,
+            phases=designed.phases,
+            late=designed.late,
+        )
     found = list(trial.trials(hit, designed.stage, regulator, designed.chain, to))
     table = Table(box=None)
     table.add_column("image", style="bold")

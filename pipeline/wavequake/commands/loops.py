@@ -12,6 +12,12 @@ OverridesArgument = Annotated[
     list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. campaign.cases=4")
 ]
 
+_SMALL_PRINT = (
+    "What a loop bears before it is unstable: its gain times so much (and, where a second number stands, "
+    "times so little), so much more phase lag, so much more delay. S peak: how much it amplifies at worst, "
+    "the largest |S|."
+)
+
 
 def margins(
     study: Annotated[str, typer.Argument(help="Name of a bundled study or path of a .toml file.")],
@@ -24,7 +30,7 @@ def margins(
     from wavequake.workflows.loops.loop_margins import loops_of
     from wavequake.workflows.study import load_study
 
-    table = Table(box=None)
+    table = Table(box=None, caption=_SMALL_PRINT, caption_justify="left")
     heads = ("loop", "S peak", "gain", "phase (deg)", "delay (ms)", "gain 1 up to (Hz)", "grows (1/s, Hz)")
     for head in heads:
         table.add_column(head, justify="left" if head == "loop" else "right")

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from wavequake.errors import UserError
-from wavequake.terminal import out
+from wavequake.terminal import frame_progress, out
 
 FORMATS = (".svg", ".png", ".pdf", ".html")
 
@@ -19,10 +19,11 @@ def complete_study(beginning: str) -> list[str]:
 
 
 def complete_name(beginning: str) -> list[str]:
-    """Return the same with bundled systems."""
+    """Return the same with bundled systems and telescopes."""
     from wavequake.optics.catalog.names import system_names
+    from wavequake.workflows.sensitivity_source import TELESCOPES
 
-    systems = [name for name in system_names() if name.startswith(beginning)]
+    systems = [name for name in (*system_names(), *TELESCOPES) if name.startswith(beginning)]
     return sorted({*systems, *complete_study(beginning)})
 
 
@@ -48,10 +49,12 @@ def info(
         Path | None, typer.Option(help="Catalogue of glasses for a lens file (.agf), before all others.")
     ] = None,
 ) -> None:
-    """Print first-order data, fields, wavelengths and surfaces of an optical system."""
+    """Print first-order data, fields, wavelengths and surfaces of a system; of mirrors their models."""
+    from wavequake.drawing.draw import described_study
     from wavequake.workflows.systems.system_source import described
 
-    out.print(described(system, overrides or [], glass), markup=False, soft_wrap=True)
+    words = described_study(system, overrides or []) or described(system, overrides or [], glass)
+    out.print(words, markup=False, soft_wrap=True)
     if figure is not None:
         _draw(system, overrides, figure, solid=False)
 
@@ -83,6 +86,15 @@ def view(
     written = write_view(store, case, file, tell=lambda line: out.print(line, markup=False))
     size = written.stat().st_size / 1e6
     out.print(f"Written: {written} ({size:.1f} MB)", markup=False, soft_wrap=True)
+
+
+def animate(store: Path, case: int, of: str | None, kind: str) -> None:
+    """Write a moving picture of a case and say where."""
+    from wavequake.viewer.animate import animate
+
+    with frame_progress() as progress:
+        film = animate(store, case, of, kind, progress=progress)
+    out.print(f"Written: {film}", markup=False, soft_wrap=True)
 
 
 def _draw(what: str, overrides: list[str] | None, file: Path, solid: bool) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from wavequake.commands.options import OnOption, StoreOption, WorkersOption
-from wavequake.terminal import live_progress, out
+from wavequake.terminal import live_progress, out, print_fitting
 
 
 def rare(
@@ -47,7 +47,7 @@ def rare(
             workers=workers,
             progress=progress,
         )
-    out.print(rare_table(answer))
+    print_fitting(rare_table(answer))
     for line in rare_notes(answer):
         out.print(line, markup=False)
     out.print(f"Traces: {answer.store.resolve()}", markup=False, soft_wrap=True)
@@ -93,7 +93,7 @@ def allow(
     asked = asked_of(loaded, measure, limit, by)
     with live_progress() as progress:
         found = allowances(loaded, asked.name, asked.probability, asked.limit, asked.by, of, cases, progress)
-    out.print(allow_table(found))
+    print_fitting(allow_table(found))
     for line in allow_notes(found, asked.measure, asked.limit):
         out.print(line, markup=False)
     for file in files or ():

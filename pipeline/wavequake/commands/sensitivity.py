@@ -7,12 +7,12 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from wavequake.commands.options import StoreOption
 from wavequake.terminal import out
 
 OverridesArgument = Annotated[
     list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. campaign.cases=40")
 ]
-StoreOption = Annotated[Path | None, typer.Option("--store", help="Folder of the store (store.path).")]
 
 
 def sensitivity(
@@ -46,6 +46,7 @@ def sensitivity(
         out.print(table)
     for line in words_of.explanations(found):
         out.print(line, markup=False)
+    out.print(words_of.answer(found), markup=False, style="bold", highlight=False)
     words = "Were there already, nothing was computed" if kept else "Written"
     out.print(f"{words}: {(path / SENSITIVITY).resolve()}", markup=False, soft_wrap=True)
 

@@ -27,11 +27,14 @@ class FreeRuns:
         s; the blow begins at 0, or as much before as is said.
     image, measured : ndarray, shape (c, k)
         Image motion that the lenses cause (a_F) and position of lens 4, m.
+    lenses : ndarray, shape (c, l, k), optional
+        Positions of all lenses that swing, m, where they were asked for.
     """
 
     time: Array
     image: Array
     measured: Array
+    lenses: Array | None = None
 
 
 def swing(
@@ -43,6 +46,7 @@ def swing(
     step: float = 1e-3,
     hammer: Hammer = HAMMER,
     late: Array | None = None,
+    keep_lenses: bool = False,
 ) -> FreeRuns:
     """Hit benches of equal size with a hammer.
 
@@ -59,6 +63,8 @@ def swing(
     late : ndarray, shape (c,), optional
         By how much each blow begins before the first instant, s; a control unit that asks for its trigger
         once per step sees it so late. 0 by default.
+    keep_lenses : bool
+        Whether to return the positions of all lenses, too.
 
     Raises
     ------
@@ -99,12 +105,16 @@ def swing(
     held = (grown - 1) / poles
     state = np.zeros_like(poles)
     outputs = np.empty((count, 2, len(benches)))
+    positions = np.empty((count if keep_lenses else 0, *lenses[:, 0].shape))
     for k in range(-lead, count):
         # η = Im(z)/ω_d and η' = Im(λ z)/ω_d for z' = λ z + φᵀ f.
         if k >= 0:
             outputs[k] = (rows * (state.imag / poles.imag)).sum(axis=1)
+        if k >= 0 and keep_lenses:
+            positions[k] = (lenses * (state.imag / poles.imag)).sum(axis=1)
         speed = (lenses * ((poles * state).imag / poles.imag)).sum(axis=1)
         rubbing = friction * np.tanh(speed / CREEP)
         modal = push * force[lead + k] - (lenses * rubbing[:, None]).sum(axis=0)
         state = grown * state + held * modal
-    return FreeRuns(np.arange(count) * np.float64(step), outputs[:, 0].T.copy(), outputs[:, 1].T.copy())
+    kept = positions.transpose(2, 1, 0).copy() if keep_lenses else None
+    return FreeRuns(np.arange(count) * np.float64(step), outputs[:, 0].T.copy(), outputs[:, 1].T.copy(), kept)

@@ -1,6 +1,5 @@
 """Studies and their stores in one call each; the command of the same name prints what these return."""
 
-from collections.abc import Mapping
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,8 +16,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from wavequake.campaign.store.verify import VerifyReport
-    from wavequake.report.answers.rare import RareAnswer
-    from wavequake.workflows.allow import Allowances
 
 
 @wraps(workflow_run.run)
@@ -161,149 +158,6 @@ def tail(
     return pd.DataFrame(rows)
 
 
-def rare(study: str | Path | Study, **keywords: Any) -> "RareAnswer":
-    """Say how often a limit is exceeded, however rarely, and prove it with full traces near the limit.
-
-    Parameters
-    ----------
-    study : str, Path or Study
-        Of the workflow segment-disturbance.
-    measure : str, optional
-        ``"wfe_rms"`` (the default), ``"wfe_rms_raw"``, ``"zernike[noll=4]"``, ``"los"`` or ``"centroid"``.
-    limit : str or float, optional
-        As ``"120 nm"``; a number is in the unit that is stored.
-    probability : float, optional
-        What is exceeded so rarely? In the place of a limit.
-    of : str, optional
-        The disturbance, where there are several.
-    traces : int, optional
-        Cases near the limit that are traced in full, by default 2000; a store that has some gets the others.
-    store : str or Path, optional
-        Folder of the traces.
-    on : str
-        As of `run`.
-    workers : int, optional
-        As of `run`.
-    **overrides
-        Further keys with double underscores for dots, e.g. ``telescope__name="tmt-18"``.
-
-    Returns
-    -------
-    RareAnswer
-        ``certified`` is the probability with its 95 % interval; ``exact``, ``modal``, ``traced`` and
-        ``correction`` say what it is made of.
-
-    Raises
-    ------
-    UserError
-        If the limit is none that is rarely exceeded, the measure is unknown, or the disturbance does not draw
-        Gaussian numbers.
-
-    Examples
-    --------
-    >>> found = rare("tmt-segments", of="alignment", limit="20 nm")  # doctest: +SKIP
-    >>> print(found.certified)                                      # doctest: +SKIP
-    """
-    from wavequake.report.answers.rare import rare_answer
-
-    overrides = {key: keywords.pop(key) for key in list(keywords) if "__" in key}
-    with progress_bar() as progress:
-        keywords.setdefault("progress", progress)
-        return rare_answer(_loaded(study, overrides), **keywords)
-
-
-def allow(
-    study: str | Path | Study,
-    measure: str = "wfe_rms.p95",
-    *,
-    limit: str | float,
-    by: str = "shares",
-    of: str | None = None,
-    cases: int = 400,
-    **overrides: Any,
-) -> "Allowances":
-    """Say how far every segment may be off along every axis, so that the whole stays below a limit.
-
-    Parameters
-    ----------
-    study : str, Path or Study
-        Of the workflow segment-disturbance.
-    measure : str
-        An upper quantile of what is limited.
-    limit : str or float
-        As ``"60 nm"``; a number is in the unit that is stored.
-    by : {"shares", "factor"}
-        Equal shares of the mean square, or what the study has times the largest factor.
-    of : str, optional
-        The disturbance, where there are several.
-    cases : int
-        That are drawn with these allowances and traced in full, as the check.
-    **overrides
-        Further keys with double underscores for dots, e.g. ``telescope__name="tmt-18"``.
-
-    Returns
-    -------
-    Allowances
-        ``rms`` (axis, element) in m, or rad of turns; ``check`` is the quantile of the full traces.
-
-    Raises
-    ------
-    UserError
-        If the limit is exceeded at rest, or the study has none that can be allowed.
-
-    Examples
-    --------
-    >>> found = allow("tmt-segments", of="alignment", limit="30 nm")  # doctest: +SKIP
-    >>> print(found.check)                                           # doctest: +SKIP
-    """
-    from wavequake.report.answers.allow import goal_of
-    from wavequake.workflows.allow import allowances
-
-    name, probability, value = goal_of(measure, limit)
-    with progress_bar() as progress:
-        return allowances(_loaded(study, overrides), name, probability, value, by, of, cases, progress)
-
-
-def budget(
-    study: str | Path | Study,
-    cases: int = 100,
-    *,
-    of: str | None = None,
-    store: str | Path | None = None,
-    **overrides: Any,
-) -> "xr.Dataset":
-    """Rank disturbances, and rings of segments or elements, by what they contribute.
-
-    Parameters
-    ----------
-    study : str, Path or Study
-        Of a workflow ...-disturbance.
-    cases : int
-        Each factor is on, off and redrawn in each.
-    of : str, optional
-        The combination to take apart.
-    store : str or Path, optional
-        Folder that keeps the budget as ``budget.zarr``; by default that of the study's runs.
-    **overrides
-        Further keys with double underscores for dots, e.g. ``telescope__name="tmt-18"``.
-
-    Raises
-    ------
-    UserError
-        If the study is another kind of study, or most cases cannot be traced.
-
-    Examples
-    --------
-    >>> found = budget("tmt-segments", 16, telescope__name="tmt-18")  # doctest: +SKIP
-    >>> found["share"].sel(quantity="wfe_rms_raw").to_series()        # doctest: +SKIP
-    """
-    from wavequake.workflows.budgets.budget import stored_budget
-
-    loaded = _loaded(study, overrides)
-    with progress_bar() as progress:
-        return stored_budget(loaded, loaded.folder(store), cases, of, progress)[0]
-
-
 def export(store: str | Path, file: str | Path, *, overwrite: bool = False) -> Path:
     """Write a store to one file for other programs and return its path.
 
@@ -386,10 +240,3 @@ def verify(store: str | Path) -> "VerifyReport":
     from wavequake.campaign.store.verify import verify_store
 
     return verify_store(store)
-
-
-def _loaded(study: str | Path | Study, overrides: Mapping[str, Any]) -> Study:
-    from wavequake.workflows.study import load_study, study_with
-
-    keys = {key.replace("__", "."): value for key, value in overrides.items()}
-    return study_with(study, keys) if isinstance(study, Study) else load_study(study, keys)

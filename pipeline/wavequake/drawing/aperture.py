@@ -1,5 +1,7 @@
 """A segmented mirror from above: every segment where it stands, with its name, and the pupil's annulus."""
 
+from dataclasses import replace
+
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
@@ -7,7 +9,8 @@ from matplotlib.collections import PolyCollection
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from wavequake.drawing.layout import layouts
+from wavequake.drawing.labels import Labels
+from wavequake.drawing.layout import Layout, Part, layouts
 from wavequake.drawing.light import field_names
 from wavequake.drawing.section import box_of, draw_section, widened
 from wavequake.drawing.style import STYLE, Drawing
@@ -20,6 +23,7 @@ Array = NDArray[np.float64]
 
 _FILL, _EDGE, _PUPIL = "#e8eef4", "#55718c", "#D55E00"
 _CLEAR = 0.42  # of a segment's width: how wide a name of so many letters may be written
+_NARROW = 0.01  # of the pupil's radius: gaps that are not drawn
 _LARGEST, _SMALLEST = 9.0, 3.5  # points
 
 
@@ -61,7 +65,7 @@ def telescope_figure(
         As `wavequake.drawing.layout.layouts`.
     """
     system = system or parent_system(telescope)
-    layout = layouts(system)[0]
+    layout = on_glass(telescope, layouts(system, across=_richest(telescope, system))[0])
     with rc_context(STYLE):
         side = (width - 1.6) / 2.0
         height = side + 1.05
@@ -77,6 +81,76 @@ def telescope_figure(
         shown = ", ".join(names[field] for field in sorted({field for field, _ in layout.rays}))
         beside.set_title(f"Section with rays of the field {shown}")
     return figure
+
+
+def _richest(telescope: SegmentedTelescope, system: OpticalSystem) -> Array | None:
+    """Return y or x, whichever meets more glass, where neither fields nor folds say what to cut along."""
+    bent = [surface.position[:2] for surface in system.surfaces]
+    tilted = any(np.abs(surface.rotation[2, :2]).max() > 1e-9 for surface in system.surfaces)
+    if is_monolithic(telescope.segments) or tilted or np.any(bent) or np.any(system.fields):
+        return None
+    axes = np.eye(3)[[1, 0]]
+    met = [sum(high - low for low, high in _crossed(telescope, axis)) for axis in axes]
+    return np.asarray(axes[int(met[1] > 1.001 * met[0])])
+
+
+def _crossed(telescope: SegmentedTelescope, across: Array) -> list[tuple[float, float]]:
+    """Return where the line through the middle along `across` is on segments, mm; narrow gaps are none."""
+    along, beside = across[:2], np.array([-across[1], across[0]])
+    aside = _NARROW * telescope.pupil_outer  # not along a gap
+    found = list[tuple[float, float]]()
+    for corners in telescope.segments.corners:
+        s, t = corners @ along, corners @ beside + aside
+        ends = [
+            float(a + (b - a) * u / (u - v))
+            for a, b, u, v in zip(s, np.roll(s, -1), t, np.roll(t, -1), strict=True)
+            if (u > 0.0) != (v > 0.0)
+        ]
+        found += [(min(ends), max(ends))] if ends else []
+    whole = list[tuple[float, float]]()
+    for low, high in sorted(found):
+        if whole and low - whole[-1][1] < _NARROW * telescope.pupil_outer:
+            low, high = whole[-1][0], max(high, whole.pop()[1])
+        whole.append((low, high))
+    return whole
+
+
+def on_glass(telescope: SegmentedTelescope, layout: Layout) -> Layout:
+    """Return the section of a telescope of one piece with what it has of M1, and the rays that meet it."""
+    if is_monolithic(telescope.segments):
+        return layout
+    pieces, parts, faces = _crossed(telescope, layout.across), list[Part](), list[Array]()
+    for part in layout.parts:
+        if part.kind != "mirror" or part.name.removesuffix(" (stop)") != "M1":
+            parts.append(part)
+            continue
+        whole = [line[: len(line) // 2] for line in part.lines]
+        back = part.lines[0][-1] - part.lines[0][0]
+        face = np.concatenate(sorted(whole, key=lambda one: float(one[:, 1].mean())))
+        face = face[np.argsort(face[:, 1])]
+        cut = []
+        for low, high in pieces:
+            s = np.linspace(low, high, 40)
+            cut.append(np.stack([np.interp(s, face[:, 1], face[:, 0]), s], axis=1))
+        parts.append(replace(part, lines=tuple(np.concatenate([one, (one + back)[::-1]]) for one in cut)))
+        faces.append(face)
+    rays = tuple(
+        (field, ray)
+        for field, ray in layout.rays
+        if _is_met(ray, faces, pieces, _NARROW * telescope.pupil_outer)
+    )
+    return replace(layout, parts=tuple(parts), rays=rays or layout.rays)
+
+
+def _is_met(ray: Array, faces: list[Array], pieces: list[tuple[float, float]], reach: float) -> bool:
+    """Return whether a ray (P, 2) touches a mirror's face nowhere but on its pieces."""
+    for face in faces:
+        size = float(np.ptp(face[:, 1]))
+        near = np.abs(ray[:, 0] - np.interp(ray[:, 1], face[:, 1], face[:, 0])) < 1e-3 * size
+        for s in ray[near, 1]:
+            if not any(low - reach <= s <= high + reach for low, high in pieces):
+                return False
+    return True
 
 
 def draw_aperture(axes: Axes, telescope: SegmentedTelescope) -> None:
@@ -110,5 +184,4 @@ def _write_names(axes: Axes, corners: Array, names: tuple[str, ...], reach: floa
     size = min(_LARGEST, points * 2.0 * _CLEAR / max(1, max(map(len, names))) * 1.6)
     if size < _SMALLEST:
         return
-    for name, (x, y) in zip(names, (low + high) / 2.0, strict=True):
-        axes.text(x, y, name, fontsize=size, ha="center", va="center", color="#222222", zorder=4)
+    axes.add_artist(Labels(names, (low + high) / 2.0, ["#222222"] * len(names), size))

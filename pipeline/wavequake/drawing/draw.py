@@ -17,25 +17,16 @@ from wavequake.drawing.style import Drawing
 from wavequake.errors import UserError
 from wavequake.mechanics.model import FiniteElementModel, Model, ReducedModel
 from wavequake.optics.catalog.names import optical_system, system_names
+from wavequake.optics.lens_archive import LENS_FILES
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.parent import parent_system
 from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.optics.systems.file import build
 from wavequake.optics.systems.system import OpticalSystem
 from wavequake.optics.zemax.read import read_zmx
-from wavequake.workflows.lens.lens_passive import PassiveStudy
-from wavequake.workflows.lens.lens_study import LensStudy
-from wavequake.workflows.loops.controller_bench import build_model as controlled_model
-from wavequake.workflows.loops.controller_study import ControllerStudy
-from wavequake.workflows.mirrors.mirror_bench import build_model
-from wavequake.workflows.mirrors.mirror_study import AnyMirrorStudy
 from wavequake.workflows.overrides import split_overrides
-from wavequake.workflows.segments.bench import build_telescope
-from wavequake.workflows.segments.segment_mor_study import SegmentMorStudy
-from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.sensitivity_source import TELESCOPES
 from wavequake.workflows.study import bundled_studies, load_study
-from wavequake.workflows.systems.system_study import SystemStudy
 
 _ARCMIN = np.pi / 180.0 / 60.0
 _MM_PER_NM = 1e-6
@@ -127,8 +118,37 @@ def look(what: Any, overrides: Mapping[str, Any] | Iterable[str] = ()) -> Seen:
     )
 
 
+def described_study(what: str, overrides: Iterable[str] = ()) -> str | None:
+    """Return what a study is about that has no optical system of its own: its models, or whose light it is.
+
+    None for everything else, of which `wavequake.workflows.systems.system_source.described` tells.
+    """
+    taken = what in (*system_names(), *TELESCOPES) or what.lower().endswith((*LENS_FILES, ".seq"))
+    if taken or not (what in bundled_studies() or what.endswith(".toml")):
+        return None
+    study = load_study(what, overrides)
+    kinds = {one.__name__ for one in type(study).__mro__}
+    if kinds & {"SystemStudy", "SegmentStudy"}:
+        return None
+    try:
+        seen = _of_study(study)
+    except UserError:  # a study of numbers alone
+        return None
+    if seen.models:
+        return "\n".join(map(_words_of, seen.models))
+    return _system(seen).info()
+
+
+def _words_of(model: Model) -> str:
+    size = " x ".join(f"{length:.4g}" for length in np.ptp(model.nodes, axis=0))
+    return (
+        f"{model.name}: {model.order} degrees of freedom of {len(model.nodes)} nodes, {size} m\n"
+        f"  optical surface of {len(model.surface_nodes)} nodes, {len(model.interfaces)} mounts"
+    )
+
+
 def _named(name: str, keys: dict[str, Any]) -> Seen:
-    if name.lower().endswith(".zmx") and not keys:
+    if name.lower().endswith(LENS_FILES) and not keys:
         return Seen(read_zmx(name))
     is_study = name in bundled_studies() or name.endswith(".toml") or Path(name).is_file()
     if name in TELESCOPES and not (is_study and keys):
@@ -149,18 +169,32 @@ def _named(name: str, keys: dict[str, Any]) -> Seen:
 
 
 def _of_study(study: Study) -> Seen:
-    if isinstance(study, SystemStudy):
-        return Seen(build(study.system))
-    if isinstance(study, AnyMirrorStudy):
-        names = ("file",) if study.model.content is not None else study.model.shapes
-        return Seen(models=tuple(build_model(study, name) for name in names))
-    if isinstance(study, ControllerStudy):
-        return Seen(models=(controlled_model(study),))
-    if isinstance(study, SegmentStudy | SegmentMorStudy):
-        segmented = build_telescope(study)  # type: ignore[arg-type]  # both have a section telescope
-        field = np.array(study.optics.field_arcmin) * _ARCMIN
-        wavelengths = np.array([study.optics.wavelength_nm * _MM_PER_NM])
-        return Seen(replace(parent_system(segmented), fields=field[None], wavelengths=wavelengths), segmented)
-    if isinstance(study, LensStudy | PassiveStudy):
+    # By the names of its classes: to load every kind takes longer than to draw one.
+    kinds = {one.__name__ for one in type(study).__mro__}
+    made_of: Any = study
+    if "SystemStudy" in kinds:
+        return Seen(build(made_of.system))
+    if "AnyMirrorStudy" in kinds:
+        from wavequake.workflows.mirrors.mirror_bench import build_model
+
+        names = ("file",) if made_of.model.content is not None else made_of.model.shapes
+        return Seen(models=tuple(build_model(made_of, name) for name in names))
+    if "ControllerStudy" in kinds:
+        from wavequake.workflows.loops import controller_bench
+
+        return Seen(models=(controller_bench.build_model(made_of),))
+    if kinds & {"SegmentStudy", "SegmentMorStudy"}:
+        from wavequake.workflows.segments.bench import build_telescope
+
+        segmented = build_telescope(made_of)
+        points = getattr(made_of.optics, "fields_arcmin", None) or (made_of.optics.field_arcmin,)
+        wavelengths = np.array([made_of.optics.wavelength_nm * _MM_PER_NM])
+        return Seen(
+            replace(parent_system(segmented), fields=np.array(points) * _ARCMIN, wavelengths=wavelengths),
+            segmented,
+        )
+    if "SegmentControlStudy" in kinds:
+        return _named(made_of.mirror.telescope, {})
+    if kinds & {"LensStudy", "PassiveStudy"}:
         return Seen(optical_system("six-lens"))  # it has the sensitivities of the bench
     raise UserError(f"The workflow {study.study.workflow} of {study.study.name} has nothing to be drawn.")

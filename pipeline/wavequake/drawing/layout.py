@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 Kind = Literal["mirror", "glass", "image", "stop", "surface", "object"]
 
 _MARGIN = 0.05  # beyond the beam, of its width
+_RING = 0.02  # the same of mirrors with a hole, next to which others may stand
 _POINTS = 61  # of a curve
 _FLAT = 0.05  # a system that leaves its plane by less than this share of its spread is drawn in one
 _ON_AXIS = 1e-9  # of the length: rounding
@@ -60,7 +61,7 @@ class Layout:
     rays: tuple[tuple[int, Array], ...]
 
 
-def layouts(system: OpticalSystem, count: int = 7) -> tuple[Layout, ...]:
+def layouts(system: OpticalSystem, count: int = 7, across: Array | None = None) -> tuple[Layout, ...]:
     """Return the section of a system with the plane of its fields and folds; two where it leaves one plane.
 
     Parameters
@@ -68,6 +69,8 @@ def layouts(system: OpticalSystem, count: int = 7) -> tuple[Layout, ...]:
     system : OpticalSystem
     count : int
         Rays of each field.
+    across : ndarray, shape (3,), optional
+        Draw the plane that it spans with z, whichever that of the fields is.
 
     Raises
     ------
@@ -75,7 +78,8 @@ def layouts(system: OpticalSystem, count: int = 7) -> tuple[Layout, ...]:
         If the system is out of range or no light reaches its stop.
     """
     rims = all_ways(system)
-    return tuple(_layout(system, rims, across, count) for across in planes(system, rims))
+    chosen = planes(system, rims) if across is None else [across]
+    return tuple(_layout(system, rims, one, count) for one in chosen)
 
 
 def planes(system: OpticalSystem, rims: list[Way]) -> list[Array]:
@@ -154,10 +158,12 @@ def _arc(system: OpticalSystem, number: int, ways: list[Way], normal: Array) -> 
     s, t = along @ hits[:2], beside @ hits[:2]
     off = float(t.min() + t.max()) / 2.0
     off = 0.0 if abs(off) < 1e-3 * (np.ptp(s) + np.ptp(t)) else off
-    margin = _MARGIN * float(np.ptp(s))
+    ring = surface.action == "reflect" and system.pupil.obscuration > 0.0
+    margin = (_RING if ring else _MARGIN) * float(np.ptp(s))
     low, high = float(s.min()) - margin, float(s.max()) + margin
     hole = None
-    if surface.action == "refract" and low < 0.0 < high:  # lenses are round about their axis
+    upright = not np.any(surface.position[:2]) and np.array_equal(surface.rotation, np.eye(3))
+    if low < 0.0 < high and (surface.action == "refract" or (ring and upright)):  # round about their axis
         low, high = min(low, -high), max(high, -low)
     opening = surface.opening
     if opening is not None:
@@ -257,9 +263,8 @@ class _Drawn:
 
     def _mirror(self, number: int, arc: _Arc) -> Part:
         """Return closed outlines; the first half of each is the face that light meets."""
-        before = np.concatenate([one.hits[number - 1] if number else one.points[0] for one in self.fans], 1)
-        after = np.concatenate([one.hits[number] for one in self.fans], axis=1)
-        along = arc.surface.rotation[:, 2] @ np.nanmean(after - before, axis=1)
+        ways = [one.hits[number] - one.hits[number - 1] if number else one.direction for one in self.fans]
+        along = arc.surface.rotation[:, 2] @ np.nanmean(np.concatenate(ways, axis=1), axis=1)
         back = arc.surface.rotation[:, 2] * np.sign(along) * _THICK * self.size
         ranges = [(arc.low, arc.high)]
         hole = arc.hole or self._hole(number, arc)
@@ -286,7 +291,7 @@ class _Drawn:
             inner = len(s) // 2  # the rays next to the obscuration stand in the middle of the fan
             gaps.append((float(s[inner - 1]), float(s[inner])))
         low, high = max(gap[0] for gap in gaps), min(gap[1] for gap in gaps)
-        shrink = _MARGIN * (high - low)
+        shrink = _RING * (high - low)
         low, high = low + shrink, high - shrink
         if not low < high:
             return None

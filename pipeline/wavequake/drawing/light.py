@@ -138,11 +138,8 @@ def beginnings(system: OpticalSystem, ways: list[Way]) -> list[Array]:
 
 
 def field_names(system: OpticalSystem) -> list[str]:
-    """Return what the fields are called in a legend; small angles are in arcmin."""
-    if isfinite(system.object_distance) or np.abs(system.fields).max() >= np.deg2rad(1.0):
-        return [point_name(system, point) for point in system.fields]
-    points = np.rad2deg(system.fields) * 60.0 + 0.0
-    return [f"({x:.4g}, {y:.4g}) arcmin" for x, y in points]
+    """Return what the fields are called in a legend: as in tables."""
+    return [point_name(system, point) for point in system.fields]
 
 
 def all_ways(system: OpticalSystem, normal: Array | None = None, count: int = 7) -> list[Way]:

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 _GLASS, _GLASS_EDGE, _MIRROR, _FACE, _DARK = "#cfe3f3", "#6d9cc0", "#c9c9c9", "#333333", "#222222"
 _METERS = 5000.0  # mm, from which on lengths are in m
 _LOW, _HIGH = 1.5, 7.0  # inches: a panel's height
+_LEFT = 0.85  # inches: room for the numbers of an axis in mm, and its name
 _BORDER = 0.06
 _FIRST = ("mirror", "stop", "image", "object", "glass", "surface")  # whose names are written first
 HALO = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.6}
@@ -47,7 +48,7 @@ def section_figure(system: OpticalSystem, width: float = 9.0, rays: int = 7) -> 
 
 
 def _figure(system: OpticalSystem, found: Sequence[Layout], width: float) -> Drawing:
-    across = width - 0.8
+    across = width - 0.15 - _LEFT
     boxes = [box_of(layout) for layout in found]
     heights = [float(np.clip(across * np.ptp(box[:, 1]) / np.ptp(box[:, 0]), _LOW, _HIGH)) for box in boxes]
     boxes = [widened(box, across / height) for box, height in zip(boxes, heights, strict=True)]
@@ -55,7 +56,7 @@ def _figure(system: OpticalSystem, found: Sequence[Layout], width: float) -> Dra
     figure = Drawing(figsize=(width, sum(heights) + above + below + 0.55 * (len(found) - 1)))
     total, top = figure.get_figheight(), figure.get_figheight() - above
     for layout, box, height in zip(found, boxes, heights, strict=True):
-        axes = figure.add_axes((0.65 / width, (top - height) / total, across / width, height / total))
+        axes = figure.add_axes((_LEFT / width, (top - height) / total, across / width, height / total))
         draw_section(axes, layout, box)
         top -= height + 0.55
     names = field_names(system)
@@ -69,7 +70,9 @@ def _figure(system: OpticalSystem, found: Sequence[Layout], width: float) -> Dra
         borderaxespad=0.2,
     )
     seen = " and ".join(_plane(layout) for layout in found)
-    figure.suptitle(f"{system.name}: section with {seen}, to scale", x=0.65 / width, ha="left", fontsize=10.5)
+    figure.suptitle(
+        f"{system.name}: section with {seen}, to scale", x=_LEFT / width, ha="left", fontsize=10.5
+    )
     return figure
 
 

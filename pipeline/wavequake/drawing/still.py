@@ -25,13 +25,13 @@ def still_figure(scene: Scene, width: float = 9.0) -> Drawing:
     return figure
 
 
-def viewing(up: Array) -> Array:
+def viewing(up: Array, azimuth: float = _AZIMUTH) -> Array:
     """Return rows right, up and towards the eye, (3, 3), of a camera beside the z axis and above it."""
     z = np.array([0.0, 0.0, 1.0])
     side = np.cross(z, up) if abs(up @ z) < 0.9 else np.array([1.0, 0.0, 0.0])
     along = z if abs(up @ z) < 0.9 else np.array([0.0, 1.0, 0.0])
     towards = (
-        np.cos(_ELEVATION) * (np.cos(_AZIMUTH) * side - np.sin(_AZIMUTH) * along) + np.sin(_ELEVATION) * up
+        np.cos(_ELEVATION) * (np.cos(azimuth) * side - np.sin(azimuth) * along) + np.sin(_ELEVATION) * up
     )
     towards /= np.linalg.norm(towards)
     right = np.cross(up, towards)

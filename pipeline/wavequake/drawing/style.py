@@ -1,9 +1,16 @@
 """How every figure looks: sizes, fonts, the Okabe-Ito colors with a line style each."""
 
 import io
+import json
+import re
+from collections.abc import Iterator, Sequence
+from html import escape
 from typing import Any
+from urllib.parse import quote, unquote
 
 from matplotlib import rc_context
+from matplotlib.artist import Artist
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cbook import is_math_text
 from matplotlib.figure import Figure
@@ -38,6 +45,11 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#00
 LINES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)))
 
 
+_HOVER = "hover:"
+_GROUP = re.compile(rf'<g id="{_HOVER}(?P<texts>[^"]*)">(?P<marks>.*?)</g>', re.DOTALL)
+_MARK = re.compile(r"<(path|use)( [^>]*?)/>", re.DOTALL)
+
+
 class Drawing(Figure):
     """A figure that knows its canvas and shows itself in a notebook, whatever the backend."""
 
@@ -58,6 +70,28 @@ def svg_text(figure: Figure, salt: str = "wavequake") -> str:
     return printable(buffer.getvalue())
 
 
+def hover(texts: Sequence[str]) -> str:
+    """Return the id of an artist (`set_gid`) whose marks say these texts when pointed at, in a page."""
+    return _HOVER + quote(json.dumps([printable(one) for one in texts]))
+
+
+def with_titles(svg: str) -> str:
+    """Return an SVG in which the marks of artists with such ids have titles; a single text is that of all."""
+
+    def titled(group: re.Match[str]) -> str:
+        texts = json.loads(unquote(group["texts"]))
+        left = iter(texts)
+
+        def mark(one: re.Match[str]) -> str:
+            text = escape(texts[0] if len(texts) == 1 else next(left, ""))
+            return f"<{one[1]}{one[2]}><title>{text}</title></{one[1]}>" if text else one[0]
+
+        definitions, end, marks = group["marks"].rpartition("</defs>")
+        return f"<g>{definitions}{end}{_MARK.sub(mark, marks)}</g>"
+
+    return _GROUP.sub(titled, svg)
+
+
 def as_name(name: str) -> str:
     """Return a name for a figure that measures it before `show_names`: no formula, and nothing is obeyed."""
     return printable(name).replace("$", r"\$")
@@ -65,8 +99,19 @@ def as_name(name: str) -> str:
 
 def show_names(figure: Figure) -> None:
     """Have names in a figure shown as they are: they are no formulas, and nothing in them is obeyed."""
-    for text in figure.findobj(Text):
+    for text in _texts(figure):
         words = text.get_text()
         if is_math_text(words) and r"\math" not in words:  # which stands in powers on axes
             text.set_parse_math(False)
         text.set_text(printable(words))
+
+
+def _texts(artist: Artist) -> Iterator[Text]:
+    """Yield all texts of an artist and its parts; an axis that is not visible makes no ticks for that."""
+    if isinstance(artist, Axis) and not artist.get_visible():
+        yield artist.label
+        return
+    if isinstance(artist, Text):
+        yield artist
+    for part in artist.get_children():
+        yield from _texts(part)

@@ -94,6 +94,15 @@ def blow(
     return Blow(free.time, free.image[0], codes.astype(np.uint16), trigger)
 
 
+def wandering(steps: int, top: int) -> Blow:
+    """Return readings that wander and jump over the whole converter (codes 0 to top), for any regulator."""
+    rng = np.random.default_rng(0)
+    walk = top * (0.5 + 0.6 * np.sin(np.cumsum(rng.normal(0, 0.2, steps))))
+    jumps = np.where(rng.random(steps) < 0.02, rng.uniform(0, top, steps), walk)
+    codes = np.clip(np.rint(jumps), 0, top).astype(np.uint16)
+    return Blow(np.zeros(0), np.zeros(0), codes, np.zeros(steps, dtype=bool))
+
+
 @dataclass(frozen=True)
 class Residual:
     """What is left of the image motion, in % of that without control: its range, its deviation after 1 s."""

@@ -56,9 +56,11 @@ class Outcome:
 
 
 def trials(
-    hit: Blow, stage: Stage, regulator: ModalRegulator, chain: SensorChain, target: Path
+    hit: Blow, stage: Stage | None, regulator: ModalRegulator, chain: SensorChain, target: Path
 ) -> Iterator[Outcome]:
     """Build and run host library, Due and QEMU images in each arithmetic on one blow, and the Uno's images.
+
+    Without a stage, nothing is said of what is left of the blow: the regulator is not made for it.
 
     Images of "due" and "uno" are those that are flashed; those of "qemu" and "simavr" run the same regulator
     on the same kinds of processor.
@@ -79,7 +81,7 @@ def trials(
             yield Outcome(f"all {variant}", skipped=str(error))
             continue
         host = HostDevice(build("host", gains, target))
-        left = residual(host, hit, stage, regulator, chain.reach)
+        left = None if stage is None else residual(host, hit, stage, regulator, chain.reach)
         yield Outcome(f"host {variant}", left=left)
         host.reset()
         wanted = host.run(hit.adc, hit.trigger)

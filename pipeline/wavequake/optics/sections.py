@@ -1,8 +1,9 @@
 """What the sections of a study file that describe optics have in common."""
 
+from math import isinf
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 MM_PER_NM = 1e-6
 
@@ -14,3 +15,7 @@ class FileSection(BaseModel):
 
 
 Pair = Annotated[tuple[float, float], Field(strict=False)]
+Radius = Annotated[
+    float | None, BeforeValidator(lambda given: None if isinstance(given, float) and isinf(given) else given)
+]
+"""In mm; None and inf are a plane."""

@@ -3,18 +3,20 @@
 from pathlib import Path
 
 from wavequake.errors import UserError
+from wavequake.optics.lens_archive import is_archive, lens_of_archive
 from wavequake.user_files import read_bytes
 
 
 def read_text(path: str | Path, what: str = "lens file") -> str:
-    """Return the text of a file in UTF-16, UTF-8 or Latin-1.
+    """Return the text of a file in UTF-16, UTF-8 or Latin-1, or of the lens file in an archive (.zar).
 
     UTF-16 without a mark at its beginning is told by the zero bytes of its plain letters.
 
     Raises
     ------
     UserError
-        As `wavequake.user_files.read_bytes`, and if it says that it is UTF-16 and is not.
+        As `wavequake.user_files.read_bytes` and `wavequake.optics.lens_archive.lens_of_archive`, and if it
+        says that it is UTF-16 and is not.
     """
     if not isinstance(path, str | Path):
         raise UserError(f"The {what} is {path!r}; it must be the path of a file, as text.")
@@ -22,6 +24,8 @@ def read_text(path: str | Path, what: str = "lens file") -> str:
         data = read_bytes(path)
     except UserError as error:
         raise UserError(f"The {what} {error}") from None
+    if is_archive(data):
+        data = lens_of_archive(data, str(path))
     for encoding in _encodings(data):
         try:
             return data.decode(encoding).removeprefix("\ufeff")

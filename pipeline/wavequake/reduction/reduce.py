@@ -6,12 +6,13 @@ from wavequake.reduction.galerkin import reduced
 from wavequake.reduction.intermediate import Intermediate, dense_structure, intermediate
 from wavequake.reduction.method import METHODS, Variant
 from wavequake.reduction.names import parse
+from wavequake.reduction.own import OWN, Given, own_model
 from wavequake.reduction.structure import Structure, structure
 
 
 def reduce(
     model: FiniteElementModel,
-    method: str | Variant,
+    method: str | Variant | Given,
     order: int | None = None,
     *,
     snapshots: Array | None = None,
@@ -28,8 +29,9 @@ def reduce(
     Parameters
     ----------
     model : FiniteElementModel
-    method : str or Variant
-        A name such as ``craigb36`` or ``krylov108(200,450,700)``, or a bare method such as ``rubin``.
+    method : str, Variant, array_like, mapping or pyMOR model
+        A name such as ``craigb36`` or ``krylov108(200,450,700)``, or a bare method such as ``rubin``; or what
+        somebody else has made of the model, as `wavequake.reduction.own.own_model` takes it.
     order : int, optional
         For a bare method.
     snapshots : ndarray, shape (n, m), optional
@@ -47,6 +49,8 @@ def reduce(
     """
     if not isinstance(model, FiniteElementModel):
         raise UserError(f"Only a finite-element model can be reduced, not a {type(model).__name__}.")
+    if not isinstance(method, str | Variant):
+        return own_model(model, method, OWN)
     variant = parse(method, order) if isinstance(method, str) else method
     chosen = METHODS.entries()[variant.method]
     if snapshots is not None:

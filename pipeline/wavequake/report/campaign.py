@@ -8,11 +8,22 @@ from types import ModuleType
 
 from rich.table import Table
 
-from wavequake.campaign.store.store import JOURNAL, REPORT, Manifest, open_store, read_manifest
+from wavequake.campaign.store.layout import refuse_older
+from wavequake.campaign.store.store import (
+    ERRORS,
+    JOURNAL,
+    REPORT,
+    Manifest,
+    open_for_report,
+    open_store,
+    read_manifest,
+)
 from wavequake.campaign.store.verify import verify_store
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.report.exports.store import export, target_of
+from wavequake.report.page import KNOWN_ERRORS
+from wavequake.workflows.kinds import find_kind
 
 # Modules with table_of(store, dataset) and write_report_of(store, dataset, target, device), imported when a
 # store asks for them. Other kinds have the plain report, which is made of their measures.
@@ -29,6 +40,8 @@ _REPORTS = {
     "sweep": "sweeps",
     "controller-mor": "loops.controllers",
     "tip-tilt-vibration": "loops.tip_tilt",
+    "telescope-loop": "loops.telescope",
+    "segment-control": "loops.segment_control",
 }
 
 
@@ -42,10 +55,17 @@ def report_path(store: Path) -> Path:
 
 
 def is_current(store: Path) -> bool:
-    """Return whether the report was written after everything that the journal records."""
-    journal = [file.stat().st_mtime_ns for file in (Path(store) / JOURNAL).glob("*.jsonl")]
-    path = report_path(store)
-    return path.exists() and path.stat().st_mtime_ns >= max(journal, default=0)
+    """Return whether the report shows everything that the journal records, which only grows."""
+    try:
+        return report_path(store).read_bytes().endswith(_seal(store))
+    except FileNotFoundError:
+        return False
+
+
+def _seal(store: Path) -> bytes:
+    """Return the last line of a report: how much journal it shows. Times of files would trust clocks."""
+    size = sum(file.stat().st_size for file in (Path(store) / JOURNAL).glob("*.jsonl"))
+    return b"\n<!-- of %d bytes of journal -->\n" % size
 
 
 @contextmanager
@@ -61,9 +81,10 @@ def _damage_named(store: Path) -> Iterator[None]:
 
 def summary_table(store: Path) -> Table:
     """Return the table of a store for the terminal; raises as :func:`report_store`."""
-    dataset, workflow = open_store(store), read_manifest(store).workflow
+    dataset, manifest = open_for_report(store), read_manifest(store)
+    refuse_older(store, manifest, find_kind)
     with _damage_named(store):
-        table: Table = _report_of(workflow).table_of(store, dataset)
+        table: Table = _report_of(manifest.workflow).table_of(store, dataset)
         return table
 
 
@@ -73,15 +94,24 @@ def report_store(store: Path) -> tuple[Table, Path]:
     Raises
     ------
     UserError
-        If there is no store at `store`.
+        If there is no store at `store`, or one of another version that lacks numbers of this one.
     StoreDamageError
         If its numbers cannot be read; names the first array that is damaged.
     """
-    dataset, manifest = open_store(store), read_manifest(store)
+    seal = _seal(store)
+    dataset, manifest = open_for_report(store), read_manifest(store)
+    refuse_older(store, manifest, find_kind)
     report = _report_of(manifest.workflow)
+    if (Path(store) / ERRORS).exists():
+        from wavequake.report.answers.errors_shown import page_with_errors
+
+        dataset.encoding[KNOWN_ERRORS] = lambda page: page_with_errors(store, page)
     with _damage_named(store):
         path = report.write_report_of(store, dataset, report_path(store), device_at_hand(manifest))
-        return report.table_of(store, dataset), path
+        table = report.table_of(store, dataset)
+    with suppress(OSError), path.open("ab") as file:  # without it, the report is written again
+        file.write(seal)
+    return table, path
 
 
 def export_store(store: Path, path: Path, overwrite: bool = False) -> Path:

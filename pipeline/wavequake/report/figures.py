@@ -20,15 +20,16 @@ from matplotlib.path import Path
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
+from wavequake.drawing.labels import Labels
 from wavequake.drawing.style import COLORS as COLORS
 from wavequake.drawing.style import HEIGHT as HEIGHT
 from wavequake.drawing.style import LINES as LINES
 from wavequake.drawing.style import STYLE as STYLE
 from wavequake.drawing.style import WIDTH as WIDTH
-from wavequake.drawing.style import as_name
-from wavequake.report.labels import Labels
+from wavequake.drawing.style import as_name, hover
+from wavequake.drawing.ticks import draw_ticks_at_once
 from wavequake.report.populations import Population
-from wavequake.report.segments.detail import Detail
+from wavequake.report.segments.detail import Bent, Detail
 from wavequake.report.segments.raster import fill_segments
 from wavequake.report.statistics import case_rms, distribution
 from wavequake.report.table import number
@@ -51,6 +52,27 @@ def segment_map(detail: Detail) -> Figure:
 
 
 @rc_context(STYLE)
+def figure_map(detail: Detail, bent: Bent) -> Figure:
+    """Map the figures of the segments, heights along their normals, at the worst instant."""
+    figure = Figure(figsize=(WIDTH, HEIGHT))
+    axes, heights = _square(figure), bent.heights[detail.worst_instant]
+    norm, colors = _symmetric(heights), colormaps[_DIVERGING]
+    _aperture(axes, detail)
+    corners = bent.points[bent.faces]
+    faces = colors(norm(heights[bent.faces].mean(axis=1)))
+    axes.add_collection(
+        PolyCollection(list(corners * 1e-3), facecolors=faces, edgecolors=faces, lw=0.3, rasterized=True)
+    )
+    axes.add_collection(
+        PolyCollection(list(detail.corners * 1e-3), facecolors="none", edgecolors="#555555", lw=0.25)
+    )
+    rms = number(float(np.sqrt(np.mean(heights**2))))
+    axes.set_title(f"Figures of the segments, {_instant(detail)}\nrms {rms} nm")
+    _colorbar(figure, axes, ScalarMappable(norm, colors), "height (nm)")
+    return figure
+
+
+@rc_context(STYLE)
 def opd_map(detail: Detail) -> Figure:
     """Map the optical path differences over the glass at the worst instant, piston and tilt removed."""
     figure = Figure(figsize=(WIDTH, HEIGHT))
@@ -60,11 +82,22 @@ def opd_map(detail: Detail) -> Figure:
 
 @rc_context(STYLE)
 def psf_image(
-    image: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], case: int
+    image: NDArray[np.float64],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    case: int,
+    track: NDArray[np.float64] | None = None,
 ) -> Figure:
-    """Show an exposure (Y, X) over pixel centers in lambda/D, log-scaled from 1e-5 to 1 = perfect peak."""
+    """Show an exposure (Y, X) over pixel centers in lambda/D, log-scaled from 1e-5 to 1 = perfect peak.
+
+    The track (T, 2) of the line of sight, lambda/D, is drawn over it.
+    """
     figure = Figure(figsize=(WIDTH, HEIGHT))
-    _draw_psf(figure, _square(figure), image, x, y, case)
+    axes = _square(figure)
+    _draw_psf(figure, axes, image, x, y, case)
+    if track is not None and image.size:
+        axes.set_autoscale_on(False)
+        axes.plot(track[:, 0], track[:, 1], color="#5ad1ff", lw=0.8, marker=".", markersize=2.0)
     return figure
 
 
@@ -114,6 +147,7 @@ def history(population: Population) -> Figure:
         _draw_history(axes, population, values)
         axes.set_ylabel(label)
         axes.tick_params(labelbottom=axes is panels[-1])
+        draw_ticks_at_once(axes)
     for axes in panels[1:]:
         axes.set_ylim(_common_limits(panels[1:]))
     panels[0].set_ylim(0, 1.06 * panels[0].get_ylim()[1])
@@ -153,7 +187,9 @@ def _inches(
 
 
 def _square(figure: Figure) -> Axes:
-    return _inches(figure, 0.65, 0.5, HEIGHT - 0.95, HEIGHT - 0.95)
+    axes = _inches(figure, 0.65, 0.5, HEIGHT - 0.95, HEIGHT - 0.95)
+    draw_ticks_at_once(axes)
+    return axes
 
 
 def power_of_ten(value: float, place: int | None = None) -> str:
@@ -172,6 +208,7 @@ def _colorbar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str) 
     if logarithmic:
         bar.ax.yaxis.set_minor_formatter(NullFormatter())
     side.spines[:].set_visible(False)
+    draw_ticks_at_once(side)
 
 
 def _aperture(axes: Axes, detail: Detail) -> None:
@@ -212,11 +249,18 @@ def _draw_segments(figure: Figure, axes: Axes, detail: Detail, numbers: bool = T
     _aperture(axes, detail)
     if detail.corners.size:
         faces = colors(norm(values))
-        axes.add_collection(
-            PolyCollection(
-                list(detail.corners * 1e-3), facecolors=faces, edgecolors="#555555", linewidths=0.25
+        glass = PolyCollection(
+            list(detail.corners * 1e-3), facecolors=faces, edgecolors="#555555", linewidths=0.25
+        )
+        glass.set_gid(
+            hover(
+                [
+                    f"{name}: {number(value)} nm"
+                    for name, value in zip(detail.segment_names, values, strict=True)
+                ]
             )
         )
+        axes.add_collection(glass)
         if numbers:
             _number_segments(figure, axes, detail, np.abs(norm(values) - 0.5) > 0.3)
     rms = f", rms {number(float(np.sqrt(np.mean(values**2))))} nm" if values.any() else ""
@@ -259,7 +303,8 @@ def _draw_opd(figure: Figure, axes: Axes, detail: Detail) -> None:
             picture, extent=extent, origin="lower", cmap=_DIVERGING, norm=norm, interpolation="none"
         )
         glass = Path.make_compound_path_from_polys(detail.corners * 1e-3)
-        outline = axes.add_patch(PathPatch(glass, facecolor="none", edgecolor="#777777", lw=0.2))
+        outline = PathPatch(glass, facecolor="none", edgecolor="#777777", lw=0.2)
+        axes.add_artist(outline)
         shown.set_clip_path(outline)
     else:
         axes.scatter(rays[:, 0] * 1e-3, rays[:, 1] * 1e-3, c=flat, s=4, cmap=_DIVERGING, norm=norm, lw=0)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import xarray as xr
 
 from wavequake.campaign.schema import study_from_identity
-from wavequake.drawing.draw import draw
+from wavequake.drawing.draw import draw, look
 from wavequake.errors import UserError
 from wavequake.report.page import Picture, picture
 from wavequake.workflows.kinds import find_kind
@@ -17,12 +17,17 @@ def layout_picture(dataset: xr.Dataset) -> Iterator[Picture]:
     text = str(dataset.attrs.get("study", ""))
     try:
         model = find_kind(json.loads(text)["study"]["workflow"]).model
-        figure = draw(study_from_identity(model, text))
+        study = study_from_identity(model, text)
+        seen, figure = look(study), draw(study)
     except (ValueError, KeyError, TypeError, UserError):  # a part of a store, or one of another program
         return
-    yield picture(
-        "layout",
-        "What the study is about: the optical layout or the mirror, to scale",
-        figure,
-        "Dashed lines are clear apertures or the pupil, thin lines rays.",
-    )
+    if seen.models:
+        title = "What the study is about: the finite-element mirror, from above and from the side"
+        how = "Blue is the optical surface, gray dots are all nodes, triangles the mounts by number."
+    elif seen.telescope is not None:
+        title = "What the study is about: the segments from above, and the section of the telescope, to scale"
+        how = "Dashed circles are the pupil, thin lines rays."
+    else:
+        title = "What the study is about: the optical layout, to scale"
+        how = "Lines are rays, each field in a color and line style of its own; two ticks are the stop."
+    yield picture("layout", title, figure, how)

@@ -14,13 +14,23 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from wavequake.drawing.style import WIDTH, svg_text
+from wavequake.drawing.style import WIDTH, hover, svg_text, with_titles
 from wavequake.errors import UserError
 from wavequake.report.populations import Excluded
 from wavequake.words import printable
 
 LISTED = 200
+KNOWN_ERRORS = "known_errors"  # of the encoding of a store's dataset: what adds its errors to a page
 _WIDE = 1.2 * 72.0 * WIDTH  # points
+# Kinds whose stores the viewer shows; a test compares them with the viewer's own.
+VIEWED = frozenset(
+    {
+        "segment-disturbance", "system-disturbance", "telescope-exposure", "mirror-mor", "mirror-exposure",
+        "mirror-trace", "segment-mor", "lens-experiment", "lens-passive", "controller-mor", "telescope-loop",
+        "tip-tilt-vibration", "sweep",
+    }
+)  # fmt: skip
+OF_A_RECORD = "line"  # kind of a page that is of no store and has no cases
 _LONGEST = 100_000  # characters of a file of a study
 
 
@@ -90,6 +100,8 @@ def render_page(dataset: xr.Dataset, page: Page) -> str:
     from wavequake.report.layout_picture import layout_picture  # it makes a Picture
 
     page = replace(page, overview=[*layout_picture(dataset), *page.overview])
+    if (add_errors := dataset.encoding.get(KNOWN_ERRORS)) is not None:
+        page = add_errors(page)
     study = _study(dataset)
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
@@ -104,6 +116,8 @@ def render_page(dataset: xr.Dataset, page: Page) -> str:
         left_out=page.left_out[:LISTED],
         more_left_out=max(0, len(page.left_out) - LISTED),
         provenance=list(_provenance(dataset)),
+        cases=page.kind != OF_A_RECORD,
+        viewed=page.kind != OF_A_RECORD and (_entry(study, "workflow") or "") in VIEWED,
         study=json.dumps(_shortened(study), indent=2, ensure_ascii=False) if study else "",
     )
     return printable(text)
@@ -124,9 +138,15 @@ def picture(id_: str, text: str, figure: Figure, how: str = "") -> Picture:
 def inline_svg(figure: Figure, salt: str) -> str:
     """Draw a figure as an SVG element of an HTML document, without prolog and metadata.
 
-    Its ids are unique as long as `salt` is. Matplotlib has escaped all text in it.
+    Its ids are unique as long as `salt` is. Matplotlib has escaped all text in it. Curves with labels and
+    marks of artists with the id of `hover` say theirs when they are pointed at.
     """
-    text = svg_text(figure, salt)
+    for axes in figure.axes:
+        for line in axes.lines:
+            label = str(line.get_label())
+            if label and not label.startswith("_") and line.get_gid() is None:
+                line.set_gid(hover([label]))
+    text = with_titles(svg_text(figure, salt))
     text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
     # Groups are numbered alike in each figure and never referred to; outlines need no more than 0.01 points.
     text = re.sub(r'<g id="[^"]*"', "<g", text)

@@ -78,8 +78,16 @@ def groups_of(store: Path, dataset: xr.Dataset) -> dict[str, NDArray[np.bool_]]:
     done = dataset["status"].to_numpy() == DONE
     if not compared:
         return {"all cases": done}
+    # A name says what it is; a number, or one of several labels, does so with that of its label.
+    said = [len(compared) > 1 or dataset[one].dtype.kind in "fiub" for one in compared]
     labels = np.array(
-        [" / ".join(map(short, row)) for row in zip(*(dataset[c].to_numpy() for c in compared), strict=True)]
+        [
+            " / ".join(
+                f"{label} {short(value)}" if named else short(value)
+                for label, value, named in zip(compared, row, said, strict=True)
+            )
+            for row in zip(*(dataset[c].to_numpy() for c in compared), strict=True)
+        ]
     )
     return {str(name): (labels == name) & done for name in dict.fromkeys(labels.tolist())}
 

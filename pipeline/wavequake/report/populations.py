@@ -1,5 +1,6 @@
 """From a store to the populations of its report: one per disturbance model, without the cases that failed."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -46,6 +47,8 @@ class Population:
         Cases left out: failed, not computed yet, and marked done though a number is missing.
     sets : ndarray of int, shape (C,), or None
         The stratified set that each case belongs to; None if all are independent.
+    frame : float
+        Half the width of the images, lambda/D.
     """
 
     name: str
@@ -65,6 +68,7 @@ class Population:
     todo: int
     incomplete: int
     sets: NDArray[np.int64] | None = None
+    frame: float = np.nan
 
     @cached_property
     def severity(self) -> NDArray[np.float64]:
@@ -103,7 +107,8 @@ class Population:
 class Summary:
     """One row of the report's table; units as in :class:`Population`.
 
-    ``los_model`` and ``segment_piston_model`` are what the disturbance's parameters imply, where known.
+    ``los_model`` and ``segment_piston_model`` are what the disturbance's parameters imply, where known;
+    ``peak_least`` and ``wfe_raw_most`` are those of the worst case, ``frame`` half the width of images.
     """
 
     name: str
@@ -126,6 +131,9 @@ class Summary:
     peak_p5: Quantile
     rayleigh: float
     marechal: float
+    frame: float = np.nan
+    peak_least: float = np.nan
+    wfe_raw_most: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -148,8 +156,20 @@ def populations(dataset: xr.Dataset) -> tuple[Population, ...]:
         If the dataset is not that of a segment-disturbance campaign.
     """
     arrays = _arrays(dataset)
+    arrays["frame"] = np.array(frame_of(dataset))
     names = list(dict.fromkeys(arrays["disturbance"].tolist()))
     return tuple(_population(str(name), arrays) for name in names)
+
+
+def frame_of(dataset: xr.Dataset) -> float:
+    """Return half the width of a store's images, kept or not, in the unit of their axes; NaN without any."""
+    if "x" in dataset.coords:
+        return -float(dataset["x"].to_numpy().min())
+    try:
+        imaging = json.loads(dataset.attrs.get("study", "{}"))["imaging"]
+        return int(imaging["pixels"]) // 2 * float(imaging["sampling"])
+    except (ValueError, KeyError, TypeError):
+        return np.nan
 
 
 def representatives(dataset: xr.Dataset) -> dict[str, tuple[int, int]]:
@@ -199,6 +219,9 @@ def summarize(population: Population, analytic: tuple[float, str] | None = None)
         peak_p5=quantile(population.peak, 0.05, sets=sets),
         rayleigh=float(population.rayleigh.mean()) if cases else np.nan,
         marechal=float(population.marechal.mean()) if cases else np.nan,
+        frame=population.frame,
+        peak_least=float(population.peak.min()) if cases else np.nan,
+        wfe_raw_most=float(raw.max()) if cases else np.nan,
     )
 
 
@@ -303,4 +326,5 @@ def _population(name: str, arrays: dict[str, NDArray[Any]]) -> Population:
         todo=int(np.count_nonzero(mine & (status == TODO))),
         incomplete=int(np.count_nonzero(mine & (status == DONE) & ~usable)),
         sets=arrays["replicate"][usable] if "replicate" in arrays else None,
+        frame=float(arrays["frame"]),
     )

@@ -8,8 +8,8 @@ of sets that are stratified, `sets` says to which each belongs, and only the set
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
-from scipy.special import betaincinv
 
 from wavequake.campaign.statistics.quantiles import (
     CONFIDENCE,
@@ -20,6 +20,7 @@ from wavequake.campaign.statistics.quantiles import (
 )
 
 __all__ = [
+    "FEWEST",
     "Distribution",
     "Jitter",
     "Quantile",
@@ -29,6 +30,9 @@ __all__ = [
     "quantile",
     "quantile_ranks",
 ]
+
+# Cases below which there is no 5 % of them.
+FEWEST = 20
 
 
 @dataclass(frozen=True)
@@ -95,8 +99,8 @@ def distribution(
     # Both ends of the beta function's parameters are excluded: no success has low = 0, no failure has high =
     # 1.
     failures = np.maximum(draws - successes, 1e-300)
-    low = betaincinv(successes, draws - successes + 1.0, tail)
-    high = np.where(successes < draws, betaincinv(successes + 1.0, failures, 1.0 - tail), 1.0)
+    low = scipy.special.betaincinv(successes, draws - successes + 1.0, tail)
+    high = np.where(successes < draws, scipy.special.betaincinv(successes + 1.0, failures, 1.0 - tail), 1.0)
     return Distribution(ordered[ranks - 1], probability, low, high)
 
 

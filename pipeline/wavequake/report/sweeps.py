@@ -54,7 +54,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     swept = [
         name
         for name, one in zip(names, study.sweep, strict=True)
-        if len(one.values) > 1 and not isinstance(one.values[0], str | bool)
+        if len(one.values) > 1 and not isinstance(one.values[0], str | bool | tuple)
     ]
     each = (over_values(dataset, found, name, names) for name in swept)
     pictures = [picture for one in each for picture in islice(one, _MOST_PICTURES)]

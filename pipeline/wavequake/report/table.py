@@ -12,7 +12,6 @@ from wavequake.report.populations import Summary
 from wavequake.report.statistics import Jitter, Quantile
 
 MISSING = "–"
-BEYOND = "> field"
 
 _CAPTION = (
     "WFE: rms of a case over its instants; P50 and P95 over cases, in brackets the 95 % "
@@ -47,6 +46,16 @@ def share(value: float) -> str:
     return f"{percent:.0f} %"
 
 
+def difference(mean: float, margin: float, first: float, largest: float) -> tuple[str, str]:
+    """Format a mean difference with its margin, and as a share of the first mean; "none" of equal cases."""
+    if number(largest) == "0":
+        return "none", "none"
+    share = mean / first if first else np.nan
+    percent = "< 0.01%" if abs(share) < 5e-5 else f"{share:+.2%}"
+    both = f"{number(mean)} ± {number(margin)}" if np.isfinite(margin) else number(mean)
+    return both, MISSING if np.isnan(share) else percent
+
+
 def interval(quantile: Quantile, digits: int = 3) -> str:
     """Format a confidence interval; a bound that does not exist is left out."""
     low, high = np.isfinite(quantile.low), np.isfinite(quantile.high)
@@ -57,9 +66,22 @@ def interval(quantile: Quantile, digits: int = 3) -> str:
     return f"≤ {number(quantile.high, digits)}" if high else MISSING
 
 
+def radius(value: float, frame: float, digits: int = 3) -> str:
+    """Format a radius of encircled energy, infinite where the circle leaves the frame (half its width)."""
+    beyond = "beyond the frame" if np.isnan(frame) else f"> {frame:g}, the frame"
+    return beyond if np.isposinf(value) else number(value, digits)
+
+
 def rows(summaries: Iterable[Summary]) -> list[dict[str, tuple[str, str]]]:
     """Return one dict per disturbance: header with unit -> (value, its uncertainty or remark), all text."""
     return [_row(summary) for summary in summaries]
+
+
+def rows_of(table: Table) -> list[dict[str, tuple[str, str]]]:
+    """Return the rows of a table for the terminal as those of a page."""
+    headers = [" ".join(str(column.header).split()) for column in table.columns]
+    cells = zip(*(map(str, column.cells) for column in table.columns), strict=True)
+    return [{header: (one, "") for header, one in zip(headers, row, strict=True)} for row in cells]
 
 
 def _row(summary: Summary) -> dict[str, tuple[str, str]]:
@@ -77,7 +99,7 @@ def _row(summary: Summary) -> dict[str, tuple[str, str]]:
         "centroid jitter (mas)": _jitter(summary.centroid_jitter),
         "Strehl P5": _quantile(summary.strehl_p5, 4),
         "Strehl P50": _quantile(summary.strehl_p50, 4),
-        "EE80 P50 (λ/D)": _radius(summary.ee80_p50),
+        "EE80 P50 (λ/D)": _radius(summary),
         "peak P5": _quantile(summary.peak_p5),
         "Rayleigh": (share(summary.rayleigh), ""),
         "Maréchal": (share(summary.marechal), ""),
@@ -98,11 +120,12 @@ def _quantile(quantile: Quantile, digits: int = 3) -> tuple[str, str]:
     return number(quantile.value, digits), "" if np.isnan(quantile.value) else interval(quantile, digits)
 
 
-def _radius(quantile: Quantile) -> tuple[str, str]:
-    value, remark = _quantile(quantile, 4)
-    if not np.isposinf(quantile.value):
+def _radius(summary: Summary) -> tuple[str, str]:
+    found = summary.ee80_p50
+    value, remark = _quantile(found, 4)
+    if not np.isposinf(found.value):
         return value, remark
-    return BEYOND, remark if np.isfinite(quantile.low) else ""
+    return radius(found.value, summary.frame), remark if np.isfinite(found.low) else ""
 
 
 def _jitter(jitter: Jitter) -> tuple[str, str]:
@@ -142,7 +165,7 @@ def terminal_table(summaries: Iterable[Summary]) -> Table:
             f"{jitter}\n{error}{model}",
             f"{number(summary.strehl_p50.value, 4)}\n{number(summary.strehl_p5.value, 4)}\n"
             f"{share(summary.marechal)}",
-            f"{_radius(summary.ee80_p50)[0]}\n{number(summary.peak_p5.value)}\n{share(summary.rayleigh)}",
+            f"{_radius(summary)[0]}\n{number(summary.peak_p5.value)}\n{share(summary.rayleigh)}",
         )
     return table
 

@@ -14,20 +14,22 @@ from wavequake.words import printable
 
 LIMIT = 10_000_000  # bytes of a page
 DECADES = 4.0
-_SHOWN = 0.02  # of the size of a stage: how far the largest displacement is drawn
+SHOWN = 0.02  # of the size of a stage: how far the largest displacement is drawn
 
 
 @dataclass
 class Blocks:
-    """Packed arrays by name."""
+    """Packed arrays by name; equal ones are kept once."""
 
     texts: dict[str, str] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)
 
     def add(self, values: NDArray[Any], dtype: str, scale: Array | float = 1.0) -> dict[str, Any]:
         """Keep an array and return how a page finds and reads it."""
         raw = np.ascontiguousarray(values, dtype=np.dtype(dtype).newbyteorder("<")).tobytes()
-        name = f"b{len(self.texts)}"
-        self.texts[name] = b64encode(zlib.compress(raw, 9)).decode()
+        packed = b64encode(zlib.compress(raw, 9)).decode()
+        name = self.names.setdefault(packed, f"b{len(self.texts)}")
+        self.texts[name] = packed
         return {
             "id": name,
             "dtype": dtype,
@@ -104,6 +106,7 @@ def _stage(stage: Stage, blocks: Blocks) -> dict[str, Any]:
         "lines": [[color, np.round(points, 5).tolist()] for color, points in stage.lines],
         "labels": [[name, np.round(point, 5).tolist()] for name, point in stage.labels],
         "up": stage.up.tolist(),
+        "terms": None if stage.terms is None else blocks.add_scaled(stage.terms),
     }
 
 
@@ -115,19 +118,21 @@ def _short(values: Array) -> list[list[float | None]]:
 def _take(stage: Stage, take: Take, blocks: Blocks, every: int) -> dict[str, Any]:
     moved = displacements(stage, take)
     largest = float(np.linalg.norm(moved, axis=2).max(initial=0.0))
-    size = float(np.ptp(stage.points, axis=0).max())
+    size = float(np.ptp(stage.points, axis=0).max()) if len(stage.points) else 0.0
+    along = np.abs(np.einsum("tvi,vi->tv", moved, stage.axes[stage.body, :, 2])).max(initial=0.0)
     record: dict[str, Any] = {
         "label": take.label,
         "note": take.note,
         "stage": take.stage,
         "time": np.round(take.time, 9).tolist(),
         "largest": largest,
-        "factor": _SHOWN * size / largest if largest > 0.0 else 0.0,
+        "normal": bool(along > 1e-6 * largest),
+        "factor": SHOWN * size / largest if largest > 0.0 else 0.0,
         "series": [
             {
                 "name": name,
                 "unit": unit,
-                "values": [[float(f"{v:.5g}") for v in row] for row in values.tolist()],
+                "values": _short(values),
             }
             for name, (unit, values) in take.series.items()
         ],
@@ -136,11 +141,26 @@ def _take(stage: Stage, take: Take, blocks: Blocks, every: int) -> dict[str, Any
         used = [axis for axis in range(6) if np.any(take.poses[..., axis])]
         if used:
             record["dofs"], record["poses"] = used, blocks.add_scaled(take.poses[..., used])
+    if take.figures is not None:
+        record["figures"] = blocks.add_scaled(take.figures)
     if take.shapes is not None and take.weights is not None:
         record["shapes"] = blocks.add_scaled(take.shapes)
         record["weights"] = blocks.add(take.weights, "float32")
     if take.planes is not None:
         record["planes"] = blocks.add_scaled(take.planes)
+    record["maps"] = [
+        {
+            "name": one.name,
+            "unit": one.unit,
+            "reach": one.reach,
+            "cells": blocks.add(one.cells, "int16" if one.cells.max() < 32768 else "int32"),
+            "shapes": blocks.add_scaled(one.shapes[..., None]),
+            "weights": blocks.add(one.weights, "float32"),
+        }
+        for one in take.maps
+    ]
+    if take.track is not None:
+        record["track"] = _short(take.track)
     if take.images is not None:
         shown = take.images[::every]
         top = float(np.nanmax(shown)) or 1.0

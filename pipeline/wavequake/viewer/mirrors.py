@@ -1,61 +1,73 @@
 """Vibrating mirrors, the reference beside a reduced model: their modes, and what excitations do to them."""
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
+import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE
-from wavequake.campaign.store.store import Manifest, open_store
+from wavequake.campaign.store.store import Manifest
 from wavequake.drawing.solid import MOUNT, model_scene
-from wavequake.errors import UserError
-from wavequake.mechanics.model import ReducedModel
+from wavequake.imaging.exposures.exposure_models import cut, full_exposure
+from wavequake.kernels.device.devices import Device, choose_device
+from wavequake.mechanics.model import Model, ReducedModel
 from wavequake.reduction.metrics import pseudo_frequencies, surface_modes
-from wavequake.viewer.film import Array, Stage, Take, principal
+from wavequake.report.campaign import device_at_hand
+from wavequake.viewer.chosen import some_cases
+from wavequake.viewer.film import Array, Stage, Take, principal, same_reach, zernike_map
+from wavequake.workflows.exposures.exposure_study import MirrorExposureStudy
+from wavequake.workflows.exposures.mirror_exposure import local_images
 from wavequake.workflows.mirrors import mirror_mor, mirror_trace
-from wavequake.workflows.mirrors.mirror_bench import any_study_of, bench_of, over_time, time_of, variant_of
+from wavequake.workflows.mirrors.mirror_bench import (
+    Bench,
+    any_study_of,
+    bench_of,
+    over_time,
+    time_of,
+    variant_of,
+)
+from wavequake.workflows.mirrors.mirror_optics import optical_rows
 from wavequake.workflows.mirrors.mirror_study import FULL, AnyMirrorStudy, MirrorStudy, TraceStudy
 
 _MODES = 12
 _PERIOD = 40  # instants of a mode
 _MOST_INSTANTS = 200
+_MOST_IMAGES = 60
 _GAP = 1.15  # between both mirrors, of a width
-_MOST_CASES = 6
 _EXACT = 2e-5
 _LEFT, _RIGHT = "#9cc4e4", "#b9d7b0"
 
 
 def film_of(
-    store: Path, manifest: Manifest, chosen: Sequence[int], tell: Callable[[str], None]
+    dataset: xr.Dataset, manifest: Manifest, chosen: Sequence[int], tell: Callable[[str], None]
 ) -> tuple[tuple[Stage, ...], tuple[Take, ...]]:
     """Return a stage for every variant, and its modes and excitations."""
     study = any_study_of(manifest.study)
     every = mirror_trace.cases_of(study) if isinstance(study, TraceStudy) else _cases(study)
-    status = open_store(store)["status"].to_numpy()
-    cases = list(chosen) or _spread(
-        [k for k, (_, variant) in enumerate(every) if status[k] == DONE and variant != FULL]
-    )
+    others = [k for k, (_, variant) in enumerate(every) if variant not in (FULL, _reference(study))]
+    cases = list(chosen) or some_cases(dataset, others)
+    device = choose_device(device_at_hand(manifest))
     stages, takes = list[Stage](), list[Take]()
     with threadpool_limits(1):
         for case in cases:
             name, variant = every[case]
             bench = bench_of(manifest.study, name)
-            whole = variant_of(bench, study.reduction.reference if isinstance(study, MirrorStudy) else FULL)
+            whole = variant_of(bench, _reference(study))
             reduced = variant_of(bench, variant)
             label = f"case {case}, {name} {variant}"
-            takes += _modes(whole, reduced, label, len(stages))
-            takes += _excited(study, whole, reduced, label, len(stages))
-            stages.append(_side_by_side(whole, reduced, name, variant))
+            excited = _excited(study, bench, (whole, reduced), variant, device)
+            takes += [
+                replace(take, label=f"{label}: {take.label}", stage=len(stages), case=case)
+                for take in (*mode_takes(modes_of(whole), modes_of(reduced)), *excited)
+            ]
+            stages.append(side_by_side(whole, reduced, name, variant))
             tell(label)
     return tuple(stages), tuple(takes)
 
 
-def _spread(cases: list[int]) -> list[int]:
-    """Return some of the cases, evenly chosen."""
-    if not cases:
-        raise UserError("No case of the store is done yet; there is nothing to view.")
-    return cases[:: -(-len(cases) // _MOST_CASES)]
+def _reference(study: AnyMirrorStudy) -> str:
+    return study.reduction.reference if isinstance(study, MirrorStudy) else FULL
 
 
 def _cases(study: AnyMirrorStudy) -> list[tuple[str, str]]:
@@ -64,7 +76,8 @@ def _cases(study: AnyMirrorStudy) -> list[tuple[str, str]]:
     return mirror_mor.cases_of(study)
 
 
-def _side_by_side(whole: ReducedModel, reduced: ReducedModel, name: str, variant: str) -> Stage:
+def side_by_side(whole: Model, reduced: Model, name: str, variant: str) -> Stage:
+    """Return the optical surface of a reference and, beside it, of a reduced model, with their mounts."""
     scene = model_scene(whole)
     skin, count = scene.skins[0], len(scene.skins[0].points)
     shift = np.array([_GAP * np.ptp(skin.points[:, 0]), 0.0, 0.0])
@@ -90,9 +103,14 @@ def _side_by_side(whole: ReducedModel, reduced: ReducedModel, name: str, variant
     )
 
 
-def _modes(whole: ReducedModel, reduced: ReducedModel, label: str, stage: int) -> list[Take]:
-    """Return the elastic modes of both by rising frequency, over one period of the reference's."""
-    both = [(pseudo_frequencies(model), surface_modes(model)) for model in (whole, reduced)]
+def modes_of(model: ReducedModel) -> tuple[Array, Array]:
+    """Return the frequencies (r,) of a model in Hz, and its modes at the surface nodes, (3 q, r)."""
+    return pseudo_frequencies(model), surface_modes(model)
+
+
+def mode_takes(whole: tuple[Array, Array], reduced: tuple[Array, Array]) -> list[Take]:
+    """Return the elastic modes of both, by rising frequency, over one period of the reference's."""
+    both = (whole, reduced)
     elastic = [np.flatnonzero(frequencies > 0.0)[:_MODES] for frequencies, _ in both]
     takes = []
     for number, places in enumerate(zip(*elastic, strict=False), start=1):
@@ -106,44 +124,76 @@ def _modes(whole: ReducedModel, reduced: ReducedModel, label: str, stage: int) -
         phase = 2.0 * np.pi * np.arange(_PERIOD) / _PERIOD
         takes.append(
             Take(
-                f"{label}: mode {number}, {hertz[0]:.4g} and {hertz[1]:.4g} Hz",
+                f"mode {number}, {hertz[0]:.4g} and {hertz[1]:.4g} Hz",
                 np.arange(_PERIOD) / _PERIOD / hertz[0],
                 note="Left the reference, right the reduced model, each scaled to a largest motion of 1 m.",
-                stage=stage,
                 shapes=moved[None],
                 weights=np.sin(phase)[:, None],
+                of=f"mode {number}",
             )
         )
     return takes
+
+
+def response_take(name: str, time: Array, left: Array, right: Array) -> Take:
+    """Return what an excitation does to both, from displacements (T, V, 3) in m."""
+    shapes, weights = principal(np.concatenate([left, right], axis=1), _EXACT)
+    rms = [_rms(left), _rms(right), _rms(right - left)]
+    return Take(
+        f"excited by {name}",
+        time,
+        note="Left the reference, right the reduced model; both share one scale.",
+        shapes=shapes,
+        weights=weights,
+        series={
+            "displacement along z, rms (reference, reduced)": ("um", 1e6 * np.stack(rms[:2], axis=1)),
+            "difference, rms": ("um", 1e6 * rms[2][:, None]),
+        },
+        of=name,
+    )
 
 
 def _excited(
-    study: AnyMirrorStudy, whole: ReducedModel, reduced: ReducedModel, label: str, stage: int
+    study: AnyMirrorStudy,
+    bench: Bench,
+    both: tuple[ReducedModel, ReducedModel],
+    variant: str,
+    device: Device,
 ) -> list[Take]:
-    """Return the response of both to every excitation, and how far apart they are."""
-    moved = [over_time(study, model, model.surface)[0] for model in (whole, reduced)]  # type: ignore[arg-type]
-    time = time_of(study)
-    step = -(-len(time) // _MOST_INSTANTS)
+    """Return the response of both to every excitation, how far apart they are, and what the light does."""
+    found = [over_time(study, one, one.surface, optical_rows(bench.optics, one)) for one in both]  # type: ignore[arg-type]
+    time, exposed = time_of(study), isinstance(study, MirrorExposureStudy)
+    step = -(-len(time) // (_MOST_IMAGES if exposed else _MOST_INSTANTS))
     takes = []
     for number, excitation in enumerate(study.excitation):
-        left, right = (one[number, ::step].reshape(len(time[::step]), -1, 3) for one in moved)
-        shapes, weights = principal(np.concatenate([left, right], axis=1), _EXACT)
-        rms = [_rms(left), _rms(right), _rms(right - left)]
-        takes.append(
-            Take(
-                f"{label}: excited by {excitation.name}",
-                time[::step],
-                note="Left the reference, right the reduced model; both share one scale.",
-                stage=stage,
-                shapes=shapes,
-                weights=weights,
-                series={
-                    "displacement along z, rms (reference, reduced)": ("um", 1e6 * np.stack(rms[:2], axis=1)),
-                    "difference, rms": ("um", 1e6 * rms[2][:, None]),
-                },
-            )
-        )
+        left, right = (moved[number, ::step].reshape(len(time[::step]), -1, 3) for moved, _ in found)
+        take = response_take(excitation.name, time[::step], left, right)
+        light = [aberrations[number, ::step] for _, aberrations in found]
+        maps = [
+            zernike_map(f"wavefront, {name}", _figure(one), bench.optics.obscuration)
+            for name, one in zip(("reference", variant), light, strict=True)
+        ]
+        take = replace(take, maps=same_reach(maps))
+        takes.append(_imaged(study, bench, take, light[1], device) if exposed else take)  # type: ignore[arg-type]
     return takes
+
+
+def _figure(aberrations: Array) -> Array:
+    """Return the Noll coefficients of aberrations (T, 2 + J) without piston and tilt."""
+    return np.concatenate([np.zeros((len(aberrations), 3)), aberrations[:, 5:]], axis=1)
+
+
+def _imaged(study: MirrorExposureStudy, bench: Bench, take: Take, history: Array, device: Device) -> Take:
+    """Return a take with the images of its instants, aberrations scaled as those of the store."""
+    imaging, optics = study.imaging, bench.optics
+    track = history[:, :2] * (imaging.scale / optics.resolution)
+    local = np.concatenate(list(local_images(study, optics, history, device)))
+    images = [
+        cut(full_exposure([one[None]], place[None], imaging.sampling), imaging.pixels)
+        for one, place in zip(local, track, strict=True)
+    ]
+    note = f"{take.note} Images are those of {imaging.scale:g} times the wavefront."
+    return replace(take, images=np.array(images), pixel=imaging.sampling, track=track, note=note)
 
 
 def _rms(moved: Array) -> Array:

@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from wavequake.drawing.still import viewing
 from wavequake.drawing.style import STYLE, Drawing
 from wavequake.viewer.encode import encode
-from wavequake.viewer.film import Film, Stage
+from wavequake.viewer.film import Film, Stage, Take
 from wavequake.words import printable
 
 _PAGE = """<!doctype html>
@@ -29,8 +29,8 @@ style-src 'sha256-{style_hash}'; img-src data:">
 <h1>{title}</h1>
 <p id="status" role="status"></p>
 <noscript>
-<p>This page moves by a script, which is switched off here. At rest:</p>
-<img alt="The bodies at rest" src="data:image/svg+xml;base64,{still}">
+<p>This page moves by a script, which is switched off here. A still:</p>
+<img alt="The bodies at rest, or the histories" src="data:image/svg+xml;base64,{still}">
 <table><tr><th>case</th><th>instants</th><th>largest displacement</th></tr>
 {rows}
 </table>
@@ -61,7 +61,7 @@ def render_film(film: Film) -> str:
         style=style,
         script_hash=_hash(script),
         style_hash=_hash(style),
-        still=_still(film.stages[0]),
+        still=_still(film.stages[0], film.takes[0]),
         rows="\n".join(rows),
         record=record,
         blocks="\n".join(
@@ -74,27 +74,38 @@ def _hash(text: str) -> str:
     return b64encode(sha256(text.encode()).digest()).decode()
 
 
-def _still(stage: Stage) -> str:
-    """Return the stage at rest as SVG in base64."""
-    eye = viewing(stage.up)
-    seen = stage.points @ eye.T
-    order = seen[stage.faces, 2].mean(axis=1).argsort(kind="stable")
+def _still(stage: Stage, take: Take) -> str:
+    """Return the stage at rest, or of no bodies the histories of a take, as SVG in base64."""
     with rc_context({**STYLE, "svg.hashsalt": "still"}):
         figure = Drawing(figsize=(6.0, 4.5))
-        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        axes.add_collection(
-            PolyCollection(
-                list(seen[stage.faces[order], :2].round(4)),
-                facecolors=[stage.colors[k] for k in order],
-                edgecolors="#5b6670",
-                linewidths=0.2,
-            )
-        )
-        lines = [points @ eye[:2].T for _, points in stage.lines]
-        axes.add_collection(LineCollection(lines, colors=[color for color, _ in stage.lines], linewidths=0.5))
-        axes.set(aspect="equal")
-        axes.autoscale_view()
-        axes.set_axis_off()
+        if len(stage.points):
+            _bodies(figure, stage)
+        else:
+            axes = figure.add_subplot(xlabel="time (s)")
+            for name, (unit, values) in list(take.series.items())[:1]:
+                axes.plot(take.time, values)
+                axes.set_title(f"{name} ({unit})", fontsize=9)
         buffer = io.BytesIO()
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     return b64encode(buffer.getvalue()).decode()
+
+
+def _bodies(figure: Drawing, stage: Stage) -> None:
+    """Draw bodies at rest."""
+    eye = viewing(stage.up)
+    seen = stage.points @ eye.T
+    order = seen[stage.faces, 2].mean(axis=1).argsort(kind="stable")
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.add_collection(
+        PolyCollection(
+            list(seen[stage.faces[order], :2].round(4)),
+            facecolors=[stage.colors[k] for k in order],
+            edgecolors="#5b6670",
+            linewidths=0.2,
+        )
+    )
+    lines = [points @ eye[:2].T for _, points in stage.lines]
+    axes.add_collection(LineCollection(lines, colors=[color for color, _ in stage.lines], linewidths=0.5))
+    axes.set(aspect="equal")
+    axes.autoscale_view()
+    axes.set_axis_off()

@@ -1,34 +1,44 @@
 """Surfaces of an optical system that shift and turn, with what the store says of the light."""
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE
-from wavequake.campaign.store.store import Manifest, open_store
+from wavequake.campaign.store.store import Manifest
 from wavequake.drawing.solid import system_scene
-from wavequake.errors import UserError
-from wavequake.viewer.film import Array, Stage, Take, stage_of
+from wavequake.optics.polynomials.zernike import annular_zernike
+from wavequake.optics.shapes.shapes import ZernikeDeformation
+from wavequake.optics.systems.system import SystemStates
+from wavequake.viewer.chosen import worst_cases
+from wavequake.viewer.film import Array, Stage, Take, principal, stage_of
+from wavequake.viewer.structure import members_of, nodes_of, watching, with_members
+from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.systems.system_bench import MM_PER_M, SystemBench, system_bench, system_states
-from wavequake.workflows.systems.system_disturbance import draw
+from wavequake.workflows.systems.system_disturbance import drawn_with
+from wavequake.workflows.systems.system_variants import slot_of
 
 _MOST_INSTANTS = 400
+_EXACT = 2e-5
 _SERIES = (("change of the wavefront error", "wfe_change"), ("line of sight", "los_mm"))
 
 
 def film_of(
-    store: Path, manifest: Manifest, chosen: Sequence[int], tell: Callable[[str], None]
+    dataset: xr.Dataset, manifest: Manifest, chosen: Sequence[int], tell: Callable[[str], None]
 ) -> tuple[tuple[Stage, ...], tuple[Take, ...]]:
     """Return the system, and the chosen cases or those that change the wavefront most."""
-    dataset, bench = open_store(store), system_bench(manifest.study)
+    bench = system_bench(manifest.study)
     stage, surfaces = _stage(bench)
+    plant = bench.plants.get(FULL)
+    members = members_of(bench.study, plant) if plant else []
+    nodes = nodes_of(members)
+    stage = with_members(stage, plant, members, nodes) if plant and members else stage
     takes = []
     with threadpool_limits(1):
         for case in list(chosen) or _worst(dataset):
-            takes.append(_take(bench, dataset, case, surfaces))
+            takes.append(_take(bench, dataset, case, stage, surfaces, nodes))
             tell(f"case {case}: {takes[-1].label}")
     return (stage,), tuple(takes)
 
@@ -36,16 +46,7 @@ def film_of(
 def _worst(dataset: xr.Dataset) -> list[int]:
     """Return the case of each disturbance whose wavefront changes most."""
     change = dataset["wfe_change"] if "wfe_change" in dataset else dataset["wfe_rms"]
-    size = change.max([dim for dim in change.dims if dim != "case"]).to_numpy()
-    size = np.where(dataset["status"].to_numpy() == DONE, size, -1.0)
-    names, ids = dataset["disturbance"].to_numpy(), dataset["case"].to_numpy()
-    found = []
-    for name in dict.fromkeys(names.tolist()):
-        best = int(np.argmax(np.where(names == name, np.nan_to_num(size, nan=-1.0), -2.0)))
-        found += [int(ids[best])] if size[best] >= 0.0 else []
-    if not found:
-        raise UserError("No case of the store is done yet; there is nothing to view.")
-    return found
+    return worst_cases(dataset, change.max([dim for dim in change.dims if dim != "case"]).to_numpy())
 
 
 def _stage(bench: SystemBench) -> tuple[Stage, list[int]]:
@@ -61,22 +62,60 @@ def _stage(bench: SystemBench) -> tuple[Stage, list[int]]:
     return Stage(*parts, whole.lines, whole.labels, whole.up), surfaces
 
 
-def _take(bench: SystemBench, dataset: xr.Dataset, case: int, surfaces: list[int]) -> Take:
-    population, drawn = draw(bench, case)
+def figures_of(
+    bench: SystemBench, states: SystemStates, stage: Stage, surfaces: list[int]
+) -> tuple[Array, Array]:
+    """Return shapes (r, V, 3) and weights (T, r) by which surfaces deform, m.
+
+    The fewest shapes that give the Noll terms' heights to 2e-5 of the largest; heights on grids are left out.
+    """
+    count = len(states.surface_motion)
+    moved = np.zeros((count, len(stage.points), 3))
+    for body, index in enumerate(surfaces):
+        surface, given = bench.system.surfaces[index], states.deformations[index]
+        if given is None or not isinstance(surface.deformation, ZernikeDeformation):
+            continue
+        form, mine = surface.deformation, stage.body == body
+        x, y = ((stage.points[mine] * MM_PER_M - surface.position) @ surface.rotation)[:, :2].T
+        size = np.maximum(form.pupil_radius, np.hypot(x, y))  # beyond the rim, what is at the rim
+        basis = annular_zernike(x / size, y / size, form.terms, form.obscuration)
+        heights = given[:, : form.terms] @ basis.T / MM_PER_M
+        moved[:, mine] = heights[..., None] * surface.rotation[:, 2]
+    return principal(moved, _EXACT)
+
+
+def _take(
+    bench: SystemBench,
+    dataset: xr.Dataset,
+    case: int,
+    stage: Stage,
+    surfaces: list[int],
+    nodes: Sequence[str] = (),
+) -> Take:
+    population, realization, model = slot_of(bench.study, case)
+    drawn = drawn_with(bench, population, realization, model, watched=partial(watching, nodes=nodes))
     states, stored = system_states(bench, drawn), dataset.sel(case=case)
     motion = states.surface_motion[:, surfaces].copy()
     motion[..., :3] /= MM_PER_M
+    still = np.zeros((len(motion), 6))
+    motion = np.concatenate([motion, *(drawn.rigid.get(name, still)[:, None] for name in nodes)], axis=1)
     step = -(-len(motion) // _MOST_INSTANTS)
     time = np.asarray(stored["time_s"].to_numpy(), dtype=np.float64)
-    notes = (
-        [] if motion.any() else ["No surface moves as a body in this case: it deforms, or the light turns."]
+    shapes, weights = figures_of(bench, states, stage, surfaces)
+    quiet = not motion.any()
+    notes = ["No surface moves in this case: the light turns."] if quiet and not weights.any() else []
+    notes += (
+        ["No surface moves as a body in this case: what deforms is drawn."] if quiet and not notes else []
     )
     notes += ["Of the image the first field point is shown."]
     return Take(
-        f"{population.name}, case {case}",
+        f"{population.name}, case {case}" + (f", {model}" if bench.study.reduction else ""),
         time[: len(motion) : step],
         note=" ".join(notes),
         poses=motion[::step],
+        shapes=shapes if weights.any() else None,
+        weights=weights[::step] if weights.any() else None,
+        case=case,
         series={
             words: (str(stored[name].attrs.get("units", "")), _history(stored[name], len(motion))[::step])
             for words, name in _SERIES

@@ -17,7 +17,8 @@
   // Arrays ------------------------------------------------------------------------------------------------
   async function unpacked(block) {
     if (!block) return null;
-    if (cache.has(block.id)) return cache.get(block.id);
+    const key = `${block.id} ${block.dtype}`, named = (data) => ({ data, shape: block.shape, scale: block.scale });
+    if (cache.has(key)) return named(cache.get(key));
     const text = atob(document.getElementById(block.id).textContent);
     const packed = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
     let raw;
@@ -31,9 +32,8 @@
     for (let k = 0; k < raw.length; k++) sum = CRC[(sum ^ raw[k]) & 255] ^ (sum >>> 8);
     if (((sum ^ 0xffffffff) >>> 0) !== block.crc32) throw new Error(`the array ${block.id} of this page is damaged`);
     const kind = { int16: Int16Array, int32: Int32Array, float32: Float32Array, uint8: Uint8Array }[block.dtype];
-    const values = { data: new kind(raw.buffer), shape: block.shape, scale: block.scale };
-    cache.set(block.id, values);
-    return values;
+    cache.set(key, new kind(raw.buffer));
+    return named(cache.get(key));
   }
 
   // Page --------------------------------------------------------------------------------------------------
@@ -64,7 +64,7 @@
   if (film.takes.length < 2) cases.parentElement.hidden = true;
 
   // State -------------------------------------------------------------------------------------------------
-  const state = { take: null, stage: null, yaw: 0.6, pitch: 0.35, pitch0: 0.35, zoom: 1, playing: false, began: 0, from: 0, curves: [] };
+  const state = { take: null, stage: null, yaw: 0.6, pitch: 0.35, pitch0: 0.35, zoom: 1, playing: false, began: 0, from: 0, curves: [], maps: [] };
   let asked = false;
   const draw = () => { if (!asked) { asked = true; requestAnimationFrame(() => { asked = false; drawAll(); }); } };
   const instant = () => Number(time.value);
@@ -75,23 +75,27 @@
 
   async function choose(number) {
     const take = film.takes[number], stage = film.stages[take.stage];
-    const [points, faces, body, colors, pivots, axes] = await Promise.all(
-      ["points", "faces", "body", "colors", "pivots", "axes"].map((name) => unpacked(stage[name])));
-    const [poses, shapes, weights, planes, images] = await Promise.all(
-      ["poses", "shapes", "weights", "planes", "images"].map((name) => unpacked(take[name])));
-    state.stage = { ...stage, points, faces, body, colors, pivots, axes, count: points.shape[0] };
-    state.take = { ...take, poses, shapes, weights, planes, images };
+    const [points, faces, body, colors, pivots, axes, terms] = await Promise.all(
+      ["points", "faces", "body", "colors", "pivots", "axes", "terms"].map((name) => unpacked(stage[name])));
+    const [poses, figures, shapes, weights, planes, images] = await Promise.all(
+      ["poses", "figures", "shapes", "weights", "planes", "images"].map((name) => unpacked(take[name])));
+    const maps = await Promise.all((take.maps || []).map(async (one) => {
+      const [cells, parts, shares] = await Promise.all([unpacked(one.cells), unpacked(one.shapes), unpacked(one.weights)]);
+      return { ...one, cells, parts, shares };
+    }));
+    state.stage = { ...stage, points, faces, body, colors, pivots, axes, terms, count: points.shape[0] };
+    state.take = { ...take, poses, figures, shapes, weights, planes, images };
     const n = points.shape[0];
     state.moved = new Float32Array(3 * n); state.value = new Float32Array(n); state.seen = new Float32Array(3 * n);
     frame(points.data, n);
-    if (shapes && state.take0 === undefined) { state.yaw = Math.PI / 2; state.pitch = state.pitch0 = 0.6; }
+    if (shapes && !poses && state.take0 === undefined) { state.yaw = Math.PI / 2; state.pitch = state.pitch0 = 0.6; }
     state.take0 = number;
     const former = color.value;
     color.replaceChildren(element("option", { value: "body" }, "bodies"));
-    if (take.largest > 0) color.append(element("option", { value: "displacement" }, "displacement"));
+    if (take.normal) color.append(element("option", { value: "displacement" }, "displacement"));
     if (planes) color.append(element("option", { value: "wavefront" }, "wavefront"));
     color.value = [...color.options].some((option) => option.value === former) && former !== "body" ? former
-      : planes ? "wavefront" : take.largest > 0 ? "displacement" : "body";
+      : planes ? "wavefront" : take.normal ? "displacement" : "body";
     const still = take.time.length < 2;
     time.max = take.time.length - 1;
     time.value = Math.min(instant(), take.time.length - 1);
@@ -99,17 +103,27 @@
     play.parentElement.hidden = still && !(take.largest > 0);
     factor.disabled = !(take.largest > 0);
     factor.value = take.largest > 0 ? 50 : -1;
-    note.textContent = [take.note, ...film.notes].join(" ");
+    const series = still ? [] : take.series;  // of one instant there is no curve, but a number
+    const told = still ? take.series.map((one) => `${one.name[0].toUpperCase()}${one.name.slice(1)}: ${(one.values[0] || []).map((v) => v ?? "–").join(", ")} ${one.unit}.`) : [];
+    note.textContent = [take.note, ...told, ...film.notes].join(" ");
     image.hidden = !images;
-    state.curves.forEach((curve) => curve.canvas.remove());
-    state.curves = take.series.map((series) => {
+    [...state.curves, ...state.maps].forEach((one) => one.canvas.remove());
+    state.maps = maps.map((one) => {
+      const made = canvas("map", `${one.name} over the pupil`);
+      made.removeAttribute("id");
+      side.append(made);
+      return { canvas: made, map: one };
+    });
+    state.curves = series.map((series) => {
       const made = canvas("curve", `${series.name} over time`);
       made.removeAttribute("id");
       side.append(made);
       return { canvas: made, series };
     });
-    side.hidden = !images && !take.series.length;
-    main.querySelector(".views").style.gridTemplateColumns = side.hidden ? "minmax(0, 1fr)" : "";
+    side.hidden = !images && !series.length && !maps.length;
+    scene.hidden = !n;
+    color.parentElement.hidden = factor.parentElement.hidden = !n;
+    main.querySelector(".views").style.gridTemplateColumns = side.hidden || scene.hidden ? "minmax(0, 1fr)" : "";
     state.range = {};
     if (still) stop();
     document.body.dataset.ready = number;
@@ -118,11 +132,11 @@
 
   // Motion ------------------------------------------------------------------------------------------------
   function move(t, by) {
-    const { points, body, pivots, axes, count } = state.stage, { poses, shapes, weights, dofs } = state.take;
+    const { points, body, pivots, axes, terms, count } = state.stage, { poses, figures, shapes, weights, dofs } = state.take;
     const p = points.data, out = state.moved, value = state.value;
-    if (!poses && !shapes) { out.set(p); value.fill(0); return; }
+    if (!poses && !figures && !shapes) { out.set(p); value.fill(0); return; }
     const pose = [0, 0, 0, 0, 0, 0], bodies = pivots.shape[0], d = dofs ? dofs.length : 0;
-    const modes = shapes ? shapes.shape[0] : 0;
+    const modes = shapes ? shapes.shape[0] : 0, bent = figures ? terms.shape[1] : 0;
     for (let v = 0; v < count; v++) {
       const b = body.data[v], a = 9 * b, q = axes.data;
       let x = 0, y = 0, z = 0;
@@ -137,6 +151,11 @@
         y = q[a + 3] * ux + q[a + 4] * uy + q[a + 5] * uz;
         z = q[a + 6] * ux + q[a + 7] * uy + q[a + 8] * uz;
       }
+      let height = 0;
+      for (let j = 0; j < bent; j++) {
+        height += figures.data[(t * bodies + b) * bent + j] * figures.scale[j] * terms.data[v * bent + j] * terms.scale[j];
+      }
+      x += height * q[a + 2]; y += height * q[a + 5]; z += height * q[a + 8];
       for (let m = 0; m < modes; m++) {
         const w = weights.data[t * modes + m], k = 3 * (m * count + v);
         x += w * shapes.data[k] * shapes.scale[0]; y += w * shapes.data[k + 1] * shapes.scale[1]; z += w * shapes.data[k + 2] * shapes.scale[2];
@@ -178,7 +197,7 @@
     return stops[k].map((c, i) => Math.round(c + f * (stops[k + 1][i] - c)));
   };
   const table = (stops) => Array.from({ length: 256 }, (_, k) => `rgb(${mixed(stops, k / 255).join(",")})`);
-  const DIVERGING = table(STOPS);
+  const BLUE_RED = Array.from({ length: 256 }, (_, k) => mixed(STOPS, k / 255)), DIVERGING = table(STOPS);
   const shade = (v) => DIVERGING[Math.max(0, Math.min(255, Math.round(127.5 * (1 + v))))];
   const ink = () => getComputedStyle(document.body).color;
 
@@ -299,6 +318,7 @@
   const short = (v) => Math.abs(v) >= 1e4 || (v && Math.abs(v) < 1e-2) ? v.toExponential(1) : Number(v.toPrecision(3)).toString();
   function legend(pen, width, height, kind, most) {
     const wide = Math.min(180, width - 90), left = width - wide - 16, low = height - 26;
+    pen.globalAlpha = 0.8; pen.fillStyle = getComputedStyle(document.body).backgroundColor; pen.fillRect(left - 30, low - 18, wide + 44, 44); pen.globalAlpha = 1;
     for (let k = 0; k < wide; k++) { pen.fillStyle = shade(2 * k / wide - 1); pen.fillRect(left + k, low, 1.5, 10); }
     pen.fillStyle = ink();
     const [unit, by] = kind === "wavefront" ? ["nm", 1] : most < 1e-6 ? ["nm", 1e9] : most < 1e-3 ? ["µm", 1e6] : ["m", 1];
@@ -307,29 +327,66 @@
     pen.textAlign = "center"; pen.fillText(kind === "wavefront" ? "wavefront" : "along the normal", left + wide / 2, low + 22);
   }
 
-  function drawImage() {
-    const { images, every, pixel } = state.take;
-    if (!images) return;
-    const [pen, width, height] = context(image), [count, rows, columns] = images.shape;
-    const chosen = Math.min(count - 1, Math.floor(instant() / every)), start = chosen * rows * columns;
-    if (!state.glow) state.glow = Array.from({ length: 256 }, (_, k) => mixed(GLOW, k / 255));
+  // Paint cells (lowest row first) on a canvas, smooth or not.
+  function paint(pen, columns, rows, width, height, colorOf) {
     const pixels = new ImageData(columns, rows);
     for (let r = 0; r < rows; r++) for (let c = 0; c < columns; c++) {
-      const shadeOf = state.glow[images.data[start + (rows - 1 - r) * columns + c]], k = 4 * (r * columns + c);
-      pixels.data[k] = shadeOf[0]; pixels.data[k + 1] = shadeOf[1]; pixels.data[k + 2] = shadeOf[2]; pixels.data[k + 3] = 255;
+      const tint = colorOf((rows - 1 - r) * columns + c), k = 4 * (r * columns + c);
+      if (tint) { pixels.data[k] = tint[0]; pixels.data[k + 1] = tint[1]; pixels.data[k + 2] = tint[2]; pixels.data[k + 3] = 255; }
     }
     state.spare = state.spare || document.createElement("canvas");
     state.spare.width = columns; state.spare.height = rows;
     state.spare.getContext("2d").putImageData(pixels, 0, 0);
     pen.imageSmoothingEnabled = false;
-    pen.drawImage(state.spare, 0, 0, width, height);
+    pen.drawImage(state.spare, 0, 0, columns, rows, 0, 0, width, height);
+  }
+
+  function drawMap({ canvas: target, map }) {
+    const [pen, width, height] = context(target), { cells, parts, shares, reach } = map, n = cells.shape[0];
+    const [r, count] = parts.shape, t = instant(), values = new Float32Array(count), by = parts.scale[0] / (reach || 1);
+    for (let m = 0; m < r; m++) {
+      const w = shares.data[t * r + m] * by;
+      if (w) for (let k = 0; k < count; k++) values[k] += w * parts.data[m * count + k];
+    }
+    const wide = Math.min(width, height - 40);
+    pen.save();
+    pen.translate((width - wide) / 2, 20);
+    paint(pen, n, n, wide, wide, (k) => cells.data[k] < 0 ? null : BLUE_RED[Math.max(0, Math.min(255, Math.round(127.5 * (1 + values[cells.data[k]]))))]);
+    pen.restore();
+    pen.fillStyle = ink(); pen.font = "12px sans-serif"; pen.textAlign = "left";
+    pen.fillText(map.name, 6, 14);
+    const left = 70, long = width - 140;
+    for (let k = 0; k < long; k++) { pen.fillStyle = shade(2 * k / long - 1); pen.fillRect(left + k, height - 15, 1.5, 8); }
+    pen.fillStyle = ink();
+    const [unit, less] = map.unit === "nm" && reach >= 1e4 ? ["µm", 1e-3] : [map.unit, 1];
+    pen.textAlign = "right"; pen.fillText(`-${short(reach * less)}`, left - 5, height - 7);
+    pen.textAlign = "left"; pen.fillText(`${short(reach * less)} ${unit}`, left + long + 5, height - 7);
+  }
+
+  function drawImage() {
+    const { images, every, pixel, track } = state.take;
+    if (!images) return;
+    const [pen, width, height] = context(image), [count, rows, columns] = images.shape;
+    const chosen = Math.min(count - 1, Math.floor(instant() / every)), start = chosen * rows * columns;
+    if (!state.glow) state.glow = Array.from({ length: 256 }, (_, k) => mixed(GLOW, k / 255));
+    paint(pen, columns, rows, width, height, (k) => state.glow[images.data[start + k]]);
+    if (track) {
+      const x = (v) => width * (0.5 + (v / pixel + 0.5) / columns), y = (v) => height * (0.5 - (v / pixel + 0.5) / rows), now = track[instant()];
+      pen.strokeStyle = pen.fillStyle = "#5ad1ff"; pen.lineWidth = 1; pen.beginPath();
+      for (let k = 0; k <= instant(); k++) pen.lineTo(x(track[k][0]), y(track[k][1]));
+      pen.stroke();
+      pen.beginPath(); pen.arc(x(now[0]), y(now[1]), 3, 0, 7); pen.fill();
+    }
     pen.fillStyle = "#fff"; pen.font = "12px sans-serif"; pen.textAlign = "left";
     pen.fillText(`image, ${film.decades} decades, ${short(columns * pixel)} λ/D wide`, 6, 16);
   }
 
   function drawCurve({ canvas: target, series }) {
     const [pen, width, height] = context(target), { values, name, unit } = series, ends = state.take.time;
-    const flat = values.flat().filter(Number.isFinite), low = Math.min(...flat), high = Math.max(...flat);
+    const flat = values.flat().filter(Number.isFinite), least = Math.min(...flat), most = Math.max(...flat);
+    // What is constant but for rounding is drawn as a line.
+    const flatly = most - least < 1e-3 * Math.max(Math.abs(most), Math.abs(least)), low = flatly ? least - 0.1 * Math.abs(least) : least,
+      high = flatly ? most + 0.1 * Math.abs(most) : most;
     const span = high - low || Math.abs(high) || 1, left = 54, bottom = height - 20, top = 22;
     const x = (k) => left + (width - left - 8) * k / Math.max(1, ends.length - 1), y = (v) => bottom - (bottom - top) * (v - low) / span;
     pen.fillStyle = ink(); pen.font = "12px sans-serif"; pen.textAlign = "left";
@@ -340,7 +397,7 @@
     ["#0072b2", "#d55e00"].forEach((tint, axis) => {
       if (values[0].length <= axis) return;
       pen.strokeStyle = tint; pen.lineWidth = 1.2; pen.beginPath();
-      values.forEach((row, k) => pen.lineTo(x(k), y(row[axis])));
+      values.forEach((row, k) => { if (row[axis] !== null) pen.lineTo(x(k), y(row[axis])); });
       pen.stroke();
     });
     pen.strokeStyle = ink(); pen.lineWidth = 1; pen.beginPath();
@@ -356,8 +413,9 @@
     const by = exaggeration();
     clock.textContent = `${(1e3 * state.take.time[instant()]).toFixed(2)} ms`;
     scale.textContent = by ? `× ${short(by)}` : "none";
-    drawScene();
+    if (!scene.hidden) drawScene();
     drawImage();
+    state.maps.forEach(drawMap);
     state.curves.forEach(drawCurve);
     document.body.dataset.frames = Number(document.body.dataset.frames || 0) + 1;
     if (state.playing) draw();

@@ -3,8 +3,9 @@
 Segments of a telescope, or surfaces and bodies of any optical system.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,12 @@ from wavequake.chain.gaussian_forms import form_of_numbers
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.gaussian import GaussianMotions, NotGaussianError
 from wavequake.mechanics.disturbances.motion import generator
+from wavequake.workflows.allow_motions import AllowedMotions, allowed_motions, of_columns, power_of
+from wavequake.workflows.asked_sections import STATIC, AllowedSpectrumSection, AllowSection
 from wavequake.workflows.movable import Movable
 from wavequake.workflows.rare import chosen_disturbance, rare_study
 from wavequake.workflows.segments.segment_allow import segment_movable
+from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.systems.system_allow import system_movable
 from wavequake.workflows.systems.system_study import SystemStudy
 
@@ -28,7 +32,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int, int], None]
 
 WAYS = ("shares", "cost", "factor")
-FEWEST = 100
+FEWEST, MOST = 100, 1_000_000  # cases of a check
 _STREAM = "~allow"
 _AT_ONCE = 32
 _TRIALS = 4000  # by the linear model, of motions that are no sums of Gaussian numbers
@@ -47,6 +51,13 @@ class Allowances:
         In m, or rad of turns; infinite of what does nothing, NaN of what the disturbance does not move.
     shares : ndarray, shape (D, S)
         Of the mean square of the measure beyond that at rest, at these allowances.
+    kinds : ndarray of object, shape (D, S)
+        How it moves during a case: ``static``, ``rms``, or the name of a spectrum; "" of what does not move.
+    levels : ndarray, shape (D, S)
+        By what the named spectrum of the study is to be multiplied to be that of the motion, in m^2/Hz or
+        rad^2/Hz; NaN of all else.
+    spectra : mapping
+        The spectra of the study by name.
     factor : float
         By which this is what the study has; NaN of shares.
     exact : bool
@@ -63,6 +74,9 @@ class Allowances:
     axes: tuple[str, ...]
     rms: Array
     shares: Array
+    kinds: NDArray[np.object_]
+    levels: Array
+    spectra: Mapping[str, AllowedSpectrumSection]
     factor: float
     exact: bool
     unit: str
@@ -120,9 +134,13 @@ def allowances(
     """
     if by not in WAYS:
         raise UserError(f"There is no way {by!r} to allow; use {', '.join(WAYS[:-1])} or {WAYS[-1]}.")
-    if cases < FEWEST:
-        raise UserError(f"{cases} cases check nothing; take at least {FEWEST}.")
-    cost = _cost_of(study, by)
+    if not FEWEST <= cases <= MOST:
+        words = (
+            f"take at least {FEWEST}" if cases < FEWEST else f"{MOST} are enough, and all that is possible"
+        )
+        raise UserError(f"{cases} cases {'check nothing' if cases < FEWEST else 'are too many'}; {words}.")
+    own: AllowSection | None = getattr(study, "allow", None)
+    cost = _cost_of(own, by)
     movable = _movable(study, measure, probability, of)
     rest = np.sqrt(movable.form.constant)
     if rest >= limit:
@@ -134,13 +152,14 @@ def allowances(
         raise UserError(
             f"What the disturbance {movable.name!r} moves does nothing to {measure}: anything is allowed."
         )
-    goal = (limit**2, probability)
+    goal, kinds = (limit**2, probability), [""] * len(movable.place)
     with threadpool_limits(1):
         if by == "factor":
             exact, found = _grown(movable, goal)
         else:
-            motions = _shared(movable, _weights(movable, cost))
-            exact, found = True, _of_gaussian(movable, motions, goal)
+            kinds = _kinds_of(movable, own)
+            motions = _shared(movable, _weights(movable, cost), kinds, own.spectrum if own else {})
+            exact, found = True, _of_shares(movable, motions, goal)
     values = _checked(movable, found.case, cases, progress)
     known = np.sort(values[np.isfinite(values)])
     if len(known) < FEWEST:
@@ -149,20 +168,29 @@ def allowances(
             "limit or more cases."
         )
     count = len(movable.place)
-    costs, (axis, element) = np.diag(movable.form.square)[:count], movable.place.T
+    costs = np.diag(movable.form.square)[:count]
     moved, idle = movable.moved[:count], movable.idle[:count]
-    rms = np.full((len(movable.axes), len(movable.elements)), np.nan)
-    shares = np.full(rms.shape, np.nan)
     allowed = np.where(idle, np.inf, found.rms[:count] * movable.metric)
-    rms[axis[moved], element[moved]] = allowed[moved]
     share = np.where(idle, 0.0, found.rms[:count] ** 2 * costs / max(found.excess, 1e-300))
-    shares[axis[moved], element[moved]] = share[moved]
+    powers = [power_of(own.spectrum[kind]) if own and kind in own.spectrum else np.nan for kind in kinds]
+
+    def table(values: Sequence[object] | Array, nothing: object) -> NDArray[Any]:
+        """Return values of the columns by axis and element."""
+        axis, element = movable.place[moved].T
+        found = np.full((len(movable.axes), len(movable.elements)), nothing, np.asarray(values).dtype)
+        found[axis, element] = np.asarray(values)[moved]
+        return found
+
+    rms = table(allowed, np.nan)
     used = ~np.isnan(rms).all(axis=1)
     return Allowances(
         elements=movable.elements,
         axes=tuple(name for name, one in zip(movable.axes, used, strict=True) if one),
         rms=rms[used],
-        shares=shares[used],
+        shares=table(share, np.nan)[used],
+        kinds=table(np.array(kinds, dtype=object), "")[used],
+        levels=table(allowed**2 / np.array(powers), np.nan)[used],
+        spectra=own.spectrum if own else {},
         factor=found.factor if by == "factor" else np.nan,
         exact=exact,
         unit=movable.unit,
@@ -175,43 +203,48 @@ def allowances(
 def _movable(study: Study, measure: str, probability: float, of: str | None) -> Movable:
     if isinstance(study, SystemStudy):
         return system_movable(study, measure, chosen_disturbance(study.disturbance, of))
-    if study.study.workflow != "segment-disturbance":
+    if not isinstance(study, SegmentStudy) or study.study.workflow != "segment-disturbance":
         raise UserError(
             "Allowances are of segment-disturbance and system-disturbance studies, not of "
             f"{study.study.workflow}."
         )
+    study.require_one_place("Allowances are")
     return segment_movable(rare_study(study, measure, None, probability, of), measure)
 
 
-def _cost_of(study: Study, by: str) -> Mapping[str, float]:
+def _cost_of(own: AllowSection | None, by: str) -> Mapping[str, float]:
     """Return the own costs of a study, none for equal shares."""
     if by != "cost":
         return {}
-    if not isinstance(study, SystemStudy):
-        raise UserError("Costs are of the elements of system-disturbance studies; use shares or factor.")
-    own = study.allow.cost if study.allow else {}
-    if not own:
+    if own is None or not own.cost:
         raise UserError(
-            "By which cost? Give the study a table [allow.cost] of elements, or elements and axes: M1 = 2.0, "
-            '"M2 rx" = 5.0.'
+            "By which cost? Give the study a table [allow.cost] of elements, axes, or both: M1 = 2.0, "
+            'rx = 3.0, "M2 rx" = 5.0.'
         )
-    return own
+    return own.cost
 
 
 def _weights(movable: Movable, cost: Mapping[str, float]) -> Array:
-    """Return the cost of each of the first columns: that of its element and axis, of its element, or 1."""
-    names = [movable.column_name(column) for column in range(len(movable.place))]
-    known = {element for element, _ in names} | {" ".join(name) for name in names}
-    if unknown := next((name for name in cost if name not in known), None):
-        raise UserError(
-            f"allow.cost: the disturbance {movable.name!r} does not move {unknown!r}; it moves "
-            f"{', '.join(movable.elements)} along {', '.join(movable.axes)}: write an element, or an element "
-            "and an axis."
-        )
-    return np.array([cost.get(f"{element} {axis}", cost.get(element, 1.0)) for element, axis in names])
+    """Return the cost of each of the first columns, 1 where none is named."""
+    return np.array(of_columns(cost, movable, 1.0, "allow.cost"))
 
 
-def _shared(movable: Movable, weights: Array) -> GaussianMotions:
+def _kinds_of(movable: Movable, own: AllowSection | None) -> list[str]:
+    """Return how each of the first columns moves during a case."""
+    kinds = of_columns(own.kind if own else {}, movable, STATIC, "allow.kind")
+    for column in np.flatnonzero(movable.lasting & movable.moved[: len(kinds)]).tolist():
+        if kinds[column] != STATIC:
+            element, axis = movable.column_name(column)
+            raise UserError(
+                f"allow.kind: {axis!r} of {element!r} is {kinds[column]!r}, but figures of segments do not "
+                "change during a case: they are static."
+            )
+    return kinds
+
+
+def _shared(
+    movable: Movable, weights: Array, kinds: Sequence[str], spectra: Mapping[str, AllowedSpectrumSection]
+) -> AllowedMotions:
     """Return independent motions of all that acts, each of which costs its weight of mean square."""
     count, total = len(movable.place), len(movable.moved)
     if movable.moved[count:].any():
@@ -220,10 +253,21 @@ def _shared(movable: Movable, weights: Array) -> GaussianMotions:
             "segments: take --by factor."
         )
     places = np.flatnonzero(movable.moved & ~movable.idle)
-    columns = np.zeros((len(places), 1, total))
-    sizes = np.sqrt(weights[places] / np.diag(movable.form.square)[places])
-    columns[np.arange(len(places)), 0, places] = sizes
-    return GaussianMotions((), np.arange(len(places)), np.zeros((1, total)), columns)
+    sizes = np.zeros(total)
+    sizes[places] = np.sqrt(weights[places] / np.diag(movable.form.square)[places])
+    return allowed_motions(movable, sizes, kinds, spectra)
+
+
+def _of_shares(movable: Movable, motions: AllowedMotions, goal: tuple[float, float]) -> _Found:
+    """Return how far independent motions may grow until the goal's limit is exceeded so often: exact."""
+    form = motions.form(movable.form)
+    factor = largest_factor(form, *goal)
+    grown = motions.grown(factor)
+
+    def case(number: int) -> Array:
+        return grown.drawn(generator(movable.seed, movable.name + _STREAM, number))
+
+    return _Found(grown.sizes, factor**2 * (form.mean - form.constant), factor, case)
 
 
 def _of_gaussian(movable: Movable, motions: GaussianMotions, goal: tuple[float, float]) -> _Found:

@@ -9,6 +9,7 @@ from importlib.metadata import entry_points
 from wavequake.campaign.contract import StudyKind
 from wavequake.campaign.extra import with_extra
 from wavequake.errors import UserError
+from wavequake.registry import note_own
 
 _GROUP = "wavequake.studies"
 # Each module has KIND. It is imported when its name is first asked for: commands that need none are quick.
@@ -24,6 +25,8 @@ _BUNDLED = {
     "lens-passive": "wavequake.workflows.lens.lens_passive",
     "controller-mor": "wavequake.workflows.loops.controller_mor",
     "tip-tilt-vibration": "wavequake.workflows.loops.tip_tilt",
+    "telescope-loop": "wavequake.workflows.loops.telescope_loop",
+    "segment-control": "wavequake.workflows.loops.segment_control",
 }
 # Kinds that no study file names: the loader makes such studies.
 _MADE = {"sweep": "wavequake.workflows.sweep"}
@@ -38,6 +41,11 @@ def register(kind: StudyKind) -> None:
     UserError
         If it is no study kind, or its name is taken.
     """
+    _add(kind)
+    note_own(kind.model)
+
+
+def _add(kind: StudyKind) -> None:
     if not isinstance(kind, StudyKind):
         raise UserError(f"{kind!r} is no study kind; study_kind(...) makes one.")
     if kind.name in {**_BUNDLED, **_MADE} or _registered.get(kind.name, kind) != kind:
@@ -67,7 +75,7 @@ def find_kind(name: str) -> StudyKind:
         return with_extra(import_module(module).KIND)
     if name not in _registered and name in _installed():
         (entry,) = entry_points(group=_GROUP, name=name)
-        register(entry.load())
+        _add(entry.load())
     if name in _registered:
         return with_extra(_registered[name])
     near = difflib.get_close_matches(str(name), kind_names(), n=1)

@@ -31,6 +31,10 @@ class Movable:
         The square of the measure of K columns.
     moved, idle : ndarray of bool, shape (K,)
         What the disturbance moves, and what does nothing to the measure.
+    lasting : ndarray of bool, shape (k,)
+        Which of the first columns cannot change during a case.
+    time : ndarray, shape (n,)
+        Instants of a case in s.
     seed : int
     unit : str
         Of the measure.
@@ -50,6 +54,8 @@ class Movable:
     form: MotionForm
     moved: NDArray[np.bool_]
     idle: NDArray[np.bool_]
+    lasting: NDArray[np.bool_]
+    time: Array
     seed: int
     unit: str
     gaussian: Callable[[], GaussianMotions]

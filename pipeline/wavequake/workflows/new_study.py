@@ -11,6 +11,7 @@ from wavequake.errors import UserError
 from wavequake.mechanics.importers.mesh import read_mesh
 from wavequake.mechanics.importers.model import MESHES, READERS
 from wavequake.optics.catalog.names import optical_system, system_names
+from wavequake.optics.lens_archive import LENS_FILES
 from wavequake.optics.media.gradients import medium_index
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import OpticalSystem, wavelength_of
@@ -63,7 +64,7 @@ def _text(source: str, folder: Path) -> str:
     if source in bundled_studies():
         text = bundled_studies()[source].read_text(encoding="utf-8")
         return f"# A copy of the bundled study {source}; `wavequake plan` says what running it takes.\n{text}"
-    if suffix == ".zmx":
+    if suffix in LENS_FILES:
         return _of_system(read_zmx(source), f"file = {_quoted(_from(folder, source))}", _name(source))
     if source in TELESCOPES:
         return _of_telescope(source)
@@ -107,10 +108,19 @@ def glass_groups(system: OpticalSystem) -> list[list[str]]:
     return [group for group in groups if len(group) > 1]
 
 
+def _labels(groups: list[list[str]]) -> list[str]:
+    """Return a name for each group: what its surfaces' names begin with, such as L3 of "L3 front"."""
+    starts = [{name.rpartition(" ")[0] for name in group} for group in groups]
+    labels = [start.pop() if len(start) == 1 else "" for start in starts]
+    if all(labels) and len(set(labels)) == len(labels) and "surface" not in labels:
+        return labels
+    return [f"L{number}" for number in range(1, len(groups) + 1)]
+
+
 def _of_system(system: OpticalSystem, said: str, name: str) -> str:
     names = [surface.name for surface in system.surfaces]
     groups = glass_groups(system) if len(set(names)) == len(names) else []
-    labels = [f"L{number}" for number in range(1, len(groups) + 1)]
+    labels = _labels(groups)
     mirrors = [one.name for one in system.surfaces if one.action == "reflect" and names.count(one.name) == 1]
     moving = [*labels, *mirrors]
     data = paraxial(system)

@@ -10,7 +10,11 @@ from pydantic import ValidationError
 from wavequake.campaign.schema import Study, describe
 from wavequake.errors import UserError
 from wavequake.user_files import read_toml
+from wavequake.words import shortened
 
+# Sections that say how much of a study is computed and kept, and the study's own name and title.
+_UNTITLED = ("campaign", "store", "study")
+_MOST_TITLED, _MOST_VALUE = 4, 40
 _MOST_DOTS = 40  # in the key of an override
 # Keys that name files.
 FILES = ("file", "glass_file", "mass", "dofs", "mesh", "polygons", "corners", "picture")
@@ -27,15 +31,50 @@ def overridden(model: type[Study], record: dict[str, Any], keys: Mapping[str, An
     replace_alternatives(record, keys.items(), model)
     for key, value in keys.items():
         override(record, key, value, model)
-    return validated(model, record, where)
+    follow_in_title(record, keys)
+    return validated(model, record, where, keys)
 
 
-def validated(model: type[Study], record: Mapping[str, Any], where: str) -> Study:
-    """Return the study of a record; UserError in one sentence if it does not fit the model."""
+def follow_in_title(record: dict[str, Any], keys: Mapping[str, Any]) -> None:
+    """Have the title of a study say which keys were replaced, but for how much is computed and kept.
+
+    The title is not part of the identity of a study.
+    """
+    section = record.get("study")
+    if "study.title" in keys:  # it says what the user wants it to say
+        return
+    shown = {key: value for key, value in keys.items() if key.partition(".")[0] not in _UNTITLED}
+    if not (
+        isinstance(section, dict) and isinstance(section.get("title"), str) and section["title"] and shown
+    ):
+        return
+    words = [f"{key} = {shortened(_shown(value), _MOST_VALUE)}" for key, value in shown.items()]
+    more = f" and {len(words) - _MOST_TITLED} more" if len(words) > _MOST_TITLED else ""
+    section["title"] += f" [{', '.join(words[:_MOST_TITLED])}{more}]"
+
+
+def _shown(value: Any) -> str:
+    return value if isinstance(value, str) else str(value)
+
+
+def validated(model: type[Study], record: Mapping[str, Any], where: str, keys: Iterable[str] = ()) -> Study:
+    """Return the study of a record; UserError in one sentence if it does not fit the model.
+
+    The sentence says so where one of `keys`, which override the file, is what does not fit.
+    """
     try:
         return model.model_validate(record)
     except ValidationError as error:
-        raise UserError(f"{where}: {describe(error, record, model)}") from None
+        place = error.errors(include_url=False)[0]["loc"]
+        own = next((key for key in keys if place and _is_at(key.split("."), place)), None)
+        found = where if own is None or own in where else f"{where}, overridden by {own}=..."
+        raise UserError(f"{found}: {describe(error, record, model)}") from None
+
+
+def _is_at(key: list[str], place: tuple[str | int, ...]) -> bool:
+    """Return whether a key leads to a place of a record, where entries of lists have numbers and kinds."""
+    names = [part for part in place if isinstance(part, str)]
+    return key[0] == names[0] and key[-1] in names
 
 
 def split_overrides(overrides: Mapping[str, Any] | Iterable[str]) -> list[tuple[str, Any]]:
@@ -103,7 +142,9 @@ def override(record: dict[str, Any], key: str, value: Any, model: type[Study]) -
         if isinstance(node, list):
             node = _entry(node, part, ".".join(parents[:depth]))
         else:
-            node = node.setdefault(part, {})
+            if node.get(part) is None:  # of a loaded study: the section that a file leaves out
+                node[part] = {}
+            node = node[part]
         if not isinstance(node, dict | list):
             raise UserError(
                 f"The key {key!r} leads nowhere: {'.'.join(parents[: depth + 1])} is a value, not a section."

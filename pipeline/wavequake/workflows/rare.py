@@ -9,7 +9,7 @@ from wavequake.campaign.schema import Study
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.population import Population
 from wavequake.workflows.segments.segment_rare import RareCases, rare_cases
-from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.segments.segment_study import SegmentStudy, without_images
 from wavequake.workflows.study import study_with
 
 DRAWS = 50_000
@@ -17,7 +17,6 @@ TRACES = 2000
 FEWEST = 50
 # What a certificate needs no images and no series for.
 _PLAIN: dict[str, Any] = {
-    "imaging.enabled": False,
     "optics.method": "standard",
     "campaign.sampling": "random",
     "campaign.until": None,
@@ -59,6 +58,7 @@ def rare_study(
     """
     if not isinstance(study, SegmentStudy) or study.study.workflow != "segment-disturbance":
         raise UserError(f"Rare events are of segment-disturbance studies, not of {study.study.workflow}.")
+    study.require_one_place("Rare events are")
     own = study.rare
     traces = traces or (study.cases if own else TRACES)
     if traces < FEWEST:
@@ -79,7 +79,7 @@ def rare_study(
         "rare.probability": probability,
         "campaign.cases": traces,
     }
-    found = study_with(study, keys)
+    found = study_with(without_images(study), keys)
     assert isinstance(found, SegmentStudy)
     return found
 

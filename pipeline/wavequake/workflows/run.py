@@ -1,6 +1,9 @@
 """Run and plan a study: the few calls behind ``wavequake run`` and ``wavequake.run``."""
 
+import multiprocessing
+import os
 import resource
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -11,8 +14,9 @@ import numpy as np
 
 from wavequake.campaign.contract import StudyKind
 from wavequake.campaign.engine.chunk_size import default_chunk, stored_bytes
-from wavequake.campaign.engine.driver import CampaignSummary, run_campaign
+from wavequake.campaign.engine.driver import CampaignSummary, begin_workers, run_campaign
 from wavequake.campaign.engine.driver_lock import Shard, shard_of
+from wavequake.campaign.engine.scripts import script_hidden
 from wavequake.campaign.schema import Study
 from wavequake.campaign.statistics.until import Goal, described, goal_of, is_met, looks, quantiles_of
 from wavequake.campaign.stopwatch import CPU
@@ -20,8 +24,10 @@ from wavequake.campaign.store.journal import read_journal
 from wavequake.campaign.store.retention import stored_template
 from wavequake.campaign.store.store import JOURNAL, MANIFEST, done_records, open_store, read_manifest
 from wavequake.chain.doubts import doubts
-from wavequake.errors import UserError
+from wavequake.errors import NoWorkersError, UserError
 from wavequake.kernels.device.devices import choose_device
+from wavequake.registry import own_modules
+from wavequake.words import counted, lasting
 from wavequake.workflows.kinds import compared_labels, find_kind
 from wavequake.workflows.study import load_study, study_with
 
@@ -31,6 +37,7 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int, int], None]
 
 _PILOT_S = 0.05  # a pilot that is shorter says little: it is repeated with more cases
+_LONG_S = 4.0  # a pilot of some cases takes no longer, if that is more than one
 _WHOLE_S = 5.0  # a pilot of a whole chunk may take that long
 # Engine and store shall take at most 2 % of a chunk; but a chunk is what a crash may cost, and the least that
 # a worker takes on.
@@ -71,6 +78,7 @@ def run_study(
         raise UserError("campaign.until judges all cases together, which no shard has: leave out one.")
     workflow = kind_of(study)
     text = study.identity_text()
+    begin_workers(workflow, path, on)
     device = choose_device(study.campaign.device)
     workflow.check(text)  # a study that cannot work says so before a store is made or a worker started
 
@@ -128,7 +136,8 @@ def _run_until(
         found = quantiles_of(goal, open_store(path).isel(case=slice(cases)), compared)
         words = "is met" if is_met(goal, found) else "is not met"
         total = replace(
-            total, goal=(f"{study.campaign.until} {words} after {cases} cases", *described(goal, found))
+            total,
+            goal=(f"{study.campaign.until} {words} after {counted(cases, 'case')}", *described(goal, found)),
         )
         if is_met(goal, found):
             break
@@ -141,7 +150,7 @@ def run(
     *,
     cases: int | None = None,
     store: str | Path | None = None,
-    on: str = "serial",
+    on: str | None = None,
     workers: int | None = None,
     allow_mixed: bool = False,
     shard: str | None = None,
@@ -160,8 +169,11 @@ def run(
     store : str or Path, optional
         Folder of the store; by default ``runs/<name>-<identity>``. What it already holds is not computed
         again.
-    on : {"serial", "local", "slurm", "ssh", "kubernetes", "tcp://HOST:PORT", "tls://HOST:PORT"}
-        Where to run. ``local`` starts worker processes: a script then needs ``if __name__ == "__main__"``.
+    on : {"serial", "local", "slurm", "ssh", "kubernetes", "tcp://HOST:PORT", "tls://HOST:PORT"}, optional
+        Where to run. By default on all CPUs, in worker processes that do not run the calling script again;
+        or serially, where there is but one chunk of cases, or workers cannot start, which a line on the
+        standard error output says. ``local`` starts worker processes that see what the script defines: it
+        then needs ``if __name__ == "__main__"``.
     workers : int, optional
         Worker processes of ``local``; one per CPU by default.
     allow_mixed : bool
@@ -184,6 +196,10 @@ def run(
     ------
     UserError
         For a study, a key or a store that cannot be used; says which and what would be right.
+
+    Examples
+    --------
+    >>> ds = run("tmt-segments", cases=8, optics__wavelength_nm=1000.0)  # doctest: +SKIP
     """
     keys = {key.replace("__", "."): value for key, value in overrides.items()}
     if cases is not None:
@@ -192,13 +208,47 @@ def run(
     path = loaded.folder(store)
     part = None if shard is None else shard_of(shard)
     file = None if cluster is None else Path(cluster)
-    how = {"on": on, "workers": workers, "allow_mixed": allow_mixed, "progress": progress}
-    run_study(loaded, path, shard=part, cluster=file, **how)  # type: ignore[arg-type]
+    how = {"shard": part, "cluster": file, "allow_mixed": allow_mixed, "progress": progress}
+    if on is not None:
+        run_study(loaded, path, on=on, workers=workers, **how)  # type: ignore[arg-type]
+        return open_store(path)
+    why = _why_serial(loaded, path, workers)
+    if why is None:
+        try:
+            with script_hidden():
+                run_study(loaded, path, on="local", workers=workers, **how)  # type: ignore[arg-type]
+            return open_store(path)
+        except NoWorkersError as error:
+            why = str(error).partition(": ")[0]
+    if why:
+        print(f"Wavequake runs serially: {why.rstrip('.')}.", file=sys.stderr)
+    run_study(loaded, path, on="serial", **how)  # type: ignore[arg-type]
     return open_store(path)
 
 
+def _why_serial(study: Study, path: Path, workers: int | None) -> str | None:
+    """Say why worker processes would not do here, "" if they would be of no use; None if they would."""
+    alone = (workers or len(os.sched_getaffinity(0))) < 2 or study.cases <= chunk_of(study, path)
+    if alone or choose_device(study.campaign.device).kind == "gpu":
+        return ""
+    if multiprocessing.current_process().daemon:
+        return "this process is a worker itself, and may start no others"
+    if own := own_modules():
+        return (
+            f"workers do not know what {own[0]} has registered; make it a plug-in (docs/extending.md), or "
+            "take on='local'"
+        )
+    return None
+
+
 def plan(study: str | Path | Study) -> dict[str, str]:
-    """Describe what running `study` would take: a pilot of a few cases gives the time; nothing is stored."""
+    """Describe what running `study` would take: a pilot of a few cases gives the time; nothing is stored.
+
+    Examples
+    --------
+    >>> plan("tmt-segments")["cases"]  # doctest: +SKIP
+    '1000 in 50 chunks of 20'
+    """
     study = study if isinstance(study, Study) else load_study(study)
     workflow, text = kind_of(study), study.identity_text()
     cases, chunk = study.cases, chunk_of(study)
@@ -209,31 +259,41 @@ def plan(study: str | Path | Study) -> dict[str, str]:
     per_case = stored_bytes(template)
     device = choose_device(study.campaign.device)
     whole = min(cases, chunk)
-    pilot = min(whole, 8)
-    try:
-        workflow.compute(text, np.arange(cases - pilot, cases), device.name)  # builds kernels and tables
-    except UserError:
-        raise
-    except Exception as error:
-        raise UserError(
-            f"The cases of the pilot, {cases - pilot} to {cases - 1}, fail: {type(error).__name__}: {error}."
-        ) from error
+    pilot = 1
+
+    def fly() -> None:
+        ids = np.arange(cases - pilot, cases)  # the first ones may be special
+        try:
+            workflow.compute(text, ids, device.name)
+        except UserError:
+            raise
+        except Exception as error:
+            which = (
+                f"case of the pilot, {ids[0]}, fails"
+                if pilot == 1
+                else (f"cases of the pilot, {ids[0]} to {ids[-1]}, fail")
+            )
+            raise UserError(f"The {which}: {type(error).__name__}: {error}.") from error
+
+    fly()  # builds kernels and tables
     while True:
         start = time.perf_counter()
-        workflow.compute(text, np.arange(cases - pilot, cases), device.name)  # the first ones may be special
+        fly()
         each = (time.perf_counter() - start) / pilot
-        if pilot == whole or (each * pilot > _PILOT_S and each * whole > _WHOLE_S):
+        room = int(_LONG_S / each)
+        enough = pilot > 1 and each * pilot > _PILOT_S and each * whole > _WHOLE_S
+        if pilot == whole or room < 2 or enough:
             break
-        pilot = whole if each * whole < _WHOLE_S else min(whole, 8 * pilot)
+        pilot = whole if each * whole < _WHOLE_S else min(whole, 8 * pilot, room)
     note = "\n".join(notices(study))
     return {
         **({"note": note} if note else {}),
         "study": f"{study.study.name} ({study.identity()[:12]})",
-        "cases": f"{cases} in {-(-cases // chunk)} chunks of {chunk}",
+        "cases": f"{cases} in {counted(-(-cases // chunk), 'chunk')} of {min(cases, chunk)}",
         "device": f"{device.name} ({device.kind})",
         "store": f"{cases * per_case / 1e6:.1f} MB, {per_case / 1e3:.1f} kB per case",
         "memory": f"{_peak_memory_mb():.0f} MB in the pilot's process, which is what each worker needs",
-        "one case": f"{each * 1e3:.3g} ms in one process (pilot of {pilot} cases, after set-up)",
+        "one case": f"{lasting(each)} in one process (pilot of {counted(pilot, 'case')}, after set-up)",
         "one chunk": _chunk_advice(cases, chunk, each),
         "estimate": f"{cases * each:.0f} s of one process",
         **workflow.describe(text),

@@ -26,7 +26,6 @@ from wavequake.optics.derivatives.central import DOFS, SensitivityMatrix
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.segments.prepared import prepare
 from wavequake.optics.segments.sensitivity import Sensitivities, sensitivities
-from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.exposures.telescope_control import segment_text
 from wavequake.workflows.segments.bench import MM_PER_M, Bench, bench_of
 from wavequake.workflows.segments.segment_mor_bench import telescope_study
@@ -81,6 +80,11 @@ def sensitivity(
     ------
     UserError
         For a study, a key or a store that cannot be used.
+
+    Examples
+    --------
+    >>> found = sensitivity("double-gauss", optics__rays=100)  # doctest: +SKIP
+    >>> found.sensitivity_los_surface.dims  # doctest: +SKIP
     """
     keys = {key.replace("__", "."): value for key, value in overrides.items()}
     loaded = study_with(study, keys) if isinstance(study, Study) else sensitivity_study(study, keys)
@@ -131,13 +135,12 @@ def _telescope_text(study: Study) -> str:
     """Return the identity text of the segment-disturbance study whose telescope a study looks through."""
     if isinstance(study, SegmentMorStudy):
         return telescope_study(study).identity_text()
-    if isinstance(study, TelescopeExposureStudy):
-        return segment_text(study.identity_text())
     if isinstance(study, SegmentStudy):
-        return study.identity_text()
+        study.require_one_place("Sensitivities are")
+        return segment_text(study.identity_text())
     raise UserError(
         f"The workflow {study.study.workflow} of {study.study.name} has no sensitivities; "
-        "segment-disturbance, segment-mor, telescope-exposure and system-disturbance have."
+        "segment-disturbance, segment-mor, telescope-exposure, telescope-loop and system-disturbance have."
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from wavequake.campaign.schema import Study
 from wavequake.errors import UserError
 from wavequake.optics.catalog.names import system_names
+from wavequake.optics.lens_archive import LENS_FILES
 from wavequake.workflows.overrides import split_overrides
 from wavequake.workflows.study import bundled_studies, load_study, study_of
 
@@ -18,6 +19,10 @@ TELESCOPES: dict[str, tuple[str, dict[str, Any]]] = {
     "tmt": ("tmt-segments", {}),
     "tmt-18": ("tmt-segments", {"telescope.name": "tmt-18"}),
     "tmt-thesis": ("tmt-segments", {"telescope.name": "tmt-thesis"}),
+    "elt": ("tmt-segments", {"telescope.name": "elt"}),
+    "keck": ("tmt-segments", {"telescope.name": "keck"}),
+    "gtc": ("tmt-segments", {"telescope.name": "gtc"}),
+    "gmt": ("tmt-segments", {"telescope.name": "gmt"}),
 }
 # Keys that say what the system is: with one of them, the name would be that of something else.
 _WHOLE = (
@@ -53,7 +58,7 @@ def sensitivity_study(source: str | Path, overrides: Mapping[str, Any] | Iterabl
             "write_zmx makes a file of a system."
         )
     name = str(source)
-    is_file, is_system = name.lower().endswith(".zmx"), name in TELESCOPES or name in system_names()
+    is_file, is_system = name.lower().endswith(LENS_FILES), name in TELESCOPES or name in system_names()
     if name in bundled_studies() or (not (is_file or is_system) and Path(name).is_file()):
         return load_study(source, overrides)
     keys = dict(split_overrides(overrides))

@@ -9,10 +9,12 @@ from typing import Any
 from wavequake.campaign.schema import Study
 from wavequake.errors import UserError
 from wavequake.files import folder
+from wavequake.optics.lens_archive import LENS_FILES
 from wavequake.user_files import read_text, read_toml
 from wavequake.workflows.kinds import find_kind, kind_names
 from wavequake.workflows.overrides import (
     FILES,
+    follow_in_title,
     overridden,
     override,
     replace_alternatives,
@@ -52,11 +54,16 @@ def load_study(name: str | Path, overrides: Mapping[str, Any] | Iterable[str] = 
     UserError
         If the study is unknown, is no TOML, or does not fit the schema; names the file, the key and the
         nearest valid one.
+
+    Examples
+    --------
+    >>> load_study("tmt-segments", ["campaign.cases=40"])
+    <SegmentStudy tmt-segments: 40 cases of segment-disturbance>
     """
     if not isinstance(name, str | Path):
         raise UserError(f"A study is loaded by name or path, not by {type(name).__name__}.")
     path = _find(str(name))
-    if path.suffix.lower() == ".zmx":
+    if path.suffix.lower() in LENS_FILES:
         raise UserError(
             f"{path} is a lens file, not a study: a study names it as `file` of its [system]; `wavequake "
             "info` and `wavequake sensitivity` take the lens file itself."
@@ -83,8 +90,9 @@ def study_of(record: dict[str, Any], where: str, base: Path, pairs: Iterable[tup
     replace_alternatives(record, pairs, model)
     for key, value in pairs:
         override(record, key, _located(key, value, base), model)
+    follow_in_title(record, dict(pairs))
     model.read_files(record, base)
-    study = validated(model, record, where)
+    study = validated(model, record, where, [key for key, _ in pairs])
     if sweep is None and not swept:
         return study
     if not isinstance(sweep, dict | None):
@@ -163,7 +171,8 @@ def _find(name: str) -> Path:
     near = difflib.get_close_matches(name, bundled, n=1)
     hint = f": did you mean {near[0]!r}?" if near else "."
     if path.suffix or path.parent != Path():
-        what = "is a folder, not a study file" if path.is_dir() else "does not exist"
+        there = "is no regular file" if path.exists() else "does not exist"
+        what = "is a folder, not a study file" if path.is_dir() else there
         raise UserError(f"The file {name} {what}; `wavequake new` begins a study of your own.")
     raise UserError(
         f"There is no study {name!r}{hint} Bundled studies are {', '.join(bundled)}; "

@@ -18,6 +18,7 @@ from wavequake.campaign.contract import ChunkResult, StudyKind, Template
 from wavequake.campaign.schema import CampaignSection, Section, StoreSection, Study, study_from_identity
 from wavequake.errors import UserError
 from wavequake.prepared import prepared
+from wavequake.words import counted
 from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.overrides import FILES, overridden, validated
 
@@ -25,8 +26,8 @@ NAME = "sweep"
 _MOST_CASES = 100_000_000
 _MOST_POINTS = 100_000
 # Keys that do not belong to a case's numbers.
-_ELSEWHERE = ("campaign", "store", "study", "sweep")
-Value = bool | int | float | str
+_ELSEWHERE = ("campaign", "store", "study", "sweep", "allow", "budget")
+Value = bool | int | float | str | tuple[int | float, ...]
 
 
 class SweptKey(Section):
@@ -113,8 +114,8 @@ def swept_study(study: Study, sweep: Mapping[str, Any]) -> SweepStudy:
         point = point_study(base, values)
         if (cases := _cases_of(point, study)) != study.cases:
             raise UserError(
-                f"{study.study.name}: sweep: at {_words(values)} there are {cases} cases instead of "
-                f"{study.cases}; sweep over what leaves their number."
+                f"{study.study.name}: sweep: at {_words(values)} there would be "
+                f"{counted(cases, 'case')} instead of {study.cases}; sweep over what leaves their number."
             )
     found = validated(SweepStudy, record, study.study.name)
     assert isinstance(found, SweepStudy)
@@ -130,12 +131,17 @@ def _swept(key: str, values: Any) -> dict[str, Any]:
     if not isinstance(values, list | tuple) or not values:
         raise UserError(f"{where}: it is {values!r}; give a list of values.")
     for one in values:
-        if not isinstance(one, bool | int | float | str):
-            raise UserError(f"{where}: {one!r} is neither a number nor a text.")
+        several = isinstance(one, list | tuple) and one and all(isinstance(each, int | float) for each in one)
+        if not (several or isinstance(one, bool | int | float | str)):
+            raise UserError(f"{where}: {one!r} is neither a number nor a text, nor a list of numbers.")
+    values = [tuple(one) if isinstance(one, list) else one for one in values]
     if twice := [one for one, count in Counter(values).items() if count > 1]:
         raise UserError(f"{where}: {twice[0]!r} is listed twice.")
-    if len({isinstance(one, str) for one in values}) > 1:
-        raise UserError(f"{where}: the values are partly numbers and partly texts.")
+    if (
+        len({str if isinstance(one, str) else tuple if isinstance(one, tuple) else float for one in values})
+        > 1
+    ):
+        raise UserError(f"{where}: the values are partly numbers and partly texts or lists.")
     return {"key": key, "values": list(values)}
 
 
@@ -193,22 +199,30 @@ def _texts(study_text: str) -> tuple[StudyKind, tuple[str, ...], SweepStudy]:
 
 
 def template(study_text: str) -> Template:
-    """Return what a store holds: what one of the first point does, if the last one's is the same."""
+    """Return what a store holds: what one of the first point does, without what the last one's has not.
+
+    :func:`check` has compared those of all points; workers, which ask for it, too, need not.
+    """
     kind, texts, study = _texts(study_text)
     first, last = kind.template(texts[0]), kind.template(texts[-1])
-    for name in first.per_case.keys() | last.per_case.keys():
-        shapes = [one.per_case[name].shape if name in one.per_case else None for one in (first, last)]
+    _require_alike(first, last, *(_words(points_of(study)[place]) for place in (0, -1)))
+    same = {name: one for name, one in first.fixed.items() if _has(last, name, one[1])}
+    return Template(first.per_case, same, max(first.working_bytes, last.working_bytes))
+
+
+def _require_alike(first: Template, other: Template, here: str, there: str) -> None:
+    """Raise UserError if the numbers of a point have another shape than those of the first one."""
+    for name in first.per_case.keys() | other.per_case.keys():
+        shapes = [one.per_case[name].shape if name in one.per_case else None for one in (first, other)]
         if shapes[0] != shapes[1]:
             raise UserError(
-                f"The numbers {name!r} have another shape at {_words(points_of(study)[-1])} than at "
-                f"{_words(points_of(study)[0])}: these values need studies of their own."
+                f"The numbers {name!r} have another shape at {there} than at {here}: these values need "
+                "studies of their own."
             )
-    same = {
-        name: one
-        for name, one in first.fixed.items()
-        if name in last.fixed and np.array_equal(one[1], last.fixed[name][1])
-    }
-    return Template(first.per_case, same, max(first.working_bytes, last.working_bytes))
+
+
+def _has(template: Template, name: str, values: Any) -> bool:
+    return name in template.fixed and np.array_equal(values, template.fixed[name][1])
 
 
 def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[Any]]:
@@ -218,9 +232,21 @@ def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[Any]
     for point, begin, end in _parts(study.each, first, last):
         table = dict(kind.case_table(texts[point], begin, end))
         for name, value in zip(label_names(study), points[point].values(), strict=True):
-            table[name] = np.full(end - begin, value, dtype=object if isinstance(value, str) else np.float64)
+            label = _label(value)
+            table[name] = np.full(end - begin, label, dtype=object if isinstance(label, str) else np.float64)
         found.append(table)
     return {name: np.concatenate([one[name] for one in found]) for name in found[0]}
+
+
+def _label(value: Value) -> str | float:
+    """Return what labels cases: a list of numbers is a text."""
+    return ", ".join(map(_shortest, value)) if isinstance(value, tuple) else value
+
+
+def _shortest(one: float) -> str:
+    """Return the shortest text that is this number and no other."""
+    text = format(one, "g")
+    return text if float(text) == one else repr(one)
 
 
 def _parts(each: int, first: int, last: int) -> Iterator[tuple[int, int, int]]:
@@ -254,7 +280,11 @@ def describe(study_text: str) -> dict[str, str]:
     """Return what is swept, and what the first point's study says of itself."""
     kind, texts, study = _texts(study_text)
     values = {f"sweep {one.key}": ", ".join(map(str, one.values)) for one in study.sweep}
-    return {"points": f"{len(texts)} of {study.each} cases each", **values, **kind.describe(texts[0])}
+    return {
+        "points": f"{len(texts)} of {counted(study.each, 'case')} each",
+        **values,
+        **kind.describe(texts[0]),
+    }
 
 
 def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
@@ -264,14 +294,26 @@ def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
 
 
 def check(study_text: str) -> None:
-    """Raise UserError if the study cannot work at one of the points; says at which."""
+    """Raise UserError if the study cannot work at a point, or needs another store there; says at which."""
     kind, texts, study = _texts(study_text)
-    for text, values in zip(texts, points_of(study), strict=True):
+    points, first = points_of(study), None
+    changes: dict[str, str] = {}  # the first point at which what is of no case differs
+    for text, values in zip(texts, points, strict=True):
         try:
             kind.check(text)
         except UserError as error:
             raise UserError(f"At {_words(values)}: {error}") from None
-    template(study_text)
+        found = kind.template(text)  # which is quick now
+        first = first or found
+        _require_alike(first, found, _words(points[0]), _words(values))
+        for name, (_, one, _) in first.fixed.items():
+            if not _has(found, name, one):
+                changes.setdefault(name, _words(values))
+    if hidden := [name for name in template(study_text).fixed if name in changes]:
+        raise UserError(
+            f"{hidden[0]!r} is the same at {_words(points[0])} and at {_words(points[-1])}, but not at "
+            f"{changes[hidden[0]]}, and a store keeps one of them: give the values in another order."
+        )
 
 
 def notices(study_text: str) -> Iterator[str]:

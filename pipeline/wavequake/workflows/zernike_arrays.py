@@ -47,6 +47,14 @@ def convert_zernike(
     UserError
         If the dimension is missing or incomplete, the obscuration is not known or not in [0, 1), the index is
         unknown, or Fringe coefficients are wanted over an annulus.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> noll = xr.DataArray([0.0, 0.0, 0.0, 5.0], {"noll": [1, 2, 3, 4]}, "noll")
+    >>> ansi = convert_zernike(noll, "ansi", source=0.0)
+    >>> print(float(ansi.sel(ansi=4)))  # defocus
+    5.0
     """
     import xarray as xr
 

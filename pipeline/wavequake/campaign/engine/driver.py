@@ -25,7 +25,7 @@ from wavequake.campaign.store import fence, layout, store, verify
 from wavequake.campaign.store import manifest as manifests
 from wavequake.campaign.store.journal import Chunk, Record, read_journal, scan_journal
 from wavequake.campaign.store.store import Manifest
-from wavequake.cluster.local import leave_if_imported_by_a_worker
+from wavequake.cluster.local import leave_if_imported_by_a_worker, prepare_workers
 from wavequake.cluster.places import Opener, elsewhere, place_of
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.device.devices import choose_device
@@ -63,6 +63,12 @@ class CampaignSummary:
             self.write_seconds + later.write_seconds,
             rechecked=later.rechecked,
         )
+
+
+def begin_workers(workflow: StudyKind, path: Path, on: str) -> None:
+    """Have workers of this machine load, if there is no store at `path` yet; do not wait for that."""
+    if on == "local" and not (path / store.MANIFEST).exists():
+        prepare_workers(Job.__module__, workflow.compute.__module__)
 
 
 def run_campaign(
@@ -252,6 +258,7 @@ def _prepared(
         sources = {"study_title": title, **provenance.collect(choose_device(device))}
         return store.create_store(path, workflow, study, cases, chunk, device, sources)
     manifests.refuse_other(path, manifest, workflow.name, study, kind)
+    layout.refuse_older(path, manifest, lambda _: workflow)
     if repair or layout.lost_layout(path, manifest):
         layout.mend_layout(path, manifest, workflow)
     return store.extend_store(path, workflow, cases)

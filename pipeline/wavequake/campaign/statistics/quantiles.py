@@ -6,8 +6,8 @@ from functools import lru_cache
 from math import isinf
 
 import numpy as np
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
-from scipy.special import bdtr, bdtrc, stdtrit
 
 CONFIDENCE = 0.95
 
@@ -35,8 +35,8 @@ def quantile_ranks(draws: int, probability: float, confidence: float = CONFIDENC
     """
     tail = (1.0 - confidence) / 2.0
     k = np.arange(draws)
-    lower = int(np.count_nonzero(bdtr(k, draws, probability) <= tail))
-    upper = int(np.count_nonzero(bdtrc(k, draws, probability) > tail)) + 1
+    lower = int(np.count_nonzero(scipy.special.bdtr(k, draws, probability) <= tail))
+    upper = int(np.count_nonzero(scipy.special.bdtrc(k, draws, probability) > tail)) + 1
     return lower, upper
 
 
@@ -144,7 +144,7 @@ def error_of_shares(
     # Sets may differ in size by failed cases: the error of a ratio of two sums, to first order.
     apart = counts - counts.sum(axis=0) * (sizes / sizes.sum())
     error = apart.std(axis=0, ddof=1) * np.sqrt(len(counts)) / sizes.sum()
-    return np.asarray(stdtrit(len(counts) - 1, 0.5 + confidence / 2.0) * error)
+    return np.asarray(scipy.special.stdtrit(len(counts) - 1, 0.5 + confidence / 2.0) * error)
 
 
 def neighbors(count: int, probability: float) -> tuple[int, int]:

@@ -12,6 +12,7 @@ from wavequake.errors import UserError
 
 MANIFEST, DATA, JOURNAL, LOCK, REPORT = "manifest.json", "data.zarr", "done", "lock", "report.html"
 SENSITIVITY, BUDGET, LOG, SHARDS = "sensitivity.zarr", "budget.zarr", "log", "shards"
+ERRORS = "errors.zarr"
 
 
 @contextmanager
@@ -53,7 +54,7 @@ def refuse_foreign(path: Path) -> None:
     if not names or MANIFEST in names:
         return
     # Where we wrote data, we had made the journal's folder before: other data are somebody else's.
-    ours = [MANIFEST, JOURNAL, LOCK, REPORT, SENSITIVITY, BUDGET, LOG, SHARDS, FENCE, WRITERS]
+    ours = [MANIFEST, JOURNAL, LOCK, REPORT, SENSITIVITY, BUDGET, ERRORS, LOG, SHARDS, FENCE, WRITERS]
     ours += [DATA] if JOURNAL in names else []
     foreign = [name for name in names if name.split(".partial")[0] not in ours]
     if DATA in names and any((path / JOURNAL).glob("*.jsonl")):

@@ -4,7 +4,7 @@ import json
 import shutil
 import uuid
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from hashlib import blake2b
 from math import prod
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake import __version__
 from wavequake.campaign.contract import StudyKind, Template
 from wavequake.campaign.store import arrays
 from wavequake.campaign.store.folder import DATA, write_errors_explained
@@ -23,6 +24,19 @@ from wavequake.campaign.store.retention import stored_template
 from wavequake.errors import UserError
 
 _MOST_LABELS = 2**33  # numbers of an array that is no case's
+
+
+def refuse_older(path: Path, manifest: Manifest, kind_of: Callable[[str], StudyKind]) -> None:
+    """Raise UserError if another version made a store, without numbers that this one stores."""
+    made_by = manifest.provenance.get("wavequake", __version__)
+    if made_by == __version__:
+        return
+    wanted = stored_template(kind_of(manifest.workflow), manifest.study).per_case
+    if missing := [name for name in wanted if name not in manifest.variables]:
+        raise UserError(
+            f"{path} was made by Wavequake {made_by}, which stored no {missing[0]!r}: status, verify, "
+            f"compare and export take it; for all else, run its study with {__version__} and another --store."
+        )
 
 
 def write_layout(folder: Path, manifest: Manifest, workflow: StudyKind) -> None:

@@ -9,6 +9,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from wavequake import __version__
 from wavequake.campaign.store.arrays import ENGINE_VARIABLES
 from wavequake.campaign.store.difference import first_difference
 from wavequake.campaign.store.folder import MANIFEST
@@ -151,8 +152,11 @@ def refuse_other(path: Path, manifest: Manifest, workflow: str, study: str, kind
         theirs = {"workflow": manifest.workflow, **json.loads(manifest.study)}
         ours = {"workflow": workflow, **json.loads(study)}
         key, there, here = first_difference(theirs, ours)
+        made_by = manifest.provenance.get("wavequake", __version__)
+        words = f", made by Wavequake {made_by}" if made_by != __version__ else ""
         raise UserError(
-            f"{path} belongs to another study: {key} is {there} there, {here} here; choose another --store."
+            f"{path} belongs to another study{words}: {key} is {there} there, {here} here; choose another "
+            "--store."
         )
     if manifest.device_kind != kind:
         raise UserError(

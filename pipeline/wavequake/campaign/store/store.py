@@ -16,6 +16,7 @@ from wavequake.campaign.contract import StudyKind
 from wavequake.campaign.store import arrays
 from wavequake.campaign.store.folder import BUDGET as BUDGET
 from wavequake.campaign.store.folder import DATA as DATA
+from wavequake.campaign.store.folder import ERRORS as ERRORS
 from wavequake.campaign.store.folder import JOURNAL as JOURNAL
 from wavequake.campaign.store.folder import LOCK as LOCK
 from wavequake.campaign.store.folder import LOG as LOG
@@ -37,6 +38,8 @@ from wavequake.kernels.device.devices import choose_device
 
 if TYPE_CHECKING:
     import xarray as xr
+
+_SMALL = 2**28  # bytes of numbers
 
 
 def create_store(
@@ -152,6 +155,24 @@ def open_store(path: Path | str) -> "xr.Dataset":
     >>> ds = open_store("runs/tmt-segments-1a2b3c4d")                      # doctest: +SKIP
     >>> ds.wfe_rms.where(ds.status == 1).groupby("disturbance").median()   # doctest: +SKIP
     """
+    manifest, dataset = _labelled(path)
+    # Labels, status and messages stay out of Dask: they are small, and selecting by them needs their values.
+    lazy = {name: dataset[name].variable.chunk(case=manifest.chunk) for name in _numbers(manifest)}
+    return dataset.assign(lazy)
+
+
+def open_for_report(path: Path | str) -> "xr.Dataset":
+    """Open a store as :func:`open_store`, but a small one without Dask, which starts longer than that reads.
+
+    Its arrays are read when their values are asked for, each as a whole; raises as :func:`open_store`.
+    """
+    manifest, dataset = _labelled(path)
+    small = sum(dataset[name].nbytes for name in _numbers(manifest)) <= _SMALL
+    return dataset if small else open_store(path)
+
+
+def _labelled(path: Path | str) -> "tuple[Manifest, xr.Dataset]":
+    """Return the arrays of a store, none of them read, in the order of its manifest."""
     import xarray as xr
 
     if not isinstance(path, str | Path):
@@ -163,13 +184,12 @@ def open_store(path: Path | str) -> "xr.Dataset":
         arrays.array_of(group, name)
     with arrays.damage_explained(path / DATA), arrays.missing_reads_as_fill():
         dataset = xr.open_zarr(path / DATA, chunks=None, consolidated=False).isel(case=slice(manifest.cases))
-    # Labels, status and messages stay out of Dask: they are small, and selecting by them needs their values.
-    numbers = [name for name in manifest.variables if name not in arrays.ENGINE_VARIABLES]
-    lazy = {name: dataset[name].variable.chunk(case=manifest.chunk) for name in numbers}
-    dataset = dataset.assign(lazy)
     others = [name for name in dataset.data_vars if name not in manifest.variables]
-    ordered: xr.Dataset = dataset[[*manifest.variables, *others]]
-    return ordered
+    return manifest, dataset[[*manifest.variables, *others]]
+
+
+def _numbers(manifest: Manifest) -> list[str]:
+    return [name for name in manifest.variables if name not in arrays.ENGINE_VARIABLES]
 
 
 def done_records(manifest: Manifest, journal: Journal) -> dict[Chunk, Record]:

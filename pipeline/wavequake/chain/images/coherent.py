@@ -6,7 +6,7 @@ as a point spread function is. A source is a set of points, each of which shifts
 stands for them.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from wavequake.chain.images.extended import ObjectSection, object_picture
 from wavequake.imaging.engines import matrix_fourier, segment_psf
 from wavequake.imaging.engines.matrix_fourier import MatrixFourier
 from wavequake.imaging.engines.segment_basis import SegmentBasis, ray_basis
+from wavequake.imaging.exposures.smear import add_smeared, empty_total, smeared_image
 from wavequake.imaging.objects.formation import Source, disk_source
 
 Array = NDArray[np.float64]
@@ -53,6 +54,7 @@ def lit_object(
     sampling: float,
     area: float,
     diameter: float,
+    canvas: int = 1,
 ) -> LitObject:
     """Prepare an object in coherent or partially coherent light for a pupil of rays.
 
@@ -65,6 +67,8 @@ def lit_object(
         Of the frame; sampling in wavelengths / diameter.
     area, diameter
         Of the pupil, mm² and mm.
+    canvas : int
+        Images are so many frames wide; the object fills the one in the middle.
 
     Raises
     ------
@@ -79,23 +83,24 @@ def lit_object(
         fx, fy = x / diameter - 0.5 * across, y / diameter - 0.5 * up
         along_x, along_y = (_along(f, pixels, sampling) for f in (fx, fy))
         spectra.append(_squares(sampling, fx, fy) * ((along_x @ picture.T) * along_y).sum(axis=1))
-    basis = ray_basis(x, y, weight, pixels, sampling, diameter)
+    basis = ray_basis(x, y, weight, canvas * pixels, sampling, diameter)
     return LitObject(basis, np.array(spectra) * (area / diameter**2), source.weights)
 
 
-def lit_by_cells(section: ObjectSection, transform: MatrixFourier) -> LitObject:
+def lit_by_cells(section: ObjectSection, transform: MatrixFourier, pixels: int | None = None) -> LitObject:
     """Prepare an object in coherent or partially coherent light for a sampled pupil.
 
-    The frame is that of the transform. Errors are those of `lit_object`.
+    The object fills a frame of ``pixels``, by default that of the transform. Errors are those of
+    `lit_object`.
     """
     pupil, axis = transform.pupil, transform.axis
-    sampling = float(axis[1] - axis[0])
-    picture = object_picture(section, len(axis), sampling)
+    sampling, pixels = float(axis[1] - axis[0]), pixels or len(axis)
+    picture = object_picture(section, pixels, sampling)
     source = source_of(section)
     spectra: list[NDArray[np.complex128]] = []
     for across, up in source.points:  # of whole cells: their spectrum is separable
         fx, fy = 0.5 * (pupil.axis - across), 0.5 * (pupil.axis - up)
-        grid = _along(fy, len(axis), sampling) @ picture @ _along(fx, len(axis), sampling).T
+        grid = _along(fy, pixels, sampling) @ picture @ _along(fx, pixels, sampling).T
         spectra.append((_squares(sampling, fx, fy[:, None]) * grid).ravel()[pupil.cells])
     share = pupil.light.sum() / len(pupil.axis) ** 2
     return LitObject(transform, np.array(spectra) * share, source.weights)
@@ -120,13 +125,40 @@ def mean_image(lit: LitObject, phases: Iterable[Array]) -> Array:
     """
     total, count = np.zeros(()), 0
     for block in phases:
-        for first in range(0, len(block), _BATCH):
-            part = block[first : first + _BATCH]
-            fields = np.exp(2j * np.pi * (part - np.rint(part)))
-            for spectrum, weight in zip(lit.spectra, lit.weights, strict=True):
-                total = total + weight * _images(lit.pupil, fields * spectrum).sum(axis=0, dtype=np.float64)
+        for images in lit_images(lit, block):
+            total = total + images.sum(axis=0)
         count += len(block)
     return np.asarray(total / count)
+
+
+def smeared_object(lit: LitObject, phases: Array, ways: Array, sampling: float) -> Array:
+    """Return the mean image (n, n) over instants of phases (T, R) in waves that move along ways (T, m, 2).
+
+    A tilt moves an image as a whole, so what is exposed between two instants needs no phases of its own.
+    """
+    total, size, first = np.zeros((), dtype=np.complex128), 0, 0
+    for images in lit_images(lit, phases):
+        if not first:
+            size = images.shape[-1]
+            total = empty_total(size, ways, sampling)
+        add_smeared(total, images, ways[first : first + len(images)], sampling)
+        first += len(images)
+    return smeared_image(total, ways, size, sampling)
+
+
+def lit_images(lit: LitObject, phases: Array) -> Iterator[Array]:
+    """Yield the images (part, n, n) of the instants whose phases (instants, R) in waves are given, by parts.
+
+    A ray whose phase is NaN is dark.
+    """
+    for first in range(0, len(phases), _BATCH):
+        part = phases[first : first + _BATCH]
+        fields = np.exp(2j * np.pi * (part - np.rint(part)))
+        fields[np.isnan(part)] = 0.0
+        images = np.zeros(())
+        for spectrum, weight in zip(lit.spectra, lit.weights, strict=True):
+            images = images + weight * _images(lit.pupil, fields * spectrum).astype(np.float64)
+        yield images
 
 
 def _images(pupil: SegmentBasis | MatrixFourier, amplitude: NDArray[np.complex128]) -> NDArray[np.floating]:

@@ -16,24 +16,24 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from wavequake.campaign.schema import Section
-from wavequake.chain.images.coherent import lit_by_cells, mean_image
+from wavequake.chain.images.camera import Camera, DetectorSection, SharedImagingSection, require_pixels
+from wavequake.chain.images.coherent import lit_by_cells, mean_image, smeared_object
 from wavequake.chain.images.extended import ObjectSection, object_image
+from wavequake.chain.images.field_pupil import UNIT_DIAMETER, defocus, mapped_pupil, seen_light
+from wavequake.chain.images.streak import leaves_dots
 from wavequake.errors import UserError
 from wavequake.imaging.engines.choice import PsfEngine, point_spread, prepare_psf
 from wavequake.imaging.exposures.exposure import encircled_energy_radius
 from wavequake.imaging.exposures.exposure_models import cut
+from wavequake.imaging.exposures.smear import add_smeared, empty_total, smeared_image
 from wavequake.imaging.pupils.nyquist import samples_for
-from wavequake.imaging.pupils.outlines import Outline, annulus
-from wavequake.imaging.pupils.pupil_function import PupilGrid, apodized, sampled_pupil
+from wavequake.imaging.pupils.pupil_function import PupilGrid, apodized
 from wavequake.kernels.device.devices import NUMPY, Device
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.wavefronts.wavefront import PreparedSystem, SystemWavefront
 
 Array = NDArray[np.float64]
 
-# Of the perfect image's diameter, in lambda/D.
-_UNIT_DIAMETER = 2.0
 # What polygons that stand for circles reach beyond them.
 _ROUND = 1.0 + 1e-6
 # Images that are made at once: bounds the memory.
@@ -42,7 +42,7 @@ _BATCH = 16
 _CANVAS = 2
 
 
-class SystemImagingSection(Section):
+class SystemImagingSection(SharedImagingSection):
     """Exposures of every field point; lengths in lambda/D of the primary wavelength (docs/imaging.md)."""
 
     pixels: int = Field(default=64, ge=8, le=1024, description="of an exposure, along x and along y")
@@ -85,12 +85,15 @@ class FieldImager:
     waves_per_mm : ndarray, shape (m, 2)
         Phase in waves at the patches for an image point that is 1 mm off.
     engine : PsfEngine
+    defocus : ndarray, shape (K, m)
+        Phase in waves in each of the planes through focus.
     """
 
     grid: PupilGrid
     modes: Array
     waves_per_mm: Array
     engine: PsfEngine
+    defocus: Array
 
 
 @dataclass(frozen=True)
@@ -108,10 +111,12 @@ class SystemImager:
     resolution_mm : float
         lambda/D in the image: the primary wavelength over twice the largest numerical aperture.
     area : tuple of float
-        Of each field's pupil, in units in which the diameter is 2.
+        Of the pupil of each field in which the primary wavelength alone would bring as much light under the
+        perfect peak as all colors do, in units in which the diameter is 2.
     rest : ndarray, shape (F, 2)
         Line of sight at rest and the primary wavelength, mm: the middle of the frame.
     shown : ObjectSection, optional
+    detector : DetectorSection, optional
     """
 
     section: SystemImagingSection
@@ -122,6 +127,14 @@ class SystemImager:
     area: tuple[float, ...]
     rest: Array
     shown: ObjectSection | None = None
+    detector: DetectorSection | None = None
+
+    @property
+    def camera(self) -> Camera:
+        """What makes numbers of the exposures."""
+        one = self.section
+        size = self.area, UNIT_DIAMETER, self.resolution_mm
+        return Camera(one.pixels, one.sampling, *size, one.resolution, self.detector)
 
 
 def prepare_images(
@@ -130,6 +143,7 @@ def prepare_images(
     static: Sequence[Sequence[SystemWavefront]],
     lit: Mapping[tuple[int, int], NDArray[np.bool_]],
     shown: ObjectSection | None = None,
+    detector: DetectorSection | None = None,
     device: Device = NUMPY,
 ) -> SystemImager:
     """Prepare the exposures of a system.
@@ -143,13 +157,16 @@ def prepare_images(
         By field and wavelength, which rays arrive at rest, bool (N,); nothing where all do.
     shown : ObjectSection, optional
         An extended object, whose image is made, too.
+    detector : DetectorSection, optional
+        What counts photons.
     device : Device
         Where the transforms run.
 
     Raises
     ------
     UserError
-        If the weights do not fit the wavelengths, or the pupil's samples do not carry the wavefront at rest.
+        If the weights do not fit the wavelengths, the pupil's samples do not carry the wavefront at rest, or
+        the detector's pixels do not suit the frame.
     """
     system, count = prepared[0][0].system, len(prepared[0])
     weights = np.array(section.weights if section.weights is not None else [1.0] * count)
@@ -173,17 +190,20 @@ def prepare_images(
         )
         for field, row in enumerate(prepared)
     )
-    cell = (2.0 / section.pupil_samples) ** 2
+    # Shorter waves bring more light under the same peak: that much larger a pupil of the primary one seems.
+    cell = (2.0 / section.pupil_samples) ** 2 * float((weights * relative**2).sum() / weights.sum())
     made = SystemImager(
         section,
         imagers,
         weights * relative**2 / float((weights * relative**2).sum()),
         primary,
-        first / (_UNIT_DIAMETER * aperture),
+        first / (UNIT_DIAMETER * aperture),
         tuple(float(row[primary].grid.light.sum()) * cell for row in imagers),
         np.stack([row[primary].los[0] for row in static]),
         shown,
+        detector,
     )
+    require_pixels(made.camera)
     for field, row in enumerate(static):
         _require_samples(made, field, row)
     return made
@@ -199,10 +219,10 @@ def _field_imager(
     device: Device,
 ) -> FieldImager:
     to_pupil = np.linalg.inv(prepared.image_index * prepared.cosines / aperture)
-    grid = _mapped_pupil(prepared, aperture, section.pupil_samples)
+    grid = mapped_pupil(prepared, aperture, section.pupil_samples)
     x, y = to_pupil @ np.stack([grid.x, grid.y])
     if lit is not None and not lit.all():
-        grid = apodized(grid, _seen_light(prepared, lit, x, y))
+        grid = apodized(grid, seen_light(prepared, lit, x, y))
     terms = prepared.fit.basis.shape[1]
     sampling = section.sampling * relative
     pixels = canvas * section.pixels
@@ -211,38 +231,23 @@ def _field_imager(
         annular_zernike(x, y, terms, prepared.system.pupil.obscuration),
         np.stack([grid.x, grid.y], axis=1) * (aperture / prepared.wavelength),
         prepare_psf(grid, pixels, sampling, section.engine, device),
+        defocus(prepared, np.stack([grid.x, grid.y], axis=1) * aperture, section.focus_um),
     )
-
-
-def _mapped_pupil(prepared: PreparedSystem, aperture: float, samples: int) -> PupilGrid:
-    """Return the pupil in direction cosines over an aperture: the annulus as the field's beam shows it."""
-    ring = annulus(1.0, prepared.system.pupil.obscuration)
-    to_cosines = prepared.image_index * prepared.cosines / aperture
-    corners = ring.corners @ to_cosines.T
-    if np.linalg.det(to_cosines) < 0.0:
-        corners = corners[:, ::-1]  # mirrored: counter-clockwise all the same
-    return sampled_pupil(Outline(corners, ring.sign, ring.piece), samples, _UNIT_DIAMETER)
-
-
-def _seen_light(prepared: PreparedSystem, lit: NDArray[np.bool_], x: Array, y: Array) -> Array:
-    """Return 1 at the places whose nearest ray arrives at rest, else 0."""
-    from scipy.spatial import cKDTree  # slow to import, and few systems vignette
-
-    _, nearest = cKDTree(prepared.pupil).query(np.stack([x, y], axis=1))
-    return np.asarray(lit[nearest], dtype=np.float64)
 
 
 def _require_samples(imager: SystemImager, field: int, static: Sequence[SystemWavefront]) -> None:
     section = imager.section
     for index, wavefront in enumerate(static):
         one = imager.imagers[field][index]
-        phase = 2.0 * np.pi * _phases(imager, field, index, wavefront.zernike, wavefront.los)
+        at_rest = _phases(imager, field, index, wavefront.zernike, wavefront.los)
+        phase = 2.0 * np.pi * np.concatenate([at_rest, at_rest + one.defocus])
         width = _CANVAS * section.pixels * section.sampling
         needed = samples_for(one.grid, phase, width)
         if needed > section.pupil_samples:
             raise UserError(
-                f"imaging.pupil_samples is {section.pupil_samples}, but the wavefront at rest and a frame of "
-                f"{section.pixels} pixels need {needed}; set it to at least that, or take fewer pixels."
+                f"imaging.pupil_samples is {section.pupil_samples}, but the wavefront at rest"
+                f"{', imaging.focus_um' if section.focus_um else ''} and a frame of {section.pixels} pixels "
+                f"need {needed}; set it to at least that, or take fewer pixels."
             )
 
 
@@ -260,7 +265,9 @@ def exposed_instants(section: SystemImagingSection, instants: int) -> NDArray[np
     return np.unique(chosen.astype(np.intp))
 
 
-def expose(imager: SystemImager, field: int, wavefronts: Sequence[SystemWavefront]) -> dict[str, Array]:
+def expose(
+    imager: SystemImager, field: int, wavefronts: Sequence[SystemWavefront], away_mm: Array | None = None
+) -> dict[str, Array]:
     """Return exposure, its peak and radii, of a field over the instants of its wavefronts.
 
     Parameters
@@ -269,70 +276,122 @@ def expose(imager: SystemImager, field: int, wavefronts: Sequence[SystemWavefron
     field : int
     wavefronts : sequence of SystemWavefront
         By wavelength, of T instants each.
+    away_mm : ndarray, shape (exposed instants, m, 2), optional
+        Where the line of sight is besides, from where each exposed instant has it: what is exposed there
+        looks as at that instant.
 
     Returns
     -------
     dict of str to ndarray
-        ``exposure`` (y, x) relative to the perfect peak, ``peak``, ``ee50`` and ``ee80`` (lambda/D), and
-        ``object_image`` (y, x) where there is an object.
+        ``exposure`` (y, x) relative to the perfect peak, ``peak``, ``ee50`` and ``ee80`` (lambda/D),
+        ``exposure_focus`` (K, y, x) in planes behind the image, and ``object_image`` (y, x) where there is
+        an object.
     """
     section = imager.section
     chosen = exposed_instants(section, len(wavefronts[0].los))
-    total = np.zeros(())
-    for index, (wavefront, share) in enumerate(zip(wavefronts, imager.brightness, strict=True)):
-        if not share:
-            continue
-        engine = imager.imagers[field][index].engine
-        images = np.zeros(())
-        for first in range(0, len(chosen), _BATCH):
-            part = chosen[first : first + _BATCH]
-            phase = _phases(imager, field, index, wavefront.zernike[part], wavefront.los[part])
-            images = images + point_spread(engine, 2.0 * np.pi * phase, check=False).sum(axis=0)
-        total = total + share * images / len(chosen)
+    away = None if away_mm is None else away_mm / imager.resolution_mm
+    if away is not None and leaves_dots(away):
+        imager = _with_margin(imager, field, float(np.abs(away).max()))
+    else:
+        away = None
+    total, *through = (
+        _exposed(imager, field, wavefronts, chosen, plane, away)
+        for plane in (None, *range(len(section.focus_um)))
+    )
     exposure = cut(total, section.pixels)
-    size = section.sampling, imager.area[field], _UNIT_DIAMETER
+    size = section.sampling, imager.area[field], UNIT_DIAMETER
     found = {
         "exposure": exposure,
         "peak": np.asarray(exposure.max()),
         **dict(zip(("ee50", "ee80"), encircled_energy_radius(exposure, (0.5, 0.8), *size), strict=True)),
     }
+    if through:
+        found["exposure_focus"] = np.stack([cut(one, section.pixels) for one in through])
     if imager.shown is not None:
-        found["object_image"] = _seen_object(imager, field, total, wavefronts[imager.primary], chosen)
+        found["object_image"] = _seen_object(imager, field, total, wavefronts[imager.primary], chosen, away)
     return found
 
 
+def _exposed(
+    imager: SystemImager,
+    field: int,
+    wavefronts: Sequence[SystemWavefront],
+    chosen: NDArray[np.intp],
+    plane: int | None,
+    away: Array | None,
+) -> Array:
+    """Return the exposure in all colors on the engine's canvas, in the image or in a plane behind it.
+
+    Each instant's image moves by ``away`` (instants, m, 2) in lambda/D, if any.
+    """
+    total, size = np.zeros(()), len(imager.imagers[field][imager.primary].engine.transform.axis)
+    smeared = None if away is None else empty_total(size, away, imager.section.sampling)
+    for index, (wavefront, share) in enumerate(zip(wavefronts, imager.brightness, strict=True)):
+        if not share:
+            continue
+        one, images = imager.imagers[field][index], np.zeros(())
+        for first in range(0, len(chosen), _BATCH):
+            part = chosen[first : first + _BATCH]
+            phase = _phases(imager, field, index, wavefront.zernike[part], wavefront.los[part])
+            if plane is not None:
+                phase = phase + one.defocus[plane]
+            frames = point_spread(one.engine, 2.0 * np.pi * phase, check=False)
+            if smeared is not None and away is not None:
+                add_smeared(smeared, share * frames, away[first : first + _BATCH], imager.section.sampling)
+            else:
+                images = images + frames.sum(axis=0)
+        total = total + share * images / len(chosen)
+    if smeared is not None and away is not None:
+        return smeared_image(smeared, away, size, imager.section.sampling)
+    return total
+
+
+def _with_margin(imager: SystemImager, field: int, reach: float) -> SystemImager:
+    """Return the same with images of a field from whose margin light moves into the frame, `reach` away.
+
+    They are at most as wide as pupils are sampled for.
+    """
+    section, before = imager.section, len(imager.imagers[field][imager.primary].engine.transform.axis)
+    wanted = section.pixels + 2 * int(np.ceil(reach / section.sampling))
+    pixels = max(before, min(8 * -(-wanted // 8), _CANVAS * section.pixels))
+    row = tuple(_with_pixels(one, pixels, one.engine.device) for one in imager.imagers[field])
+    return replace(imager, imagers=(*imager.imagers[:field], row, *imager.imagers[field + 1 :]))
+
+
 def _seen_object(
-    imager: SystemImager, field: int, canvas: Array, wavefront: SystemWavefront, chosen: NDArray[np.intp]
+    imager: SystemImager,
+    field: int,
+    canvas: Array,
+    wavefront: SystemWavefront,
+    chosen: NDArray[np.intp],
+    away: Array | None,
 ) -> Array:
     """Return the image of the object: by the exposure in incoherent light, else instant by instant."""
     section, shown = imager.section, imager.shown
     assert shown is not None
     if shown.light == "incoherent":
         return object_image(
-            shown, canvas, section.pixels, section.sampling, imager.area[field], _UNIT_DIAMETER
+            shown, canvas, section.pixels, section.sampling, imager.area[field], UNIT_DIAMETER
         )
     one = imager.imagers[field][imager.primary]
-    lit = lit_by_cells(shown, one.engine.transform)
+    lit = lit_by_cells(shown, one.engine.transform, section.pixels)
     phases = _phases(imager, field, imager.primary, wavefront.zernike[chosen], wavefront.los[chosen])
-    return mean_image(lit, [phases])
+    if away is None:
+        return cut(mean_image(lit, [phases]), section.pixels)
+    return cut(smeared_object(lit, phases, away, section.sampling), section.pixels)
 
 
 def on_device(imager: SystemImager, device: Device) -> SystemImager:
     """Return the same with transforms on another device."""
     rows = tuple(
-        tuple(
-            replace(
-                one,
-                engine=prepare_psf(
-                    one.grid,
-                    len(one.engine.transform.axis),
-                    float(one.engine.transform.axis[1] - one.engine.transform.axis[0]),
-                    one.engine.name,
-                    device,
-                ),
-            )
-            for one in row
-        )
+        tuple(_with_pixels(one, len(one.engine.transform.axis), device) for one in row)
         for row in imager.imagers
     )
     return replace(imager, imagers=rows)
+
+
+def _with_pixels(one: FieldImager, pixels: int, device: Device) -> FieldImager:
+    """Return the same with images of so many pixels, transformed on a device."""
+    axis = one.engine.transform.axis
+    engine = prepare_psf(one.grid, pixels, float(axis[1] - axis[0]), one.engine.name, device)
+    return replace(one, engine=engine)

@@ -67,11 +67,7 @@ def predictor(known: Sampled, noise: float, frames: int) -> FrameController:
         If the noise is not positive, or the delay is not a whole number of frames of at least 1.
     """
     _check(frames)
-    if not (np.isfinite(noise) and noise > 0):
-        raise UserError(f"The noise of the sensor is {noise:g}; a filter needs a positive one.")
-    row, seen = known.row[:, None], known.r + noise**2
-    p = solve_discrete_are(known.phi.T, row, known.q, np.array([[seen]]), s=known.s[:, None])
-    gain = (known.phi @ p @ known.row + known.s) / (known.row @ p @ known.row + seen)
+    gain = filter_gain(known, noise)
     count, waiting = len(known.phi), frames - 1
     size = count + waiting
     c = np.zeros(size)
@@ -88,6 +84,21 @@ def predictor(known: Sampled, noise: float, frames: int) -> FrameController:
         a[:count] += np.outer(gain, c)
         b[:count] = gain
     return FrameController(a, b, c)
+
+
+def filter_gain(known: Sampled, noise: float) -> Array:
+    """Return the gain (n,) of the Kalman predictor of a disturbance whose frame means are read with noise.
+
+    Raises
+    ------
+    UserError
+        If the noise is not positive.
+    """
+    if not (np.isfinite(noise) and noise > 0):
+        raise UserError(f"The noise of the sensor is {noise:g}; a filter needs a positive one.")
+    row, seen = known.row[:, None], known.r + noise**2
+    p = solve_discrete_are(known.phi.T, row, known.q, np.array([[seen]]), s=known.s[:, None])
+    return np.asarray((known.phi @ p @ known.row + known.s) / (known.row @ p @ known.row + seen))
 
 
 def plant_and_controller(

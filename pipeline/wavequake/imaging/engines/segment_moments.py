@@ -3,8 +3,8 @@
 from math import factorial
 
 import numpy as np
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
-from scipy.special import spherical_jn
 
 from wavequake.imaging.engines.band_limit import waves
 from wavequake.optics.shapes.concave import triangles
@@ -123,9 +123,9 @@ def glass_rule(corners: Real, count: int) -> tuple[Real, Real]:
 def _bessel_order(z: float) -> int:
     """Return the smallest order after which (2n+1) j_n(z) is below 1e-17."""
     n = np.arange(int(z) + 60)
-    return int(np.flatnonzero((2 * n + 1) * np.abs(spherical_jn(n, z)) > 1e-17)[-1]) + 1
+    return int(np.flatnonzero((2 * n + 1) * np.abs(scipy.special.spherical_jn(n, z)) > 1e-17)[-1]) + 1
 
 
 def _bessel_series(z: Real, order: int) -> Complex:
     n = np.arange(order + 1)
-    return np.asarray((2 * n + 1) * (-1j) ** n * spherical_jn(n, z[:, None]))
+    return np.asarray((2 * n + 1) * (-1j) ** n * scipy.special.spherical_jn(n, z[:, None]))

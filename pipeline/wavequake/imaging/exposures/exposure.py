@@ -7,9 +7,11 @@ the pixels' replicas. The kernel used falls from 1 to 0 as an error function in 
 weights die out within 2 wavelengths / diameter; pixels so count exactly, not as little squares.
 """
 
+from typing import NamedTuple
+
 import numpy as np
+import scipy  # its parts load when first used
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import erfc, j0, j1
 
 from wavequake.errors import UserError
 from wavequake.prepared import prepared
@@ -21,6 +23,8 @@ _STEP = 1.0 / 128.0
 # Beyond this distance (wavelengths / diameter) from the edge of a disc the weights are below 1e-8.
 _WING = 6.0
 _RADII_PER_PIXEL = 10
+# Rows of a table at once, where a radius is looked for.
+_ROWS = 16
 # A step leaves a few percent of the centroid's error.
 _CENTROID_STEPS = 6
 
@@ -117,10 +121,14 @@ def encircled_energy(
     UserError
         If sampling, area, diameter or a radius is impossible, or the image not square.
     """
+    return _weighted_sums(image, sampling, radii, center, disc=True) * _peak_share(area, diameter)
+
+
+def _peak_share(area: float, diameter: float) -> float:
+    """Return the share of all energy that one (wavelength / diameter)² at the perfect peak holds."""
     if not (np.isfinite([area, diameter]).all() and area > 0.0 and diameter > 0.0):
         raise UserError(f"the pupil's area {area} mm² and diameter {diameter} mm must be above 0 and finite")
-    share = area / diameter**2
-    return _weighted_sums(image, sampling, radii, center, disc=True) * share
+    return area / diameter**2
 
 
 def encircled_energy_radius(
@@ -156,24 +164,33 @@ def encircled_energy_radius(
     shares = np.asarray(fraction, dtype=np.float64)
     if not ((shares > 0.0) & (shares < 1.0)).all():
         raise UserError(f"the share of encircled energy must lie between 0 and 1, not be {fraction!r}")
+    per_peak = _peak_share(area, diameter)
     radii = np.arange(1, image.shape[-1] * _RADII_PER_PIXEL // 2 + 1) * (sampling / _RADII_PER_PIXEL)
-    energy = encircled_energy(image, sampling, area, diameter, radii, center)
-    energy = np.concatenate([np.zeros((*energy.shape[:-1], 1)), energy], axis=-1)
-    radii = np.concatenate([[0.0], radii])
-    dark = np.asarray(np.isnan(image).any(axis=(-2, -1)))
-    found = [_radius_of(float(share), energy, radii, dark) for share in shares.ravel()]
-    return np.asarray(found[0] if shares.ndim == 0 else np.stack(found))
+    light = _light_about(image, sampling, radii, center, disc=True)
+    found = np.empty((shares.size, len(light.spread)))
+    for which, (spread, reach, dark) in enumerate(zip(light.spread, light.reach, light.dark, strict=True)):
+        for place, share in enumerate(shares.ravel()):
+            found[place, which] = (
+                np.nan if dark else _radius_of(share / per_peak, light.table, spread, radii, reach)
+            )
+    return np.asarray(found.reshape((*shares.shape, *image.shape[:-2])))
 
 
-def _radius_of(share: float, energy: Real, radii: Real, dark: NDArray[np.bool_]) -> Real:
-    """Return where curves (..., R) of energy reach a share."""
-    reached = energy >= share  # False for NaN, that is beyond the frame
-    outer = np.maximum(reached.argmax(axis=-1), 1)[..., None]
-    below, above = (np.take_along_axis(energy, index, axis=-1)[..., 0] for index in (outer - 1, outer))
-    found = reached.any(axis=-1)
-    rise = np.where(found, above - below, 1.0)
-    radius = radii[outer[..., 0]] - np.where(found, above - share, 0.0) / rise * radii[1]
-    return np.asarray(np.where(dark, np.nan, np.where(found, radius, np.inf)))
+def _radius_of(energy: float, table: Real, spread: Real, radii: Real, reach: float) -> float:
+    """Return the first radius with an energy. Energies rise with the radius: few rows of the table tell."""
+    inside = int(np.searchsorted(radii, reach, side="right"))  # rows of circles that fit into the frame
+    ends = np.minimum(np.arange(_ROWS, inside + _ROWS, _ROWS), inside)
+    enough = table[ends - 1] @ spread >= energy
+    if not enough.any():
+        return np.inf
+    last = int(ends[enough.argmax()])
+    rows = np.arange(max(last - _ROWS - 1, 0), last)
+    at, energies = radii[rows], table[rows] @ spread
+    if not rows[0]:
+        at, energies = np.concatenate([[0.0], at]), np.concatenate([[0.0], energies])
+    above = max(int((energies >= energy).argmax()), 1)
+    rise = energies[above] - energies[above - 1]
+    return float(at[above] - (energies[above] - energy) / rise * radii[0])
 
 
 def radial_profile(
@@ -195,7 +212,7 @@ def _axis(pixels: int, sampling: float) -> Real:
 def _distance(centers: Real, axis: Real) -> Real:
     """Distances (B, n, n) of the pixels from the centers (B, 2)."""
     x, y = axis - centers[:, :1], axis - centers[:, 1:]
-    return np.asarray(np.hypot(x[:, None, :], y[:, :, None]))
+    return np.asarray(np.sqrt((x**2)[:, None, :] + (y**2)[:, :, None]))
 
 
 def _reach(centers: Real, axis: Real) -> Real:
@@ -209,6 +226,28 @@ def _weighted_sums(
 ) -> Real:
     """Integrals over discs, or means over circles, (..., R); NaN beyond the frame."""
     radii = np.asarray(radii, dtype=np.float64)
+    light = _light_about(image, sampling, radii, center, disc=disc)
+    # One matrix-vector product per image: its numbers do not depend on the others.
+    sums = (light.table @ light.spread[..., None])[..., 0]
+    sums[light.dark[:, None] | (radii > light.reach[:, None])] = np.nan
+    return np.asarray(sums.reshape((*image.shape[:-2], radii.size)))
+
+
+class _Light(NamedTuple):
+    """Images by distance from their centers: sums are ``table`` (R, T) @ ``spread`` (B, T).
+
+    ``reach`` (B,) is the radius of the largest circle inside the frame; images with NaN are ``dark`` (B,).
+    """
+
+    table: Real
+    spread: Real
+    reach: Real
+    dark: NDArray[np.bool_]
+
+
+def _light_about(
+    image: NDArray[np.floating], sampling: float, radii: Real, center: ArrayLike | str, *, disc: bool
+) -> _Light:
     if not 0.0 < sampling <= 0.5:
         raise UserError(f"an image must be sampled at most 0.5 wavelengths/diameter apart, not {sampling}")
     if radii.ndim != 1 or not radii.size or not (np.isfinite(radii) & (radii >= 0.0)).all():
@@ -222,12 +261,8 @@ def _weighted_sums(
     centers = _centers(images, sampling, center, tuple(batch))
     axis = _axis(width, sampling)
     table = _table(sampling, tuple(np.minimum(radii, axis[-1] - axis[0]).tolist()), disc)
-    # One matrix-vector product per image: its numbers do not depend on the others.
-    sums = (
-        sampling**2 * (table @ _spread(_distance(centers, axis), images, table.shape[1])[..., None])[..., 0]
-    )
-    sums[dark[:, None] | (radii > _reach(centers, axis)[:, None])] = np.nan
-    return np.asarray(sums.reshape(*batch, radii.size))
+    spread = sampling**2 * _spread(_distance(centers, axis), images, table.shape[1])
+    return _Light(table, spread, _reach(centers, axis), dark)
 
 
 def _centers(images: Real, sampling: float, center: ArrayLike | str, batch: tuple[int, ...]) -> Real:
@@ -269,7 +304,7 @@ def _table(sampling: float, radii: tuple[float, ...], disc: bool) -> Real:
     last = middle + 6.0 * width
     u, weight = np.polynomial.legendre.leggauss(60 + int(np.pi * last * (r.max() + distance[-1])))
     u, weight = 0.5 * last * (u + 1.0), 0.5 * last * weight
-    kernel = 2.0 * np.pi * weight * 0.5 * erfc((u - middle) / (np.sqrt(2.0) * width))
+    kernel = 2.0 * np.pi * weight * 0.5 * scipy.special.erfc((u - middle) / (np.sqrt(2.0) * width))
     phase = 2.0 * np.pi * np.outer(r, u)
-    source = r[:, None] * j1(phase) if disc else u * j0(phase)
-    return np.asarray((source * kernel) @ j0(2.0 * np.pi * np.outer(u, distance)))
+    source = r[:, None] * scipy.special.j1(phase) if disc else u * scipy.special.j0(phase)
+    return np.asarray((source * kernel) @ scipy.special.j0(2.0 * np.pi * np.outer(u, distance)))

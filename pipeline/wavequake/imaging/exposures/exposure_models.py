@@ -14,8 +14,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its parts load when first used
 from numpy.typing import ArrayLike, NDArray
-from scipy.fft import fft, fftfreq, irfft2, next_fast_len, rfft, rfft2, rfftfreq
 
 from wavequake.errors import UserError
 from wavequake.imaging.exposures.exposure import encircled_energy_radius
@@ -98,17 +98,17 @@ def full_exposure(images: Iterable[NDArray[np.floating]], los: ArrayLike, sampli
             if not np.isfinite(part).all():
                 bad = done + first + int(np.argmin(np.isfinite(part).all(axis=(1, 2))))
                 raise UserError(f"the image of instant {bad} is not finite, so there is no exposure")
-            along_y, along_x = _factors(los[done + first : done + first + len(part)], canvas, sampling)
-            rows = rfft(part, canvas, axis=2)  # of the image alone: the border has none
+            along_y, along_x = place_factors(los[done + first : done + first + len(part)], canvas, sampling)
+            rows = scipy.fft.rfft(part, canvas, axis=2)  # of the image alone: the border has none
             rows *= along_x[:, None, :]
-            spectra = fft(rows, canvas, axis=1)
+            spectra = scipy.fft.fft(rows, canvas, axis=1)
             spectra *= along_y[:, :, None]
             for spectrum in spectra:  # one after the other: the bits do not depend on the blocks
                 total += spectrum
         done += len(local)
     if total is None or done < len(los):
         raise UserError(f"there are {done} images for {len(los)} lines of sight")
-    return _image(total / done, size)
+    return image_of(total / done, size)
 
 
 def los_exposure(static: NDArray[np.floating], los: ArrayLike, sampling: float) -> Real:
@@ -130,9 +130,9 @@ def los_exposure(static: NDArray[np.floating], los: ArrayLike, sampling: float) 
     image, canvas = _static(static, los, sampling)
     trajectory = np.zeros((canvas, canvas // 2 + 1), dtype=np.complex128)
     for first in range(0, len(los), _BLOCK):
-        along_y, along_x = _factors(los[first : first + _BLOCK], canvas, sampling)
+        along_y, along_x = place_factors(los[first : first + _BLOCK], canvas, sampling)
         trajectory += along_y.T @ along_x
-    return _image(rfft2(image, s=(canvas, canvas)) * (trajectory / len(los)), len(image))
+    return image_of(scipy.fft.rfft2(image, s=(canvas, canvas)) * (trajectory / len(los)), len(image))
 
 
 def gaussian_exposure(static: NDArray[np.floating], los: ArrayLike, sampling: float) -> Real:
@@ -144,10 +144,10 @@ def gaussian_exposure(static: NDArray[np.floating], los: ArrayLike, sampling: fl
     image, canvas = _static(static, los, sampling)
     middle = los.mean(axis=0)
     (xx, xy), (_, yy) = (los - middle).T @ (los - middle) / len(los)
-    y, x = fftfreq(canvas, sampling)[:, None], rfftfreq(canvas, sampling)[None, :]
+    y, x = scipy.fft.fftfreq(canvas, sampling)[:, None], scipy.fft.rfftfreq(canvas, sampling)[None, :]
     blur = np.exp(-2.0 * np.pi**2 * (xx * x**2 + 2.0 * xy * x * y + yy * y**2))
     moved = np.exp(-2j * np.pi * (middle[0] * x + middle[1] * y))
-    return _image(rfft2(image, s=(canvas, canvas)) * blur * moved, len(image))
+    return image_of(scipy.fft.rfft2(image, s=(canvas, canvas)) * blur * moved, len(image))
 
 
 def cut(canvas: Real, pixels: int) -> Real:
@@ -221,22 +221,35 @@ def _canvas_length(pixels: int, los: Real, sampling: float) -> int:
             f"have to fit into {_LONGEST} pixels of {sampling:g}"
         )
     length = (pixels + 2 * int(np.ceil(reach))) | 1
-    while next_fast_len(length) != length:
+    while scipy.fft.next_fast_len(length) != length:
         length += 2
     return length
 
 
-def _factors(los: Real, canvas: int, sampling: float) -> tuple[Complex, Complex]:
-    """Factors (block, N) along y and (block, N // 2 + 1) along x that move images to `los` (block, 2)."""
-    return (
-        np.exp(-2j * np.pi * np.outer(los[:, 1], fftfreq(canvas, sampling))),
-        np.exp(-2j * np.pi * np.outer(los[:, 0], rfftfreq(canvas, sampling))),
-    )
+def place_factors(los: Real, canvas: int, sampling: float) -> tuple[Complex, Complex]:
+    """Return factors that move images to `los` (block, 2): (block, N) in y and (block, N // 2 + 1) in x."""
+    split = (_split_waves(places, canvas, sampling) for places in los.T)
+    waves = ((coarse[:, :, None] * fine[:, None]).reshape(len(los), -1) for coarse, fine in split)
+    along_x, along_y = (one[:, : canvas // 2 + 1] for one in waves)
+    return np.concatenate([along_y, along_y[:, :0:-1].conj()], axis=1), along_x
 
 
-def _image(spectrum: Complex, pixels: int) -> Real:
+def mean_factor(places: Real, canvas: int, sampling: float) -> Complex:
+    """Return the mean (N // 2 + 1,) of what moves images to `places` (block,) along one axis."""
+    coarse, fine = _split_waves(places, canvas, sampling)
+    return np.asarray((coarse.T @ fine / len(places)).ravel()[: canvas // 2 + 1])
+
+
+def _split_waves(places: Real, canvas: int, sampling: float) -> tuple[Complex, Complex]:
+    """Return two factors (block, n) of all waves exp(-2 pi i f places): few exponentials."""
+    step = int(np.ceil(np.sqrt(canvas // 2 + 1)))
+    angles = -2.0 * np.pi / (canvas * sampling) * places[:, None] * np.arange(step)
+    return np.exp(1j * step * angles), np.exp(1j * angles)
+
+
+def image_of(spectrum: Complex, pixels: int) -> Real:
     """Transform back, and move the origin from [pixels // 2] to the middle of the canvas."""
     canvas = len(spectrum)
-    image = irfft2(spectrum, s=(canvas, canvas))
+    image = scipy.fft.irfft2(spectrum, s=(canvas, canvas))
     offset = canvas // 2 - pixels // 2
     return np.asarray(np.roll(image, (offset, offset), axis=(0, 1)), dtype=np.float64)

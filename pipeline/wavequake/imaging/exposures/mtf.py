@@ -5,8 +5,8 @@ above 1, the band limit, a coherent amplitude none above 1/2.
 """
 
 import numpy as np
+import scipy  # its parts load when first used
 from numpy.typing import ArrayLike, NDArray
-from scipy.fft import fft2, fftfreq, fftshift
 
 from wavequake.errors import UserError
 from wavequake.imaging.engines.matrix_fourier import samples_needed
@@ -83,8 +83,10 @@ def modulation_transfer(psf: NDArray[np.floating], sampling: float) -> tuple[Rea
         raise UserError("a point spread function without light, or not finite, has no MTF")
     if not (np.isfinite(sampling) and sampling > 0.0):
         raise UserError(f"the sampling of an image must be above 0 wavelengths/diameter, not {sampling}")
-    spectrum = np.abs(fft2(image))
-    return fftshift(fftfreq(len(image), sampling)), np.asarray(fftshift(spectrum / spectrum[0, 0]))
+    spectrum = np.abs(scipy.fft.fft2(image))
+    return np.fft.fftshift(np.fft.fftfreq(len(image), sampling)), np.asarray(
+        np.fft.fftshift(spectrum / spectrum[0, 0])
+    )
 
 
 def ideal_mtf(frequency: ArrayLike) -> Real:
@@ -108,7 +110,7 @@ def _response(pupil: PupilShape) -> tuple[Real, Real]:
     image = np.abs(np.fft.fft2(field, s=(2 * _SAMPLES, 2 * _SAMPLES))) ** 2
     # The square of a rim cell's mean amplitude is not the mean square: only zero frequency would notice.
     energy = image.sum() * grid.amplitude.sum() / np.sum(grid.amplitude**2)
-    return fftshift(image / energy), fftshift(fftfreq(2 * _SAMPLES, 1.0 / _SAMPLES))
+    return np.fft.fftshift(image / energy), np.fft.fftshift(np.fft.fftfreq(2 * _SAMPLES, 1.0 / _SAMPLES))
 
 
 def _check_steepness(cells: NDArray[np.intp], waves: Real) -> None:

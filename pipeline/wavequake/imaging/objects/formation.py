@@ -9,8 +9,8 @@ dark border where it shall not.
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its Fourier transforms load much, and only when they are called
 from numpy.typing import ArrayLike, NDArray
-from scipy.fft import fft2, fftfreq, ifft2
 
 from wavequake.errors import UserError
 from wavequake.imaging.exposures.mtf import optical_transfer_function
@@ -106,7 +106,7 @@ def coherent_image(field: ArrayLike, sampling: float, pupil: PupilShape) -> Real
     UserError
         If the picture is not finite, or too coarse for the irradiance.
     """
-    return _through(fft2(_field(field)), sampling, pupil, 0.0, 0.0)
+    return _through(scipy.fft.fft2(_field(field)), sampling, pupil, 0.0, 0.0)
 
 
 def partially_coherent_image(field: ArrayLike, sampling: float, pupil: PupilShape, source: Source) -> Real:
@@ -115,7 +115,7 @@ def partially_coherent_image(field: ArrayLike, sampling: float, pupil: PupilShap
     A point off the axis tilts the wave that lights the object, which shifts the object's spectrum across the
     pupil. Other arguments and errors are those of `coherent_image`.
     """
-    spectrum = fft2(_field(field))
+    spectrum = scipy.fft.fft2(_field(field))
     total = np.zeros(spectrum.shape)
     for (x, y), weight in zip(source.points, source.weights, strict=True):
         total += weight * _through(spectrum, sampling, pupil, 0.5 * x, 0.5 * y)
@@ -130,7 +130,7 @@ def incoherent_image(intensity: ArrayLike, sampling: float, pupil: PupilShape) -
     picture = checked_intensity(intensity)
     _check_sampling(sampling)
     transfer = optical_transfer_function(pupil, *_frequencies(picture.shape, sampling))
-    return np.asarray(ifft2(fft2(picture) * transfer).real)
+    return np.asarray(scipy.fft.ifft2(scipy.fft.fft2(picture) * transfer).real)
 
 
 def star_field_image(psf: ArrayLike, positions: ArrayLike, fluxes: ArrayLike, sampling: float) -> Real:
@@ -160,10 +160,9 @@ def star_field_image(psf: ArrayLike, positions: ArrayLike, fluxes: ArrayLike, sa
     if not (np.isfinite(places).all() and np.isfinite(light).all() and (light >= 0.0).all()):
         raise UserError("positions of stars must be finite, and their fluxes finite and at least 0")
     _check_sampling(sampling)
-    y, x = (
-        np.exp(-2j * np.pi * np.outer(places[:, i], fftfreq(image.shape[1 - i], sampling))) for i in (1, 0)
-    )
-    return np.asarray(ifft2(fft2(image) * ((light[:, None] * y).T @ x)).real)
+    rates = [np.fft.fftfreq(size, sampling) for size in image.shape]
+    y, x = (np.exp(-2j * np.pi * np.outer(places[:, i], rates[1 - i])) for i in (1, 0))
+    return np.asarray(scipy.fft.ifft2(scipy.fft.fft2(image) * ((light[:, None] * y).T @ x)).real)
 
 
 def checked_intensity(picture: ArrayLike) -> Real:
@@ -216,12 +215,13 @@ def _check_sampling(sampling: float) -> None:
 
 def _frequencies(shape: tuple[int, ...], sampling: float) -> tuple[Real, Real]:
     """Frequencies (1, columns) along x and (rows, 1) along y of a picture's transform."""
-    return fftfreq(shape[1], sampling)[None, :], fftfreq(shape[0], sampling)[:, None]
+    y, x = (np.asarray(np.fft.fftfreq(size, sampling), dtype=np.float64) for size in shape)
+    return x[None, :], y[:, None]
 
 
 def _through(spectrum: Complex, sampling: float, pupil: PupilShape, x: float, y: float) -> Real:
     """Return the irradiance of a spectrum whose zero frequency passes the pupil at twice x and y."""
     _check_sampling(sampling)
     along_x, along_y = _frequencies(spectrum.shape, sampling)
-    image = ifft2(spectrum * coherent_transfer(pupil, along_x - x, along_y - y))
+    image = scipy.fft.ifft2(spectrum * coherent_transfer(pupil, along_x - x, along_y - y))
     return np.asarray(image.real**2 + image.imag**2)

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.trace.ring import ring_second_derivatives, ring_steps
-from wavequake.kernels.trace.sequence import Basis, Element, Moving, Sequence, terms
-from wavequake.kernels.trace.sequential_source import Medium, Part, Shape
+from wavequake.kernels.trace.sequence import Basis, Element, Focus, Moving, Sequence, terms
+from wavequake.kernels.trace.sequential_source import Bend, Medium, Part, Shape
 
 Array = NDArray[np.float64]
 
@@ -78,10 +78,12 @@ def _layout(
         before = medium
         if element.action == "refract":
             medium = _medium(number, element, numbers)
-        media = before, medium
-        shapes.append(
-            Shape(start, element.action, plane, rotates[number], vacuum, even, tuple(parts), regions, *media)
-        )
+        media, form = (before, medium), element.form
+        place = None if form is None else (form.name, len(form.numbers), len(numbers))
+        numbers += () if form is None else form.numbers
+        whole = form is not None and form.near is not None
+        rest = (even, tuple(parts), regions, *media, place, whole, _bend_of(element, numbers))
+        shapes.append(Shape(start, element.action, plane, rotates[number], vacuum, *rest))
         index = behind
     return Layout(tuple(shapes), np.array(numbers))
 
@@ -94,6 +96,21 @@ def _medium(number: int, element: Element, numbers: list[float]) -> Medium | Non
     place = len(numbers)
     numbers += [element.index**2, gradient.step, *gradient.radial, *gradient.axial]
     return Medium(number, len(gradient.radial), len(gradient.axial), place)
+
+
+def _bend_of(element: Element, numbers: list[float]) -> Bend | None:
+    """Add the numbers of an element's phase, if it has one."""
+    phase, place = element.phase, len(numbers)
+    if phase is None:
+        return None
+    if isinstance(phase, Focus):
+        numbers += (phase.power, phase.vergence)
+        return Bend(0, -1, True, place)
+    numbers += phase.even
+    form = phase.polynomial
+    if form is not None:
+        numbers += (form.coefficients * _powers(form.degree, form.radius)).tolist()
+    return Bend(len(phase.even), -1 if form is None else form.degree, False, place)
 
 
 def _turns(poses: Array) -> tuple[bool, ...]:
@@ -261,8 +278,8 @@ def _second_derivatives(degree: int, basis: Basis) -> tuple[NDArray[np.intp], ND
 
 
 def _limit(element: Element, bends: list[Array], instants: int) -> Array:
-    """Return the limit of each instant; even powers are strong, and no step is short enough for them."""
-    if element.even:
+    """Return the limit of each instant; for strong even powers and forms no step is short enough."""
+    if element.even or element.form is not None:
         return np.full(instants, -1.0)
     bend = np.zeros(instants)
     for part in bends:

@@ -1,8 +1,8 @@
 """What a trace through a sequence of surfaces takes and gives. Lengths in mm.
 
 A `Sequence` holds what does not change from instant to instant; poses, deformations and reference spheres
-come per instant. Every shape is packed as a conic plus even powers plus a polynomial in x and y plus a grid;
-each part may be absent.
+come per instant. Every shape is packed as a conic plus even powers plus a polynomial in x and y plus a grid
+plus a form; each part may be absent.
 """
 
 import math
@@ -60,6 +60,42 @@ class Grid:
 
 
 @dataclass(frozen=True)
+class Form:
+    """A height in closed form: what a function of ``kernels/forms.h``, or its twin in NumPy, takes.
+
+    ``near`` is None for a height over the conic of the element. Else the form is all of the surface, and the
+    search for where a ray meets it starts on a paraboloid of this curvature, 1/mm.
+    """
+
+    name: Literal["radial", "biconic", "toroid", "qbfs", "qcon"]
+    numbers: tuple[float, ...]
+    near: float | None = None
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A path that a surface adds to light, mm, as a function of x and y: gratings and binary optics.
+
+    ``even`` and ``polynomial`` (of monomials) as those of `Element`. Light bends by the path's slopes.
+    """
+
+    even: tuple[float, ...] = ()
+    polynomial: Polynomial | None = None
+
+
+@dataclass(frozen=True)
+class Focus:
+    """A perfect thin lens in a plane: n' times the slope behind is n times that before, less power times x.
+
+    ``vergence`` is the reciprocal distance of the object plane before the lens, which it images with equal
+    paths; negative for a virtual one, 0 at infinity. Both in 1/mm.
+    """
+
+    power: float
+    vergence: float = 0.0
+
+
+@dataclass(frozen=True)
 class Region:
     """A closed shape in the surface's x and y: where light passes, or where it is blocked.
 
@@ -97,6 +133,7 @@ class Element:
     ``even[k]`` multiplies (x^2 + y^2)^(k + 1). ``deformation_degree``, ``deformation_radius`` and
     ``deformation_basis`` describe the polynomial that is given per instant (-1: none), ``deformation_grid``
     the grid that is given per instant (its own coefficients are ignored). Static and moving parts add up.
+    A ``phase`` acts whatever the action is.
     """
 
     curvature: float = 0.0
@@ -112,6 +149,8 @@ class Element:
     deformation_grid: Grid | None = None
     regions: tuple[Region, ...] = ()
     gradient: Gradient | None = None
+    form: Form | None = None
+    phase: Phase | Focus | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,6 +269,10 @@ def check_surfaces(sequence: Sequence) -> None:
         _require_finite(number, "conic constant", element.conic)
         if element.even:
             _require_finite(number, "even power coefficients", element.even)
+        if element.form is not None:
+            _require_finite(number, "numbers of its form", (*element.form.numbers, element.form.near or 0.0))
+        if element.phase is not None:
+            _require_phase(number, sequence)
         if not (math.isfinite(element.index) and element.index > 0.0):
             raise UserError(f"surface {number}: the refractive index is {element.index}; it must be positive")
         if element.gradient is not None:
@@ -246,6 +289,22 @@ def check_surfaces(sequence: Sequence) -> None:
             _require_finite(number, "grid heights", grid.coefficients)
             if grid.coefficients.ndim != 2 or min(grid.coefficients.shape) < 4:
                 raise ValueError(f"the grid of element {number} must have at least 4 rows and columns")
+
+
+def _require_phase(number: int, sequence: Sequence) -> None:
+    element = sequence.elements[number]
+    media = [one.gradient for one in sequence.elements[: number + 1] if one.action == "refract"]
+    if media and any(media[-2 if element.action == "refract" else -1 :]):
+        raise UserError(f"surface {number}: it diffracts where the index varies, which cannot be traced")
+    phase = element.phase
+    if isinstance(phase, Focus):
+        _require_finite(number, "power", (phase.power, phase.vergence))
+        if element.action == "reflect":
+            raise UserError(f"surface {number}: a perfect lens cannot be a mirror")
+    elif phase is not None:
+        _require_finite(number, "phase", phase.even)
+        if phase.polynomial is not None:
+            _require_finite(number, "phase", phase.polynomial.coefficients)
 
 
 def bends(sequence: Sequence) -> bool:

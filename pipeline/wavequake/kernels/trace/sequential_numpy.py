@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.kernels.trace.forms_numpy import form_heights
 from wavequake.kernels.trace.gradient_numpy import Space, follow, local_index, space_of
 from wavequake.kernels.trace.grid_numpy import spline_grid
+from wavequake.kernels.trace.phases_numpy import diffracted, focused
 from wavequake.kernels.trace.polynomial_numpy import polynomial
-from wavequake.kernels.trace.sequence import Element, Moving, Rays, Region, Sequence, TracedRays
-from wavequake.kernels.trace.status import DIVERGED, MISS, OK, TOTAL_REFLECTION, VIGNETTED
+from wavequake.kernels.trace.sequence import Element, Focus, Moving, Rays, Region, Sequence, TracedRays
+from wavequake.kernels.trace.status import DIVERGED, MISS, NO_ORDER, OK, TOTAL_REFLECTION, VIGNETTED
 from wavequake.kernels.trace.surfaces import conic_path, conic_sag, conic_slopes, even_sag_and_slopes
 
 Array = NDArray[np.float64]
@@ -86,20 +88,23 @@ def sag_and_slopes(
     tuple of ndarray
         z in mm and its slopes; NaN where the conic does not reach out so far.
     """
-    parts = [
-        (
-            conic_sag(x, y, element.curvature, element.conic),
-            *conic_slopes(x, y, element.curvature, element.conic),
-        )
-    ]
+    parts = []
+    if element.form is None or element.form.near is None:
+        base = conic_sag(x, y, element.curvature, element.conic)
+        parts.append((base, *conic_slopes(x, y, element.curvature, element.conic)))
+    if element.form is not None:
+        parts.append(form_heights(element.form, x, y))
     if element.even:
         parts.append(even_sag_and_slopes(x, y, element.even))
     if element.polynomial is not None:
         static = element.polynomial
         parts.append(polynomial(static.degree, static.radius, static.basis, static.coefficients, x, y))
-    if deformation is not None:
+    if deformation is not None and deformation.any():  # most are at rest, and cost most of the time
+        bent = deformation.any(axis=1)
         form = (element.deformation_degree, element.deformation_radius, element.deformation_basis)
-        parts.append(polynomial(*form, deformation, x, y))
+        added = np.zeros((3, *x.shape))
+        added[:, bent] = polynomial(*form, deformation[bent], x[bent], y[bent])
+        parts.append((added[0], added[1], added[2]))
     if element.grid is not None:
         parts.append(spline_grid(element.grid, element.grid.coefficients, x, y))
     if grid is not None and element.deformation_grid is not None:
@@ -288,7 +293,7 @@ def _meet(
 
 def is_conic(element: Element) -> bool:
     """Return whether the element is nothing but a conic."""
-    parts = (element.polynomial, element.grid, element.deformation_grid)
+    parts = (element.form, element.polynomial, element.grid, element.deformation_grid)
     return not element.even and element.deformation_degree < 0 and all(part is None for part in parts)
 
 
@@ -301,10 +306,12 @@ def _act(
     state: State,
 ) -> float | Array:
     """Reflect or refract the rays and return the index of the medium in which they go on."""
-    if element.action == "pass":
+    if element.action == "pass" and element.phase is None:
         return index
     normal = np.stack([-slopes[0], -slopes[1], np.ones_like(slopes[0])])
     normal /= np.sqrt(_dot(normal, normal))
+    if element.phase is not None:
+        return _diffract(element, number, normal, index, state)
     cosine = _dot(normal, state.direction)
     if element.action == "reflect":
         state.direction = state.direction - 2.0 * cosine * normal
@@ -316,6 +323,24 @@ def _act(
     turn = np.copysign(np.sqrt(radicand), incident) - incident
     state.lose(radicand < 0.0, TOTAL_REFLECTION, number)
     state.direction = (index * state.direction + turn * normal) / after
+    return after
+
+
+def _diffract(
+    element: Element, number: int, normal: Array, index: float | Array, state: State
+) -> float | Array:
+    """Send the rays on from an element with a phase, between media of constant indices."""
+    assert element.phase is not None
+    assert isinstance(index, float)
+    after = element.index if element.action == "refract" else index
+    if isinstance(element.phase, Focus):
+        state.direction, path = focused(element.phase, state.position, state.direction, index, after)
+    else:
+        rays = state.position, state.direction, normal
+        bent = diffracted(element.phase, element.action == "reflect", *rays, index, after)
+        state.direction, path, lost = bent
+        state.lose(lost, NO_ORDER, number)
+    state.path = state.path + path
     return after
 
 

@@ -43,12 +43,27 @@ class Medium:
 
 
 @dataclass(frozen=True)
+class Bend:
+    """An added path, by a number of even powers and a polynomial's degree (-1: none), or a perfect lens.
+
+    ``place`` is where the numbers start.
+    """
+
+    even: int
+    degree: int
+    lens: bool
+    place: int
+
+
+@dataclass(frozen=True)
 class Shape:
     """What of an element the kernel's text depends on; ``fixed`` is where its fixed numbers start.
 
     ``vacuum`` tells whether light comes through an index of 1, by which nothing need be multiplied.
     ``regions`` are (kind, half planes, blocks, where the numbers start); ``even`` is the number of even
-    powers and where they start. ``before`` and ``behind`` are media whose index varies.
+    powers and where they start. ``before`` and ``behind`` are media whose index varies. ``form`` is the name
+    of a height in closed form, how many numbers it has and where they start; ``whole`` tells whether it is
+    all of the surface, which is a plane without it.
     """
 
     fixed: int
@@ -61,11 +76,14 @@ class Shape:
     regions: tuple[tuple[str, int, bool, int], ...]
     before: Medium | None = None
     behind: Medium | None = None
+    form: tuple[str, int, int] | None = None
+    whole: bool = False
+    bend: Bend | None = None
 
     @property
     def bare(self) -> bool:
         """Whether the surface is nothing but a conic."""
-        return not self.even[0] and not self.parts
+        return not self.even[0] and not self.parts and self.form is None
 
 
 @lru_cache(maxsize=256)
@@ -90,6 +108,8 @@ def kernel_source(
     deformed = [i for i, shape in enumerate(shapes) if not shape.bare]
     fields = ["fixed", "poses", "limits", "spheres", *names]
     lines = [source("sequential.cl")]
+    lines += [source("forms.h")] if any(shape.form for shape in shapes) else []
+    lines += [source("phases.h")] if any(shape.bend for shape in shapes) else []
     lines.append(f"typedef struct {{ __global const double *{', *'.join(fields)}; }} numbers;")
     meet = source("deformed.cl") if deformed else ""
     for i in deformed:
@@ -191,6 +211,9 @@ def _height(i: int, shape: Shape) -> str:
         part.call.format(array=f"t.part_{i}_{k}", place=f"t.fixed + {part.place}")
         for k, part in enumerate(shape.parts)
     ]
+    if shape.form is not None:
+        name, count, place = shape.form
+        calls.append(f"{name}(t.fixed + {place}, {count}, x, y, sx, sy)")
     lines = [f"INLINE real height_{i}(numbers t, real x, real y, real *sx, real *sy)", "{"]
     lines += ["    *sx = 0.0;", "    *sy = 0.0;", f"    real height = {calls[0]};"]
     lines += [f"    height += {call};" for call in calls[1:]]
@@ -200,7 +223,7 @@ def _height(i: int, shape: Shape) -> str:
 def _follow(i: int, shape: Shape, medium: Medium) -> list[str]:
     """Return the functions that follow rays to an element through a medium whose index varies."""
     lines = [f"INLINE real sag_{i}(numbers t, real x, real y, real *sx, real *sy)", "{"]
-    if shape.plane:
+    if shape.plane or shape.whole:
         lines += ["    real sag = 0.0;", "    *sx = *sy = 0.0;"]
     else:
         c, k1 = (f"t.fixed[{shape.fixed + k}]" for k in range(2))
@@ -251,7 +274,8 @@ def _element(i: int, shape: Shape, deformed: list[int], together: bool) -> list[
         call = f"meet_plane(r, step, {index}" if flat else f"meet_conic(r, step, {c}, {k1}, {index}"
         lines += [f"loss = lose_unless({call}, &normal), loss, LOSS(MISS, {i}));"]
     else:
-        surface = f"{c}, {k1}, {index}, t.limits[{deformed.index(i)}], {reach}"
+        around = "0.0, 1.0" if shape.whole else f"{c}, {k1}"
+        surface = f"{around}, {index}, t.limits[{deformed.index(i)}], {reach}"
         lines += [f"loss = larger(meet_{i}(t, r, step, there, {surface}, &normal), loss);"]
     for k, (kind, edges, blocks, place) in enumerate(shape.regions):
         count = "" if kind == "circle" else f", {edges}"
@@ -259,7 +283,9 @@ def _element(i: int, shape: Shape, deformed: list[int], together: bool) -> list[
         lines += [f"met {'' if k == 0 else '&'}= {f'NOT({inside})' if blocks else inside};"]
     if shape.regions:
         lines += [f"loss = lose_unless(met, loss, LOSS(VIGNETTED, {i}));"]
-    if shape.action == "reflect":
+    if shape.bend is not None:
+        lines += _bend(i, shape, shape.bend, index)
+    elif shape.action == "reflect":
         lines += ["reflect_at_plane(r);" if flat else "reflect(r, normal);"]
     elif shape.action == "refract":
         lines += [
@@ -270,3 +296,22 @@ def _element(i: int, shape: Shape, deformed: list[int], together: bool) -> list[
     head = [f"INLINE real leave_{i}(const numbers t, ray *r, real loss, const real step{there})", "{"]
     head += ["    triple normal;", "    mask met;"]
     return [*reaches, *head, *("    " + line for line in lines), "    return loss;", "}"]
+
+
+def _bend(i: int, shape: Shape, bend: Bend, before: str) -> list[str]:
+    """Return the statements that add an element's path and bend the rays."""
+    after = f"(real)t.fixed[{shape.fixed + 4}]"
+    if bend.lens:
+        return [f"focus(r, {before}, {after}, t.fixed + {bend.place});"]
+    where = "r->position.x, r->position.y, &bend_x, &bend_y"
+    lines = ["real bend_x = 0.0, bend_y = 0.0;"]
+    if bend.even:
+        lines += [f"r->path += even_powers(t.fixed + {bend.place}, {bend.even}, {where});"]
+    if bend.degree >= 0:
+        lines += [f"r->path += monomials(t.fixed + {bend.place + bend.even}, {bend.degree}, {where});"]
+    sense = "-1.0" if shape.action == "reflect" else "1.0"
+    return [
+        *lines,
+        f"met = diffract(r, normal, {before}, {after}, bend_x, bend_y, {sense});",
+        f"loss = lose_unless(met, loss, LOSS(NO_ORDER, {i}));",
+    ]

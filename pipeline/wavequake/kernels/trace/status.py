@@ -11,6 +11,7 @@ MISS = 2  # does not hit the surface
 TOTAL_REFLECTION = 3
 DIVERGED = 4  # the iteration finds no point of the surface: it folds over
 GAP = 5  # meets the glass of no segment
+NO_ORDER = 6  # its order of diffraction leaves at no real angle
 
 _REASONS = 8
 MOST_SURFACES = 127 // _REASONS - 1  # after M1, of which a status of 8 bits can tell

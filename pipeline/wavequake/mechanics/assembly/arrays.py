@@ -14,6 +14,7 @@ from wavequake.user_files import read_npz
 
 _MOST_BYTES = 2**28
 _M_PER_MM = 1e-3
+_AXES = {"names": (1,), "frequencies_hz": (1,), "damping_ratios": (0, 1), "shapes": (3,)}  # of all others 2
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,10 @@ def from_modes(name: str, text: str) -> Given:
     _require_shape(name, "frequencies_hz", frequencies, (count,))
     each = 6 if shapes.ndim == 3 and shapes.shape[2] == 6 else 3
     _require_shape(name, "shapes", shapes, (count, nodes, each))
-    ratios = np.broadcast_to(found["damping_ratios"], (count,))
+    ratios = found["damping_ratios"]
+    if ratios.ndim:
+        _require_shape(name, "damping_ratios", ratios, (count,))
+    ratios = np.broadcast_to(ratios, (count,))
     if (frequencies < 0.0).any() or (ratios < 0.0).any():
         raise UserError(f"the modes of the body {name!r} have a frequency or damping below 0")
     omega = 2.0 * np.pi * frequencies
@@ -152,6 +156,12 @@ def _arrays(name: str, text: str, needed: tuple[str, ...], optional: tuple[str, 
     for label, values in found.items():
         if label != "names" and (values.dtype.kind not in "fiu" or not np.isfinite(values).all()):
             raise UserError(f"the array {label!r} of the body {name!r} holds what is no finite number")
+        axes = _AXES.get(label, (2,))
+        if values.ndim not in axes:
+            raise UserError(
+                f"the array {label!r} of the body {name!r} has {values.ndim} axes; it must have "
+                f"{' or '.join(map(str, axes))}"
+            )
     return {
         label: values if label == "names" else np.array(values, dtype=np.float64)
         for label, values in found.items()

@@ -46,6 +46,9 @@ class Plant:
         These rows per modal coordinate.
     carried : ndarray, shape (m, p)
         What of them follows the inputs at once, the floor's motion.
+    followed : ndarray, shape (p, p)
+        What of the motion of the inputs' nodes follows the inputs at once; the rest is that of the modes,
+        `modal.inputs` of forces transposed.
     grounded : bool
         Whether it stands on the floor; inputs begin with the floor's motion then.
     held : tuple of str
@@ -61,6 +64,7 @@ class Plant:
     outputs: Mapping[Output, slice]
     shapes: Array
     carried: Array
+    followed: Array
     grounded: bool
     held: tuple[str, ...]
     resonances: Array
@@ -120,6 +124,7 @@ def plant(
         _outputs(chosen),
         np.asarray(model.surface @ modal.modes),
         np.asarray(model.surface @ modal.lift),
+        np.asarray(model.inputs.T @ modal.lift),
         grounded,
         tuple(body.name for body in bodies if body.held),
         np.array([omega := np.sqrt(modal.squared), 0.5 * np.diag(modal.damping) / omega]),

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from wavequake.mechanics.disturbances.history_facts import MOST_INSTANTS
 from wavequake.mechanics.disturbances.layout import NO_SEGMENTS, SegmentLayout
+from wavequake.mechanics.disturbances.motion import summed
 from wavequake.mechanics.disturbances.population import Population
 from wavequake.mechanics.disturbances.registry import Combine, draw_case
 from wavequake.mechanics.disturbances.source import AnySource
@@ -51,6 +52,16 @@ class ElementMotion:
     figure: dict[str, Array]
     sight: Array
     grid: dict[str, Array] = field(default_factory=dict)
+
+
+def add_elements(one: ElementMotion, other: ElementMotion) -> ElementMotion:
+    """Return the sum of two motions of the same instants."""
+    return ElementMotion(
+        summed([one.rigid, other.rigid]),
+        summed([one.figure, other.figure]),
+        one.sight + other.sight,
+        summed([one.grid, other.grid]),
+    )
 
 
 def draw_elements(

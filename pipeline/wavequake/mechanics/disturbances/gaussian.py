@@ -74,15 +74,21 @@ def gaussian_motions(name: str, rows: Rows, time: Array) -> GaussianMotions:
             "take fewer instants."
         )
     rest = rows(_streams(streams, everything, np.zeros(total)), time)
-    columns = np.array([rows(_streams(streams, everything, one), time) - rest for one in np.eye(total)])
-    columns = columns.reshape(total, *rest.shape)
     scale = np.abs(wanted).max(axis=0)
-    missed = np.abs(rest + np.tensordot(trial, columns, 1) - wanted)
-    if not (missed <= _LINEAR * np.where(scale > 0.0, scale, 1.0)).all():
-        raise NotGaussianError(
-            f"The motions of the disturbance {name!r} are no sums of Gaussian numbers (uniform amplitudes, "
-            "or random frequencies and phases), which rare events need."
-        )
+
+    def require_sum(missed: Array) -> None:
+        if not (np.abs(missed) <= _LINEAR * np.where(scale > 0.0, scale, 1.0)).all():
+            raise NotGaussianError(
+                f"The motions of the disturbance {name!r} are no sums of Gaussian numbers (uniform "
+                "amplitudes, or random frequencies and phases), which rare events need."
+            )
+
+    # What is no sum shows it here, before it is drawn with each of its numbers, which may be thousands.
+    require_sum(rows(_streams(streams, everything, -trial), time) - rest + wanted - rest)
+    columns = np.empty((total, *rest.shape))
+    for number, column in enumerate(columns):
+        column[...] = rows(_streams(streams, everything[number : number + 1], np.ones(1)), time) - rest
+    require_sum(rest + np.tensordot(trial, columns, 1) - wanted)
     moving = np.flatnonzero(columns.any(axis=(1, 2)))
     if not 0 < len(moving) <= _MOST_NUMBERS:
         words = "nothing" if not len(moving) else f"by {len(moving)} numbers, more than {_MOST_NUMBERS}"

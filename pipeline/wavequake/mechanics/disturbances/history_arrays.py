@@ -45,11 +45,11 @@ def read_arrays(text: str) -> ElementHistory:
             f"it has {len(text) / 1e6:.0f} MB as text, {MOST_TEXT / 1e6:.0f} MB are possible; compress it "
             "(numpy.savez_compressed), or leave out instants or digits."
         )
-    arrays = _arrays(text)
+    arrays = read_numbers(text)
     if "time_s" not in arrays:
         raise UserError(f"it lacks time_s, the instants; it holds {', '.join(arrays)[:80] or 'nothing'}.")
     time = arrays.pop("time_s")
-    _require_time(time)
+    require_instants(time)
     spacings = {name: arrays.pop(name) for name in list(arrays) if name.endswith(f".{_SPACING}")}
     heights = {name: arrays.pop(name) for name in list(arrays) if name.endswith(f".{_GRID}")}
     grids = {}
@@ -66,13 +66,13 @@ def read_arrays(text: str) -> ElementHistory:
     for name, values in arrays.items():
         if values.shape != time.shape:
             raise UserError(f"{name!r} has the shape {values.shape}, but time_s has {time.shape}.")
-        _require_finite(name, values)
+        require_finite(name, values)
     values = np.array(list(arrays.values())).reshape(len(places), len(time))
     return history_from(time, places, values.T, grids)
 
 
-def _arrays(text: str) -> dict[str, Array]:
-    """Return all arrays of a file by name."""
+def read_numbers(text: str) -> dict[str, Array]:
+    """Return all arrays of an .npz file, given as base64, by name; UserError if they are no numbers."""
     try:
         found = read_npz(base64.b64decode(text, validate=True), _MOST_BYTES)
     except binascii.Error as error:
@@ -85,12 +85,13 @@ def _arrays(text: str) -> dict[str, Array]:
     return {name: np.array(values, dtype=np.float64) for name, values in found.items()}
 
 
-def _require_time(time: Array) -> None:
+def require_instants(time: Array) -> None:
+    """Raise UserError if instants are no list, too many, not finite, or do not increase."""
     if time.ndim != 1 or not time.size:
         raise UserError(f"time_s has the shape {time.shape}; it must be a list of at least one instant.")
     if len(time) > MOST_INSTANTS:
         raise UserError(f"there are more than {MOST_INSTANTS} instants; divide them among several studies.")
-    _require_finite("time_s", time)
+    require_finite("time_s", time)
     back = np.flatnonzero(np.diff(time) <= 0.0)
     if back.size:
         first = int(back[0])
@@ -100,7 +101,8 @@ def _require_time(time: Array) -> None:
         )
 
 
-def _require_finite(name: str, values: Array) -> None:
+def require_finite(name: str, values: Array) -> None:
+    """Raise UserError if an array over time holds a number that is not finite."""
     bad = ~np.isfinite(values)
     if bad.any():
         place = tuple(int(number) for number in np.argwhere(bad)[0])
@@ -114,7 +116,7 @@ def _grid(element: str, instants: int, heights: Array, spacing: Array | None) ->
             f"{name!r} has the shape {heights.shape}; it must be {instants} instants, rows and columns, at "
             "least 4 of each."
         )
-    _require_finite(name, heights)
+    require_finite(name, heights)
     if spacing is None:
         raise UserError(f"{name!r} lacks its spacing: add {element}.{_SPACING}, one number or two.")
     if spacing.shape not in ((), (1,), (2,)) or not ((spacing > 0.0) & np.isfinite(spacing)).all():

@@ -4,9 +4,10 @@ import csv
 import io
 import math
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.history_facts import (
@@ -35,6 +36,40 @@ def read_table(text: str) -> ElementHistory:
         If a column or a value is not what it must be, the instants do not increase, or there are no rows or
         too many; names line and column.
     """
+    names, values = read_columns(text, "time_s", COLUMNS, _require_known)
+    return history_from(values[:, 0].copy(), [place_of(name) for name in names], values[:, 1:], {})
+
+
+def _require_known(names: list[str]) -> None:
+    require_distinct(names, [place_of(name) for name in names])
+
+
+def read_columns(
+    text: str, key: str, columns: str, check: Callable[[list[str]], None]
+) -> tuple[list[str], NDArray[np.float64]]:
+    """Read CSV text whose first column, `key`, increases; return the names of the others and all numbers.
+
+    Parameters
+    ----------
+    text : str
+        At most so much of it as a study can hold.
+    key : str
+        Name of the first column, ending in its unit.
+    columns : str
+        What the others may be called, in words for messages.
+    check : callable
+        Raises UserError if the names of the others are not what they must be.
+
+    Returns
+    -------
+    names : list of str, length c
+    values : ndarray, shape (n, 1 + c)
+
+    Raises
+    ------
+    UserError
+        As `read_table`.
+    """
     if len(text) > MOST_TEXT:
         raise UserError(
             f"it has {len(text) / 1e6:.0f} MB of text, {MOST_TEXT / 1e6:.0f} MB are possible; leave out rows "
@@ -42,16 +77,15 @@ def read_table(text: str) -> ElementHistory:
         )
     rows = _rows(text)
     header = [cell.strip() for cell in next(rows, (0, []))[1]]
-    places = [place_of(column) for column in _columns(header)]
-    require_distinct(header[1:], places)
+    check(_columns(header, key, columns))
     table = array("d")
     last, count = -math.inf, 0
     for line, row in rows:
         numbers = _numbers(row, header, f"line {line}")
         if numbers[0] <= last:
             raise UserError(
-                f"line {line}: time_s {numbers[0]:.12g} does not increase, the row before has "
-                f"{last:.12g}; sort the rows by time."
+                f"line {line}: {key} {numbers[0]:.12g} does not increase, the row before has "
+                f"{last:.12g}; sort the rows by {key.partition('_')[0]}."
             )
         last, count = numbers[0], count + 1
         if count > MOST_INSTANTS:
@@ -59,8 +93,7 @@ def read_table(text: str) -> ElementHistory:
         table.extend(numbers)
     if not count:
         raise UserError("there are no rows below the line that names the columns.")
-    values = np.frombuffer(table).reshape(count, len(header))
-    return history_from(values[:, 0].copy(), places, values[:, 1:], {})
+    return header[1:], np.frombuffer(table).reshape(count, len(header))
 
 
 def _rows(text: str) -> Iterator[tuple[int, list[str]]]:
@@ -74,20 +107,20 @@ def _rows(text: str) -> Iterator[tuple[int, list[str]]]:
         raise UserError(f"line {reader.line_num}: it is no CSV ({error}).") from None
 
 
-def _columns(header: list[str]) -> list[str]:
-    """Return the columns beside time_s."""
+def _columns(header: list[str], key: str, columns: str) -> list[str]:
+    """Return the columns beside the first one, `key`."""
     if not header:
-        raise UserError(f"it is empty; its first line must name its columns: time_s, then {COLUMNS}.")
-    if header[0] != "time_s":
+        raise UserError(f"it is empty; its first line must name its columns: {key}, then {columns}.")
+    if header[0] != key:
         first = ",".join(header)[:60]
         divider = next((mark for mark in (";", "\t") if mark in first), None)
         if divider:
             raise UserError(f"its columns are divided by {divider!r}; divide them by commas.")
         raise UserError(
-            f"it begins with {first!r}, but its first line must name its columns: time_s, then {COLUMNS}."
+            f"it begins with {first!r}, but its first line must name its columns: {key}, then {columns}."
         )
     if len(header) < 2:
-        raise UserError(f"there is no column beside time_s; add some, {COLUMNS}.")
+        raise UserError(f"there is no column beside {key}; add some, {columns}.")
     return header[1:]
 
 

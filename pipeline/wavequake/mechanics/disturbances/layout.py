@@ -3,7 +3,8 @@
 import difflib
 import fnmatch
 import hashlib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -11,6 +12,29 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.mechanics.assembly.plant import Plant
+from wavequake.mechanics.disturbances.supports import Supports
+
+
+@dataclass(frozen=True)
+class Moved:
+    """What was fitted to displacements of a surface's nodes at n instants.
+
+    Attributes
+    ----------
+    rigid : ndarray, shape (n, 6)
+        dx, dy, dz in m and rx, ry, rz in rad in the surface's own frame at rest.
+    figure : ndarray, shape (n, terms)
+        Noll coefficients in m.
+    grid : ndarray, shape (n, rows, columns), or None
+        Heights in m that come on top of the figure.
+    words : str
+        How much of the displacements that is.
+    """
+
+    rigid: NDArray[np.float64]
+    figure: NDArray[np.float64]
+    grid: NDArray[np.float64] | None
+    words: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +58,10 @@ class SegmentLayout:
         Whose elements they are, for messages.
     plant : Plant or None
         The bodies with mass that carry some of them.
+    moved : mapping of str to Moved
+        Of disturbances that are fitted to the surfaces of a system, by their names.
+    supports : Supports or None
+        How far the segments' supports are off in a case, where they are not known.
     """
 
     names: tuple[str, ...]
@@ -44,6 +72,8 @@ class SegmentLayout:
     others: tuple[str, ...] | None = ()
     owner: str = "the telescope"
     plant: Plant | None = None
+    moved: Mapping[str, Moved] = field(default_factory=dict)
+    supports: Supports | None = None
 
     def __len__(self) -> int:
         return len(self.names)

@@ -1,6 +1,7 @@
 """What a disturbance draws: motions over the instants of one case, and the random numbers behind them."""
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from typing import Any, Literal
@@ -19,8 +20,9 @@ class Motion:
     ----------
     segment_motion : ndarray, shape (n, S, 6)
         dx, dy, dz in m and rx, ry, rz in rad in each segment's local frame, dz along the normal to the sky.
-    segment_figure : ndarray, shape (S, terms)
-        Circular Noll coefficients in m, j = 1..terms, over the segment's circumscribed circle; static.
+    segment_figure : ndarray, shape (S, terms) or (n, S, terms)
+        Circular Noll coefficients in m, j = 1..terms, over the segment's circumscribed circle; static, or of
+        each instant.
     mount : ndarray, shape (n, 2)
         Pointing of the telescope on the sky, rad, along x and y.
     m2 : ndarray, shape (n, 2)
@@ -41,6 +43,16 @@ class Motion:
     figure: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     grid: dict[str, NDArray[np.float64]] = field(default_factory=dict)
 
+    def at(self, instants: Sequence[int] | NDArray[np.int64]) -> "Motion":
+        """Return the motion at some of its instants, in the order given; figures must be static."""
+        chosen = np.asarray(instants)
+
+        def taken(named: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+            return {name: values[chosen] for name, values in named.items()}
+
+        moved = {name: getattr(self, name)[chosen] for name in ("segment_motion", "mount", "m2")}
+        return replace(self, **moved, rigid=taken(self.rigid), grid=taken(self.grid))
+
 
 def still(instants: int, segments: int, figure_terms: int = 0, **named: dict[str, Any]) -> Motion:
     """Return no motion at all, but for what is given of surfaces and bodies: rigid, figure, grid."""
@@ -55,23 +67,20 @@ def still(instants: int, segments: int, figure_terms: int = 0, **named: dict[str
 
 def add(motions: list[Motion]) -> Motion:
     """Return the sum of at least one motion of the same instants and segments, in the order given."""
-    terms = max(motion.segment_figure.shape[1] for motion in motions)
-
-    def padded(motion: Motion) -> NDArray[np.float64]:
-        return np.pad(motion.segment_figure, ((0, 0), (0, terms - motion.segment_figure.shape[1])))
+    terms = max(motion.segment_figure.shape[-1] for motion in motions)
 
     return Motion(
         segment_motion=reduce(np.add, [motion.segment_motion for motion in motions]),
-        segment_figure=reduce(np.add, [padded(motion) for motion in motions]),
+        segment_figure=reduce(np.add, [_grown(motion.segment_figure, terms) for motion in motions]),
         mount=reduce(np.add, [motion.mount for motion in motions]),
         m2=reduce(np.add, [motion.m2 for motion in motions]),
-        rigid=_summed([motion.rigid for motion in motions]),
-        figure=_summed([motion.figure for motion in motions]),
-        grid=_summed([motion.grid for motion in motions]),
+        rigid=summed([motion.rigid for motion in motions]),
+        figure=summed([motion.figure for motion in motions]),
+        grid=summed([motion.grid for motion in motions]),
     )
 
 
-def _summed(maps: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray[np.float64]]:
+def summed(maps: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray[np.float64]]:
     """Return the sums by name; the arrays of a name may differ in the length of their last axis."""
     total: dict[str, NDArray[np.float64]] = {}
     for one in maps:

@@ -98,9 +98,11 @@ class SpectrumKeys(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
-    rms: float | None = Field(default=None, gt=0, description="of the whole spectrum; a file may do without")
-    low_hz: float = Field(default=5.0, gt=0, description="where a flat spectrum begins")
-    high_hz: float = Field(default=200.0, gt=0, description="where a flat spectrum ends")
+    rms: float | None = Field(
+        default=None, gt=0, le=1e12, description="of the whole spectrum; a file may do without"
+    )
+    low_hz: float = Field(default=5.0, ge=1e-6, le=1e9, description="where a flat spectrum begins")
+    high_hz: float = Field(default=200.0, ge=1e-6, le=1e9, description="where a flat spectrum ends")
     file: str | None = Field(
         default=None,
         exclude=True,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from wavequake.errors import UserError
-from wavequake.mechanics.disturbances.layout import SegmentLayout
+from wavequake.mechanics.disturbances.layout import NO_SEGMENTS, SegmentLayout
 from wavequake.mechanics.disturbances.motion import (
     Motion,
     add,
@@ -18,7 +18,7 @@ from wavequake.mechanics.disturbances.motion import (
     piston_rms_nm,
 )
 from wavequake.mechanics.disturbances.population import Population, time_axis
-from wavequake.mechanics.disturbances.source import AnySource, Randoms, SegmentSource, Source
+from wavequake.mechanics.disturbances.source import AnySource, Randoms, SegmentSource, Source, require_length
 from wavequake.mechanics.disturbances.sources.element_history import own_axis, same_instants
 from wavequake.mechanics.disturbances.sources.segment_wind import segment_wind_rms_nm
 from wavequake.mechanics.disturbances.streams import Streams, own_streams
@@ -30,6 +30,7 @@ __all__ = [
     "analytic_rms",
     "draw",
     "draw_case",
+    "draw_sight",
     "generator",
     "instants_of",
     "line_of_sight_rms_mas",
@@ -78,14 +79,31 @@ def draw(source: Source, layout: SegmentLayout, time: Array, randoms: Randoms) -
 
 def _on_segments(motion: Motion, layout: SegmentLayout) -> Motion:
     """Return a motion in which segments that were addressed by their names move with all the others."""
-    mine = [name for name in motion.rigid if name in layout.names]
-    if not mine:
+    known = set(layout.names)
+    rigid, bent = (
+        {name: values for name, values in one.items() if name in known}
+        for one in (motion.rigid, motion.figure)
+    )
+    if not (rigid or bent):
         return motion
-    moved = motion.segment_motion.copy()
-    for name in mine:
-        moved[:, layout.names.index(name)] += motion.rigid[name]
-    others = {name: values for name, values in motion.rigid.items() if name not in mine}
-    return replace(motion, segment_motion=moved, rigid=others)
+    moved, figure = motion.segment_motion.copy(), motion.segment_figure
+    for name, values in rigid.items():
+        moved[:, layout.names.index(name)] += values
+    if bent:
+        terms = max(figure.shape[-1], *(values.shape[-1] for values in bent.values()))
+        over_time = (len(moved),) * any(values.ndim > 1 for values in bent.values())
+        total = np.zeros((*over_time, len(layout), terms))
+        total[..., : figure.shape[-1]] += figure
+        for name, values in bent.items():
+            total[..., layout.names.index(name), : values.shape[-1]] += values
+        figure = total
+    return replace(
+        motion,
+        segment_motion=moved,
+        segment_figure=figure,
+        rigid={name: values for name, values in motion.rigid.items() if name not in rigid},
+        figure={name: values for name, values in motion.figure.items() if name not in bent},
+    )
 
 
 def analytic_rms(parameters: Population, layout: SegmentLayout) -> tuple[float, str] | None:
@@ -127,6 +145,29 @@ def draw_case(
             for part in parts(populations, population)
         ]
     )
+
+
+def draw_sight(
+    populations: Sequence[Population],
+    population: Population,
+    layout: SegmentLayout,
+    seed: int,
+    realization: int,
+    streams: Streams,
+    time: Array,
+) -> Array | None:
+    """Draw where a case's line of sight is (n, 2), rad on the sky, at any instants `time`; None if it rests.
+
+    Of the parts that move nothing else: with the numbers that `draw_case` gives them.
+    """
+    moving = [part for part in parts(populations, population) if part.sight]
+    if not moving:
+        return None
+    drawn = [
+        part.draw(NO_SEGMENTS, time, randoms_of(part, len(layout), seed, realization, streams))
+        for part in moving
+    ]
+    return np.asarray(sum(motion.mount + motion.m2 for motion in drawn))
 
 
 def randoms_of(
@@ -188,16 +229,19 @@ def with_own_axes(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
     Raises
     ------
     ValueError
-        If one is given others, or histories in it have different ones.
+        If one is given others, histories in it have different ones, or what it holds ends before it does.
     """
     return tuple(_with_own_axis(entries, entry) for entry in entries)
 
 
 def _with_own_axis(entries: Sequence[Any], entry: Any) -> Any:
+    if not isinstance(entry, Combine):
+        return entry
     try:
-        if not isinstance(entry, Combine) or not any(
-            part.instants_of_file() is not None for part in parts(entries, entry)
-        ):
+        held = parts(entries, entry)
+        for part in held:
+            require_length(part, entry)
+        if all(part.instants_of_file() is None for part in held):
             return entry
         time = instants_of(entries, entry)
     except UserError as error:

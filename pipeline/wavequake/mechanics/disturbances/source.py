@@ -5,7 +5,8 @@ segments, surfaces and bodies that it addresses, and what sampling plans and bud
 `register` makes it known to the study files of every optics that it fits.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union
 
 import numpy as np
@@ -52,9 +53,12 @@ class Source(Population):
         case.
     random : bool
         Whether its cases differ.
+    sight : bool
+        Whether it moves nothing but the line of sight of the whole telescope, by mount or M2.
     """
 
     random: ClassVar[bool] = True
+    sight: ClassVar[bool] = False
     fits: ClassVar[tuple[Optics, ...]] = ("segments", "surfaces")
     independent: ClassVar[Literal["element", "whole"]] = "whole"
     stratified: ClassVar[bool] = True
@@ -98,10 +102,27 @@ class Source(Population):
         """Return the instants (n,) in s of what is given over time, which a study then takes; else None."""
         return None
 
+    def lasts_s(self) -> float:
+        """Return the time in s after which nothing is known of it: of a combination that holds it, too."""
+        return np.inf
+
     def analytic_rms(self, layout: SegmentLayout) -> tuple[float, Literal["mas", "nm"]] | None:
         """Return the rms that it has by its parameters alone, and its unit; None where there is none.
 
         ``mas``: radial motion of the line of sight. ``nm``: motion of the segments along their normals.
+        """
+        return None
+
+    @classmethod
+    def embedded(cls, entry: Mapping[str, Any], base: Path) -> dict[str, Any] | None:
+        """Return the keys that take what is in the files of a study's `entry`, relative to `base`.
+
+        None: the file goes as it is where `file_key` says.
+
+        Raises
+        ------
+        UserError
+            If a file cannot be read.
         """
         return None
 
@@ -141,6 +162,16 @@ class SegmentSource(Source):
             return None
         chosen = layout.chosen(self.segments, self.name)
         return np.array([name in chosen for name in layout.names])
+
+
+def require_length(source: Source, case: Population) -> None:
+    """Raise ValueError if a case, of a source or of what it is a part of, lasts longer than its file."""
+    known = source.lasts_s()
+    if case.duration_s > known * (1.0 + 1e-9):
+        raise ValueError(
+            f"the loads of {source.name!r} end at {known:.6g} s, but cases of {case.name!r} "
+            f"last {case.duration_s:g} s; give a longer file, or duration_s = {known:.6g}"
+        )
 
 
 def time_axis_of(source: Source) -> Array:

@@ -9,8 +9,8 @@ from math import prod
 from typing import Protocol
 
 import numpy as np
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 
 Array = NDArray[np.float64]
 Size = int | tuple[int, ...]
@@ -65,7 +65,7 @@ class Coordinates:
 
     def standard_normal(self, size: Size, /) -> Array:
         """Return the quantiles of the normal distribution at the next coordinates."""
-        return np.asarray(ndtri(self.random(size)), dtype=np.float64)
+        return np.asarray(scipy.special.ndtri(self.random(size)), dtype=np.float64)
 
     def uniform(self, low: float | Array, high: float | Array, size: Size | None = None, /) -> Array:
         """Return the next coordinates between `low` and `high`."""
@@ -82,7 +82,7 @@ class Normals(Coordinates):
     """
 
     def __init__(self, numbers: Array) -> None:
-        super().__init__(ndtr(numbers))
+        super().__init__(scipy.special.ndtr(numbers))
         self._numbers = numbers
 
     def standard_normal(self, size: Size, /) -> Array:

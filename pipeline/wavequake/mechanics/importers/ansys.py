@@ -1,4 +1,4 @@
-"""Matrices of an Ansys ``.full`` file, through the optional package ansys-mapdl-reader."""
+"""Matrices (``.full``) and results (``.rst``) of Ansys, through the optional package ansys-mapdl-reader."""
 
 import signal
 import subprocess
@@ -24,15 +24,26 @@ def read_matrices(path: Path) -> Contents:
     UserError
         If ansys-mapdl-reader is not installed, or the file is no ``.full`` file.
     """
+    return _contents(library_arrays(path), path.name)
+
+
+def library_arrays(path: Path) -> user_files.Arrays:
+    """Return what ansys-mapdl-reader reads of a file, see `ansys_reader`.
+
+    Raises
+    ------
+    UserError
+        If the library is not installed, or cannot read the file.
+    """
     if not _is_installed():
         raise UserError(
             f"reading {path.name} needs the package ansys-mapdl-reader: pip install ansys-mapdl-reader"
         )
     user_files.require_file(path)
     try:
-        return _contents(_arrays(path), path.name)
+        return _arrays(path)
     except UserError as error:
-        raise UserError(f"{path.name} cannot be read as an Ansys .full file: {error}") from None
+        raise UserError(f"{path.name} cannot be read as an Ansys {path.suffix} file: {error}") from None
 
 
 def _is_installed() -> bool:

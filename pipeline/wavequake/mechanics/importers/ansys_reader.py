@@ -1,7 +1,8 @@
 """Run ansys-mapdl-reader on one file, in a process of its own: ``python ansys_reader.py FILE OUT BYTES``.
 
 The library believes what a file says, and a damaged one ends its process. OUT becomes an .npz file of the
-degrees of freedom and both matrices; where there is none, the last line that is printed says why.
+degrees of freedom and both matrices of a .full file, or of the nodes and displacements of an .rst file; where
+there is none, the last line that is printed says why.
 """
 
 import os
@@ -34,6 +35,23 @@ def read(file: str) -> dict[str, Any]:
     return found
 
 
+def read_results(file: str) -> dict[str, Any]:
+    """Return kind of analysis, values of the steps, nodes, and displacements (steps, nodes, 3)."""
+    from ansys.mapdl import reader
+
+    results = reader.read_binary(file)
+    labels, _ = results.nodal_displacement(0)
+    moved = [results.nodal_displacement(step)[1][:, :3] for step in range(results.n_results)]
+    return {
+        "analysis": np.array(results._resultheader["kan"]),
+        "values": np.array(results.time_values, dtype=np.float64),
+        "labels": np.asarray(labels, dtype=np.int64),
+        "displacements": np.array(moved, dtype=np.float64),
+        "node_numbers": np.asarray(results.mesh.nnum, dtype=np.int64),
+        "points": np.array(results.mesh.nodes, dtype=np.float64)[:, :3],
+    }
+
+
 def main(file: str, out: str, most: int) -> None:
     """Read a file with at most so many bytes of memory beyond those of the libraries, in bounded time."""
     try:
@@ -44,7 +62,7 @@ def main(file: str, out: str, most: int) -> None:
             resource.setrlimit(what, (limit, resource.getrlimit(what)[1]))
         seconds = time.process_time() + _CPU_S + _CPU_S_PER_BYTE * os.path.getsize(file)
         resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), resource.getrlimit(resource.RLIMIT_CPU)[1]))
-        np.savez(out, **read(file))
+        np.savez(out, **(read_results if file.lower().endswith(".rst") else read)(file))
     except Exception as error:  # the library raises whatever its parser trips over
         print(str(error) or type(error).__name__)
         sys.exit(1)

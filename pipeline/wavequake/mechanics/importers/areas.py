@@ -1,7 +1,6 @@
 """Shares of an optical surface's area that belong to its nodes: positive, sum 1."""
 
 import numpy as np
-from scipy.spatial import Delaunay, QhullError
 
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.entries import Array, Integers
@@ -125,6 +124,8 @@ def _shape_functions(count: int) -> tuple[Array, Array, Array]:
 
 def _triangle_shares(points: Array, source: str) -> Array:
     """Return a third of the area of each node's triangles; holes stay open."""
+    from scipy.spatial import Delaunay, QhullError  # slow to import, and few models have no elements
+
     centered = points - points.mean(axis=0)
     plane = centered @ np.linalg.svd(centered, full_matrices=False)[2][:2].T if len(points) > 2 else None
     try:

@@ -96,11 +96,13 @@ class RandomVibration(Excitation):
 
     kind: Literal["psd"] = "psd"
     spectrum: Literal["flat", "resonance", "file"] = "flat"
-    rms: float | None = Field(default=None, gt=0, description="m or N, once swung in")
-    low_hz: float = Field(default=10.0, gt=0, description="of the flat spectrum")
-    high_hz: float = Field(default=400.0, gt=0, description="of the flat spectrum")
-    center_hz: float = Field(default=100.0, gt=0, description="of the resonance")
-    fwhm_hz: float = Field(default=5.0, gt=0, description="of the resonance: full width at half maximum")
+    rms: float | None = Field(default=None, gt=0, le=1e12, description="m or N, once swung in")
+    low_hz: float = Field(default=10.0, ge=1e-6, le=1e9, description="of the flat spectrum")
+    high_hz: float = Field(default=400.0, ge=1e-6, le=1e9, description="of the flat spectrum")
+    center_hz: float = Field(default=100.0, ge=1e-6, le=1e9, description="of the resonance")
+    fwhm_hz: float = Field(
+        default=5.0, ge=1e-6, le=1e9, description="of the resonance: full width at half maximum"
+    )
     file: str | None = Field(
         default=None, exclude=True, description="CSV of frequency_hz,psd (read when the study is loaded)"
     )

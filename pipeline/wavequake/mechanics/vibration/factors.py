@@ -2,7 +2,7 @@
 
 Small matrices go to SuperLU. Large ones are eliminated front by front in dense blocks (multifrontal method,
 Duff and Reid 1983) along a nested dissection, several times as fast, with half the numbers held, and with a
-cost that is known before.
+cost that is known before. Where PARDISO is installed they are its own, up to twice as fast again.
 """
 
 from collections.abc import Callable
@@ -17,6 +17,7 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
 from wavequake.errors import UserError
+from wavequake.mechanics.vibration import pardiso
 from wavequake.mechanics.vibration.dissection import Dissection, Front, dissect
 
 Array = NDArray[np.float64]
@@ -83,20 +84,31 @@ def factorize(matrix: csc_array, definite: bool = False) -> Factors:
     if matrix.shape[0] < LARGE:
         return _superlu(matrix, 0.0 if definite else 0.01)
     matrix.sum_duplicates()
-    dissection = dissect(matrix)
-    _require_memory(dissection.memory(matrix.dtype.itemsize), matrix.shape[0])
-    if definite:
-        return _Multifrontal(matrix, dissection, True).factors
-    try:
-        factors = _Multifrontal(matrix, dissection, False).factors
-        load = matrix @ np.random.default_rng(0).standard_normal(matrix.shape[0])
-        residual = np.abs(matrix @ factors.solve(load) - load).max()
-        if residual <= REFINED * np.abs(load).max():
-            return factors
-    except ZeroDivisionError:
-        pass
+    ways = (_by_pardiso, _by_dissection) if pardiso.is_there() else (_by_dissection,)
+    for way in ways:
+        try:
+            factors = way(matrix, definite)
+            if definite:
+                return factors
+            load = matrix @ np.random.default_rng(0).standard_normal(matrix.shape[0])
+            residual = np.abs(matrix @ factors.solve(load) - load).max()
+            if residual <= REFINED * np.abs(load).max():
+                return factors
+        except ZeroDivisionError:  # our own says where a matrix is not definite
+            pass
     # A block was singular that the whole matrix does not make so: pivots must come from everywhere.
     return _superlu(matrix, 1.0, "COLAMD")
+
+
+def _by_pardiso(matrix: csc_array, definite: bool) -> Factors:
+    found = pardiso.Pardiso(matrix, definite, _require_memory)
+    return Factors(found.solve, found.elimination)
+
+
+def _by_dissection(matrix: csc_array, definite: bool) -> Factors:
+    dissection = dissect(matrix)
+    _require_memory(dissection.memory(matrix.dtype.itemsize), matrix.shape[0])
+    return _Multifrontal(matrix, dissection, definite).factors
 
 
 def _require_memory(needed: int, order: int) -> None:

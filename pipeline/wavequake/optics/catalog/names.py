@@ -9,7 +9,7 @@ from collections.abc import Callable
 from wavequake.errors import UserError
 from wavequake.optics.catalog.lenses import double_gauss, six_lens
 from wavequake.optics.catalog.lithography import euv
-from wavequake.optics.catalog.telescopes import gregorian, herschel, jwst, tmt, tmt_thesis
+from wavequake.optics.catalog.telescopes import gregorian, herschel, jwst, rubin, tmt, tmt_thesis
 from wavequake.optics.systems.system import OpticalSystem
 
 _BUILDERS: dict[str, Callable[[], OpticalSystem]] = {
@@ -18,6 +18,7 @@ _BUILDERS: dict[str, Callable[[], OpticalSystem]] = {
     "jwst": jwst,
     "herschel": herschel,
     "gregorian": gregorian,
+    "rubin": rubin,
     "double-gauss": double_gauss,
     "six-lens": six_lens,
     "euv": euv,

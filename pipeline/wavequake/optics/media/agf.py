@@ -1,13 +1,15 @@
 """Glass catalogues in AGF files, as makers of glass offer them for lens designers.
 
-A glass is a line ``NM name formula code nd vd``, followed by ``CD`` (coefficients) and ``LD`` (the shortest
-and longest wavelength, um); other lines hold prices, transmission and the like.
+A glass is a line ``NM name formula code nd vd``, followed by ``CD`` (coefficients) ``TD`` (how it
+follows temperature: D0, D1, D2, E0, E1, l_tk, and the temperature of the coefficients) and ``LD`` (the
+shortest and longest wavelength, um); other lines hold prices, transmission and the like.
 """
 
 from pathlib import Path
 
 from wavequake.errors import UserError
 from wavequake.optics.media.dispersion import AGF_FORMULAS
+from wavequake.optics.media.environment import STANDARD_C, Thermal
 from wavequake.optics.media.glasses import Medium
 from wavequake.optics.text_file import read_text
 
@@ -30,13 +32,14 @@ def parse_agf(text: str, where: str) -> dict[str, Medium]:
     catalogue = Path(where).stem.upper()
     name, formula, count = "", "", 0
     coefficients: tuple[float, ...] = ()
+    thermal: Thermal | None = None
     for number, line in enumerate(text.splitlines(), start=1):
         keyword, *words = line.split() or [""]
         place = f"{where}, line {number} ({keyword})"
         if keyword == "NM":
             if len(words) < 2:
                 raise UserError(f"{place}: a glass needs a name and the number of its formula.")
-            name, coefficients = words[0], ()
+            name, coefficients, thermal = words[0], (), None
             kind = _number(words[1], place)
             if kind not in AGF_FORMULAS:
                 raise UserError(
@@ -49,11 +52,15 @@ def parse_agf(text: str, where: str) -> dict[str, Medium]:
             if any(numbers[count:]):
                 raise UserError(f"{place}: the formula of {name} takes {count} coefficients.")
             coefficients = tuple((numbers + [0.0] * count)[:count])
+        elif keyword == "TD" and name:
+            numbers = [*(_number(word, place) for word in words[:7]), *[0.0] * 7][:7]
+            if any(numbers[:5]):  # without, nothing is known
+                thermal = Thermal(tuple(numbers[:6]), numbers[6] if len(words) > 6 else STANDARD_C)
         elif keyword == "LD" and name and coefficients:
             if len(words) < 2:
                 raise UserError(f"{place}: the range of {name} needs two wavelengths.")
             low, high = (1e3 * _number(word, place) for word in words[:2])
-            found[name.upper()] = Medium(name, formula, coefficients, (low, high), catalogue)
+            found[name.upper()] = Medium(name, formula, coefficients, (low, high), catalogue, thermal)
     if not found:
         raise UserError(
             f"{where} holds no glass; each needs lines NM (name, formula), CD (coefficients), LD (range)."

@@ -10,12 +10,13 @@ import csv
 import difflib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 
 from wavequake.errors import UserError
 from wavequake.optics.checks import number, require_kind
 from wavequake.optics.media.dispersion import FORMULAS
+from wavequake.optics.media.environment import STANDARD_C, Environment, Thermal, air_index, change
 from wavequake.prepared import prepared
 
 
@@ -25,7 +26,9 @@ class Medium:
 
     ``formula`` is one of `wavequake.optics.media.dispersion.FORMULAS`, as "constant" (the index itself) or
     "sellmeier" (B1, C1, B2, C2, B3, C3 with the wavelength in um). ``range_nm`` is where it holds;
-    ``catalogue`` the maker whose glass it is, empty for crystals and the like.
+    ``catalogue`` the maker whose glass it is, empty for crystals and the like. ``thermal`` says how it
+    follows temperature where its own catalogue does (`thermal_of` knows the makers'); with an ``environment``
+    the index is that against the air there, for wavelengths in it.
     """
 
     name: str
@@ -33,6 +36,8 @@ class Medium:
     coefficients: tuple[float, ...]
     range_nm: tuple[float, float] = (0.0, float("inf"))
     catalogue: str = ""
+    thermal: Thermal | None = None
+    environment: Environment | None = None
 
 
 AIR = Medium("air", "constant", (1.0,))
@@ -77,6 +82,8 @@ def refractive_index(medium: Medium, wavelength_mm: float) -> float:
         Outside ``range_nm``, or if the coefficients give no real positive index that light could meet.
     """
     require_kind(medium, Medium, "the medium", ", such as glass('N-BK7') or constant(1.5)")
+    if medium.environment is not None:
+        return _index_in(medium.environment, medium, number(wavelength_mm, "the wavelength"))
     nm = 1e6 * number(wavelength_mm, "the wavelength")
     low, high = medium.range_nm
     if not (nm > 0 and low * (1 - 1e-12) <= nm <= high * (1 + 1e-12)):
@@ -100,6 +107,42 @@ def refractive_index(medium: Medium, wavelength_mm: float) -> float:
             f"{_LEAST:g} and {_MOST:g}."
         )
     return index
+
+
+def _index_in(environment: Environment, medium: Medium, wavelength_mm: float) -> float:
+    """Return the index against the air of an environment, at a wavelength in that air."""
+    thermal = thermal_of(medium)
+    at = Environment(STANDARD_C if thermal is None else thermal.at_c)
+    here, there = (air_index(1e3 * wavelength_mm, one) for one in (environment, at))
+    measured = wavelength_mm * here / there
+    index = refractive_index(replace(medium, environment=None), measured)
+    absolute = index * air_index(1e3 * measured, at)
+    if thermal is not None:
+        absolute += change(index, thermal, 1e3 * measured, environment.temperature_c)
+    return absolute / here
+
+
+def in_environment(medium: Medium, environment: Environment) -> Medium:
+    """Return a glass at a temperature and pressure.
+
+    Raises
+    ------
+    UserError
+        If nothing is known of how it follows temperature, and it is not that of its catalogue.
+    """
+    if medium == AIR:
+        return medium
+    if thermal_of(medium) is None and environment.temperature_c != STANDARD_C:
+        raise UserError(
+            f"nothing is known of how the index of {medium.name} follows temperature; give a catalogue that "
+            "says it (lines TD) with --glass FILE.agf, or as system.glass_file of a study"
+        )
+    return replace(medium, environment=environment)
+
+
+def thermal_of(medium: Medium) -> Thermal | None:
+    """Return how a glass follows temperature, by its own catalogue or the makers'; None: it is not known."""
+    return medium.thermal or _thermal().get((medium.catalogue, medium.name.upper()))
 
 
 def _squared_index(medium: Medium, w2: float) -> float:
@@ -138,6 +181,7 @@ def glass(name: str) -> Medium:
 
 def medium_label(medium: Medium) -> str:
     """Return the name by which `glass` finds a medium: with its maker where the name alone means another."""
+    medium = replace(medium, environment=None)
     if medium.catalogue and glasses().get(medium.name.upper()) != medium:
         return f"{medium.catalogue}:{medium.name}"
     return medium.name
@@ -206,6 +250,16 @@ def catalogues() -> dict[str, dict[str, Medium]]:
             row["catalogue"],
         )
     return found
+
+
+@prepared(maxsize=None)
+def _thermal() -> dict[tuple[str, str], Thermal]:
+    return {
+        (row["catalogue"], row["name"].upper()): Thermal(
+            tuple(map(float, row["coefficients"].split())), float(row["at_c"])
+        )
+        for row in _rows("thermal.csv")
+    }
 
 
 def _rows(name: str) -> list[dict[str, str]]:

@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.kernels.trace.sequence import Moving, Rays, Sequence
 from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
-from wavequake.kernels.trace.status import DIVERGED, MISS, OK, TOTAL_REFLECTION, VIGNETTED
+from wavequake.kernels.trace.status import DIVERGED, MISS, NO_ORDER, OK, TOTAL_REFLECTION, VIGNETTED
 from wavequake.optics.media.glasses import refractive_index
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.rays.search import ends, search
 from wavequake.optics.rays.stop_map import AIMED, Aim, Bundle, determinant, newton, solved
+from wavequake.optics.systems.axis_ray import first_vertex_z
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.paraxial import (
     Paraxial,
     entrance_pupil_center,
-    first_vertex_z,
     paraxial,
     way_from_object,
 )
@@ -32,6 +32,7 @@ LOSSES = {
     MISS: "it misses that surface",
     TOTAL_REFLECTION: "it is totally reflected there",
     DIVERGED: "that surface folds over",
+    NO_ORDER: "its order of diffraction leaves at no real angle",
 }
 """What happens to a ray that ends at a surface, by its status."""
 _WHY = {
@@ -39,6 +40,7 @@ _WHY = {
     MISS: "they miss it",
     TOTAL_REFLECTION: "they are totally reflected there",
     DIVERGED: "it folds over",
+    NO_ORDER: "their order of diffraction leaves at no real angle",
 }
 _NM_PER_MM = 1e6
 _FIRST_STEP, _SMALLEST_STEP = 1.0 / 16.0, 1.0 / 1024.0  # of a field, in which its chief ray is followed

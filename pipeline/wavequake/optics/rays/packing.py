@@ -10,17 +10,18 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY, Device, require_device
 from wavequake.kernels.trace.poses import surface_poses
-from wavequake.kernels.trace.sequence import Element, Grid, Moving, Region, Sequence
+from wavequake.kernels.trace.sequence import Element, Focus, Grid, Moving, Phase, Region, Sequence
 from wavequake.optics.checks import all_within
 from wavequake.optics.media.glasses import refractive_index
 from wavequake.optics.media.gradients import gradient_of, medium_index
 from wavequake.optics.shapes.basis import spline_coefficients, zernike_basis
 from wavequake.optics.shapes.concave import crossing
 from wavequake.optics.shapes.heights import centered_grid, require_grid
+from wavequake.optics.shapes.phases import PerfectLens, phase_of
 from wavequake.optics.shapes.polygons import edge_spans, signed_areas
 from wavequake.optics.shapes.shapes import GridDeformation, Opening, ZernikeDeformation
 from wavequake.optics.systems.kinematics import relative_poses, require_motion, rest_poses
-from wavequake.optics.systems.paraxial import entrance_pupil_center
+from wavequake.optics.systems.paraxial import entrance_pupil_center, vergence_before
 from wavequake.optics.systems.system import LARGEST, OpticalSystem, Surface, SystemStates, require_system
 from wavequake.prepared import prepared
 
@@ -43,16 +44,28 @@ def pack(system: OpticalSystem, wavelength_mm: float) -> Sequence:
     require_system(system)
     start = index = refractive_index(system.medium, wavelength_mm)
     elements = []
-    for surface in system.surfaces:
+    for number, surface in enumerate(system.surfaces):
         gradient = None
         if surface.action == "refract":
             index = medium_index(surface.medium, wavelength_mm)
             gradient = gradient_of(surface.medium, wavelength_mm)
         try:
-            elements.append(replace(_element(surface, index), gradient=gradient))
+            element = replace(_element(surface, index), gradient=gradient)
+            if surface.phase is not None:
+                element = replace(element, phase=_phase(system, number, wavelength_mm))
+            elements.append(element)
         except UserError as error:
             raise UserError(f"the surface {surface.name} of {system.name}: {error}") from error
     return Sequence(tuple(elements), start)
+
+
+def _phase(system: OpticalSystem, number: int, wavelength: float) -> Phase | Focus:
+    """Return what a surface adds to light; a perfect lens images the object with equal paths."""
+    effect = system.surfaces[number].phase
+    if isinstance(effect, PerfectLens):
+        return Focus(1.0 / effect.focal_length, vergence_before(system, number, wavelength))
+    assert effect is not None
+    return phase_of(effect, wavelength)
 
 
 def _element(surface: Surface, index: float) -> Element:
@@ -61,14 +74,16 @@ def _element(surface: Surface, index: float) -> Element:
     zernike, radius = None, 1.0
     if isinstance(form, ZernikeDeformation):
         zernike, radius = zernike_basis(form.terms, form.obscuration), form.pupil_radius
+    near = None if packed.form is None else packed.form.near
     return Element(
-        curvature=1.0 / shape.radius,
-        conic=shape.conic,
+        curvature=1.0 / shape.radius if near is None else near,
+        conic=shape.conic if near is None else -1.0,  # a paraboloid, of which no ray meets another half
         action=surface.action,
         index=index,
         even=packed.even,
         polynomial=packed.polynomial,
         grid=packed.grid,
+        form=packed.form,
         deformation_degree=zernike.degree if zernike else -1,
         deformation_radius=radius,
         deformation_basis=zernike.basis if zernike else "monomial",

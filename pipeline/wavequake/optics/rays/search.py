@@ -6,8 +6,8 @@ neither finds a ray has none: its light ends where that next to the last ray doe
 """
 
 import numpy as np
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
 from wavequake.kernels.trace.status import MISS, OK
@@ -95,7 +95,7 @@ def _scanned(aim: Aim, chief: Array, target: Array, sign: float, beam: float) ->
     numbers = np.repeat(chief, target.shape[1], axis=1)
     arrived = np.zeros(target.shape[1], dtype=np.bool_)
     if alike.any():
-        away, nearest = KDTree(met[:, alike].T).query(target.T)
+        away, nearest = scipy.spatial.KDTree(met[:, alike].T).query(target.T)
         size = np.sqrt(np.sum(across**2 + up**2, axis=0))[alike[:-1, :-1]][nearest]
         worth = np.flatnonzero(away <= _NEAR * size)
         if worth.size:

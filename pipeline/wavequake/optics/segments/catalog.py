@@ -1,18 +1,18 @@
-"""Telescopes by name: the Thirty Meter Telescope, its simplified models, the JWST, and a user's own."""
+"""Telescopes by name: the Thirty Meter Telescope, its simplified models, others, and a user's own."""
 
 import difflib
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from math import hypot, inf, isfinite, pi, sqrt
+from math import inf, isfinite, pi, sqrt
 from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
 
 from wavequake.errors import UserError
-from wavequake.kernels.trace.surfaces import conic_sag
 from wavequake.optics.checks import number, require_kind
+from wavequake.optics.segments.arrangements import tmt_segments
 from wavequake.optics.segments.layout import (
     JWST_CONIC,
     JWST_RADIUS,
@@ -25,10 +25,14 @@ from wavequake.optics.segments.layout import (
     monolithic,
     polygons_from_csv,
     tmt18_segments,
-    tmt_segments,
 )
-from wavequake.optics.segments.telescope import Row, SegmentedTelescope, sequential_surfaces
-from wavequake.optics.shapes.polygons import distance_from_origin
+from wavequake.optics.segments.observatories import elt, gmt, gtc, keck
+from wavequake.optics.segments.telescope import (
+    Row,
+    SegmentedTelescope,
+    around_its_glass,
+    sequential_surfaces,
+)
 
 _TMT_PUPIL = (1512.2, 15000.0)
 _STOP_Z = -1874.9721  # plane of the full mirror's rim, as Table 4.2 prints it
@@ -41,9 +45,9 @@ def telescope(name: str, **options: Any) -> SegmentedTelescope:
     Parameters
     ----------
     name : str
-        ``tmt``, ``tmt-18``, ``tmt-thesis``, ``jwst`` or ``custom``.
+        ``tmt``, ``tmt-18``, ``tmt-thesis``, ``jwst``, ``elt``, ``keck``, ``gtc``, ``gmt`` or ``custom``.
     **options
-        Those of the function of the same name in this module.
+        Those of the function of the same name in this module; the others have none.
 
     Raises
     ------
@@ -126,7 +130,7 @@ def jwst() -> SegmentedTelescope:
         "Published are the radii of M1 and M2 and the focal length; assumed is a Cassegrain equivalent "
         "without M3: the place of M2 and both conics follow from f = 131.4 m and a stigmatic axis."
     )
-    made = _around_its_glass("jwst", jwst_segments(), JWST_RADIUS, JWST_CONIC, rows)
+    made = around_its_glass("jwst", jwst_segments(), JWST_RADIUS, JWST_CONIC, rows)
     return replace(made, note=note)
 
 
@@ -147,6 +151,7 @@ def custom(
     surfaces : sequence of mappings
         What follows M1, the image plane last: ``name``, ``radius_mm`` (None for a plane; negative if the
         center of curvature lies towards the sky's side of an unfolded telescope), ``conic`` (0 by default),
+        ``even_asphere`` (of rho^2, rho^4, ... in mm^-1, mm^-3, ...),
         ``distance_mm`` along the light from the previous surface, ``tilt_deg`` of a fold mirror about its y
         axis (0 by default), ``semi_diameter_mm`` beyond which it vignettes light (None, without an edge, by
         default).
@@ -160,10 +165,10 @@ def custom(
     if not surfaces:
         raise UserError("A custom telescope needs surfaces after the primary mirror, the image plane last.")
     rows = [_row(surface, index) for index, surface in enumerate(surfaces, start=1)]
-    if isfinite(rows[-1].radius) or rows[-1].tilt or isfinite(rows[-1].semi_diameter):
+    if isfinite(rows[-1].radius) or rows[-1].tilt or isfinite(rows[-1].semi_diameter) or any(rows[-1].even):
         raise UserError(
-            f"The last surface, {rows[-1].name!r}, is the image plane; it must have no radius, no tilt "
-            "and no semi_diameter_mm."
+            f"The last surface, {rows[-1].name!r}, is the image plane; it must have no radius, no "
+            "even_asphere, no tilt and no semi_diameter_mm."
         )
     _require_names([row.name for row in rows])
     segments = polygons_from_csv(polygons, primary_radius, primary_conic)
@@ -173,7 +178,7 @@ def custom(
             f"The segments reach {reach:g} mm from the axis, farther than the radius of curvature of the "
             f"primary mirror, {-primary_radius:g} mm: polygons are in m, primary_radius_mm in mm."
         )
-    return _around_its_glass("custom", segments, primary_radius, primary_conic, rows)
+    return around_its_glass("custom", segments, primary_radius, primary_conic, rows)
 
 
 def _require_names(names: Sequence[str]) -> None:
@@ -189,7 +194,7 @@ def _require_names(names: Sequence[str]) -> None:
 def _row(surface: Mapping[str, Any], index: int) -> Row:
     """Check one surface of a custom prescription."""
     require_kind(surface, Mapping, f"surface {index} after the primary mirror", " of keys to values.")
-    keys = ["name", "radius_mm", "conic", "distance_mm", "tilt_deg", "semi_diameter_mm"]
+    keys = ["name", "radius_mm", "conic", "distance_mm", "tilt_deg", "semi_diameter_mm", "even_asphere"]
     name = str(surface.get("name", f"surface {index}"))
     for key in surface:
         if key not in keys:
@@ -213,24 +218,18 @@ def _row(surface: Mapping[str, Any], index: int) -> Row:
         raise UserError(f"The surface {name!r} needs a radius_mm other than 0 and a distance_mm above 0.")
     if not values["semi_diameter_mm"] > 0.0:
         raise UserError(f"The surface {name!r} needs a semi_diameter_mm above 0, or none.")
+    even = tuple(surface.get("even_asphere", ()))
+    if not all(isinstance(one, int | float) and isfinite(one) for one in even):
+        raise UserError(f"The surface {name!r} has even_asphere = {list(even)!r}; it must be numbers.")
     return Row(
         name,
+        even=tuple(float(one) for one in even),
         radius=float(values["radius_mm"]),
         conic=float(values["conic"]),
         distance=float(values["distance_mm"]),
         tilt=values["tilt_deg"] * pi / 180.0,
         semi_diameter=float(values["semi_diameter_mm"]),
     )
-
-
-def _around_its_glass(
-    name: str, segments: Segments, radius: float, conic: float, rows: Sequence[Row]
-) -> SegmentedTelescope:
-    """Assemble a telescope whose pupil is the annulus about its glass; the stop lies in its rim's plane."""
-    inner = float(distance_from_origin(segments.corners).min())
-    outer = max(hypot(x, y) for x, y in segments.corners.reshape(-1, 2))
-    stop_z = float(conic_sag(outer, 0.0, 1.0 / radius, conic))
-    return SegmentedTelescope(name, segments, radius, conic, sequential_surfaces(rows), stop_z, inner, outer)
 
 
 def _nearest(name: str, valid: list[str]) -> str:
@@ -243,5 +242,9 @@ _BUILDERS: dict[str, Callable[..., SegmentedTelescope]] = {
     "tmt-18": tmt18,
     "tmt-thesis": tmt_thesis,
     "jwst": jwst,
+    "elt": elt,
+    "keck": keck,
+    "gtc": gtc,
+    "gmt": gmt,
     "custom": custom,
 }

@@ -33,6 +33,18 @@ def cardan(angles: Array) -> Array:
     return np.ascontiguousarray(np.moveaxis(cardan_entries(np.moveaxis(angles, -1, 0)), (0, 1), (-2, -1)))
 
 
+def cardan_angles(rotation: Array) -> Array:
+    """Return the Cardan angles x-y-z (T, 3) of rotations (T, 3, 3), the inverse of `cardan`."""
+    return np.stack(
+        [
+            np.arctan2(-rotation[:, 1, 2], rotation[:, 2, 2]),
+            np.arctan2(rotation[:, 0, 2], np.hypot(rotation[:, 0, 0], rotation[:, 0, 1])),
+            np.arctan2(-rotation[:, 0, 1], rotation[:, 0, 0]),
+        ],
+        axis=1,
+    )
+
+
 def _require_motions(what: str, motion: Array, count: int) -> None:
     if motion.ndim != 3 or motion.shape[1:] != (count, 6) or len(motion) % TILE:
         raise UserError(

@@ -17,14 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.trace.surfaces import conic_path, conic_sag, conic_slopes
+from wavequake.kernels.trace.surfaces import conic_sag, conic_slopes
 from wavequake.optics.shapes.polygon_table import read_polygons
 from wavequake.optics.shapes.polygons import (
     centroids,
     concave,
     edge_lines,
     edge_spans,
-    inset,
     polygons_at,
     signed_areas,
 )
@@ -113,80 +112,12 @@ def candidates(segments: Segments, x: Array, y: Array, margin: float = 0.0) -> N
     return polygons_at(segments.corners, x, y, margin)
 
 
-def tmt_segments(gap: float = 2.5) -> Segments:
-    """Return the 492 segments of the Thirty Meter Telescope, A1..A82, B1..F82.
-
-    They follow the definition of the telescope's public segmentation database: a lattice of regular hexagons
-    of side 716 mm with centers from 1.5 to 14.4 m, scaled radially so that the segments become alike, lifted
-    onto the conic; each edge then moves in by half the gap in the segment's tangent plane. Sector A reaches
-    from azimuth 30 (excluded) to 90 degrees; the others are turned by multiples of 60 degrees.
-
-    Parameters
-    ----------
-    gap : float
-        Distance between neighboring edges, mm.
-
-    Raises
-    ------
-    UserError
-        If the gap is negative or leaves no glass.
-    """
-    side, rows = 716.0, range(2, 14)
-    flat = sqrt(3.0) * side
-    _require_gap(gap, 0.9 * flat)
-    lattice = np.array(
-        [
-            (column * flat * cos(pi / 6.0), flat * (row - 0.5 * column))
-            for row in rows
-            for column in range(row)
-        ]
-    )
-    lattice = lattice[np.hypot(*lattice.T) < 14400.0]  # rows 0 and 1, inside 1.5 m, are not there
-    turns = pi / 3.0 * np.arange(6)
-    vertices = lattice[:, None] + side * np.stack([np.cos(turns), np.sin(turns)], axis=1)
-    largest = np.hypot(vertices[..., 0], vertices[..., 1]).max()
-    centers, vertices = _scaled(lattice, largest), _scaled(vertices, largest)
-
-    centers_3d, normals = _on_conic(centers, TMT_RADIUS, TMT_CONIC)
-    axes = _untwisted_axes(normals)
-    corners = _gapped_in_tangent_planes(vertices, centers_3d, axes, gap)
-    sectors = [_turn(60.0 * sector) for sector in range(6)]
-    return Segments(
-        names=tuple(f"{letter}{number}" for letter in "ABCDEF" for number in range(1, len(centers) + 1)),
-        centers=np.concatenate([centers_3d @ turn.T for turn in sectors]),
-        axes=np.concatenate([turn @ axes for turn in sectors]),
-        corners=np.concatenate([corners @ turn[:2, :2].T for turn in sectors]),
-    )
-
-
-def _scaled(points: Array, largest: float) -> Array:
-    """Scale the flat lattice (..., 2) radially, most at the center; a point at radius `largest` stays."""
-    strength, reach = 0.165, 60000.0
-    square = np.sum(points**2, axis=-1, keepdims=True)
-    scaled: Array = points * (1.0 + strength * (largest / reach) ** 2) / (1.0 + strength * square / reach**2)
-    return scaled
-
-
-def _gapped_in_tangent_planes(vertices: Array, centers: Array, axes: Array, gap: float) -> Array:
-    """Move edges between `vertices` (S, V, 2) on the TMT's conic in by half a gap; return corners."""
-    lifted, _ = _on_conic(vertices, TMT_RADIUS, TMT_CONIC)
-    to_optics = _SKY_TO_OPTICS[:, None] * axes
-    local = (lifted - centers[:, None]) @ to_optics
-    flat = inset(local[..., :2], gap / 2.0)
-    plane = centers[:, None] + flat @ np.swapaxes(to_optics[:, :, :2], 1, 2)
-    return _down_to_conic(plane, to_optics[:, :, 2])
-
-
-def _down_to_conic(points: Array, normals: Array) -> Array:
-    """Project `points` (S, V, 3) along each segment's normal (S, 3) onto the TMT's conic; return x and y."""
-    direction = np.broadcast_to(-normals[:, None], points.shape)
-    path = conic_path(np.moveaxis(points, -1, 0), np.moveaxis(direction, -1, 0), 1.0 / TMT_RADIUS, TMT_CONIC)
-    projected: Array = (points + path[..., None] * direction)[..., :2]
-    return projected
-
-
 def hexagon_ring_segments(
-    side: float, rings: int, gap: float = 0.0, radius: float = TMT_RADIUS, conic: float = TABLE_4_2_CONIC
+    side: float,
+    rings: int,
+    gap: float = 0.0,
+    radius: float = TMT_RADIUS,
+    conic: float = TABLE_4_2_CONIC,
 ) -> Segments:
     """Return rings of regular hexagons about a missing one, named 1, 2, ... by ring and azimuth.
 
@@ -209,15 +140,15 @@ def hexagon_ring_segments(
     if not (isfinite(side) and side > 0.0):
         raise UserError(f"The side of a hexagonal segment is {side:g} mm; it must be a positive length.")
     pitch = sqrt(3.0) * side
-    _require_gap(gap, 0.9 * pitch)
-    centers = np.concatenate([_ring(pitch, ring) for ring in range(1, rings + 1)])
+    require_gap(gap, 0.9 * pitch)
+    centers = np.concatenate([ring_centers(pitch, ring) for ring in range(1, rings + 1)])
     angles = pi / 6.0 + pi / 3.0 * np.arange(6)
     corners = centers[:, None] + (side - gap / sqrt(3.0)) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     names = [str(number) for number in range(1, len(centers) + 1)]
     return segments_on_conic(names, corners, radius, conic, centers)
 
 
-def _ring(pitch: float, ring: int) -> Array:
+def ring_centers(pitch: float, ring: int) -> Array:
     """Return the centers (6 ring, 2) of a ring from azimuth 0 on, `ring` along each side of a hexagon."""
     spokes = ring * pitch * np.array([(cos(pi / 3.0 * k), np.sin(pi / 3.0 * k)) for k in range(7)])
     part = np.arange(ring)[:, None] / ring
@@ -309,11 +240,11 @@ def segments_on_conic(
             f"Segment {name!r} reaches beyond the primary mirror's parent surface (radius {radius:g} mm, "
             f"conic {conic:g}); its corners and its pivot must lie on it."
         )
-    middle, normals = _on_conic(pivots, radius, conic)
-    return Segments(tuple(names), middle, _projected_axes(normals), corners)
+    middle, normals = on_conic(pivots, radius, conic)
+    return Segments(tuple(names), middle, projected_axes(normals), corners)
 
 
-def _on_conic(points: Array, radius: float, conic: float) -> tuple[Array, Array]:
+def on_conic(points: Array, radius: float, conic: float) -> tuple[Array, Array]:
     """Lift points (..., 2) onto the conic; return them in the optics frame and normals in sky orientation."""
     x, y = points[..., 0], points[..., 1]
     z = conic_sag(x, y, 1.0 / radius, conic)
@@ -325,28 +256,15 @@ def _on_conic(points: Array, radius: float, conic: float) -> tuple[Array, Array]
     return np.concatenate([points, z[..., None]], axis=-1), normals
 
 
-def _projected_axes(normals: Array) -> Array:
+def projected_axes(normals: Array) -> Array:
     """Return right-handed axes (S, 3, 3) whose x axis is the global one projected into the tangent plane."""
     x_axis = np.array([1.0, 0.0, 0.0]) - normals[:, :1] * normals
     x_axis /= np.linalg.norm(x_axis, axis=1, keepdims=True)
     return np.stack([x_axis, np.cross(normals, x_axis), normals], axis=-1)
 
 
-def _untwisted_axes(normals: Array) -> Array:
-    """Return the global axes (S, 3, 3) after the smallest rotation of z to the normal, as in the TMT."""
-    both = normals + np.array([0.0, 0.0, 1.0])
-    columns = [np.eye(3)[k] - (normals[:, k] / both[:, 2])[:, None] * both for k in range(2)]
-    return np.stack([*columns, normals], axis=-1)
-
-
-def _turn(degrees: float) -> Array:
-    """Return the rotation (3, 3) about z by a multiple of 60 degrees, exact to the last bit of sqrt(3)/2."""
-    c, s = cos(degrees * pi / 180.0), np.sin(degrees * pi / 180.0)
-    c, s = round(2.0 * c) / 2.0, round(s / sqrt(0.75)) * sqrt(0.75)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def _require_gap(gap: float, limit: float) -> None:
+def require_gap(gap: float, limit: float) -> None:
+    """Raise UserError unless a gap between segments leaves glass."""
     if not 0.0 <= gap < limit:
         raise UserError(
             f"The gap between segments is {gap:g} mm; it must be at least 0 and below {limit:g} mm."

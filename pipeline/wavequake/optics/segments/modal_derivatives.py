@@ -55,7 +55,7 @@ def modal_model(prepared: PreparedTrace, device: Device, field: Array, dofs: tup
     opd, x, y, chief = (
         np.concatenate(part, axis=-1) for part in _traced(prepared, device, field, dofs, singles)
     )
-    still, remedy = opd[:, 0], "take optics.method = 'standard'"
+    still, remedy = opd[:, 0], "take other optics.rays, or optics.method = 'standard'"
     far = np.concatenate(_traced(prepared, device, field, dofs, 2.0 * singles[1:], whole=False)[0], axis=-1)
     fourfold = np.stack([opd[:, 1::2], opd[:, 2::2], far[:, 0::2], far[:, 1::2]])
     turns = steps == _ROTATION

@@ -5,7 +5,7 @@ from math import isfinite
 import numpy as np
 
 from wavequake.optics.segments.telescope import SegmentedTelescope
-from wavequake.optics.shapes.shapes import Conic, Opening
+from wavequake.optics.shapes.shapes import Conic, EvenAsphere, Opening
 from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
 
 
@@ -28,7 +28,9 @@ def parent_system(telescope: SegmentedTelescope, wavelength: float = 550e-6) -> 
     others = [
         Surface(
             surface.name,
-            Conic(surface.radius, surface.conic),
+            EvenAsphere(surface.radius, surface.conic, surface.even)
+            if surface.even
+            else Conic(surface.radius, surface.conic),
             surface.position,
             surface.rotation,
             "reflect" if surface.reflects else "pass",

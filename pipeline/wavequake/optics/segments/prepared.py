@@ -16,6 +16,8 @@ from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.segmented import SegmentedTrain, Traced, trace_chief, trace_segmented
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.rays.pupils import PupilRays
+from wavequake.optics.segments.aspheres import asphere_polynomials, figures_at_rest, with_aspheres
+from wavequake.optics.segments.figures import figure_frames, segment_radii
 from wavequake.optics.segments.kinematics import field_directions, segment_poses, surface_poses
 from wavequake.optics.segments.layout import candidates, edges_of
 from wavequake.optics.segments.states import SurfaceStates, rest
@@ -61,6 +63,8 @@ class PreparedTrace:
         kernel's polynomials (heights along z, with the light); M = 0 without a figure.
     mirror_matrix : ndarray, shape (M', terms)
         From Noll coefficients of a mirror after M1 (heights along its z axis) to those of its polynomials.
+    aspheres : ndarray, shape (L - 1, M'), optional
+        What mirrors after M1 have beyond their conics, in the same polynomials.
     obscuration, numerical_aperture, focal_length : float
     chief : ndarray, shape (2,)
         Image point of the virtual chief ray in the reference configuration.
@@ -89,6 +93,7 @@ class PreparedTrace:
     chief: Array
     slopes: Fit | None = None
     sphere: Fit | None = None
+    aspheres: Array | None = None
 
 
 def prepare(
@@ -139,6 +144,7 @@ def prepare(
     obscuration = system.pupil_inner / system.pupil_outer
     optics = first_order(system)
     figure, mirror = (zernike_basis(count) if count else _NO_FIGURE for count in (figure_terms, mirror_terms))
+    mirror, aspheres = with_aspheres(mirror, asphere_polynomials(system))
     train = _train(system, figure, mirror, optics.exit_pupil_distance)
     rows, solved = segment_planes(rays.x, rays.y, weight, rays.segment, system.segments.centers[:, :2])
     if not solved.all():
@@ -167,7 +173,11 @@ def prepare(
         obscuration=obscuration,
         numerical_aperture=optics.numerical_aperture,
         focal_length=optics.focal_length,
-        chief=trace_chief(train, at_rest, field_directions(still.field), system.stop_z)[0, :2, 0],
+        chief=trace_chief(
+            *(train, at_rest, field_directions(still.field), system.stop_z),
+            mirror_figure=figures_at_rest(aspheres, 1),
+        )[0, :2, 0],
+        aspheres=aspheres,
     )
 
 
@@ -175,14 +185,11 @@ def _train(
     system: SegmentedTelescope, figure: ZernikeBasis, mirror: ZernikeBasis, sphere_radius: float
 ) -> SegmentedTrain:
     """Pack the parts of a system that do not move."""
-    segments = system.segments
-    along = segments.axes[:, :2, 0]  # the local x axis, projected
-    along = along / np.linalg.norm(along, axis=1, keepdims=True) / _radii(system)[:, None]
     return SegmentedTrain(
         primary_curvature=1.0 / system.primary_radius,
         primary_conic=system.primary_conic,
-        edges=edges_of(segments),
-        figure_frames=np.concatenate([segments.centers[:, :2], along], axis=1),
+        edges=edges_of(system.segments),
+        figure_frames=figure_frames(system),
         figure_degree=figure.degree,
         surface_curvatures=np.array([1.0 / surface.radius for surface in system.surfaces]),
         surface_conics=np.array([surface.conic for surface in system.surfaces]),
@@ -193,15 +200,6 @@ def _train(
         figure_basis=figure.basis,
         mirror_basis=mirror.basis,
     )
-
-
-def _radii(system: SegmentedTelescope) -> Array:
-    """Return the radius of each segment's circumscribed circle; a mirror without corners fills the pupil."""
-    segments = system.segments
-    if segments.corners.shape[1] == 0:
-        return np.full(len(segments), system.pupil_outer)
-    radii: Array = np.linalg.norm(segments.corners - segments.centers[:, None, :2], axis=2).max(axis=1)
-    return radii
 
 
 def chief_rays(prepared: PreparedTrace, states: SurfaceStates) -> Array:
@@ -224,7 +222,7 @@ def _mirror_figure(prepared: PreparedTrace, states: SurfaceStates) -> Array | No
     """Return the coefficients (T, L - 1, M, 16) of the figures of the mirrors after M1."""
     mirrors, terms = len(prepared.system.surfaces) - 1, prepared.mirror_matrix.shape[1]
     if not terms and states.mirror_figure is None:
-        return None
+        return figures_at_rest(prepared.aspheres, len(states) // TILE)
     shape = (len(states), mirrors, terms)
     found = None if states.mirror_figure is None else states.mirror_figure.shape
     if found != shape:
@@ -232,7 +230,7 @@ def _mirror_figure(prepared: PreparedTrace, states: SurfaceStates) -> Array | No
     assert states.mirror_figure is not None
     lanes_last = states.mirror_figure.reshape(-1, TILE, *shape[1:]).transpose(0, 2, 3, 1)
     coefficients: Array = np.matmul(prepared.mirror_matrix, lanes_last)
-    return coefficients
+    return coefficients if prepared.aspheres is None else coefficients + prepared.aspheres[:, :, None]
 
 
 def trace_states(prepared: PreparedTrace, states: SurfaceStates, device: Device) -> Traced:
@@ -291,6 +289,6 @@ def _wander(system: SegmentedTelescope, states: SurfaceStates) -> float:
         magnitudes[~np.isfinite(magnitudes)] = 0.0  # such rays are lost anyhow
     largest = motion.max(axis=0).max(axis=0)  # twice: instants first is five times as fast as both at once
     steepest = np.sqrt(2.0) * np.tan(angle.max())
-    radius = _radii(system).max()
+    radius = segment_radii(system).max()
     depth = np.abs(system.segments.centers[:, 2] - system.stop_z).max() + radius
     return float(np.sum(largest[:3]) + np.sum(largest[3:]) * radius + steepest * depth)

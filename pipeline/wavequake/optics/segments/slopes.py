@@ -30,6 +30,7 @@ from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.segmented import Traced, trace_segmented
 from wavequake.kernels.trace.status import OK
 from wavequake.optics.polynomials.zernike import annular_zernike_gradient
+from wavequake.optics.segments.aspheres import figures_at_rest
 from wavequake.optics.segments.kinematics import cardan, field_directions, surface_poses
 from wavequake.optics.segments.prepared import PreparedTrace, chief_rays
 from wavequake.optics.segments.states import SurfaceStates, rest
@@ -182,7 +183,7 @@ def _two_points(
         figure_frames=np.zeros((1, 4)),
         figure_degree=-1,
         semi_diameters=None,
-        mirror_degree=-1,
+        mirror_degree=-1 if prepared.aspheres is None else prepared.train.mirror_degree,
     )
     traced = trace_segmented(
         parent,
@@ -196,6 +197,7 @@ def _two_points(
         field_directions(states.field),
         chief,
         NUMPY,
+        figures_at_rest(prepared.aspheres, 1),
     )
     points = np.stack([traced.x[0], traced.y[0]]) - chief[0, :2, None]
     return points[..., :count], points[..., count : 2 * count]

@@ -2,18 +2,21 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.trace.surfaces import conic_path, conic_slopes
+from wavequake.kernels.trace.surfaces import conic_path, conic_sag, conic_slopes, even_sag_and_slopes
 from wavequake.optics.segments.layout import Segments
+from wavequake.optics.shapes.polygons import distance_from_origin
 from wavequake.words import counted
 
 Array = NDArray[np.float64]
 
 _AXIS = np.array([0.0, 0.0, 1.0])
+_NEWTON_STEPS = 20
 
 
 @dataclass(frozen=True)
@@ -23,7 +26,7 @@ class ConicSurface:
     ``radius`` is infinite for a plane and positive if the center of curvature lies on the surface's +z side.
     ``position`` (3,) is the vertex, ``rotation`` (3, 3) turns the surface's frame into the optics frame. The
     image plane does not reflect. Light that meets a mirror farther than ``semi_diameter`` from its vertex is
-    vignetted.
+    vignetted. ``even`` are coefficients of rho^2, rho^4, ... in mm^-1, mm^-3, ... that add to the conic.
     """
 
     name: str
@@ -33,6 +36,7 @@ class ConicSurface:
     rotation: NDArray[np.float64]
     reflects: bool = True
     semi_diameter: float = float("inf")
+    even: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, repr=False)
@@ -66,7 +70,8 @@ class Row:
 
     ``distance`` is the way of the light from the previous surface, mm. ``tilt`` turns a mirror about its y
     axis, rad; what follows turns by twice as much, so that it stands on the folded beam. Light beyond
-    ``semi_diameter`` (mm, from the vertex in the surface's x and y) is vignetted.
+    ``semi_diameter`` (mm, from the vertex in the surface's x and y) is vignetted. ``even`` is that of a
+    `ConicSurface`.
     """
 
     name: str
@@ -75,6 +80,7 @@ class Row:
     distance: float
     tilt: float = 0.0
     semi_diameter: float = float("inf")
+    even: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -121,10 +127,22 @@ def sequential_surfaces(rows: Iterable[Row]) -> tuple[ConicSurface, ...]:
                 *(row.name, row.radius, row.conic, position, rotation),
                 reflects=row is not prescription[-1],
                 semi_diameter=row.semi_diameter,
+                even=row.even,
             )
         )
         frame, sense = rotation @ half_turn, -sense
     return tuple(surfaces)
+
+
+def around_its_glass(
+    name: str, segments: Segments, radius: float, conic: float, rows: Iterable[Row], note: str = ""
+) -> SegmentedTelescope:
+    """Assemble a telescope whose pupil is the annulus about its glass; the stop lies in its rim's plane."""
+    inner = float(distance_from_origin(segments.corners).min())
+    outer = max(hypot(x, y) for x, y in segments.corners.reshape(-1, 2))
+    stop_z = float(conic_sag(outer, 0.0, 1.0 / radius, conic))
+    surfaces = sequential_surfaces(rows)
+    return SegmentedTelescope(name, segments, radius, conic, surfaces, stop_z, inner, outer, note)
 
 
 def _about_y(angle: float) -> Array:
@@ -191,7 +209,8 @@ def _unfolded(system: SegmentedTelescope) -> Iterator[tuple[float, float]]:
     for surface in system.surfaces:
         normal = surface.rotation[:, 2]
         way = float(direction @ (surface.position - position))
-        yield way, -2.0 / surface.radius * float(np.sign(direction @ normal)) if surface.reflects else 0.0
+        bend = -2.0 / surface.radius - 4.0 * sum(surface.even[:1])
+        yield way, bend * float(np.sign(direction @ normal)) if surface.reflects else 0.0
         position = surface.position
         direction = direction - 2.0 * (direction @ normal) * normal
 
@@ -214,12 +233,26 @@ def _final_direction(system: SegmentedTelescope, y: float) -> Array:
     for surface in (primary, *system.surfaces):
         if surface.reflects:
             local, along = (position - surface.position) @ surface.rotation, direction @ surface.rotation
-            hit = local + conic_path(local, along, 1.0 / surface.radius, surface.conic) * along
-            slope_x, slope_y = conic_slopes(hit[0], hit[1], 1.0 / surface.radius, surface.conic)
+            hit, slope_x, slope_y = _met(surface, local, along)
             normal = np.array([-slope_x, -slope_y, 1.0])
             along = along - 2.0 * (along @ normal) / (normal @ normal) * normal
             position, direction = surface.position + surface.rotation @ hit, surface.rotation @ along
     return direction
+
+
+def _met(surface: ConicSurface, position: Array, direction: Array) -> tuple[Array, Array, Array]:
+    """Return where rays (3, ...) meet a surface in its frame, and its slopes there; NaN for a miss."""
+    curvature, conic = 1.0 / surface.radius, surface.conic
+    hit = position + conic_path(position, direction, curvature, conic) * direction
+    for _ in range(_NEWTON_STEPS * bool(surface.even)):
+        more, *slopes = even_sag_and_slopes(hit[0], hit[1], surface.even)
+        bare = conic_slopes(hit[0], hit[1], curvature, conic)
+        rise = direction[2] - (bare[0] + slopes[0]) * direction[0] - (bare[1] + slopes[1]) * direction[1]
+        short = conic_sag(hit[0], hit[1], curvature, conic) + more - hit[2]
+        hit = hit + short / rise * direction
+    slope_x, slope_y = conic_slopes(hit[0], hit[1], curvature, conic)
+    _, more_x, more_y = even_sag_and_slopes(hit[0], hit[1], surface.even)
+    return hit, slope_x + more_x, slope_y + more_y
 
 
 def footprints(system: SegmentedTelescope) -> Array:
@@ -235,11 +268,10 @@ def footprints(system: SegmentedTelescope) -> Array:
     primary = ConicSurface("M1", system.primary_radius, system.primary_conic, np.zeros(3), np.eye(3))
     radii = []
     for surface in (primary, *system.surfaces[:-1]):
-        frame, curvature = surface.rotation, 1.0 / surface.radius
+        frame = surface.rotation
         local, along = frame.T @ (position - surface.position[:, None]), frame.T @ direction
-        hit = local + conic_path(local, along, curvature, surface.conic) * along
+        hit, slope_x, slope_y = _met(surface, local, along)
         radii.append(np.hypot(hit[0], hit[1]).max())
-        slope_x, slope_y = conic_slopes(hit[0], hit[1], curvature, surface.conic)
         normal = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)])
         twice = 2.0 * np.sum(along * normal, axis=0) / np.sum(normal**2, axis=0)
         position, direction = surface.position[:, None] + frame @ hit, frame @ (along - twice * normal)

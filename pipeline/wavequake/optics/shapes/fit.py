@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RBFInterpolator
 from scipy.linalg import qr, solve_triangular
 
 from wavequake.errors import UserError
@@ -244,6 +243,8 @@ def residual_grid(fit: SurfaceFit, left: Array, grid: GridDeformation) -> Array:
             f"the residual grid reaches to x = {half_x:g} and y = {half_y:g} mm, the optical nodes to "
             f"{reach[0]:g} and {reach[1]:g} mm"
         )
+    from scipy.interpolate import RBFInterpolator  # a quarter of a second, and few ask for grids
+
     x = np.linspace(-half_x, half_x, grid.columns)
     y = np.linspace(-half_y, half_y, grid.rows)
     places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

@@ -7,8 +7,8 @@ interpolating spline), so they check what the trace evaluates.
 from collections.abc import Sequence
 
 import numpy as np
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
-from scipy.interpolate import RectBivariateSpline
 
 from wavequake.errors import UserError
 from wavequake.kernels.trace.sequence import Grid
@@ -42,7 +42,7 @@ def grid_heights(heights: Array, dx: float, dy: float, x: Array, y: Array) -> tu
     rows, columns = heights.shape
     half_x, half_y = dx * (columns - 1) / 2.0, dy * (rows - 1) / 2.0
     nodes_y, nodes_x = np.linspace(-half_y, half_y, rows), np.linspace(-half_x, half_x, columns)
-    spline = RectBivariateSpline(nodes_y, nodes_x, heights)
+    spline = scipy.interpolate.RectBivariateSpline(nodes_y, nodes_x, heights)
     at_x, at_y = np.clip(x, -half_x, half_x), np.clip(y, -half_y, half_y)
     slope_x = np.where(at_x == x, spline.ev(at_y, at_x, dy=1), 0.0)
     slope_y = np.where(at_y == y, spline.ev(at_y, at_x, dx=1), 0.0)

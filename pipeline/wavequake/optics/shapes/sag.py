@@ -4,7 +4,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wavequake.errors import UserError
-from wavequake.kernels.trace.surfaces import conic_sag, conic_slopes
 from wavequake.optics.checks import array
 from wavequake.optics.shapes.heights import grid_heights, zernike_heights
 from wavequake.optics.shapes.shape import SMALLEST_RADIUS, Array, SagAndSlopes, Shape
@@ -39,11 +38,7 @@ def shape_sag(shape: Shape, x: ArrayLike, y: ArrayLike) -> SagAndSlopes:
         x, y = np.broadcast_arrays(x, y)
     except ValueError:
         raise UserError(f"the positions have the shapes {x.shape} and {y.shape}, which do not fit") from None
-    curvature = 1.0 / shape.radius
-    base = conic_sag(x, y, curvature, shape.conic)
-    slopes = conic_slopes(x, y, curvature, shape.conic)
-    extra = shape.over_conic(x, y)
-    return base + extra[0], slopes[0] + extra[1], slopes[1] + extra[2]
+    return shape.sag(x, y)
 
 
 def deformation_sag(

@@ -1,8 +1,9 @@
 """What every shape of an optical surface offers, and the registry of shapes. Lengths in mm.
 
 A shape is a frozen dataclass in a file of its own: a conic, whose ``radius`` and ``conic`` every shape has,
-and heights over it. The file says all that the package asks: heights and slopes, what the trace takes, the
-keys of a study file, the surface type of a lens file. `register` makes it known to study and lens files.
+and heights over it, or a surface that is none. The file says all that the package asks: heights and slopes,
+what the trace takes, the keys of a study file, the surface type of a lens file. `register` makes it known to
+study and lens files.
 """
 
 from collections.abc import Mapping
@@ -13,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.trace.sequence import Grid, Polynomial
+from wavequake.kernels.trace.sequence import Form, Grid, Polynomial
+from wavequake.kernels.trace.surfaces import conic_sag, conic_slopes
 from wavequake.optics.sections import FileSection
 from wavequake.registry import Registry
 
@@ -28,14 +30,16 @@ SMALLEST_RADIUS = 1e-9  # mm; a far smaller one overflows
 
 @dataclass(frozen=True)
 class Packed:
-    """What the trace adds to a conic: even powers, a polynomial in x and y, a grid; each may be absent.
+    """What the trace adds to a conic: even powers, a polynomial in x and y, a grid, a form.
 
-    As of `wavequake.kernels.trace.sequence.Element`: ``even[k]`` multiplies (x^2 + y^2)^(k + 1).
+    Each may be absent; a form may also be all of the surface. As of
+    `wavequake.kernels.trace.sequence.Element`: ``even[k]`` multiplies (x^2 + y^2)^(k + 1).
     """
 
     even: tuple[float, ...] = ()
     polynomial: Polynomial | None = None
     grid: Grid | None = None
+    form: Form | None = None
 
 
 class Shape:
@@ -57,6 +61,13 @@ class Shape:
     conic: float
     keys: ClassVar[type[FileSection] | None] = None
     zemax: ClassVar[str] = ""
+
+    def sag(self, x: Array, y: Array) -> SagAndSlopes:
+        """Return the height at x and y, mm, and its slopes; NaN where the surface does not reach."""
+        curvature = 1.0 / self.radius
+        slope_x, slope_y = conic_slopes(x, y, curvature, self.conic)
+        over, over_x, over_y = self.over_conic(x, y)
+        return conic_sag(x, y, curvature, self.conic) + over, slope_x + over_x, slope_y + over_y
 
     def over_conic(self, x: Array, y: Array) -> SagAndSlopes:
         """Return the heights over the conic at x and y of one shape, mm, and their slopes along x and y."""

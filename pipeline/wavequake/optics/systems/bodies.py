@@ -15,7 +15,7 @@ from wavequake.optics.checks import array
 from wavequake.optics.rays.aiming import aimed_rays
 from wavequake.optics.rays.packing import moving, pack
 from wavequake.optics.rays.pupils import sunflower
-from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.segments.kinematics import cardan, cardan_angles
 from wavequake.optics.systems.kinematics import motion_about, rest_poses, rest_states
 from wavequake.optics.systems.system import OpticalSystem, wavelength_of
 
@@ -113,20 +113,8 @@ def with_bodies(system: OpticalSystem, own: Array, bodies: Sequence[tuple[Body, 
             away = position[index] + motion[:, index, :3] @ home.T - body.point
             change = shift - motion_about(away, turn)
             motion[:, index, :3] += change @ home
-            motion[:, index, 3:] = _angles(home.T @ turn @ home @ cardan(motion[:, index, 3:]))
+            motion[:, index, 3:] = cardan_angles(home.T @ turn @ home @ cardan(motion[:, index, 3:]))
     return motion
-
-
-def _angles(rotation: Array) -> Array:
-    """Return the Cardan angles x-y-z (T, 3) of rotations (T, 3, 3), the inverse of `cardan`."""
-    return np.stack(
-        [
-            np.arctan2(-rotation[:, 1, 2], rotation[:, 2, 2]),
-            np.arctan2(rotation[:, 0, 2], np.hypot(rotation[:, 0, 0], rotation[:, 0, 1])),
-            np.arctan2(-rotation[:, 0, 1], rotation[:, 0, 0]),
-        ],
-        axis=1,
-    )
 
 
 def beam_radii(system: OpticalSystem, surfaces: Sequence[int]) -> Array:

@@ -33,6 +33,7 @@ from wavequake.optics.media.glasses import Medium
 from wavequake.optics.sections import MM_PER_NM, FileSection, Pair
 from wavequake.optics.segments.kinematics import cardan
 from wavequake.optics.systems.glass_file import GlassSection, embed_glasses, own_glasses
+from wavequake.optics.systems.phase_file import effect_of
 from wavequake.optics.systems.surface_file import (
     SurfaceSection,
     deformation_of,
@@ -68,6 +69,9 @@ class SystemSection(FileSection):
         default=None, exclude=True, description="a Zemax lens file (read when the study is loaded)"
     )
     file_text: str | None = Field(default=None, description="the text of that file")
+    configuration: int | None = Field(
+        default=None, ge=1, description="of that file; default: the one in which it was saved"
+    )
     surface: tuple[SurfaceSection, ...] = Field(default=(), strict=False)
     glass: dict[str, GlassSection] = Field(default={}, description="glasses of your own, by name")
     glass_file: str | None = Field(
@@ -88,9 +92,11 @@ class SystemSection(FileSection):
     telecentric: bool | None = Field(default=None, description="in the object space")
 
     @model_serializer(mode="wrap")
-    def _without_empty_glasses(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out glasses if there are none: stores of such studies go on from before there were any."""
+    def _without_what_is_not_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out glasses and configuration if there are none: stores go on from before there were any."""
         record: dict[str, Any] = write(self)
+        if self.configuration is None:
+            record.pop("configuration", None)
         if not self.glass:
             record.pop("glass", None)
         return record
@@ -100,6 +106,8 @@ class SystemSection(FileSection):
         from_file = self.file is not None or self.file_text is not None
         if from_file and (self.surface or self.name is not None):
             raise ValueError("file stands alone: leave out name and surface")
+        if self.configuration is not None and not from_file:
+            raise ValueError("configuration is that of a lens file; give file")
         if not (from_file or self.surface or self.name is not None):
             raise ValueError("it needs the name of a bundled system, a file, or surfaces")
         pupils = [key for key in _PUPILS if getattr(self, key) is not None]
@@ -149,7 +157,11 @@ def embed_file(record: dict[str, Any], base: Path) -> None:
             glasses = {name: GlassSection(**one) for name, one in (record.get("glass") or {}).items()}
         except (TypeError, ValueError, AttributeError):
             return  # the schema says it better
-        parse_zmx(record["file_text"], str(base / record["file"]), own_glasses(glasses))  # names the file
+        chosen = record.get("configuration")
+        number = chosen if isinstance(chosen, int) else None
+        parse_zmx(
+            record["file_text"], str(base / record["file"]), own_glasses(glasses), number
+        )  # names the file
 
 
 def build(section: SystemSection) -> OpticalSystem:
@@ -163,9 +175,11 @@ def build(section: SystemSection) -> OpticalSystem:
     """
     glasses = own_glasses(section.glass)
     if section.file_text is not None:
-        system = parse_zmx(section.file_text, section.file or "system.file_text", glasses)
+        system = parse_zmx(
+            section.file_text, section.file or "system.file_text", glasses, section.configuration
+        )
     elif section.file is not None:
-        system = read_zmx(section.file, glasses)
+        system = read_zmx(section.file, glasses, section.configuration)
     elif section.surface:
         system = _inline(section)
     else:
@@ -257,6 +271,7 @@ def _surfaces(sections: tuple[SurfaceSection, ...], glasses: Mapping[str, Medium
                 medium,
                 opening_of(section),
                 deformation_of(section),
+                effect_of(section.phase),
             )
         )
         if action == "reflect":

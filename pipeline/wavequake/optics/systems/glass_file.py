@@ -21,6 +21,7 @@ from pydantic import Field, model_validator
 
 from wavequake.optics.media.agf import read_agf
 from wavequake.optics.media.dispersion import FORMULAS
+from wavequake.optics.media.environment import STANDARD_C, Thermal
 from wavequake.optics.media.glasses import Medium
 from wavequake.optics.media.model_glass import model_glass
 from wavequake.optics.sections import FileSection, Pair
@@ -36,6 +37,12 @@ class GlassSection(FileSection):
     range_nm: Pair | None = Field(default=None, description="where the formula holds")
     index: float | None = Field(default=None, gt=1, description="at 587.6 nm")
     abbe: float | None = Field(default=None, gt=0)
+    thermal: tuple[float, ...] = Field(
+        default=(),
+        strict=False,
+        description="D0, D1, D2, E0, E1, l_tk of Schott's formula",
+    )
+    thermal_at_c: float = Field(default=STANDARD_C, description="temperature of the coefficients")
     partial_dispersion: float = Field(default=0.0, description="P_gF, beside the normal line of glasses")
 
     @model_validator(mode="after")
@@ -50,6 +57,8 @@ class GlassSection(FileSection):
                 raise ValueError(
                     f"the formula {self.formula} takes {' or '.join(map(str, known.counts))} coefficients"
                 )
+        if len(self.thermal) not in (0, 6):
+            raise ValueError("thermal takes the six coefficients D0, D1, D2, E0, E1, l_tk")
         return self
 
 
@@ -64,7 +73,8 @@ def _medium(name: str, section: GlassSection) -> Medium:
         formula, numbers, span = model.formula, model.coefficients, model.range_nm
     else:
         formula, numbers, span = section.formula or "", section.coefficients, (0.0, float("inf"))
-    return Medium(name, formula, numbers, section.range_nm or span, "own")
+    thermal = Thermal(section.thermal, section.thermal_at_c) if section.thermal else None
+    return Medium(name, formula, numbers, section.range_nm or span, "own", thermal)
 
 
 def embed_glasses(record: dict[str, Any], base: Path) -> None:
@@ -85,6 +95,8 @@ def embed_glasses(record: dict[str, Any], base: Path) -> None:
     given = dict(record.get("glass") or {})
     for name in sorted({one.upper() for one in named} & catalogue.keys()):
         medium = catalogue[name]
-        numbers = {"formula": medium.formula, "coefficients": list(medium.coefficients)}
+        numbers: dict[str, Any] = {"formula": medium.formula, "coefficients": list(medium.coefficients)}
+        if medium.thermal is not None:
+            numbers |= {"thermal": list(medium.thermal.coefficients), "thermal_at_c": medium.thermal.at_c}
         given.setdefault(medium.name, {**numbers, "range_nm": list(medium.range_nm)})
     record["glass"] = given

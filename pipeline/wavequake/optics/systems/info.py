@@ -11,7 +11,10 @@ from wavequake.optics.media.glasses import medium_label
 from wavequake.optics.media.gradients import GradientIndex
 from wavequake.optics.rays.aiming import require_light
 from wavequake.optics.rays.packing import pack
+from wavequake.optics.shapes.forms.biconic import Biconic
+from wavequake.optics.shapes.forms.toroid import Toroid
 from wavequake.optics.shapes.grid_cover import require_cover
+from wavequake.optics.shapes.phases import effect_words
 from wavequake.optics.shapes.shapes import Opening
 from wavequake.optics.systems.image_aperture import real_apertures
 from wavequake.optics.systems.paraxial import Paraxial, oblique_surfaces, paraxial
@@ -44,7 +47,7 @@ def info(system: OpticalSystem) -> str:
         _columns([("field", *_fields(system)), ("wavelength (nm)", *_wavelengths(system))]),
         _columns(_surfaces(system.surfaces, system.stop), right=(1, 2, 3)),
     ]
-    parts += [lines for lines in (_vignetting(system), _oblique(system)) if lines]
+    parts += [lines for lines in (_vignetting(system), _oblique(system), _two_curvatures(system)) if lines]
     bent = [one for one in system.surfaces if isinstance(one.medium, GradientIndex)]
     if bent:
         parts.append([f"The index varies behind {bent[0].name}, and rays bend."])
@@ -105,6 +108,17 @@ def _oblique(system: OpticalSystem) -> list[str]:
     ]
 
 
+def _two_curvatures(system: OpticalSystem) -> list[str]:
+    """Return a sentence about surfaces that are curved otherwise along x than along y."""
+    names = [one.name for one in system.surfaces if isinstance(one.shape, Biconic | Toroid)]
+    if not names:
+        return []
+    return [
+        f"First-order data take the mean of both curvatures of {', '.join(names)}. Rays are traced as they "
+        "are."
+    ]
+
+
 def _resolution(system: OpticalSystem, f_number: float) -> str:
     """Say how far apart two points are that perfect optics just resolve (Störkle 2018, Eq. 3.76)."""
     wavelength = wavelength_of(system)
@@ -152,7 +166,7 @@ def _surfaces(surfaces: Sequence[Surface], stop: int) -> list[tuple[str, ...]]:
         ("surface", "radius (mm)", "conic", "z (mm)", "action", "shape", "opening (mm)")
     ]
     for number, surface in enumerate(surfaces):
-        shape = surface.shape.words()
+        shape = "; ".join(filter(None, (surface.shape.words(), effect_words(surface.phase))))
         deforms = " deforms" if surface.deformation is not None else ""
         action = surface.action + (f" {_medium(surface)}" if surface.action == "refract" else "")
         rows.append(

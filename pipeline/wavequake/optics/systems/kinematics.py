@@ -15,6 +15,7 @@ from wavequake.optics.checks import all_within, array, require_fields, require_k
 from wavequake.optics.media.glasses import AIR, Medium
 from wavequake.optics.media.gradients import GradientIndex
 from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.shapes.phases import Effect
 from wavequake.optics.shapes.shapes import (
     Conic,
     Deformation,
@@ -43,6 +44,7 @@ class SurfaceRow:
     medium: Medium | GradientIndex = AIR
     opening: Opening | None = None
     deformation: Deformation | None = None
+    phase: Effect | None = None
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,7 @@ def sequential(rows: Sequence[SurfaceRow | Break]) -> tuple[Surface, ...]:
                     row.medium,
                     row.opening,
                     row.deformation,
+                    row.phase,
                 )
             )
         if not np.isfinite(row.thickness):

@@ -6,7 +6,6 @@ with power that is tilted or slightly decentered counts as if it stood upright a
 Distances count along the light: a mirror does not change their sign.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf, isfinite, tan
 
@@ -14,16 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.optics.media.glasses import refractive_index
-from wavequake.optics.media.gradients import GradientIndex, axis_index, medium_index, paraxial_transfer
-from wavequake.optics.shapes.sag import vertex_curvature
-from wavequake.optics.systems.system import OpticalSystem, Surface, require_system, wavelength_of
+from wavequake.optics.systems.axis_ray import AxisStep, first_vertex_z, follow_axis, off_axis
+from wavequake.optics.systems.system import OpticalSystem, require_system, wavelength_of
 
 Array = NDArray[np.float64]
 
-_STEEPEST = 1e9  # curvature at a vertex, 1/mm: products of larger ones overflow
-_DECENTERED = 0.05  # largest slope of a surface where the axis ray meets it that counts as centered
-_GRAZING = 1e-6  # smallest cosine of incidence of the axis ray
 _INFINITE = 1e12  # what lies further away than so many times the system's size is at infinity
 
 
@@ -86,20 +80,6 @@ class Paraxial:
     pupil_magnification: float
 
 
-@dataclass(frozen=True)
-class _Step:
-    """The way from the previous surface and its matrix, the index at its end, the power of the surface.
-
-    And the angle of incidence of the axis ray, rad.
-    """
-
-    way: float
-    transfer: Array
-    index: float
-    power: float
-    incidence: float
-
-
 def paraxial(system: OpticalSystem, wavelength: float | None = None) -> Paraxial:
     """Return the first-order data of a system (Störkle 2018, sections 3.3.1 and 3.3.2).
 
@@ -117,7 +97,7 @@ def paraxial(system: OpticalSystem, wavelength: float | None = None) -> Paraxial
         wavelength is out of a glass' range, or the pupil cannot be as wide as it is specified.
     """
     require_system(system)
-    steps = list(_unfolded(system, wavelength_of(system, wavelength)))
+    steps = list(follow_axis(system, wavelength_of(system, wavelength)))
     size = sum(abs(step.way) for step in steps) + 1.0
     whole = _matrix(steps)
     to_stop = _matrix(steps[: system.stop + 1], last_power=False)
@@ -128,8 +108,9 @@ def paraxial(system: OpticalSystem, wavelength: float | None = None) -> Paraxial
 
     def ratio(numerator: float, denominator: float) -> float:
         """Return a distance, infinite where rounding alone makes it finite."""
-        if denominator == 0.0 or abs(numerator) > _INFINITE * size * abs(denominator):
-            return inf
+        with np.errstate(over="ignore"):
+            if denominator == 0.0 or abs(numerator) > _INFINITE * size * abs(denominator):
+                return inf
         return float(numerator / denominator)
 
     focal = ratio(1.0, power)
@@ -177,7 +158,7 @@ def oblique_surfaces(system: OpticalSystem, least: float) -> list[tuple[str, flo
     Light is focused there by another power in the plane of incidence than across it, which first-order data
     do not know.
     """
-    steps = _unfolded(system, wavelength_of(system))
+    steps = follow_axis(system, wavelength_of(system))
     pairs = zip(system.surfaces, steps, strict=True)
     return [(one.name, step.incidence) for one, step in pairs if step.power and step.incidence > least]
 
@@ -192,16 +173,8 @@ def entrance_pupil_center(system: OpticalSystem, wavelength: float | None = None
         return np.array([0.0, 0.0, inf])
     first = first_vertex_z(system)
     return np.array(
-        [*(_off_axis(system)[system.stop] * data.pupil_magnification), first + data.entrance_pupil]
+        [*(off_axis(system)[system.stop] * data.pupil_magnification), first + data.entrance_pupil]
     )
-
-
-def first_vertex_z(system: OpticalSystem) -> float:
-    """Return where the axis ray meets the vertex plane of the first surface."""
-    surface = system.surfaces[0]
-    normal = surface.rotation[:, 2]
-    _require_crossing(system, surface.name, float(normal[2]))
-    return float(normal @ surface.position / normal[2])
 
 
 def way_from_object(system: OpticalSystem) -> float:
@@ -212,84 +185,20 @@ def way_from_object(system: OpticalSystem) -> float:
     return first_vertex_z(system) - float(system.surfaces[0].position[2]) + system.object_distance
 
 
-def _off_axis(system: OpticalSystem) -> list[Array]:
-    """Return x and y of each vertex about the axis ray, in a frame that the mirrors turn with the ray."""
-    offsets = []
-    point, frame = np.zeros(3), np.eye(3)
-    for surface in system.surfaces:
-        normal = surface.rotation[:, 2]
-        direction = frame[:, 2]
-        cosine = float(direction @ normal)
-        point = point + float(normal @ (surface.position - point)) / cosine * direction
-        offsets.append((surface.position - point) @ frame[:, :2])
-        if surface.action == "reflect":
-            frame = frame - 2.0 * np.outer(normal, normal @ frame)
-    return offsets
+def vergence_before(system: OpticalSystem, number: int, wavelength: float) -> float:
+    """Return the reciprocal distance of the object before a surface, as those before it image it, 1/mm.
+
+    Along the light: positive for one that light comes from, 0 at infinity or where it lies in the surface.
+    """
+    steps = list(follow_axis(system, wavelength))
+    distance = way_from_object(system)
+    n = steps[0].index
+    marginal = np.array([distance / n, 1.0]) if isfinite(distance) else np.array([1.0, 0.0])
+    height, slope = _matrix(steps[: number + 1], last_power=False) @ marginal
+    return float(slope / (height * steps[number].index)) if height else 0.0
 
 
-def _unfolded(system: OpticalSystem, wavelength: float) -> Iterator[_Step]:
-    """Follow the axis ray: yield the way to each surface (first: 0) and what the surface does."""
-    point, direction = np.array([0.0, 0.0, first_vertex_z(system)]), np.array([0.0, 0.0, 1.0])
-    index = refractive_index(system.medium, wavelength)
-    begins: Surface | None = None  # the surface with which a medium of varying index begins
-    for number, surface in enumerate(system.surfaces):
-        normal = surface.rotation[:, 2]
-        cosine = float(direction @ normal)
-        _require_crossing(system, surface.name, cosine)
-        way = float(normal @ (surface.position - point)) / cosine
-        transfer = np.array([[1.0, way / index], [0.0, 1.0]])
-        if begins is not None:
-            index, transfer = _through_gradient(begins, wavelength, point, way, direction)
-        point = point + way * direction
-        curvature = vertex_curvature(surface.shape)
-        if not abs(curvature) <= _STEEPEST:
-            raise UserError(
-                f"the surface {surface.name} of {system.name} has the curvature {curvature:g} / mm at its "
-                f"vertex; it must be at most {_STEEPEST:g} / mm"
-            )
-        last = number == len(system.surfaces) - 1
-        acts = surface.action != "pass" and not last
-        beside = float(np.linalg.norm(point - surface.position))
-        if acts and abs(curvature) * beside > _DECENTERED:
-            raise UserError(
-                f"the axis ray of {system.name} misses the vertex of the surface {surface.name} by "
-                f"{beside:.3g} mm; first-order data need surfaces nearly centered on the z axis (and "
-                "its folds by plane mirrors): give an off-axis part of a surface about its parent's axis, "
-                "and decenter the stop instead"
-            )
-        sense = float(np.sign(cosine))
-        after = index
-        power = 0.0
-        if surface.action == "refract" and not last:
-            after = medium_index(surface.medium, wavelength)
-            begins = surface if isinstance(surface.medium, GradientIndex) else None
-            power = (after - index) * curvature * sense
-        elif surface.action == "reflect":
-            power = -2.0 * index * curvature * sense
-            direction = direction - 2.0 * cosine * normal
-        yield _Step(way, transfer, index, power, float(np.arccos(min(abs(cosine), 1.0))))
-        index = after
-
-
-def _through_gradient(
-    begins: Surface, wavelength: float, point: Array, way: float, direction: Array
-) -> tuple[float, Array]:
-    """Return the index at the end of a way through a medium of varying index, and the way's matrix."""
-    medium, axis = begins.medium, begins.rotation[:, 2]
-    assert isinstance(medium, GradientIndex)
-    start, sense = float(axis @ (point - begins.position)), float(axis @ direction)
-    end = axis_index(medium, wavelength, np.array([start + sense * way]))
-    return float(end[0]), paraxial_transfer(medium, wavelength, start, way, sense)
-
-
-def _require_crossing(system: OpticalSystem, surface: str, cosine: float) -> None:
-    if abs(cosine) < _GRAZING:
-        raise UserError(
-            f"the axis ray of {system.name} runs along the surface {surface}; it must cross every surface"
-        )
-
-
-def _matrix(steps: list[_Step], last_power: bool = True) -> Array:
+def _matrix(steps: list[AxisStep], last_power: bool = True) -> Array:
     """Return the matrix from (y, n u) before the first surface to after the last one."""
     matrix = np.eye(2)
     for number, step in enumerate(steps):
@@ -299,7 +208,7 @@ def _matrix(steps: list[_Step], last_power: bool = True) -> Array:
     return matrix
 
 
-def _from_first_to_last(steps: list[_Step]) -> Array:
+def _from_first_to_last(steps: list[AxisStep]) -> Array:
     """Return the matrix from before the first surface to after the last one before the image."""
     return _matrix(steps[:-1]) if len(steps) > 1 else np.eye(2)
 

@@ -36,7 +36,9 @@ from wavequake.optics.shapes.shapes import (
     ZernikeDeformation,
     ZernikeSag,
 )
+from wavequake.optics.systems.phase_file import PhaseSection
 
+Degrees = Annotated[float, Field(ge=-360, le=360)]
 Heights = Annotated[tuple[float, ...], Field(strict=False)]
 _SHAPES = ("even_asphere", "polynomial_mm", "zernike_nm", "sag_mm")
 
@@ -106,12 +108,13 @@ class SurfaceSection(FileSection):
     center_mm: Pair = Field(
         default=(0.0, 0.0), strict=False, description="of all of these, beside the vertex"
     )
-    tilt_deg: tuple[float, float, float] = Field(
+    tilt_deg: tuple[Degrees, Degrees, Degrees] = Field(
         default=(0.0, 0.0, 0.0), strict=False, description="Cardan angles about x, y and z"
     )
     decenter_mm: tuple[float, float] = Field(default=(0.0, 0.0), strict=False)
     fold: bool = Field(default=False, description="the axis goes on as this tilted mirror reflects it")
     stop: bool = False
+    phase: PhaseSection | None = Field(default=None, description="a grating, binary optic or perfect lens")
     _own: tuple[type[Shape], FileSection] | None = PrivateAttr(default=None)  # a registered shape, its keys
 
     @model_validator(mode="wrap")
@@ -134,6 +137,8 @@ class SurfaceSection(FileSection):
     @model_serializer(mode="wrap")
     def _with_keys_of_registered_shapes(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         record: dict[str, Any] = handler(self)
+        if self.phase is None:  # stores of such studies go on from before there were any
+            record.pop("phase", None)
         return record if self._own is None else record | self._own[1].model_dump(mode="json")
 
     @field_validator("radius_mm", mode="before")

@@ -15,6 +15,7 @@ from wavequake.errors import UserError
 from wavequake.optics.checks import number, require_fields, require_kind
 from wavequake.optics.media.glasses import AIR, Medium
 from wavequake.optics.media.gradients import GradientIndex, require_gradient
+from wavequake.optics.shapes.phases import Effect, PerfectLens, require_effect
 from wavequake.optics.shapes.sag import require_shape
 from wavequake.optics.shapes.shapes import (
     Conic,
@@ -36,7 +37,8 @@ class Surface:
     """One surface: its shape, where its vertex stands (3,), how it is turned (3, 3), and what it does.
 
     ``rotation`` turns the surface's frame into the system's. ``medium`` follows a refracting surface; one
-    with a gradient starts at its vertex and moves with it.
+    with a gradient starts at its vertex and moves with it. A ``phase`` diffracts or focuses light, whatever
+    the action is.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Surface:
     medium: Medium | GradientIndex = AIR
     opening: Opening | None = None
     deformation: Deformation | None = None
+    phase: Effect | None = None
 
 
 @dataclass(frozen=True)
@@ -198,6 +201,10 @@ def require_system(system: OpticalSystem) -> None:
             f"the image of {name} lies in the medium {medium.name}, whose index varies; add a refracting "
             "surface that ends it (at no distance from the image, if need be)"
         )
+    if system.surfaces[-1].phase is not None:
+        raise UserError(
+            f"the last surface of {name}, {system.surfaces[-1].name}, is the image: it cannot have a phase"
+        )
     if system.surfaces[-1].action != "pass":
         raise UserError(
             f"the last surface of {name}, {surface.name}, is the image: its action must be 'pass', "
@@ -223,9 +230,16 @@ def _require_surface(system: str, surface: Surface) -> None:
     where = f"the surface {surface.name} of {system}"
     try:
         require_shape(surface.shape)
+        require_effect(surface.phase)
     except UserError as error:
         raise UserError(f"{where}: {error}") from error
     _require_deformation(where, surface.deformation)
+    if isinstance(surface.phase, PerfectLens):
+        flat = surface.shape == Conic() and surface.deformation is None
+        if not flat or surface.action == "reflect":
+            raise UserError(
+                f"{where} is a perfect lens; it must be a plane that neither reflects nor deforms"
+            )
     if surface.position.shape != (3,) or not (np.abs(surface.position) <= LARGEST).all():
         raise UserError(f"the position of {where} must be 3 finite numbers, of at most {LARGEST:g} mm")
     turn = surface.rotation

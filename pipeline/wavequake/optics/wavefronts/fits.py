@@ -156,8 +156,8 @@ def well_determined(fit: Fit) -> Fit:
         raise UserError(
             f"{fit.basis.shape[1]} Zernike terms are too many for the glass of this pupil: a combination of "
             f"them is {1.0 / max(least, 1e-9):.2g} times larger beside the glass than on it; lower "
-            "wavefront.zernike_terms, or raise optics.rays_per_segment. (The pupil is the annulus about the "
-            "telescope's axis, of which the glass must not leave out too much.)"
+            "wavefront.zernike_terms, or raise optics.rays_per_segment. The pupil is the annulus about the "
+            "telescope's axis, of which the glass must not leave out too much."
         )
     return fit
 

@@ -1,8 +1,9 @@
-"""CODE V's sequence files (.seq) as the rows of a lens file, for centered systems.
+"""CODE V's sequence files (.seq) as the rows of a lens file.
 
 Each command becomes the line of a .zmx file that says the same, with the number of its own line, so that all
-that follows (glasses, fields, beams, problems) is that of `wavequake.optics.zemax.read`. Surfaces that are
-tilted, decentered, diffractive or zoomed are refused.
+that follows (glasses, fields, beams, problems) is that of `wavequake.optics.zemax.read`. Decenters and tilts
+become coordinate breaks (`wavequake.optics.zemax.codev_tilts`); surfaces that are diffractive or zoomed are
+refused.
 """
 
 import re
@@ -14,6 +15,7 @@ from wavequake.errors import UserError
 from wavequake.optics.media.glasses import Medium, catalogue, catalogues
 from wavequake.optics.systems.system import OpticalSystem
 from wavequake.optics.text_file import read_text
+from wavequake.optics.zemax.codev_tilts import TILTS, Tilt, with_breaks
 from wavequake.optics.zemax.lens_file import LensFile
 from wavequake.optics.zemax.read import system_of
 from wavequake.optics.zemax.rows import Line, Row, as_number, fail
@@ -24,8 +26,8 @@ _FIELDS = {"AN": "0", "OB": "1", "IM": "2", "RI": "3"}
 _POWERS = "ABCDEFGHJ"  # of r^4, r^6, ...
 _MOVES_LIGHT = frozenset(
     (
-        *("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE", "BEN", "DAR", "REV", "RET", "GLB", "GRT", "GRO", "DIF"),
-        *("HOE", "SPS", "XTO", "YTO", "CYL", "AAS", "THI", "CUY", "RDY", "GLA", "DEL", "INS", "REX", "REY"),
+        *("RET", "GLB", "GRT", "GRO", "DIF", "XOD", "YOD", "ZOD"),
+        *("HOE", "SPS", "XTO", "YTO", "CYL", "AAS", "THI", "CUY", "RDY", "GLA", "DEL", "INS"),
         *("ELX", "ELY"),
     )
 )
@@ -50,6 +52,8 @@ class _Draft:
     radii: bool | None = None
     vignetting: dict[str, list[float]] = field(default_factory=dict)
     names: set[str] = field(default_factory=set)
+    tilts: dict[int, Tilt] = field(default_factory=dict)
+    rectangles: dict[int, dict[str, Line]] = field(default_factory=dict)
 
     def say(self, number: int, keyword: str, rest: str) -> None:
         self.header.setdefault(keyword, []).append(Line(self.where, number, keyword, rest))
@@ -80,7 +84,7 @@ def sequence_file(text: str, where: str) -> LensFile:
     if len(draft.rows) < 2:
         raise UserError(f"{where} is no sequence of surfaces: it needs SO, S and SI at least.")
     _complete(draft)
-    return LensFile(where, draft.header, tuple(draft.rows), ())
+    return LensFile(where, draft.header, with_breaks(draft.rows, draft.tilts), ())
 
 
 def _commands(text: str, where: str) -> Iterator[Line]:
@@ -152,8 +156,7 @@ def _take(draft: _Draft, line: Line) -> None:
     elif draft.rows and _of_surface(draft, line):
         return
     elif keyword in _MOVES_LIGHT:
-        if keyword not in ("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE") or as_number(line, 0):
-            fail(line, f"{keyword} changes the light and is not supported")
+        fail(line, f"{keyword} changes the light and is not supported")
     elif keyword not in _HARMLESS and not keyword.startswith(("^", "'", '"')):
         draft.header.setdefault(keyword, []).append(line)
 
@@ -178,6 +181,10 @@ def _of_surface(draft: _Draft, line: Line) -> bool:
             draft.add(number, "OBSC", f"0 {words[-1]}")
         elif words and words[0] not in ("EDG", "HOL"):
             draft.add(number, "CLAP", f"0 {words[-1]}")
+    elif keyword in TILTS:
+        draft.tilts.setdefault(len(draft.rows) - 1, Tilt()).take(line)
+    elif keyword in ("REX", "REY", "ADX", "ADY"):
+        draft.rectangles.setdefault(len(draft.rows) - 1, {})[keyword] = line
     else:
         return False
     return True
@@ -221,7 +228,17 @@ def _glass(word: str) -> str:
 
 
 def _complete(draft: _Draft) -> None:
-    """Add what follows from several commands: the kind of fields, vignetting, the primary wavelength."""
+    """Add what follows from several commands: apertures, fields, vignetting, the primary wavelength."""
+    for number, given in draft.rectangles.items():
+        row, numbers = draft.rows[number], {key: as_number(line, 0) for key, line in given.items()}
+        line = next(iter(given.values()))
+        if ("REX" in given) != ("REY" in given):
+            fail(line, f"{row.label} has a rectangular aperture without both half widths, REX and REY")
+        if "REX" in given:
+            text = f"{numbers['REX']!r} {numbers['REY']!r}"
+            row.lines.setdefault("SQAP", []).append(Line(line.where, line.number, "SQAP", text))
+        text = f"{numbers.get('ADX', 0.0)!r} {numbers.get('ADY', 0.0)!r}"
+        row.lines["OBDC"] = [Line(line.where, line.number, "OBDC", text)]
     if not any("STOP" in row.lines for row in draft.rows):  # by default the first surface is the stop
         draft.rows[1].lines["STOP"] = [Line(draft.where, draft.rows[1].line.number, "STOP", "")]
     if len(draft.names) > 1:

@@ -38,8 +38,9 @@ from wavequake.optics.systems.system import OpticalSystem, Surface, wavelength_o
 from wavequake.optics.zemax.gradients import gradient_lines
 from wavequake.optics.zemax.grids import grid_lines
 from wavequake.optics.zemax.media import MODEL_GLASS, GlassShelf
+from wavequake.optics.zemax.phases import MAX_EVEN_TERMS, phase_lines
 from wavequake.optics.zemax.rows import written
-from wavequake.optics.zemax.surfaces import MAX_EVEN_TERMS, MAX_TERMS, cardan_angles, spider
+from wavequake.optics.zemax.surfaces import MAX_TERMS, cardan_angles, spider
 
 MAX_FIELDS = 12
 MAX_WAVELENGTHS = 24
@@ -64,6 +65,15 @@ def write_zmx(system: OpticalSystem, path: str | Path) -> Path:
     ------
     UserError
         If the folder is missing, or the system has something that the format cannot hold: names it.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from wavequake.optics.catalog.names import optical_system
+    >>> with TemporaryDirectory() as folder:
+    ...     write_zmx(optical_system("double-gauss"), Path(folder) / "lens.zmx").name
+    'lens.zmx'
     """
     target = Path(path) if isinstance(path, str | Path) else Path()
     if not target.name:
@@ -87,7 +97,7 @@ def zmx_text(system: OpticalSystem) -> str:
     _require_one_line(system.name, "the system")
     lines = ["MODE SEQ", f"NAME {system.name}", "UNIT MM X W X CM MR CPMM", *_pupil(system), *_fields(system)]
     lines += [*_catalogues(system), "RAIM 0 2 1 1 0 0 0 0 0 1"]  # rays are aimed at the real stop
-    lines += [*_wavelengths(system), *_note(system)]
+    lines += [*_environment(system), *_wavelengths(system), *_note(system)]
     infinite = math.isinf(system.object_distance)
     distance = "INFINITY" if infinite else written(system.object_distance)
     rows = [["TYPE STANDARD", "CURV 0.0", f"DISZ {distance}", *_glass(system.medium, system.name)]]
@@ -147,7 +157,8 @@ def _wavelengths(system: OpticalSystem) -> list[str]:
 def _catalogues(system: OpticalSystem) -> list[str]:
     """Return the line that names the makers of the glasses, in an order in which each is found."""
     media = (system.medium, *(surface.medium for surface in system.surfaces))
-    used = [one for one in media if isinstance(one, Medium) and one == _of_maker(one)]
+    plain = [replace(one, environment=None) for one in media if isinstance(one, Medium)]
+    used = [one for one in plain if one == _of_maker(one)]
     makers = [name for name in catalogues() if any(one.catalogue == name for one in used)]
     for order in islice(permutations(makers), 1000):
         shelf = GlassShelf({}, order)
@@ -160,9 +171,25 @@ def _catalogues(system: OpticalSystem) -> list[str]:
     )
 
 
+def _environment(system: OpticalSystem) -> list[str]:
+    """Return the line of temperature and pressure, if glasses have them."""
+    media = (system.medium, *(surface.medium for surface in system.surfaces))
+    found = {one.environment for one in media if isinstance(one, Medium) and one.catalogue}
+    if not found - {None}:
+        return []
+    if len(found) > 1:
+        raise UserError(
+            f"{system.name} has glasses at several temperatures or pressures; a lens file has room for one."
+        )
+    (around,) = found
+    assert around is not None
+    return [f"ENVD {written(around.temperature_c)} {written(around.pressure_atm)} 1"]
+
+
 def _glass(medium: Medium, name: str) -> list[str]:
     if medium == AIR:
         return []
+    medium = replace(medium, environment=None)
     if medium in (glasses().get(medium.name.upper()), _of_maker(medium)):
         return [f"GLAS {medium.name} 0 0 1.5 40 0 0 0 0 0 0"]
     if medium.formula == "constant":
@@ -249,6 +276,8 @@ def _surface(
 
 def _shape(surface: Surface, system: str) -> list[str]:
     shape = surface.shape
+    if surface.phase is not None:
+        return phase_lines(surface.phase, shape, f"{surface.name} of {system}")
     numbers = [f"CURV {written(1.0 / shape.radius)}", f"CONI {written(shape.conic)}"]
     if isinstance(shape, Conic):
         return ["TYPE STANDARD", *numbers]

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+from wavequake.optics.media.environment import Environment
 from wavequake.optics.zemax.rows import Line, Row, as_integer, as_number, fail
 
 PUPILS = ("ENPD", "FNUM", "OBNA", "FLOA")
@@ -21,7 +22,7 @@ _HARMLESS = (
 )
 _KNOWN = frozenset((*_USED, *PUPILS, *_VIGNETTING, *_HARMLESS))
 _APODIZATIONS = {1: "Gaussian", 2: "cosine cubed"}
-_REFERENCE = (20.0, 1.0)  # degrees Celsius and atmospheres to which indices of catalogs belong
+_COLDEST, _HOTTEST, _DENSEST = -200.0, 500.0, 100.0  # degrees Celsius and atmospheres
 _NAMED = 8
 
 
@@ -41,24 +42,29 @@ def require_supported(header: Mapping[str, Sequence[Line]]) -> None:
     for line in header.get("MODE", [])[:1]:
         if line.words[:1] != ["SEQ"]:
             fail(line, f"the mode {line.rest!r} is not supported, only SEQ is")
-    for line in header.get("ENVD", []):
-        _require_reference_environment(line)
     for line in header.get("GFAC", []):
         _require_uniform(line)
 
 
-def _require_reference_environment(line: Line) -> None:
-    """Refuse temperatures and pressures if indices are to follow them."""
-    if len(line.words) < 3 or not as_integer(line, 2):
-        return
+def environment_of(header: Mapping[str, Sequence[Line]]) -> Environment | None:
+    """Return the temperature and pressure that indices follow; None: they are those of the catalogues.
+
+    Raises
+    ------
+    UserError
+        If there is no such place.
+    """
+    line = next(iter(header.get("ENVD", [])), None)
+    if line is None or len(line.words) < 3 or not as_integer(line, 2):
+        return None
     temperature, pressure = as_number(line, 0), as_number(line, 1)
-    if (temperature, pressure) != _REFERENCE:
+    if not (_COLDEST <= temperature <= _HOTTEST and 0.0 <= pressure <= _DENSEST):
         fail(
             line,
-            f"indices that are adjusted to an environment of {temperature:g} degrees Celsius and "
-            f"{pressure:g} atmospheres are not supported, only those at {_REFERENCE[0]:g} and "
-            f"{_REFERENCE[1]:g} are; switch the adjustment off, or give indices as model glasses",
+            f"the environment has {temperature:g} degrees Celsius and {pressure:g} atmospheres; possible are "
+            f"{_COLDEST:g} to {_HOTTEST:g} and 0 to {_DENSEST:g}",
         )
+    return Environment(temperature, pressure)
 
 
 def _require_uniform(line: Line) -> None:

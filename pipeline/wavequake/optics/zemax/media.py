@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from wavequake.errors import UserError
+from wavequake.optics.media.environment import Environment
 from wavequake.optics.media.glasses import (
     AIR,
     Catalogues,
@@ -12,6 +13,7 @@ from wavequake.optics.media.glasses import (
     catalogues,
     constant,
     glass,
+    in_environment,
     refractive_index,
 )
 from wavequake.optics.media.gradients import GradientIndex
@@ -38,12 +40,15 @@ class GlassShelf:
         The user's glasses by their name in upper case; they go before all others.
     named : tuple of str
         The catalogues that the file names (GCAT), in its order.
+    environment : Environment or None
+        Where glasses of catalogues are; None: where they were measured. Indices that the file gives stay.
     notes : list of str
         Sentences about glasses that were found elsewhere or whose index is another.
     """
 
     own: Mapping[str, Medium] = field(default_factory=dict)
     named: tuple[str, ...] = ()
+    environment: Environment | None = None
     notes: list[str] = field(default_factory=list)
 
     def find(self, name: str) -> Medium:
@@ -143,7 +148,16 @@ def _glass(line: Line, row: Row, shelf: GlassShelf) -> Medium:
     except UserError as error:
         fail(line, f"{row.label}: {error}".rstrip("."))
     shelf.compare(medium, line, index, abbe)
-    return medium
+    return _at(medium, line, row, shelf)
+
+
+def _at(medium: Medium, line: Line, row: Row, shelf: GlassShelf) -> Medium:
+    if shelf.environment is None:
+        return medium
+    try:
+        return in_environment(medium, shelf.environment)
+    except UserError as error:
+        fail(line, f"{row.label}: {error}")
 
 
 def _model(
@@ -157,7 +171,7 @@ def _model(
             pass
         else:
             if _knows_d(medium) and abs(refractive_index(medium, _D_LINE) - index) < _SAME_INDEX:
-                return medium
+                return _at(medium, line, row, shelf)
     if not abbe:
         return constant(index)
     try:

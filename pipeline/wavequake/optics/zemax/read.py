@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from wavequake.errors import UserError
+from wavequake.optics.media.environment import Environment
 from wavequake.optics.media.glasses import AIR, Medium
 from wavequake.optics.media.gradients import GradientIndex
 from wavequake.optics.rays.aiming import require_light
@@ -23,15 +24,19 @@ from wavequake.optics.systems.kinematics import Break, SurfaceRow, sequential
 from wavequake.optics.systems.system import OpticalSystem, Pupil, require_system
 from wavequake.optics.text_file import read_text
 from wavequake.optics.zemax.apertures import with_pupil
+from wavequake.optics.zemax.configurations import count_of, with_configuration, with_solved_image
 from wavequake.optics.zemax.fields import is_afocal, is_telecentric, wavelengths, with_fields
-from wavequake.optics.zemax.header import left_aside, require_supported
+from wavequake.optics.zemax.header import environment_of, left_aside, require_supported
 from wavequake.optics.zemax.lens_file import LensFile, Problems, parsed, scale_of
 from wavequake.optics.zemax.media import GlassShelf, medium_after
-from wavequake.optics.zemax.rows import Row, as_integer, as_number, fail
-from wavequake.optics.zemax.surfaces import coordinate_break, opening, shape
+from wavequake.optics.zemax.phases import phase
+from wavequake.optics.zemax.rows import Row, as_number, fail
+from wavequake.optics.zemax.surfaces import coordinate_break, image_break, opening, shape
 
 
-def read_zmx(path: str | Path, glasses: Mapping[str, Medium] | None = None) -> OpticalSystem:
+def read_zmx(
+    path: str | Path, glasses: Mapping[str, Medium] | None = None, configuration: int | None = None
+) -> OpticalSystem:
     """Read a sequential .zmx file in UTF-16, UTF-8 or Latin-1.
 
     The origin is where the first surface after the object stands.
@@ -42,6 +47,8 @@ def read_zmx(path: str | Path, glasses: Mapping[str, Medium] | None = None) -> O
     glasses : mapping of str to Medium, optional
         Glasses by name, in upper case, that go before those of the catalogues, as
         `wavequake.optics.media.agf.read_agf` returns them.
+    configuration : int, optional
+        Which configuration, from 1; that in which the file was saved by default.
 
     Raises
     ------
@@ -49,21 +56,27 @@ def read_zmx(path: str | Path, glasses: Mapping[str, Medium] | None = None) -> O
         If the file cannot be read, is no sequential lens file, or holds something that is not supported:
         the message names it, its line, and the surface.
     """
-    return parse_zmx(read_text(path), str(path), glasses)
+    return parse_zmx(read_text(path), str(path), glasses, configuration)
 
 
-def parse_zmx(text: str, where: str, glasses: Mapping[str, Medium] | None = None) -> OpticalSystem:
+def parse_zmx(
+    text: str, where: str, glasses: Mapping[str, Medium] | None = None, configuration: int | None = None
+) -> OpticalSystem:
     """Return the system that the text of a .zmx file describes; `where` names it in messages."""
-    return system_of(parsed(text, where), glasses)
+    return system_of(parsed(text, where), glasses, configuration)
 
 
-def system_of(file: LensFile, glasses: Mapping[str, Medium] | None = None) -> OpticalSystem:
+def system_of(
+    file: LensFile, glasses: Mapping[str, Medium] | None = None, configuration: int | None = None
+) -> OpticalSystem:
     """Return the system that the lines of a lens file describe; raises as `read_zmx`."""
+    file = with_configuration(file, configuration)
     where, problems = file.where, Problems()
     catalogues = file.first("GCAT")
     shelf = GlassShelf(glasses or {}, tuple(catalogues.words) if catalogues else ())
     with problems.collected():
         require_supported(file.header)
+        shelf = replace(shelf, environment=environment_of(file.header))
     scale = 1.0
     with problems.collected():
         scale = scale_of(file)
@@ -81,7 +94,7 @@ def system_of(file: LensFile, glasses: Mapping[str, Medium] | None = None) -> Op
         distance += float(surfaces[0].position[2])
     name = file.first("NAME")
     system = OpticalSystem(
-        name=(name.rest if name else "") or Path(where).stem,
+        name=_called((name.rest if name else "") or Path(where).stem, configuration),
         surfaces=surfaces,
         stop=stop,
         pupil=Pupil("stop", 1.0),  # replaced below
@@ -96,10 +109,12 @@ def system_of(file: LensFile, glasses: Mapping[str, Medium] | None = None) -> Op
         system = with_pupil(system, file, scale)
     if not problems.found:
         with problems.collected():
+            if configuration is not None:
+                system = with_solved_image(system, file, scale)
             system, notes = _with_real_chief_rays(system)
             system = with_fields(system, file, scale)
     problems.require_none(file)
-    system = replace(system, note=" ".join([*_notes(file), *notes, *shelf.notes]))
+    system = replace(system, note=" ".join([*_notes(file, configuration), *notes, *shelf.notes]))
     with problems.collected():
         try:
             require_system(system)
@@ -124,15 +139,22 @@ def _with_real_chief_rays(system: OpticalSystem) -> tuple[OpticalSystem, list[st
     return system, []
 
 
-def _notes(file: LensFile) -> list[str]:
+def _called(name: str, configuration: int | None) -> str:
+    return name if configuration is None else f"{name}, configuration {configuration}"
+
+
+def _notes(file: LensFile, configuration: int | None) -> list[str]:
     """Return sentences about what the system leaves out of the file."""
     found = [left_aside(file.header, file.rows)]
-    count = next((line for line in file.behind if line.keyword == "MNUM"), None)
-    if count is not None and as_integer(count, 0) > 1:
+    around = environment_of(file.header)
+    if around is not None and around != Environment():
         found.append(
-            f"The file has {as_integer(count, 0)} configurations; this is number {as_integer(count, 1)}, in "
-            "which it was saved."
+            f"Indices of glasses are those at {around.temperature_c:g} degrees Celsius and "
+            f"{around.pressure_atm:g} atmospheres; shapes and distances are as the file gives them."
         )
+    count, saved = count_of(file)
+    if count > 1 and configuration is None:
+        found.append(f"The file has {count} configurations; this is number {saved}, in which it was saved.")
     if is_afocal(file):
         found.append(
             "The file says that light leaves the system parallel; wavefronts need a focusing surface."
@@ -154,7 +176,7 @@ def _prescription(
     for row in file.rows[1:]:
         last = row is file.rows[-1]
         with problems.collected():
-            row.require_supported()
+            row.require_supported(image=last)
         thickness = 0.0
         with problems.collected():
             thickness = 0.0 if last else _finite_thickness(row, scale)
@@ -165,13 +187,16 @@ def _prescription(
                 _require_plain_break(row, last)
                 rows.append(coordinate_break(row, scale, thickness))
             continue
+        if last and (line := row.one("SCBD")) is not None:
+            with problems.collected():
+                rows.append(image_break(line, scale))
         one = SurfaceRow(row.label, Conic(), thickness)
         with problems.collected():
             action, medium = medium_after(row, medium, scale, shelf)
             if not last:  # nothing happens behind the image
                 one = replace(one, action=action, medium=medium if action == "refract" else AIR)
         with problems.collected():
-            one = replace(one, shape=shape(row, scale))
+            one = replace(one, shape=shape(row, scale), phase=phase(row, scale))
         with problems.collected():
             one = replace(one, opening=opening(row, scale))
         rows.append(one)

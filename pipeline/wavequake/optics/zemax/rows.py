@@ -73,9 +73,15 @@ class Row:
         known = (*_KNOWN, *_MOVES_LIGHT, *_HEIGHTS)
         return [lines[0] for keyword, lines in self.lines.items() if keyword not in known]
 
-    def require_supported(self) -> None:
-        """Refuse a property that changes the path of light and is not supported."""
+    def require_supported(self, image: bool = False) -> None:
+        """Refuse a property that changes the path of light and is not supported; an `image` may be tilted."""
         for keyword, what in _MOVES_LIGHT.items():
+            if (
+                keyword == "SCBD"
+                and image
+                and all(one.words[:3] == ["1", "0", "0"] for one in self.lines.get(keyword, []))
+            ):
+                continue
             for line in self.lines.get(keyword, []):
                 if any(word.strip("+-0.eE") for word in line.words[1:]):
                     fail(line, f"{self.label} has {what}, which is not supported")
@@ -127,6 +133,22 @@ def require_no_numbers(row: Row, keyword: str, numbers: dict[int, float]) -> Non
         if value:
             line = next(line for line in row.lines[keyword] if as_integer(line, 0) == index)
             fail(line, f"{row.label}: {what} {index} of the type {row.type} must be 0, it is {value:g}")
+
+
+def numbered(row: Row, keyword: str, first: int, last: int) -> dict[int, float]:
+    """Return the numbers of lines ``keyword index value`` from index `first` to `last`; others must be 0."""
+    given = row.table(keyword)
+    require_no_numbers(row, keyword, {k: value for k, value in given.items() if not first <= k <= last})
+    return {k: value for k, value in given.items() if first <= k <= last}
+
+
+def powers_scaled(given: dict[int, float], scale: float, first: int, step: int) -> tuple[float, ...]:
+    """Return coefficients of powers `first`, `first` + `step`, ... of a length, numbered from 1, in mm.
+
+    `scale` is mm per unit of the file.
+    """
+    count = max((k for k, value in given.items() if value), default=0)
+    return tuple(given.get(k, 0.0) * scale ** (1 - first - step * (k - 1)) for k in range(1, count + 1))
 
 
 def written(value: float) -> str:

@@ -12,16 +12,19 @@ from wavequake.optics.shapes.shapes import Conic, EvenAsphere, ExtendedPolynomia
 from wavequake.optics.systems.kinematics import Break
 from wavequake.optics.zemax.gradients import GRADIENTS
 from wavequake.optics.zemax.grids import grid_sag
+from wavequake.optics.zemax.phases import MAX_EVEN_TERMS, PHASES, phase_base
 from wavequake.optics.zemax.rows import (
     OPENINGS,
+    Line,
     Row,
     as_count,
     as_number,
     fail,
+    numbered,
+    powers_scaled,
     require_no_numbers,
 )
 
-MAX_EVEN_TERMS = 8
 MAX_TERMS = {"XPOLYNOM": 230, "SZERNSAG": 231, "FZERNSAG": 37}  # both lists end with degree 20
 
 _FRINGE_TERMS = 36
@@ -46,24 +49,23 @@ def shape(row: Row, scale: float) -> Shape:
         return builders[row.type](row, scale, radius, kappa)
     if (registered := shape_of_type(row.type)) is not None:
         return registered.from_zemax(row, scale, radius, kappa)
+    if row.type in PHASES:
+        return phase_base(row, scale, radius, kappa)
     if row.type in GRADIENTS:  # their parameters are those of the medium
         return Conic(radius, kappa)
     if row.type != "STANDARD":
         fail(
             row.one("TYPE") or row.line,
             f"{row.label} is of the type {row.type}, which is not supported; STANDARD, COORDBRK, "
-            f"{', '.join((*builders, *GRADIENTS, *zemax_types()))} are",
+            f"{', '.join((*builders, *GRADIENTS, *PHASES, *zemax_types()))} are",
         )
     require_no_numbers(row, "PARM", row.table("PARM"))
     return Conic(radius, kappa)
 
 
 def _even_asphere(row: Row, scale: float, radius: float, conic: float) -> EvenAsphere:
-    given = row.table("PARM")
-    require_no_numbers(row, "PARM", {k: v for k, v in given.items() if not 1 <= k <= MAX_EVEN_TERMS})
-    count = max((k for k in given if 1 <= k <= MAX_EVEN_TERMS), default=0)
-    terms = tuple(given.get(k, 0.0) * scale ** (1 - 2 * k) for k in range(1, count + 1))
-    return EvenAsphere(radius, conic, terms)
+    given = numbered(row, "PARM", 1, MAX_EVEN_TERMS)
+    return EvenAsphere(radius, conic, powers_scaled(given, scale, 2, 2))
 
 
 def _extended_polynomial(row: Row, scale: float, radius: float, conic: float) -> ExtendedPolynomial:
@@ -153,6 +155,16 @@ def coordinate_break(row: Row, scale: float, thickness: float) -> Break:
     if not given.get(6, 0.0):
         return Break(shift, (float(angles[0]), float(angles[1]), float(angles[2])), False, thickness)
     return Break(shift, cardan_angles(cardan(-angles).T), True, thickness)
+
+
+def image_break(line: Line, scale: float) -> Break:
+    """Return the tilt and decenter of an image surface by SCBD: x, y, and the angles, after three flags.
+
+    1 0 0 are those of a tilt before the surface, decentered first; what comes after the image is nothing.
+    """
+    x, y, *angles = (as_number(line, place) for place in range(3, 8))
+    alpha, beta, gamma = (math.radians(angle) for angle in angles)
+    return Break((x * scale, y * scale, 0.0), (alpha, beta, gamma))
 
 
 def cardan_angles(rotation: np.ndarray) -> tuple[float, float, float]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
@@ -17,9 +18,10 @@ from rich.table import Table
 from wavequake.campaign.schema import Study
 from wavequake.drawing.style import COLORS, HEIGHT, STYLE, WIDTH, svg_text
 from wavequake.errors import UserError
-from wavequake.report.answers.rare import in_unit, unit_of
 from wavequake.report.table import number
 from wavequake.workflows.allow import Allowances
+from wavequake.workflows.asked_sections import RMS, STATIC, AllowSection
+from wavequake.workflows.limits import in_unit, unit_of
 from wavequake.workflows.systems.system_study import SystemStudy
 
 Array = NDArray[np.float64]
@@ -51,8 +53,9 @@ def asked_of(study: Study, measure: str | None, limit: str | float | None, by: s
     UserError
         If no limit is given, or as :func:`goal_of`.
     """
-    own = study.allow if isinstance(study, SystemStudy) else None
-    measure = measure or (own.measure if own else "wfe_rms.p95")
+    own: AllowSection | None = getattr(study, "allow", None)
+    usual = "wfe_change.p95" if own and isinstance(study, SystemStudy) else "wfe_rms.p95"
+    measure = measure or (own and own.measure) or usual
     limit = limit or (own.limit if own else None)
     if limit is None:
         raise UserError(f"Below what shall {measure} stay? Give a limit, as --limit '60 nm'.")
@@ -89,7 +92,7 @@ def allow_table(found: Allowances) -> Table:
         share = [number(100.0 * one) for one in np.nansum(found.shares, axis=0)]
         table.add_row("share", *share, "%")
         return table
-    for column in ("least", "median", "most", "unit", "share"):
+    for column in (f"least of {len(found.elements)}", "median", "most", "unit", "share"):
         table.add_column(column, justify="left" if column == "unit" else "right")
     for (scale, unit), axis, values, shares in zip(units, found.axes, found.rms, found.shares, strict=True):
         known = values[~np.isnan(values)]
@@ -138,17 +141,40 @@ def allow_notes(found: Allowances, measure: str, limit: float) -> Iterator[str]:
         if idle.size:
             names = _named(found.elements, idle)
             yield f"Any {axis} is allowed, since it does nothing to {measure}: {names}."
+    yield from _kinds(found)
     if found.failed:
         yield f"WARNING {found.failed} of {found.cases} cases cannot be traced, and are left out."
     if not check.low <= limit <= check.high:
         yield "WARNING Full traces do not confirm the limit: the motions are too large for the linear model."
 
 
+def _kinds(found: Allowances) -> Iterator[str]:
+    """Yield what does not keep still during a case, and the largest density of each spectrum."""
+    vary = (found.kinds != STATIC) & (found.kinds != "") & np.isfinite(found.rms)
+    for kind in np.unique(found.kinds[vary]).tolist():
+        places = np.argwhere(vary & (found.kinds == kind))
+        words = [f"{found.elements[element]} {found.axes[axis]}" for axis, element in places]
+        if kind == RMS:
+            yield f"Anew at every instant (rms): {_some(words)}."
+            continue
+        peak = max(found.spectra[kind].psd)
+        at = found.spectra[kind].frequency_hz[found.spectra[kind].psd.index(peak)]
+        parts = []
+        for word, (axis, element) in zip(words, places, strict=True):
+            scale, unit = _units(found)[axis]
+            parts.append(f"{word} {number(scale * np.sqrt(found.levels[axis, element] * peak))} {unit}/√Hz")
+        yield f"Spectrum {kind}, at its largest ({at:g} Hz): {_some(parts)}."
+
+
+def _some(words: Sequence[str]) -> str:
+    more = len(words) - _FEW
+    return ", ".join(words[:_FEW]) + (f" and {more} more" if more > 0 else "")
+
+
 def _named(names: Sequence[str], places: NDArray[np.int64]) -> str:
     if len(places) == len(names) > 1:
         return "all elements"
-    shown = ", ".join(names[place] for place in places[:_FEW])
-    return shown + (f" and {len(places) - _FEW} more" if len(places) > _FEW else "")
+    return _some([names[place] for place in places])
 
 
 @rc_context(STYLE)
@@ -156,8 +182,15 @@ def allow_figure(found: Allowances, measure: str) -> Figure:
     """Draw how far every element may be off along every axis, a panel for shifts, turns and figures each."""
     limited = [bool(np.isfinite(values).any()) for values in found.rms]
     kinds = list(dict.fromkeys(_kind(axis) for axis, one in zip(found.axes, limited, strict=True) if one))
-    figure = Figure(figsize=(WIDTH, 0.55 * HEIGHT * len(kinds)), layout="constrained")
-    panels = figure.subplots(len(kinds), 1, sharex=True, squeeze=False)[:, 0]
+    has = [bool(row.any()) for row in _has_spectrum(found)]
+    spectral = list(dict.fromkeys(_kind(axis) for axis, one in zip(found.axes, has, strict=True) if one))
+    count = len(kinds) + len(spectral)
+    figure = Figure(figsize=(WIDTH, 0.55 * HEIGHT * count), layout="constrained")
+    every = figure.subplots(count, 1, squeeze=False)[:, 0]
+    panels = every[: len(kinds)]
+    for axes in panels[:-1]:
+        axes.sharex(panels[-1])
+        axes.tick_params(labelbottom=False)
     at, units = np.arange(len(found.elements)), _units(found)
     for axes, kind in zip(panels, kinds, strict=True):
         rows = [row for row, axis in enumerate(found.axes) if _kind(axis) == kind and limited[row]]
@@ -178,7 +211,33 @@ def allow_figure(found: Allowances, measure: str) -> Figure:
         panels[-1].set_xticks(at, found.elements, rotation=0 if len(at) <= 8 else 90)
     else:
         panels[-1].set_xlabel("element")
+    for axes, kind in zip(every[len(kinds) :], spectral, strict=True):
+        _draw_spectra(axes, found, kind)
     return figure
+
+
+def _has_spectrum(found: Allowances) -> NDArray[np.bool_]:
+    return np.isfinite(found.levels) & np.isfinite(found.rms)
+
+
+def _draw_spectra(axes: Axes, found: Allowances, kind: str) -> None:
+    """Draw the spectra that are allowed along the axes of a kind, the largest first."""
+    rows = [row for row, axis in enumerate(found.axes) if _kind(axis) == kind]
+    places = [(row, column) for row, column in np.argwhere(_has_spectrum(found)).tolist() if row in rows]
+    places.sort(key=lambda place: -found.rms[place])
+    scale, unit = _units(found)[rows[0]]
+    for index, place in enumerate(places):
+        section = found.spectra[found.kinds[place]]
+        knots = np.array(section.frequency_hz)
+        frequency = np.union1d(np.geomspace(knots[0], knots[-1], 200), knots)
+        density = scale * np.sqrt(found.levels[place] * np.interp(frequency, knots, section.psd))
+        label = f"{found.elements[place[1]]} {found.axes[place[0]]}" if index < _FEW else None
+        line = {"color": COLORS[index % len(COLORS)], "linestyle": "-" if index < len(COLORS) else "--"}
+        axes.loglog(frequency, np.where(density > 0.0, density, np.nan), label=label, **line)
+    axes.set_xlabel("frequency (Hz)")
+    axes.set_ylabel(f"{kind} ({unit}/√Hz)")
+    axes.grid(color="#dddddd", linewidth=0.6)
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def require_writable(file: Path) -> None:
@@ -213,9 +272,12 @@ def write_allowances(found: Allowances, file: Path, measure: str = "") -> None:
 
 
 def _rows(found: Allowances) -> Iterator[tuple[object, ...]]:
-    yield ("element", "axis", "rms", "unit", "share")
-    for axis, values, shares in zip(found.axes, found.rms, found.shares, strict=True):
+    yield ("element", "axis", "rms", "unit", "share", "kind", "level")
+    for row, axis in enumerate(found.axes):
         unit = "rad" if axis in _TURNS else "m"
-        for name, value, part in zip(found.elements, values.tolist(), shares.tolist(), strict=True):
+        columns = (found.rms[row], found.shares[row], found.kinds[row], found.levels[row])
+        for name, value, part, kind, level in zip(
+            found.elements, *(column.tolist() for column in columns), strict=True
+        ):
             if not np.isnan(value):
-                yield name, axis, value, unit, part
+                yield name, axis, value, unit, part, kind, "" if np.isnan(level) else level

@@ -11,10 +11,12 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.campaign.store.store import BUDGET
+from wavequake.report.answers.budget_tree import tree_explanations, tree_figure, tree_tables
 from wavequake.report.figures import COLORS, STYLE, WIDTH
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import MISSING, number
-from wavequake.workflows.budgets.kept import UNITS, open_budget
+from wavequake.words import are
+from wavequake.workflows.budgets.kept import LOSSES, open_budget, unit_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -28,6 +30,7 @@ _TITLES = {
 }
 # An interval wider than this many percent of the whole says as good as nothing.
 _WIDEST, UNRESOLVED = 50.0, "unresolved"
+_SHOWN = 0.1  # percent
 _SHARES = {
     "share": "of the mean square, switched off",
     "first": "of the variance, alone",
@@ -36,18 +39,23 @@ _SHARES = {
 
 
 def tables(found: "xr.Dataset") -> Iterator[Table]:
-    """Yield one table per quantity: sources, the largest contributions first, and rings or elements."""
+    """Yield one table per quantity: sources, the largest contributions first, and rings or elements.
+
+    And then those of the groups.
+    """
     for quantity in map(str, found["quantity"].to_numpy()):
-        yield _table(found.sel(quantity=quantity), quantity)
+        yield _table(found, quantity)
+    yield from tree_tables(found, _TITLES)
 
 
-def _table(one: "xr.Dataset", quantity: str) -> Table:
-    unit = UNITS[quantity]
+def _table(found: "xr.Dataset", quantity: str) -> Table:
+    one, unit = found.sel(quantity=quantity), unit_of(found, quantity)
+    of_unit = "" if unit == "1" else f" {unit}"
     table = Table(
         box=SIMPLE_HEAD,
         pad_edge=False,
-        title=f"{_TITLES[quantity]}: {number(float(one['rms']))} {unit} rms, at rest "
-        f"{number(float(one['rms_rest']))} {unit}",
+        title=f"{_title(quantity)}: {number(float(one['rms']))}{of_unit} rms, at rest "
+        f"{number(float(one['rms_rest']))}{of_unit}",
         title_justify="left",
     )
     names = [len(_words(one.isel(factor=row))) for row in range(one.sizes["factor"])]
@@ -69,6 +77,10 @@ def _table(one: "xr.Dataset", quantity: str) -> Table:
     return table
 
 
+def _title(quantity: str) -> str:
+    return _TITLES.get(quantity, f"1 - {quantity}" if quantity in LOSSES else quantity)
+
+
 def _words(factor: "xr.Dataset") -> str:
     name = str(factor["factor"].item())
     return f"{name} ({int(factor['segments'])} segments)" if factor["kind"].item() == "ring" else name
@@ -88,10 +100,12 @@ def _share(factor: "xr.Dataset", key: str) -> str:
     value, low, high = _percent(factor, key)
     if np.isnan(value):
         return MISSING
-    if high - low > _WIDEST:
+    # Parts of a variance are not negative: an interval that is has met the one case in twenty.
+    if high - low > _WIDEST or (key != "share" and high <= 0.0):
         return f"{UNRESOLVED} ({low:.0f} to {high:.0f})"
     if low < 0.0 < high:
-        return f"below {high:.1f}"
+        return f"below {max(high, _SHOWN):.1f}"
+    value, low, high = (round(one, 1) + 0.0 for one in (value, low, high))  # no -0.0
     return f"{value:.1f} ({low:.1f} to {high:.1f})"
 
 
@@ -129,14 +143,15 @@ def explanations(found: "xr.Dataset") -> list[str]:
     ]
     if any(UNRESOLVED in _share(one, key) for key in _SHARES for one in _single(found)):
         lines.append(
-            f"Unresolved: the interval is wider than {_WIDEST:.0f} %, so {found.attrs['cases_used']} cases "
+            f"Unresolved: the interval is wider than {_WIDEST:.0f} %, or that of a variance below 0, so "
+            f"{found.attrs['cases_used']} cases "
             "say next to nothing of that share; take more (--cases), intervals shrink with their square root."
         )
     if "vignetted" in found.attrs:
         lines.append(found.attrs["vignetted"])
     if lost:
-        lines.append(f"{lost} cases are left out: light was lost with some factor on or off.")
-    return lines
+        lines.append(f"{are(lost, 'case')} left out: light was lost with some factor on or off.")
+    return [*lines, *tree_explanations(found)]
 
 
 def pictures(store: Path) -> list[Picture]:
@@ -145,14 +160,28 @@ def pictures(store: Path) -> list[Picture]:
         return []
     found = open_budget(store)
     words = f"Budget of {found.attrs['population']}: shares by factor, with 95 % confidence"
+    tree = (
+        [
+            picture(
+                "budget-groups",
+                f"Budget of {found.attrs['population']}: what every group may be and is",
+                tree_figure(found, _TITLES),
+                "Bars are allocations, dots what the groups contribute alone with 95 % intervals, ticks the "
+                "root of the sum of squares of their branches: where the two part, these are correlated.",
+            )
+        ]
+        if "branch" in found.dims
+        else []
+    )
     return [
+        *tree,
         picture(
             "budget",
             words,
             budget_figure(found),
             "A marker is the share of the variance that one disturbance causes, "
             "alone or with others; lines are 95 % intervals.",
-        )
+        ),
     ]
 
 
@@ -173,7 +202,7 @@ def budget_figure(found: "xr.Dataset") -> Figure:
         axes.axvline(0.0, color="#444444", linewidth=0.7)
         axes.set_yticks(range(len(names)), names)
         axes.set_xlabel("share (%)")
-        axes.set_title(_TITLES[quantity])
+        axes.set_title(_title(quantity))
     panels[0].invert_yaxis()
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=1)
     return figure

@@ -25,7 +25,7 @@ from wavequake.campaign.contract import DONE
 from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
 from wavequake.report.figures import STYLE
-from wavequake.report.table import MISSING, number
+from wavequake.report.table import difference, number
 
 CONFIDENCE = 0.95
 # Coordinates over which measures are averaged, so that two stores must have the same.
@@ -34,8 +34,7 @@ _NO_LABELS = {"case", "status", "message"}
 _IMAGES = {"exposure", "psf"}
 _SEEN = 5e-5  # relative differences that the table does not round to zero
 _CLOCKS = {"seconds", "reduce_seconds"}  # readings of a clock, which say nothing of the models
-# Dims whose entries are numbers of different meaning, which a mean over them would mix up.
-_MIXED = {"noll", "segment", "dof", "surface", "term"}
+_MIXED = {"noll", "segment", "dof", "surface", "term"}  # dims of numbers that no mean may mix
 
 
 @dataclass(frozen=True)
@@ -148,17 +147,18 @@ def _require_alike(one: xr.Dataset, two: xr.Dataset, first: str, second: str) ->
             f"{first} and {second} have other draws ({words[0]} there, {words[1]} here), so their cases "
             "cannot be paired; take the same sampling, replicates and cases."
         )
-    for name in sorted(_AXES & set(map(str, one.coords)) & set(map(str, two.coords))):
-        if not np.array_equal(one[name].to_numpy(), two[name].to_numpy()):
+    known, others = ({str(name) for name in data.coords} for data in (one, two))
+    for name in sorted((_AXES & known & others) | ({"field"} & (known ^ others))):
+        mine, yours = (data.get(name, xr.DataArray(["a single one"])) for data in (one, two))
+        if not np.array_equal(mine.to_numpy(), yours.to_numpy()):
             raise UserError(
-                f"{first} and {second} differ in their {name}: {_shown(one[name])} there, "
-                f"{_shown(two[name])} here; compare stores that were computed at the same."
+                f"{first} and {second} differ in their {name}: {_shown(mine)} there, {_shown(yours)} here; "
+                "compare stores that were computed at the same."
             )
 
 
 def _shown(values: xr.DataArray) -> str:
-    items = [str(item) for item in values.to_numpy()[:3]]
-    return ", ".join(items) + (", ..." if values.size > 3 else "")
+    return ", ".join(map(str, values.to_numpy()[:3])) + (", ..." if values.size > 3 else "")
 
 
 @dataclass(frozen=True)
@@ -277,15 +277,13 @@ def comparison_table(names: Sequence[str], comparisons: Sequence[Sequence[Differ
     for name, differences in zip(names[1:], comparisons, strict=True):
         table.add_row(Text(name, style="bold"))
         for one in differences:
-            relative = one.mean / one.first if one.first else float("nan")
             table.add_row(
                 Text(one.group),
-                f"{one.measure} ({one.units})",
+                one.measure if one.units == "1" else f"{one.measure} ({one.units})",
                 str(one.cases),
                 number(one.first),
                 number(one.second),
-                number(one.mean) + (f" ± {number(one.margin)}" if np.isfinite(one.margin) else ""),
-                MISSING if np.isnan(relative) else f"{relative:+.2%}",
+                *difference(one.mean, one.margin, one.first, np.abs(one.differences).max()),
             )
     return table
 
@@ -320,7 +318,7 @@ def _table_of_variants(names: Sequence[str], comparisons: Sequence[Sequence[Diff
             seen = not known or abs(shares[worst]) >= _SEEN
             table.add_row(
                 Text(one.group),
-                f"{one.measure} ({one.units})",
+                one.measure if one.units == "1" else f"{one.measure} ({one.units})",
                 str(one.cases),
                 f"{np.nanmedian(shares):+.2%}" if known else number(float(np.median(one.differences))),
                 f"{shares[worst]:+.2%}" if known else number(float(one.differences[worst])),

@@ -1,6 +1,5 @@
 """How often a limit is exceeded: by the modal model, and what full traces near the limit say of it."""
 
-import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,24 +18,13 @@ from wavequake.campaign.store.store import open_store
 from wavequake.errors import UserError
 from wavequake.report.answers.tail import per_case
 from wavequake.report.table import number
+from wavequake.words import counted
+from wavequake.workflows.limits import in_unit, unit_of
 from wavequake.workflows.rare import modal_answer, rare_folder, rare_study
 from wavequake.workflows.run import run_study
 from wavequake.workflows.segments.segment_rare import RareCases
 
 _WIDE = 0.1  # share of the probability that a correction may leave open
-_FORM = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\S*)\s*")
-_UNITS = {
-    "nm": {"pm": 1e-3, "nm": 1.0, "um": 1e3, "µm": 1e3, "mm": 1e6, "m": 1e9},
-    "mm": {"pm": 1e-9, "nm": 1e-6, "um": 1e-3, "µm": 1e-3, "mm": 1.0, "m": 1e3},
-    "mas": {
-        "uas": 1e-3,
-        "µas": 1e-3,
-        "mas": 1.0,
-        "arcsec": 1e3,
-        "nrad": 0.648 / np.pi,
-        "urad": 648.0 / np.pi,
-    },
-}
 
 
 @dataclass(frozen=True)
@@ -103,7 +91,7 @@ def rare_answer(
         `run_study`.
     """
     if probability is not None and not 1e-200 < probability < 0.5:
-        raise UserError(f"The probability {probability:g} is not rare; it must be below 0.5, as 1e-6.")
+        raise UserError(f"The probability {probability:g} must be between 1e-200 and 0.5, as 1e-6.")
     own = getattr(study, "rare", None)
     named = measure or (own.measure if own else "wfe_rms")
     wanted = None if limit is None else in_unit(limit, unit_of(named))
@@ -147,33 +135,6 @@ def _limit(cases: RareCases, chance: float) -> float:
     return float(np.sqrt(max(limit_of(cases.tilt.form, min(cases.probability**2 / chance, 0.9)), 0.0)))
 
 
-def unit_of(measure: str) -> str:
-    """Return the unit in which a measure of :func:`rare_answer`, or of allowances, is stored."""
-    name = measure.partition("[")[0]
-    return "mas" if name in ("los", "centroid") else "mm" if name in ("los_mm", "centroid_mm") else "nm"
-
-
-def in_unit(text: str | float, unit: str) -> float:
-    """Return a number with its unit, as ``0.12 um``, in another unit; a number alone is in that.
-
-    Raises
-    ------
-    UserError
-        If it is no positive number, or of a unit of something else.
-    """
-    match = _FORM.fullmatch(str(text))
-    try:
-        value = float(match[1]) if match else np.nan
-    except ValueError:
-        value = np.nan
-    if not match or not 0.0 < value < np.inf:
-        raise UserError(f"The limit {text!r} is no positive number with a unit, as '120 {unit}'.")
-    factors = _UNITS[unit]
-    if match[2] and match[2] not in factors:
-        raise UserError(f"The limit {text!r} has the unit {match[2]!r}; use one of {', '.join(factors)}.")
-    return value * factors.get(match[2], 1.0)
-
-
 def rare_table(answer: RareAnswer) -> Table:
     """Return the answer as a table for the terminal."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
@@ -187,7 +148,7 @@ def rare_table(answer: RareAnswer) -> Table:
         f"distribution of a quadratic form of {answer.numbers} Gaussian numbers",
     )
     table.add_row("modal model, drawn", _words(answer.modal), f"{answer.modal.evaluations} weighted draws")
-    table.add_row("full traces alone", _words(answer.traced), f"{found.cases} weighted cases")
+    table.add_row("full traces alone", _words(answer.traced), counted(found.cases, "weighted case"))
     low, middle, high = (f"{100.0 * one / answer.exact:+.2g}" for one in (found.low, found.value, found.high))
     table.add_row(
         "correction by full traces",
@@ -209,9 +170,10 @@ def rare_notes(answer: RareAnswer) -> Iterator[str]:
     """Yield what the numbers mean and where they are not to be trusted, in lines."""
     unit, found = answer.unit, answer.correction
     ends = sorted((answer.limits.low, answer.limits.high))
+    plain = float(f"{100.0 / answer.exact:.2g}")
     yield (
         f"Exceeded with a probability of {answer.exact:.3g}: {answer.limits.value:.5g} {unit} "
-        f"({ends[0]:.5g}–{ends[1]:.5g}). Plain Monte Carlo to 10 %: {100.0 / answer.exact:.2g} cases."
+        f"({ends[0]:.5g}–{ends[1]:.5g}). Plain Monte Carlo to 10 %: {plain:.6g} cases."
     )
     yield (
         f"Cases are drawn near the limit and traced in full; they differ from the modal model by at most "

@@ -1,6 +1,6 @@
 """Sensitivities for the terminal: a table of the surfaces, one of the segments, and what the numbers mean."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -152,6 +152,42 @@ def _spread(values: Array) -> str:
     if len(values) == 1:
         return number(values[0])
     return " / ".join(number(value) for value in np.quantile(values, [0.0, 0.5, 1.0]))
+
+
+def conclusion(names: Sequence[str], los: Array, rms: Array) -> str:
+    """Say which element moves the image most when it shifts and when it turns, and which the wavefront.
+
+    Parameters
+    ----------
+    names : sequence of str, length E
+    los : ndarray, shape (E, 6)
+        Image motion, mm per mm and mm per rad.
+    rms : ndarray, shape (E, 6)
+        Wavefront error, nm per um and nm per urad.
+    """
+    words = []
+    for values, what, units in (
+        (los, "moves the image", ("µm per µm", "µm per µrad")),
+        (rms, "disturbs the wavefront", ("nm per µm", "nm per µrad")),
+    ):
+        shares = (values, values * (1e-3 if what == "moves the image" else 1.0))
+        parts = []
+        for first, verb, numbers, unit in zip((0, 3), ("shifts", "turns"), shares, units, strict=True):
+            part = np.nan_to_num(numbers[:, first : first + 3])
+            element, dof = divmod(int(np.argmax(part)), 3)
+            if part[element, dof] > 0.0:
+                value = number(float(part[element, dof]))
+                parts.append(f"{names[element]} where it {verb} ({DOFS[first + dof]}: {value} {unit})")
+        if parts:
+            words.append(f"What {what} most is {' and '.join(parts)}.")
+    return " ".join(words)
+
+
+def answer(found: "xr.Dataset") -> str:
+    """Say which surface matters most."""
+    los = np.linalg.norm(found.sensitivity_los_surface.values * _PER_MILLIMETER[:, None], axis=-1)
+    rms = np.sqrt(np.sum((found.sensitivity_zernike_surface.values[..., 3:] * 1e-6) ** 2, axis=-1))
+    return conclusion([str(one) for one in found.surface.values], los, rms)
 
 
 def explanations(found: "xr.Dataset") -> list[str]:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from wavequake.report.answers.sensitivity import zernike_name
+from wavequake.report.answers.sensitivity import conclusion, zernike_name
 from wavequake.report.table import MISSING, number
 
 if TYPE_CHECKING:
@@ -80,6 +80,17 @@ def _zeroed(values: Array, turns: NDArray[np.bool_]) -> Array:
         size = np.abs(part)
         kept[:, :, mask] = np.where(size < _NOTHING * size.max(initial=0.0), 0.0, part)
     return kept
+
+
+def answer(found: "xr.Dataset") -> str:
+    """Say which surface, or which body where there are some, matters most at the worst field point."""
+    name = "body" if "sensitivity_los_body" in found else "surface"
+    scale = np.where([dof < 3 for dof in range(6)], 1e-3, 1.0)[:, None]
+    los = np.linalg.norm(found[f"sensitivity_los_{name}"].values * scale, axis=-1).max(axis=0)
+    waves = found[f"sensitivity_zernike_{name}"].values[..., 3:] * 1e-6
+    rms = np.sqrt(np.sum(waves**2, axis=-1)).max(axis=0)
+    element = str(found[f"sensitivity_zernike_{name}"].dims[1])
+    return conclusion([str(one) for one in found[element].values], los, rms)
 
 
 def explanations(found: "xr.Dataset") -> list[str]:

@@ -205,7 +205,7 @@ def rare_notes(answer: RareAnswer, question: RareQuestion) -> Iterator[str]:
     yield from (f"Not judged: {reason}" for reason in answer.reasons)
     for one in answer.found:
         if np.isnan(one.value.low):
-            yield f"{one.name}: no interval, as stratified cases are not independent (docs/statistics.md)."
+            yield f"{one.name}: no interval, as its cases are stratified or share models."
         elif not fits(one.tail):
             yield (
                 f"WARNING {one.name}: cases beyond the threshold do not follow the law (Anderson-Darling, "

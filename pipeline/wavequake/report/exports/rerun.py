@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from wavequake.campaign.contract import DONE, RAISED, STATUS_MEANINGS, TODO, ChunkResult, Template
 from wavequake.campaign.engine.chunks import checked
 from wavequake.campaign.store.journal import digest
+from wavequake.campaign.store.layout import refuse_older
 from wavequake.campaign.store.retention import kept_result, stored_template
 from wavequake.campaign.store.store import open_store, read_manifest
 from wavequake.errors import UserError
@@ -83,6 +84,7 @@ def rerun_stored(store: Path, case: int, file: Path | None = None) -> CaseRerun:
         raise UserError(f"{target} must end in .nc.")
     stored = open_store(store).sel(case=[case]).load()
     device, workflow = device_at_hand(manifest), find_kind(manifest.workflow)
+    refuse_older(store, manifest, lambda _: workflow)
     computed, template = workflow.template(manifest.study), stored_template(workflow, manifest.study)
     if sys.__stderr__:  # a case that crashed in the campaign will do so here, and say where
         faulthandler.enable(sys.__stderr__)

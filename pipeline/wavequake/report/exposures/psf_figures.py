@@ -6,12 +6,17 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.path import Path
 from numpy.typing import NDArray
 
-from wavequake.imaging.exposures.mtf import ideal_mtf, modulation_transfer
+from wavequake.imaging.exposures.mtf import modulation_transfer
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.table import number
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_CELLS = 512  # across a pupil
 
 
 @rc_context(STYLE)
@@ -30,24 +35,73 @@ def log_psf(image: Array, axis: Array, decades: int = 5) -> Figure:
     return figure
 
 
+def annulus(obscuration: float) -> Mask:
+    """Return which cells (n, n) over the diameter of a pupil are lit, of an annulus."""
+    axis = (2.0 * np.arange(_CELLS) + 1.0 - _CELLS) / _CELLS
+    radius = np.hypot(*np.meshgrid(axis, axis))
+    return (radius <= 1.0) & (radius >= obscuration)
+
+
+def polygons(corners: Array, outer: float) -> Mask:
+    """Return the same of polygons (S, V, 2) within the radius `outer`, in their unit."""
+    axis = outer * (2.0 * np.arange(_CELLS) + 1.0 - _CELLS) / _CELLS
+    lit = np.zeros((_CELLS, _CELLS), dtype=bool)
+    for one in corners:
+        (left, low), (right, high) = one.min(axis=0), one.max(axis=0)
+        x, y = (slice(*np.searchsorted(axis, ends)) for ends in ((left, right), (low, high)))
+        places = np.stack(np.meshgrid(axis[x], axis[y]), axis=-1)
+        inside = Path(one).contains_points(places.reshape(-1, 2))
+        lit[y, x] |= inside.reshape(places.shape[:2])
+    return lit
+
+
+def perfect_mtf(pupil: Mask) -> tuple[Array, Array]:
+    """Return frequencies along x, cycles per lambda/D, and the MTF of a pupil without aberration.
+
+    It is the autocorrelation of the pupil: the share of it that lies on its copy, shifted by the frequency.
+    """
+    count = len(pupil)
+    rows = np.fft.rfft(pupil.astype(np.float64), 2 * count, axis=1)
+    shared = np.fft.irfft(np.sum(np.abs(rows) ** 2, axis=0))[: count + 1]
+    return np.arange(count + 1) / count, shared / shared[0]
+
+
+def frame_mtf(image: Array, sampling: float, pupil: Mask) -> tuple[Array, Array]:
+    """Return frequencies and MTF along x of an image, over the energy of the whole one.
+
+    An image holds the part of the light that its frame shows; over its own sum the curve would rise by what
+    is missing, above that of the perfect image. A peak of 1 stands for the square of the diameter over the
+    area of the pupil.
+
+    Parameters
+    ----------
+    image : ndarray, shape (n, n)
+        Relative to the peak of the perfect one.
+    sampling : float
+        Wavelengths / diameter per pixel.
+    pupil : ndarray of bool, shape (m, m)
+        Cells over the diameter that are lit.
+    """
+    frequency, mtf = modulation_transfer(image, sampling)
+    row = mtf[len(mtf) // 2] * (float(image.sum()) * sampling**2 * float(pupil.mean()))
+    kept = (frequency > 0.0) & (frequency <= 1.0)
+    return np.append(0.0, frequency[kept]), np.append(1.0, row[kept])
+
+
 @rc_context(STYLE)
-def mtf_curves(images: Mapping[str, Array], sampling: float) -> Figure:
-    """Draw the MTF of images along x, and that of a perfect circular pupil."""
+def mtf_curves(images: Mapping[str, Array], sampling: float, pupil: Mask) -> Figure:
+    """Draw the MTF of images along x, and that of their pupil without aberration (`frame_mtf`)."""
     figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
     axes = figure.add_subplot()
-    for number, (name, image) in enumerate(images.items()):
-        frequency, mtf = modulation_transfer(image, sampling)
-        kept = (frequency >= 0.0) & (frequency <= 1.0)
+    for index, (name, image) in enumerate(images.items()):
         axes.plot(
-            frequency[kept],
-            mtf[len(mtf) // 2, kept],
+            *frame_mtf(image, sampling, pupil),
             label=name,
             linewidth=1.3,
-            color=COLORS[number % len(COLORS)],
-            linestyle=LINES[number % len(LINES)],
+            color=COLORS[index % len(COLORS)],
+            linestyle=LINES[index % len(LINES)],
         )
-    at = np.linspace(0.0, 1.0, 101)
-    axes.plot(at, ideal_mtf(at), color="#999999", linewidth=2.6, zorder=0, label="perfect circular pupil")
+    axes.plot(*perfect_mtf(pupil), color="#999999", linewidth=2.6, zorder=0, label="perfect pupil")
     axes.set_xlabel("spatial frequency along x (cycles per λ/D)")
     axes.set_ylabel("modulation transfer")
     axes.set_ylim(0.0, 1.05)
@@ -61,18 +115,27 @@ def focus_panels(images: Array, defocus: Sequence[float], axis: Array, unit: str
 
 
 @rc_context(STYLE)
-def image_row(images: Array, titles: Sequence[str], axis: Array) -> Figure:
-    """Show images (k, n, n) side by side, each with the same scale of square roots."""
-    figure = Figure(figsize=(WIDTH, WIDTH / max(len(images), 2) + 0.9), layout="constrained")
+def image_row(
+    images: Array, titles: Sequence[str], axis: Array, unit: str = "λ/D", scale: str = ""
+) -> Figure:
+    """Show images (k, n, n) side by side, each with the same scale of square roots, and what it measures."""
+    wide = 2.0 * WIDTH if len(images) > 3 else WIDTH
+    figure = Figure(figsize=(wide, wide / max(len(images), 2) + 0.7), layout="constrained")
     places = figure.subplots(1, len(images), sharey=True, squeeze=False).ravel()
     top = float(np.sqrt(images.max()))
     for place, image, title in zip(places, images, titles, strict=True):
-        place.imshow(
+        shown = place.imshow(
             np.sqrt(np.maximum(image, 0.0)), vmin=0.0, vmax=top, origin="lower", extent=_extent(axis)
         )
         place.set_title(title, fontsize=8)
         place.tick_params(labelsize=7)
-    figure.supxlabel("x (λ/D)", fontsize=8)
+    figure.supxlabel(f"x ({unit})", fontsize=8)
+    places[0].set_ylabel(f"y ({unit})", fontsize=8)
+    if scale and top > 0.0:
+        ticks = top * np.array([0.0, 0.5, 0.75, 1.0])
+        bar = figure.colorbar(shown, ax=list(places), ticks=ticks, shrink=0.8)
+        bar.ax.set_yticklabels([number(float(tick) ** 2) for tick in ticks], fontsize=7)
+        bar.set_label(scale, fontsize=8)
     return figure
 
 

@@ -8,13 +8,17 @@ import xarray as xr
 from numpy.typing import NDArray
 from rich.table import Table
 
+from wavequake.campaign.schema import study_from_identity
+from wavequake.optics.segments.layout import is_monolithic
 from wavequake.report.exposures import figures as draw
 from wavequake.report.exposures import tables as common
-from wavequake.report.exposures.psf_figures import focus_panels
+from wavequake.report.exposures.psf_figures import Mask, annulus, focus_panels, polygons
 from wavequake.report.histories import has_histories, over_time, wander, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
-from wavequake.report.populations import left_out
-from wavequake.report.table import number
+from wavequake.report.populations import frame_of, left_out
+from wavequake.report.table import number, radius
+from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
+from wavequake.workflows.segments.bench import build_telescope
 
 Array = NDArray[np.float64]
 
@@ -24,9 +28,9 @@ _HEADERS = (
 )
 _IMAGES = ("exposure", "exposure_fitted", "exposure_los_only", "exposure_gaussian")
 _SMALL_PRINT = (
-    "Medians over cases; WFE: mean over time of the rms of the fitted Zernike terms j ≥ 4; EE: > field where "
-    "the circle leaves the frame. LOS only and Gaussian are shortcuts for the exposure: L2 norm of the "
-    "difference of unit-energy images; in small print the error of the peak."
+    "Medians over cases; WFE: mean over time of the rms of the fitted Zernike terms j ≥ 4; EE: the frame "
+    "where the circle leaves the image, whose half width is given. LOS only and Gaussian are shortcuts for "
+    "the exposure: L2 norm of the difference of unit-energy images; in small print the error of the peak."
 )
 _DEFINITIONS = (
     ("static", "The telescope at rest."),
@@ -85,7 +89,7 @@ def _part(peaks: dict[str, float], controller: str) -> str:
 
 
 def _rows(dataset: xr.Dataset) -> list[dict[str, tuple[str, str]]]:
-    rows = []
+    rows, frame = [], frame_of(dataset)
     for name, cases in common.finished(dataset, "disturbance"):
         numbers = _per_case(cases)
         for controller in map(str, cases["controller"].to_numpy()):
@@ -96,7 +100,7 @@ def _rows(dataset: xr.Dataset) -> list[dict[str, tuple[str, str]]]:
                 (number(float(one["wfe_rms"].median())), ""),
                 (number(float(one["los"].median())), ""),
                 (number(float(one["peak"].median())), ""),
-                *((common.radius(float(one[key].median())), "") for key in ("ee50", "ee80")),
+                *((radius(float(one[key].median()), frame), "") for key in ("ee50", "ee80")),
             ]
             cells += common.shortcut_cells(one)
             rows.append(dict(zip(_HEADERS, cells, strict=True)))
@@ -127,6 +131,17 @@ def _figures(cases: xr.Dataset, name: str) -> Iterator[Picture]:
         yield from _image_pictures(shown, name, los)
     if has_histories(shown):
         yield from common.history_pictures(name, time, los, "mas", wfe)
+
+
+def _pupil(shown: xr.Dataset) -> Mask:
+    """Return which part of the pupil is glass."""
+    study = study_from_identity(TelescopeExposureStudy, str(shown.attrs["study"]))
+    system = build_telescope(study)
+    round_one = annulus(system.pupil_inner / system.pupil_outer)
+    if is_monolithic(system.segments):
+        return round_one
+    glass = polygons(system.segments.corners, system.pupil_outer)
+    return glass if study.optics.sampling == "segments" else glass & round_one
 
 
 def _image_pictures(shown: xr.Dataset, name: str, los: dict[str, Array]) -> Iterator[Picture]:
@@ -166,7 +181,7 @@ def _image_pictures(shown: xr.Dataset, name: str, los: dict[str, Array]) -> Iter
         "The full exposure beside cheaper ways to it; the number above each is how far it is off.",
     )
     exposures = dict(zip(controllers, pictures["exposure"], strict=True))
-    yield from common.image_pictures(name, f"the exposures of case {case}", exposures, axis)
+    yield from common.image_pictures(name, f"the exposures of case {case}", exposures, axis, _pupil(shown))
     focus, waves = shown["static_focus"].to_numpy(), shown["focus"].to_numpy().tolist()
     yield picture(
         f"{name}-focus",

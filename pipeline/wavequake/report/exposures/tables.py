@@ -1,6 +1,7 @@
 """What the reports of all exposures have in common: words, tables, groups of cases, and figures."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -10,7 +11,7 @@ from rich.table import Table
 
 from wavequake.campaign.contract import DONE
 from wavequake.report.exposures import figures as draw
-from wavequake.report.exposures.psf_figures import image_row, log_psf, mtf_curves
+from wavequake.report.exposures.psf_figures import Mask, image_row, log_psf, mtf_curves
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import number
 
@@ -33,10 +34,19 @@ def terminal_table(rows: Sequence[Row], headers: Sequence[str], labels: int, cap
     table = Table(box=SIMPLE_HEAD, caption=caption, caption_justify="left", padding=(0, 1, 0, 0))
     for place, header in enumerate(headers):
         words = place < labels
-        table.add_column(header, justify="left" if words else "right", overflow="fold", no_wrap=not words)
+        side: Literal["left", "right"] = "left" if words else "right"
+        name = header if words else header.replace(" ", "\n")
+        table.add_column(name, justify=side, overflow="fold", no_wrap=not words)
     for row in rows:
         table.add_row(*(value for value, _ in row.values()))
     return table
+
+
+def without_what_is_alike(rows: Sequence[dict[str, tuple[str, str]]]) -> list[dict[str, tuple[str, str]]]:
+    """Return rows without their first column where it says the same in all of them."""
+    if len(rows) < 2 or len({next(iter(row.values())) for row in rows}) > 1:
+        return list(rows)
+    return [dict(list(row.items())[1:]) for row in rows]
 
 
 def finished(dataset: xr.Dataset, label: str) -> Iterator[tuple[str, xr.Dataset]]:
@@ -45,11 +55,6 @@ def finished(dataset: xr.Dataset, label: str) -> Iterator[tuple[str, xr.Dataset]
     names = done[label].to_numpy()
     for name in dict.fromkeys(names):
         yield str(name), done.isel(case=np.flatnonzero(names == name))
-
-
-def radius(value: float) -> str:
-    """Return a radius of encircled energy in words; infinite beyond the frame."""
-    return number(value) if np.isfinite(value) else "> field"
 
 
 def shortcut_cells(one: xr.Dataset) -> Iterator[tuple[str, str]]:
@@ -66,15 +71,17 @@ def shortcut_titles(one: xr.Dataset) -> tuple[str, str]:
     return f"LOS only, {los_only:.1e} off", f"Gaussian, {gaussian:.1e} off"
 
 
-def image_pictures(key: str, text: str, images: Mapping[str, Array], axis: Array) -> Iterator[Picture]:
-    """Yield the MTF of images, and the first of them on a logarithmic scale."""
+def image_pictures(
+    key: str, text: str, images: Mapping[str, Array], axis: Array, pupil: Mask
+) -> Iterator[Picture]:
+    """Yield the MTF of images, and the first of them on a logarithmic scale; `pupil` as `frame_mtf`."""
     first, image = next(iter(images.items()))
     yield picture(
         f"{key}-mtf",
         f"Modulation transfer of {text}",
-        mtf_curves(images, float(axis[1] - axis[0])),
-        "The contrast that is left of fine detail; the gray line is the limit of a perfect round pupil. "
-        "Light beyond the frame is missing, which raises curves of wide images by its share.",
+        mtf_curves(images, float(axis[1] - axis[0]), pupil),
+        "The contrast that is left of fine detail; the gray line is the limit of the same pupil without "
+        "aberration. Light beyond the frame counts as lost contrast.",
     )
     yield picture(
         f"{key}-log",

@@ -20,6 +20,7 @@ from wavequake.control.stage_identification import IdentifiedStage, identify_sta
 from wavequake.control.thesis import KalmanFilter, kalman_filter
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
 from wavequake.report.mirrors.variants import few
+from wavequake.words import counted
 
 Array = NDArray[np.float64]
 
@@ -260,7 +261,7 @@ def bars(ranges: Array, deviations: Array, springs: str, names: Sequence[str]) -
     axes.set_ylabel("of uncontrolled (%)")
     axes.set_ylim(0, 115)
     axes.legend(loc="upper right")
-    axes.set_title(f"{springs} springs, median of {len(ranges)} plants")
+    axes.set_title(f"{springs} springs, median of {counted(len(ranges), 'plant')}")
     return figure
 
 

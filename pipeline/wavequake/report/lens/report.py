@@ -18,6 +18,7 @@ from wavequake.report.lens.firmware import Firmware, firmware_of, left_beside, o
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number
+from wavequake.words import counted
 from wavequake.workflows.lens.lens_experiment import bench_of, stage_of, study_of
 
 Array = NDArray[np.float64]
@@ -54,6 +55,24 @@ _DEFINITIONS = (
         "Springs, friction, strip, converters, stage, strength of the blow and trigger, as the study says.",
     ),
 )
+
+
+# How to read the figures of a plant, by their key.
+_LEFT = "What is left of the image motion: the lower the curve beside the uncontrolled one, the better."
+_HOW = {
+    "model": "The nominal model beside the plant: where both part, the plant has other springs and friction.",
+    "filter": "The estimate begins at nothing and finds the motion within the first swings.",
+    "filter-late": "What the filter still knows when the motion has nearly died down.",
+    "target": "The stage has to move so that the image stands still; the command runs ahead by its delay.",
+    "remaining-both": _LEFT,
+    "remaining": _LEFT,
+    "remaining-modal": _LEFT,
+    "stage-ff": "The position follows the command late; feedforward reckons with that.",
+    "stage-fi": "Held commands are steps; the position behind them is smooth and late.",
+    "sensor": "Readings scatter about the motion by the strip's error and the converter's noise.",
+    "firmware-off": "The share of plants below a difference: within a step of the converter nothing is lost.",
+    "firmware-left": "Points at zero: the board leaves as much of the motion as double precision does.",
+}
 
 
 @dataclass(frozen=True)
@@ -116,7 +135,7 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     for header in _HEADERS:
         table.add_column(header, justify="left" if header == _HEADERS[0] else "right")
     for one in found:
-        table.add_row(Text(f"{one.springs} springs, {len(one.rows)} plants", style="bold"))
+        table.add_row(Text(f"{one.springs} springs, {counted(len(one.rows), 'plant')}", style="bold"))
         for place in range(len(one.controllers)):
             cells = [_row(one, place)[header] for header in _HEADERS]
             table.add_row("  " + cells[0][0], *(_with_small(*cell) for cell in cells[1:]))
@@ -171,7 +190,8 @@ def answer(found: list[Configuration]) -> str:
         words.append(
             f"{one.springs.capitalize()} springs: the identified modal regulator leaves {number(best, 2)} % "
             f"of the image's range and {number(best_late, 2)} % of its standard deviation "
-            f"(median of {len(one.rows)} plants), FF {number(old, 2)} % and {number(old_late, 2)} %."
+            f"(median of {counted(len(one.rows), 'plant')}), "
+            f"FF {number(old, 2)} % and {number(old_late, 2)} %."
         )
         if one.firmware:
             words.append(one.firmware.answer())
@@ -184,7 +204,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     page = Page(
         answer=answer(found),
         table=[
-            {"springs": (one.springs, f"{len(one.rows)} plants"), **_row(one, place)}
+            {"springs": (one.springs, counted(len(one.rows), "plant")), **_row(one, place)}
             for one in found
             for place in range(len(one.controllers))
         ],
@@ -249,13 +269,13 @@ def _figures(dataset: xr.Dataset, one: Configuration) -> Iterator[Picture]:
         ("stage-fi", "Command and position of the stage under FI", draw.stage_history(case, nominal, "FI")),
         ("sensor", "Lens 4 and what the control unit reads", draw.sensor(case)),
     ):
-        yield picture(f"{springs}-{key}", f"{text}, {springs} springs", figure)
+        yield picture(f"{springs}-{key}", f"{text}, {springs} springs", figure, _HOW[key])
     if one.firmware:
         for key, text, figure in (
             ("firmware-off", "Commands of the firmware against double precision", off_exact(one.firmware)),
             ("firmware-left", "What the firmware leaves against double precision", left_beside(one.firmware)),
         ):
-            yield picture(f"{springs}-{key}", f"{text}, {springs} springs", figure)
+            yield picture(f"{springs}-{key}", f"{text}, {springs} springs", figure, _HOW[key])
 
 
 def _hardware(dataset: xr.Dataset, found: list[Configuration]) -> Iterator[Picture]:

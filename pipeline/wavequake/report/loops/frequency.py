@@ -102,7 +102,8 @@ def bode(curves: Sequence[Curve]) -> Figure:
     upper.axhline(1.0, color=_GREY, linewidth=0.8)
     lower.axhline(-180.0, color=_GREY, linewidth=0.8)
     lower.set(ylim=(-365, 5), yticks=range(-360, 1, 90), xlabel="frequency (Hz)", ylabel="phase (deg)")
-    upper.set(ylabel="|loop gain|", title="Loop gain, bars: gain and phase margins")
+    bars = ", bars: gain and phase margins" if any(one.critical() for one in curves) else ""
+    upper.set(ylabel="|loop gain|", title=f"Loop gain{bars}")
     upper.legend(fontsize=7.5)
     return figure
 

@@ -12,11 +12,13 @@ from rich.table import Table
 
 from wavequake.report.exposures import figures as draw
 from wavequake.report.exposures import tables as common
-from wavequake.report.exposures.psf_figures import focus_panels
+from wavequake.report.exposures.psf_figures import Mask, annulus, focus_panels
 from wavequake.report.histories import has_histories, over_time, wander, what_is_kept
 from wavequake.report.mirrors.variants import few, left_out
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
-from wavequake.report.table import MISSING, number
+from wavequake.report.populations import frame_of
+from wavequake.report.table import MISSING, number, radius
+from wavequake.workflows.mirrors.mirror_bench import bench_of
 
 Array = NDArray[np.float64]
 
@@ -85,7 +87,9 @@ def _rows(dataset: xr.Dataset) -> list[dict[str, tuple[str, str]]]:
         numbers = _per_case(cases, reference, scale)
         for excitation in map(str, cases["excitation"].to_numpy()):
             for case in range(cases.sizes["case"]):
-                cells = _cells(numbers.sel(excitation=excitation).isel(case=case), reference)
+                cells = _cells(
+                    numbers.sel(excitation=excitation).isel(case=case), reference, frame_of(dataset)
+                )
                 rows.append(dict(zip(_HEADERS, ((model, ""), (excitation, ""), *cells), strict=True)))
     return rows
 
@@ -108,14 +112,14 @@ def _per_case(cases: xr.Dataset, reference: str, scale: float) -> xr.Dataset:
     return numbers
 
 
-def _cells(one: xr.Dataset, reference: str) -> Iterator[tuple[str, str]]:
+def _cells(one: xr.Dataset, reference: str, frame: float) -> Iterator[tuple[str, str]]:
     variant, wfe = str(one["variant"].to_numpy()), float(one["wfe"])
     yield variant, ""
     yield number(wfe), ""
     yield f"{number(100.0 * float(one['off']) / wfe)} %" if wfe > 0.0 else "–", ""
     yield number(float(one["los"])), ""
     yield number(float(one["peak"])), ""
-    yield common.radius(float(one["ee80"])), ""
+    yield radius(float(one["ee80"]), frame), ""
     if variant == reference or "image_off" not in one:
         yield "reference" if variant == reference else MISSING, ""
     else:
@@ -138,6 +142,12 @@ def _figures(cases: xr.Dataset, key: str, excitation: str) -> Iterator[Picture]:
     if has_histories(part):
         time = part["time"].to_numpy() * 1e3
         yield from common.history_pictures(key, time, tracks, "λ/D", wfe)
+
+
+def _pupil(part: xr.Dataset) -> Mask:
+    """Return which part of the pupil reflects."""
+    optics = bench_of(str(part.attrs["study"]), str(part["model"].to_numpy()[0])).optics
+    return annulus(optics.obscuration)
 
 
 def _image_pictures(
@@ -169,7 +179,9 @@ def _image_pictures(
             "Red: the line of sight during the exposure; the static image is the best that there can be.",
         )
     exposures = {static.title: static.image, **dict(zip(variants, images["exposure"], strict=True))}
-    yield from common.image_pictures(key, f"rest and exposures, scale {scale:g}", exposures, axis)
+    yield from common.image_pictures(
+        key, f"rest and exposures, scale {scale:g}", exposures, axis, _pupil(part)
+    )
     focus, waves = part["exposure_focus"].isel(case=0).to_numpy(), part["focus"].to_numpy().tolist()
     text = f"The exposure through focus, {variants[0]}, scale {scale:g}"
     yield picture(

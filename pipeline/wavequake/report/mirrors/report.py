@@ -54,10 +54,17 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     models, criterion = results_of(dataset)
     headers = list(_HEADERS)
     words = f"{answer(models, criterion)} {checked(dataset)}{what_is_kept(dataset)}"
-    table = Table(box=SIMPLE_HEAD, caption=words, caption_justify="left")
+    table = Table(
+        box=SIMPLE_HEAD, caption=words, caption_justify="left", padding=(0, 1, 0, 0), pad_edge=False
+    )
     for header in headers:
-        first = header in headers[:1]
-        table.add_column(header, justify="left" if first else "right", no_wrap=first)
+        first = header == headers[0]
+        table.add_column(
+            header.replace(" ", "\n"),
+            justify="left" if first else "right",
+            no_wrap=not first,
+            overflow="fold",
+        )
     for model in models:
         table.add_row(Text(model.name, style="bold"))
         for one in model.variants:

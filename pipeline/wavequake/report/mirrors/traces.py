@@ -164,7 +164,7 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     headers = [header for header in (*_HEADERS, *_COSTS) if header not in _ONLY_ON_PAPER]
     for header in headers:
         words = header in _HEADERS[:2]
-        table.add_column(header, justify="left" if words else "right", no_wrap=words)
+        table.add_column(header, justify="left" if words else "right", no_wrap=not words, overflow="fold")
     for model in dict.fromkeys(one.model for one in results):
         table.add_row(Text(model, style="bold"))
         for one in results:

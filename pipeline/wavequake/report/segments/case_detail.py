@@ -1,6 +1,7 @@
 """What no store keeps of a case: what was drawn for it, what moves, and the path of every ray."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -25,6 +26,8 @@ from wavequake.workflows.mirrors.mirror_base import driven
 from wavequake.workflows.mirrors.mirror_bench import bench_of, time_of, trace_study_of, variant_of
 from wavequake.workflows.mirrors.mirror_optics import displacements_mm
 from wavequake.workflows.mirrors.mirror_residual import coordinates_of, left_by, residual_of
+from wavequake.workflows.segments.bench import bench_of as segment_bench
+from wavequake.workflows.segments.bench import field_names
 from wavequake.workflows.systems.system_bench import (
     MM_PER_M,
     NM_PER_MM,
@@ -57,8 +60,24 @@ def _variable(dims: tuple[str, ...], values: NDArray[np.generic], units: str, lo
 
 
 def _of_segments(study: str, case: int, device: str) -> xr.Dataset:
-    """Return the motion of every segment and the path of every ray at every instant."""
-    found = detail(study, case, device, xr.Dataset())
+    """Return the motion of every segment and the path of every ray at every instant, at every place."""
+    optics = segment_bench(study).study.optics
+    points, colors = optics.points_arcmin, optics.colors_nm
+    parts = [_at_field(study, case, device, place) for place in range(len(points) * len(colors))]
+    rays = [part[["opd", "spot"]] for part in parts]
+    rows = [rays[first : first + len(colors)] for first in range(0, len(rays), len(colors))]
+    several = optics.wavelengths_nm is not None
+    fields = [xr.concat(row, "wavelength") if several else row[0] for row in rows]
+    both = xr.concat(fields, "field") if optics.fields_arcmin is not None else fields[0]
+    found = parts[0].drop_vars(["opd", "spot"]).merge(both)
+    coords: dict[str, list[Any]] = {"wavelength": list(colors)} if several else {}
+    if optics.fields_arcmin is not None:
+        coords |= {"field": field_names(points)}
+    return found.assign_coords(coords)
+
+
+def _at_field(study: str, case: int, device: str, place: int) -> xr.Dataset:
+    found = detail(study, case, device, xr.Dataset(), place)
     over = ("instant", "ray")
     return xr.Dataset(
         {

@@ -8,6 +8,24 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
+class Bent:
+    """The glass of segments as triangles.
+
+    Attributes
+    ----------
+    points : ndarray, shape (V, 2)
+        Corners, mm.
+    faces : ndarray of int, shape (F, 3)
+    heights : ndarray, shape (T, V)
+        By the figure alone, along the segment's normal, nm.
+    """
+
+    points: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    heights: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class Detail:
     """Everything that the maps of one case show.
 
@@ -39,6 +57,8 @@ class Detail:
         Exposure: mean of the instants' point spread functions, 1 = peak of the perfect one.
     image_x, image_y : ndarray, shape (X,) and (Y,)
         Pixel centers, lambda/D.
+    bent : Bent, optional
+        The glass of segments that deform.
     """
 
     case: int
@@ -57,6 +77,7 @@ class Detail:
     image: NDArray[np.float64]
     image_x: NDArray[np.float64]
     image_y: NDArray[np.float64]
+    bent: Bent | None = None
 
     @cached_property
     def glass(self) -> NDArray[np.bool_]:

@@ -3,20 +3,29 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
+from wavequake.drawing.periodogram import has_spectrum
 from wavequake.errors import UserError
 from wavequake.report import figures
+from wavequake.report.exposures.camera import camera_pictures
+from wavequake.report.exposures.tables import object_picture
 from wavequake.report.histories import what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import Population, Summary, excluded, populations, summarize
 from wavequake.report.segments.detail import Detail
+from wavequake.report.segments.fields import base_name, of_population
+from wavequake.report.statistics import FEWEST
 from wavequake.report.table import number, rows
+from wavequake.report.vibration import histories_and_spectra
+from wavequake.words import counted
 
 _SMALL_PRINT = (
     "Small print below a number: its 95 % confidence interval (≤, ≥: too few cases for both bounds); ± is a "
-    "standard error. “> field”: beyond the frame of the image."
+    "standard error. “the frame”: the circle leaves the image, whose half width is given."
 )
 # Term, variable of the store whose own long_name opens the definition, and how the report uses it.
 _DEFINITIONS = (
@@ -128,7 +137,8 @@ def render_report(
             raise UserError(
                 f"Case {detail.case} is of {detail.disturbance!r}, which is no disturbance of this store."
             )
-    summaries = [summarize(population, (analytic or {}).get(population.name)) for population in found]
+    model = analytic or {}
+    summaries = [summarize(population, model.get(base_name(population.name))) for population in found]
     return render_page(
         dataset,
         Page(
@@ -137,7 +147,8 @@ def render_report(
             small_print=_SMALL_PRINT + what_is_kept(dataset),
             overview=[*_overview(found), *more],
             sections=[
-                _section(place, population, details, dataset) for place, population in enumerate(found)
+                _section(place, population, details, of_population(dataset, population.name))
+                for place, population in enumerate(found)
             ],
             definitions=[(term, _definition(dataset, name, use)) for term, name, use in _DEFINITIONS],
             kind="disturbance",
@@ -159,11 +170,29 @@ def answer(summaries: Iterable[Summary]) -> str:
     several = len(known) > 1
     lead = f"Of {len(known)} disturbances, {worst.name} costs the most" if several else worst.name
     where = f", the most, under {shaken.name}" if several else ""
+    dim = (
+        f"5 % of its {worst.cases} exposures have a peak below {number(worst.peak_p5.value)}"
+        if worst.cases >= FEWEST
+        else f"the dimmest of its {counted(worst.cases, 'exposure')} has a peak of {number(worst.peak_least)}"
+    )
     return (
-        f"{lead}: 5 % of its {worst.cases} exposures have a peak below {number(worst.peak_p5.value)} of the "
-        f"perfect image's, motion of the line of sight included. The largest wavefront error is that of "
-        f"{largest.name}: 95 % of its cases stay below {number(largest.wfe_raw_p95.value)} nm rms. "
+        f"{lead}: {dim} of the perfect image's, motion of the line of sight included. "
+        f"{_of_wavefront(largest, several)} "
         f"The line of sight scatters by {number(shaken.los_jitter.radial)} mas rms{where}."
+    )
+
+
+def _of_wavefront(largest: Summary, several: bool) -> str:
+    """Say how large the wavefront error of a disturbance is: of few cases, all of them."""
+    who = f"The largest wavefront error is that of {largest.name}: " if several else ""
+    if largest.cases < FEWEST:
+        said = f"at most {number(largest.wfe_raw_most)} nm rms in {counted(largest.cases, 'case')}."
+        return who + said if several else f"Its wavefront error is {said}"
+    bound = f"below {number(largest.wfe_raw_p95.value)} nm rms."
+    return (
+        f"{who}95 % of its cases stay {bound}"
+        if several
+        else f"The wavefront error of 95 % of its cases stays {bound}"
     )
 
 
@@ -197,7 +226,9 @@ def _section(place: int, population: Population, details: Sequence[Detail], data
     mine = [detail for detail in details if detail.disturbance == population.name]
     for detail in mine:
         of, id_ = f"of case {detail.case}", f"d{place}c{detail.case}"
-        image = figures.psf_image(detail.image, detail.image_x, detail.image_y, detail.case)
+        image = figures.psf_image(
+            detail.image, detail.image_x, detail.image_y, detail.case, _track(population, detail)
+        )
         pictures += [
             picture(
                 f"{id_}-m1",
@@ -205,6 +236,7 @@ def _section(place: int, population: Population, details: Sequence[Detail], data
                 figures.segment_map(detail),
                 "Red segments are nearer to the light, blue ones further; white is at rest.",
             ),
+            *_bent(detail, of, id_),
             picture(
                 f"{id_}-opd",
                 f"Optical path differences {of}",
@@ -223,9 +255,18 @@ def _section(place: int, population: Population, details: Sequence[Detail], data
                 f"Image {of}",
                 image,
                 "The irradiance over five decades: rings of the perfect image, and the speckles of the "
-                "error.",
+                "error. Light blue: the track of the line of sight, which blurs the image.",
             ),
         ]
+    if "exposure" in dataset:
+        worst = int(population.cases[population.worst_index])
+        one = dataset.sel(case=worst)
+        pictures += camera_pictures(population.name, worst, one, [""])
+        if "object_image" in one:
+            rest = {"at rest": one["object_static"].to_numpy()} if "object_static" in one else {}
+            seen, axis = one["object_image"], one["x"].to_numpy()
+            images = rest | {f"case {worst}": seen.to_numpy()}
+            pictures.append(object_picture(f"d{place}", f"case {worst} exposes it", images, seen, axis))
     if not mine:
         pictures.append(
             picture(f"d{place}-psf", "Image of the worst case", _stored_image(population, dataset))
@@ -238,7 +279,43 @@ def _section(place: int, population: Population, details: Sequence[Detail], data
             "The band between median and worst case: flat lines are static errors, waves are vibration.",
         )
     )
+    pictures += _spectra(place, population)
     return Section(population.name, pictures)
+
+
+def _bent(detail: Detail, of: str, id_: str) -> Iterator[Picture]:
+    if detail.bent is not None:
+        yield picture(
+            f"{id_}-figure",
+            f"Figure of each segment {of}",
+            figures.figure_map(detail, detail.bent),
+            "How far the glass bends out of its shape at rest, motion as a rigid body left out: one color "
+            "all over a segment means that it does not bend.",
+        )
+
+
+def _track(population: Population, detail: Detail) -> NDArray[np.float64]:
+    """Return the line of sight (T, 2) of a case in lambda/D."""
+    row = int((population.cases == detail.case).argmax())
+    return np.asarray(population.los[row] / (detail.airy_mas / 1.22))
+
+
+def _spectra(place: int, population: Population) -> Iterator[Picture]:
+    """Yield history and spectrum of the worst case, where it has enough instants and something moves."""
+    row = population.worst_index
+    time, los, wfe = population.time_s[row], population.los[row], population.wfe_raw[row]
+    if not has_spectrum(time) or not (np.ptp(los, axis=0).any() or np.ptp(wfe)):
+        return
+    series = {
+        "WFE on glass": ("nm", {"rms": wfe}),
+        "line of sight": ("mas", {"x": los[:, 0], "y": los[:, 1]}),
+    }
+    yield picture(
+        f"d{place}-spectrum",
+        f"Worst case over time and over frequency, case {population.cases[row]}",
+        histories_and_spectra(time, series),
+        "Left what happens, right at which frequencies: peaks are resonances or the machine that shakes.",
+    )
 
 
 def _stored_image(population: Population, dataset: xr.Dataset) -> Figure:

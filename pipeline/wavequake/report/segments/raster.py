@@ -4,8 +4,8 @@ from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ def segment_at(points: Array, corners: Array, centers: Array, margin: float) -> 
     The three segments with the nearest centers are tried, so polygons should not be much longer than wide.
     """
     count = min(3, len(corners))
-    candidates = cKDTree(centers).query(points, k=list(range(1, count + 1)))[1]
+    candidates = scipy.spatial.cKDTree(centers).query(points, k=list(range(1, count + 1)))[1]
     sides = np.roll(corners, -1, axis=1) - corners
     length = np.linalg.norm(sides, axis=2)
     # A repeated corner makes a side without length: its normal is zero, and an infinite offset never cuts.

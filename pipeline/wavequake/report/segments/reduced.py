@@ -3,6 +3,7 @@
 One number per case and quantity, of up to millions of cases; and how good the modal model was.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,10 +21,14 @@ from wavequake.report.answers import budget
 from wavequake.report.histories import what_is_kept
 from wavequake.report.page import Page, Picture, picture, render_page, write_page
 from wavequake.report.populations import left_out
+from wavequake.report.segments.fields import base_name
 from wavequake.report.segments.vignetting import stopped_light
 from wavequake.report.statistics import Quantile, case_rms, quantile
 from wavequake.report.systems.figures import distributions
 from wavequake.report.table import MISSING, interval, number, share
+from wavequake.report.uncertain import PartedResult, parted_results, sentence
+from wavequake.report.uncertain import pictures as parts_pictures
+from wavequake.words import counted
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.segment_modal import CERTIFIED, TRACED
 
@@ -84,7 +89,7 @@ def reduced_populations(store: Path, dataset: xr.Dataset) -> list[ReducedPopulat
     found = []
     for name in dict.fromkeys(names.tolist()):
         mine = (names == name) & done
-        value, unit = model.get(name) or (0.0, "")
+        value, unit = model.get(base_name(name)) or (0.0, "")
         found.append(
             ReducedPopulation(
                 name=str(name),
@@ -112,6 +117,15 @@ def _per_case(dataset: xr.Dataset, name: str) -> xr.DataArray:
     if "axis" in values.dims:
         squares = squares.sum("axis", skipna=False)
     return (squares.mean("time") ** 0.5).assign_attrs(values.attrs)
+
+
+def parted_variance(store: Path, dataset: xr.Dataset) -> list[PartedResult]:
+    """Return the parts of the variance by excitation and by what is not known of the segments' supports."""
+    if bench_of(read_manifest(store).study).study.structure is None or "replicate" not in dataset.coords:
+        return []
+    names = {"wfe_rms_raw": "WFE on glass", "los": "line of sight"}
+    found = {words: _per_case(dataset, key).transpose("case", ...).to_numpy() for key, words in names.items()}
+    return parted_results(dataset, {words: one.reshape(len(one), -1) for words, one in found.items()})
 
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
@@ -187,8 +201,10 @@ def _errors(dataset: xr.Dataset, done: NDArray[np.bool_]) -> dict[str, Array]:
     return {name: values for name, values in finite.items() if len(values)}
 
 
-def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
-    """Write the HTML report: the table, distributions over cases, and those of the model's error."""
+def write_report_of(
+    store: Path, dataset: xr.Dataset, target: Path, words: str = "", more: Sequence[Picture] = ()
+) -> Path:
+    """Write the HTML report: the table, distributions over cases, those of the model's error, and more."""
     kept, light, dataset = what_is_kept(dataset), stopped_light(store, dataset), _loaded(dataset)
     found = [one for one in reduced_populations(store, dataset) if len(one.wfe)]
     done = dataset["status"].to_numpy() == DONE
@@ -208,16 +224,25 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
                     "The curve gives the share of cases at or below a value: further left is better.",
                 )
             )
+    parts = parted_variance(store, dataset)
     errors = _errors(dataset, done) if "traced" in dataset else {}
     in_nm = {_ERRORS[name]: errors[name] for name in errors if name not in ("los", "centroid")}
     if in_nm:
         label = "largest error of the modal model in a case (nm)"
-        pictures.append(picture("modal-error", f"Distribution: {label}", distributions(in_nm, label)))
+        how = "What the modal model is off by in cases that were traced in full, too: further left is better."
+        pictures.append(picture("modal-error", f"Distribution: {label}", distributions(in_nm, label), how))
     page = Page(
-        answer=" ".join([_answer(found), *([light] if light else []), *certificate(store, dataset)]),
+        answer=" ".join(
+            [
+                _answer(found) + sentence(parts),
+                *([words] if words else []),
+                *([light] if light else []),
+                *certificate(store, dataset),
+            ]
+        ),
         table=[_row(one) for one in found],
         small_print=_SMALL_PRINT + kept,
-        overview=[*pictures, *budget.pictures(store)],
+        overview=[*pictures, *more, *parts_pictures(parts), *budget.pictures(store)],
         sections=[],
         definitions=[
             (term, str(dataset[name].attrs["long_name"]) + ".")
@@ -241,7 +266,7 @@ def _answer(found: list[ReducedPopulation]) -> str:
     worst = max(found, key=lambda one: quantile(one.wfe_raw, 0.95).value)
     lead = f"Of {len(found)} disturbances, {worst.name} costs the most" if len(found) > 1 else worst.name
     return (
-        f"{lead}: 95 % of its {len(worst.wfe)} cases have a wavefront error of at most "
+        f"{lead}: 95 % of its {counted(len(worst.wfe), 'case')} have a wavefront error of at most "
         f"{number(quantile(worst.wfe_raw, 0.95).value)} nm rms on glass."
     )
 

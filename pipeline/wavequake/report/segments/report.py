@@ -1,22 +1,29 @@
 """The report of a segment-disturbance store: its table, and its most telling cases recomputed in full."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from rich.table import Table
 
 from wavequake.campaign.store.store import read_manifest
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import from_tiles
 from wavequake.mechanics.disturbances.registry import analytic_rms
+from wavequake.optics.segments.figures import figure_terms, glass_triangles
+from wavequake.optics.segments.layout import is_monolithic
 from wavequake.optics.segments.prepared import trace_states
 from wavequake.report.histories import what_is_kept
 from wavequake.report.populations import Summary, populations, representatives, summarize
-from wavequake.report.segments.detail import Detail
+from wavequake.report.reduced_models import model_results, verdict
+from wavequake.report.reduced_models import pictures as model_pictures
+from wavequake.report.segments.detail import Bent, Detail
+from wavequake.report.segments.fields import base_name, by_field, of_population, place_names
 from wavequake.report.segments.vignetting import stopped_light
 from wavequake.report.table import terminal_table
-from wavequake.workflows.segments.bench import MAS_PER_RAD, bench_of
+from wavequake.workflows.segments.bench import MAS_PER_RAD, Bench, bench_at, bench_of
 from wavequake.workflows.segments.segment_disturbance import draw, surface_states
 
 _MOST_INSTANTS = 2_000_000  # of all cases: the report of every instant takes some 0.3 GB then
@@ -30,6 +37,7 @@ def is_reduced(dataset: xr.Dataset) -> bool:
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
+    dataset = by_field(dataset)
     if is_reduced(dataset):
         from wavequake.report.segments import reduced  # what draws is slow to load
 
@@ -46,22 +54,39 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     The worst case of every disturbance is recomputed in full for the maps; its numbers are those of the
     store, bit for bit, if the device that computed them is at hand.
     """
+    from wavequake.report import uncertain
     from wavequake.report.answers import budget
     from wavequake.report.segments import reduced
     from wavequake.report.segments.page import write_report
 
+    places, compared = place_names(dataset), bench_of(read_manifest(store).study).study.reduction
+    models = model_results(dataset, compared.variants) if compared is not None else []
+    largest = compared.largest if compared is not None else 0.0
+    dataset = by_field(dataset)
     if is_reduced(dataset):
-        return reduced.write_report_of(store, dataset, target, device)
+        words = verdict(models, largest).strip()
+        return reduced.write_report_of(store, dataset, target, words, list(model_pictures(models, largest)))
     study = read_manifest(store).study
-    worst = [case for _, case in representatives(dataset).values()]
-    details = [detail(study, case, device, dataset) for case in worst]
-    light = stopped_light(store, dataset)
-    return write_report(dataset, details, target, _analytic(store), budget.pictures(store), light)
+    details = [
+        replace(
+            detail(
+                *(study, worst, device, of_population(dataset, name)),
+                place=next(k for k, words in enumerate(places) if name.endswith(words)),
+            ),
+            disturbance=name,
+        )
+        for name, (_, worst) in representatives(dataset).items()
+    ]
+    parts = reduced.parted_variance(store, dataset)
+    said = verdict(models, largest), uncertain.sentence(parts), stopped_light(store, dataset)
+    words = " ".join(one.strip() for one in said if one)
+    more = [*model_pictures(models, largest), *uncertain.pictures(parts), *budget.pictures(store)]
+    return write_report(dataset, details, target, _analytic(store), more, words)
 
 
-def detail(study_text: str, case: int, device_name: str, dataset: xr.Dataset) -> Detail:
-    """Recompute one case of a store with the OPD of every ray, for its maps."""
-    bench = bench_of(study_text)
+def detail(study_text: str, case: int, device_name: str, dataset: xr.Dataset, place: int = 0) -> Detail:
+    """Recompute one case of a store with the OPD of every ray, for its maps, at one of its places."""
+    bench = bench_at(study_text, place)
     drawn = draw(bench, case)
     instants = len(drawn.time)
     states = surface_states(bench, drawn, 0, instants)
@@ -84,14 +109,28 @@ def detail(study_text: str, case: int, device_name: str, dataset: xr.Dataset) ->
         opd=opd * 1e6,
         spot=(np.stack([x, y], axis=-1) - bench.static.chief[0]) * to_mas,
         airy_mas=1.22 * bench.prepared.wavelength / (2.0 * bench.system.pupil_outer) * MAS_PER_RAD,
-        image=dataset["exposure"].sel(case=case).to_numpy() if images else np.zeros((0, 0)),
+        image=dataset["exposure"].sel(case=[case]).to_numpy()[0] if images else np.zeros((0, 0)),
         image_x=dataset["x"].to_numpy() if images else np.zeros(0),
         image_y=dataset["y"].to_numpy() if images else np.zeros(0),
+        bent=_bent(bench, drawn.motion.segment_figure, instants),
     )
 
 
+def _bent(bench: Bench, figure: NDArray[np.float64], instants: int) -> Bent | None:
+    """Return how figures (T, S, J) or (S, J), m, bend the glass; None where there are none."""
+    if not figure.any() or is_monolithic(bench.system.segments):
+        return None
+    points, faces, segment = glass_triangles(bench.system, 2)
+    terms = figure_terms(bench.system, segment, points, figure.shape[-1])
+    over_time = np.broadcast_to(figure, (instants, *figure.shape[-2:]))
+    heights = [1e9 * np.einsum("vj,vj->v", one[segment], terms) for one in over_time]
+    return Bent(points, faces, np.stack(heights))
+
+
 def _summaries(dataset: xr.Dataset, analytic: dict[str, tuple[float, str]]) -> list[Summary]:
-    return [summarize(population, analytic.get(population.name)) for population in populations(dataset)]
+    return [
+        summarize(population, analytic.get(base_name(population.name))) for population in populations(dataset)
+    ]
 
 
 def _analytic(store: Path) -> dict[str, tuple[float, str]]:

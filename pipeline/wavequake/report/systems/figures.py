@@ -5,10 +5,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
+from wavequake.drawing.style import hover
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
 from wavequake.report.statistics import distribution
 from wavequake.report.table import number
@@ -30,14 +32,18 @@ def distributions(
         color = COLORS[index % len(COLORS)]
         axes.fill_between(found.values, found.low, found.high, step="post", color=color, alpha=0.12, lw=0)
         axes.step(
-            found.values,
-            found.probability,
+            np.append(found.values[:1], found.values),
+            np.append(0.0, found.probability),
             where="post",
             color=color,
             linestyle=LINES[index % len(LINES)],
             label=name,
         )
     axes.set_ylim(0, 1)
+    low, high = axes.get_xlim()
+    middle = 0.5 * (low + high)
+    reach = max(0.5 * (high - low), 1e-3 * abs(middle))  # tables have three digits: cases alike are one line
+    axes.set_xlim(middle - reach, middle + reach)
     axes.set_xlabel(label)
     axes.set_ylabel("share of cases")
     axes.legend(loc="lower right")
@@ -49,7 +55,20 @@ def field_map(points: Array, values: Array, unit: str, label: str) -> Figure:
     """Draw a value at every field point (F, 2)."""
     figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
     axes = figure.add_subplot()
-    marks = axes.scatter(points[:, 0], points[:, 1], c=values, s=160, cmap="viridis", edgecolors="#444444")
+    middle, reach = float(values.mean()), float(np.ptp(values)) / 2.0
+    reach = max(reach, 0.01 * abs(middle)) or 1.0  # what is equal everywhere has one color
+    ends = Normalize(middle - reach, middle + reach)
+    marks = axes.scatter(
+        points[:, 0], points[:, 1], c=values, s=160, cmap="viridis", norm=ends, edgecolors="#444444"
+    )
+    marks.set_gid(
+        hover(
+            [
+                f"({x:g}, {y:g}) {unit}: {number(float(one))}"
+                for (x, y), one in zip(points, values, strict=True)
+            ]
+        )
+    )
     for (x, y), value in zip(points, values, strict=True):
         axes.annotate(number(float(value)), (x, y), xytext=(9, 0), textcoords="offset points", va="center")
     figure.colorbar(marks, ax=axes, label=label)
@@ -81,12 +100,14 @@ def spot_diagrams(
         axes = figure.add_subplot(rows, columns, index + 1)
         _spots(axes, spots, wavelengths, airy, 1.08 * reach)
         axes.set_title(name, fontsize=8.5)
+        if index + columns >= len(shown):
+            axes.set_xlabel("x (µm)", fontsize=9)
+        if index % columns == 0:
+            axes.set_ylabel("y (µm)", fontsize=9)
     figure.legend(
         *axes.get_legend_handles_labels(), loc="outside lower right", ncols=4, fontsize=7, markerscale=4
     )
     figure.suptitle(f"{title}; about the chief ray at rest, circle: Airy disc", fontsize=9)
-    figure.supxlabel("x (µm)", fontsize=9)
-    figure.supylabel("y (µm)", fontsize=9)
     return figure
 
 

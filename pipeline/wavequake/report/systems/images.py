@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from wavequake.report.exposures.camera import camera_pictures
 from wavequake.report.exposures.figures import Panel, exposure_panels
 from wavequake.report.exposures.psf_figures import image_row
 from wavequake.report.page import Picture, picture
@@ -39,6 +40,8 @@ def pictures(
         exposure_panels(panels, axis),
         "Four decades of irradiance; a long red track blurs the image more than any aberration.",
     )
+    names = [field_name(bench.system, field) for field in range(len(rest))]
+    yield from camera_pictures(name, case, one, names)
     if "object_image" in dataset and "object_static" in dataset:
         seen = np.concatenate(
             [dataset["object_static"].to_numpy()[:1], one["object_image"].to_numpy()[:_FIELDS]]

@@ -11,6 +11,7 @@ from wavequake.campaign.contract import DONE
 from wavequake.campaign.store.retention import STATISTICS
 from wavequake.report.histories import has_histories
 from wavequake.report.statistics import Jitter, case_rms, jitter_of_cases
+from wavequake.report.uncertain import PartedResult, parted_results
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.systems.system_bench import SystemBench
 
@@ -164,3 +165,18 @@ def _population(light: xr.Dataset, name: str, parts: Sequence[dict[str, Array]])
         for index, label in enumerate(light["field"].to_numpy())
     )
     return SystemPopulation(name, cases, fields, int(cases[np.argmax(values["worst"])]))
+
+
+def parted_variance(dataset: xr.Dataset, bench: SystemBench) -> list[PartedResult]:
+    """Return the parts of the variance by excitation and by what is not known of the structure."""
+    if bench.study.structure.uncertain is None or "replicate" not in dataset.coords:
+        return []
+    light = dataset.isel(wavelength=bench.system.primary_wavelength)
+    found = {}
+    for key, words in (("wfe_change", "WFE change"), ("los_mm", "line of sight")):
+        if key in light and "time" in light[key].dims:
+            square = light[key] ** 2
+            square = square.sum("axis", skipna=False) if "axis" in square.dims else square
+            found[words] = np.sqrt(square.mean("time").transpose("case", "field").to_numpy())
+    full = dataset["reduction"].to_numpy() == FULL if "reduction" in dataset else None
+    return parted_results(dataset, found, full)

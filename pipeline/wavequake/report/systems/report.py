@@ -12,21 +12,30 @@ from rich.table import Table
 from rich.text import Text
 
 from wavequake.campaign.store.store import read_manifest
+from wavequake.drawing.periodogram import has_spectrum
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.registry import Combine, instants_of
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.wavefronts.wavefront import trace_system
+from wavequake.report import uncertain
 from wavequake.report.answers import budget
-from wavequake.report.histories import what_is_kept
+from wavequake.report.histories import has_all_instants, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
-from wavequake.report.statistics import Quantile, quantile
+from wavequake.report.reduced_models import model_results, verdict
+from wavequake.report.reduced_models import pictures as model_pictures
+from wavequake.report.statistics import FEWEST, Quantile, quantile
 from wavequake.report.systems import figures as draw_figures
 from wavequake.report.systems import images as system_images
-from wavequake.report.systems.populations import FieldResult, SystemPopulation, populations
-from wavequake.report.systems.variants import model_results, verdict
-from wavequake.report.systems.variants import pictures as model_pictures
+from wavequake.report.systems.populations import (
+    FieldResult,
+    SystemPopulation,
+    parted_variance,
+    populations,
+)
 from wavequake.report.table import interval, number, share
+from wavequake.report.vibration import histories_and_spectra
+from wavequake.words import counted
 from wavequake.workflows.systems.system_bench import (
     SystemBench,
     at_instant,
@@ -67,8 +76,11 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     table.add_column("disturbance\nfield")
     for header in headers[3:]:
         table.add_column(header.replace(" ", "\n"), justify="right", no_wrap=True)
+    table.add_row(Text("at rest", style="bold"))
+    for resting in _at_rest(dataset, bench):
+        table.add_row(f"  {resting['field'][0]}", *(resting[header][0] for header in headers[3:]))
     for population in found:
-        table.add_row(Text(f"{population.name}, {len(population.cases)} cases", style="bold"))
+        table.add_row(Text(f"{population.name}, {counted(len(population.cases), 'case')}", style="bold"))
         for one in population.fields:
             row = _row(population, one, bench)
             table.add_row(f"  {one.field}", *(row[header][0] for header in headers[3:]))
@@ -80,14 +92,22 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     bench = system_bench(read_manifest(store).study)
     found = populations(dataset, bench)
     headers = _headers(found)
-    rows = [_row(population, one, bench) for population in found for one in population.fields]
-    models = model_results(dataset, bench)
-    largest = bench.study.reduction.largest if bench.study.reduction is not None else 0.0
+    rows = [*_at_rest(dataset, bench)]
+    rows += [_row(population, one, bench) for population in found for one in population.fields]
+    parts, compared = parted_variance(dataset, bench), bench.study.reduction
+    light = dataset.isel(wavelength=bench.system.primary_wavelength)
+    models = model_results(light, compared.variants) if compared is not None else []
+    largest = compared.largest if compared is not None else 0.0
     page = Page(
-        answer=answer(found, _sums(bench)) + verdict(models, largest),
+        answer=answer(found, _sums(bench)) + verdict(models, largest) + uncertain.sentence(parts),
         table=[{header: row[header] for header in headers} for row in rows],
         small_print=_SMALL_PRINT + _partial(found, bench) + what_is_kept(dataset),
-        overview=[*_overview(found), *model_pictures(models, largest), *budget.pictures(store)],
+        overview=[
+            *_overview(found),
+            *model_pictures(models, largest),
+            *uncertain.pictures(parts),
+            *budget.pictures(store),
+        ],
         sections=[
             Section(one.name, [*_figures(bench, one, _error(found), dataset, device)]) for one in found
         ],
@@ -101,13 +121,14 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
 def _overview(found: Sequence[SystemPopulation]) -> Iterator[Picture]:
     if any(len(one.cases) for one in found):
         sets = {one.name: one.fields[0].sets for one in found if one.fields}
-        words = f"{_error(found)[1]} of a case (nm), worst field"
-        figure = draw_figures.distributions(_worst_fields(found), words, sets)
+        what = _error(found)[1]
+        figure = draw_figures.distributions(_worst_fields(found), f"{what} of a case (nm), worst field", sets)
         yield picture(
             "distributions",
-            "Distribution of the wavefront error of all disturbances",
+            f"Distribution of the {what} under all disturbances",
             figure,
-            "The curve gives the share of cases at or below a value: further left is better.",
+            "The curve gives the share of cases at or below a value: further left is better. What the design "
+            "has at rest is not in a change.",
         )
 
 
@@ -128,8 +149,6 @@ _HEADERS = (
     "peak P50",
     "EE80 P50 (λ/D)",
 )
-# Cases below which there is no 5 % of them.
-_FEWEST = 20
 _OF_PARTS = ("arrived WFE P50 (nm)", "lost")
 _OF_IMAGES = ("peak P50", "EE80 P50 (λ/D)")
 
@@ -160,6 +179,25 @@ def _row(population: SystemPopulation, one: FieldResult, bench: SystemBench) -> 
     return dict(zip(_HEADERS, values, strict=True))
 
 
+def _at_rest(dataset: xr.Dataset, bench: SystemBench) -> Iterator[dict[str, tuple[str, str]]]:
+    """Yield the rows of the design itself, field by field: what no disturbance adds."""
+    light = dataset.isel(wavelength=bench.system.primary_wavelength)
+    peaks = dataset["exposure_static"].max(["y", "x"]).to_numpy() if "exposure_static" in dataset else None
+    for place, field in enumerate(map(str, dataset["field"].to_numpy())):
+        wfe, spot, strehl = (
+            float(light[f"{key}_static"][place]) for key in ("wfe_rms", "spot_rms", "strehl")
+        )
+        known = {
+            "disturbance": "at rest",
+            "field": field,
+            "WFE P50 (nm)": number(wfe),
+            "spot P50 (µm)": number(spot),
+            "Strehl P50": number(strehl),
+            "peak P50": "" if peaks is None else number(float(peaks[place])),
+        }
+        yield {header: (known.get(header, ""), "") for header in _HEADERS}
+
+
 def _headers(found: Sequence[SystemPopulation]) -> tuple[str, ...]:
     """Return the columns of the table: some more where rays do not arrive, and where there are images."""
     absent = set(() if _incomplete(found) else _OF_PARTS) | set(() if _imaged(found) else _OF_IMAGES)
@@ -177,7 +215,7 @@ def _incomplete(found: Sequence[SystemPopulation]) -> bool:
 
 def _error(found: Sequence[SystemPopulation]) -> tuple[str, str]:
     """Return which error of a `FieldResult` figures show, and its words."""
-    return ("raw", "arrived WFE rms") if _incomplete(found) else ("wfe", "WFE rms")
+    return ("raw", "arrived WFE rms") if _incomplete(found) else ("change", "WFE change rms")
 
 
 def _partial(found: Sequence[SystemPopulation], bench: SystemBench) -> str:
@@ -243,14 +281,16 @@ def _worst_image(results: Sequence[tuple[str, FieldResult]]) -> str:
 def _level(values: Array, percent: int) -> float:
     """Return a percentile over the cases, or of few cases the last one."""
     few = 1.0 if percent > 50 else 0.0
-    return quantile(values, percent / 100.0 if len(values) >= _FEWEST else few).value
+    return quantile(values, percent / 100.0 if len(values) >= FEWEST else few).value
 
 
 def _share_of(percent: int, one: FieldResult) -> str:
     """Return of which cases a percentile speaks: few cases have none."""
     cases = len(one.wfe)
-    if cases >= _FEWEST:
+    if cases >= FEWEST:
         return f"in {percent} % of its cases"
+    if cases == 1:
+        return "in its only case"
     return f"in all of its {cases} cases" if percent > 50 else f"in the worst of its {cases} cases"
 
 
@@ -262,6 +302,33 @@ def _worst_fields(found: Sequence[SystemPopulation]) -> dict[str, Array]:
         for one in found
         if one.fields
     }
+
+
+def _over_time(name: str, case: int, bench: SystemBench, dataset: xr.Dataset) -> Iterator[Picture]:
+    """Yield history and spectrum of the worst case, where the store keeps enough instants of it."""
+    if not has_all_instants(dataset):
+        return
+    light = dataset.sel(case=case).isel(wavelength=bench.system.primary_wavelength)
+    time = light["time_s"].to_numpy()
+    there = np.isfinite(time)
+    if not has_spectrum(time[there]):
+        return
+    change, los = (light[key].to_numpy()[there] for key in ("wfe_change", "los_mm"))
+    field = int(change.max(axis=0).argmax())
+    where = field_name(bench.system, field)
+    moved = 1e3 * los[:, field]
+    if not np.ptp(moved, axis=0).any() and not np.ptp(change[:, field]):
+        return
+    series = {
+        "WFE change": ("nm", {where: change[:, field]}),
+        "line of sight": ("µm", {"x": moved[:, 0], "y": moved[:, 1]}),
+    }
+    yield picture(
+        f"{name}-time",
+        f"Worst case of {name} over time and over frequency, case {case}, field {where}",
+        histories_and_spectra(time[there], series),
+        "Left what happens, right at which frequencies: peaks are resonances or the machine that shakes.",
+    )
 
 
 def _figures(
@@ -276,7 +343,7 @@ def _figures(
     figure = draw_figures.distributions(dict(zip(fields, errors, strict=True)), f"{label} (nm)", sets)
     yield picture(
         f"{name}-wfe",
-        f"Distribution of the wavefront error by field, {name}",
+        f"Distribution of the {label} by field, {name}",
         figure,
         "Curves that lie apart: the disturbance does more to some fields than to others.",
     )
@@ -285,7 +352,7 @@ def _figures(
     unit = str(dataset["field_x"].attrs["units"])
     yield picture(
         f"{name}-field",
-        f"Wavefront error over the field, {name}",
+        f"{label} over the field, {name}",
         draw_figures.field_map(points, medians, unit, f"{label}, median of the cases (nm)"),
         "Each dot is a field point; its color is the error there.",
     )
@@ -296,6 +363,7 @@ def _figures(
         "The worst case beside the design at rest, about the same point: a shift is the line of sight, a "
         "wider spot an aberration.",
     )
+    yield from _over_time(name, population.worst, bench, dataset)
     yield from system_images.pictures(name, population.cases, bench, dataset)
 
 

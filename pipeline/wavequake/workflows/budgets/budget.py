@@ -1,18 +1,24 @@
 """Which disturbance, and which ring of segments or element, contributes what: a budget of a study.
 
-Every case is traced with all disturbances, with each of them switched off, and with each of them drawn again
-while the others stay. All share their random numbers, so that differences stand out from the scatter.
+Every case is traced with all disturbances, with each of them switched off, with each of them drawn again
+while the others stay, and with each group of the budget's tree alone. All share their random numbers, so that
+differences stand out from the scatter.
 """
 
+import hashlib
 import json
-from collections.abc import Callable
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
+from wavequake.campaign.contract import StudyKind
+from wavequake.campaign.engine.pool import HERE, Place, mapped
 from wavequake.campaign.provenance import code, collect
 from wavequake.campaign.schema import Study
 from wavequake.campaign.store.store import (
@@ -27,10 +33,14 @@ from wavequake.campaign.store.whole import write_dataset
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.registry import Combine
+from wavequake.prepared import one_thread, prepared
+from wavequake.words import counted, lasting
 from wavequake.workflows.budgets import budget_segments, budget_systems
 from wavequake.workflows.budgets.budget_factors import Experiment
-from wavequake.workflows.budgets.indices import Estimate, removed_shares, variance_shares
-from wavequake.workflows.budgets.kept import SCHEMA, UNITS, open_budget
+from wavequake.workflows.budgets.dataset import budget_dataset, with_allocations
+from wavequake.workflows.budgets.kept import SCHEMA, open_budget
+from wavequake.workflows.budgets.tree import Branch, allocations
+from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.systems.system_study import SystemStudy
 
@@ -82,6 +92,8 @@ def budget(
     of: str | None = None,
     progress: Progress | None = None,
     unfinished: Path | None = None,
+    place: Place = HERE,
+    measure: str | None = None,
 ) -> "xr.Dataset":
     """Return what each source and each ring of segments or element contributes, with 95 % intervals.
 
@@ -97,60 +109,144 @@ def budget(
         Called with the numbers of cases done, wanted and 0.
     unfinished : Path, optional
         A file that keeps what is measured, so that the same call goes on after an interruption.
+    place : Place
+        Where the cases are traced; the numbers are the same everywhere.
+    measure : str, optional
+        A further number of cases by which to rank, as ``peak`` of exposures.
 
     Raises
     ------
     UserError
         If the study is another kind of study, has several combinations, or most cases cannot be traced.
     """
-    if not isinstance(study, SegmentStudy | SystemStudy) or study.study.workflow not in _WORKFLOWS:
-        raise UserError(f"A budget is of {' and '.join(_WORKFLOWS)} studies, not of {study.study.workflow}.")
-    if cases < FEWEST:
-        raise UserError(f"A budget of {cases} cases says nothing; take at least {FEWEST}.")
-    population = summed(study, of)
+    _require_budget(study, cases)
+    assert isinstance(study, SegmentStudy | SystemStudy)
     device = choose_device(study.campaign.device)
-    with threadpool_limits(1):
-        experiment = (
-            budget_systems.experiment(study, population, device.name)
-            if isinstance(study, SystemStudy)
-            else budget_segments.experiment(study, population, device.name)
-        )
-        identity = [study.identity(), population.name, device.name, code()]
-        values = _measured(experiment, cases, identity, unfinished, progress)
+    work = _Work(find_kind(study.study.workflow), study.model_dump_json(), of, device.name, measure)
+    experiment = _experiment(work)
+    name = summed(study, of).name
+    allowed = allocations(study.budget, experiment.branches, experiment.quantities)
+    identity = [study.identity(), name, device.name, code(), _digest(experiment.branches), measure or ""]
+    values = _measured(work, experiment, cases, identity, unfinished, progress, place)
+    with one_thread():
         rest = experiment.rest()
     attrs = {
         "title": "Budget of disturbances",
         "schema": SCHEMA,
         "study": study.identity_text(),
         "study_sha256": study.identity(),
-        "population": population.name,
+        "population": name,
         "cases": cases,
+        "groups": _digest(experiment.branches),
+        "measure": measure or "",
         "device": f"{device.name} ({device.kind})",
         **collect(device),
     }
-    return _dataset(values, rest, experiment, attrs)
+    return with_allocations(budget_dataset(values, rest, experiment, attrs, FEWEST), allowed)
+
+
+def plan_budget(
+    study: Study, cases: int, of: str | None = None, measure: str | None = None
+) -> dict[str, str]:
+    """Say what a budget would take, by a pilot of some cases; nothing is kept.
+
+    Raises as :func:`budget`.
+    """
+    _require_budget(study, cases)
+    assert isinstance(study, SegmentStudy | SystemStudy)
+    device = choose_device(study.campaign.device)
+    work = _Work(find_kind(study.study.workflow), study.model_dump_json(), of, device.name, measure)
+    experiment = _experiment(work)
+    allocations(study.budget, experiment.branches, experiment.quantities)
+    block = (0, min(experiment.at_once, cases))
+    _block(work, block)  # builds kernels and tables
+    start = time.perf_counter()
+    values = _block(work, block)
+    each = (time.perf_counter() - start) / len(values)
+    kinds = Counter(factor.kind for factor in experiment.factors)
+    return {
+        "budget": f"{summed(study, of).name} of {study.study.name} ({study.identity()[:12]})",
+        "factors": ", ".join(counted(number, kind) for kind, number in kinds.items()),
+        "groups": ", ".join(branch.name for branch in experiment.branches) or "none ([[budget.group]])",
+        "quantities": ", ".join(experiment.quantities),
+        "cases": f"{cases}, each traced {values.shape[1]} times",
+        "device": f"{device.name} ({device.kind})",
+        "one case": f"{lasting(each)} in one process (pilot of {counted(len(values), 'case')}, after set-up)",
+        "pieces": f"{-(-cases // experiment.at_once)}, which --on and --workers share out",
+        "estimate": f"{cases * each:.0f} s of one process",
+    }
+
+
+@dataclass(frozen=True)
+class _Work:
+    """What a worker has to know: the kind brings its plug-ins, ``study`` is the whole study as JSON."""
+
+    kind: StudyKind
+    study: str
+    of: str | None
+    device: str
+    measure: str | None = None
+
+
+def _experiment(work: _Work) -> Experiment:
+    return _prepared(work.kind.name, work.study, work.of, work.device, work.measure)
+
+
+@prepared(2)
+def _prepared(kind: str, text: str, of: str | None, device: str, measure: str | None) -> Experiment:
+    study = find_kind(kind).model.model_validate_json(text, strict=False)
+    assert isinstance(study, SegmentStudy | SystemStudy)
+    population = summed(study, of)
+    if isinstance(study, SystemStudy):
+        return budget_systems.experiment(study, population, device, measure)
+    return budget_segments.experiment(study, population, device, measure)
+
+
+def _block(work: _Work, cases: tuple[int, int]) -> Array:
+    with one_thread():
+        return _experiment(work).values(*cases)
+
+
+def _digest(branches: Sequence[Branch]) -> str:
+    """Return a fingerprint of what the groups are, whatever they are allowed."""
+    lines = [[branch.name, branch.parent, sorted(branch.parts)] for branch in branches]
+    return hashlib.sha256(json.dumps(lines).encode()).hexdigest()[:16] if lines else ""
+
+
+def _require_budget(study: Study, cases: int) -> None:
+    if not isinstance(study, SegmentStudy | SystemStudy) or study.study.workflow not in _WORKFLOWS:
+        raise UserError(f"A budget is of {' and '.join(_WORKFLOWS)} studies, not of {study.study.workflow}.")
+    if cases < FEWEST:
+        raise UserError(f"A budget of {cases} cases says nothing; take at least {FEWEST}.")
 
 
 _WORKFLOWS = ("segment-disturbance", "system-disturbance")
 
 
 def _measured(
-    experiment: Experiment, cases: int, identity: list[str], file: Path | None, progress: Progress | None
+    work: _Work,
+    experiment: Experiment,
+    cases: int,
+    identity: list[str],
+    file: Path | None,
+    progress: Progress | None,
+    place: Place,
 ) -> Array:
     """Return (cases, variants, quantities + 1), of which `file` may have some and gets the others."""
     known = {case: values for case, values in _kept(file, identity).items() if case < cases}
-    for first in range(0, cases, experiment.at_once):
-        last = min(first + experiment.at_once, cases)
-        if known.keys() >= set(range(first, last)):
-            continue
-        if progress:
-            progress(first, cases, 0)
-        found = dict(zip(range(first, last), experiment.values(first, last), strict=True))
+    blocks = [
+        (first, min(first + experiment.at_once, cases)) for first in range(0, cases, experiment.at_once)
+    ]
+    lacking = [block for block in blocks if not known.keys() >= set(range(*block))]
+    if progress:
+        progress(len(known), cases, 0)
+    for block, values in mapped(_block, work, lacking, place):
+        found = dict(zip(range(*block), values, strict=True))
         known |= found
         if file is not None:
             _keep(file, identity, found)
-    if progress:
-        progress(cases, cases, 0)
+        if progress:
+            progress(len(known), cases, 0)
     return np.array([known[case] for case in range(cases)])
 
 
@@ -177,104 +273,19 @@ def _kept(file: Path | None, identity: list[str]) -> dict[int, Array]:
     return found
 
 
-def _dataset(values: Array, rest: Array, experiment: Experiment, attrs: dict[str, object]) -> "xr.Dataset":
-    """Return the budget of `Experiment.values` of all cases and those at rest."""
-    import xarray as xr
-
-    good: NDArray[np.bool_] = np.asarray(np.isfinite(values).all(axis=(1, 2)))
-    if good.sum() < FEWEST:
-        raise UserError(
-            f"{len(good) - good.sum()} of {len(good)} cases cannot be traced with every disturbance on and "
-            f"off, and {FEWEST} are needed; lower the disturbances or raise --cases."
-        )
-    light = _missing_light(experiment, values[good, :, -1].max(axis=1), int(rest[-1]))
-    values, rest = values[..., :-1], rest[:-1]
-    kept = values[good]
-    names = [factor.name for factor in experiment.factors]
-    count = len(names)
-    sets: dict[str, Callable[[Array], Estimate]] = {
-        "share": lambda v: removed_shares(v[:, 0], v[:, 2 : 2 + count]),
-        "first": lambda v: variance_shares(v[:, 0], v[:, 1], v[:, 2 + count :]).first,
-        "total": lambda v: variance_shares(v[:, 0], v[:, 1], v[:, 2 + count :]).total,
-    }
-    words = {
-        "share": "share of the mean square that goes when the factor is switched off",
-        "first": "first-order Sobol index: share of the variance over cases by the factor alone",
-        "total": "total Sobol index: share of the variance over cases by the factor and its interactions",
-    }
-    known = np.array([factor.independent for factor in experiment.factors])
-    variables: dict[str, object] = {}
-    for key, estimate in sets.items():
-        each: list[Estimate] = [estimate(kept[..., q]) for q in range(len(experiment.quantities))]
-        for suffix, attribute in (("", "value"), ("_low", "low"), ("_high", "high")):
-            numbers = np.stack([getattr(one, attribute) for one in each], axis=1)
-            if key != "share":
-                numbers = np.where(known[:, None], numbers, np.nan)
-            bound = {"": "", "_low": ", lower bound (95 %)", "_high": ", upper bound (95 %)"}[suffix]
-            variables[f"{key}{suffix}"] = (
-                ("factor", "quantity"),
-                numbers,
-                {"units": "1", "long_name": words[key] + bound},
-            )
-    rms = np.sqrt(np.mean(kept**2, axis=0))
-    mixed = {"units": ", ".join(UNITS[name] for name in experiment.quantities)}
-    variables["rms"] = (("quantity",), rms[0], {**mixed, "long_name": "rms over cases and instants"})
-    variables["rms_without"] = (
-        ("factor", "quantity"),
-        rms[2 : 2 + count],
-        {**mixed, "long_name": "rms over cases and instants with the factor switched off"},
-    )
-    variables["rms_rest"] = (
-        ("quantity",),
-        rest,
-        {**mixed, "long_name": "rms of what no factor causes: the telescope at rest"},
-    )
-    variables["value"] = (
-        ("case", "variant", "quantity"),
-        values,
-        {**mixed, "long_name": "rms over the instants of a case; NaN: cannot be traced"},
-    )
-    coordinates = {
-        "factor": np.array(names, dtype=object),
-        "kind": (("factor",), np.array([factor.kind for factor in experiment.factors], dtype=object)),
-        "quantity": np.array(experiment.quantities, dtype=object),
-        "variant": np.array(
-            [
-                "all",
-                "all again",
-                *(f"without {name}" for name in names),
-                *(f"{name} again" for name in names),
-            ],
-            dtype=object,
-        ),
-        "case": np.arange(len(values)),
-        "segments": (
-            ("factor",),
-            np.array([factor.members for factor in experiment.factors], dtype=np.int64),
-        ),
-    }
-    more = {"cases_used": int(good.sum()), **({"vignetted": light} if light else {})}
-    found: xr.Dataset = xr.Dataset(variables, coordinates, {**attrs, **more})
-    return found
-
-
-def _missing_light(experiment: Experiment, most: Array, at_rest: int) -> str:
-    """Say how many rays do not arrive at rest and in cases (case,), and what that means; "" if all do."""
-    parts = [f"{at_rest} of {experiment.rays} rays do not arrive at rest"] if at_rest else []
-    if (more := most > at_rest).any():
-        parts.append(
-            f"up to {int(most.max())} of {experiment.rays} do not arrive at an instant of "
-            f"{np.count_nonzero(more)} of {len(most)} cases"
-        )
-    return f"{'; '.join(parts)}. {experiment.light}" if parts else ""
-
-
 def stored_budget(
-    study: Study, path: Path, cases: int, of: str | None = None, progress: Progress | None = None
+    study: Study,
+    path: Path,
+    cases: int,
+    of: str | None = None,
+    progress: Progress | None = None,
+    place: Place = HERE,
+    measure: str | None = None,
 ) -> tuple["xr.Dataset", bool]:
     """Return the budget that the folder of a store keeps, or compute and keep it; and whether it was there.
 
-    What was measured before an interruption is not measured again.
+    What was measured before an interruption is not measured again. Other allocations of the same groups
+    need no new cases.
 
     Raises as :func:`budget` and :func:`open_budget`, and UserError where the folder is something else.
     """
@@ -284,16 +295,26 @@ def stored_budget(
     if (path / MANIFEST).exists():
         manifest = read_manifest(path)
         refuse_other(path, manifest, study.study.workflow, study.identity_text(), manifest.device_kind)
-    if target.exists():
+    if target.exists() and isinstance(study, SegmentStudy | SystemStudy):
         found = open_budget(path)
         wanted = of or found.attrs["population"]
-        if (found.attrs["study_sha256"], found.attrs["cases"], found.attrs["population"]) == (
+        device = choose_device(study.campaign.device).name
+        work = _Work(find_kind(study.study.workflow), study.model_dump_json(), of, device, measure)
+        branches = _experiment(work).branches if study.budget else ()
+        keys = ("study_sha256", "cases", "population", "groups", "measure")
+        if [found.attrs.get(key, "") for key in keys] == [
             study.identity(),
             cases,
             wanted,
-        ):
-            return found, True
-    made = budget(study, cases, of, progress, path / _UNFINISHED)
+            _digest(branches),
+            measure or "",
+        ]:
+            allowed = allocations(study.budget, branches, found["quantity"].to_numpy().tolist())
+            again = with_allocations(found, allowed)
+            if not again.equals(found):
+                write_dataset(again, target)
+            return again, True
+    made = budget(study, cases, of, progress, path / _UNFINISHED, place, measure)
     write_dataset(made, target)
     (path / _UNFINISHED).unlink(missing_ok=True)
     return made, False

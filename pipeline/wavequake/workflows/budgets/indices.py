@@ -47,7 +47,7 @@ def removed_shares(whole: Array, without: Array, seed: int = 0) -> Estimate:
     def shares(means: Array) -> Array:
         return _divided(means[..., :1] - means[..., 1:], means[..., :1])
 
-    return _bootstrapped(np.column_stack([whole, without]) ** 2, shares, seed)
+    return bootstrapped(np.column_stack([whole, without]) ** 2, shares, seed)
 
 
 def variance_shares(one: Array, other: Array, swapped: Array, seed: int = 0) -> VarianceShares:
@@ -91,7 +91,7 @@ def variance_shares(one: Array, other: Array, swapped: Array, seed: int = 0) -> 
         total = 1.0 - _divided(with_a - with_b * by_chance, alone)
         return np.concatenate([first, total], axis=-1)
 
-    found = _bootstrapped(moments, both, seed)
+    found = bootstrapped(moments, both, seed)
     first, total = (
         Estimate(found.value[part], found.low[part], found.high[part])
         for part in (slice(0, count), slice(count, None))
@@ -105,7 +105,7 @@ def _divided(numerator: Array, denominator: Array) -> Array:
     return np.asarray(np.divide(numerator, denominator, out=nothing, where=denominator > 0.0))
 
 
-def _bootstrapped(columns: Array, statistic: Callable[[Array], Array], seed: int) -> Estimate:
+def bootstrapped(columns: Array, statistic: Callable[[Array], Array], seed: int = 0) -> Estimate:
     """Return a statistic of the means of columns (n, c), with its percentile interval over cases."""
     mean, blocks = columns.mean(axis=0), min(len(columns), _BLOCKS)
     edges = np.arange(blocks) * len(columns) // blocks

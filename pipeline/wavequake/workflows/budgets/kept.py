@@ -11,7 +11,14 @@ if TYPE_CHECKING:
     import xarray as xr
 
 SCHEMA = 1
+# Of measures of which more is better a budget takes what is missing.
+LOSSES = ("peak", "strehl")
 UNITS = {"wfe_rms_raw": "nm", "wfe_rms": "nm", "los": "mas", "wfe_change": "nm", "image_motion": "µm"}
+
+
+def unit_of(found: "xr.Dataset", quantity: str) -> str:
+    """Return the unit of a quantity of a budget; budgets of before kept none."""
+    return str(found["unit"].sel(quantity=quantity).item()) if "unit" in found.coords else UNITS[quantity]
 
 
 def open_budget(path: Path | str) -> "xr.Dataset":

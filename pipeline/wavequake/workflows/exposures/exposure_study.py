@@ -35,7 +35,6 @@ class TelescopeExposureStudy(SegmentStudy):
     """A validated study file of ``telescope-exposure``."""
 
     exposure: ExposureSection = ExposureSection()
-    object: ObjectSection | None = None
 
     @model_validator(mode="after")
     def _the_correction_is_measured(self) -> "TelescopeExposureStudy":
@@ -46,17 +45,9 @@ class TelescopeExposureStudy(SegmentStudy):
                 f"exposure.figure_terms {self.figure_terms} is more than wavefront.zernike_terms "
                 f"{self.wavefront.zernike_terms}, which cannot tell such deformations apart"
             )
-        if self.object is not None:
-            self.object.chosen()
         if self.store.keep:
             raise ValueError("store.keep belongs to segment-disturbance; leave it out")
         return self
-
-    @classmethod
-    def read_files(cls, record: dict[str, Any], base: Path) -> None:
-        """Read the picture of the object beside what the disturbance reads."""
-        super().read_files(record, base)
-        embed_picture(record, base)
 
     @property
     def figure_terms(self) -> int:

@@ -24,7 +24,7 @@ from wavequake.chain.images.shortcuts import (
 )
 from wavequake.errors import UserError
 from wavequake.imaging.engines.matrix_fourier import matrix_fourier
-from wavequake.imaging.engines.zernike_psf import ZernikeImager, zernike_imager, zernike_images, zernike_sum
+from wavequake.imaging.engines.zernike_psf import zernike_images, zernike_sum
 from wavequake.imaging.exposures.exposure_models import cut
 from wavequake.imaging.pupils.nyquist import too_coarse, zernike_samples_for
 from wavequake.imaging.pupils.pupil_function import annular_pupil
@@ -37,6 +37,7 @@ from wavequake.workflows.mirrors.mirror_bench import (
     aberrations_over_time,
     bench_of,
     check_variants_of,
+    imager_of,
     import_notices,
     import_record,
     time_of,
@@ -129,7 +130,7 @@ def local_images(
     """
     section = study.imaging
     grid = section.pupil_samples, CANVAS * section.pixels, section.sampling
-    imager = _imager(*grid, history.shape[1] - 2, optics.obscuration, device)
+    imager = imager_of(*grid, history.shape[1] - 2, optics.obscuration, device)
     waves = _waves(study, optics, history, placed=False)
     for first in range(0, len(history), _BLOCK):
         yield zernike_images(imager, waves[first : first + _BLOCK], check=False)  # `notices` did
@@ -139,7 +140,7 @@ def through_focus(study: MirrorExposureStudy, optics: Optics, history: Array, de
     """Return exposures (focus, y, x) with defocus added; tilts of the phase place the images."""
     section, shown = study.imaging, history[exposed_instants(study)]
     grid = section.pupil_samples, section.pixels, section.sampling
-    imager = _imager(*grid, shown.shape[1] - 2, optics.obscuration, device)
+    imager = imager_of(*grid, shown.shape[1] - 2, optics.obscuration, device)
     waves = _waves(study, optics, shown, placed=True)
     weights, term = np.full(len(waves), 1.0 / len(waves)), np.arange(waves.shape[1]) == 3
     return np.array([zernike_sum(imager, waves - defocus * term, weights, check=False) for defocus in FOCUS])
@@ -155,14 +156,6 @@ def _waves(study: MirrorExposureStudy, optics: Optics, history: Array, placed: b
         los = history[:, :2] * (section.scale / optics.resolution)
         waves[:, 1:3] = 0.25 * np.sqrt(1.0 + optics.obscuration**2) * los
     return np.asarray(waves)
-
-
-@prepared(maxsize=4)
-def _imager(
-    samples: int, pixels: int, sampling: float, terms: int, obscuration: float, device: Device
-) -> ZernikeImager:
-    pupil = annular_pupil(samples, obscuration)
-    return zernike_imager(pupil, pixels, sampling, terms, obscuration, device)
 
 
 @dataclass(frozen=True)

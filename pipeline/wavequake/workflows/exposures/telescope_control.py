@@ -15,7 +15,6 @@ from wavequake.campaign.schema import study_from_identity
 from wavequake.chain.images.shortcuts import CANVAS, FOCUS
 from wavequake.errors import UserError
 from wavequake.imaging.engines.segment_basis import SegmentBasis, ray_basis
-from wavequake.imaging.engines.segment_psf import psf
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.kernels.device.tiles import TILE, from_tiles, padded
 from wavequake.kernels.trace.train import Traced
@@ -26,8 +25,8 @@ from wavequake.optics.segments.wavefront import Wavefront, analyse
 from wavequake.prepared import prepared
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.segments.bench import Bench, bench_of, monolithic
-from wavequake.workflows.segments.images import energy_scale
-from wavequake.workflows.segments.vignetting import require_all_rays
+from wavequake.workflows.segments.images import energy_scale, images_of_rays
+from wavequake.workflows.segments.segment_study import SegmentStudy
 
 Array = NDArray[np.float64]
 
@@ -92,10 +91,9 @@ class ControlBench:
 
 
 def segment_text(study_text: str) -> str:
-    """Return the identity text of the segment-disturbance study that an exposure study contains."""
-    record = json.loads(study_text)
-    record.pop("exposure")
-    record.pop("object", None)
+    """Return the identity text of the segment-disturbance study in one of images or loops."""
+    kept = SegmentStudy.model_fields.keys() - {"object"}  # what is imaged changes neither rays nor light
+    record = {key: value for key, value in json.loads(study_text).items() if key in kept}
     return json.dumps(record, sort_keys=True, separators=(",", ":"))
 
 
@@ -108,11 +106,18 @@ def control_bench_of(study_text: str) -> ControlBench:
     UserError
         If the telescope has no mirror M2, or M2's deformations do not determine the wavefront.
     """
+    control = imaged_bench_of(study_text)
+    with threadpool_limits(1):
+        return replace(control, correction=_correction(control))
+
+
+@prepared(maxsize=2)
+def imaged_bench_of(study_text: str) -> ControlBench:
+    """Prepare the same without a correction by M2's deformations."""
     with threadpool_limits(1):
         study = study_from_identity(TelescopeExposureStudy, study_text)
         bench = bench_of(segment_text(study_text))
         system, old = bench.system, bench.prepared
-        require_all_rays(bench.stopped, "so that the exposures of this workflow would have holes")
         if len(system.surfaces) < 2 or not system.surfaces[0].reflects:
             raise UserError(f"the telescope {system.name} has no mirror M2 that could correct its image")
         prepared = prepare(
@@ -123,7 +128,9 @@ def control_bench_of(study_text: str) -> ControlBench:
             figure_terms=bench.figure_terms,
             mirror_terms=study.figure_terms,
         )
-        bench = replace(bench, prepared=prepared)
+        # Edges that the beam clears are not looked at.
+        train = replace(prepared.train, semi_diameters=old.train.semi_diameters)
+        bench = replace(bench, prepared=replace(prepared, train=train))
         rays = prepared.rays
         basis = ray_basis(
             rays.x,
@@ -133,21 +140,22 @@ def control_bench_of(study_text: str) -> ControlBench:
             study.imaging.sampling,
             2.0 * system.pupil_outer,
         )
+        basis = replace(basis, peak=basis.peak * bench.stopped.light)
         still = rest(TILE, len(system.segments), len(system.surfaces), bench.figure_terms, study.figure_terms)
         traced, static = trace(
-            prepared, replace(still, field=still.field + bench.field), choose_device("numpy")
+            bench.prepared, replace(still, field=still.field + bench.field), choose_device("numpy")
         )
         none = np.zeros((0, 0))
         control = ControlBench(study, bench, static, none, basis, none, none, _area(study, bench))
-        if static.lost[0]:
+        if lost := bench.stopped.otherwise:
             raise UserError(
-                f"{static.lost[0]} rays of {system.name} at rest are lost, so that its image would have "
-                "holes; check telescope and optics.field_arcmin"
+                f"{lost} rays of {system.name} at rest are lost, so that its image would have holes; check "
+                "telescope and optics.field_arcmin"
             )
         opd, focus = measured_opd(control, traced), control.prepared.zernike.basis[:, 3]
         image = local_images(control, opd, static)[0]
         defocused = local_images(control, opd + np.resize(FOCUS, TILE)[:, None] * focus, static)[: len(FOCUS)]
-        return replace(control, correction=_correction(control), static_image=image, static_focus=defocused)
+        return replace(control, static_image=image, static_focus=defocused)
 
 
 def trace(prepared: PreparedTrace, states: SurfaceStates, device: Device) -> tuple[Traced, Wavefront]:
@@ -240,10 +248,13 @@ def position(control: ControlBench, wavefront: Wavefront) -> Array:
 
 
 def local_images(control: ControlBench, opd: Array, wavefront: Wavefront) -> Array:
-    """Return images (batch, n, n), each about its own line of sight, from OPDs (batch, N) in waves."""
+    """Return images (batch, n, n), each about its own line of sight, from OPDs (batch, N) in waves.
+
+    Where that is NaN a ray is dark.
+    """
     size = control.basis.pixels
-    phase = ray_phase(control, opd, wavefront, wavefront.los)
-    return np.asarray(psf(control.basis, phase), dtype=np.float64).reshape(-1, size, size)
+    images = images_of_rays(control.basis, ray_phase(control, opd, wavefront, wavefront.los))
+    return np.asarray(images, dtype=np.float64).reshape(-1, size, size)
 
 
 def ray_phase(control: ControlBench, opd: Array, wavefront: Wavefront, about: Array) -> Array:
@@ -259,15 +270,17 @@ def measured_opd(control: ControlBench, traced: Traced) -> Array:
     return np.asarray(from_tiles(traced.opd) / control.prepared.wavelength)
 
 
-def fitted_opd(control: ControlBench, wavefront: Wavefront) -> Array:
-    """Return the OPDs (batch, N) that the fitted Zernike polynomials describe."""
-    return np.asarray(wavefront.zernike[:, None, :] @ control.prepared.zernike.basis.T)[:, 0]
+def fitted_opd(control: ControlBench, wavefront: Wavefront, measured: Array) -> Array:
+    """Return the OPDs (batch, N) that the fitted Zernike polynomials describe, of rays that were measured."""
+    fitted = np.asarray(wavefront.zernike[:, None, :] @ control.prepared.zernike.basis.T)[:, 0]
+    fitted[np.isnan(measured)] = np.nan
+    return fitted
 
 
 def _area(study: TelescopeExposureStudy, bench: Bench) -> float:
-    """Return the area (mm²) of the pupil that the rays stand for."""
+    """Return the area (mm²) of the pupil that the rays stand for whose light arrives at rest."""
     if study.optics.sampling == "segments" and not monolithic(bench.system):
         return float(energy_scale(bench)["area"])
     system = bench.system
     share = len(bench.prepared.weight) / study.optics.rays
-    return float(np.pi * (system.pupil_outer**2 - system.pupil_inner**2) * share)
+    return float(np.pi * (system.pupil_outer**2 - system.pupil_inner**2) * share * bench.stopped.light)

@@ -53,7 +53,8 @@ from wavequake.workflows.exposures.telescope_control import (
 )
 from wavequake.workflows.segments import segment_disturbance
 from wavequake.workflows.segments.bench import MAS_PER_RAD
-from wavequake.workflows.segments.segment_disturbance import CaseDraw, draw, surface_states
+from wavequake.workflows.segments.launches import CaseDraw
+from wavequake.workflows.segments.segment_disturbance import draw, surface_states
 
 Array = NDArray[np.float64]
 
@@ -115,7 +116,7 @@ def exposed_case(control: ControlBench, drawn: CaseDraw, device: Device) -> dict
         for name, values in history.items():
             found.setdefault(name, []).append(values)
     stacked = {name: np.stack(values) for name, values in found.items()}
-    motion = _motion_of_m2(control, drawn, device)
+    motion = motion_of_m2(control, drawn, device)
     resolution = np.asarray(control.prepared.wavelength / control.diameter * MAS_PER_RAD)
     focus = np.array([cut(image, imaging.pixels) for image in control.static_focus])
     fixed = {"resolution_mas": resolution, "static_focus": focus}
@@ -147,8 +148,7 @@ def _history(control: ControlBench, drawn: CaseDraw, device: Device, controller:
     to_mas = MAS_PER_RAD / control.bench.first_order.focal_length
     parts: list[dict[str, Array]] = []
     for count, _, wavefront in case_blocks(control, drawn, device, controller):
-        if wavefront.lost[:count].any():
-            lost = int(wavefront.lost[:count].max())
+        if lost := int((wavefront.lost - wavefront.vignetted)[:count].max()):
             raise UserError(f"{lost} rays are lost ({controller}), so that the image would have holes")
         values = {
             "wfe_rms": wavefront.rms * to_nm,
@@ -166,7 +166,8 @@ def _images(
 ) -> Iterator[Array]:
     """Yield the local images of a case by blocks: of its rays, or of the fitted Zernike terms alone."""
     for count, traced, wavefront in case_blocks(control, drawn, device, controller):
-        opd = measured_opd(control, traced) if of == "rays" else fitted_opd(control, wavefront)
+        opd = measured_opd(control, traced)
+        opd = opd if of == "rays" else fitted_opd(control, wavefront, opd)
         yield local_images(control, opd, wavefront)[:count]
 
 
@@ -176,7 +177,8 @@ def _lit_object(control: ControlBench) -> LitObject | None:
     if shown is None or shown.light == "incoherent":
         return None
     rays = prepared.rays.x, prepared.rays.y, prepared.weight
-    return lit_object(shown, rays, imaging.pixels, imaging.sampling, control.area, control.diameter)
+    glass = control.area / control.bench.stopped.light
+    return lit_object(shown, rays, imaging.pixels, imaging.sampling, glass, control.diameter)
 
 
 def _phases(control: ControlBench, drawn: CaseDraw, device: Device, controller: str) -> Iterator[Array]:
@@ -186,7 +188,7 @@ def _phases(control: ControlBench, drawn: CaseDraw, device: Device, controller: 
         yield ray_phase(control, opd, wavefront, control.static.los[:1])[:count]
 
 
-def _motion_of_m2(control: ControlBench, drawn: CaseDraw, device: Device) -> dict[str, Array]:
+def motion_of_m2(control: ControlBench, drawn: CaseDraw, device: Device) -> dict[str, Array]:
     """Return the targets of M2 over time: tilts in rad, figure in nm."""
     parts = [
         (rigid_tilt(control, measured)[:count], elastic_figure(control, measured)[:count])
@@ -275,7 +277,11 @@ def check(study_text: str) -> None:
     study = study_from_identity(TelescopeExposureStudy, study_text)
     if study.object:
         check_object(study.object, study.imaging.pixels, study.imaging.sampling)
-    control_bench_of(study_text)
+    if control_bench_of(study_text).bench.mirror_terms:
+        raise UserError(
+            "Disturbances that deform mirrors after M1 belong to the workflow segment-disturbance: here M2 "
+            "deforms to correct; leave its figures out."
+        )
 
 
 def notices(study_text: str) -> Iterator[str]:
@@ -287,13 +293,15 @@ def notices(study_text: str) -> Iterator[str]:
     imaging, prepared, device = control.study.imaging, control.prepared, choose_device("numpy")
     still = replace(scaled_draw(control, 0), time=np.zeros(1))
     _, traced, wavefront = next(case_blocks(control, still, device, STATIC))
-    rest = ray_phase(control, measured_opd(control, traced), wavefront, wavefront.los)[:1]
+    if words := control.bench.stopped.words():
+        yield words
+    rest = _whole_phase(control, traced, wavefront)[:1]
     phases = [rest - np.array(FOCUS)[:, None] * prepared.zernike.basis[:, 3]]
     for case in range(len(control.study.disturbance)):
         drawn = scaled_draw(control, case)
         drawn = replace(drawn, time=drawn.time[:TILE])
         count, traced, wavefront = next(case_blocks(control, drawn, device, DISTURBED))
-        phases.append(ray_phase(control, measured_opd(control, traced), wavefront, wavefront.los)[:count])
+        phases.append(_whole_phase(control, traced, wavefront)[:count])
     radius, rays = 0.5 * control.diameter, prepared.rays
     places = rays.x / radius, rays.y / radius, rays.segment
     field = CANVAS * imaging.pixels * imaging.sampling
@@ -301,6 +309,13 @@ def notices(study_text: str) -> Iterator[str]:
     fill = control.area / control.diameter**2
     if text := too_few_rays(len(rays), fill, needed, field):
         yield f"{text} or a smaller exposure.scale"
+
+
+def _whole_phase(control: ControlBench, traced: Traced, wavefront: Wavefront) -> Array:
+    """Return the phases (batch, N) of all rays in waves; dark ones have that of the fitted polynomials."""
+    opd = measured_opd(control, traced)
+    opd = np.where(np.isnan(opd), fitted_opd(control, wavefront, np.zeros_like(opd)), opd)
+    return ray_phase(control, opd, wavefront, wavefront.los)
 
 
 KIND = StudyKind(

@@ -16,6 +16,8 @@ from wavequake.errors import UserError
 _LOOPS = {
     "controller-mor": "wavequake.workflows.loops.controller_mor",
     "tip-tilt-vibration": "wavequake.workflows.loops.tip_tilt",
+    "telescope-loop": "wavequake.workflows.loops.telescope_margins",
+    "segment-control": "wavequake.workflows.loops.segment_control",
 }
 
 
@@ -106,8 +108,9 @@ def makers_of(study: Study) -> Makers:
     """
     name = study.study.workflow
     if name not in _LOOPS:
+        *others, last = _LOOPS
         raise UserError(
-            f"The workflow {name} of {study.study.name} has no loops; {' and '.join(_LOOPS)} have."
+            f"The workflow {name} of {study.study.name} has no loops; {', '.join(others)} and {last} have."
         )
     makers: Makers = import_module(_LOOPS[name]).loops(study)
     return makers

@@ -180,12 +180,7 @@ def designed(study: TipTiltStudy, name: str, true: Sampled) -> tuple[FrameContro
 
 
 def _loop(
-    study: TipTiltStudy,
-    name: str,
-    rate: float,
-    true: Shaped,
-    spectra: list[Spectrum],
-    hertz: Array,
+    study: TipTiltStudy, name: str, rate: float, true: Shaped, spectra: list[Spectrum], hertz: Array
 ) -> Loop:
     noise, frame = study.loop.noise_mas, 1.0 / rate
     by_frames = sampled(true, frame)
@@ -286,6 +281,13 @@ def compute(bench: Bench, table: CaseTable, device: str, clock: Stopwatch) -> It
 
 def _simulated(bench: Bench, loop: Loop, realization: int, clock: Stopwatch) -> float:
     """Return the rms of a run; what a frame hides within itself no command changes, and is added exactly."""
+    _, left = run_of(bench, loop, realization, clock)
+    within = sampled(shaped(bench.study, bench.study.loop.lines_off), 1.0 / loop.rate_hz).within
+    return float(np.sqrt(np.mean(left**2) + within))
+
+
+def run_of(bench: Bench, loop: Loop, realization: int, clock: Stopwatch) -> tuple[Array, Array]:
+    """Return the means over frames, without a loop and what it leaves, (n,) in mas, once it has settled."""
     section, frame = bench.study.simulated, 1.0 / loop.rate_hz
     late, count = (int(np.ceil(one * loop.rate_hz)) for one in (section.settling_s, section.duration_s))
     random = np.random.default_rng([bench.study.study.seed, realization])
@@ -294,9 +296,7 @@ def _simulated(bench: Bench, loop: Loop, realization: int, clock: Stopwatch) -> 
         noise = bench.study.loop.noise_mas * random.standard_normal(late + count)
     with clock("loop"):
         left = means - run(loop.controller, means + noise)
-    off = bench.study.loop.lines_off
-    within = sampled(shaped(bench.study, off), frame).within
-    return float(np.sqrt(np.mean(left[late:] ** 2) + within))
+    return means[late:], left[late:]
 
 
 def frame_means(bands: Bands, frame: float, count: int, random: np.random.Generator) -> Array:

@@ -24,6 +24,9 @@ class ShakenSection(Section):
         return self
 
 
+_FASTEST_HZ = 1e6
+
+
 class LoopSection(Section):
     """A sensor that averages over frames, a mirror that holds commands, and what is between."""
 
@@ -48,8 +51,8 @@ class LoopSection(Section):
     @field_validator("rates_hz")
     @classmethod
     def _rates_are_positive(cls, value: tuple[float, ...]) -> tuple[float, ...]:
-        if min(value) <= 0:
-            raise ValueError(f"a rate is {min(value):g} Hz; it must be positive")
+        if wrong := [rate for rate in value if not 0.0 < rate <= _FASTEST_HZ]:
+            raise ValueError(f"a rate is {wrong[0]:g} Hz; it must be positive and at most {_FASTEST_HZ:g} Hz")
         return value
 
 
@@ -57,7 +60,7 @@ class SimulatedSection(Section):
     """The runs in time that stand beside the exact values."""
 
     duration_s: float = Field(default=60.0, gt=0, le=3600, description="60 s or more for wind")
-    settling_s: float = Field(default=5.0, ge=0, description="before that, not counted")
+    settling_s: float = Field(default=5.0, ge=0, le=3600, description="before that, not counted")
 
 
 class TipTiltCampaign(CampaignSection):

@@ -1,8 +1,8 @@
 """What a mirror study prepares once per process: models, optical maps, reference responses, pupil."""
 
 import json
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -11,19 +11,20 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
-from wavequake.imaging.engines.matrix_fourier import MatrixFourier, matrix_fourier
+from wavequake.imaging.engines.zernike_psf import ZernikeImager, zernike_imager
 from wavequake.imaging.pupils.pupil_function import annular_pupil
+from wavequake.kernels.device.devices import Device
 from wavequake.mechanics.mirrors.material import Material
 from wavequake.mechanics.mirrors.models import AnnularMirror, CircularMirror, annular_mirror, circular_mirror
 from wavequake.mechanics.model import FiniteElementModel, RayleighDamping, ReducedModel
 from wavequake.mechanics.vibration.excitations import drive_of
-from wavequake.mechanics.vibration.modal import modal_model
+from wavequake.mechanics.vibration.modal import ModalModel, modal_model
 from wavequake.mechanics.vibration.response import displacements, respond
-from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.prepared import prepared
 from wavequake.reduction.intermediate import Intermediate, intermediate
-from wavequake.reduction.metrics import eps_mor, full_receptance, receptance
+from wavequake.reduction.metrics import Residues, eps_mor, full_receptance, receptance, residues
 from wavequake.reduction.names import Variant, parse
+from wavequake.reduction.own import own_model
 from wavequake.reduction.two_stage import check_variants, covers, reduce_variants, reference
 from wavequake.workflows.exposures.exposure_study import MirrorExposureStudy
 from wavequake.workflows.mirrors.imported_facts import facts, frequencies
@@ -31,12 +32,14 @@ from wavequake.workflows.mirrors.mirror_base import CLAMPED, driven, on_moving_b
 from wavequake.workflows.mirrors.mirror_optics import Optics, optical_rows, optics_of
 from wavequake.workflows.mirrors.mirror_study import FULL, AnyMirrorStudy, MirrorStudy, TraceStudy
 from wavequake.workflows.mirrors.model_store import (
+    DAMPING,
     digest,
     kept_arrays,
     kept_intermediate,
     kept_model,
     kept_notes,
 )
+from wavequake.workflows.mirrors.own_models import own_arrays
 
 Array = NDArray[np.float64]
 
@@ -55,12 +58,15 @@ class Bench:
     full : callable
         Builds the finite-element model, for variants that the intermediate one does not cover.
     optics : Optics
+    own : mapping of str to str
+        Files of reduced models of the user's own, in base64.
     """
 
     name: str
     stage: Intermediate
     full: Callable[[], FiniteElementModel]
     optics: Optics
+    own: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -70,15 +76,17 @@ class Answers:
     Attributes
     ----------
     reference : ReducedModel
-    mechanical, optical : ndarray
-        Transfer matrices, (f, 3 k, 3 k) in m/N and (f, J - 1, 3 k) in nm/N.
+    mechanical : ndarray, shape (f, 3 k, 3 k)
+        Transfer matrices, m/N.
+    optical : Residues
+        Transfer matrices, (f, J - 1, 3 k) in nm/N, and what they are made of.
     aberrations : ndarray, shape (excitation, time, 2 + J)
         Over time: line of sight in mm, Noll coefficients in nm.
     """
 
     reference: ReducedModel
     mechanical: NDArray[np.complex128]
-    optical: NDArray[np.complex128]
+    optical: Residues
     aberrations: Array
 
 
@@ -111,7 +119,7 @@ def bench_of(text: str, name: str) -> Bench:
     with threadpool_limits(1):
         study = any_study_of(text)
         stage, full = stage_of(text, name)
-        return Bench(name, stage, full, optics_of(study, name, stage))
+        return Bench(name, stage, full, optics_of(study, name, stage), study.reduction.own_files)
 
 
 @prepared(maxsize=4)
@@ -150,7 +158,7 @@ def answers_of(text: str, name: str) -> Answers:
         return Answers(
             reference=chosen,
             mechanical=receptance(chosen, frequencies),
-            optical=receptance(chosen, frequencies, rows[3:]),
+            optical=residues(chosen, frequencies, rows[3:]),
             aberrations=aberrations_over_time(study, chosen, rows),
         )
 
@@ -165,6 +173,9 @@ def variant_of(bench: Bench, variant: str) -> ReducedModel:
     """
     if variant == FULL:
         return reference(bench.stage)
+    if variant in bench.own:
+        given = own_arrays(bench.own[variant], variant)
+        return own_model(bench.full() if "basis" in given else bench.stage, given, variant)
     chosen = parse(variant)
     full = None if covers(bench.stage, chosen) else bench.full()
     if chosen.method == CLAMPED:
@@ -185,6 +196,10 @@ def time_of(study: AnyMirrorStudy) -> Array:
 
 def check_variants_of(study: AnyMirrorStudy, bench: Bench, variants: tuple[str, ...]) -> None:
     """Raise UserError for a variant that does not suit a model or an excitation of a study."""
+    for name in study.reduction.own_files:
+        if name in variants:
+            variant_of(bench, name)
+    variants = tuple(name for name in variants if name not in study.reduction.own_files)
     check_variants(bench.stage, variants)
     clamped = [name for name in variants if parse(name).method == CLAMPED]
     for excitation in study.excitation:
@@ -231,15 +246,19 @@ def build_model(study: AnyMirrorStudy, name: str) -> FiniteElementModel:
 
 def _stage(study: AnyMirrorStudy, name: str, full: Callable[[], FiniteElementModel]) -> Intermediate:
     """Return the intermediate model, which is the same for all studies of one mirror and band."""
-    highest = study.reduction.last_hz
+    highest, section = study.reduction.last_hz, study.model
+    imported = name == "file"  # whose damping its content has
+    record = _stage_record(study, name, frozenset() if imported else DAMPING)
     return kept_intermediate(
-        digest(_stage_record(study, name)), lambda: intermediate(full(), highest=highest)
+        digest(record),
+        lambda: intermediate(full(), highest=highest),
+        None if imported else RayleighDamping(section.damping_alpha, section.damping_beta),
     )
 
 
-def _stage_record(study: AnyMirrorStudy, name: str) -> dict[str, object]:
+def _stage_record(study: AnyMirrorStudy, name: str, leave: frozenset[str] = frozenset()) -> dict[str, object]:
     return {
-        "model": study.model.model_dump(mode="json", exclude={"shapes"}),
+        "model": study.model.model_dump(mode="json", exclude={"shapes", *leave}),
         "name": name,
         "highest_hz": study.reduction.last_hz,
     }
@@ -280,26 +299,23 @@ def over_time(study: MirrorStudy, model: ReducedModel, *rows: Array) -> list[Arr
     """Return what rows (m, r) give of a model's coordinates under every excitation, (excitation, time, m)."""
     time, interfaces = time_of(study), model.inputs.shape[1] // 3
     found: list[list[Array]] = [[] for _ in rows]
+    forms: list[tuple[ReducedModel, ModalModel]] = []  # excitations mostly hold the model alike
     for excitation in study.excitation:
         drive = drive_of(excitation, interfaces, time, study.study.seed)
         held, drive = driven(model, drive, excitation.name)
-        response = respond(modal_model(held, drive.prescribed), [drive], time)
+        alike = (m for one, m in forms if one is held and np.array_equal(m.prescribed, drive.prescribed))
+        if (modal := next(alike, None)) is None:
+            modal = modal_model(held, drive.prescribed)
+            forms.append((held, modal))
+        response = respond(modal, [drive], time)
         for part, chosen in zip(found, rows, strict=True):
             part.append(displacements(response, chosen)[0])
     return [np.array(part) for part in found]
 
 
 @prepared(maxsize=4)
-def image_of(samples: int, pixels: int, sampling: float, obscuration: float, terms: int) -> "ImageMaker":
-    """Prepare the images of wavefronts that are given by their Noll coefficients."""
-    pupil = annular_pupil(samples, obscuration)
-    basis = annular_zernike(pupil.x, pupil.y, terms, obscuration)
-    return ImageMaker(matrix_fourier(pupil, pixels, sampling), np.ascontiguousarray(basis.T))
-
-
-@dataclass(frozen=True)
-class ImageMaker:
-    """A prepared transform, and the Zernike polynomials (J, m) at its pupil's cells."""
-
-    transform: MatrixFourier
-    basis: Array
+def imager_of(
+    samples: int, pixels: int, sampling: float, terms: int, obscuration: float, device: Device
+) -> ZernikeImager:
+    """Prepare the images of wavefronts that are given by their Noll terms."""
+    return zernike_imager(annular_pupil(samples, obscuration), pixels, sampling, terms, obscuration, device)

@@ -10,10 +10,18 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
 from wavequake.errors import UserError
-from wavequake.imaging.engines.matrix_fourier import psf
+from wavequake.imaging.engines.zernike_psf import zernike_sum
+from wavequake.kernels.device.devices import NUMPY, Device, choose_device
 from wavequake.mechanics.model import ReducedModel
-from wavequake.reduction.metrics import eps_mor, frobenius, mac, pseudo_frequencies, receptance, surface_modes
-from wavequake.reduction.names import parse
+from wavequake.reduction.metrics import (
+    eps_mor,
+    eps_of,
+    frobenius,
+    mac,
+    pseudo_frequencies,
+    receptance,
+    surface_modes,
+)
 from wavequake.workflows.mirrors.mirror_bench import (
     Answers,
     Bench,
@@ -21,7 +29,7 @@ from wavequake.workflows.mirrors.mirror_bench import (
     bench_of,
     check_variants_of,
     frequencies_of,
-    image_of,
+    imager_of,
     import_notices,
     import_record,
     over_time,
@@ -38,7 +46,8 @@ from wavequake.workflows.mirrors.mirror_shapes import (
     node_row,
     rim_angle,
 )
-from wavequake.workflows.mirrors.mirror_study import FULL, MirrorStudy
+from wavequake.workflows.mirrors.mirror_study import MirrorStudy
+from wavequake.workflows.mirrors.own_models import method_of
 
 Array = NDArray[np.float64]
 
@@ -71,7 +80,7 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
         for row, (name, variant) in enumerate(cases_of(study)[int(case)] for case in cases):
             bench, answers = bench_of(study_text, name), answers_of(study_text, name)
             try:
-                found = judged(study, bench, answers, variant)
+                found = judged(study, bench, answers, variant, choose_device(device_name))
             except UserError as error:
                 status[row], messages[row] = RAISED, str(error)
                 continue
@@ -80,32 +89,37 @@ def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> Chun
     return ChunkResult(arrays, status, tuple(messages))
 
 
-def judged(study: MirrorStudy, bench: Bench, answers: Answers, variant: str) -> dict[str, Array | float]:
+def judged(
+    study: MirrorStudy, bench: Bench, answers: Answers, variant: str, device: Device
+) -> dict[str, Array | float]:
     """Return all stored numbers of one variant."""
     is_reference = variant == study.reduction.reference
     reduced = answers.reference if is_reference else variant_of(bench, variant)
     optics = bench.optics
     rows = optical_rows(optics, reduced)
     frequencies = frequencies_of(study)
-    mechanical, optical = receptance(reduced, frequencies), receptance(reduced, frequencies, rows[3:])
+    mechanical, (frf_opt, eps_opt) = (
+        receptance(reduced, frequencies),
+        eps_of(answers.optical, reduced, frequencies, rows[3:]),
+    )
     aberrations, node, shapes = over_time(
         study, reduced, rows, node_row(reduced), figure_rows(optics, reduced)
     )
     peaks = _wavefront_error(answers.aberrations).argmax(axis=1)
     figures, wavefronts = mode_shapes(optics, reduced)
     apart = aberrations - answers.aberrations
-    images = exposures(study, optics, aberrations)
+    images = exposures(study, optics, aberrations, device)
     shown = np.full((len(frequencies), SHOWN_TERMS - 1), np.nan)
     kept = min(SHOWN_TERMS, optics.terms) - 1
-    shown[:, :kept] = np.linalg.norm(optical[:, :kept], axis=2)
+    shown[:, :kept] = np.linalg.norm(receptance(reduced, frequencies, rows[3 : 3 + kept]), axis=2)
     return {
         "order": float(reduced.order),
         "reduce_seconds": reduced.seconds,
         "pseudo_frequency_max": float(pseudo_frequencies(reduced)[-1]),
         "frf_mech": frobenius(mechanical),
         "eps_mech": eps_mor(answers.mechanical, mechanical),
-        "frf_opt": frobenius(optical),
-        "eps_opt": eps_mor(answers.optical, optical),
+        "frf_opt": frf_opt,
+        "eps_opt": eps_opt,
         "frf_zernike": shown,
         "mac": _mac(answers.reference, reduced),
         "mode_frequency": _padded(pseudo_frequencies(reduced), MODES),
@@ -116,7 +130,7 @@ def judged(study: MirrorStudy, bench: Bench, answers: Answers, variant: str) -> 
         "los_error": np.linalg.norm(apart[..., :2], axis=2),
         "resolution_mm": optics.resolution,
         "exposure": images,
-        "image_error": _image_error(images, reference_exposures(study, bench, answers)),
+        "image_error": _image_error(images, reference_exposures(study, bench, answers, device)),
         "obscuration": optics.obscuration,
         "mode_figure": _padded(figures, SHOWN_MODES, terms_of(study)),
         "mode_wavefront": _padded(wavefronts, SHOWN_MODES, terms_of(study)),
@@ -155,34 +169,37 @@ def _mac(whole: ReducedModel, reduced: ReducedModel) -> Array:
     return table
 
 
-def exposures(study: MirrorStudy, optics: Optics, aberrations: Array) -> Array:
+def exposures(study: MirrorStudy, optics: Optics, aberrations: Array, device: Device = NUMPY) -> Array:
     """Return the mean image over the time response of each excitation, (excitation, pixels, pixels).
 
     Image axes are those of the image plane. The line of sight places an image, and c_4 and on shape it: c_2
     and c_3 are about the chief ray, which moves with the mirror.
     """
     section, terms = study.imaging, aberrations.shape[2] - 2
-    maker = image_of(section.pupil_samples, section.pixels, section.sampling, optics.obscuration, terms)
+    grid = section.pupil_samples, section.pixels, section.sampling
+    imager = imager_of(*grid, terms, optics.obscuration, device)
     count = min(section.instants, aberrations.shape[1])
     instants = np.unique(np.linspace(0, aberrations.shape[1] - 1, count).round().astype(int))
-    shown = 2 * np.pi * section.scale * aberrations[:, instants]
+    shown = section.scale * aberrations[:, instants]
     # Beyond the Nyquist frequency of the pupil's cells an image would come back on the other side.
-    farthest = np.pi * section.pupil_samples
-    turns = np.clip(shown[..., :2] / optics.resolution, -farthest, farthest)
+    farthest = 0.5 * section.pupil_samples
+    places = np.clip(shown[..., :2] / optics.resolution, -farthest, farthest)
     # A phase that grows along +x moves the image to +x; the OPD of a positive line of sight falls along +x.
-    tilts = turns * np.sqrt(1.0 + optics.obscuration**2) / 4.0
-    phases = np.concatenate([tilts, shown[..., 5:] / -study.optics.wavelength_nm], axis=2)
-    return np.array([psf(maker.transform, phase @ maker.basis[1:]).mean(axis=0) for phase in phases])
+    waves = shown[..., 2:] / -study.optics.wavelength_nm
+    waves[..., :3] = 0.0
+    waves[..., 1:3] = 0.25 * np.sqrt(1.0 + optics.obscuration**2) * places
+    shares = np.full(len(instants), 1.0 / len(instants))
+    return np.array([zernike_sum(imager, one, shares, check=False) for one in waves])
 
 
-_REFERENCES: dict[tuple[str, str], Array] = {}
+_REFERENCES: dict[tuple[str, str, str], Array] = {}
 
 
-def reference_exposures(study: MirrorStudy, bench: Bench, answers: Answers) -> Array:
-    """Return the exposures of the reference, computed once per process."""
-    key = (study.identity(), bench.name)
+def reference_exposures(study: MirrorStudy, bench: Bench, answers: Answers, device: Device) -> Array:
+    """Return the exposures of the reference, computed once per process and device."""
+    key = (study.identity(), bench.name, device.name)
     if key not in _REFERENCES:
-        _REFERENCES[key] = exposures(study, bench.optics, answers.aberrations)
+        _REFERENCES[key] = exposures(study, bench.optics, answers.aberrations, device)
     return _REFERENCES[key]
 
 
@@ -199,7 +216,7 @@ def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.g
     return {
         "model": np.array([model for model, _ in rows], dtype=object),
         "variant": np.array([variant for _, variant in rows], dtype=object),
-        "method": np.array([FULL if one == FULL else parse(one).method for _, one in rows], dtype=object),
+        "method": np.array([method_of(study, one) for _, one in rows], dtype=object),
         "seed": np.full(last - first, study.study.seed, dtype=np.int64),
     }
 

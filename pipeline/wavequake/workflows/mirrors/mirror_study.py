@@ -3,7 +3,15 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from wavequake.campaign.schema import CampaignSection, Section, StoreSection, Study, text_of
 from wavequake.errors import UserError
@@ -14,6 +22,7 @@ from wavequake.mechanics.vibration.excitations import AnyExcitation
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.reduction.names import orders_of, parse
 from wavequake.workflows.mirrors.model_store import keep_imported
+from wavequake.workflows.mirrors.own_files import own_file
 
 FULL = "full"
 
@@ -74,9 +83,19 @@ class ModelSection(Section):
         return self
 
 
+OwnName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]*$", max_length=40)]
+
+
 class VariantsSection(Section):
     """Which reduced models are made, and up to which frequency."""
 
+    own: dict[OwnName, str] = Field(
+        default={},
+        exclude=True,
+        description="your own reduced models by name, to be listed in variants: .npz of basis, or of mass, "
+        "stiffness, damping, inputs and surface; .mtx of a basis (read when the study is loaded)",
+    )
+    own_files: dict[OwnName, str] = Field(default={}, description="these files in base64")
     variants: tuple[str, ...] = Field(
         min_length=1, strict=False, description="e.g. 'craigb36'; 'craigb{18:108:18}' is 18, 36, .. 108"
     )
@@ -84,12 +103,35 @@ class VariantsSection(Section):
 
     @field_validator("variants")
     @classmethod
-    def _variants_are_canonical(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        names = tuple(_canonical(name) for one in value for name in _orders_of(one))
+    def _variants_are_canonical(cls, value: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
+        own = info.data.get("own_files", {})
+        names = tuple(
+            name if name in own else _canonical(name)
+            for one in value
+            for name in ([one] if one in own else _orders_of(one))
+        )
         twice = [name for name in names if names.count(name) > 1]
         if twice:
             raise ValueError(f"the variant {twice[0]!r} is listed twice")
         return names
+
+    @model_validator(mode="after")
+    def _own_models_have_been_read(self) -> "VariantsSection":
+        unread = self.own.keys() - self.own_files.keys()
+        if unread:
+            raise ValueError(
+                "own models belong to the workflows mirror-mor, mirror-exposure and mirror-trace"
+            )
+        return self
+
+    @model_serializer(mode="wrap")
+    def _own_models_are_named_where_there_are_any(
+        self, handler: SerializerFunctionWrapHandler
+    ) -> dict[str, Any]:
+        record: dict[str, Any] = handler(self)
+        if not self.own_files:
+            record.pop("own_files", None)
+        return record
 
 
 class ReductionSection(VariantsSection):
@@ -262,6 +304,12 @@ class AnyMirrorStudy(Study):
         for entry in record.get("excitation") or ():
             if isinstance(entry, dict) and isinstance(entry.get("file"), str):
                 entry["file_csv"] = text_of(base / entry["file"], f"excitation.{entry.get('name')}.file")
+        reduction = record.get("reduction")
+        if isinstance(reduction, dict) and isinstance(reduction.get("own"), dict):
+            reduction["own_files"] = {
+                str(name): own_file(base / str(file), f"reduction.own.{name}")
+                for name, file in reduction["own"].items()
+            }
         model = record.get("model")
         if not isinstance(model, dict) or model.keys() - ModelSection.model_fields.keys():
             return  # a misspelled key is said before what would be wrong without it

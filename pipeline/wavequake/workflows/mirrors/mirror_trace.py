@@ -26,7 +26,7 @@ from wavequake.optics.wavefronts.fits import fit_instants
 from wavequake.optics.wavefronts.sight import line_of_sight
 from wavequake.optics.wavefronts.wavefront import PreparedSystem, trace_light
 from wavequake.reduction.metrics import pseudo_frequencies
-from wavequake.reduction.names import parse
+from wavequake.words import counted
 from wavequake.workflows.mirrors.mirror_base import driven
 from wavequake.workflows.mirrors.mirror_bench import (
     Bench,
@@ -50,6 +50,7 @@ from wavequake.workflows.mirrors.mirror_residual import (
     rms_of,
 )
 from wavequake.workflows.mirrors.mirror_study import TraceStudy
+from wavequake.workflows.mirrors.own_models import method_of
 
 Array = NDArray[np.float64]
 
@@ -283,7 +284,7 @@ def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.g
     return {
         "model": np.array([model for model, _ in rows], dtype=object),
         "variant": np.array([variant for _, variant in rows], dtype=object),
-        "method": np.array([parse(variant).method for _, variant in rows], dtype=object),
+        "method": np.array([method_of(study, variant) for _, variant in rows], dtype=object),
         "seed": np.full(last - first, study.study.seed, dtype=np.int64),
     }
 
@@ -366,7 +367,7 @@ def describe(study_text: str) -> dict[str, str]:
     for name in study.models:
         bench = bench_of(study_text, name)
         lines[f"model {name}"] = (
-            f"{bench.stage.full_order} degrees of freedom, {study.time.instants} instants of "
+            f"{bench.stage.full_order} degrees of freedom, {counted(study.time.instants, 'instant')} of "
             f"{study.optics.rays} rays, {bench.optics.terms} Zernike terms"
         )
     return lines

@@ -10,7 +10,7 @@ import os
 import uuid
 import zipfile
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -46,9 +46,19 @@ def digest(record: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def kept_intermediate(name: str, build: Callable[[], Intermediate]) -> Intermediate:
-    """Return an intermediate model by its hash; it is built and kept if it is not there, or not readable."""
-    return _unpacked(Intermediate, kept_arrays(name, lambda: _packed(build())))
+# Keys of a model that its intermediate model does not depend on: bases are those without damping.
+DAMPING = frozenset({"damping_alpha", "damping_beta"})
+
+
+def kept_intermediate(
+    name: str, build: Callable[[], Intermediate], damping: RayleighDamping | None = None
+) -> Intermediate:
+    """Return an intermediate model by its hash; it is built and kept if it is not there, or not readable.
+
+    With `damping`, the hash is that of what determines the model but for its damping, which it then has.
+    """
+    found = _unpacked(Intermediate, kept_arrays(name, lambda: _packed(build())))
+    return found if damping is None else replace(found, damping=damping)
 
 
 def kept_arrays(name: str, build: Callable[[], Arrays]) -> Arrays:

@@ -1,7 +1,7 @@
 """What a segment-disturbance study prepares once per process: telescope, rays, fit, PSF basis, LOS gains."""
 
 import io
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,8 +13,9 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.status import OK
+from wavequake.mechanics.assembly.plant import Plant
 from wavequake.mechanics.disturbances.layout import SegmentLayout
-from wavequake.mechanics.disturbances.registry import Disturbance, parts
+from wavequake.mechanics.disturbances.registry import parts
 from wavequake.mechanics.disturbances.source import SegmentSource
 from wavequake.optics.derivatives.central import SIGNS, checked_derivative
 from wavequake.optics.polynomials.transforms import known_transformed
@@ -23,13 +24,15 @@ from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.layout import areas, is_monolithic
 from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, prepare, trace_states
 from wavequake.optics.segments.slopes import slope_fit
-from wavequake.optics.segments.states import SurfaceStates, rest
+from wavequake.optics.segments.states import rest
 from wavequake.optics.segments.telescope import FirstOrder, SegmentedTelescope, first_order, footprints
 from wavequake.optics.segments.wavefront import Wavefront, analyse
 from wavequake.optics.shapes.corner_table import distorted
 from wavequake.optics.wavefronts.fits import tells_apart
 from wavequake.optics.wavefronts.sphere_fit import reference_fit
 from wavequake.prepared import prepared
+from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.mirrors.segment_body import segment_plant
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.segments.vignetting import Stopped, refuse_dark_segment, stopped_at_rest
 
@@ -45,7 +48,10 @@ class Bench:
 
     ``text`` is the study's identity text; ``m2_tilt`` (2, 2) gives M2's rotations about x and y in rad per
     rad of line of sight on the sky; ``static`` is the wavefront of the reference configuration, ``stopped``
-    what of its light does not arrive, ``field`` (2,) the field point in rad.
+    what of its light does not arrive, ``field`` (2,) the field point in rad. ``figure_terms`` and
+    ``mirror_terms`` are those of the figures of segments and of mirrors after M1. ``place`` is that of the
+    field point, times the number of wavelengths, plus that of the wavelength in the study.
+    ``plants`` are elastic segments by the models that are compared, the full one first.
     """
 
     text: str
@@ -59,11 +65,65 @@ class Bench:
     m2_tilt: NDArray[np.float64]
     figure_terms: int
     field: NDArray[np.float64]
+    plants: Mapping[str, Plant]
+    mirror_terms: int = 0
+    place: int = 0
+
+    @property
+    def wavelength_nm(self) -> float:
+        """Wavelength of the light."""
+        colors = self.study.optics.colors_nm
+        return colors[self.place % len(colors)]
+
+    @property
+    def unit_mm(self) -> float:
+        """Wavelength whose lambda/D is the unit of images, mm: the first one of the study."""
+        return self.study.optics.wavelength_nm * 1e-6
+
+    @property
+    def where(self) -> str:
+        """Field point and wavelength in words, where a study has several; else nothing."""
+        optics = self.study.optics
+        points, colors = optics.points_arcmin, optics.colors_nm
+        field = field_names(points)[self.place // len(colors)]
+        words = [f"the field {field}"] * (optics.fields_arcmin is not None)
+        words += [f"{self.wavelength_nm:g} nm"] * (optics.wavelengths_nm is not None)
+        return " and ".join(words)
+
+
+def field_names(points: tuple[tuple[float, float], ...]) -> list[str]:
+    """Return field points in arcmin in words, such as ``(0, 3) arcmin``."""
+    return [f"({x:g}, {y:g}) arcmin" for x, y in points]
+
+
+@prepared(maxsize=2)
+def benches_of(study_text: str) -> tuple[Bench, ...]:
+    """Return the study's bench at each field point, and there at each wavelength; raises as `bench_of`."""
+    first = bench_of(study_text)
+    optics = first.study.optics
+    others = range(1, len(optics.points_arcmin) * len(optics.colors_nm))
+    return (first, *(_beside(first, place) for place in others))
+
+
+def bench_at(study_text: str, place: int) -> Bench:
+    """Return the study's bench at one of its places; raises as :func:`bench_of`."""
+    return benches_of(study_text)[place] if place else bench_of(study_text)
+
+
+def _beside(first: Bench, place: int) -> Bench:
+    """Return the bench of a further place, which shares with the first what is of the pupil."""
+    optics = first.study.optics
+    point, color = divmod(place, len(optics.colors_nm))
+    field = np.array(optics.points_arcmin[point]) * _ARCMIN
+    light = replace(first.prepared, wavelength=optics.colors_nm[color] * 1e-6)
+    prepared = _at_field(light, first.study, field)
+    static, stopped, _ = _reference(first.system, prepared, field, first.figure_terms, first.mirror_terms)
+    return replace(first, prepared=prepared, static=static, stopped=stopped, field=field, place=place)
 
 
 @prepared(maxsize=2)
 def bench_of(study_text: str) -> Bench:
-    """Prepare the study with this identity text.
+    """Prepare the study with this identity text, at its first field point and wavelength.
 
     It runs on one BLAS thread wherever it is called from, because the last bits of a factorization depend on
     their number.
@@ -82,21 +142,18 @@ def _prepared(study_text: str) -> Bench:
     study = study_from_identity(SegmentStudy, study_text)
     system = build_telescope(study)
     _require_m2(study, system)
-    layout = layout_of(system)
+    plants = _elastic_segments(study, system)
+    layout = replace(layout_of(system), plant=plants.get(FULL))
     _require_elements(study, layout)
     rays = build_rays(study, system)
-    terms = figure_terms(study.disturbance)
+    terms, mirror_terms = deformed_terms(study, layout)
     wavelength = study.optics.wavelength_nm * 1e-6
-    prepared = prepare(system, rays, wavelength, study.wavefront.zernike_terms, figure_terms=terms)
-    field = np.array(study.optics.field_arcmin) * _ARCMIN
-    at = (float(field[0]), float(field[1]))
-    if _beam_clears_mirrors(prepared, field):  # looking at their edges takes a tenth of the trace
-        prepared = replace(prepared, train=replace(prepared.train, semi_diameters=None))
-    if study.wavefront.method == "slopes":
-        prepared = replace(prepared, slopes=slope_fit(prepared, at))
-    if study.wavefront.reference == "fitted":
-        prepared = replace(prepared, sphere=reference_fit(prepared, at))
-    static, stopped, tilt = _reference(system, prepared, field, terms)
+    prepared = prepare(
+        system, rays, wavelength, study.wavefront.zernike_terms, figure_terms=terms, mirror_terms=mirror_terms
+    )
+    at = np.array(study.optics.points_arcmin[0]) * _ARCMIN
+    prepared = _at_field(prepared, study, at)
+    static, stopped, tilt = _reference(system, prepared, at, terms, mirror_terms)
     return Bench(
         study_text,
         study,
@@ -108,8 +165,26 @@ def _prepared(study_text: str) -> Bench:
         stopped,
         tilt,
         terms,
-        field,
+        at,
+        plants,
+        mirror_terms,
     )
+
+
+def _at_field(prepared: PreparedTrace, study: SegmentStudy, field: NDArray[np.float64]) -> PreparedTrace:
+    """Return what is prepared, for the light of a field point (2,) in rad."""
+    at = (float(field[0]), float(field[1]))
+    edges = None  # looking at them takes a tenth of the trace
+    if not _beam_clears_mirrors(prepared, field):
+        edges = np.array([surface.semi_diameter for surface in prepared.system.surfaces])
+    prepared = replace(
+        prepared, train=replace(prepared.train, semi_diameters=edges), slopes=None, sphere=None
+    )
+    if study.wavefront.method == "slopes":
+        prepared = replace(prepared, slopes=slope_fit(prepared, at))
+    if study.wavefront.reference == "fitted":
+        prepared = replace(prepared, sphere=reference_fit(prepared, at))
+    return prepared
 
 
 def _beam_clears_mirrors(prepared: PreparedTrace, field: NDArray[np.float64]) -> bool:
@@ -171,11 +246,17 @@ def build_rays(study: SegmentStudy, system: SegmentedTelescope) -> PupilRays:
     return on_glass(system, sunflower(system.pupil_inner, system.pupil_outer, optics.rays))
 
 
-def figure_terms(populations: Iterable[Disturbance]) -> int:
-    """Return the highest Noll index of any segment figure in the study (0: none)."""
-    return max(
-        (max(getattr(population, "figure_nm", {}), default=0) for population in populations), default=0
-    )
+def deformed_terms(study: SegmentStudy, layout: SegmentLayout) -> tuple[int, int]:
+    """Return the highest Noll index of any figure of a segment, and of a mirror after M1 (0: none)."""
+    drawn = max((max(getattr(one, "figure_nm", {}), default=0) for one in study.disturbance), default=0)
+    named = [
+        part.figure_terms(layout)
+        for population in study.disturbance
+        for part in parts(study.disturbance, population)
+    ]
+    segments = [count for one in named for name, count in one.items() if name in layout.names]
+    mirrors = [count for one in named for name, count in one.items() if name not in layout.names]
+    return max(drawn, *segments, 0), max(*mirrors, 0, 0)
 
 
 def layout_of(system: SegmentedTelescope) -> SegmentLayout:
@@ -191,6 +272,20 @@ def layout_of(system: SegmentedTelescope) -> SegmentLayout:
         others=tuple(surface.name for surface in system.surfaces),
         owner=f"the telescope {system.name}",
     )
+
+
+def _elastic_segments(study: SegmentStudy, system: SegmentedTelescope) -> dict[str, Plant]:
+    """Return what stands for every segment of a study, by the models that it compares, if they are elastic.
+
+    Without a comparison the model that the study takes is called full.
+    """
+    section = study.segment
+    if section is None:
+        return {}
+    found = {FULL: segment_plant(section, system)}
+    for name in study.compared[1:]:
+        found[name] = segment_plant(section.model_copy(update={"reduced": name}), system)
+    return found
 
 
 def _require_m2(study: SegmentStudy, system: SegmentedTelescope) -> None:
@@ -214,16 +309,26 @@ def _require_elements(study: SegmentStudy, layout: SegmentLayout) -> None:
                     )
             if isinstance(part, SegmentSource):
                 part.moving(layout)
-            deformed = next(iter({**part.figure_terms(layout), **part.figure_grids()}), None)
-            if deformed is not None:
+            image = (layout.others or ("",))[-1]
+            if image in part.figure_terms(layout):
                 raise UserError(
-                    f"The disturbance {part.name!r} deforms {deformed!r} of {layout.owner}: only segments "
-                    'deform, by the model "static-random"; leave the figures out of its file.'
+                    f"The disturbance {part.name!r} deforms {image!r} of {layout.owner}, where the image is; "
+                    "segments and mirrors deform."
+                )
+            grid = next(iter(part.figure_grids()), None)
+            if grid is not None:
+                raise UserError(
+                    f"The disturbance {part.name!r} deforms {grid!r} of {layout.owner} on a grid; its "
+                    "segments and mirrors deform by Noll coefficients (.zN_nm)."
                 )
 
 
 def _reference(
-    system: SegmentedTelescope, prepared: PreparedTrace, field: NDArray[np.float64], terms: int
+    system: SegmentedTelescope,
+    prepared: PreparedTrace,
+    field: NDArray[np.float64],
+    terms: int,
+    mirror_terms: int,
 ) -> tuple[Wavefront, Stopped, NDArray[np.float64]]:
     """Measure the reference configuration, its lost light, and M2's rotations for 1 rad of line of sight.
 
@@ -231,11 +336,11 @@ def _reference(
     that they are the same on every worker.
     """
     step = 1e-6
-    still = rest(TILE, len(system.segments), len(system.surfaces), terms)
+    still = rest(TILE, len(system.segments), len(system.surfaces), terms, mirror_terms)
     motion = still.surface_motion.copy()
     for place, axis in enumerate((3, 4)):
         motion[1 + place : 9 : 2, 0, axis] = SIGNS * step
-    states = SurfaceStates(still.segment_motion, still.segment_figure, motion, still.field + field)
+    states = replace(still, surface_motion=motion, field=still.field + field)
     traced = trace_states(prepared, states, choose_device("numpy"))
     wavefront = analyse(prepared, traced, chief_rays(prepared, states))
     status = np.asarray(traced.status[0, :, 0])

@@ -2,11 +2,13 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from math import sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.chain.images.camera import Camera
 from wavequake.errors import UserError
 from wavequake.imaging.engines.division import Division, divide, divided_phase
 from wavequake.imaging.engines.matrix_fourier import samples_needed
@@ -16,10 +18,11 @@ from wavequake.imaging.exposures.placement import place
 from wavequake.imaging.pupils.nyquist import too_few_rays
 from wavequake.kernels.device.tiles import TILE, from_tiles
 from wavequake.kernels.trace.train import Traced, vignetted
+from wavequake.optics.polynomials.zernike import noll_to_nm
 from wavequake.optics.segments.wavefront import Wavefront
 from wavequake.prepared import prepared
 from wavequake.tables import kept
-from wavequake.workflows.segments.bench import Bench, bench_of, monolithic
+from wavequake.workflows.segments.bench import Bench, bench_at, bench_of, monolithic
 
 Array = NDArray[np.float64]
 
@@ -30,8 +33,10 @@ _AUTO_MOMENTS = (6, 15, 45)
 _TOLERANCE = 1e-3
 # Steeper segments are cut into triangles, and these halved, as long as there are not too many of them.
 _PARTS_MOMENTS, _HALVINGS, _MOST_PARTS = 28, 3, 4096
-# An image that moves is computed on a canvas of twice the frame.
-_CANVAS = 2
+CANVAS = 2
+"""An image that moves is computed on a canvas of so many frames."""
+
+_MM_PER_UM = 1e-3
 
 
 def image_axis(bench: Bench) -> Array:
@@ -43,10 +48,17 @@ def image_axis(bench: Bench) -> Array:
 def by_rays(bench: Bench) -> bool:
     """Return whether all images are sums over rays.
 
-    Those of mirrors without edges, of segments with a figure, and of telescopes that stop light at rest are.
-    Segments that are planes of phase over all their glass have exact images.
+    Those of mirrors without edges, of figured segments or mirrors, and of telescopes that stop light at rest
+    are. Segments that are planes of phase over all their glass have exact images.
     """
-    return monolithic(bench.system) or bench.figure_terms > 0 or bench.stopped.vignetted > 0
+    figures = bench.figure_terms + bench.mirror_terms
+    return monolithic(bench.system) or figures > 0 or bench.stopped.vignetted > 0
+
+
+def lit_coherently(bench: Bench) -> bool:
+    """Return whether there is an object whose light interferes: its images are sums over rays."""
+    shown = bench.study.object
+    return shown is not None and shown.light != "incoherent"
 
 
 def refuse_what_cannot_be_imaged(bench: Bench) -> None:
@@ -54,60 +66,130 @@ def refuse_what_cannot_be_imaged(bench: Bench) -> None:
 
     Segments of plane phase must not be too steep for exact images, also where stopped light asks for sums.
     """
-    if by_rays(bench) and bench.stopped.otherwise:
+    summed = by_rays(bench) or bench.study.imaging.focus_um or lit_coherently(bench)
+    if summed and bench.stopped.otherwise:
         raise UserError(
-            f"{bench.stopped.words()}, so that images that are sums over rays would have holes: bring "
-            "optics.field_arcmin nearer the axis, or set imaging.enabled = false."
+            f"{_at(bench)}{bench.stopped.words()}, so that images that are sums over rays would have holes: "
+            f"bring {_field_key(bench)} nearer the axis, or set imaging.enabled = false."
         )
-    if monolithic(bench.system) or bench.figure_terms:
+    if monolithic(bench.system) or bench.figure_terms or bench.mirror_terms:
         return
     try:
         _psf(bench, -bench.static.segment_phase[:TILE], bench.study.imaging.pixels)
     except UserError:
         raise UserError(
-            f"The telescope {bench.system.name} at rest is too far from focus for an image (its wavefront "
-            f"error is {bench.static.rms_raw[0]:.3g} waves rms): bring optics.field_arcmin nearer the axis, "
-            "or mend the prescription."
+            f"{_at(bench)}The telescope {bench.system.name} at rest is too far from focus for an image (its "
+            f"wavefront error is {bench.static.rms_raw[0]:.3g} waves rms): {_remedy(bench)}."
         ) from None
+
+
+def _remedy(bench: Bench) -> str:
+    """Say what to do about a wavefront error at rest: that of the image's place if it explains half of it."""
+    optics, (*_, last, image) = bench.first_order, ("M1", *(one.name for one in bench.system.surfaces))
+    waves = abs(optics.defocus) * optics.numerical_aperture**2 / (4.0 * sqrt(3.0)) / bench.prepared.wavelength
+    if waves < 0.5 * bench.static.rms_raw[0]:
+        return f"bring {_field_key(bench)} nearer the axis, or mend the prescription"
+    side = "beyond" if optics.defocus > 0.0 else "before"
+    return (
+        f"{image} stands {abs(optics.defocus):.6g} mm {side} the paraxial focus, which is "
+        f"{optics.back_focus:.8g} mm behind {last}; mend a distance_mm or a radius"
+    )
+
+
+def _field_key(bench: Bench) -> str:
+    return "optics.field_arcmin" if bench.study.optics.fields_arcmin is None else "optics.fields_arcmin"
+
+
+def _at(bench: Bench) -> str:
+    return f"At {bench.where}: " if bench.where else ""
 
 
 def ray_notices(bench: Bench) -> Iterator[str]:
     """Yield what to say of too few rays for the field of images that are sums over rays."""
     imaging = bench.study.imaging
-    if not imaging.enabled or not by_rays(bench):
+    if not imaging.enabled or not (by_rays(bench) or lit_coherently(bench)):
         return
     scale = energy_scale(bench)
-    field = _CANVAS * imaging.pixels * imaging.sampling
+    field = CANVAS * imaging.pixels * imaging.sampling * max(factor for factor, _ in colors(bench))
     fill = scale["area"] / bench.stopped.light / scale["diameter"] ** 2  # of all glass, as the rays are
     if text := too_few_rays(bench.stopped.rays, fill, samples_needed(0.0, field), field):
         yield text
 
 
+# Highest degree of a figure whose rms over a hexagon so many rays give within 5 %.
+_FIGURE_DEGREES = {6: 1, 18: 2, 36: 3, 72: 5}
+
+
+def coarse_figures(bench: Bench) -> Iterator[str]:
+    """Yield what to say of figures that are too fine for the rays of a segment."""
+    optics = bench.study.optics
+    if optics.sampling != "segments" or monolithic(bench.system) or not bench.figure_terms:
+        return
+    degree, rays = noll_to_nm(bench.figure_terms)[0], optics.rays_per_segment
+    if degree > _FIGURE_DEGREES[rays]:
+        enough = [str(count) for count, most in _FIGURE_DEGREES.items() if degree <= most]
+        remedy = f"optics.rays_per_segment = {enough[0]}" if enough else "optics.sampling = 'sunflower'"
+        yield (
+            f"{rays} rays per segment are too few for its figure of j = {bench.figure_terms}, whose rms they "
+            f"may miss by more than 5 %; take {remedy}"
+        )
+
+
+def colors(bench: Bench) -> tuple[tuple[float, float], ...]:
+    """Return of each wavelength of the images how much shorter than that of lambda/D it is, and how bright.
+
+    Mirrors make the same path differences for all colors. How bright it is, is the share of the perfect peak.
+    """
+    imaging, wavelength = bench.study.imaging, bench.study.optics.wavelength_nm
+    if imaging.wavelengths_nm is None:
+        return ((wavelength / bench.wavelength_nm, 1.0),)
+    factors = wavelength / np.array(imaging.wavelengths_nm)
+    bright = np.array(imaging.weights or np.ones(len(factors))) * factors**2
+    return tuple((float(f), float(b)) for f, b in zip(factors, bright / bright.sum(), strict=True) if b)
+
+
 def energy_scale(bench: Bench) -> dict[str, Any]:
     """Return what encircled energies need: sampling, area of the glass whose light arrives at rest, diameter.
 
-    Lengths are in mm.
+    Lengths are in mm. In several colors the area is that whose perfect image holds the same light under the
+    peak.
     """
+    colored = 1.0 / sum(share / factor**2 for factor, share in colors(bench))
     return {
         "sampling": bench.study.imaging.sampling,
-        "area": float(bench.layout.areas_m2.sum()) * 1e6 * bench.stopped.light,
+        "area": float(bench.layout.areas_m2.sum()) * 1e6 * bench.stopped.light * colored,
         "diameter": 2.0 * bench.system.pupil_outer,
     }
 
 
-def summed_images(bench: Bench, traced: Traced, wavefront: Wavefront, here: slice) -> Array:
+def camera_of(bench: Bench) -> Camera:
+    """Return what makes numbers of the exposures of a study."""
+    imaging, scale = bench.study.imaging, energy_scale(bench)
+    per_mm = scale["diameter"] / (bench.unit_mm * abs(bench.prepared.focal_length))
+    size = (scale["area"],), scale["diameter"], 1.0 / per_mm
+    return Camera(imaging.pixels, imaging.sampling, *size, imaging.resolution, bench.study.detector)
+
+
+def summed_images(
+    bench: Bench, traced: Traced, wavefront: Wavefront, here: slice, behind_um: float = 0.0, frames: int = 1
+) -> Array:
     """Return the sum (pixels, pixels) of the images of some instants; arguments as `instant_images`."""
-    total: Array = instant_images(bench, traced, wavefront, here).sum(axis=0)
+    total: Array = instant_images(bench, traced, wavefront, here, behind_um, frames).sum(axis=0)
     return total
 
 
-def instant_images(bench: Bench, traced: Traced, wavefront: Wavefront, here: slice) -> Array:
+def instant_images(
+    bench: Bench, traced: Traced, wavefront: Wavefront, here: slice, behind_um: float = 0.0, frames: int = 1
+) -> Array:
     """Return the images (instants, pixels, pixels) of a case's instants `here` in a launch.
+
+    They are so many ``frames`` wide.
 
     Image axes are those of the image plane: +x is where a positive line of sight moves the image. If the line
     of sight moves by more than lambda/D, its whole pixels are taken out of the phase before the transform and
     put back by placing the image, computed on a larger canvas: segments see only the rest of a common tilt.
-    Glass whose light a mirror stops is dark: images of such instants are sums over the rays that arrive. The
+    Glass whose light a mirror stops is dark: images of such instants are sums over the rays that arrive. So
+    are those in planes behind the image (along the light), about where the chief ray meets them. The
     unit is the peak of the perfect image of the pupil that arrives at rest.
 
     Raises
@@ -118,36 +200,104 @@ def instant_images(bench: Bench, traced: Traced, wavefront: Wavefront, here: sli
     """
     imaging, prepared = bench.study.imaging, bench.prepared
     diameter = 2.0 * bench.system.pupil_outer
-    per_mm = diameter / (prepared.wavelength * prepared.focal_length)
+    per_mm = diameter / (bench.unit_mm * prepared.focal_length)
     position = (wavefront.los[here] - bench.static.los[0]) * per_mm
     moves = bool(np.abs(position).max() > 1.0)
     pixel = np.rint(position / imaging.sampling) if moves else np.zeros_like(position)
-    shift = (wavefront.chief[here] - bench.static.chief[0]) * per_mm - pixel * imaging.sampling
-    size = imaging.pixels * (_CANVAS if moves else 1)
-    dark = wavefront.vignetted[here] > 0
-    if by_rays(bench):
-        frames = _ray_images(bench, traced, here, shift / diameter, size)
-    else:
-        centers = bench.system.segments.centers[:, :2]
-        frames = _psf(bench, shift_phase(-wavefront.segment_phase[here], shift, centers, diameter), size)
-        if dark.any():
-            frames[dark] = _ray_images(bench, traced, here, shift / diameter, size)[dark]
-    return place(frames.reshape(-1, size, size), pixel.astype(np.int64), imaging.pixels)
+    size = frames * imaging.pixels * (CANVAS if moves else 1)
+    images = local_images(bench, traced, wavefront, here, pixel * imaging.sampling, size, behind_um)
+    return place(images, pixel.astype(np.int64), frames * imaging.pixels)
+
+
+def local_images(
+    bench: Bench,
+    traced: Traced,
+    wavefront: Wavefront,
+    here: slice,
+    about: Array,
+    size: int,
+    behind_um: float = 0.0,
+) -> NDArray[np.floating[Any]]:
+    """Return images (instants, size, size) about places (instants, 2) in lambda/D; as `instant_images`."""
+    per_mm = 2.0 * bench.system.pupil_outer / (bench.unit_mm * bench.prepared.focal_length)
+    shift = (wavefront.chief[here] - bench.static.chief[0]) * per_mm - about
+    frames = [
+        _colored(bench, traced, wavefront, here, shift, size, factor, behind_um)
+        for factor, _ in colors(bench)
+    ]
+    if len(frames) > 1:
+        shares = [share for _, share in colors(bench)]
+        frames = [np.tensordot(shares, np.stack(frames), axes=1)]
+    return np.asarray(frames[0].reshape(-1, size, size))
+
+
+def _colored(
+    bench: Bench,
+    traced: Traced,
+    wavefront: Wavefront,
+    here: slice,
+    shift: Array,
+    size: int,
+    factor: float,
+    behind_um: float,
+) -> NDArray[np.floating[Any]]:
+    """Return images (instants, size²) at a wavelength that is shorter by a factor, moved by lambda/D."""
+    diameter, dark = 2.0 * bench.system.pupil_outer, wavefront.vignetted[here] > 0
+    if by_rays(bench) or behind_um:
+        return _ray_images(bench, traced, here, shift / diameter, size, factor, behind_um)
+    centers = bench.system.segments.centers[:, :2]
+    waves = bench.prepared.wavelength / bench.unit_mm  # of the wavefront, in those of lambda/D
+    phase = shift_phase(-waves * wavefront.segment_phase[here], shift, centers, diameter)
+    frames = _psf(bench, phase * factor, size, factor)
+    if dark.any():
+        frames[dark] = _ray_images(bench, traced, here, shift / diameter, size, factor, 0.0)[dark]
+    return frames
 
 
 def _ray_images(
-    bench: Bench, traced: Traced, here: slice, slopes: Array, size: int
+    bench: Bench,
+    traced: Traced,
+    here: slice,
+    slopes: Array,
+    size: int,
+    factor: float,
+    behind_um: float,
 ) -> NDArray[np.floating[Any]]:
     """Return images (instants, size²) as sums over the rays; rays that mirrors stop are dark.
 
     ``slopes`` (instants, 2) of the phase, waves/mm, move them. An instant without a dark ray is none the less
     one of `psf`, so that its bits do not depend on those beside it.
     """
-    prepared, basis = bench.prepared, _ray_basis(bench.text, size)
+    basis = _lit_basis(bench.text, bench.place, size, factor)
+    return images_of_rays(basis, ray_phase(bench, traced, here, slopes, behind_um) * factor)
+
+
+def images_of_rays(basis: SegmentBasis, phase: Array) -> NDArray[np.floating[Any]]:
+    """Return images (instants, size²) of phases (instants, R) in waves; a ray whose phase is NaN is dark."""
+    unknown = np.isnan(phase)
+    images = psf(basis, np.where(unknown, 0.0, phase))
+    dark = unknown.any(axis=1)
+    if dark.any():
+        fields = np.where(unknown[dark], 0.0, np.exp(2j * np.pi * phase[dark]))
+        images[dark] = amplitude_images(basis, fields)
+    return images
+
+
+def ray_phase(bench: Bench, traced: Traced, here: slice, slopes: Array, behind_um: float = 0.0) -> Array:
+    """Return the phases (instants, R) of rays in waves of the first wavelength; NaN: a mirror stops it.
+
+    ``slopes`` (instants, 2), waves/mm, are added; so is what the light gains on its way to a plane behind the
+    image.
+
+    Raises
+    ------
+    UserError
+        If rays are lost otherwise.
+    """
     # A phase that grows along +x moves the image to +x; the OPD of a positive line of sight falls along +x.
-    tiles = slice(here.start // TILE, -(-here.stop // TILE))
+    prepared, tiles = bench.prepared, slice(here.start // TILE, -(-here.stop // TILE))
     own = slice(here.start - tiles.start * TILE, here.stop - tiles.start * TILE)
-    phase = -from_tiles(traced.opd[tiles])[own] / prepared.wavelength
+    phase = np.asarray(-from_tiles(traced.opd[tiles])[own] / bench.unit_mm)
     unknown = np.isnan(phase)
     if unknown.any():
         stopped = vignetted(prepared.train, np.asarray(traced.status[tiles]))
@@ -157,49 +307,45 @@ def _ray_images(
             raise UserError(
                 f"{lost} rays are lost, so that an image that is a sum over rays would have holes"
             )
-        phase[unknown] = 0.0
     phase = phase + slopes @ np.stack([prepared.rays.x, prepared.rays.y], axis=1).T
-    images = psf(basis, phase)
-    dark = unknown.any(axis=1)
-    if dark.any():
-        fields = np.where(unknown[dark], 0.0, np.exp(2j * np.pi * phase[dark]))
-        images[dark] = amplitude_images(basis, fields)
-    return images
+    if behind_um:  # a plane wave gains s cos(angle) on its way s along the axis, by Abbe's sine condition
+        sine2 = (prepared.rays.x**2 + prepared.rays.y**2) / prepared.focal_length**2
+        phase = phase + (np.sqrt(1.0 - sine2) - 1.0) * (behind_um * _MM_PER_UM / bench.unit_mm)
+    return phase
 
 
-def _psf(bench: Bench, phase: Array, pixels: int) -> NDArray[np.floating[Any]]:
+def _psf(bench: Bench, phase: Array, pixels: int, factor: float = 1.0) -> NDArray[np.floating[Any]]:
     """Return the images of a case's segments with as many moments as the study says, or as they need.
 
     Segments that are too steep for any number of moments are imaged by their parts.
     """
     chosen = bench.study.imaging.moments
     if chosen != "auto":
-        return psf(_basis(bench.text, pixels, chosen), phase)
+        return psf(_basis(bench.text, pixels, chosen, factor), phase)
     *quick, last = _AUTO_MOMENTS
     for moments in quick:
-        basis = _basis(bench.text, pixels, moments)
+        basis = _basis(bench.text, pixels, moments, factor)
         if truncation_error(basis, phase)[-1].max() <= _TOLERANCE:
             return psf(basis, phase, _TOLERANCE)
-    whole = _basis(bench.text, pixels, last)
+    whole = _basis(bench.text, pixels, last, factor)
     if truncation_error(whole, phase)[-1].max() > _TOLERANCE:
         for halvings in range(_HALVINGS):
             parts = _division(bench.text, halvings)
             if len(parts.segment) > _MOST_PARTS:
                 break
-            basis, finer = _parts_basis(bench.text, pixels, halvings), divided_phase(parts, phase)
+            basis, finer = _parts_basis(bench.text, pixels, halvings, factor), divided_phase(parts, phase)
             if truncation_error(basis, finer)[-1].max() <= _TOLERANCE:
                 return psf(basis, finer, _TOLERANCE)
     return psf(whole, phase, _TOLERANCE)
 
 
-@prepared(maxsize=6)
-def _basis(study_text: str, pixels: int, moments: int) -> SegmentBasis:
+@prepared(maxsize=18)
+def _basis(study_text: str, pixels: int, moments: int, factor: float) -> SegmentBasis:
     bench = bench_of(study_text)
     segments = bench.system.segments
     centers = segments.centers[:, :2]
-    return kept(
-        SegmentBasis, segment_basis, segments.corners, centers, moments=moments, **_grid(bench, pixels)
-    )
+    grid = _grid(bench, pixels, factor)
+    return kept(SegmentBasis, segment_basis, segments.corners, centers, moments=moments, **grid)
 
 
 @prepared(maxsize=_HALVINGS)
@@ -209,22 +355,28 @@ def _division(study_text: str, halvings: int) -> Division:
 
 
 @prepared(maxsize=2 * _HALVINGS)
-def _parts_basis(study_text: str, pixels: int, halvings: int) -> SegmentBasis:
-    parts, grid = _division(study_text, halvings), _grid(bench_of(study_text), pixels)
+def _parts_basis(study_text: str, pixels: int, halvings: int, factor: float) -> SegmentBasis:
+    parts, grid = _division(study_text, halvings), _grid(bench_of(study_text), pixels, factor)
     return kept(SegmentBasis, segment_basis, parts.corners, parts.centers, moments=_PARTS_MOMENTS, **grid)
 
 
-@prepared(maxsize=4)
-def _ray_basis(study_text: str, pixels: int) -> SegmentBasis:
+@prepared(maxsize=12)
+def _ray_basis(study_text: str, pixels: int, factor: float) -> SegmentBasis:
     bench = bench_of(study_text)
     rays, weight = bench.prepared.rays, bench.prepared.weight
-    basis = ray_basis(rays.x, rays.y, weight, **_grid(bench, pixels))
-    return replace(basis, peak=basis.peak * bench.stopped.light)
+    return ray_basis(rays.x, rays.y, weight, **_grid(bench, pixels, factor))
 
 
-def _grid(bench: Bench, pixels: int) -> dict[str, Any]:
+@prepared(maxsize=128)
+def _lit_basis(study_text: str, place: int, pixels: int, factor: float) -> SegmentBasis:
+    """Return the basis of rays for the light that arrives of a field point; its arrays are those of all."""
+    basis = _ray_basis(study_text, pixels, factor)
+    return replace(basis, peak=basis.peak * bench_at(study_text, place).stopped.light)
+
+
+def _grid(bench: Bench, pixels: int, factor: float) -> dict[str, Any]:
     return {
         "pixels": pixels,
-        "sampling": bench.study.imaging.sampling,
+        "sampling": bench.study.imaging.sampling * factor,
         "diameter": 2.0 * bench.system.pupil_outer,
     }

@@ -1,6 +1,7 @@
 """What a disturbance of a segmented telescope moves, for allowances: the modal model, and full traces."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,8 @@ from wavequake.optics.derivatives.central import DOFS
 from wavequake.optics.segments.modal import COMMON, RIGID, ModalModel
 from wavequake.workflows.movable import Movable
 from wavequake.workflows.segments.bench import MM_PER_M, Bench, bench_of
-from wavequake.workflows.segments.segment_disturbance import CaseDraw, trace_draws
+from wavequake.workflows.segments.launches import CaseDraw
+from wavequake.workflows.segments.segment_disturbance import trace_draws
 from wavequake.workflows.segments.segment_model import model_of, motion_rows
 from wavequake.workflows.segments.segment_rare import MEASURES, form_of_motions, segment_motions
 from wavequake.workflows.segments.segment_study import SegmentStudy
@@ -24,7 +26,9 @@ from wavequake.workflows.segments.segment_template import template
 
 Array = NDArray[np.float64]
 
+_RIGID_FIGURES = {0: DOFS.index("dz"), 1: DOFS.index("ry"), 2: DOFS.index("rx")}
 _NOTHING = 1e-12  # share of the largest square that counts as none
+_ROUNDING = 1e-16  # the same of what a case moves: elastic bodies turn by rounding errors
 
 
 def segment_movable(study: SegmentStudy, measure: str) -> Movable:
@@ -44,8 +48,12 @@ def segment_movable(study: SegmentStudy, measure: str) -> Movable:
 
     with threadpool_limits(1):
         form = form_of_motions(bench, model, judged)
-        moved: NDArray[np.bool_] = np.asarray(drawn(0).any(axis=0))
+        size = np.abs(drawn(0)).max(axis=0)
     costs = np.diag(form.square)
+    idle = costs <= _NOTHING * costs[size > 0.0].max(initial=0.0)
+    worth = size**2 * costs
+    moved = (size > 0.0) & (idle | (worth > _ROUNDING * worth.max(initial=0.0)))
+    moved &= ~_twice(model.dofs, moved, segments)
     turns = np.array([RIGID > dof >= 3 for dof in model.dofs], dtype=bool)
     each = np.indices((len(model.dofs), segments)).reshape(2, -1).T
     return Movable(
@@ -56,13 +64,29 @@ def segment_movable(study: SegmentStudy, measure: str) -> Movable:
         metric=np.where(turns, 1.0, 1.0 / MM_PER_M)[each[:, 0]],
         form=form,
         moved=moved,
-        idle=costs <= _NOTHING * costs[moved].max(initial=0.0),
+        idle=idle,
+        lasting=np.array([dof >= RIGID for dof in model.dofs], dtype=bool)[each[:, 0]],
+        time=time,
         seed=seed,
         unit=str(template(text).per_case[judged.variable].attrs["units"]),
         gaussian=lambda: segment_motions(bench, model, population),
         drawn=drawn,
         traced=lambda cases: _traced(bench, model, judged, cases),
     )
+
+
+def _twice(dofs: Sequence[int], moved: NDArray[np.bool_], segments: int) -> NDArray[np.bool_]:
+    """Return which columns are piston and tilts of figures of segments that move so as rigid bodies, too.
+
+    Both do the same to light: as allowances they would be two of one thing.
+    """
+    each = moved[: len(dofs) * segments].reshape(len(dofs), segments)
+    found = np.zeros_like(each)
+    for row, dof in enumerate(dofs):
+        rigid = _RIGID_FIGURES.get(dof - RIGID)
+        if rigid in dofs:
+            found[row] = each[dofs.index(rigid)]
+    return np.append(found.ravel(), np.zeros(len(moved) - found.size, dtype=bool))
 
 
 def _traced(bench: Bench, model: ModalModel, judged: Judged, cases: Sequence[Array]) -> Array:
@@ -90,11 +114,13 @@ def _motion(bench: Bench, model: ModalModel, rows: Array) -> Motion:
     terms = max((dof - RIGID + 1 for dof in model.dofs), default=0)
     motion = still(count, segments, max(terms, 0))
     local = rows[:, :-COMMON].reshape(count, len(model.dofs), segments)
+    figure = np.zeros((count, *motion.segment_figure.shape))
     for column, dof in enumerate(model.dofs):
         if dof < RIGID:
             motion.segment_motion[:, :, dof] = local[:, column] / (MM_PER_M if dof < 3 else 1.0)
         else:
-            motion.segment_figure[:, dof - RIGID] = local[0, column] / MM_PER_M
+            figure[:, :, dof - RIGID] = local[:, column] / MM_PER_M
+    motion = replace(motion, segment_figure=figure if np.ptp(figure, axis=0).any() else figure[0])
     motion.mount[:] = rows[:, -2:]
     if rows[:, -COMMON:-2].any():
         motion.m2[:] = rows[:, -COMMON:-2] @ np.linalg.inv(bench.m2_tilt.T)

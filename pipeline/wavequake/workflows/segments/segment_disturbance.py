@@ -6,7 +6,7 @@ instants' point spread functions make the case's exposure (`imaging`).
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -15,56 +15,68 @@ from numpy.typing import NDArray
 from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind
 from wavequake.campaign.schema import study_from_identity
 from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.chain.images.camera import require_pixels
+from wavequake.chain.images.extended import check_object
 from wavequake.chain.sampling import replicate_labels
+from wavequake.chain.uncertain import shared_models
 from wavequake.errors import UserError
-from wavequake.imaging.exposures.exposure import encircled_energy_radius
 from wavequake.kernels.device.devices import choose_device
-from wavequake.kernels.device.tiles import TILE, padded
+from wavequake.kernels.device.tiles import padded
 from wavequake.mechanics.disturbances.population import Population
 from wavequake.mechanics.disturbances.registry import (
     Disturbance,
-    Motion,
     analytic_rms,
     draw_case,
     instants_of,
 )
-from wavequake.mechanics.disturbances.sources.edge_sensors import EdgeSensorNoise, unseen_motions
-from wavequake.optics.polynomials.zernike import noll_to_nm
+from wavequake.mechanics.disturbances.sources import edge_sensors
 from wavequake.optics.segments.kinematics import in_optics_frame
 from wavequake.optics.segments.prepared import chief_rays, trace_states
 from wavequake.optics.segments.states import SurfaceStates, rest
 from wavequake.optics.segments.wavefront import Wavefront, analyse
 from wavequake.optics.wavefronts.quality import meets_marechal, meets_rayleigh
-from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis, monolithic
-from wavequake.workflows.segments.case_pattern import slots
+from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.segments.bench import (
+    MAS_PER_RAD,
+    MM_PER_M,
+    Bench,
+    bench_of,
+    benches_of,
+    in_basis,
+    monolithic,
+)
+from wavequake.workflows.segments.exposures import Gathered, add_images, exposed, frame_notices, gather
 from wavequake.workflows.segments.images import (
-    energy_scale,
+    camera_of,
+    coarse_figures,
     ray_notices,
     refuse_what_cannot_be_imaged,
-    summed_images,
 )
-from wavequake.workflows.segments.segment_draws import draw_realization, sampling_plan
+from wavequake.workflows.segments.judged_models import judged
+from wavequake.workflows.segments.launches import (
+    CaseDraw,
+    Piece,
+    launches,
+    lost_segment,
+    slots,
+    traced_instants,
+)
+from wavequake.workflows.segments.segment_draws import draw_realization, sampling_plan, way_between
 from wavequake.workflows.segments.segment_modal import modal_cases
 from wavequake.workflows.segments.segment_model import model_of
 from wavequake.workflows.segments.segment_rare import rare_cases
 from wavequake.workflows.segments.segment_study import SegmentStudy
-from wavequake.workflows.segments.segment_template import template, traced
+from wavequake.workflows.segments.segment_template import (
+    OF_ALL_PLACES,
+    of_one_place,
+    over_places,
+    place_axis,
+    places_of,
+    template,
+)
 from wavequake.workflows.segments.vignetting import require_all_rays
 
 Array = NDArray[np.float64]
-
-# Tiles per launch: about 40 MB per output array at 9000 rays, however many and long the cases are.
-_LAUNCH_TILES = 32
-
-
-@dataclass(frozen=True)
-class CaseDraw:
-    """One case before optics: its population, realization, time axis (n,) in s and motion."""
-
-    population: Disturbance
-    realization: int
-    time: Array
-    motion: Motion
 
 
 Kind = TypeVar("Kind", bound=Population)
@@ -77,10 +89,19 @@ def slot(populations: tuple[Kind, ...], case: int) -> tuple[Kind, int]:
 
 
 def draw(bench: Bench, case: int) -> CaseDraw:
-    """Draw the motion of one case, which depends on seed, disturbance and realization only."""
-    population, realization = slot(bench.study.disturbance, case)
-    motion = draw_realization(bench, population, realization)
-    return CaseDraw(population, realization, instants_of(bench.study.disturbance, population), motion)
+    """Draw the motion of one case: of seed, disturbance, realization and model of the segments only."""
+    population, place = slot(bench.study.disturbance, case)
+    realization, model = divmod(place, len(bench.study.compared))
+    return drawn_with(bench, population, realization, bench.study.compared[model])
+
+
+def drawn_with(bench: Bench, population: Disturbance, realization: int, model: str) -> CaseDraw:
+    """Draw a realization of a population with one of the models that the study compares."""
+    motion = draw_realization(bench, population, realization, model)
+    time, way = instants_of(bench.study.disturbance, population), None
+    if bench.study.imaging.enabled:
+        way = way_between(bench, population, realization, time, motion)
+    return CaseDraw(population, realization, time, motion, way, model)
 
 
 def surface_states(bench: Bench, drawn: CaseDraw, first: int, last: int) -> SurfaceStates:
@@ -91,7 +112,8 @@ def surface_states(bench: Bench, drawn: CaseDraw, first: int, last: int) -> Surf
 
 
 def _at_rest(bench: Bench, batch: int) -> SurfaceStates:
-    states = rest(batch, len(bench.system.segments), len(bench.system.surfaces), bench.figure_terms)
+    system = bench.system
+    states = rest(batch, len(system.segments), len(system.surfaces), bench.figure_terms, bench.mirror_terms)
     states.field[:] = bench.field
     return states
 
@@ -102,62 +124,20 @@ def _put(states: SurfaceStates, place: int, bench: Bench, drawn: CaseDraw, part:
     segments = states.segment_motion[here]
     segments[:] = motion.segment_motion[part]
     segments[..., :3] *= MM_PER_M
-    states.segment_figure[here, :, : motion.segment_figure.shape[-1]] = motion.segment_figure * MM_PER_M
+    figure = motion.segment_figure
+    states.segment_figure[here, :, : figure.shape[-1]] = (
+        figure[part] if figure.ndim > 2 else figure
+    ) * MM_PER_M
     states.surface_motion[here, 0, 3:5] = motion.m2[part] @ bench.m2_tilt.T
     for index, surface in enumerate(bench.system.surfaces):
         if surface.name in motion.rigid:
             own = motion.rigid[surface.name][part] * np.repeat([MM_PER_M, 1.0], 3)
             states.surface_motion[here, index] += in_optics_frame(own, surface.rotation)
+        bent = motion.figure.get(surface.name)
+        if bent is not None and states.mirror_figure is not None:
+            shape = bent[part] if bent.ndim > 1 else bent
+            states.mirror_figure[here, index, : bent.shape[-1]] += shape * MM_PER_M
     states.field[here] += motion.mount[part]
-
-
-@dataclass(frozen=True)
-class Piece:
-    """Instants first <= i < last of the case in `row` of a chunk, and where in a launch they begin."""
-
-    row: int
-    first: int
-    last: int
-    place: int
-
-    @property
-    def here(self) -> slice:
-        """Its instants in the launch."""
-        return slice(self.place, self.place + self.last - self.first)
-
-
-def _launches(draws: list[CaseDraw], instants: list[int]) -> Iterator[list[Piece]]:
-    """Cut the cases, of each so many instants, into launches of at most _LAUNCH_TILES tiles.
-
-    A case takes whole tiles of its own. Those of a single instant share tiles, each at the place that its
-    realization gives it, whatever is beside it.
-    """
-    launch: list[Piece] = []
-    tiles, shared = 0, dict[int, set[int]]()  # places that are taken of tiles that cases share
-    for row, (drawn, count) in enumerate(zip(draws, instants, strict=True)):
-        lane, first = drawn.realization % TILE, 0
-        while first < count:
-            free = next((tile for tile, taken in shared.items() if lane not in taken), tiles)
-            if tiles == _LAUNCH_TILES and (count > 1 or free == tiles):
-                yield launch
-                launch, tiles, shared, free = [], 0, {}, 0
-            if count == 1:
-                launch.append(Piece(row, 0, 1, free * TILE + lane))
-                shared.setdefault(free, set()).add(lane)
-                tiles, first = max(tiles, free + 1), 1
-                continue
-            last = min(count, first + (_LAUNCH_TILES - tiles) * TILE)
-            launch.append(Piece(row, first, last, tiles * TILE))
-            tiles, first = tiles + padded(last - first) // TILE, last
-    if launch:
-        yield launch
-
-
-def _traced_instants(drawn: CaseDraw) -> int:
-    """Return how many instants of a case are traced: one of a case that stands still."""
-    motion = drawn.motion
-    series = (motion.segment_motion, motion.mount, motion.m2, *motion.rigid.values())
-    return 1 if all((one == one[:1]).all() for one in series) else len(drawn.time)
 
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
@@ -181,23 +161,54 @@ def trace_cases(study_text: str, cases: NDArray[np.int64], device_name: str) -> 
     start = Stopwatch()
     with start("draw"):
         draws = [draw(bench, int(case)) for case in cases]
-    return trace_draws(study_text, draws, device_name, start)
+    if bench.study.reduction is None:
+        return trace_draws(study_text, draws, device_name, start)
+    with start("draw"):
+        whole = {(one.population.name, one.realization) for one in draws if one.model == FULL}
+        for one in tuple(draws):
+            key = one.population.name, one.realization
+            if key not in whole:
+                draws.append(drawn_with(bench, one.population, one.realization, FULL))
+                whole.add(key)
+    return judged(bench, draws, trace_draws(study_text, draws, device_name, start), len(cases))
 
 
 def trace_draws(
     study_text: str, draws: list[CaseDraw], device_name: str, clock: Stopwatch | None = None
 ) -> ChunkResult:
-    """Trace motions that were drawn; as :func:`trace_cases`."""
-    bench, device, clock = bench_of(study_text), choose_device(device_name), clock or Stopwatch()
+    """Trace motions that were drawn, at every field point and wavelength; as :func:`trace_cases`."""
+    clock, benches = clock or Stopwatch(), benches_of(study_text)
+    found = [_trace_place(bench, draws, device_name, clock) for bench in benches]
+    if len(places := places_of(benches[0].study)) == 0:
+        return found[0]
+    status = np.max([one.status for one in found], axis=0)
+    arrays = {
+        name: found[0].arrays[name]
+        if name in OF_ALL_PLACES
+        else over_places(places, [one.arrays[name] for one in found], 1 + place_axis(variable))
+        for name, variable in of_one_place(study_text).items()
+    }
+    for array in arrays.values():
+        array[status != DONE] = np.nan
+    messages = [""] * len(draws)
+    for bench, one in zip(benches, found, strict=True):
+        told = [f"at {bench.where}: {text}" if text else "" for text in one.messages]
+        messages = [first or text for first, text in zip(messages, told, strict=True)]
+    return ChunkResult(arrays, status, tuple(messages), clock.seconds)
+
+
+def _trace_place(bench: Bench, draws: list[CaseDraw], device_name: str, clock: Stopwatch) -> ChunkResult:
+    """Trace motions that were drawn at the place of a bench; as :func:`trace_cases`."""
+    device = choose_device(device_name)
     arrays = {
         name: np.full((len(draws), *variable.shape), np.nan, dtype=variable.dtype)
-        for name, variable in traced(study_text).items()
+        for name, variable in of_one_place(bench.text).items()
     }
-    for name in ("exposure", "rayleigh", "marechal", "vignetted"):  # gathered over a case's launches
-        if name in arrays:
-            arrays[name][:] = 0.0
-    messages, instants = [""] * len(draws), [_traced_instants(drawn) for drawn in draws]
-    for launch in _launches(draws, instants):
+    for name in ("rayleigh", "marechal", "vignetted"):  # gathered over a case's launches
+        arrays[name][:] = 0.0
+    messages, instants = [""] * len(draws), [traced_instants(drawn) for drawn in draws]
+    gathered: dict[int, Gathered] = {}
+    for launch in launches(draws, instants):
         with clock("draw"):
             states = _at_rest(bench, padded(max(piece.here.stop for piece in launch)))
             for piece in launch:
@@ -208,7 +219,7 @@ def trace_draws(
             wavefront = analyse(bench.prepared, rays, chief_rays(bench.prepared, states), device)
         for piece in launch:
             row, drawn = piece.row, draws[piece.row]
-            messages[row] = messages[row] or _lost_segment(bench, drawn, wavefront, piece)
+            messages[row] = messages[row] or lost_segment(bench.system, drawn, wavefront, piece)
             if messages[row]:
                 continue
             whole = instants[row] == 1  # the piece stands for all instants
@@ -218,7 +229,9 @@ def trace_draws(
                 continue
             try:
                 with clock("image"):
-                    arrays["exposure"][row] += summed_images(bench, rays, wavefront, piece.here)
+                    if row not in gathered:
+                        gathered[row] = gather(bench, drawn.way)
+                    add_images(bench, gathered[row], rays, wavefront, piece)
             except UserError as error:  # tilts that no image can be made of concern this case alone
                 messages[row] = str(error)
     status = np.full(len(draws), DONE, dtype=np.int8)
@@ -232,19 +245,10 @@ def trace_draws(
             arrays[name][row] /= instants[row]
         if "exposure" in arrays:
             with clock("image"):
-                _finish_exposure(bench, arrays, row, instants[row])
+                found = exposed(bench, gathered.pop(row), instants[row], draws[row])
+            for name, values in found.items():
+                arrays[name][row] = values
     return ChunkResult(arrays, status, tuple(messages), clock.seconds)
-
-
-def _lost_segment(bench: Bench, drawn: CaseDraw, wavefront: Wavefront, piece: Piece) -> str:
-    instants, segments = np.nonzero(wavefront.lost_segments[piece.here])
-    if not len(instants):
-        return ""
-    instant, segment = piece.first + int(instants[0]), int(segments[0])
-    return (
-        f"segment {bench.system.segments.names[segment]} lost all its rays at instant {instant} "
-        f"(t = {drawn.time[instant]:.4g} s): its motion takes its glass out of the beam"
-    )
 
 
 def _record(
@@ -252,7 +256,7 @@ def _record(
 ) -> None:
     """Write a piece's numbers to the instants `there` of its case that it stands for."""
     row, here = piece.row, piece.here
-    to_nm = bench.study.optics.wavelength_nm
+    to_nm = bench.wavelength_nm
     to_mas = MAS_PER_RAD / bench.first_order.focal_length
     arrays["time_s"][row, there] = drawn.time[there]
     arrays["wfe_rms"][row, there] = wavefront.rms[here] * to_nm
@@ -272,23 +276,19 @@ def _record(
         arrays["segment_motion"][row, there] = drawn.motion.segment_motion[there]
 
 
-def _finish_exposure(bench: Bench, arrays: dict[str, Array], row: int, instants: int) -> None:
-    exposure = arrays["exposure"][row]
-    exposure /= instants
-    arrays["peak"][row] = exposure.max()
-    radii = encircled_energy_radius(exposure, (0.5, 0.8), **energy_scale(bench))
-    arrays["ee50"][row], arrays["ee80"][row] = radii
-
-
 def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
     """Return the labels of cases first <= id < last: disturbance, realization and seed."""
     study = study_from_identity(SegmentStudy, study_text)
-    which, realizations = slots([entry.share for entry in study.disturbance], np.arange(first, last))
+    which, places = slots([entry.share for entry in study.disturbance], np.arange(first, last))
+    realizations, model = np.divmod(places, len(study.compared))
+    models = {"reduction": np.array(study.compared, dtype=object)[model]}
     return {
         "disturbance": np.array([entry.name for entry in study.disturbance], dtype=object)[which],
+        **(models if study.reduction is not None else {}),
         "realization": realizations,
         "seed": np.full(last - first, study.study.seed, dtype=np.int64),
         **replicate_labels(study.campaign, realizations),
+        **shared_models(study.structure.uncertain if study.structure else None, realizations),
     }
 
 
@@ -316,17 +316,24 @@ def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
         return dict.fromkeys(("draw", "modal"), (instants * segments, "segment-instants"))
     instants = cases * sum(entry.share * padded(entry.instants) for entry in populations) / shares
     per_instant = len(bench.prepared.weight) * (1 + len(bench.system.surfaces))
-    return {"trace": (instants * per_instant, "ray-surfaces")}
+    places = len(bench.study.optics.points_arcmin) * len(bench.study.optics.colors_nm)
+    return {"trace": (instants * per_instant * places, "ray-surfaces")}
 
 
 def check(study_text: str) -> None:
     """Raise UserError if the telescope at rest has no image, or a disturbance does not fit its mirror."""
     bench = bench_of(study_text)
+    if any(isinstance(entry, edge_sensors.EdgeSensorNoise) for entry in bench.study.disturbance):
+        edge_sensors.shared_edges(bench.layout)  # says that there are none
     sampling_plan(study_text)
     if bench.study.rare is not None:
         rare_cases(study_text)
     if bench.study.imaging.enabled:
-        refuse_what_cannot_be_imaged(bench)
+        for one in benches_of(study_text):
+            refuse_what_cannot_be_imaged(one)
+        require_pixels(camera_of(bench))
+        if (shown := bench.study.object) is not None:
+            check_object(shown, bench.study.imaging.pixels, bench.study.imaging.sampling)
     if bench.study.optics.method == "modal":
         require_all_rays(bench.stopped, "so that the modal model has no derivatives (optics.method)")
         model_of(study_text, choose_device("auto").name)
@@ -341,37 +348,31 @@ def notices(study_text: str) -> Iterator[str]:
     yield from bench.study.unused_keys(monolithic(bench.system))
     if bench.study.rare is not None:
         yield "Cases are drawn near a limit: their statistics are those of wavequake rare, by their weights"
-    if words := bench.stopped.words():
-        yield words
+    for one in benches_of(study_text):
+        if words := one.stopped.words():
+            yield f"{words}{' from ' * bool(one.where)}{one.where}"
     for entry in bench.study.disturbance:
-        if isinstance(entry, EdgeSensorNoise) and (count := unseen_motions(entry, bench.layout)):
+        if isinstance(entry, edge_sensors.EdgeSensorNoise) and (
+            count := edge_sensors.unseen_motions(entry, bench.layout)
+        ):
             yield (
                 f"Besides piston, tip and tilt of the whole mirror, the sensors of {entry.name} do not see "
                 f"{count} motion{'s' * (count > 1)} of its segments, which are not in its numbers"
             )
-    yield from _coarse_figures(bench)
+    yield from coarse_figures(bench)
     yield from ray_notices(bench)
-
-
-# Highest degree of a figure whose rms over a hexagon so many rays give within 5 %.
-_FIGURE_DEGREES = {6: 1, 18: 2, 36: 3, 72: 5}
-
-
-def _coarse_figures(bench: Bench) -> Iterator[str]:
-    """Yield what to say of figures that are too fine for the rays of a segment."""
-    optics = bench.study.optics
-    if optics.sampling != "segments" or monolithic(bench.system) or not bench.figure_terms:
-        return
-    degree, rays = noll_to_nm(bench.figure_terms)[0], optics.rays_per_segment
-    if degree > _FIGURE_DEGREES[rays]:
-        enough = [str(count) for count, most in _FIGURE_DEGREES.items() if degree <= most]
-        remedy = f"optics.rays_per_segment = {enough[0]}" if enough else "optics.sampling = 'sunflower'"
-        yield (
-            f"{rays} rays per segment are too few for its figure of j = {bench.figure_terms}, whose rms they "
-            f"may miss by more than 5 %; take {remedy}"
-        )
+    yield from frame_notices(bench)
 
 
 KIND = StudyKind(
-    "segment-disturbance", template, case_table, compute, describe, work, check, notices, model=SegmentStudy
+    "segment-disturbance",
+    template,
+    case_table,
+    compute,
+    describe,
+    work,
+    check,
+    notices,
+    model=SegmentStudy,
+    compared=("disturbance", "reduction"),
 )

@@ -1,12 +1,24 @@
 """What a case of a segmented telescope draws: motions by generators, by a sampling plan, or near a limit."""
 
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.chain.images.streak import around_rows, times_between
 from wavequake.chain.sampling import Plan, plan_of
-from wavequake.mechanics.disturbances.registry import Disturbance, Motion, draw_case
+from wavequake.chain.uncertain import STREAM
+from wavequake.mechanics.disturbances.registry import Disturbance, Motion, draw_case, draw_sight, parts
 from wavequake.mechanics.disturbances.source import Source
 from wavequake.mechanics.disturbances.streams import Streams
+from wavequake.mechanics.disturbances.supports import Supports
 from wavequake.prepared import prepared
+from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.segments.bench import Bench, bench_of
 from wavequake.workflows.segments.segment_rare import rare_cases
+from wavequake.workflows.segments.segment_study import SegmentStudy
+
+Array = NDArray[np.float64]
 
 
 @prepared(maxsize=2)
@@ -35,9 +47,49 @@ def sampling_plan(study_text: str) -> Plan:
     )
 
 
-def draw_realization(bench: Bench, population: Disturbance, realization: int) -> Motion:
-    """Draw a realization, which depends on the study, the population and its number only."""
-    study = bench.study
-    plan = sampling_plan(bench.text) if study.rare is None else rare_cases(bench.text)
-    streams = plan.of(realization)
-    return draw_case(study.disturbance, population, bench.layout, study.study.seed, realization, streams)
+def draw_realization(bench: Bench, population: Disturbance, realization: int, model: str = FULL) -> Motion:
+    """Draw a realization, of study, population and number alone, with a model of elastic segments."""
+    study, streams = bench.study, _streams(bench, realization)
+    supports = _supports(study, realization)
+    layout = replace(bench.layout, supports=supports, plant=bench.plants.get(model))
+    return draw_case(study.disturbance, population, layout, study.study.seed, realization, streams)
+
+
+def _supports(study: SegmentStudy, realization: int) -> Supports | None:
+    """Return the model of the supports that a realization has, which all disturbances share."""
+    uncertain = study.structure.uncertain if study.structure else None
+    if uncertain is None:
+        return None
+    key = (study.study.seed, STREAM, realization // uncertain.repeats)
+    return Supports(uncertain.frequency, uncertain.damping, uncertain.supports == "apart", key)
+
+
+def way_between(
+    bench: Bench, population: Disturbance, realization: int, time: Array, motion: Motion
+) -> Array | None:
+    """Return the line of sight from each instant of a realization back to the one before, (n, m, 2) in rad.
+
+    Only as far as it moves by itself; None if it does not. Of histories from files it is linear between rows.
+    """
+    at = times_between(time, population.duration_s)
+    sight = _sight_at(bench, population, realization, at[:, ::-1].ravel())  # evenly spaced, ascending
+    way = None if sight is None else sight.reshape(*at.shape, 2)[:, ::-1]
+    if all(one.instants_of_file() is None for one in parts(bench.study.disturbance, population)):
+        return way
+    given = motion.mount + motion.m2
+    if way is None:
+        return around_rows(time, np.arange(len(time)), given) if given.any() else None
+    given = given - way[:, 0]
+    return way + np.stack([np.interp(at, time, given[:, axis]) for axis in (0, 1)], axis=-1)
+
+
+def _sight_at(bench: Bench, population: Disturbance, realization: int, time: Array) -> Array | None:
+    """Return the line of sight (n, 2) of a realization at any instants, rad; None if it rests."""
+    study, streams = bench.study, _streams(bench, realization)
+    populations, seed = study.disturbance, study.study.seed
+    return draw_sight(populations, population, bench.layout, seed, realization, streams, time)
+
+
+def _streams(bench: Bench, realization: int) -> Streams:
+    plan = sampling_plan(bench.text) if bench.study.rare is None else rare_cases(bench.text)
+    return plan.of(realization)

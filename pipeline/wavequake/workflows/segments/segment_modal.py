@@ -25,7 +25,7 @@ from wavequake.optics.segments import modal
 from wavequake.optics.segments.modal import Forms, ModalModel
 from wavequake.optics.wavefronts.quality import meets_marechal
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis
-from wavequake.workflows.segments.case_pattern import slots
+from wavequake.workflows.segments.launches import slots
 from wavequake.workflows.segments.segment_draws import draw_realization, sampling_plan
 from wavequake.workflows.segments.segment_model import knows, model_of, motion_rows
 from wavequake.workflows.segments.segment_template import computed

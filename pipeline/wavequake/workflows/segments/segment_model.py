@@ -16,8 +16,10 @@ Array = NDArray[np.float64]
 
 
 @prepared(maxsize=2)
-def model_of(study_text: str, device_name: str) -> ModalModel:
+def model_of(study_text: str, device_name: str, others: tuple[int, ...] = ()) -> ModalModel:
     """Return the modal model of a study, for the degrees of freedom in which its disturbances move segments.
+
+    They may be moved in `others` besides.
 
     Raises
     ------
@@ -26,12 +28,12 @@ def model_of(study_text: str, device_name: str) -> ModalModel:
     """
     bench = bench_of(study_text)
     study = bench.study
-    moved: set[int] = set()
+    moved = set(others)
     for population in study.disturbance:
         time = instants_of(study.disturbance, population.model_copy(update={"instants": TILE}))
         motion = draw_case(study.disturbance, population, bench.layout, study.study.seed, 0, time=time)
         moved |= set(np.flatnonzero(motion.segment_motion.any(axis=(0, 1))).tolist())
-        moved |= {RIGID + term for term in np.flatnonzero(motion.segment_figure.any(axis=0)).tolist()}
+        moved |= {RIGID + term for term in np.flatnonzero(_any_term(motion.segment_figure)).tolist()}
     with threadpool_limits(1):  # their number decides the last bits
         return modal_model(bench.prepared, choose_device(device_name), bench.field, tuple(sorted(moved)))
 
@@ -44,8 +46,8 @@ def motion_rows(bench: Bench, model: ModalModel, motion: Motion, rows: int) -> A
     for column, dof in enumerate(model.dofs):
         if dof < RIGID:
             local[:, column] = motion.segment_motion[:, :, dof] * (MM_PER_M if dof < 3 else 1.0)
-        elif dof - RIGID < motion.segment_figure.shape[1]:
-            local[:, column] = motion.segment_figure[:, dof - RIGID] * MM_PER_M
+        elif dof - RIGID < motion.segment_figure.shape[-1]:
+            local[:, column] = motion.segment_figure[..., dof - RIGID] * MM_PER_M
     found[:count, :-COMMON] = local.reshape(count, -1)
     found[:count, -COMMON:-2] = motion.m2 @ bench.m2_tilt.T
     found[:count, -2:] = motion.mount
@@ -55,6 +57,12 @@ def motion_rows(bench: Bench, model: ModalModel, motion: Motion, rows: int) -> A
 def knows(model: ModalModel, motion: Motion) -> bool:
     """Return whether the model knows all that moves."""
     rigid = [dof for dof in range(RIGID) if dof not in model.dofs]
-    terms = [term for term in range(motion.segment_figure.shape[1]) if RIGID + term not in model.dofs]
-    moved = motion.segment_motion[..., rigid].any() or motion.segment_figure[:, terms].any()
-    return not (moved or any(values.any() for values in motion.rigid.values()))
+    terms = [term for term in range(motion.segment_figure.shape[-1]) if RIGID + term not in model.dofs]
+    moved = motion.segment_motion[..., rigid].any() or motion.segment_figure[..., terms].any()
+    named = (*motion.rigid.values(), *motion.figure.values())
+    return not (moved or any(values.any() for values in named))
+
+
+def _any_term(figure: Array) -> NDArray[np.bool_]:
+    """Return which terms (terms,) any segment has at any instant."""
+    return np.asarray(figure.any(axis=tuple(range(figure.ndim - 1))))

@@ -26,14 +26,13 @@ from wavequake.reduction.metrics import eps_mor, frobenius, pseudo_frequencies, 
 from wavequake.reduction.names import parse
 from wavequake.reduction.two_stage import check_variants
 from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.mirrors.segment_body import NM_PER_MM, height_rows
 from wavequake.workflows.segments.bench import Bench, bench_of
 from wavequake.workflows.segments.images import summed_images
 from wavequake.workflows.segments.segment_mor_bench import (
-    NM_PER_MM,
     SegmentModel,
     chosen_segments,
     frequencies_of,
-    height_rows,
     model_of,
     motions,
     reduced,

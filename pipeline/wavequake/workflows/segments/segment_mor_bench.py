@@ -1,8 +1,7 @@
 """What a ``segment-mor`` study prepares once per process: telescope, segment model, maps to the optics."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,37 +11,36 @@ from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.motion import generator
 from wavequake.mechanics.disturbances.sources.static_random import StaticRandom
-from wavequake.mechanics.mirrors.material import Material
-from wavequake.mechanics.mirrors.models import HexagonalSegment, hexagonal_segment, on_springs
-from wavequake.mechanics.model import FiniteElementModel, RayleighDamping, ReducedModel
+from wavequake.mechanics.model import ReducedModel
 from wavequake.mechanics.vibration.drive import Drive
 from wavequake.mechanics.vibration.excitations import AnyExcitation, RandomVibration, drive_of
 from wavequake.mechanics.vibration.modal import modal_model
 from wavequake.mechanics.vibration.response import displacements, respond
-from wavequake.optics.segments.layout import Segments, is_monolithic
-from wavequake.optics.segments.telescope import SegmentedTelescope
-from wavequake.optics.shapes.fit import SurfaceFit, apply, separate_pose, surface_fit
-from wavequake.optics.shapes.shapes import Conic
 from wavequake.prepared import prepared
-from wavequake.reduction.intermediate import Intermediate, intermediate
 from wavequake.reduction.metrics import eps_mor, full_receptance, receptance
-from wavequake.reduction.names import parse
-from wavequake.reduction.two_stage import covers, reduce_variants, reference
-from wavequake.workflows.mirrors.mirror_study import FULL
-from wavequake.workflows.mirrors.model_store import digest, kept_arrays, kept_intermediate
+from wavequake.reduction.two_stage import reference
+from wavequake.workflows.mirrors.model_store import digest, kept_arrays
+from wavequake.workflows.mirrors.segment_body import (
+    SegmentBody,
+    height_rows,
+    motion_rows,
+    segment_body,
+    stage_record,
+    variant_of,
+)
 from wavequake.workflows.segments.bench import Bench, bench_of
 from wavequake.workflows.segments.segment_mor_study import SegmentMorStudy
 from wavequake.workflows.segments.segment_study import (
     ImagingSection,
-    OpticsSection,
     SegmentStudy,
     WavefrontSection,
 )
+from wavequake.workflows.segments.telescope_section import OpticsSection
 from wavequake.workflows.segments.vignetting import require_all_rays
 
 Array = NDArray[np.float64]
 
-MM_PER_M, NM_PER_MM = 1e3, 1e6
+MM_PER_M = 1e3
 # Segments whose responses are held at once.
 _BLOCK = 32
 # How far a corner may stand off its place of a regular hexagon: segments of a curved mirror are not regular.
@@ -51,30 +49,19 @@ _MOUNTS = 0.6
 
 
 @dataclass(frozen=True)
-class SegmentModel:
+class SegmentModel(SegmentBody):
     """The segment of a study, its optical fit, and the answers of its reference.
 
     Attributes
     ----------
     bench : Bench
         The telescope.
-    stage : Intermediate
-    full : callable
-        Builds the finite-element model, for variants that the intermediate one does not cover.
-    fit : SurfaceFit
-        Of the figure over the segment's circle, in the segment's local frame.
-    turn : float
-        Angle in rad from the local x axis to the first corner, which is the x axis of the model.
     reference : ReducedModel
     mechanical, optical : ndarray
         Transfer matrices of the reference, (f, 9, 9) in m/N and (f, J, 9) in nm/N.
     """
 
     bench: Bench
-    stage: Intermediate
-    full: Callable[[], FiniteElementModel]
-    fit: SurfaceFit
-    turn: float
     reference: ReducedModel
     mechanical: NDArray[np.complex128]
     optical: NDArray[np.complex128]
@@ -116,37 +103,18 @@ def model_of(text: str) -> SegmentModel:
         study = study_of(text)
         bench = bench_of(telescope_study(study).identity_text())
         require_all_rays(bench.stopped, "so that there are no wavefronts of all segments to compare")
-        side, turn = hexagon_of(bench.system)
-        record = _stage_record(study, bench.system)
-        build = partial(build_segment, study, side, bench.system.primary_radius)
-        full = prepared(maxsize=1)(build)
-        stage = kept_intermediate(
-            digest(record), lambda: intermediate(full(), highest=study.reduction.last_hz)
-        )
-        fit = figure_fit(study, bench.system, stage, side, turn)
-        name = study.reduction.reference
-        chosen = reference(stage) if name == FULL else _variant(stage, full, name)
-        frequencies = frequencies_of(study)
+        body = segment_body(study.model, bench.system, study.reduction.last_hz, study.segments.figure_terms)
+        chosen, frequencies = variant_of(body, study.reduction.reference), frequencies_of(study)
         return SegmentModel(
+            stage=body.stage,
+            full=body.full,
+            fit=body.fit,
+            turn=body.turn,
             bench=bench,
-            stage=stage,
-            full=full,
-            fit=fit,
-            turn=turn,
             reference=chosen,
             mechanical=receptance(chosen, frequencies),
-            optical=receptance(chosen, frequencies, height_rows(fit, turn, chosen)),
+            optical=receptance(chosen, frequencies, height_rows(body.fit, body.turn, chosen)),
         )
-
-
-def _stage_record(study: SegmentMorStudy, system: SegmentedTelescope) -> dict[str, object]:
-    """Return what determines the intermediate model."""
-    return {
-        "segment": study.model.model_dump(mode="json"),
-        "side_mm": hexagon_of(system)[0],
-        "parent_mm": system.primary_radius,
-        "highest_hz": study.reduction.last_hz,
-    }
 
 
 def frequencies_of(study: SegmentMorStudy) -> Array:
@@ -170,110 +138,9 @@ def traced_instants(study: SegmentMorStudy) -> NDArray[np.int64]:
     return np.asarray(places, dtype=np.int64)
 
 
-def hexagon_of(system: SegmentedTelescope) -> tuple[float, float]:
-    """Return the side of the largest segment in mm, and the angle in rad of a corner to the local x axis.
-
-    Raises
-    ------
-    UserError
-        If the segments are not hexagons that all lie alike in their local frames.
-    """
-    segments = system.segments
-    if not is_monolithic(segments) and segments.corners.shape[1] == 6:
-        angles = np.exp(6j * _corner_angles(segments))
-        turn = float(np.angle(angles.mean())) / 6
-        if np.abs(np.angle(angles * np.exp(-6j * turn))).max() / 6 <= np.deg2rad(_SKEW_DEG):
-            radii = np.linalg.norm(segments.corners - segments.centers[:, None, :2], axis=2)
-            return float(radii.max()), turn if turn > -np.deg2rad(_SKEW_DEG) else turn + np.pi / 3
-    raise UserError(
-        f"The segments of the telescope {system.name} are not hexagons that lie alike in their local frames; "
-        "segment-mor models such segments: choose tmt, tmt-18 or jwst."
-    )
-
-
-def _corner_angles(segments: Segments) -> Array:
-    """Return the angles (S, 6) of the corners in the segments' local frames, rad."""
-    across = segments.corners - segments.centers[:, None, :2]
-    # Corners are lifted onto the tangent plane: their height is what their normal leaves no other choice.
-    normal = segments.axes[:, None, :, 2]
-    height = -np.sum(across * normal[..., :2], axis=2) / normal[..., 2]
-    corners = np.concatenate([across, height[..., None]], axis=2)
-    local = np.einsum("svk,skl->svl", corners, segments.axes)
-    return np.asarray(np.arctan2(local[..., 1], local[..., 0]))
-
-
-def build_segment(study: SegmentMorStudy, side: float, parent_radius: float) -> FiniteElementModel:
-    """Return the finite-element model of a segment, on its springs if it has any; `side`, radius in mm."""
-    section = study.model
-    side = side / MM_PER_M
-    mirror = HexagonalSegment(
-        side=side,
-        thickness=section.thickness_m,
-        parent_radius=abs(parent_radius) / MM_PER_M,
-        material=Material(section.youngs_modulus_pa, section.poisson_ratio, section.density_kg_m3),
-        mount_radius=section.mount_radius_m or _MOUNTS * side,
-        damping=RayleighDamping(section.damping_alpha, section.damping_beta),
-        divisions=section.divisions,
-        layers=section.layers,
-    )
-    model = hexagonal_segment(mirror)
-    return model if section.support == "rigid" else on_springs(model, section.spring_n_m)
-
-
-def figure_fit(
-    study: SegmentMorStudy, system: SegmentedTelescope, stage: Intermediate, side: float, turn: float
-) -> SurfaceFit:
-    """Return the fit of Zernike terms over the circle about the segment, in its local frame, mm."""
-    nodes = (stage.nodes[stage.surface_nodes] * MM_PER_M) @ _turned(turn).T
-    return surface_fit(
-        nodes[:, :2],
-        stage.surface_weights,
-        study.segments.figure_terms,
-        side,
-        0.0,
-        Conic(abs(system.primary_radius), -1.0),
-    )
-
-
-def _turned(angle: float) -> Array:
-    """Return the rotation about z that brings a vector of the model's frame into the local frame."""
-    cosine, sine = np.cos(angle), np.sin(angle)
-    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-
-
-def _shapes(fit: SurfaceFit, turn: float, model: ReducedModel) -> Array:
-    """Return what each coordinate of a model does to the surface nodes: (r, p, 3) in mm, local frame."""
-    shapes = (model.surface.T * MM_PER_M).reshape(model.order, len(fit.nodes), 3)
-    turned: Array = shapes @ _turned(turn).T
-    return turned
-
-
-def height_rows(fit: SurfaceFit, turn: float, model: ReducedModel) -> Array:
-    """Return the Noll coefficients of the surface's heights, rigid motion included: (J, r) in nm per m."""
-    rows: Array = apply(fit, _shapes(fit, turn, model)).T * NM_PER_MM
-    return rows
-
-
-def motion_rows(fit: SurfaceFit, turn: float, model: ReducedModel) -> Array:
-    """Return rigid motion (mm, rad) and figure (mm) of a segment per coordinate of a model: (6 + J, r).
-
-    The rigid motion is the one that fits the displacements of the surface best; the figure, Noll coefficients
-    of the heights of what it leaves (Störkle 2018, Eq. 4.7 to 4.10), so that together nothing is counted
-    twice.
-    """
-    poses, rest = separate_pose(fit, _shapes(fit, turn, model))
-    rows: Array = np.concatenate([poses, apply(fit, rest)], axis=1).T
-    return rows
-
-
 def reduced(model: SegmentModel, variant: str) -> ReducedModel:
     """Return a variant of the segment's model."""
-    return _variant(model.stage, model.full, variant)
-
-
-def _variant(stage: Intermediate, full: Callable[[], FiniteElementModel], name: str) -> ReducedModel:
-    whole = None if covers(stage, parse(name)) else full()
-    return reduce_variants(stage, [name], whole)[0]
+    return variant_of(model, variant)
 
 
 def chosen_segments(study: SegmentMorStudy, bench: Bench, disturbed: str) -> NDArray[np.int64]:
@@ -394,5 +261,5 @@ def spot_check(text: str) -> tuple[Array, Array]:
             truth = full_receptance(model.full(), frequencies)
             return {"errors": eps_mor(truth, receptance(reference(model.stage), frequencies))}
 
-    record = {"check": frequencies.tolist(), **_stage_record(study, model.bench.system)}
+    record = {"check": frequencies.tolist(), **stage_record(study.model, model.bench.system, section.last_hz)}
     return frequencies, kept_arrays(digest(record), checked)["errors"]

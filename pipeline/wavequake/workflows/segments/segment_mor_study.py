@@ -6,8 +6,6 @@ from typing import Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from wavequake.campaign.schema import Section, StoreSection, Study, text_of
-from wavequake.mechanics.mirrors.material import GLASS_CERAMIC
-from wavequake.mechanics.mirrors.models import SEGMENT_SUPPORT
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.workflows.mirrors.mirror_study import (
     CriterionSection,
@@ -16,37 +14,9 @@ from wavequake.workflows.mirrors.mirror_study import (
     ReductionSection,
     TimeSection,
 )
-from wavequake.workflows.segments.segment_study import SegmentStudy, TelescopeSection
-
-
-class SegmentModelSection(Section):
-    """The segment: a hexagonal meniscus on three supports; its side is that of the telescope's segments."""
-
-    thickness_m: float = Field(default=0.045, gt=0)
-    mount_radius_m: float | None = Field(
-        default=None, gt=0, description="of the supports, toward every other corner; default: 0.6 of the side"
-    )
-    youngs_modulus_pa: float = Field(default=GLASS_CERAMIC.young, gt=0)
-    poisson_ratio: float = Field(default=GLASS_CERAMIC.poisson, gt=-1, lt=0.5)
-    density_kg_m3: float = Field(default=GLASS_CERAMIC.density, gt=0)
-    support: Literal["springs", "rigid"] = Field(
-        default="springs",
-        description="springs: displacements move their far ends; rigid: displacements are prescribed",
-    )
-    spring_n_m: tuple[float, float, float] = Field(
-        default=SEGMENT_SUPPORT, strict=False, description="of each support along x, y and z, N/m"
-    )
-    damping_alpha: float = Field(default=0.0, ge=0, description="1/s, times the mass")
-    damping_beta: float = Field(default=5e-6, ge=0, description="s, times the stiffness")
-    divisions: int = Field(default=10, ge=2, le=40, description="elements along a side: finer mesh")
-    layers: int = Field(default=1, ge=1, le=8, description="elements through the thickness")
-
-    @field_validator("spring_n_m")
-    @classmethod
-    def _springs_hold(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
-        if min(value) <= 0:
-            raise ValueError("a support needs three positive spring constants, or support = 'rigid'")
-        return value
+from wavequake.workflows.mirrors.segment_section import SegmentModelSection
+from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.segments.telescope_section import TelescopeSection
 
 
 class SegmentsSection(Section):

@@ -98,11 +98,11 @@ def rare_cases(study_text: str) -> RareCases:
         limit = float(np.sqrt(limit_of(form, section.probability)))
     else:
         limit = section.limit
-    chance = exceedance(form, limit**2)
+    chance = exceedance(form, limit * limit)  # which is infinite from 1e155 on, not an error
     if not 0.0 < chance < _RARE:
         unit = str(template(study_text).per_case[judged.variable].attrs["units"])
         raise UserError(_common(form, limit, chance, unit))
-    tilt = tilt_to(form, limit**2)
+    tilt = tilt_to(form, limit * limit)
     return RareCases(motions, tilt, limit, chance, bench.study.study.seed, population.name + _STREAM)
 
 

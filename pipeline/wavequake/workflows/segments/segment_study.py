@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     Field,
@@ -13,114 +13,23 @@ from pydantic import (
 )
 
 from wavequake.campaign.schema import Section, StoreSection, Study, text_of
+from wavequake.chain.images.camera import DetectorSection, SharedImagingSection
+from wavequake.chain.images.extended import ObjectSection
+from wavequake.chain.images.picture import embed_picture
 from wavequake.chain.sampling import SampledCampaignSection, whole_sets
 from wavequake.chain.sources import read_source_files
-from wavequake.kernels.trace.status import MOST_SURFACES
+from wavequake.chain.uncertain import UncertainModes, require_independent_sets
+from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.registry import Combine, Disturbance, with_own_axes
+from wavequake.mechanics.disturbances.sources.base_motion import SegmentShaking
+from wavequake.mechanics.disturbances.sources.segment_wind import SegmentWind
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.shapes.polygon_table import read_polygons
-
-
-class SurfaceSection(Section):
-    """One surface of a custom telescope after M1 (the last one is the image plane)."""
-
-    name: str
-    radius_mm: float | None = Field(
-        default=None, description="None is a plane; positive if the center lies on +z"
-    )
-    conic: float = 0.0
-    distance_mm: float = Field(description="along the light from the previous surface", gt=0)
-    tilt_deg: float = Field(default=0.0, gt=-90, lt=90, description="of a fold mirror about its y axis")
-    semi_diameter_mm: float | None = Field(
-        default=None, gt=0, description="light beyond it is vignetted; None is a mirror without an edge"
-    )
-
-
-class TelescopeSection(Section):
-    """Which telescope, and what may be changed of it."""
-
-    name: Literal["tmt", "tmt-18", "tmt-thesis", "jwst", "custom"]
-    side_mm: float | None = Field(default=None, gt=0, description="tmt-18: side length of the hexagons")
-    gap_mm: float | None = Field(default=None, ge=0, description="tmt, tmt-18: gap between the segments")
-    polygons: str | None = Field(
-        default=None, exclude=True, description="custom: CSV file of polygons (read when the study is loaded)"
-    )
-    polygons_csv: str | None = Field(default=None, description="custom: the text of that file")
-    corners: str | None = Field(
-        default=None,
-        exclude=True,
-        description="tmt, tmt-18, jwst: CSV file segment,corner,dx_mm,dy_mm of displaced corners of glass; "
-        "corners count from 1, counter-clockwise (read when the study is loaded)",
-    )
-    corners_csv: str | None = Field(default=None, description="the text of that file")
-    primary_radius_mm: float | None = Field(
-        default=None, lt=0, description="custom: radius of M1, concave < 0"
-    )
-    primary_conic: float = -1.0
-    surfaces: tuple[SurfaceSection, ...] = Field(default=(), strict=False, max_length=MOST_SURFACES)
-
-    @model_validator(mode="after")
-    def _keys_fit_the_telescope(self) -> "TelescopeSection":
-        owners = {
-            "side_mm": ("tmt-18",),
-            "gap_mm": ("tmt", "tmt-18"),
-            "corners": ("tmt", "tmt-18", "jwst"),
-            "corners_csv": ("tmt", "tmt-18", "jwst"),
-            "polygons": ("custom",),
-            "polygons_csv": ("custom",),
-            "primary_radius_mm": ("custom",),
-            "surfaces": ("custom",),
-            "primary_conic": ("custom",),
-        }
-        for key, names in owners.items():
-            default = type(self).model_fields[key].default
-            if getattr(self, key) != default and self.name not in names:
-                raise ValueError(f"{key} belongs to the telescope {' or '.join(names)}, not to {self.name}")
-        if self.name == "custom":
-            for key in ("primary_radius_mm", "surfaces"):
-                if getattr(self, key) in (None, ()):
-                    raise ValueError(f"a custom telescope needs {key}")
-            if self.polygons is None and self.polygons_csv is None:
-                raise ValueError("a custom telescope needs polygons, a CSV file")
-        return self
-
-
-class OpticsSection(Section):
-    """Light and rays."""
-
-    wavelength_nm: float = Field(default=550.0, gt=0, le=1e6)
-    sampling: Literal["segments", "sunflower"] = Field(
-        default="segments",
-        description="rays over all glass, or over the annulus of the pupil; the glass of tmt-18 reaches to "
-        "1.21 times the radius of its annulus, where the polynomials are not orthogonal: "
-        "take sunflower where its coefficients matter",
-    )
-    rays_per_segment: Literal[6, 18, 36, 72] = Field(
-        default=18,
-        description="of a hexagon, six triangles: 18 for piston and tilt; "
-        "36 for figures j <= 6, 72 for higher ones and for few, large segments",
-    )
-    rays: int = Field(default=2000, ge=10, le=2_000_000, description="sunflower: rays over the annulus")
-    field_arcmin: tuple[float, float] = Field(
-        default=(0.0, 0.0), strict=False, description="of the star; the image plane stays, not refocused"
-    )
-    method: Literal["standard", "modal"] = Field(
-        default="standard",
-        description="of segment-disturbance: trace every instant, or take wavefronts from derivatives that "
-        "are traced once (modal: for up to millions of cases of small motions; no images)",
-    )
-    modal_tolerance_nm: float = Field(
-        default=0.1,
-        gt=0,
-        description="modal: a case whose OPD may miss this much of second order (rms) is traced in full",
-    )
-    modal_sample: float = Field(
-        default=0.001,
-        ge=0,
-        le=1,
-        description="modal: share of cases that are traced besides, to measure the error; the first 100 "
-        "cases always are",
-    )
+from wavequake.workflows.asked_sections import AllowSection, BudgetSection
+from wavequake.workflows.mirrors.compared_models import ComparedSection
+from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.mirrors.segment_section import ElasticSegmentSection
+from wavequake.workflows.segments.telescope_section import PLACES, OpticsSection, TelescopeSection
 
 
 class WavefrontSection(Section):
@@ -155,7 +64,7 @@ def require_path_lengths(method: str, reference: str) -> None:
         raise ValueError("reference = 'fitted' needs path lengths; choose method = 'opd' for it")
 
 
-class ImagingSection(Section):
+class ImagingSection(SharedImagingSection):
     """The exposure of each case: mean of its instants' point spread functions."""
 
     enabled: bool = Field(default=True, description="false: no exposures, which are most of the work")
@@ -164,6 +73,26 @@ class ImagingSection(Section):
     moments: Literal["auto", 1, 6, 15] = Field(
         default="auto", description="1: piston, 6/15: tip and tilt to 2nd/4th order"
     )
+    wavelengths_nm: tuple[Annotated[float, Field(gt=0)], ...] | None = Field(
+        default=None,
+        strict=False,
+        min_length=1,
+        max_length=33,
+        description="colors of the images; default: that of optics.wavelength_nm, whose lambda/D is the unit",
+    )
+    weights: tuple[Annotated[float, Field(ge=0)], ...] | None = Field(
+        default=None, strict=False, description="light of each color; default: the same of all"
+    )
+
+    _new: ClassVar = (*SharedImagingSection._new, "wavelengths_nm", "weights")
+
+    @model_validator(mode="after")
+    def _colors_have_light(self) -> "ImagingSection":
+        if self.weights is not None and (
+            len(self.weights) != len(self.wavelengths_nm or ()) or not sum(self.weights) > 0.0
+        ):
+            raise ValueError("weights has one number for each of wavelengths_nm, and one above 0")
+        return self
 
 
 class RareSection(Section):
@@ -186,6 +115,20 @@ class RareSection(Section):
         return self
 
 
+class UncertainSupports(UncertainModes):
+    """What is not known of the segments' supports: every model that is drawn has others."""
+
+    supports: Literal["alike", "apart"] = Field(
+        default="alike", description="off by the same at all segments, or at each by itself"
+    )
+
+
+class SegmentStructureSection(Section):
+    """The supports of the segments, on which segment-wind pushes."""
+
+    uncertain: UncertainSupports
+
+
 class SegmentStoreSection(StoreSection):
     """Where the results go, and what of them is kept."""
 
@@ -202,18 +145,30 @@ class SegmentStudy(Study):
 
     campaign: SampledCampaignSection = SampledCampaignSection()
     telescope: TelescopeSection
+    segment: ElasticSegmentSection | None = None
     disturbance: tuple[Disturbance, ...] = Field(min_length=1, strict=False)
     optics: OpticsSection = OpticsSection()
     wavefront: WavefrontSection = WavefrontSection()
     imaging: ImagingSection = ImagingSection()
     store: SegmentStoreSection = SegmentStoreSection()
     rare: RareSection | None = None
+    allow: AllowSection | None = None
+    detector: DetectorSection | None = None
+    object: ObjectSection | None = None
+    budget: BudgetSection | None = None
+    structure: SegmentStructureSection | None = None
+    reduction: ComparedSection | None = None
+
+    asked: ClassVar[frozenset[str]] = frozenset({"allow", "budget"})
 
     @model_serializer(mode="wrap")
-    def _no_rare_section_where_there_is_none(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _no_sections_where_there_are_none(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         record: dict[str, Any] = handler(self)
-        if self.rare is None:
-            record.pop("rare", None)
+        absent = ["rare", "detector", "segment", "structure", "reduction"]
+        absent += ["object"] * (self.study.workflow != "telescope-exposure")  # which always says it
+        for key in absent:
+            if getattr(self, key) is None:
+                record.pop(key, None)
         return record
 
     @field_validator("disturbance")
@@ -244,6 +199,10 @@ class SegmentStudy(Study):
     @model_validator(mode="after")
     def _sections_fit_each_other(self) -> "SegmentStudy":
         store, wavefront = self.store, self.wavefront
+        if self.segment is not None and not any(isinstance(one, SegmentShaking) for one in self.disturbance):
+            raise ValueError(
+                "the section segment belongs to model = 'segment-shaking'; add such a disturbance"
+            )
         modal = self.optics.method == "modal"
         if self.study.workflow == "segment-disturbance":
             whole_sets(self.campaign, [entry.share for entry in self.disturbance])
@@ -258,15 +217,95 @@ class SegmentStudy(Study):
             )
         if modal and self.imaging.enabled:
             raise ValueError("optics.method = 'modal' makes no images; set imaging.enabled = false")
+        self._places_can_be_several()
         if modal and (wavefront.method != "opd" or wavefront.reference != "chief"):
             raise ValueError(
                 "optics.method = 'modal' needs wavefront.method = 'opd' and wavefront.reference = 'chief'"
             )
+        self._camera_has_images()
+        if self.reduction is not None:
+            self._models_can_be_compared()
+        if self.structure is not None:
+            self._supports_are_shaken(self.structure.uncertain)
         if self.rare is not None:
             self._rare_cases_can_be_drawn()
+        for name in sorted(self.asked):
+            if getattr(self, name) is not None and self.study.workflow != "segment-disturbance":
+                raise ValueError(f"{name} belongs to the workflow segment-disturbance")
         if store.reduce == "summary" and store.keep:
             raise ValueError("store.reduce = 'summary' keeps nothing over time; leave store.keep out")
         return self
+
+    def _places_can_be_several(self) -> None:
+        for one, several in self.optics.alternatives:
+            if getattr(self.optics, several) is None:
+                continue
+            if self.study.workflow != "segment-disturbance" or self.optics.method == "modal":
+                raise ValueError(
+                    f"optics.{several} belongs to the workflow segment-disturbance, with optics.method = "
+                    f"'standard'; give one optics.{one}"
+                )
+            if self.rare is not None:
+                raise ValueError(f"rare needs one of them: give optics.{one}, not {several}")
+        if self.optics.wavelengths_nm is not None and self.imaging.wavelengths_nm is not None:
+            raise ValueError(
+                "imaging.wavelengths_nm adds colors to one image, optics.wavelengths_nm makes images of each "
+                "color; choose one"
+            )
+
+    def require_one_place(self, what: str) -> None:
+        """Raise UserError, naming what is of one field point and wavelength, if there are several."""
+        for (one, several), words in zip(self.optics.alternatives, PLACES, strict=True):
+            if getattr(self.optics, several) is not None:
+                raise UserError(
+                    f"{what} of one {words}: choose one by optics.{one} in the place of optics.{several}."
+                )
+
+    def _camera_has_images(self) -> None:
+        given = [f"imaging.{key}" for key in self.imaging._new if getattr(self.imaging, key)]
+        given += ["detector"] * (self.detector is not None)
+        if self.object is not None:
+            self.object.chosen()
+            given += ["object"] * (self.study.workflow != "telescope-exposure")
+        if given and self.study.workflow != "segment-disturbance":
+            raise ValueError(f"{given[0]} belongs to the workflow segment-disturbance")
+        if given and not self.imaging.enabled:
+            raise ValueError(f"{given[0]} is of images; leave imaging.enabled = false out")
+        shortest = min(self.imaging.wavelengths_nm or self.optics.colors_nm)
+        if self.imaging.sampling * self.optics.wavelength_nm > 0.5 * shortest * (1.0 + 1e-9):
+            raise ValueError(
+                f"imaging.sampling must be at most {0.5 * shortest / self.optics.wavelength_nm:.3g} for "
+                f"{shortest:g} nm: half of its lambda/D"
+            )
+
+    def _models_can_be_compared(self) -> None:
+        if self.study.workflow != "segment-disturbance" or self.optics.method == "modal" or self.rare:
+            raise ValueError(
+                "reduction belongs to the workflow segment-disturbance, with optics.method = 'standard' and "
+                "without rare"
+            )
+        if self.segment is None or self.segment.reduced != FULL:
+            raise ValueError(
+                "reduction compares models of elastic segments with the full one: add the section segment, "
+                "without segment.reduced"
+            )
+        if self.campaign.sampling != "random":
+            raise ValueError("reduction draws every case at random; leave campaign.sampling out")
+
+    @property
+    def compared(self) -> tuple[str, ...]:
+        """Models of the segments that are compared, the full one first; a draw is a case with each."""
+        return (FULL, *self.reduction.variants) if self.reduction is not None else (FULL,)
+
+    def _supports_are_shaken(self, uncertain: UncertainSupports) -> None:
+        if self.study.workflow != "segment-disturbance":
+            raise ValueError("structure belongs to the workflow segment-disturbance")
+        if not any(isinstance(entry, SegmentWind) for entry in self.disturbance):
+            raise ValueError(
+                "structure.uncertain is of the segments' supports, on which segment-wind pushes; this study "
+                "has no such disturbance"
+            )
+        require_independent_sets(uncertain, self.campaign.sampling)
 
     def _rare_cases_can_be_drawn(self) -> None:
         if self.study.workflow != "segment-disturbance" or self.optics.method == "modal":
@@ -308,3 +347,12 @@ class SegmentStudy(Study):
         if isinstance(telescope, dict) and isinstance(telescope.get("corners"), str):
             telescope["corners_csv"] = text_of(base / telescope["corners"], "telescope.corners")
         read_source_files(record, base)
+        embed_picture(record, base)
+
+
+def without_images(study: SegmentStudy) -> SegmentStudy:
+    """Return a study without its images and what a camera makes of them, all else alike."""
+    fields = ImagingSection.model_fields
+    plain = {key: fields[key].default for key in ImagingSection._new} | {"enabled": False}
+    imaging = study.imaging.model_copy(update=plain)
+    return study.model_copy(update={"imaging": imaging, "detector": None, "object": None})

@@ -1,18 +1,28 @@
 """What a store of the workflow ``segment-disturbance`` holds: names, dimensions, units."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.campaign.contract import Template, Variable
+from wavequake.campaign.contract import Fixed, Template, Variable
 from wavequake.campaign.engine.chunk_size import stored_bytes
+from wavequake.campaign.measures import Axis, template_of
+from wavequake.chain.images.camera import camera_axes, camera_measures
+from wavequake.chain.images.extended import lit_object_words
 from wavequake.prepared import prepared
-from wavequake.workflows.segments.bench import Bench, bench_of, in_basis
-from wavequake.workflows.segments.images import image_axis
+from wavequake.workflows.segments.bench import Bench, bench_of, benches_of, field_names, in_basis
+from wavequake.workflows.segments.exposures import object_at_rest
+from wavequake.workflows.segments.images import camera_of, image_axis
+from wavequake.workflows.segments.judged_models import error_variables
 from wavequake.workflows.segments.segment_study import SegmentStudy
 
-IMAGED = ("exposure", "peak", "ee50", "ee80")
+Array = NDArray[np.float64]
+
+IMAGED = ("exposure", "peak", "ee50", "ee80", "exposure_focus", "object_image")
+# What is the same at all field points and wavelengths.
+OF_ALL_PLACES = ("time_s", "segment_piston_rms", "segment_motion")
 # What the modal model does not know.
 TRACED_ONLY = ("wfe_pv", "spot_rms", "strehl", "rayleigh", "vignetted", *IMAGED)
 
@@ -40,6 +50,48 @@ def computed(study_text: str) -> dict[str, Variable]:
 @prepared(maxsize=2)
 def traced(study_text: str) -> dict[str, Variable]:
     """Return what full traces, and images if the study wants them, tell of each case."""
+    variables, places = of_one_place(study_text), places_of(bench_of(study_text).study)
+    found = {
+        name: one if name in OF_ALL_PLACES else _at_places(one, places) for name, one in variables.items()
+    }
+    study = bench_of(study_text).study
+    return found | (error_variables(study, places) if study.reduction is not None else {})
+
+
+def places_of(study: SegmentStudy) -> dict[str, int]:
+    """Return the dimensions of field points and wavelengths, where a study has them, and their lengths."""
+    optics, found = study.optics, {}
+    if optics.fields_arcmin is not None:
+        found["field"] = len(optics.fields_arcmin)
+    if optics.wavelengths_nm is not None:
+        found["wavelength"] = len(optics.wavelengths_nm)
+    return found
+
+
+def over_places(places: dict[str, int], parts: Sequence[Array], axis: int) -> Array:
+    """Return arrays, of each place one, as one array whose dimensions of places begin at an axis."""
+    whole = np.stack(parts, axis=axis)
+    return whole.reshape(*whole.shape[:axis], *places.values(), *whole.shape[axis + 1 :])
+
+
+def _at_places(one: Variable, places: dict[str, int]) -> Variable:
+    """Return a variable at several places: after its instants, before the rest."""
+    axis = place_axis(one)
+    return replace(
+        one,
+        dims=(*one.dims[:axis], *places, *one.dims[axis:]),
+        shape=(*one.shape[:axis], *places.values(), *one.shape[axis:]),
+    )
+
+
+def place_axis(one: Variable) -> int:
+    """Return where places stand among the dimensions of a variable of one of them."""
+    return int(one.dims[:1] == ("time",))
+
+
+@prepared(maxsize=2)
+def of_one_place(study_text: str) -> dict[str, Variable]:
+    """Return what is told of each case at one field point and wavelength."""
     bench = bench_of(study_text)
     variables = _variables(bench)
     imaging = bench.study.imaging.enabled
@@ -184,6 +236,20 @@ def _variables(bench: Bench) -> dict[str, Variable]:
             "mean of the instants' point spread functions; 1 = peak of the perfect one",
         ),
     }
+    if study.imaging.focus_um:
+        per_case["exposure_focus"] = variable(
+            ("focus", "y", "x"),
+            (len(study.imaging.focus_um), pixels, pixels),
+            "1",
+            "exposure in planes behind the image; 1 = peak of the perfect image",
+        )
+    if study.object is not None:
+        words = "exposed image of " + lit_object_words(study.object)
+        per_case["object_image"] = variable(("y", "x"), (pixels, pixels), "1", words)
+    if study.imaging.resolution or study.detector is not None:
+        cameras = camera_measures(study.imaging.resolution, study.detector, ())
+        axes = {"axis": Axis(2), **camera_axes(camera_of(bench))}
+        per_case |= template_of(cameras, axes).per_case
     if "segment_motion" in study.store.keep:
         shape = (instants, len(bench.system.segments), 6)
         per_case["segment_motion"] = variable(
@@ -195,10 +261,11 @@ def _variables(bench: Bench) -> dict[str, Variable]:
     return per_case
 
 
-def _fixed(bench: Bench) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]]:
+def _fixed(bench: Bench) -> dict[str, Fixed]:
     axis = image_axis(bench)
-    wavelength = bench.study.optics.wavelength_nm
-    fixed: dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]] = {
+    benches, places = benches_of(bench.text), places_of(bench.study)
+    rest = [in_basis(one, one.static.zernike[0]) * one.wavelength_nm for one in benches]
+    fixed: dict[str, Fixed] = {
         "noll": (
             ("noll",),
             np.arange(1, bench.study.wavefront.zernike_terms + 1),
@@ -206,8 +273,8 @@ def _fixed(bench: Bench) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic]
         ),
         "axis": (("axis",), np.array(["x", "y"], dtype=object), {"long_name": "axis of the image plane"}),
         "zernike_static": (
-            ("noll",),
-            in_basis(bench, bench.static.zernike[0]) * wavelength,
+            (*places, "noll"),
+            over_places(places, rest, 0) if places else rest[0],
             {
                 "units": "nm",
                 "long_name": "Zernike coefficients at rest (a_0 of Störkle 2018, Eq. 3.41)",
@@ -215,9 +282,29 @@ def _fixed(bench: Bench) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic]
             },
         ),
     }
+    if (points := bench.study.optics.fields_arcmin) is not None:
+        fixed["field"] = (
+            ("field",),
+            np.array(field_names(points), dtype=object),
+            {"long_name": "field point"},
+        )
+        for name, values in zip(("field_x", "field_y"), np.array(points).T, strict=True):
+            words = {"units": "arcmin", "long_name": f"field point along {name[-1]}"}
+            fixed[name] = (("field",), values, words)
+    if (colors := bench.study.optics.wavelengths_nm) is not None:
+        fixed["wavelength"] = (("wavelength",), np.array(colors), {"units": "nm", "long_name": "wavelength"})
     if bench.study.imaging.enabled:
         for name in ("y", "x"):
             fixed[name] = ((name,), axis, {"units": "lambda/D", "long_name": f"image {name}"})
+        if focus := bench.study.imaging.focus_um:
+            words = {"units": "um", "long_name": "distance behind the image"}
+            fixed["focus"] = (("focus",), np.array(focus), words)
+        fixed.update(template_of((), camera_axes(camera_of(bench))).fixed)
+        if (shown := bench.study.object) is not None:
+            words = {"units": "1", "long_name": "image at rest of " + lit_object_words(shown)}
+            still = [object_at_rest(one) for one in benches]
+            whole = over_places(places, still, 0) if places else still[0]
+            fixed["object_static"] = ((*places, "y", "x"), whole, words)
     if "segment_motion" in bench.study.store.keep:
         fixed["segment"] = (
             ("segment",),

@@ -1,22 +1,22 @@
 """Sections of a study for bodies: what they are made of, what joins them, and reduced models to compare."""
 
-from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
-from wavequake.campaign.schema import Section, base64_of
-from wavequake.errors import UserError
+from wavequake.campaign.schema import Section
+from wavequake.chain.uncertain import UncertainModes
 from wavequake.mechanics.importers.checks import Triangle
-from wavequake.mechanics.importers.model import PADS, TRIANGLE, ZERO_ROWS, ImportedModel, Nodes
+from wavequake.mechanics.importers.model import PADS, TRIANGLE, ZERO_ROWS, Nodes
 from wavequake.mechanics.importers.pads import PadKind
-from wavequake.reduction.names import parse
+from wavequake.mechanics.nodal.modes import FORMATS as MODE_FILES
+from wavequake.workflows.mirrors.compared_models import ComparedSection, canonical
 from wavequake.workflows.mirrors.mirror_study import FULL
-from wavequake.workflows.mirrors.model_store import keep_imported
 
 Point = Annotated[tuple[float, float, float], Field(strict=False)]
 Points = dict[str, Point]
 Positive = Annotated[float, Field(gt=0)]
+Ratios = Annotated[tuple[float, ...], Field(strict=False)]
 Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _-]*$")]
 
 
@@ -153,11 +153,37 @@ class MatricesBodySection(ArraysBodySection):
 
 
 class ModesBodySection(ArraysBodySection):
-    """A table of modes in an .npz file, in the axes of the system, normalized to a modal mass of 1 kg.
+    """A table of modes in the axes of the system: frequencies, damping and shapes at nodes.
 
-    frequencies_hz (r), damping_ratios (r, or one number), nodes_mm (k, 3), shapes (r, k, 3 or 6):
-    displacements and rotations of the nodes; perhaps names (k). Six modes of 0 Hz make a free body.
+    An .npz file holds frequencies_hz (r), damping_ratios (r, or one number), nodes_mm (k, 3), shapes (r, k, 3
+    or 6): displacements and rotations of the nodes for a modal mass of 1 kg; perhaps names (k). In other
+    files nodes have their numbers as names. Six modes of 0 Hz make a free body.
     """
+
+    file: str | None = Field(default=None, exclude=True, description=MODE_FILES)
+    units: str | None = Field(
+        default=None,
+        exclude=True,
+        description="of .op2, .frd and .rst: length, mass, time, force, e.g. 'mm,t,s,N'",
+    )
+    mesh: str | None = Field(default=None, exclude=True, description="deck with the nodes of an .op2")
+    nodes: tuple[int, ...] = Field(
+        default=(), strict=False, exclude=True, description="numbers of those to keep; default: all"
+    )
+    damping_ratios: float | Ratios | None = Field(
+        default=None, exclude=True, description="of all modes, or of each; default: that of the file, or 0"
+    )
+    modal_masses: float | Ratios = Field(
+        default=1.0, exclude=True, description="of the shapes, in the unit of mass; one, or one of each"
+    )
+    figure_terms: int = Field(
+        default=0,
+        ge=0,
+        le=231,
+        description="Noll coefficients that are fitted to the nodes on the first surface, which moves with "
+        "them; 0: surfaces move by carries alone",
+    )
+    off_mm: float = Field(default=0.01, gt=0, description="how far nodes on that surface may lie from it")
 
 
 _KINDS = ("mirror", "imported", "rigid", "beams", "matrices", "modes")
@@ -245,6 +271,32 @@ class LinkSection(Section):
         return self
 
 
+class UncertainSection(UncertainModes):
+    """What is not known of the modes of the structure: every model that is drawn has others."""
+
+    shapes: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="angle in rad by which shapes of neighboring frequencies turn into each other",
+    )
+
+
+class MeasuredModeSection(Section):
+    """A mode whose frequency and damping were measured."""
+
+    number: int = Field(ge=1, description="of the mode, by frequency, from 1")
+    frequency_hz: float = Field(gt=0)
+    damping_ratio: float = Field(gt=0, lt=1)
+    frequency_error: float = Field(
+        default=0.0,
+        ge=0,
+        le=0.5,
+        description="of its logarithm; drawn with [structure.uncertain]",
+    )
+    damping_error: float = Field(default=0.0, ge=0, le=2, description="the same of the damping ratio")
+
+
 class StructureSection(Section):
     """What all bodies of mass have in common."""
 
@@ -258,59 +310,29 @@ class StructureSection(Section):
     last_hz: float = Field(
         default=1200.0, gt=0, description="up to which frequency full models of mirrors are accurate"
     )
+    uncertain: UncertainSection | None = None
+    mode: tuple[MeasuredModeSection, ...] = Field(default=(), strict=False)
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        record: dict[str, Any] = write(self)
+        return {key: one for key, one in record.items() if key not in ("uncertain", "mode") or one}
+
+    @field_validator("mode")
+    @classmethod
+    def _modes_are_named_once(cls, value: tuple[MeasuredModeSection, ...]) -> tuple[MeasuredModeSection, ...]:
+        numbers = [one.number for one in value]
+        twice = next((number for number in numbers if numbers.count(number) > 1), None)
+        if twice is not None:
+            raise ValueError(f"mode {twice} is given twice")
+        return value
 
 
-class ComparedModelsSection(Section):
+class ComparedModelsSection(ComparedSection):
     """Reduced models of elastic bodies that are compared: every draw is a case with each of them."""
 
-    variants: tuple[str, ...] = Field(min_length=1, strict=False, description="e.g. 'craigb36'")
     of: tuple[str, ...] = Field(
         default=(),
         strict=False,
         description="bodies that are reduced; default: all mirrors and imported ones",
     )
-    largest: float = Field(
-        default=0.01,
-        gt=0,
-        description="when a model is good enough: error of line of sight and wavefront, rms, in parts of "
-        "what the disturbance does with the full model",
-    )
-
-    @field_validator("variants")
-    @classmethod
-    def _variants_are_canonical(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        names = tuple(canonical(name) for name in value)
-        twice = next((name for name in names if names.count(name) > 1 or name == FULL), None)
-        if twice == FULL:
-            raise ValueError("the full model is compared anyway; leave 'full' out")
-        if twice:
-            raise ValueError(f"the variant {twice!r} is listed twice")
-        return names
-
-
-def canonical(name: str) -> str:
-    """Return the canonical name of a reduced model, or "full"; ValueError if it is none."""
-    try:
-        return name if name == FULL else str(parse(name))
-    except UserError as error:
-        raise ValueError(str(error).rstrip(".")) from None
-
-
-def read_body_files(record: dict[str, Any], base: Path) -> None:
-    """Add what the files of the bodies in a study's record hold."""
-    for entry in record.get("body") or ():
-        if not isinstance(entry, dict):
-            continue
-        for kind in ("matrices", "modes"):
-            section = entry.get(kind)
-            if isinstance(section, dict) and isinstance(section.get("file"), str):
-                section["file_npz"] = base64_of(
-                    base / section["file"], f"body.{entry.get('name')}.{kind}.file"
-                )
-        section = entry.get("imported")
-        if not isinstance(section, dict) or section.keys() - ImportedBodySection.model_fields.keys():
-            continue  # a misspelled key is said before what would be wrong without it
-        if isinstance(section.get("file"), str):
-            keys = {key: one for key, one in section.items() if key in ImportedModel.model_fields}
-            keys.setdefault("damping_beta", 0.0)
-            section["content"] = keep_imported(keys, base, f"body.{entry.get('name')}.imported")

@@ -25,7 +25,7 @@ from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.movable import Movable
 from wavequake.workflows.systems.system_bench import MM_PER_M, NM_PER_MM, SystemBench, system_bench
 from wavequake.workflows.systems.system_measure import measured_cases
-from wavequake.workflows.systems.system_study import SystemStudy
+from wavequake.workflows.systems.system_study import WITHOUT_IMAGES, SystemStudy
 
 Array = NDArray[np.float64]
 Label = tuple[str, str]  # element and axis
@@ -45,7 +45,7 @@ def system_movable(study: SystemStudy, measure: str, name: str) -> Movable:
     UserError
         If the measure has no allowances, or the disturbance moves what is no element.
     """
-    study = study.model_copy(update={"imaging": None, "object": None, "reduction": None})
+    study = study.model_copy(update={**WITHOUT_IMAGES, "reduction": None})
     text, seed = study.identity_text(), study.study.seed
     template = find_kind(study.study.workflow).template(text)
     judged = judged_of_template(measure, template)
@@ -81,6 +81,8 @@ def system_movable(study: SystemStudy, measure: str, name: str) -> Movable:
         form=form,
         moved=np.ones(len(labels), dtype=bool),
         idle=np.diag(form.square) <= floor,
+        lasting=np.zeros(len(labels), dtype=bool),
+        time=time,
         seed=seed,
         unit=str(template.per_case[judged.variable].attrs["units"]),
         gaussian=lambda: gaussian_motions(name, gaussian, time),

@@ -9,6 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.schema import study_from_identity
 from wavequake.chain.images.system import SystemImager, on_device, prepare_images
+from wavequake.chain.nodal import fitted, nodal_grids, nodal_sources
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY, choose_device
 from wavequake.kernels.trace.sequential import trace_sequence
@@ -95,6 +96,7 @@ def system_bench(study_text: str) -> SystemBench:
         layout = replace(layout_of(study, system), plant=plants.get(FULL))
         _require_elements(study, system, layout)
         system = _deformable(study, system, layout)
+        layout = replace(layout, moved=fitted(system, tuple(nodal_sources(study.disturbance))))
         prepared = tuple(
             tuple(_as_asked(study, one) for one in row)
             for row in prepared_fields(study, system, range(len(system.wavelengths)))
@@ -135,7 +137,7 @@ def _imager(
         for index, one in enumerate(row)
         if static[field][index].lost[0]
     }
-    return prepare_images(study.imaging, prepared, static, lit, study.object)
+    return prepare_images(study.imaging, prepared, static, lit, study.object, study.detector)
 
 
 def _arrives(prepared: PreparedSystem, rest: SystemStates) -> NDArray[np.bool_]:
@@ -227,8 +229,10 @@ def _deformable(study: SystemStudy, system: OpticalSystem, layout: SegmentLayout
                         f"The disturbance {part.name!r} deforms {name!r} on another grid than one before; "
                         "give all heights of a surface on the same grid."
                     )
-    require_cover(system, grids)
-    return deformable(system, dict.fromkeys(grids, 1) | terms, grids)
+    able = deformable(system, dict.fromkeys(grids, 1) | terms, grids)
+    further = nodal_grids(able, tuple(nodal_sources(study.disturbance)))
+    require_cover(system, grids | further)
+    return deformable(able, dict.fromkeys(further, 1), further)
 
 
 def deformable(

@@ -4,7 +4,7 @@ One case is one realization of one population of disturbances over its instants;
 all fields and wavelengths.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -15,10 +15,14 @@ from wavequake.campaign.measured import Block, CaseTable, study_kind
 from wavequake.campaign.measures import Measure
 from wavequake.campaign.schema import study_from_identity
 from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.chain.images.camera import noise_of, seen
 from wavequake.chain.images.system import SystemImager
+from wavequake.chain.nodal import nodal_sources
 from wavequake.chain.sampling import Plan, plan_of, replicate_labels
+from wavequake.chain.uncertain import shared_models
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.kernels.trace.sequence import bends
+from wavequake.mechanics.assembly.plant import Plant
 from wavequake.mechanics.disturbances.element_motion import (
     ElementDisturbance,
     ElementMotion,
@@ -46,8 +50,10 @@ from wavequake.workflows.systems.system_bench import (
 )
 from wavequake.workflows.systems.system_measure import measured_cases
 from wavequake.workflows.systems.system_measures import axes, fixed, measures
+from wavequake.workflows.systems.system_streaks import places_between, places_of_rows, streaked_times
 from wavequake.workflows.systems.system_study import SystemStudy
-from wavequake.workflows.systems.system_variants import model_errors, slot_of
+from wavequake.workflows.systems.system_uncertain import uncertain_plant
+from wavequake.workflows.systems.system_variants import errors_of, slot_of
 
 Array = NDArray[np.float64]
 
@@ -62,12 +68,36 @@ def draw(bench: SystemBench, case: int) -> tuple[ElementDisturbance, ElementMoti
 
 
 def drawn_with(
-    bench: SystemBench, population: ElementDisturbance, realization: int, model: str
+    bench: SystemBench,
+    population: ElementDisturbance,
+    realization: int,
+    model: str,
+    time: Array | None = None,
+    watched: Callable[[Plant], Plant] | None = None,
 ) -> ElementMotion:
-    """Return a realization of a population with one of the models that the study compares."""
+    """Return a realization of a population with one of the models that the study compares.
+
+    At its own instants, or at others given as `time`. `watched` gives the plant more outputs, whose motion
+    comes beside that of the elements.
+    """
     study, streams = bench.study, sampling_plan(bench.text).of(realization)
-    layout = replace(bench.layout, plant=bench.plants.get(model))
-    return draw_elements(study.disturbance, population, study.study.seed, realization, streams, layout=layout)
+    plant = uncertain_plant(bench, realization, model)
+    if plant is not None and watched is not None:
+        plant = watched(plant)
+    layout = replace(bench.layout, plant=plant)
+    return draw_elements(
+        study.disturbance, population, study.study.seed, realization, streams, time, layout=layout
+    )
+
+
+def sight_between(
+    bench: SystemBench, population: ElementDisturbance, realization: int, model: str
+) -> Array | None:
+    """Return where the line of sight is between the exposed instants of a realization, if it is followed."""
+    at = streaked_times(bench.study, population)
+    if at is None:
+        return places_of_rows(bench, population, drawn_with(bench, population, realization, model))
+    return places_between(bench, at.shape, drawn_with(bench, population, realization, model, at.ravel()))
 
 
 @prepared(maxsize=2)
@@ -84,7 +114,7 @@ def sampling_plan(study_text: str) -> Plan:
     layout = replace(layout_of(study, build(study.system)), plant=plants_of_text(study_text).get(FULL))
 
     def draw_all(streams: Streams) -> None:
-        for entry in singles:
+        for entry in (one for one in singles if one.random):
             draw_elements(singles, entry, study.study.seed, 0, streams, layout=layout)
 
     shares = [entry.share for entry in study.disturbance]
@@ -112,11 +142,12 @@ def compute(bench: SystemBench, table: CaseTable, device_name: str, clock: Stopw
     for first in range(0, len(cases), most):
         with clock("draw"):
             drawn = [draw(bench, case) for case in cases[first : first + most]]
+            away = [sight_between(bench, *slot_of(bench.study, case)) for case in cases[first : first + most]]
         motions = [(instants_of(populations, population), motion) for population, motion in drawn]
-        found = measured_cases(bench, motions, device, clock, imager)
+        found = measured_cases(bench, motions, device, clock, imager, away)
         if bench.study.reduction is not None:
             found = [
-                (numbers if message else numbers | model_errors(numbers, full), message)
+                (numbers if message else numbers | errors_of(numbers, full), message)
                 for (numbers, message), full in zip(
                     found,
                     _with_full_models(bench, cases[first : first + most], device, clock, imager),
@@ -124,8 +155,17 @@ def compute(bench: SystemBench, table: CaseTable, device_name: str, clock: Stopw
                 )
             ]
         for row, (numbers, message) in enumerate(found, first):
+            if imager is not None and not message:
+                numbers |= _seen(bench, imager, cases[row], numbers["exposure"])
             result = {name: np.asarray(values)[None] for name, values in numbers.items()}
             yield Block(result, np.array([row]), {0: message} if message else {})
+
+
+def _seen(bench: SystemBench, imager: SystemImager, case: int, exposures: Array) -> dict[str, Array]:
+    """Return what the camera makes of the exposures of a case; all models of a draw have the same noise."""
+    population, realization, _ = slot_of(bench.study, case)
+    noise = noise_of(bench.study.study.seed, population.name, realization)
+    return seen(imager.camera, exposures, noise)
 
 
 def _with_full_models(
@@ -138,7 +178,8 @@ def _with_full_models(
         (instants_of(bench.study.disturbance, population), drawn_with(bench, population, realization, FULL))
         for (_, realization), population in draws.items()
     ]
-    found = dict(zip(draws, measured_cases(bench, motions, device, clock, imager), strict=True))
+    away = [sight_between(bench, population, number, FULL) for (_, number), population in draws.items()]
+    found = dict(zip(draws, measured_cases(bench, motions, device, clock, imager, away), strict=True))
     return [found[population.name, realization][0] for population, realization, _ in slots]
 
 
@@ -160,6 +201,7 @@ def case_labels(study: SystemStudy, cases: NDArray[np.int64]) -> CaseTable:
         "realization": realizations,
         "seed": np.full(len(cases), study.study.seed, dtype=np.int64),
         **replicate_labels(study.campaign, realizations),
+        **shared_models(study.structure.uncertain, realizations),
     }
 
 
@@ -196,6 +238,7 @@ def describe(bench: SystemBench) -> dict[str, str]:
         **sampling_plan(bench.text).words(),
         **lines,
         **_structure(bench),
+        **{f"nodes of {name}": one.words for name, one in bench.layout.moved.items()},
         "system": system.info(),
     }
 
@@ -230,6 +273,9 @@ def notices(study: SystemStudy) -> Iterator[str]:
     """Yield what a lens file says that is not understood, and what is computed more than once in vain."""
     if study.system.file_text is not None and (note := build(study.system).note):
         yield note
+    if any(nodal_sources(study.disturbance)):
+        moved = system_bench(study.identity_text()).layout.moved
+        yield from (f"{name}: {one.words}." for name, one in moved.items())
     repeated, shares = study.repeated, [entry for entry in study.disturbance if entry.share]
     if len(repeated) == len(shares):
         count = sum(one.share for one in shares)

@@ -1,5 +1,6 @@
 """What a system-disturbance study measures of a case: the numbers of its wavefronts at all instants."""
 
+from collections.abc import Sequence
 from dataclasses import fields
 
 import numpy as np
@@ -7,6 +8,7 @@ from numpy.typing import NDArray
 
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.images.system import SystemImager, expose
+from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device
 from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.sequence import Moving
@@ -43,8 +45,13 @@ def measured_cases(
     device: Device,
     clock: Stopwatch,
     imager: SystemImager | None = None,
+    away: Sequence[Array | None] | None = None,
 ) -> list[tuple[dict[str, Array], str]]:
-    """Return what `measured` does for each of several cases, their times and motions; and exposures."""
+    """Return what `measured` does for each of several cases, their times and motions; and exposures.
+
+    ``away`` (fields, exposed instants, m, 2) in mm is where the line of sight of each case is besides.
+    """
+    away = away or [None] * len(motions)
     states = [system_states(bench, drawn) for _, drawn in motions]
     lights = [moving(bench.system, one, device=device) for one in states]
     found: list[dict[str, list[Array]]] = [{} for _ in motions]
@@ -76,9 +83,15 @@ def measured_cases(
         for case, wavefronts in enumerate(seen):
             if imager is None or messages[case]:
                 continue
-            with clock("image"):
-                for name, values in expose(imager, field, wavefronts).items():
-                    images[case].setdefault(name, []).append(values)
+            there = away[case]
+            try:
+                with clock("image"):
+                    exposed = expose(imager, field, wavefronts, None if there is None else there[field])
+            except UserError as error:  # a line of sight that moves too far concerns this case alone
+                messages[case] = str(error)
+                continue
+            for name, values in exposed.items():
+                images[case].setdefault(name, []).append(values)
     return [
         ({}, message)
         if message

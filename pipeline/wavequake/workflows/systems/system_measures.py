@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from wavequake.campaign.contract import Fixed
 from wavequake.campaign.measures import Axis, Measure
+from wavequake.chain.images.camera import camera_axes, camera_measures
 from wavequake.chain.images.extended import lit_object_words
 from wavequake.chain.images.system import expose
+from wavequake.workflows.mirrors.compared_models import ERRORS
 from wavequake.workflows.segments.segment_template import wavefront_source
 from wavequake.workflows.systems.system_bench import NM_PER_MM, SystemBench, field_name
 from wavequake.workflows.systems.system_measure import shaped, wavefront_numbers
 from wavequake.workflows.systems.system_study import SystemStudy
-from wavequake.workflows.systems.system_variants import ERRORS
 
 Array = NDArray[np.float64]
 
@@ -67,10 +68,13 @@ def measures(study: SystemStudy, over_annulus: Mapping[str, str]) -> Iterator[Me
     yield _stored("lost", "1", "largest number of rays at an instant that do not arrive", _OVER[1:])
     if study.imaging is not None:
         yield from _image_measures(study)
+        yield from camera_measures(study.imaging.resolution, study.detector, ("field",))
     if study.reduction is not None:
-        for name, (unit, dims, words) in ERRORS.items():
+        for name, (unit, words) in ERRORS.items():
+            dims = _OVER[1:] if name != "model_error_image" else ("field",)
             if name != "model_error_image" or study.imaging is not None:
-                yield _stored(name, unit, f"difference to the same draw with full models: {words}", dims)
+                said = f"difference to the same draw with full models: {words}"
+                yield _stored(name, unit or "mm", said, dims)
 
 
 def _image_measures(study: SystemStudy) -> Iterator[Measure]:
@@ -83,6 +87,9 @@ def _image_measures(study: SystemStudy) -> Iterator[Measure]:
     for share in (50, 80):
         words = f"radius of {share} % encircled energy of the exposure; inf beyond the frame"
         yield _stored(f"ee{share}", "lambda/D", words, ("field",))
+    if study.imaging is not None and study.imaging.focus_um:
+        words = "exposure in planes behind the image; 1 = peak of the perfect image"
+        yield _stored("exposure_focus", "1", words, ("field", "focus", "y", "x"))
     if study.object is not None:
         words = "exposed image of " + lit_object_words(study.object)
         yield _stored("object_image", "1", words, ("field", "y", "x"))
@@ -107,6 +114,9 @@ def axes(bench: SystemBench) -> dict[str, Axis]:
         section = bench.imager.section
         along = (np.arange(section.pixels) - section.pixels // 2) * section.sampling
         found |= {name: Axis(along, f"image {name}", "lambda/D") for name in ("y", "x")}
+        if section.focus_um:
+            found["focus"] = Axis(np.array(section.focus_um), "distance behind the image", "um")
+        found |= camera_axes(bench.imager.camera)
     return found
 
 
@@ -153,6 +163,12 @@ def _images_at_rest(bench: SystemBench) -> dict[str, Fixed]:
         "exposure_static": (("field", "y", "x"), np.stack([one["exposure"] for one in images]), words),
         "resolution_mm": ((), np.array(bench.imager.resolution_mm), scale),
     }
+    if bench.imager.section.focus_um:
+        found["focus_static"] = (
+            ("field", "focus", "y", "x"),
+            np.stack([one["exposure_focus"] for one in images]),
+            {"units": "1", "long_name": "image at rest in planes behind the image"},
+        )
     if bench.study.object is not None:
         words = {"units": "1", "long_name": "image at rest of " + lit_object_words(bench.study.object)}
         found["object_static"] = (

@@ -8,15 +8,16 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from wavequake.chain.nodal import nodal_fit, on_surface
 from wavequake.errors import UserError
-from wavequake.mechanics.assembly.arrays import from_matrices, from_modes
+from wavequake.mechanics.assembly.arrays import Given, from_matrices, from_modes
 from wavequake.mechanics.assembly.beams import Tube, beam_frame
 from wavequake.mechanics.assembly.bodies import Body, Output, placed, rigid_body
 from wavequake.mechanics.assembly.links import End, Link
 from wavequake.mechanics.assembly.plant import Plant, plant
-from wavequake.mechanics.mirrors.material import Material
-from wavequake.mechanics.mirrors.models import AnnularMirror, CircularMirror, annular_mirror, circular_mirror
-from wavequake.mechanics.model import FiniteElementModel, RayleighDamping, ReducedModel, places
+from wavequake.mechanics.assembly.uncertain import Measured, corrected
+from wavequake.mechanics.mirrors.models import AnnularMirror, annular_mirror, circular_mirror
+from wavequake.mechanics.model import FiniteElementModel, ReducedModel, places
 from wavequake.optics.shapes.fit import SurfaceFit, apply, separate_pose, surface_fit
 from wavequake.optics.shapes.shapes import Shape, ZernikeDeformation
 from wavequake.optics.systems.bodies import Body as OpticalBody
@@ -28,13 +29,16 @@ from wavequake.reduction.names import parse
 from wavequake.reduction.two_stage import covers, reduce_variants, reference
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.mirrors.model_store import digest, kept_intermediate, kept_model
-from wavequake.workflows.systems.body_sections import BodySection, MirrorBodySection, SolidSection
+from wavequake.workflows.systems.body_mirrors import glass_side, material_of, mirror_behind
+from wavequake.workflows.systems.body_sections import (
+    BodySection,
+    ModesBodySection,
+)
 from wavequake.workflows.systems.system_study import SystemStudy
 
 Array = NDArray[np.float64]
 
 MM_PER_M = 1e3
-_MOUNTS = 0.645  # of the radius: near where three points hold a thin disc with the least sag
 _SHIFTS = np.repeat([1.0 / MM_PER_M, 1.0], 3)
 
 
@@ -60,8 +64,8 @@ def deforming_terms(study: SystemStudy, system: OpticalSystem) -> dict[int, int]
     """Return by how many Noll terms the bodies deform surfaces, by index."""
     found = {}
     for body in study.body:
-        section = body.mirror or body.imported
-        if section is not None and body.surfaces:
+        section = body.mirror or body.imported or body.modes
+        if section is not None and body.surfaces and section.figure_terms:
             found[surface_index(system, body.surfaces[0])] = section.figure_terms
     return found
 
@@ -109,8 +113,15 @@ def plants_of(study: SystemStudy, system: OpticalSystem, bodies: Sequence[Optica
         )
         for variant in variants
     }
+    if study.structure.mode:
+        found = {name: corrected(one, measured_modes(study)) for name, one in found.items()}
     # All are shaken alike, whatever their own resonances.
     return {name: replace(one, resonances=found[FULL].resonances) for name, one in found.items()}
+
+
+def measured_modes(study: SystemStudy) -> list[Measured]:
+    """Return the modes of a study's structure that were measured."""
+    return [Measured(**one.model_dump()) for one in study.structure.mode]
 
 
 def _m(point: Sequence[float] | Array) -> Array:
@@ -189,7 +200,7 @@ def _given(one: BodySection, system: OpticalSystem, optical: OpticalBody | None)
             {name: _m(point) for name, point in beams.nodes_mm.items()},
             beams.members,
             Tube(beams.diameter_mm / MM_PER_M, beams.wall_mm / MM_PER_M),
-            _material(beams),
+            material_of(beams),
             beams.pieces,
             beams.masses_kg,
         )
@@ -202,12 +213,10 @@ def _given(one: BodySection, system: OpticalSystem, optical: OpticalBody | None)
         if arrays is not None:
             found = read(one.name, arrays.file_npz)
             rows = _carried(one, system, found.motions, found.points)
+            if one.modes is not None and one.modes.figure_terms:
+                rows |= _seen_modes(one, one.modes, found, system, optical)
             return placed(one.name, found.model, found.nodes, rows=rows, turns=found.turns)
     return None
-
-
-def _material(section: SolidSection) -> Material:
-    return Material(section.youngs_modulus_pa, section.poisson_ratio, section.density_kg_m3)
 
 
 def _with(rows: Array, name: str | None) -> dict[Output, Array]:
@@ -261,53 +270,14 @@ def _elastic(study: SystemStudy, one: BodySection, system: OpticalSystem) -> Ela
     else:
         assert one.mirror is not None
         index = surface_index(system, one.surfaces[0])
-        behind = _glass_side(system, index)
+        behind = glass_side(system, index)
         flip = np.diag([1.0, -behind, -behind])  # the model's front looks along its z axis
-        mirror = _mirror(one.name, one.mirror, system, index, -behind)
+        mirror = mirror_behind(one.name, one.mirror, system, index, -behind)
         build = annular_mirror if isinstance(mirror, AnnularMirror) else circular_mirror
         full = prepared(maxsize=1)(partial(build, mirror))  # type: ignore[arg-type]
         record = {"body": repr(mirror), "highest_hz": last}
     stage = kept_intermediate(digest(record), lambda: intermediate(full(), highest=last))
     return Elastic(stage, full, flip)
-
-
-def _glass_side(system: OpticalSystem, index: int) -> float:
-    """Return 1 where the glass of a mirror, away from the light, is at +z of its surface, or -1."""
-    here = system.surfaces[index]
-    before = [np.asarray(one.position) for one in system.surfaces[:index]]
-    paths = [one for point in before if np.linalg.norm(one := here.position - point) > 1e-9]
-    light = paths[-1] if paths else np.array([0.0, 0.0, 1.0])
-    return 1.0 if float(here.rotation[:, 2] @ light) > 0.0 else -1.0
-
-
-def _mirror(
-    name: str, section: MirrorBodySection, system: OpticalSystem, index: int, facing: float
-) -> CircularMirror | AnnularMirror:
-    """Return the built-in mirror of a surface; `facing`: sign of its model's z axis in the surface's."""
-    surface = system.surfaces[index]
-    form = surface.deformation
-    assert isinstance(form, ZernikeDeformation)
-    diameter = section.diameter_m or 2.0 * form.pupil_radius / MM_PER_M
-    if diameter < 2.0 * form.pupil_radius / MM_PER_M * (1.0 - 1e-6):
-        raise UserError(
-            f"The mirror {name!r} has a diameter of {diameter:g} m, but light or the opening of "
-            f"{surface.name!r} reaches {2.0 * form.pupil_radius / MM_PER_M:g} m; make it larger."
-        )
-    radius = getattr(surface.shape, "radius", np.inf) / MM_PER_M
-    common = {
-        "diameter": diameter,
-        "thickness": section.thickness_m,
-        "focal_length": np.inf if section.shape == "plate" else facing * radius / 2.0,
-        "material": _material(section),
-        "mount_radius": section.mount_radius_m or _MOUNTS * diameter / 2.0,
-        "mount_angles": tuple(facing * angle for angle in section.mount_angles_deg),
-        "damping": RayleighDamping(0.0, 0.0),
-        "rings": section.rings,
-    }
-    if section.shape == "annulus":
-        around = 6 * -(-8 * section.rings // 6)
-        return AnnularMirror(inner_diameter=section.inner_diameter_m, around=around, **common)  # type: ignore[arg-type]
-    return CircularMirror(core=section.rings, **common)  # type: ignore[arg-type]
 
 
 def _behind(
@@ -326,14 +296,48 @@ def _behind(
     assert section is not None
     fit, rows = _fit(one, model, elastic.flip, section.figure_terms, form, surface.shape)
     shapes = rows.T.reshape(model.order, -1, 3) @ elastic.flip.T
+    outputs = _outputs(one, fit, shapes, (rotation, vertex), optical)
+    return placed(one.name, model, nodes, rotation @ elastic.flip, vertex, outputs)
+
+
+def _outputs(
+    one: BodySection, fit: SurfaceFit, shapes: Array, frame: tuple[Array, Array], optical: OpticalBody
+) -> dict[Output, Array]:
+    """Return motion and figure of a body's first surface.
+
+    `shapes` (coordinates, p, 3) are displacements of its nodes in mm, in its `frame`: rotation, vertex in m.
+    """
+    rotation, vertex = frame
     poses, rest = separate_pose(fit, np.ascontiguousarray(shapes))
     motion = (poses * _SHIFTS).T  # in the surface's frame, about its vertex
     system_motion = np.vstack([rotation @ motion[:3], rotation @ motion[3:]])
-    outputs: dict[Output, Array] = {
+    return {
         ("rigid", one.name): _transported(system_motion, vertex, optical.rotation, _m(optical.point)),
         ("figure", one.surfaces[0]): apply(fit, rest).T / MM_PER_M,
     }
-    return placed(one.name, model, nodes, rotation @ elastic.flip, vertex, outputs)
+
+
+def _seen_modes(
+    one: BodySection,
+    section: ModesBodySection,
+    given: Given,
+    system: OpticalSystem,
+    optical: OpticalBody | None,
+) -> dict[Output, Array]:
+    """Return motion and figure of the first surface of a body of modes, by the nodes that lie on it."""
+    if optical is None:
+        raise UserError(f"The body {one.name!r} has no surface to which figure_terms could be fitted.")
+    surface = system.surfaces[surface_index(system, one.surfaces[0])]
+    rotation, form = np.asarray(surface.rotation), surface.deformation
+    assert isinstance(form, ZernikeDeformation)
+    points = (np.array(list(given.points.values())) * MM_PER_M - surface.position) @ rotation
+    try:
+        seen = on_surface(points, form, surface.shape, section.off_mm)
+        fit = nodal_fit(points[seen], section.figure_terms, form, surface.shape, one.name)
+    except UserError as error:
+        raise UserError(f"The body {one.name!r} behind {one.surfaces[0]!r}: {error}") from None
+    moved = given.model.inputs[:, : 3 * len(points)].reshape(len(given.model.inputs), -1, 3)[:, seen]
+    return _outputs(one, fit, moved * MM_PER_M @ rotation, (rotation, _m(surface.position)), optical)
 
 
 def _variant(name: str, elastic: Elastic, variant: str) -> ReducedModel:

@@ -10,6 +10,7 @@ import numpy as np
 
 from wavequake.errors import UserError
 from wavequake.optics.catalog.names import optical_system, system_names
+from wavequake.optics.lens_archive import LENS_FILES
 from wavequake.optics.media.agf import read_agf
 from wavequake.optics.media.glasses import Medium
 from wavequake.optics.segments.parent import parent_system
@@ -18,7 +19,6 @@ from wavequake.optics.systems.system import OpticalSystem
 from wavequake.optics.zemax.codev import read_seq
 from wavequake.optics.zemax.lens_file import LensFileError
 from wavequake.optics.zemax.read import read_zmx
-from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.exposures.telescope_control import segment_text
 from wavequake.workflows.overrides import split_overrides
 from wavequake.workflows.segments.bench import bench_of
@@ -44,7 +44,8 @@ def load_system(
         bundled system goes before a study of the same name. A segmented telescope is that with an M1 in one
         piece.
     overrides : mapping or iterable of ``"section.key=value"``
-        Of a study or a telescope that is no bundled system, as `wavequake.load_study` takes them.
+        Of a study or a telescope that is no bundled system, as `wavequake.load_study` takes them; of a lens
+        file with several configurations ``configuration=2``.
     glasses : mapping of str to Medium, optional
         The user's glasses for a lens file, as `wavequake.optics.media.agf.read_agf` returns them.
 
@@ -52,18 +53,30 @@ def load_system(
     ------
     UserError
         If there is no such thing, it cannot be read, or its workflow has no optical system.
+
+    Examples
+    --------
+    >>> load_system("euv")
+    <OpticalSystem euv: 7 surfaces, 3 fields, 1 wavelength>
     """
     if not isinstance(source, str | Path):
         raise UserError(f"An optical system is loaded by name or path, not by {type(source).__name__}.")
     name, keys = str(source), dict(split_overrides(overrides))
-    is_file, is_system = name.lower().endswith((".zmx", ".seq")), name in system_names()
+    is_file, is_system = name.lower().endswith((*LENS_FILES, ".seq")), name in system_names()
     is_study = name in bundled_studies() or name.endswith(".toml") or Path(name).is_file()
     if is_file or (is_system and not (keys and is_study)):
+        configuration = keys.pop("configuration", None) if name.lower().endswith(LENS_FILES) else None
         if keys:
             raise UserError(f"{name} is no study, so it has no keys to set, such as {next(iter(keys))!r}.")
         if not is_file:
             return optical_system(name)
-        return (read_seq if name.lower().endswith(".seq") else read_zmx)(name, glasses)
+        if configuration is not None and not (isinstance(configuration, int) and configuration > 0):
+            raise UserError(f"The configuration of {name} is {configuration!r}; it must be a number from 1.")
+        return (
+            read_seq(name, glasses)
+            if name.lower().endswith(".seq")
+            else read_zmx(name, glasses, configuration)
+        )
     is_telescope = name in TELESCOPES
     if not (is_study or is_telescope):
         known = _names()
@@ -77,8 +90,7 @@ def load_system(
     if isinstance(study, SystemStudy):
         return build(study.system)
     if isinstance(study, SegmentStudy):
-        text = study.identity_text()
-        bench = bench_of(segment_text(text) if isinstance(study, TelescopeExposureStudy) else text)
+        bench = bench_of(segment_text(study.identity_text()))
         wavelength = study.optics.wavelength_nm * MM_PER_NM
         return replace(
             parent_system(bench.system),

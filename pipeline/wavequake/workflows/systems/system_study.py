@@ -1,31 +1,36 @@
 """Study files of the workflow "system-disturbance": any optical system, and what moves its surfaces."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
 from wavequake.campaign.schema import Section, Study
+from wavequake.chain.images.camera import DetectorSection
 from wavequake.chain.images.extended import ObjectSection, check_object
 from wavequake.chain.images.picture import embed_picture
 from wavequake.chain.images.system import SystemImagingSection
 from wavequake.chain.sampling import SampledCampaignSection, whole_sets
 from wavequake.chain.sources import read_source_files
+from wavequake.chain.uncertain import require_independent_sets
 from wavequake.mechanics.disturbances.element_motion import ElementDisturbance
 from wavequake.mechanics.disturbances.registry import parts, with_own_axes
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.systems.file import SystemSection, embed_file
+from wavequake.workflows.asked_sections import AllowSection, BudgetSection
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.segments.segment_study import require_path_lengths
+from wavequake.workflows.systems.body_files import read_body_files
 from wavequake.workflows.systems.body_sections import (
     BodySection,
     ComparedModelsSection,
     LinkSection,
     StructureSection,
-    read_body_files,
 )
 
 _OF_MASSES = ("link", "structure", "reduction")
+WITHOUT_IMAGES = {"imaging": None, "object": None, "detector": None}
+"""What makes a study one without images, and without what a camera makes of them."""
 
 
 class SystemOpticsSection(Section):
@@ -68,20 +73,6 @@ class SystemWavefrontSection(Section):
         return self
 
 
-class AllowSection(Section):
-    """What `wavequake allow` limits, and how it shares it out."""
-
-    measure: str = Field(default="wfe_change.p95", description="an upper quantile, as wfe_change.p95")
-    limit: str = Field(description="with its unit, as '60 nm'")
-    by: Literal["shares", "cost", "factor"] = Field(
-        default="shares", description="equal shares, shares by cost, or what the study has, times a factor"
-    )
-    cost: dict[str, Annotated[float, Field(gt=0)]] = Field(
-        default={},
-        description='what it costs to halve a motion, by element or element and axis ("M1 rx"); all others 1',
-    )
-
-
 class SystemStudy(Study):
     """A validated study file."""
 
@@ -96,15 +87,19 @@ class SystemStudy(Study):
     wavefront: SystemWavefrontSection = SystemWavefrontSection()
     imaging: SystemImagingSection | None = None
     object: ObjectSection | None = None
+    detector: DetectorSection | None = None
     allow: AllowSection | None = None
+    budget: BudgetSection | None = None
+
+    asked: ClassVar[frozenset[str]] = frozenset({"allow", "budget"})
 
     @model_serializer(mode="wrap")
     def _without_structure_there_is_none(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
         record: dict[str, Any] = write(self)
         if not any(body.kind for body in self.body):
             record = {key: value for key, value in record.items() if key not in _OF_MASSES}
-        if self.allow is None:
-            record.pop("allow", None)
+        if self.detector is None:
+            record.pop("detector", None)
         return record
 
     @field_validator("disturbance")
@@ -135,6 +130,8 @@ class SystemStudy(Study):
 
     @model_validator(mode="after")
     def _objects_have_images(self) -> "SystemStudy":
+        if self.detector is not None and self.imaging is None:
+            raise ValueError("a detector sees images: add the section [imaging], or leave it out")
         if self.object is not None:
             if self.imaging is None:
                 raise ValueError("an object is seen in images: add the section [imaging], or leave it out")
@@ -158,6 +155,11 @@ class SystemStudy(Study):
                 f"the section {given[0]} is of bodies with mass, but there are none; give a [[body]] a "
                 "mirror, imported, rigid, beams, matrices or modes"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _models_are_drawn_at_random(self) -> "SystemStudy":
+        require_independent_sets(self.structure.uncertain, self.campaign.sampling)
         return self
 
     @model_validator(mode="after")

@@ -7,9 +7,9 @@ of many cases are drawn at once: made for campaigns of a million cases.
 from typing import ClassVar, Literal
 
 import numpy as np
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.special import ndtri
 
 from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.motion import Motion, counted_generator, still
@@ -69,7 +69,9 @@ def amplitudes(
     if parameters.piston_distribution == "uniform":
         unit = np.sqrt(12.0) * (uniform - 0.5)
     else:
-        unit = ndtri(uniform + 2.0**-54)  # the middle of each of the 2^53 intervals: never infinite
+        unit = scipy.special.ndtri(
+            uniform + 2.0**-54
+        )  # the middle of each of the 2^53 intervals: never infinite
     return np.asarray(unit * (parameters.piston_nm * 1e-9), dtype=np.float64)
 
 

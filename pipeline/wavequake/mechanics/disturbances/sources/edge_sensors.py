@@ -9,9 +9,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-import scipy.linalg
-import scipy.sparse
-import scipy.spatial
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -73,13 +71,16 @@ class SensorMatrix:
     radius: Array
 
 
-def sensor_matrix(layout: SegmentLayout, dihedral_arm_m: float, sensor_offset_m: float) -> SensorMatrix:
+def sensor_matrix(
+    layout: SegmentLayout, dihedral_arm_m: float, sensor_offset_m: float, curved: bool = False
+) -> SensorMatrix:
     """Build the matrix of two sensors per shared edge for the mirror projected along its axis.
 
     With n the normal of the edge from the first segment (the earlier one) to the second, a sensor at p
     reads z1(p) - z2(p) + arm (dz1/dn - dz2/dn). The 3 S unknowns span the motions of three actuators per
     segment; in this basis the pseudo-inverse leaves out piston, tip and tilt of the whole surface, whatever
-    the actuators.
+    the actuators. `curved` takes lever arms and normals of edges in the tangent plane of each segment: then
+    tip and tilt of the whole mirror are seen a little, for lack of the segments' motions in their planes.
 
     Raises
     ------
@@ -103,9 +104,16 @@ def sensor_matrix(layout: SegmentLayout, dihedral_arm_m: float, sensor_offset_m:
         (ends[:, 0] + sensor_offset_m * along, ends[:, 1] - sensor_offset_m * along), rows, strict=True
     ):
         for segment, sign in ((first, 1.0), (second, -1.0)):
-            plane = _planar_axes(layout)[segment]
-            lever = places - layout.centers_m[segment, :2] + dihedral_arm_m * outward
-            slopes = np.einsum("eij,ei->ej", plane, lever) / radius[segment, None]
+            lever = places - layout.centers_m[segment, :2]
+            if curved:
+                local = _in_tangent_plane(layout.axes[segment], lever)
+                turned = _in_tangent_plane(layout.axes[segment], along)
+                normal = np.stack([turned[:, 1], -turned[:, 0]], axis=1)
+                local += dihedral_arm_m * normal / np.linalg.norm(normal, axis=1, keepdims=True)
+            else:
+                plane = planar_axes(layout)[segment]
+                local = np.einsum("eij,ei->ej", plane, lever + dihedral_arm_m * outward)
+            slopes = local / radius[segment, None]
             values = sign * np.column_stack([np.ones(len(segment)), slopes])
             entries.append((np.repeat(row, 3), (3 * segment[:, None] + np.arange(3)).ravel(), values.ravel()))
     row_index, column_index, values = (np.concatenate(parts) for parts in zip(*entries, strict=True))
@@ -151,8 +159,9 @@ def shared_edges(layout: SegmentLayout) -> tuple[NDArray[np.intp], NDArray[np.in
     a, b = a[facing & (segment[a] != segment[b])], b[facing & (segment[a] != segment[b])]
     if not len(a):
         raise UserError(
-            "Edge sensors need segments that share edges; no two segments of this mirror do: parallel edges "
-            f"whose middles are at most {widest:.3g} m apart, a tenth of the longest edge."
+            "Edge sensors sit on edges that two segments share, and no segments of this mirror do: none of "
+            f"their edges are parallel and within {1e3 * widest:.3g} mm of each other; leave the sensors "
+            "out, or take another telescope."
         )
     ends = np.stack([starts[a] + stops[b], stops[a] + starts[b]], axis=1) / 2
     along = (ends[:, 1] - ends[:, 0]) / np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1, keepdims=True)
@@ -194,29 +203,46 @@ def shaping(layout: SegmentLayout, dihedral_arm_m: float, sensor_offset_m: float
     UserError
         If the mirror has no shared edges.
     """
-    sensors = sensor_matrix(layout, dihedral_arm_m, sensor_offset_m)
-    normal = (sensors.matrix.T @ sensors.matrix).toarray()
-    inverse = kept(_Inverse, _inverse, normal)
-    gain = float(np.sqrt(inverse.trace / len(layout)))
-    piston_gain = float(np.sqrt(np.mean(np.diag(inverse.matrix)[::3])))
-    transposed = sensors.matrix.T.tocsr()
-    return Shaping(transposed, inverse.matrix, inverse.null_modes, sensors.radius, gain, piston_gain)
+    arrays = layout.centers_m, layout.axes, layout.corners_m
+    found = kept(_Tables, _tables, *arrays, dihedral_arm_m, sensor_offset_m)
+    size = len(found.inverse)
+    transposed = scipy.sparse.csr_array((found.values, found.columns, found.starts), (size, found.readings))
+    gain = float(np.sqrt(found.trace / len(layout)))
+    piston_gain = float(np.sqrt(np.mean(np.diag(found.inverse)[::3])))
+    return Shaping(transposed, found.inverse, found.null_modes, found.radius, gain, piston_gain)
 
 
 @dataclass(frozen=True)
-class _Inverse:
-    """The pseudo-inverse of a matrix, its trace, and how many null modes were left out."""
+class _Tables:
+    """The transposed sensor matrix by rows, and of A^T A the pseudo-inverse, its trace and null modes."""
 
-    matrix: Array
+    values: Array
+    columns: NDArray[np.int32]
+    starts: NDArray[np.int32]
+    readings: int
+    inverse: Array
     trace: float
     null_modes: int
+    radius: Array
 
 
-def _inverse(normal: Array) -> _Inverse:
+def _tables(centers: Array, axes: Array, corners: Array, dihedral_arm_m: float, offset_m: float) -> _Tables:
+    """Return what noise is shaped by, from the arrays of a layout, which no name has a part in."""
+    names = tuple(map(str, range(len(centers))))
+    layout = SegmentLayout(names, centers, axes, corners, np.zeros(len(centers)))
+    sensors = sensor_matrix(layout, dihedral_arm_m, offset_m)
+    transposed = sensors.matrix.T.tocsr()
+    normal = (sensors.matrix.T @ sensors.matrix).toarray()
     eigenvalues, vectors = scipy.linalg.eigh(normal, check_finite=False, driver="evd")
     null = null_count(eigenvalues)
     inverse = (vectors[:, null:] / eigenvalues[null:]) @ vectors[:, null:].T
-    return _Inverse(inverse, float(np.sum(1 / eigenvalues[null:])), null)
+    return _Tables(
+        *(transposed.data, transposed.indices, transposed.indptr, transposed.shape[1]),
+        inverse,
+        float(np.sum(1 / eigenvalues[null:])),
+        null,
+        sensors.radius,
+    )
 
 
 def null_count(eigenvalues: Array) -> int:
@@ -259,7 +285,15 @@ def draw_edge_noise(
     return motion
 
 
-def _planar_axes(layout: SegmentLayout) -> Array:
+def _in_tangent_plane(axes: Array, vectors: Array) -> Array:
+    """Return vectors (n, 2), seen along the mirror's axis, in the local x and y (n, 2) of axes (n, 3, 3)."""
+    normal = axes[:, :, 2]
+    height = -np.einsum("ei,ei->e", normal[:, :2], vectors) / normal[:, 2]
+    local: Array = np.einsum("eij,ei->ej", axes[:, :, :2], np.column_stack([vectors, height]))
+    return local
+
+
+def planar_axes(layout: SegmentLayout) -> Array:
     """Return the local x and y axes projected along the mirror's axis, orthonormal columns, (S, 2, 2)."""
     x_axis = layout.axes[:, :2, 0] / np.linalg.norm(layout.axes[:, :2, 0], axis=1, keepdims=True)
     return np.stack([x_axis, np.stack([-x_axis[:, 1], x_axis[:, 0]], axis=1)], axis=2)

@@ -23,7 +23,7 @@ class Gravity(PlantSource):
     """Sag of what stands on the floor, less that at the elevation at which all was aligned.
 
     Light enters along +z, so gravity is along +z at the zenith. The elevation goes evenly from the first one
-    to the second in the time of a case; nothing is random.
+    to the second in its own ``duration_s``, where it stays in a longer combination; nothing is random.
     """
 
     random: ClassVar[bool] = False

@@ -1,6 +1,6 @@
 """Motion of the whole line of sight with a given spectrum: wind shake and vibration, by mount or by M2."""
 
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,8 @@ class LineOfSight(Source):
     for the TMT. ``file``: a CSV of frequency_hz,psd, whose unit has to be stated or else replaced by an
     rms.
     """
+
+    sight: ClassVar = True
 
     model: Literal["line-of-sight"] = "line-of-sight"
     spectrum: Literal["tmt-windshake", "tmt-vibration", "file"] = "tmt-windshake"

@@ -25,6 +25,7 @@ from wavequake.mechanics.disturbances.spectra import (
 )
 from wavequake.mechanics.disturbances.streams import Random
 from wavequake.prepared import prepared
+from wavequake.tables import kept
 
 Array = NDArray[np.float64]
 
@@ -94,15 +95,18 @@ class SegmentWind(Source):
         return float(np.sqrt(np.mean(segment_wind_rms_nm(self, layout) ** 2))), "nm"
 
 
-def compliance(parameters: SegmentWind, frequency_hz: Array) -> NDArray[np.complex128]:
+def compliance(
+    parameters: SegmentWind, frequency_hz: Array, frequency: Array | float = 1.0, damping: Array | float = 1.0
+) -> NDArray[np.complex128]:
     """Return piston over force, m/N: modes of equal modal mass whose static gains add up to 1 / stiffness.
 
     H(f) = 1/k sum_m w_m / (1 - (f/f_m)^2 + 2 i zeta_m f/f_m), w_m proportional to 1/f_m^2, sum w_m = 1.
+    Factors on frequencies and damping ratios (..., M) keep the masses: stiffer modes give way less.
     """
     modes = np.array(parameters.modes_hz)
-    weights = modes**-2 / np.sum(modes**-2)
-    ratio = np.asarray(frequency_hz)[..., None] / modes
-    response = weights / (1 - ratio**2 + 2j * np.array(parameters.damping_ratios) * ratio)
+    weights = modes**-2 / np.sum(modes**-2) / np.square(frequency)
+    ratio = np.asarray(frequency_hz)[..., None] / (modes * frequency)
+    response = weights / (1 - ratio**2 + 2j * np.array(parameters.damping_ratios) * damping * ratio)
     total: NDArray[np.complex128] = response.sum(axis=-1) / (parameters.stiffness_n_um * 1e6)
     return total
 
@@ -135,17 +139,27 @@ def segment_wind_rms_nm(parameters: SegmentWind, layout: SegmentLayout) -> Array
 
 def draw_wind(parameters: SegmentWind, layout: SegmentLayout, time: Array, random: Random) -> Motion:
     """Draw one time history of all segments; the numbers drawn do not depend on `time`."""
-    gusts = _gusts(parameters, layout)
+    found = gusts_of(parameters, layout)
     count = len(layout)
-    together = random.standard_normal((len(gusts.factors), count, 2))
-    apart = random.standard_normal((2, len(gusts.apart.variances), count))
-    slow, fast = frequencies(gusts.together, random), frequencies(gusts.apart, random)
-    waves = np.moveaxis(gusts.factors @ together, 2, 0)
-    apart *= np.sqrt(gusts.apart.variances)[:, None]
+    together = random.standard_normal((len(found.factors), count, 2))
+    apart = random.standard_normal((2, len(found.apart.variances), count))
+    slow, fast = frequencies(found.together, random), frequencies(found.apart, random)
+    waves = np.moveaxis(found.factors @ together, 2, 0)
+    apart *= np.sqrt(found.apart.variances)[:, None]
+    if layout.supports is not None:
+        factors = layout.supports.factors(count, len(parameters.modes_hz))
+        waves, apart = (_through(parameters, f, one, factors) for f, one in ((slow, waves), (fast, apart)))
     piston = _harmonics(time, slow, waves) + _harmonics(time, fast, apart)
     motion = still(len(time), count)
     motion.segment_motion[..., 2] = piston * layout.areas_m2
     return motion
+
+
+def _through(parameters: SegmentWind, frequency: Array, waves: Array, factors: tuple[Array, Array]) -> Array:
+    """Return the waves (cosine and sine, frequency, segment) of the same gusts on supports that are off."""
+    off = compliance(parameters, frequency[:, None], *factors) / compliance(parameters, frequency)[:, None]
+    changed = (waves[0] - 1j * waves[1]) * off
+    return np.stack([changed.real, -changed.imag])
 
 
 def _harmonics(time: Array, frequency: Array, waves: Array) -> Array:
@@ -156,8 +170,11 @@ def _harmonics(time: Array, frequency: Array, waves: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class _Gusts:
-    """Bands in which segments move together, each with a factor of their covariance, and the others."""
+class Gusts:
+    """Bands in which segments move together, each with a factor of their covariance, and the others.
+
+    All is piston per area of a segment, m/m^2.
+    """
 
     together: Bands
     factors: Array
@@ -165,17 +182,29 @@ class _Gusts:
 
 
 @prepared(maxsize=3)
-def _gusts(parameters: SegmentWind, layout: SegmentLayout) -> _Gusts:
+def gusts_of(parameters: SegmentWind, layout: SegmentLayout) -> Gusts:
+    """Split wind into bands in which gusts are one size for all segments."""
     spectrum = piston_spectrum(parameters, float(layout.areas_m2.mean()))
     separation = np.linalg.norm(layout.centers_m[:, None] - layout.centers_m, axis=2)
     decay_s = parameters.coherence_decay * separation / parameters.mean_speed_m_s
     together = banded(spectrum, _coherent_edges(spectrum, decay_s))
-    factors = [
-        math.sqrt(power) * scipy.linalg.cholesky(_band_coherence(spectrum, decay_s, low, high), lower=True)
-        for power, (low, high) in zip(together.variances, pairwise(together.edges_hz), strict=True)
-    ]
+    found = kept(_Factors, _factors, parameters, float(layout.areas_m2.mean()), decay_s, together.variances)
     rest = Spectrum(spectrum.density, float(together.edges_hz[-1]), spectrum.high_hz, spectrum.breaks_hz)
-    return _Gusts(together, np.array(factors), split(rest, _INCOHERENT_BANDS))
+    return Gusts(together, found.factors, split(rest, _INCOHERENT_BANDS))
+
+
+@dataclass(frozen=True)
+class _Factors:
+    factors: Array
+
+
+def _factors(parameters: SegmentWind, mean_area_m2: float, decay_s: Array, variances: Array) -> _Factors:
+    """Return a factor of the covariance of every band in which segments move together."""
+    spectrum = piston_spectrum(parameters, mean_area_m2)
+    edges = _coherent_edges(spectrum, decay_s)
+    coherences = (_band_coherence(spectrum, decay_s, *band) for band in pairwise(edges))
+    roots = [scipy.linalg.cholesky(one, lower=True) for one in coherences]
+    return _Factors(np.sqrt(variances)[:, None, None] * roots)
 
 
 def _coherent_edges(spectrum: Spectrum, decay_s: Array) -> Array:

@@ -1,6 +1,6 @@
 """Narrow vibration lines in the line of sight: pumps, coolers, structural modes."""
 
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +57,8 @@ class VibrationLines(Source):
     ``elt-windshake-8ms``: places of lines only, here of equal power and of the width `fwhm_hz`; `rms_mas`,
     per axis that has lines, is required.
     """
+
+    sight: ClassVar = True
 
     model: Literal["vibration-lines"] = "vibration-lines"
     lines: tuple[Line, ...] = Field(default=(), strict=False)

@@ -1,0 +1,92 @@
+"""How fast loops run in time: simulated seconds per second of one core, over channels and cases at once.
+
+Actuators of second order, one frame of latency plus a quarter, 1000 frames per second, a dense sensor and a
+dense controller: 2 channels (tip and tilt), 104 (a mirror of 105 Zernike terms) and 492 (the segments of the
+TMT). Beside it the bounds of the same machine in the same run: multiply-adds of what must be multiplied
+at the rate of a large matrix product, and bytes that must be read at the rate of a copy. One thread; medians.
+"""
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+
+from benchmarks._warm import warm
+from wavequake.control.sampled.channel import Timing, second_order
+from wavequake.control.sampled.filters import integrator
+from wavequake.control.sampled.regulator import shared_filter
+from wavequake.control.sampled.run import Actuator, Loop, Schedule, run, schedule
+
+Array = NDArray[np.float64]
+
+FRAME, FRAMES, REPEATS = 1e-3, 50, 5
+CHANNELS, CASES = (2, 104, 492), (1, 4, 16, 64)
+_SIZE, _COPIED = 1024, 1 << 24
+
+
+def loop_of(channels: int) -> tuple[Loop, Schedule]:
+    """Return a stable loop of so many channels, and its events."""
+    rng = np.random.default_rng(channels)
+    sees = np.eye(channels) + 0.2 / np.sqrt(channels) * rng.standard_normal((channels, channels))
+    free = np.full(channels, np.inf)
+    actuator = Actuator(second_order(300.0, 0.7), free, np.inf, np.full(channels, np.nan))
+    timing = Timing(FRAME, FRAME, 1, 1.25 * FRAME)
+    regulator = shared_filter(np.linalg.inv(sees), integrator(0.2))
+    return Loop(timing, regulator, actuator, sees), schedule([timing], np.array([FRAMES * FRAME]))
+
+
+def median(job: object, repeats: int = REPEATS) -> float:
+    """Return the median of the processor's seconds that a job takes."""
+    assert callable(job)
+    warm(job)
+    spent = []
+    for _ in range(repeats):
+        begin = time.process_time()
+        job()
+        spent.append(time.process_time() - begin)
+    return float(np.median(spent))
+
+
+def bounds() -> tuple[float, float]:
+    """Return multiply-adds and bytes per second of this machine."""
+    a, b = np.ones((_SIZE, _SIZE)), np.ones((_SIZE, _SIZE))
+    source, target = np.ones(_COPIED), np.ones(_COPIED)
+    products = _SIZE**3 / median(lambda: a @ b)
+    return products, 16.0 * _COPIED / median(lambda: np.copyto(target, source))
+
+
+def main() -> None:
+    """Print the table."""
+    with threadpool_limits(1):
+        products, copied = bounds()
+        table = Table(title=f"{products / 1e9:.1f} G multiply-adds and {copied / 1e9:.1f} GB per second")
+        for head in ("channels", "cases", "times real time", "of multiply-adds", "of memory", "us per event"):
+            table.add_column(head, justify="right")
+        for channels in CHANNELS:
+            loop, events = loop_of(channels)
+            for cases in CASES:
+                seen = np.random.default_rng(1).standard_normal((FRAMES, channels, cases))
+
+                def job(loop: Loop = loop, events: Schedule = events, seen: Array = seen) -> object:
+                    return run([loop], events, [seen], 1)
+
+                spent = median(job)
+                # Two matrices by the cases of a batch, and per event 14 numbers of each channel.
+                work = FRAMES * cases * (2 * channels**2 + 2 * 14 * channels)
+                moved = FRAMES * 8 * (2 * channels**2 + 2 * 14 * channels * cases)
+                table.add_row(
+                    str(channels),
+                    str(cases),
+                    f"{FRAMES * FRAME * cases / spent:.3g}",
+                    f"{100 * work / products / spent:.0f} %",
+                    f"{100 * moved / copied / spent:.0f} %",
+                    f"{1e6 * spent / len(events.kinds):.0f}",
+                )
+        Console().print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""The actuators that come with Wavequake, one file each."""

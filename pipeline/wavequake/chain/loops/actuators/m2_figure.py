@@ -1,0 +1,35 @@
+"""A deformable M2."""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from wavequake.chain.loops.block import Actuator, Light, register
+from wavequake.optics.polynomials.zernike import MOST_TERMS
+from wavequake.optics.segments.states import SurfaceStates
+
+MM_PER_NM = 1e-6
+
+
+@register
+class DeformableM2(Actuator):
+    """Zernike deformations of M2 in nm, Noll 2 and up over the beam's footprint (Störkle 2018, Eq. 4.26)."""
+
+    model: Literal["m2-figure"] = "m2-figure"
+    terms: int = Field(default=105, ge=2, le=MOST_TERMS, description="highest Noll index")
+
+    @property
+    def mirror_terms(self) -> int:
+        """Noll terms by which it deforms M2."""
+        return self.terms
+
+    def channels(self, light: Light) -> tuple[str, ...]:
+        """Return Z2, Z3, ..."""
+        return tuple(f"Z{j}" for j in range(2, self.terms + 1))
+
+    def put(self, states: SurfaceStates, positions: NDArray[np.float64]) -> None:
+        """Add positions to the figure of M2."""
+        assert states.mirror_figure is not None
+        states.mirror_figure[: len(positions), 0, 1 : self.terms] += positions * MM_PER_NM

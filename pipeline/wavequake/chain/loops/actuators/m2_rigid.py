@@ -1,0 +1,35 @@
+"""A hexapod or tip-tilt stage that moves M2 as a rigid body."""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from wavequake.chain.loops.block import Actuator, Light, register
+from wavequake.optics.derivatives.central import DOFS
+from wavequake.optics.segments.states import SurfaceStates
+
+# nm and nrad to mm and rad.
+_UNITS = np.repeat([1e-6, 1e-9], 3)
+
+
+@register
+class RigidM2(Actuator):
+    """M2 as a rigid body: translations in nm, rotations in nrad (Störkle 2018, Eq. 4.24)."""
+
+    step = 1000.0
+
+    model: Literal["m2-rigid"] = "m2-rigid"
+    dofs: tuple[Literal["dx", "dy", "dz", "rx", "ry", "rz"], ...] = Field(
+        default=("rx", "ry"), min_length=1, strict=False, description="of dx, dy, dz, rx, ry, rz"
+    )
+
+    def channels(self, light: Light) -> tuple[str, ...]:
+        """Return the degrees of freedom."""
+        return self.dofs
+
+    def put(self, states: SurfaceStates, positions: NDArray[np.float64]) -> None:
+        """Add positions to the motion of M2."""
+        places = [DOFS.index(one) for one in self.dofs]
+        states.surface_motion[: len(positions), 0, places] += positions * _UNITS[places]

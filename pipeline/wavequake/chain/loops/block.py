@@ -1,0 +1,388 @@
+"""What sensors, actuators and controllers offer, and their registries: one file adds a kind of one."""
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError
+
+from wavequake.campaign.schema import Section
+from wavequake.control.sampled.channel import RIGID, Dynamics, Timing, first_order, second_order
+from wavequake.control.sampled.regulator import Instant, Regulator, Stepped
+from wavequake.errors import UserError
+from wavequake.mechanics.disturbances.layout import SegmentLayout
+from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
+from wavequake.mechanics.disturbances.source import AnySource
+from wavequake.optics.segments.states import SurfaceStates
+from wavequake.registry import Registry
+
+Array = NDArray[np.float64]
+
+# Motions that act less apart than this, as a share of one of them alone, are not told apart.
+_APART = 1e-6
+_ROUNDING = 1e-9
+Varied = Annotated[tuple[float | str, ...], Field(strict=False)]
+_NAMED = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
+
+
+@dataclass(frozen=True)
+class Light:
+    """What sensors see: the line of sight x, y in mas and Noll coefficients 4..J of the wavefront in nm.
+
+    Where a sensor sees segments themselves, dz (nm), rx and ry (nrad) of all of them follow.
+
+    Attributes
+    ----------
+    terms : int
+        J.
+    obscuration, radius_mm : float
+        Of the pupil.
+    layout : SegmentLayout
+        The segments of M1.
+    segments_too : bool
+        Whether motions of the segments are seen.
+    """
+
+    terms: int
+    obscuration: float
+    radius_mm: float
+    layout: SegmentLayout
+    segments_too: bool = False
+
+    @property
+    def optical(self) -> int:
+        """Number of entries that are light."""
+        return self.terms - 1
+
+    def __len__(self) -> int:
+        return self.optical + (3 * len(self.layout) if self.segments_too else 0)
+
+    @property
+    def tilt(self) -> float:
+        """Noll tilt of the wavefront, nm, of 1 mas of line of sight: OPD falls to where the image goes."""
+        size = self.radius_mm * 1e6 * RAD_PER_MAS
+        return float(-0.5 * np.hypot(1.0, self.obscuration) * size)
+
+    @property
+    def noll(self) -> Array:
+        """From what sensors see to Noll coefficients 2..J in nm, (J - 1, J - 1)."""
+        return np.diag([self.tilt, self.tilt, *np.ones(self.terms - 3)])
+
+
+class Sensor(Section):
+    """A sensor that averages over its frames; a study file names it by the default of its field ``model``."""
+
+    units: ClassVar[str]
+    sees: ClassVar[Literal["light", "segments"]] = "light"
+
+    name: str = Field(pattern=_NAMED, description="also names its random numbers")
+    rate_hz: float = Field(default=1000.0, gt=0, description="frames per second")
+    integration: float = Field(
+        default=1.0, gt=0, le=1, description="last share of a frame over which it averages"
+    )
+    noise: float = Field(default=0.0, ge=0, description="rms of each reading, per frame, in its unit")
+    noise_density: float = Field(
+        default=0.0, ge=0, description="one-sided, in its unit per root of Hz, beside `noise`"
+    )
+    quantum: float = Field(default=0.0, ge=0, description="step to which readings are rounded; 0: none")
+    bandwidth_hz: float | None = Field(
+        default=None,
+        gt=0,
+        description="of its electronics, of first order; default: no limit",
+    )
+
+    def dynamics(self) -> Dynamics:
+        """Return how a reading follows what is read."""
+        return RIGID if self.bandwidth_hz is None else first_order(self.bandwidth_hz)
+
+    def labels(self, light: Light) -> tuple[str, ...]:
+        """Return the names of its m readings."""
+        raise NotImplementedError
+
+    def matrix(self, light: Light, nominal: bool = False) -> Array:
+        """Return readings per what of it is seen, (m, J - 1) or (m, 3 S): as they are, or as believed."""
+        raise NotImplementedError
+
+    def readings(self, light: Light, nominal: bool = False) -> Array:
+        """Return readings per all that is seen, (m, K)."""
+        found, rest = self.matrix(light, nominal), len(light) - light.optical
+        if self.sees == "light":
+            return np.pad(found, ((0, 0), (0, rest)))
+        return np.pad(found, ((0, 0), (light.optical, 0)))
+
+    def noise_rms(self) -> float:
+        """Return the standard deviation of a reading of one frame."""
+        exposed = self.integration / self.rate_hz
+        return float(np.hypot(self.noise, self.noise_density / np.sqrt(2 * exposed)))
+
+
+class Centroids(Section):
+    """What makes the noise of a centroid; without photons it has none."""
+
+    photons: float = Field(default=0.0, ge=0, description="in a spot, per frame; 0: photons make no noise")
+    read_noise: float = Field(default=0.0, ge=0, description="electrons rms per pixel")
+    spot_mas: float = Field(default=20.0, gt=0, description="rms width of the spot along one axis")
+    pixel_mas: float = Field(default=20.0, gt=0)
+    pixels: int = Field(default=8, ge=2, le=64, description="along one side of the window")
+
+    def centroid_rms(self) -> float:
+        """Return the rms of a centre of gravity along one axis, mas.
+
+        Of N photons at places of variance s^2 it is s / sqrt(N); read noise r of every pixel adds
+        r^2 sum(x^2) / N^2 to the square.
+        """
+        if not self.photons:
+            return 0.0
+        places = (np.arange(self.pixels) - (self.pixels - 1) / 2) * self.pixel_mas
+        spread = self.pixels * float(places @ places)
+        return float(
+            np.sqrt(self.spot_mas**2 / self.photons + (self.read_noise / self.photons) ** 2 * spread)
+        )
+
+
+class Actuator(Section):
+    """An actuator; a study file names it by the default of its field ``model``."""
+
+    # Half width of central differences in its units.
+    step: ClassVar[float] = 10.0
+
+    name: str = Field(pattern=_NAMED)
+    bandwidth_hz: float | None = Field(
+        default=None, gt=0, description="of first order; default: it follows at once"
+    )
+    resonance_hz: float | None = Field(default=None, gt=0, description="of second order, in place of it")
+    damping: float = Field(default=0.7, gt=0, le=10, description="damping ratio of the resonance")
+    stroke: float | None = Field(default=None, gt=0, description="largest position; default: no limit")
+    slew: float | None = Field(
+        default=None, gt=0, description="largest change per second, from one command to the next"
+    )
+    stuck: dict[str, float] = Field(
+        default_factory=dict, description="channels that do not move, and where they stand"
+    )
+
+    @property
+    def mirror_terms(self) -> int:
+        """Noll terms by which it deforms M2; 0: none."""
+        return 0
+
+    @property
+    def segment_dofs(self) -> tuple[int, ...]:
+        """Degrees of freedom (0 to 5: dx ... rz) in which it moves every segment of M1."""
+        return ()
+
+    def channels(self, light: Light) -> tuple[str, ...]:
+        """Return the names of its p channels."""
+        raise NotImplementedError
+
+    def put(self, states: SurfaceStates, positions: Array) -> None:
+        """Add positions (batch, p) to the first instants of a telescope's states."""
+        raise NotImplementedError
+
+    def dynamics(self) -> Dynamics:
+        """Return how a channel follows."""
+        if self.resonance_hz is not None:
+            if self.bandwidth_hz is not None:
+                raise UserError(f"actuator.{self.name}: give bandwidth_hz or resonance_hz, not both.")
+            return second_order(self.resonance_hz, self.damping)
+        return RIGID if self.bandwidth_hz is None else first_order(self.bandwidth_hz)
+
+
+@dataclass(frozen=True)
+class Design:
+    """What a controller is designed for.
+
+    Attributes
+    ----------
+    controller, sensor, actuator : str
+        Names, for messages.
+    readings, channels : tuple of str
+        Names of the m readings and p channels.
+    sees : ndarray, shape (m, p)
+        Readings per position, as they are believed to be.
+    noise : float
+        Rms of a reading's mean over a period.
+    dynamics : Dynamics
+        From a channel's command to its reading: actuator and sensor.
+    timing : Timing
+    """
+
+    controller: str
+    sensor: str
+    actuator: str
+    readings: tuple[str, ...]
+    channels: tuple[str, ...]
+    sees: Array
+    noise: float
+    dynamics: Dynamics
+    timing: Timing
+
+    @property
+    def sees_positions(self) -> bool:
+        """Whether readings show where the actuator stands, as those of accelerometers do not."""
+        return abs(self.dynamics.static_gain - 1.0) < _ROUNDING
+
+
+class Controller(Section):
+    """A controller; a study file names it by the default of its field ``model``."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_./-]*$")
+    sensor: str = Field(default="", description="name of its [[sensor]]")
+    actuator: str = Field(default="", description="name of its [[actuator]]")
+    rate_hz: float | None = Field(
+        default=None, gt=0, description="commands per second, of the mean of frames; default: every frame"
+    )
+    latency_frames: float = Field(
+        default=1.0,
+        ge=0,
+        le=100,
+        description="from the end of the last frame to the command's acting, in its own periods; any "
+        "fraction; 0: in the next one",
+    )
+    beside: tuple[str, ...] = Field(
+        default=(), strict=False, description="other controllers that run at the same time"
+    )
+    vary: dict[str, Varied] = Field(
+        default_factory=dict,
+        strict=False,
+        description="values of other keys, as latency_frames = [0, 1]: a controller of every combination, "
+        "called name/value/value",
+    )
+
+    def varied(self) -> "tuple[Controller, ...]":
+        """Return the controllers that it stands for: itself, or those of all its varied values.
+
+        Raises
+        ------
+        ValueError
+            If a key is none of its own, or a value does not fit it.
+        """
+        if not self.vary:
+            return (self,)
+        fields = set(type(self).model_fields) - {"vary", "name", "model"}
+        if unknown := next((key for key in self.vary if key not in fields), None):
+            raise ValueError(f"the controller {self.name!r} varies {unknown!r}, which is none of its keys")
+        if empty := next((key for key, values in self.vary.items() if not values), None):
+            raise ValueError(f"the controller {self.name!r} varies {empty!r} over no values")
+        fixed = self.model_dump(exclude_unset=True, exclude={"vary"})
+        found = []
+        for values in product(*self.vary.values()):
+            words = [one if isinstance(one, str) else f"{one:g}" for one in values]
+            own = fixed | dict(zip(self.vary, values, strict=True)) | {"name": "/".join([self.name, *words])}
+            try:
+                found.append(type(self).model_validate(own, strict=False))
+            except ValidationError as error:
+                key, why = error.errors()[0]["loc"][0], error.errors()[0]["msg"]
+                raise ValueError(f"the controller {own['name']!r}: {key}: {why}") from None
+        return tuple(found)
+
+    def design(self, asked: Design) -> Regulator | Stepped | Instant | None:
+        """Return what gives the commands; None: nothing moves.
+
+        Raises
+        ------
+        UserError
+            If there is none for this sensor and actuator.
+        """
+        raise NotImplementedError
+
+
+def decoupling(asked: Design, modes: int | None = None, rates: bool = False) -> Array:
+    """Return positions per reading (p, m): the pseudo-inverse of what the sensor sees, or of its best modes.
+
+    With `rates`, the sensor need not see where things stand: accelerometers do not.
+
+    Raises
+    ------
+    UserError
+        If the sensor does not see a motion of the actuator; names its channel.
+    """
+    sizes = np.linalg.norm(asked.sees, axis=0)
+    where = f"controller.{asked.controller}: the sensor {asked.sensor!r}"
+    if not (rates or asked.sees_positions):
+        raise UserError(f"{where} does not see where things stand; state-space or a function can use it.")
+    if not sizes.all():
+        channel = asked.channels[int(np.flatnonzero(sizes == 0)[0])]
+        raise UserError(f"{where} does not see {channel!r} of the actuator {asked.actuator!r} at all.")
+    left, values, right = np.linalg.svd(asked.sees / sizes, full_matrices=False)
+    count = len(sizes)
+    rank = int((values > _APART * values[0]).sum())
+    if modes is None and rank < count:
+        # Of what is not seen, the channel that takes the largest part.
+        seen = right[:rank]
+        channel = asked.channels[int((1 - (seen**2).sum(axis=0)).argmax())]
+        raise UserError(
+            f"{where} tells {rank} of {count} motions of the actuator {asked.actuator!r} apart, so that "
+            f"{channel!r} is not determined; set modes = {rank}, or take another sensor."
+        )
+    kept = rank if modes is None else modes
+    if kept > rank:
+        raise UserError(f"{where} tells {rank} motions of {asked.actuator!r} apart, not modes = {kept}.")
+    return np.asarray((right[:kept].T / values[:kept]) @ left[:, :kept].T / sizes[:, None])
+
+
+Kind = TypeVar("Kind", bound=type[Section])
+_HOME = "wavequake.chain.loops"
+
+
+def _registry(what: str) -> Registry[Any]:
+    return Registry(
+        what,
+        f"{_HOME}.{what}s",
+        f"wavequake.{what}s",
+        lambda entry: str(entry.model_fields["model"].default),
+    )
+
+
+SENSORS, ACTUATORS, CONTROLLERS = map(_registry, ("sensor", "actuator", "controller"))
+
+
+def register(kind: Kind) -> Kind:
+    """Make a sensor, actuator or controller known to study files; a decorator of its class.
+
+    Raises
+    ------
+    UserError
+        If it is none of the three, or another one has its name.
+    """
+    for base, registry in ((Sensor, SENSORS), (Actuator, ACTUATORS), (Controller, CONTROLLERS)):
+        if isinstance(kind, type) and issubclass(kind, base):
+            registry.add(kind)
+            return kind
+    raise UserError(f"{kind!r} is no sensor, actuator or controller; derive it from one of them.")
+
+
+class AnyBlock(AnySource):
+    """Annotates a field of a study that takes any entry of a registry."""
+
+    def __init__(self, registry: Registry[Any]) -> None:
+        self._registry = registry
+
+    def models(self) -> tuple[Any, ...]:
+        """Return the models among which the key ``model`` chooses."""
+        return tuple(entry for _, entry in sorted(self._registry.entries().items()))
+
+
+def stroke_of(actuator: Actuator, count: int) -> Array:
+    """Return the largest positions (p,) of an actuator."""
+    return np.full(count, np.inf if actuator.stroke is None else actuator.stroke)
+
+
+def stuck_of(actuator: Actuator, channels: tuple[str, ...]) -> Array:
+    """Return where channels are stuck (p,), NaN for those that move.
+
+    Raises
+    ------
+    UserError
+        If there is no such channel.
+    """
+    found = np.full(len(channels), np.nan)
+    for name, value in actuator.stuck.items():
+        if name not in channels:
+            raise UserError(
+                f"actuator.{actuator.name}.stuck: there is no channel {name!r}; it has {channels[0]} to "
+                f"{channels[-1]}."
+            )
+        found[channels.index(name)] = value
+    return found

@@ -1,0 +1,74 @@
+"""LQG with a model of the vibration."""
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from wavequake.campaign.schema import Section
+from wavequake.chain.loops.block import Controller, Design, decoupling, register
+from wavequake.control.frames.disturbance import Shaped, joined, line
+from wavequake.control.linear import LinearModel
+from wavequake.control.sampled.filters import drift, lqg
+from wavequake.control.sampled.regulator import Regulator, shared_filter
+from wavequake.errors import UserError
+
+
+class LineSection(Section):
+    """A vibration that the controller expects."""
+
+    hz: float = Field(gt=0)
+    fwhm_hz: float = Field(default=0.5, gt=0, description="full width at half maximum")
+    rms: float = Field(gt=0, description="in the sensor's unit")
+
+
+class Expecting(Controller):
+    """What a controller expects: in every channel a drift and vibration lines, beside noise of the sensor.
+
+    Only ratios of rms count. All channels expect the same.
+    """
+
+    lines: tuple[LineSection, ...] = Field(default=(), strict=False)
+    drift_rms: float = Field(default=0.0, ge=0, description="of first-order noise, in the sensor's unit")
+    drift_hz: float = Field(default=0.1, gt=0, description="its corner")
+    noise: float | None = Field(
+        default=None, gt=0, description="of a command's reading that it believes; default: the sensor's"
+    )
+    modes: int | None = Field(
+        default=None, ge=1, description="so many best-seen motions are corrected; default: all"
+    )
+
+    @model_validator(mode="after")
+    def _something_is_expected(self) -> "Expecting":
+        if not (self.lines or self.drift_rms):
+            raise ValueError(f"{self.name!r} expects no disturbance; give lines or drift_rms")
+        return self
+
+    def expected(self, asked: Design) -> tuple[Shaped, float]:
+        """Return the disturbance and the noise of a reading."""
+        parts = [line(one.hz, one.fwhm_hz, one.rms) for one in self.lines]
+        if self.drift_rms:
+            parts.append(drift(self.drift_hz, self.drift_rms))
+        return joined(parts), asked.noise if self.noise is None else self.noise
+
+    def filtered(self, asked: Design) -> LinearModel:
+        """Return the filter of a channel."""
+        raise NotImplementedError
+
+    def design(self, asked: Design) -> Regulator:
+        """Return a filter for every channel."""
+        try:
+            model = self.filtered(asked)
+        except UserError as error:
+            raise UserError(f"controller.{self.name}: {error}") from None
+        return shared_filter(decoupling(asked, self.modes), model)
+
+
+@register
+class Lqg(Expecting):
+    """A Kalman predictor of what is expected; how an actuator follows is known, but not made up for."""
+
+    model: Literal["lqg"] = "lqg"
+
+    def filtered(self, asked: Design) -> LinearModel:
+        """Return the predictor."""
+        return lqg(*self.expected(asked), asked.dynamics, asked.timing)

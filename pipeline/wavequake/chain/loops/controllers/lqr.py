@@ -1,0 +1,25 @@
+"""LQR with a Kalman filter, which makes up for slow actuators."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from wavequake.chain.loops.block import Design, register
+from wavequake.chain.loops.controllers.lqg import Expecting
+from wavequake.control.linear import LinearModel
+from wavequake.control.sampled.filters import lqr
+
+
+@register
+class Lqr(Expecting):
+    """The regulator that leaves least at a price of moving the actuator, with a Kalman filter."""
+
+    model: Literal["lqr"] = "lqr"
+    effort: float = Field(
+        default=0.01, gt=0, le=1e6, description="price of a change of the command, against what is left"
+    )
+
+    def filtered(self, asked: Design) -> LinearModel:
+        """Return regulator and filter."""
+        known, noise = self.expected(asked)
+        return lqr(known, noise, self.effort, asked.dynamics, asked.timing)

@@ -1,0 +1,1 @@
+"""The sensors that come with Wavequake, one file each."""

@@ -1,0 +1,37 @@
+"""The spectrum of a history that is drawn."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_FEWEST = 16  # instants of a spectrum
+_UNEVEN = 1e-3  # of the step
+
+
+def spectrum(time: Array, values: Array) -> tuple[Array, Array]:
+    """Return the one-sided power spectral density of a history about its mean, without a window.
+
+    Parameters
+    ----------
+    time : ndarray, shape (T,)
+        s, evenly spaced.
+    values : ndarray, shape (T,)
+
+    Returns
+    -------
+    hertz, density : ndarray, shape (T // 2,)
+        From the lowest frequency on; the density, in the square of the unit per Hz, times the step of
+        frequencies sums to the variance (Parseval).
+    """
+    count, step = len(time), float(time[1] - time[0])
+    found = np.abs(np.fft.rfft(values - values.mean()))[1:] ** 2 * (2.0 * step / count)
+    if count % 2 == 0:
+        found[-1] /= 2.0  # the highest frequency has no twin
+    return np.asarray(np.fft.rfftfreq(count, step)[1:], dtype=np.float64), found
+
+
+def has_spectrum(time: Array) -> bool:
+    """Return whether instants are many enough and evenly spaced."""
+    steps = np.diff(time)
+    return len(time) >= _FEWEST and bool(np.ptp(steps) <= _UNEVEN * steps.mean()) and steps.mean() > 0.0

@@ -1,0 +1,124 @@
+"""Ticks of an axis and their numbers, drawn at once: matplotlib makes five artists of each."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.backend_bases import RendererBase
+from matplotlib.lines import Line2D
+from matplotlib.path import Path
+from matplotlib.transforms import IdentityTransform
+from numpy.typing import NDArray
+
+from wavequake.drawing.labels import HALF_DIGIT, Align, write
+
+Array = NDArray[np.float64]
+_Pixels = Callable[[Array, float], Array]
+
+_LONG, _SHORT, _GAP = 3.5, 2.0, 3.5  # points
+_MARGIN = 4.0  # points, between numbers and label
+_ASCENT, _LINE = 0.76, 1.0  # of the size, of DejaVu Sans
+_ALIGN: dict[str, Align] = {"left": "right", "right": "left"}
+_WIDTHS = 0.7, 0.6  # points
+
+
+def draw_ticks_at_once(axes: Axes) -> None:
+    """Draw the ticks of both axes in one piece each, where and as matplotlib would; also grids.
+
+    For numbers without formulas, and labels that have their coordinates.
+    """
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_visible(False)
+        axes.add_artist(Ticks(axis))
+
+
+class Ticks(Artist):
+    """The ticks, numbers, grid and label of an axis that is not visible itself."""
+
+    zorder = Line2D.zorder + 0.01
+
+    def __init__(self, axis: Axis) -> None:
+        super().__init__()
+        self.axis = axis
+
+    def draw(self, renderer: RendererBase) -> None:
+        """Draw what the axis has now."""
+        axis, axes = self.axis, self.axes
+        if not self.get_visible() or axes is None:
+            return
+        across = axis is axes.xaxis
+        style = axis.get_tick_params()
+        far = style["top" if across else "right"]
+        size, color = float(axis.label.get_fontsize()), axes.spines["bottom"].get_edgecolor()
+        unit = float(np.asarray(renderer.points_to_pixels(1.0)))
+        low, high = axes.bbox.get_points()
+        edge, outward = (high, 1.0) if far else (low, -1.0)
+
+        def at(places: Array, out: float) -> Array:
+            """Return pixels of places along the axis, so many points outside its edge."""
+            along = np.stack([places, places], axis=1)
+            pixels = np.asarray(axes.transData.transform(along), dtype=np.float64)
+            pixels[:, int(across)] = edge[int(across)] + outward * out * unit
+            return pixels
+
+        major, minor = (
+            _within(axis, places) for places in (axis.get_majorticklocs(), axis.get_minorticklocs())
+        )
+        if style["gridOn"]:
+            end = (high if not far else low)[int(across)]
+            beyond = abs(end - edge[int(across)]) / -unit
+            _lines(renderer, at(major, 0.0), at(major, beyond), style["grid_color"], style["grid_lw"] * unit)
+        for places, length, width in ((major, _LONG, _WIDTHS[0]), (minor, _SHORT, _WIDTHS[1])):
+            _lines(renderer, at(places, 0.0), at(places, length), color, width * unit)
+        side = ("top" if far else "bottom") if across else ("right" if far else "left")
+        if style["label" + side]:
+            self._write_numbers(renderer, side, at, major, size, color)
+        axis.label.draw(renderer)
+
+    def _write_numbers(
+        self, renderer: RendererBase, side: str, at: _Pixels, major: Array, size: float, color: Any
+    ) -> None:
+        """Write the numbers, what they all are to be multiplied by, and place the label beyond them."""
+        axis, unit = self.axis, float(np.asarray(renderer.points_to_pixels(1.0)))
+        form = axis.get_major_formatter()
+        words = form.format_ticks(major.tolist())
+        points = at(major, _LONG + _GAP + (_ASCENT * size if side == "bottom" else 0.0))
+        low, high = axis.axes.bbox.get_points()
+        if side == "bottom":
+            write(renderer, words, points, [color] * len(words), size)
+            below = low[1] - (_LONG + _GAP + _LINE * size + _MARGIN) * unit
+            axis.label.set(transform=IdentityTransform(), position=((low[0] + high[0]) / 2.0, below))
+            held: Align = "right"
+            corner = (high[0], below - _ASCENT * size * unit)
+        else:
+            points[:, 1] -= HALF_DIGIT * size * unit
+            wide = write(renderer, words, points, [color] * len(words), size, _ALIGN[side])
+            if side == "right":
+                beyond = high[0] + (_LONG + _GAP + _MARGIN) * unit + wide
+                axis.label.set(transform=IdentityTransform(), position=(beyond, (low[1] + high[1]) / 2.0))
+            corner, held = (low[0], high[1] + _MARGIN * unit), "left"
+        if times := form.get_offset():
+            write(renderer, [times], np.array([corner]), [color], size, held)
+
+
+def _within(axis: Axis, places: Any) -> Array:
+    """Return the places that are in view; rounding may put the first or the last a little outside."""
+    low, high = sorted(axis.get_transform().transform(axis.get_view_interval()))
+    found: Array = np.asarray(places, dtype=np.float64)
+    ways = axis.get_transform().transform(found)
+    slack = 1e-9 * (high - low)
+    inside: Array = found[(ways >= low - slack) & (ways <= high + slack)]
+    return inside
+
+
+def _lines(renderer: RendererBase, starts: Array, ends: Array, color: Any, width: float) -> None:
+    gc = renderer.new_gc()
+    gc.set_foreground(color)
+    gc.set_linewidth(width)
+    points = np.stack([starts, ends], axis=1).reshape(-1, 2)
+    codes = np.tile([Path.MOVETO, Path.LINETO], len(starts))
+    renderer.draw_path(gc, Path(points, codes), IdentityTransform())
+    gc.restore()

@@ -1,0 +1,170 @@
+"""Nodal results of any file: which steps it has, where its nodes are, in SI units."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wavequake.errors import UserError
+from wavequake.mechanics.importers.entries import Array, Integers, read_bytes
+from wavequake.mechanics.importers.mesh import read_mesh
+from wavequake.mechanics.importers.units import LENGTH
+from wavequake.mechanics.nodal import frd, op2, rst, tables
+from wavequake.mechanics.nodal.step import Kind, Step, Written
+
+READERS: dict[str, Callable[[Path], Written]] = {
+    ".csv": tables.read_csv,
+    ".npz": tables.read_arrays,
+    ".txt": tables.read_text,
+    ".dat": tables.read_text,
+    ".op2": op2.read_op2,
+    ".frd": frd.read_frd,
+    ".rst": rst.read_rst,
+}
+FORMATS = ".csv, .npz, .txt (Zemax STAR), .op2 (Nastran), .frd (CalculiX) or .rst (Ansys)"
+_CARDS = (".bdf", ".nas", ".fem", ".dat")
+
+
+@dataclass(frozen=True)
+class NodalResults:
+    """Steps of one kind at the same nodes, SI units.
+
+    Attributes
+    ----------
+    kind : "case", "time" or "mode"
+    values : ndarray, shape (n,)
+        Instants in s, frequencies in Hz, or numbers of load cases.
+    labels : ndarray of int, shape (p,)
+    points : ndarray, shape (p, 3)
+        m.
+    motions : ndarray, shape (n, p, 3) or (n, p, 6)
+        m, and rotations in rad; of modes in the file's own scale, displacements times its unit of length.
+    """
+
+    kind: Kind
+    values: Array
+    labels: Integers
+    points: Array
+    motions: Array
+
+
+def read_results(
+    path: Path, unit: str | None, mesh: Path | None, wanted: Sequence[Kind] = ("time", "case")
+) -> NodalResults:
+    """Return the steps of the first kind in `wanted` that a file has.
+
+    Parameters
+    ----------
+    path : Path
+    unit : str or None
+        Of length, in a file that does not say it: "m", "mm", ...
+    mesh : Path or None
+        Where the nodes are, if not in the file.
+    wanted : sequence of "case", "time", "mode"
+
+    Raises
+    ------
+    UserError
+        If the file cannot be read, has no such steps, its unit or nodes are not known, steps have different
+        nodes, or instants do not increase.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in READERS:
+        raise UserError(
+            f"{path.name}: no reader of nodal results for {suffix or 'no suffix'}; give {FORMATS}"
+        )
+    written = READERS[suffix](path)
+    scale = _scale(written, unit)
+    kind = next((one for one in wanted if any(step.kind == one for step in written.steps)), None)
+    if kind is None:
+        held = ", ".join(sorted({_WORDS[step.kind] for step in written.steps}))
+        raise UserError(f"{path.name} holds {held}, but {_WORDS[wanted[0]]} are needed")
+    steps = [step for step in written.steps if step.kind == kind]
+    labels = steps[0].labels
+    width = min(step.values.shape[1] for step in steps)
+    motions = np.stack([_aligned(step, labels, path.name)[:, :width] for step in steps])
+    if width > 3 and not motions[..., 3:].any():
+        motions = motions[..., :3]
+    motions[..., :3] *= scale
+    values = np.array([float(step.number) if kind == "case" else step.value for step in steps])
+    if kind == "time" and (np.diff(values) <= 0.0).any():
+        at = int(np.flatnonzero(np.diff(values) <= 0.0)[0])
+        raise UserError(f"{path.name}: its instants {values[at]:g} and {values[at + 1]:g} s do not increase")
+    if not np.isfinite(motions).all():
+        raise UserError(f"{path.name}: a displacement is not finite")
+    points = _points(written, labels, mesh)
+    return NodalResults(kind, values, labels, points * scale, motions)
+
+
+_WORDS = {"case": "load cases", "time": "results over time", "mode": "modes"}
+
+
+def _scale(written: Written, unit: str | None) -> float:
+    if written.length is not None:
+        if unit is not None:
+            raise UserError(f"{written.source} says its units itself; leave unit = {unit!r} out")
+        return written.length
+    if unit not in LENGTH:
+        raise UserError(
+            f"{written.source} does not say its unit of length; add unit = 'mm' or another of "
+            f"{', '.join(LENGTH)}"
+        )
+    return LENGTH[unit]
+
+
+def _aligned(step: Step, labels: Integers, source: str) -> Array:
+    """Return the values of a step in the order of `labels`."""
+    if np.array_equal(step.labels, labels):
+        return step.values
+    order = np.argsort(step.labels, kind="stable")
+    if len(step.labels) != len(labels) or not np.array_equal(step.labels[order], np.sort(labels)):
+        raise UserError(
+            f"{source}: the steps {step.number} and the first have different nodes ({len(step.labels)} and "
+            f"{len(labels)}); write all for the same nodes"
+        )
+    return step.values[order][np.argsort(np.argsort(labels, kind="stable"), kind="stable")]
+
+
+def _points(written: Written, labels: Integers, mesh: Path | None) -> Array:
+    if len(np.unique(labels)) < len(labels):
+        raise UserError(f"{written.source} lists a node twice")
+    known, points, source = written.labels, written.points, written.source
+    if mesh is not None or points is None or known is None:
+        if mesh is None:
+            raise UserError(
+                f"{written.source} does not say where its nodes are; name the deck that does with the key "
+                "mesh"
+            )
+        if mesh.suffix.lower() in _CARDS:
+            _refuse_own_axes(mesh)
+        found = read_mesh(mesh)
+        known, points, source = found.labels, found.points, found.source
+    order = np.argsort(known)
+    place = np.minimum(np.searchsorted(known[order], labels), len(order) - 1)
+    missing = labels[known[order][place] != labels]
+    if len(missing):
+        raise UserError(f"{source} has no coordinates of node {missing[0]} ({len(missing)} such nodes)")
+    return np.asarray(points[order][place])
+
+
+def _refuse_own_axes(deck: Path) -> None:
+    """Raise UserError if a GRID card of a Nastran deck names axes (CP, CD) that are not the basic ones."""
+    lines = read_bytes(deck).decode("latin-1").upper().splitlines()
+    for number, line in enumerate(lines):
+        if not re.match(r"GRID[\s,*]", line):
+            continue
+        if "," in line:
+            fields = [part.strip() for part in line.split(",")] + [""] * 9
+            frames = (fields[2], fields[6])
+        elif line.startswith("GRID*"):
+            following = lines[number + 1] if number + 1 < len(lines) else ""
+            frames = (line[24:40].strip(), following[24:40].strip())
+        else:
+            frames = (line[16:24].strip(), line[48:56].strip())
+        if any(frame not in ("", "0") for frame in frames):
+            raise UserError(
+                f"{deck.name}, line {number + 1}: a point has axes of its own (GRID, fields CP and CD), "
+                "which are not read; write coordinates and displacements in the basic ones"
+            )

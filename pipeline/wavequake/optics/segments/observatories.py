@@ -1,0 +1,99 @@
+"""Segmented telescopes that stand or are built: Keck, GTC, GMT and ELT, with the sources of their numbers."""
+
+from math import cos, inf, pi, sin
+
+import numpy as np
+
+from wavequake.optics.segments.arrangements import circular_segments, elt_segments
+from wavequake.optics.segments.layout import hexagon_ring_segments
+from wavequake.optics.segments.telescope import Row, SegmentedTelescope, around_its_glass
+
+
+def keck() -> SegmentedTelescope:
+    """Return a Keck telescope: 36 segments, f/15 secondary, f = 149.58 m.
+
+    M1 is that of J. Nelson, Optical parameters of the Keck telescope, Keck Observatory Technical Note 163
+    (rev. 3, 1991): R = 34.974 m, conic -1.003683, hexagons with sides of 0.9 m. The f/15 secondary (R =
+    4.737916 m, conic -1.644326) puts the focus 2.5 m behind the vertex of M1 from 15.395 m before it.
+    """
+    radius, conic = -34974.0, -1.003683
+    rows = [
+        Row("M2", -4737.916, -1.644326, 15394.985),
+        Row("image", inf, 0.0, 17895.0025),
+    ]
+    gap = 3.0
+    segments = hexagon_ring_segments(900.0 + gap / 3.0**0.5, 3, gap, radius, conic)
+    note = (
+        "M1 as in Keck Observatory Technical Note 163, with the f/15 secondary; assumed are hexagons that "
+        "are regular as seen along the axis."
+    )
+    return around_its_glass("keck", segments, radius, conic, rows, note)
+
+
+def gtc() -> SegmentedTelescope:
+    """Return the Gran Telescopio Canarias: 36 segments, f = 170.0 m (published: 169.9 m).
+
+    Radii of 33 m and 3.899678 m, conics of -1.002250 and -1.504835, 14.73941 m between the mirrors and
+    hexagons with sides of 0.936 m, as the observatory and papers on its polarization and active optics give
+    them. The focus is that of these numbers, 3.400 m behind M1.
+    """
+    radius, conic = -33000.0, -1.002250
+    rows = [
+        Row("M2", -3899.678, -1.504835, 14739.41),
+        Row("image", inf, 0.0, 18139.4197),
+    ]
+    gap = 3.0
+    segments = hexagon_ring_segments(936.0 + gap / 3.0**0.5, 3, gap, radius, conic)
+    note = (
+        "Radii, conics and the spacing are published by the observatory and in papers on its optics; assumed "
+        "are hexagons that are regular as seen along the axis."
+    )
+    return around_its_glass("gtc", segments, radius, conic, rows, note)
+
+
+def gmt() -> SegmentedTelescope:
+    """Return the Giant Magellan Telescope: seven round mirrors, Gregorian, f = 207.6 m (f/8.16 of 25.4 m).
+
+    The prescription is that of the telescope's public simulation program (github.com/rconan/geotrans):
+    M1 R = 36 m, conic -0.9982857, M2 R = 4.1639009 m, conic -0.71692784, 20.26247614 m before M1; six
+    vertices 8.71 m from that of the central mirror, 8.365 m of clear glass. The focus is 5.83 m behind M1.
+    """
+    radius, conic, out = -36000.0, -0.9982857, 8710.0
+    rows = [
+        Row("M2", 4163.9009, -0.71692784, 20262.47614),
+        Row("image", inf, 0.0, 26092.48145),
+    ]
+    turns = pi / 3.0 * np.arange(6)
+    centers = np.array([*((out * cos(turn), out * sin(turn)) for turn in turns), (0.0, 0.0)])
+    segments = circular_segments([str(number) for number in range(1, 8)], centers, 8365.0, radius, conic)
+    note = (
+        "Prescription of the project's public simulation programs; M2 is of one piece here; left out: the "
+        "hole of the central mirror and what shadows it."
+    )
+    return around_its_glass("gmt", segments, radius, conic, rows, note)
+
+
+def elt() -> SegmentedTelescope:
+    """Return ESO's Extremely Large Telescope: 798 segments, five mirrors, f = 684.0 m.
+
+    Published (ESO) are 798 hexagons of about 1.4 m with gaps of 4 mm, a mirror 39.15 m across at f/0.88, a
+    convex M2 of f/1.1 and 4.2 m, a concave M3 of f/2.6, flat M4 and M5, f = 684 m (3.316 mm/arcsec). Radii,
+    spacings and aspheres are not: `note` says what is assumed. At best focus the axis has 17 nm rms; the
+    image is curved, concave to the light.
+    """
+    radius, conic = -68900.0, -0.99614283
+    rows = [
+        Row("M2", -9313.0, -2.26479982, 30764.0212),
+        Row("M3", -21067.0, -0.6296677, 30764.0212),
+        Row("M4", inf, 0.0, 14500.0, tilt=7.75 * pi / 180.0),
+        Row("M5", inf, 0.0, 6500.0, tilt=37.25 * pi / 180.0),
+        Row("image", inf, 0.0, 33121.1996),
+    ]
+    segments = elt_segments(39146.34, 4.0, radius, conic)
+    note = (
+        "Published are the segments, the focal ratios of M1, M2 and M3 and the focal length; assumed are "
+        "radii that follow from them, equal spacings that give f = 684 m, and conics that make the telescope "
+        "free of spherical aberration, coma and astigmatism; M4 and M5 fold as drawn by ESO, at 7.75 and "
+        "37.25 degrees."
+    )
+    return around_its_glass("elt", segments, radius, conic, rows, note)

@@ -1,0 +1,88 @@
+"""Gratings, binary optics and paraxial lenses in .zmx files.
+
+DGRATING has grooves along x, PARM 1 per micrometer of y, and the order PARM 2. BINARY_1 and BINARY_2 have
+the order PARM 0, an even asphere PARM 1 to 8, and as extra data the number of terms, their normalization
+radius and the terms in rad, of x, y, x^2, ... or of the radius squared, to the fourth, ... PARAXIAL has the
+focal length PARM 1 and a mode of its paths, PARM 2, which are always those between object and image here.
+"""
+
+from wavequake.errors import UserError
+from wavequake.optics.shapes.phases import Diffraction, Effect, PerfectLens
+from wavequake.optics.shapes.shapes import Conic, EvenAsphere, Shape
+from wavequake.optics.zemax.rows import Row, fail, numbered, powers_scaled, written
+
+MAX_EVEN_TERMS = 8
+MAX_TERMS = 240
+GROOVES_PER_MM = 1e3  # for one per micrometer
+
+PHASES = ("DGRATING", "BINARY_1", "BINARY_2", "PARAXIAL")
+
+
+def phase_base(row: Row, scale: float, radius: float, conic: float) -> Shape:
+    """Return the shape of a surface that has a phase; `scale` is mm per unit of the file."""
+    if row.type == "PARAXIAL":
+        return Conic()
+    if row.type == "DGRATING":
+        return Conic(radius, conic)
+    even = {k: value for k, value in numbered(row, "PARM", 0, MAX_EVEN_TERMS).items() if k}
+    terms = powers_scaled(even, scale, 2, 2)
+    return EvenAsphere(radius, conic, terms) if terms else Conic(radius, conic)
+
+
+def phase(row: Row, scale: float) -> Effect | None:
+    """Return what a surface does to light beside its shape."""
+    if row.type == "PARAXIAL":
+        focal = numbered(row, "PARM", 1, 2).get(1, 0.0)
+        if not focal:
+            fail(row.line, f"{row.label} is a paraxial lens without a focal length (PARM 1)")
+        return PerfectLens(focal * scale)
+    if row.type == "DGRATING":
+        given = numbered(row, "PARM", 1, 2)
+        return Diffraction(given.get(2, 0.0), given.get(1, 0.0) * GROOVES_PER_MM)
+    if row.type not in PHASES:
+        return None
+    data = row.table("XDAT")
+    count, norm = data.get(1, 0.0), data.get(2, 0.0)
+    if not (norm > 0.0 and count == int(count) and 0 <= count <= MAX_TERMS):
+        fail(
+            row.line,
+            f"{row.label} needs a number of terms up to {MAX_TERMS} (XDAT 1) and a positive normalization "
+            "radius (XDAT 2)",
+        )
+    terms = tuple(data.get(3 + k, 0.0) for k in range(int(count)))
+    order, radius = row.table("PARM").get(0, 0.0), norm * scale
+    if row.type == "BINARY_1":
+        return Diffraction(order, polynomial=terms, normalization_radius=radius)
+    return Diffraction(order, radial=terms, normalization_radius=radius)
+
+
+def phase_lines(effect: Effect, shape: Shape, where: str) -> list[str]:
+    """Return the type, the shape and the phase of a surface as lines.
+
+    Raises
+    ------
+    UserError
+        If no surface type has this shape and this phase.
+    """
+    if isinstance(effect, PerfectLens):
+        return ["TYPE PARAXIAL", "CURV 0.0", f"PARM 1 {written(effect.focal_length)}", "PARM 2 1.0"]
+    base = [f"CURV {written(1.0 / shape.radius)}", f"CONI {written(shape.conic)}"]
+    binary = bool(effect.radial or effect.polynomial)
+    if not binary and isinstance(shape, Conic):
+        lines = effect.lines / GROOVES_PER_MM
+        return ["TYPE DGRATING", *base, f"PARM 1 {written(lines)}", f"PARM 2 {written(effect.order)}"]
+    even = shape.coefficients if isinstance(shape, EvenAsphere) else ()
+    several = bool(effect.radial) + bool(effect.polynomial) + bool(effect.lines)
+    if not isinstance(shape, Conic | EvenAsphere) or len(even) > MAX_EVEN_TERMS or several > 1 or not binary:
+        raise UserError(
+            f"The surface {where} diffracts by grooves, a radial phase and a polynomial together, or on a "
+            "shape with which no surface type of lens files does."
+        )
+    terms = effect.radial or effect.polynomial
+    values = [float(len(terms)), effect.normalization_radius, *terms]
+    return [
+        f"TYPE BINARY_{1 if effect.polynomial else 2}",
+        *base,
+        *(f"PARM {k} {written(value)}" for k, value in enumerate((effect.order, *even))),
+        *(f"XDAT {k} {written(value)} 0 0" for k, value in enumerate(values, start=1)),
+    ]

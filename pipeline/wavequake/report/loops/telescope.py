@@ -1,0 +1,313 @@
+"""The report of a telescope-loop store: what controllers leave of wavefront, line of sight and image."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.table import Table
+
+from wavequake.report.exposures import figures as draw
+from wavequake.report.exposures import tables as common
+from wavequake.report.figures import HEIGHT, STYLE, WIDTH
+from wavequake.report.histories import has_histories, over_time, what_is_kept
+from wavequake.report.loops.frequency import Curve, bode, sensitivities, style
+from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
+from wavequake.report.populations import frame_of, left_out
+from wavequake.report.table import number, radius
+
+Array = NDArray[np.float64]
+
+_IDEAL = ("off", "perfect")
+# A wavefront that falls by less is not what the controller is for.
+_HELPS = 0.99
+_GREYS = {"off": "#999999", "perfect": "#444444"}
+_MEDIANS = (
+    "Medians over cases of each case's rms over time. Largest: position of the actuator, nrad or nm; light "
+    "error: of the loop's linear light."
+)
+_SMALL_PRINT = (
+    "Medians over cases of each case's rms over time; all controllers of a case share its draw. In small "
+    "print the share of what is left without a controller (off). Peak: of the exposure, 1 = perfect image."
+)
+_DEFINITIONS = (
+    (
+        "controller",
+        "Its name, and behind slashes the values of its keys of `vary`, in their order: with bandwidth_hz "
+        "and latency_frames, rigid/60/2 is the loop of 60 Hz that acts two frames late.",
+    ),
+    ("WFE", "Rms of the fitted Zernike terms j ≥ 4, with that at rest."),
+    ("LOS", "Distance of the line of sight from rest."),
+    ("perfect", "Acts at once on the same instant's reading, without delay, noise, dynamics or limits."),
+    ("largest", "Largest position of any of the actuator's channels, in its unit (nrad or nm)."),
+    ("limited", "Share of the commands of all channels that stroke or slew cut."),
+    (
+        "light error",
+        "Largest difference of the loop's linear light from rays that are traced in full, at the traced "
+        "instants: of the WFE in nm and of the LOS in mas.",
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a controller leaves: medians over cases; traced numbers are NaN where nothing was traced."""
+
+    name: str
+    wfe: float
+    los: float
+    peak: float
+    ee80: float
+    largest: float
+    limited: float
+    wfe_error: float
+    los_error: float
+
+
+def controllers_of(dataset: xr.Dataset) -> dict[str, dict[str, Any]]:
+    """Return the keys of every controller of a store, by name."""
+    return {one["name"]: one for one in json.loads(dataset.attrs["study"])["controller"]}
+
+
+def results(cases: xr.Dataset) -> list[Result]:
+    """Return what each controller leaves of some cases."""
+    wfe, los = (_case_rms(cases[name]).compute() for name in ("wfe_rms", "los"))
+    known = ("peak", "ee80", "largest", "limited", "light_error_wfe_rms", "light_error_los")
+    others = cases[[one for one in known if one in cases]].compute()
+    found = []
+    for index, name in enumerate(map(str, cases["controller"].to_numpy())):
+        middle = [float(np.median(one.isel(controller=index))) for one in (wfe, los)]
+        for key in known:
+            values = others[key].isel(controller=index).to_numpy() if key in others else np.array([np.nan])
+            whole = np.max if key.startswith("light") else np.median
+            middle.append(float(whole(values)))
+        found.append(Result(name, *middle))
+    return found
+
+
+def _case_rms(values: xr.DataArray) -> xr.DataArray:
+    if "statistic" in values.dims:
+        return over_time(values, "rms")
+    squares = values**2
+    if "axis" in values.dims:
+        squares = squares.sum("axis", skipna=False)
+    found: xr.DataArray = squares.mean("time") ** 0.5
+    return found
+
+
+def answer(dataset: xr.Dataset) -> str:
+    """Say how near the best controller of each actuator comes to the perfect one."""
+    known, words = controllers_of(dataset), []
+    for disturbance, cases in common.finished(dataset, "disturbance"):
+        found = {one.name: one for one in results(cases)}
+        off = next((found[name] for name, one in known.items() if one["model"] == "off"), None)
+        for actuator in _actuators(known):
+            names = [name for name, one in known.items() if one["actuator"] == actuator]
+            acting = [found[one] for one in names if known[one]["model"] not in _IDEAL]
+            ideal = next((found[one] for one in names if known[one]["model"] == "perfect"), None)
+            if not acting:
+                continue
+            best, calm = _best(acting)
+            beside = {key: one for key, one in (("off", off), ("perfect", ideal)) if one is not None}
+            others = {key: one.los for key, one in beside.items()}
+            parts = [_least("motion of the line of sight", "mas", calm, calm.los, others)]
+            if off is None or best.wfe < _HELPS * off.wfe:
+                others = {key: one.wfe for key, one in beside.items()}
+                parts.insert(0, _least("wavefront error", "nm", best, best.wfe, others))
+            words.append(f"{disturbance}, {actuator}: {'; '.join(parts)}.")
+    return " ".join(words) or "No case is done yet."
+
+
+def _best(acting: Sequence[Result]) -> tuple[Result, Result]:
+    """Return the controllers that leave the least wavefront error and the least line of sight."""
+    return min(acting, key=lambda one: (one.wfe, one.los)), min(acting, key=lambda one: one.los)
+
+
+def _least(what: str, unit: str, one: Result, value: float, others: Mapping[str, float]) -> str:
+    beside = ", ".join(f"{number(other)} {how}" for how, other in others.items())
+    return f"{one.name} leaves the least {what}, {number(value)} {unit}" + (f" ({beside})" if beside else "")
+
+
+def _actuators(known: dict[str, dict[str, Any]]) -> list[str]:
+    return list(dict.fromkeys(one["actuator"] for one in known.values() if one["actuator"]))
+
+
+def table_of(store: Path, dataset: xr.Dataset) -> Table:
+    """Return the table of a store for the terminal."""
+    rows = common.without_what_is_alike(_rows(dataset))
+    headers = tuple(rows[0]) if rows else ()
+    labels = headers.index("controller") + 1 if rows else 0
+    caption = f"{_MEDIANS} {answer(dataset)}{what_is_kept(dataset)}"
+    return common.terminal_table(rows, headers, labels, caption)
+
+
+def _rows(dataset: xr.Dataset) -> list[dict[str, tuple[str, str]]]:
+    rows, known = [], controllers_of(dataset)
+    for disturbance, cases in common.finished(dataset, "disturbance"):
+        found = results(cases)
+        off = next((one for one in found if known[one.name]["model"] == "off"), None)
+        for one in found:
+            row = {
+                "disturbance": (disturbance, ""),
+                "controller": (one.name, ""),
+                "WFE (nm)": (number(one.wfe), _share(one.wfe, off.wfe if off else None)),
+                "LOS (mas)": (number(one.los), _share(one.los, off.los if off else None)),
+            }
+            if "peak" in cases:
+                row["peak"] = number(one.peak), ""
+                row["EE80 (λ/D)"] = radius(one.ee80, frame_of(cases)), ""
+            row["largest"] = number(one.largest), ""
+            row["limited"] = f"{100 * one.limited:.3g} %", ""
+            if "light_error_los" in cases:
+                row["light error"] = f"{one.wfe_error:.0e} nm", f"{one.los_error:.0e} mas"
+            rows.append(row)
+    return rows
+
+
+def _share(value: float, of: float | None) -> str:
+    return f"{number(100 * value / of)} %" if of else ""
+
+
+def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
+    """Write the HTML report."""
+    known = controllers_of(dataset)
+    sections, overview = [], []
+    for disturbance, cases in common.finished(dataset, "disturbance"):
+        found = results(cases)
+        overview += [*_scans(disturbance, found, known)]
+        sections.append(Section(disturbance, [*_shown(disturbance, cases, found, known)]))
+    page = Page(
+        answer=answer(dataset),
+        table=common.without_what_is_alike(_rows(dataset)),
+        small_print=_SMALL_PRINT + what_is_kept(dataset),
+        overview=overview,
+        sections=[one for one in sections if one.figures],
+        definitions=list(_DEFINITIONS),
+        kind="controller",
+        left_out=left_out(dataset),
+    )
+    return write_page(render_page(dataset, page), target)
+
+
+def _scans(disturbance: str, found: Sequence[Result], known: dict[str, dict[str, Any]]) -> Iterator[Picture]:
+    for actuator in _actuators(known):
+        mine = [one for one in found if known[one.name]["actuator"] == actuator]
+        if any(known[one.name]["model"] not in _IDEAL for one in mine):
+            off = [one for one in found if known[one.name]["model"] == "off"]
+            yield picture(
+                f"scan-{disturbance}-{actuator}",
+                f"What controllers of {actuator} leave over their latency, {disturbance}",
+                _scan([*off, *mine], known),
+                "Each line is a controller with its gain or bandwidth; flat lines are nothing done (off) and "
+                "the perfect correction. Where a line lies above off, the loop does harm.",
+            )
+
+
+def curve_label(one: dict[str, Any]) -> str:
+    """Return the name of a controller without its latency, as curves over latency have it."""
+    family = str(one["name"]).split("/")[0]
+    if one.get("bandwidth_hz") is not None:
+        return f"{family}, {one['bandwidth_hz']:g} Hz"
+    return f"{family}, gain {one['gain']:g}" if one.get("gain") is not None else family
+
+
+@rc_context(STYLE)
+def _scan(mine: Sequence[Result], known: dict[str, dict[str, Any]]) -> Figure:
+    shown = {"wfe": "wavefront error (nm)", "los": "line of sight (mas)"}
+    if min(one.wfe for one in mine) > _HELPS * max(one.wfe for one in mine):
+        del shown["wfe"]  # a mirror that only tilts leaves it as it is
+    figure = Figure(figsize=(WIDTH, (0.3 + 0.6 * len(shown)) * HEIGHT), layout="constrained")
+    panels = figure.subplots(len(shown), sharex=True, squeeze=False)[:, 0]
+    for axes, (key, label) in zip(panels, shown.items(), strict=True):
+        curves: dict[str, list[tuple[float, float]]] = {}
+        for one in mine:
+            record = known[one.name]
+            if record["model"] in _IDEAL:
+                color = _GREYS[record["model"]]
+                axes.axhline(getattr(one, key), color=color, linewidth=1.8, linestyle=":", label=one.name)
+                continue
+            point = float(record["latency_frames"]), float(getattr(one, key))
+            curves.setdefault(curve_label(record), []).append(point)
+        for place, (name, points) in enumerate(curves.items()):
+            axes.plot(*np.array(sorted(points)).T, label=name, marker="o", markersize=3, **style(place))
+        axes.set_ylim(bottom=0)
+        axes.set_ylabel(label)
+    panels[-1].set_xlabel("latency (periods of the controller)")
+    handles, labels_ = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels_, loc="outside upper center", fontsize=7, ncols=3)
+    return figure
+
+
+def _shown(
+    disturbance: str, cases: xr.Dataset, found: Sequence[Result], known: dict[str, dict[str, Any]]
+) -> Iterator[Picture]:
+    """Draw a case in the middle, under nothing, the best controller of each actuator and the perfect ones."""
+    order = np.argsort(_case_rms(cases["los"]).isel(controller=0).to_numpy(), kind="stable")
+    shown = cases.isel(case=int(order[(len(order) - 1) // 2])).load()
+    names = telling(found, known)
+    case = int(shown["case"])
+    if "exposure" in shown:
+        panels = [
+            draw.Panel(name, shown["exposure"].sel(controller=name).to_numpy(), np.zeros((0, 2)))
+            for name in names
+        ]
+        yield picture(
+            f"{disturbance}-exposure",
+            f"Exposures of case {case}",
+            draw.exposure_panels(panels, shown["x"].to_numpy()),
+            "The mean image of the traced instants, four decades.",
+        )
+    if has_histories(shown):
+        time = shown["time_s"].to_numpy()
+        kept = np.isfinite(time)
+        tracks = {name: shown["los"].sel(controller=name).to_numpy()[kept] for name in names}
+        wfe = {name: shown["wfe_rms"].sel(controller=name).to_numpy()[kept] for name in names}
+        yield from common.history_pictures(disturbance, time[kept] * 1e3, tracks, "mas", wfe)
+    if curves := _curves(cases, names):
+        yield picture(
+            f"{disturbance}-bode",
+            "Loop gain over frequency",
+            bode(curves),
+            "Each controller alone: the eigenvalue of the loop gain that is nearest to -1. Curves end at "
+            "half the rate of commands.",
+        )
+        yield picture(
+            f"{disturbance}-rejection",
+            "Sensitivity and complementary sensitivity",
+            sensitivities(curves),
+            "|S| is what is left of a motion, |T| what comes of the sensor's noise. Below 1 a loop helps, "
+            "above 1 it amplifies.",
+        )
+
+
+def telling(found: Sequence[Result], known: dict[str, dict[str, Any]]) -> list[str]:
+    """Return nothing done, the perfect controllers, and the best one of each actuator."""
+    names = [one.name for one in found if known[one.name]["model"] in _IDEAL]
+    for actuator in _actuators(known):
+        mine = [one for one in found if known[one.name]["actuator"] == actuator]
+        acting = [one for one in mine if known[one.name]["model"] not in _IDEAL]
+        if acting:
+            best, calm = _best(acting)
+            helps = best.wfe < _HELPS * max(one.wfe for one in mine)
+            names.append((best if helps else calm).name)
+    return names
+
+
+def _curves(cases: xr.Dataset, names: Sequence[str]) -> list[Curve]:
+    """Return the linear ones of some controllers over frequency."""
+    found, hertz = [], cases["frequency"].to_numpy()
+    for name in names:
+        size, phase, rejection, passed = (
+            cases[key].sel(controller=name).to_numpy()
+            for key in ("loop_gain", "loop_phase", "rejection", "passed_noise")
+        )
+        if np.isfinite(size).any():
+            gain = (size * np.exp(1j * np.radians(phase)))[:, None]
+            found.append(Curve(name, hertz, gain, rejection, passed, np.nan, np.nan))
+    return found

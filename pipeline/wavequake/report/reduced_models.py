@@ -1,0 +1,109 @@
+"""Which reduced models of bodies or segments are good enough: their errors, by disturbance."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from wavequake.campaign.contract import DONE
+from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
+from wavequake.report.page import Picture, picture
+from wavequake.report.table import number
+
+Array = NDArray[np.float64]
+
+_MARKS = "osD^v<>Pp*"
+
+
+@dataclass(frozen=True)
+class ModelResult:
+    """The rms over cases of the error of a model under a disturbance, at its worst field point.
+
+    ``share`` is in parts of what the disturbance does.
+    """
+
+    disturbance: str
+    model: str
+    share: float
+
+
+def model_results(dataset: xr.Dataset, variants: Sequence[str]) -> list[ModelResult]:
+    """Return the errors of the variants of which cases are done, by disturbance."""
+    names, models = (
+        np.array([str(one) for one in dataset[key].to_numpy()]) for key in ("disturbance", "reduction")
+    )
+    done = dataset["status"].to_numpy() == DONE
+    errors = dataset["model_error"].transpose("case", ...).to_numpy()
+    found = []
+    for name in dict.fromkeys(names.tolist()):
+        for model in variants:
+            rows = np.flatnonzero(done & (names == name) & (models == model))
+            if len(rows):
+                share = float(np.sqrt(np.mean(errors[rows] ** 2, axis=0)).max())
+                found.append(ModelResult(name, model, share))
+    return found
+
+
+def verdict(found: Sequence[ModelResult], largest: float) -> str:
+    """Say which models are good enough under all disturbances; nothing if none are compared."""
+    if not found:
+        return ""
+    worst: dict[str, ModelResult] = {}
+    for one in found:
+        if one.model not in worst or one.share > worst[one.model].share:
+            worst[one.model] = one
+    good = [f"{name} ({_percent(one)})" for name, one in worst.items() if one.share <= largest]
+    bad = [
+        f"{name} ({_percent(one)}, {one.disturbance})" for name, one in worst.items() if one.share > largest
+    ]
+    limit = f"{number(100.0 * largest)} %"
+    if not good:
+        return f" No reduced model is good to {limit} of the motion: {', '.join(bad)}."
+    words = (
+        f" Reduced models that are good to {limit} of the motion under every disturbance: {', '.join(good)}"
+    )
+    return words + (f"; not so {', '.join(bad)}." if bad else ".")
+
+
+def _percent(one: ModelResult) -> str:
+    return f"{number(100.0 * one.share, 2)} %"
+
+
+def pictures(found: Sequence[ModelResult], largest: float) -> Iterator[Picture]:
+    """Yield the figure of the errors."""
+    if found:
+        yield picture(
+            "models",
+            "Errors of reduced models",
+            errors_figure(found, largest),
+            "Each mark is a disturbance: rms of the error of line of sight or wavefront, the larger one, "
+            "in parts of what the disturbance does. Below the line a model is good enough.",
+        )
+
+
+@rc_context(STYLE)
+def errors_figure(found: Sequence[ModelResult], largest: float) -> Figure:
+    """Draw the errors of every model, a mark for each disturbance."""
+    figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
+    axes = figure.add_subplot()
+    models = list(dict.fromkeys(one.model for one in found))
+    for index, name in enumerate(dict.fromkeys(one.disturbance for one in found)):
+        mine = {one.model: one.share for one in found if one.disturbance == name}
+        axes.plot(
+            [models.index(model) for model in mine],
+            list(mine.values()),
+            linestyle="none",
+            marker=_MARKS[index % len(_MARKS)],
+            color=COLORS[index % len(COLORS)],
+            label=name,
+        )
+    axes.axhline(largest, color="#444444", linewidth=0.8)
+    axes.set_yscale("log")
+    axes.set_xticks(range(len(models)), models)
+    axes.set_ylabel("error relative to the motion")
+    axes.legend()
+    return figure

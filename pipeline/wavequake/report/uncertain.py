@@ -1,0 +1,101 @@
+"""How much of a result's variance is what is not known of the structure, and how much is excitation."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from wavequake.campaign.contract import DONE
+from wavequake.campaign.statistics.parted import Parted, parted
+from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
+from wavequake.report.page import Picture, picture
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PartedResult:
+    """The parts of the variance of a quantity under a disturbance, rms of a case at its worst place."""
+
+    disturbance: str
+    quantity: str
+    parts: Parted
+
+
+def parted_results(
+    dataset: xr.Dataset, quantities: Mapping[str, Array], of: NDArray[np.bool_] | None = None
+) -> list[PartedResult]:
+    """Return the parts for all disturbances; none where models are known, or no cases share one.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Whose coordinate ``replicate`` says which cases share a model.
+    quantities : mapping of str to ndarray, shape (case, place)
+        Of every disturbance the worst place counts.
+    of : ndarray of bool, shape (case,), optional
+        The cases that count, of those that are done.
+    """
+    done = dataset["status"].to_numpy() == DONE
+    done = done if of is None else done & of
+    names, models = dataset["disturbance"].to_numpy(), dataset["replicate"].to_numpy()
+    found = []
+    for name in dict.fromkeys(names.tolist()):
+        rows = np.flatnonzero(done & (names == name))
+        for words, values in quantities.items():
+            if not len(rows):
+                continue
+            worst = values[rows, int(values[rows].mean(axis=0).argmax())]
+            parts = parted(worst, models[rows])
+            if parts is not None:
+                found.append(PartedResult(str(name), words, parts))
+    return found
+
+
+def sentence(found: Sequence[PartedResult]) -> str:
+    """Say for which result the model counts most."""
+    if not found:
+        return ""
+    one = max(found, key=lambda result: result.parts.share)
+    return (
+        f" What is not known of the structure makes up at most {one.parts.share:.0%} of the variance "
+        f"between cases ({one.parts.low:.0%} to {one.parts.high:.0%}; {one.quantity}, {one.disturbance}); "
+        "the rest is excitation."
+    )
+
+
+def pictures(found: Sequence[PartedResult]) -> Iterator[Picture]:
+    """Yield the figure of all parts."""
+    if found:
+        yield picture(
+            "variance-parts",
+            "Variance between cases: excitation and model",
+            parts_figure(found),
+            "Of the rms of a case, of systems at the worst field; bars: 95 % intervals over "
+            f"{found[0].parts.models} models. What the model has shrinks by measuring the structure, what "
+            "excitation has does not.",
+        )
+
+
+@rc_context(STYLE)
+def parts_figure(found: Sequence[PartedResult]) -> Figure:
+    """Draw the share of the model in every variance."""
+    figure = Figure(figsize=(WIDTH, 0.25 * HEIGHT + 0.22 * len(found)), layout="constrained")
+    axes = figure.add_subplot()
+    at = np.arange(len(found))
+    shares = 100.0 * np.array([one.parts.share for one in found])
+    ends = 100.0 * np.array([[one.parts.low, one.parts.high] for one in found])
+    axes.barh(at, shares, color=COLORS[1], label="model")
+    axes.barh(at, 100.0 - shares, left=shares, color="#cccccc", label="excitation")
+    off = np.maximum(np.abs(ends.T - shares), 0.0)
+    axes.errorbar(shares, at, xerr=off, fmt="none", ecolor="black", capsize=2, linewidth=0.8)
+    axes.set_yticks(at, [f"{one.disturbance}, {one.quantity}" for one in found])
+    axes.invert_yaxis()
+    axes.set_xlim(0.0, 100.0)
+    axes.set_xlabel("share of the variance (%)")
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure

@@ -1,0 +1,272 @@
+"""What the cases of ``telescope-loop`` share: light as sensitivities, designed controllers, their events."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wavequake.chain.loops.block import Actuator, Controller, Design, stroke_of, stuck_of
+from wavequake.control.linear import Array
+from wavequake.control.sampled.channel import Timing, in_series
+from wavequake.control.sampled.regulator import Instant, Regulator, Stepped, shape_of
+from wavequake.control.sampled.run import Actuator as Moved
+from wavequake.control.sampled.run import Loop, Schedule, frame_count, run, schedule
+from wavequake.control.sampled.stability import SampledLoop, Worst, worst_pole
+from wavequake.errors import UserError
+from wavequake.workflows.loops.telescope_light import Optics, drawn, optics_of, seen_of
+from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
+
+Given = Regulator | Stepped | Instant | None
+# A pole this near to the circle neither grows nor decays within a run.
+_GROWS = 1e-9
+# Motions that are seen less than this share of others ask for nothing.
+_SEEN = 1e-6
+# Periods of the slowest loop for which loops beside each other are watched after a kick.
+_KICKED = 400
+
+
+@dataclass(frozen=True)
+class Designed:
+    """A controller with all that runs beside it.
+
+    Attributes
+    ----------
+    name : str
+    actuators : tuple of Actuator
+        Whose channels are the positions, one after the other.
+    sight : ndarray, shape (K, P)
+        What sensors see per position of all channels.
+    loops : tuple of Loop
+    readings : tuple of ndarray, shape (m, K)
+        Of each loop's sensor, per what is seen.
+    instant : ndarray, shape (P, K), or None
+        Positions per what is seen, of a controller that acts at once.
+    schedules : tuple of Schedule
+        Of each population.
+    """
+
+    name: str
+    actuators: tuple[Actuator, ...]
+    sight: Array
+    loops: tuple[Loop, ...]
+    readings: tuple[Array, ...]
+    instant: Array | None
+    schedules: tuple[Schedule, ...]
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A study with its telescope and controllers.
+
+    Attributes
+    ----------
+    study : TelescopeLoopStudy
+    optics : Optics
+    controllers : tuple of Designed
+    linear : dict of SampledLoop
+        The loops of linear controllers, each alone, by name.
+    """
+
+    study: TelescopeLoopStudy
+    optics: Optics
+    controllers: tuple[Designed, ...]
+    linear: dict[str, SampledLoop]
+
+
+def bench_of(study: TelescopeLoopStudy) -> Bench:
+    """Prepare a study.
+
+    Raises
+    ------
+    UserError
+        If a disturbance moves what loops cannot see, a controller cannot be designed, its loop is unstable,
+        or a stroke is too short; names the block.
+    """
+    optics = optics_of(study)
+    for index, entry in enumerate(study.disturbance):
+        if entry.share:
+            drawn(study, optics, index, 0)  # what no case can do is said before a run
+    designs = {one.name: designed(study, optics, one) for one in study.controller}
+    linear = sampled_loops(study, optics, designs)
+    for name, loop in linear.items():
+        refuse_unstable(study, name, loop, optics)
+    bench = Bench(
+        study, optics, tuple(_designed(study, optics, one, designs) for one in study.controller), linear
+    )
+    for one in bench.controllers:
+        refuse_unstable_together(study, one)
+    refuse_saturated(bench)
+    return bench
+
+
+def timing_of(study: TelescopeLoopStudy, one: Controller) -> Timing:
+    """Return when a controller reads and acts."""
+    sensor = study.part("sensor", one.sensor)
+    frame = 1.0 / sensor.rate_hz
+    frames = round(sensor.rate_hz / (one.rate_hz or sensor.rate_hz))
+    return Timing(frame, sensor.integration * frame, frames, one.latency_frames * frames * frame)
+
+
+def designed(study: TelescopeLoopStudy, optics: Optics, one: Controller) -> Given:
+    """Return what a controller came to: a regulator, what acts at once, or None.
+
+    Raises
+    ------
+    UserError
+        If its design fails, or gives what does not fit sensor and actuator; names the controller.
+    """
+    if not one.sensor or not one.actuator:
+        return None
+    sensor, actuator = study.part("sensor", one.sensor), study.part("actuator", one.actuator)
+    timing = timing_of(study, one)
+    asked = Design(
+        one.name,
+        sensor.name,
+        actuator.name,
+        sensor.labels(optics.light),
+        actuator.channels(optics.light),
+        sensor.readings(optics.light, nominal=True) @ optics.sights[actuator.name],
+        sensor.noise_rms() / np.sqrt(timing.frames),
+        in_series(actuator.dynamics(), sensor.dynamics()),
+        timing,
+    )
+    wanted = len(asked.channels), len(asked.readings)
+    try:
+        found = one.design(asked)
+        shape = wanted if found is None else shape_of(found, wanted[1])
+    except UserError:
+        raise
+    except Exception as error:  # what others wrote fails in ways of its own
+        raise UserError(
+            f"controller.{one.name} cannot be designed: {type(error).__name__}: {error}."
+        ) from error
+    if shape != wanted:
+        raise UserError(
+            f"controller.{one.name} gives {shape[0]} commands of {shape[1]} readings; the actuator "
+            f"{actuator.name!r} takes {wanted[0]}, the sensor {sensor.name!r} gives {wanted[1]}."
+        )
+    return found
+
+
+def sampled_loops(
+    study: TelescopeLoopStudy, optics: Optics, designs: Mapping[str, Given]
+) -> dict[str, SampledLoop]:
+    """Return the loops of the linear controllers among those designed, each alone, by name."""
+    loops = {}
+    for name, found in designs.items():
+        if isinstance(found, Regulator):
+            one = study.part("controller", name)
+            sensor, actuator = study.part("sensor", one.sensor), study.part("actuator", one.actuator)
+            free = np.isnan(stuck_of(actuator, actuator.channels(optics.light)))
+            sees = sensor.readings(optics.light) @ optics.sights[actuator.name] * free
+            loops[name] = SampledLoop(
+                timing_of(study, one), in_series(actuator.dynamics(), sensor.dynamics()), sees, found
+            )
+    return loops
+
+
+def refuse_unstable(study: TelescopeLoopStudy, name: str, loop: SampledLoop, optics: Optics) -> None:
+    """Raise UserError if a loop is unstable."""
+    worst = worst_pole(loop)
+    if abs(worst.value) > 1.0 + _GROWS:
+        raise UserError(
+            f"controller.{name} is unstable: {growing(study, name, worst, optics)}; lower gain or latency "
+            f"(wavequake margins {study.study.name})."
+        )
+
+
+def refuse_unstable_together(study: TelescopeLoopStudy, one: Designed) -> None:
+    """Raise UserError if loops that run beside each other, of any rates, drive each other without limits.
+
+    They are kicked by noise in the first part of a run, and it is seen whether the kick dies away.
+    """
+    if len(one.loops) < 2 or not all(isinstance(loop.regulator, Regulator) for loop in one.loops):
+        return
+    free = [np.full(loop.actuator.stroke.shape, np.inf) for loop in one.loops]
+    loops = [
+        replace(loop, quantum=0.0, actuator=replace(loop.actuator, stroke=most, slew=np.inf))
+        for loop, most in zip(one.loops, free, strict=True)
+    ]
+    slowest = max(loop.timing.period + loop.timing.latency for loop in loops)
+    at = slowest * np.arange(1.0, _KICKED + 1)
+    random = np.random.default_rng(0)
+    seen = []
+    for loop in loops:
+        kick = random.standard_normal((frame_count(loop.timing, at[-1]), len(loop.sees), 1))
+        kick[len(kick) // 10 :] = 0.0
+        seen.append(kick)
+    found = np.abs(run(loops, schedule([loop.timing for loop in loops], at), seen, len(at)).positions[..., 0])
+    early, late = found[: _KICKED // 4].max(axis=0), found[-_KICKED // 4 :].max(axis=0)
+    if not late.max() <= early.max():
+        names = " and ".join(repr(each.name) for each in study.running(study.part("controller", one.name)))
+        raise UserError(
+            f"the controllers {names} are stable each alone, but not beside each other; lower the gain or "
+            f"latency of one, or let them see and move different things."
+        )
+
+
+def growing(study: TelescopeLoopStudy, name: str, worst: Worst, optics: Optics) -> str:
+    """Say which mode grows."""
+    actuator = study.part("actuator", study.part("controller", name).actuator)
+    channel = actuator.channels(optics.light)[int(worst.channels.argmax())]
+    return f"{channel} of {actuator.name!r} grows by {worst.growth:.3g} 1/s at {worst.hertz:.4g} Hz"
+
+
+def _designed(
+    study: TelescopeLoopStudy,
+    optics: Optics,
+    one: Controller,
+    designs: Mapping[str, Given],
+) -> Designed:
+    found = designs[one.name]
+    if found is None:
+        return Designed(one.name, (), np.zeros((len(optics.light), 0)), (), (), None, ())
+    running = study.running(one)
+    actuators = tuple(study.part("actuator", each.actuator) for each in running)
+    sight = np.hstack([optics.sights[each.name] for each in actuators])
+    if isinstance(found, Instant):
+        sensor = study.part("sensor", one.sensor)
+        instant = -found.decoupling @ sensor.readings(optics.light, nominal=True)
+        return Designed(one.name, actuators, sight, (), (), instant, ())
+    loops, readings = [], []
+    for each, actuator in zip(running, actuators, strict=True):
+        sensor = study.part("sensor", each.sensor)
+        timing = timing_of(study, each)
+        channels = actuator.channels(optics.light)
+        slew = np.inf if actuator.slew is None else actuator.slew * timing.period
+        moved = Moved(
+            actuator.dynamics(), stroke_of(actuator, len(channels)), slew, stuck_of(actuator, channels)
+        )
+        readings.append(sensor.readings(optics.light))
+        regulator = designs[each.name]
+        if not isinstance(regulator, Regulator | Stepped):
+            raise UserError(f"controller.{each.name} gives no commands, so that it cannot run beside others.")
+        loops.append(Loop(timing, regulator, moved, readings[-1] @ sight, sensor.quantum, sensor.dynamics()))
+    schedules = tuple(schedule([loop.timing for loop in loops], time[1:]) for time in optics.times)
+    return Designed(one.name, actuators, sight, tuple(loops), tuple(readings), None, schedules)
+
+
+def refuse_saturated(bench: Bench) -> None:
+    """Raise UserError if what an actuator would have to do is beyond its stroke most of the time.
+
+    It is judged by the first case of each disturbance and a correction without delay or error.
+    """
+    study, optics = bench.study, bench.optics
+    pairs = dict.fromkeys((one.sensor, one.actuator) for one in study.controller if one.sensor)
+    for sensor, actuator in pairs:
+        one = study.part("actuator", actuator)
+        if one.stroke is None or study.part("sensor", sensor).dynamics().static_gain < 0.5:
+            continue
+        matrix = study.part("sensor", sensor).readings(optics.light, nominal=True)
+        wants = -np.linalg.pinv(matrix @ optics.sights[actuator], rcond=_SEEN) @ matrix
+        for index, entry in enumerate(study.disturbance):
+            if not entry.share:
+                continue
+            seen = seen_of(study, optics, drawn(study, optics, index, 0))
+            often = np.median(np.abs(seen @ wants.T), axis=0)
+            if (often > one.stroke).any():
+                channel = one.channels(optics.light)[int(often.argmax())]
+                raise UserError(
+                    f"actuator.{actuator} is saturated from the start: {entry.name!r} asks {channel} for "
+                    f"{often.max():.3g} half of the time, but its stroke is {one.stroke:g}."
+                )

@@ -1,0 +1,328 @@
+"""The workflow "telescope-loop": a disturbed telescope in closed loop, under several controllers on one draw.
+
+In the loop, light is linear: line of sight and Zernike coefficients by sensitivities. Between its instants
+the disturbance goes in straight lines; sensors, delays and actuators are exact for that. Some instants are
+traced in full beside: they make the exposure, and say how far the linear light is off.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from wavequake.campaign.measured import Block, CaseTable, study_kind
+from wavequake.campaign.measures import Axis, Measure
+from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.chain.images.shortcuts import frame_coordinates
+from wavequake.control.linear import Array
+from wavequake.control.sampled.channel import Dynamics
+from wavequake.control.sampled.readings import means
+from wavequake.control.sampled.run import frame_count, run
+from wavequake.control.sampled.stability import curve
+from wavequake.errors import UserError
+from wavequake.imaging.exposures.exposure import encircled_energy_radius
+from wavequake.imaging.exposures.exposure_models import cut, full_exposure
+from wavequake.kernels.device.devices import Device, choose_device
+from wavequake.kernels.device.tiles import padded
+from wavequake.mechanics.disturbances.motion import generator
+from wavequake.mechanics.model import Integers
+from wavequake.optics.segments.states import SurfaceStates
+from wavequake.workflows.exposures.telescope_control import local_images, measured_opd, position, trace
+from wavequake.workflows.loops.telescope_bench import Bench, Designed, bench_of
+from wavequake.workflows.loops.telescope_light import drawn, seen_of, seen_units, states_at_rest
+from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
+from wavequake.workflows.segments.launches import CaseDraw, slots
+from wavequake.workflows.segments.segment_disturbance import surface_states
+
+# Cases that are stepped together; products have this many columns whatever is computed, and a case its own.
+ROWS = 16
+_POINTS = 200  # of curves over frequency
+
+
+def cases(study: TelescopeLoopStudy, ids: Integers) -> CaseTable:
+    """Return disturbance and realization of cases; all controllers of a case share its draw."""
+    which, realizations = slots([entry.share for entry in study.disturbance], np.asarray(ids))
+    names = np.array([entry.name for entry in study.disturbance], dtype=object)
+    return {"disturbance": names[which], "realization": realizations}
+
+
+def compute(bench: Bench, table: CaseTable, device: str, clock: Stopwatch) -> Iterator[Block]:
+    """Run cases in batches of a population, under one controller after the other."""
+    names = [entry.name for entry in bench.study.disturbance]
+    with threadpool_limits(1):
+        for index, name in enumerate(names):
+            mine = np.flatnonzero(table["disturbance"] == name)
+            tiles = table["realization"][mine] // ROWS
+            for tile in np.unique(tiles):
+                rows = mine[tiles == tile]
+                yield _batch(bench, index, rows, table["realization"][rows], choose_device(device), clock)
+
+
+def _readings(bench: Bench, one: Designed, case: CaseDraw, seen: Array) -> list[Array]:
+    """Return the readings (frames, m) of each loop's sensor without the loop, with noise."""
+    found = []
+    running = bench.study.running(bench.study.part("controller", one.name))
+    for controller, loop, matrix in zip(running, one.loops, one.readings, strict=True):
+        sensor = bench.study.part("sensor", controller.sensor)
+        ends: Array = np.arange(1.0, frame_count(loop.timing, case.time[-1]) + 1) * loop.timing.frame
+        begins = ends - loop.timing.integration
+        clean = _means(case.time, seen, matrix, begins, ends, loop.sensor)
+        random = generator(bench.study.study.seed, f"sensor {sensor.name}", case.realization)
+        found.append(clean + sensor.noise_rms() * random.standard_normal(clean.shape))
+    return found
+
+
+def _means(time: Array, seen: Array, matrix: Array, begins: Array, ends: Array, sensor: Dynamics) -> Array:
+    """Return mean readings (frames, m) of what is seen (n, K)."""
+    if not len(sensor):
+        return np.asarray(means(time, seen, begins, ends) @ matrix.T)
+    return means(time, seen @ matrix.T, begins, ends, sensor)
+
+
+def _batch(
+    bench: Bench, index: int, rows: Integers, realizations: Integers, device: Device, clock: Stopwatch
+) -> Block:
+    with clock("draw"):
+        draws = [drawn(bench.study, bench.optics, index, int(one)) for one in realizations]
+        seen = [seen_of(bench.study, bench.optics, one) for one in draws]
+    parts: list[dict[str, Array]] = []
+    messages: dict[int, str] = {}
+    for one in bench.controllers:
+        with clock("loop"):
+            positions, limited, diverged = positions_of(bench, one, index, draws, seen)
+        series = []
+        for row, case in enumerate(draws):
+            if diverged[row]:
+                messages.setdefault(row, f"it diverges under the controller {one.name!r}")
+            values = _numbers(bench, one, seen[row][1:], positions[row])
+            values |= {"limited": limited[row], "largest": np.abs(positions[row]).max(initial=0.0)}
+            if row in messages:
+                values |= _nothing(bench)
+            else:
+                try:
+                    values |= _traced(bench, one, case, positions[row], values, device, clock)
+                except UserError as error:
+                    messages[row] = f"{one.name}: {error}"
+                    values |= _nothing(bench)
+            series.append(values)
+        parts.append({name: np.stack([values[name] for values in series]) for name in series[0]})
+    found = {name: np.stack([part[name] for part in parts], axis=1) for name in parts[0]}
+    found["time_s"] = np.stack([case.time[1:] for case in draws])
+    return Block(found, rows, messages)
+
+
+def positions_of(
+    bench: Bench, one: Designed, index: int, draws: list[CaseDraw], seen: list[Array]
+) -> tuple[list[Array], Array, NDArray[np.bool_]]:
+    """Return of each case positions (n, P) at its instants, the share of limited commands, and divergence."""
+    count, looks = len(draws), len(draws[0].time) - 1
+    if one.instant is not None:
+        return [values[1:] @ one.instant.T for values in seen], np.zeros(count), np.zeros(count, bool)
+    if not one.loops:
+        return [np.zeros((looks, 0))] * count, np.zeros(count), np.zeros(count, bool)
+    columns = [case.realization % ROWS for case in draws]
+    readings = [_readings(bench, one, case, values) for case, values in zip(draws, seen, strict=True)]
+    given = []
+    for place in range(len(one.loops)):
+        whole = np.zeros((*readings[0][place].shape, ROWS))
+        for column, values in zip(columns, readings, strict=True):
+            whole[..., column] = values[place]
+        given.append(whole)
+    found = run(one.loops, one.schedules[index], given, looks)
+    positions = [np.ascontiguousarray(found.positions[..., column]) for column in columns]
+    return positions, found.limited[columns], found.diverged[columns]
+
+
+def _numbers(bench: Bench, one: Designed, seen: Array, positions: Array) -> dict[str, Array]:
+    with np.errstate(over="ignore", invalid="ignore"):
+        left = seen + positions @ one.sight.T
+        rms = np.sqrt(np.sum((bench.optics.still + left[:, 2 : bench.optics.light.optical]) ** 2, axis=1))
+    return {"wfe_rms": rms, "los": left[:, :2]}
+
+
+def _nothing(bench: Bench) -> dict[str, Array]:
+    """Return what was not traced."""
+    traced = bench.study.look.traced
+    if not traced:
+        return {}
+    pixels = bench.study.imaging.pixels
+    shapes = {"traced_wfe_rms": (traced,), "traced_los": (traced, 2), "exposure": (pixels, pixels)}
+    single = ("light_error_wfe_rms", "light_error_los", "peak", "ee50", "ee80")
+    return {name: np.full(shape, np.nan) for name, shape in {**shapes, **dict.fromkeys(single, ())}.items()}
+
+
+def states_of(
+    bench: Bench, one: Designed, case: CaseDraw, positions: Array, chosen: Integers
+) -> SurfaceStates:
+    """Return a case at the chosen of its instants under a controller, whole tiles of states."""
+    control = bench.optics.control
+    moved = replace(case, time=case.time[1 + chosen], motion=case.motion.at(1 + chosen))
+    disturbed = surface_states(control.bench, moved, 0, len(chosen))
+    states = replace(disturbed, mirror_figure=states_at_rest(control, padded(len(chosen))).mirror_figure)
+    first = 0
+    for actuator in one.actuators:
+        last = first + len(actuator.channels(bench.optics.light))
+        actuator.put(states, positions[chosen, first:last])
+        first = last
+    return states
+
+
+def chosen_instants(count: int, traced: int) -> Integers:
+    """Return which of so many instants are traced: evenly spread, the last one among them."""
+    return (np.arange(1, traced + 1) * count) // traced - 1
+
+
+def _traced(
+    bench: Bench,
+    one: Designed,
+    case: CaseDraw,
+    positions: Array,
+    linear: Mapping[str, Array],
+    device: Device,
+    clock: Stopwatch,
+) -> dict[str, Array]:
+    """Trace some instants of a case in full: their numbers, exposure, and how far linear light is off."""
+    traced, control = bench.study.look.traced, bench.optics.control
+    if not traced:
+        return {}
+    chosen = chosen_instants(len(positions), traced)
+    with clock("trace"):
+        states = states_of(bench, one, case, positions, chosen)
+        rays, wavefront = trace(control.prepared, states, device)
+    lost = wavefront.lost[:traced]
+    if lost.any():
+        raise UserError(f"{int(lost.max())} rays are lost, so that the image would have holes")
+    to_mas, to_nm = seen_units(control, bench.study.optics.wavelength_nm)
+    rms = wavefront.rms[:traced] * to_nm
+    los = (wavefront.los[:traced] - control.static.los[0]) * to_mas
+    imaging = bench.study.imaging
+    with clock("image"):
+        images = local_images(control, measured_opd(control, rays), wavefront)[:traced]
+        canvas = full_exposure([images], position(control, wavefront)[:traced], imaging.sampling)
+        exposure = cut(canvas, imaging.pixels)
+        scale = imaging.sampling, control.area, control.diameter
+        ee50, ee80 = encircled_energy_radius(exposure, (0.5, 0.8), *scale)
+    return {
+        "traced_wfe_rms": rms,
+        "traced_los": los,
+        "light_error_wfe_rms": np.abs(linear["wfe_rms"][chosen] - rms).max(),
+        "light_error_los": np.linalg.norm(linear["los"][chosen] - los, axis=1).max(),
+        "exposure": exposure,
+        "peak": exposure.max(),
+        "ee50": np.asarray(ee50),
+        "ee80": np.asarray(ee80),
+    }
+
+
+class _Taken:
+    """Take one array of what a batch came to, by its name."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __call__(self, found: Mapping[str, Array]) -> Array:
+        return found[self.name]
+
+
+_MEASURES = (
+    ("wfe_rms", "nm", "wavefront error rms of the fitted Zernikes j >= 4, by linear light", ("time",)),
+    (
+        "los",
+        "mas",
+        "line of sight relative to rest (Störkle 2018, Eq. 3.39), by linear light",
+        ("time", "axis"),
+    ),
+    ("limited", "1", "share of the actuator channels' commands that stroke or slew limited", ()),
+    ("largest", "1", "largest position of an actuator, in its unit", ()),
+)
+_OF_TRACES = (
+    ("traced_wfe_rms", "nm", "the same of traced rays, at some instants", ("traced",)),
+    ("traced_los", "mas", "the same of traced rays, at some instants", ("traced", "axis")),
+    ("light_error_wfe_rms", "nm", "largest difference of linear and traced wavefront error rms", ()),
+    ("light_error_los", "mas", "largest difference of linear and traced line of sight", ()),
+    ("exposure", "1", "mean image of the traced instants; 1 = peak of the perfect one", ("y", "x")),
+    ("peak", "1", "largest irradiance of the exposure", ()),
+    ("ee50", "lambda/D", "radius of 50 % encircled energy of the exposure; inf beyond the frame", ()),
+    ("ee80", "lambda/D", "radius of 80 % encircled energy of the exposure; inf beyond the frame", ()),
+)
+
+
+_CURVES = (
+    ("loop_gain", "1", "size of the loop gain's eigenvalue that is nearest to -1"),
+    ("loop_phase", "deg", "its phase"),
+    ("rejection", "1", "what is left of a motion, |S|, of the eigenvalue that leaves most"),
+    ("passed_noise", "1", "what comes of noise, |T|, of the eigenvalue that passes most"),
+)
+
+
+def measures(bench: Bench) -> Iterable[Measure]:
+    """Return what is stored of a case."""
+    yield Measure("time_s", "s", "time of the instant", ("time",), _Taken("time_s"), coordinate=True)
+    for name, units, words, dims in _MEASURES + (_OF_TRACES if bench.study.look.traced else ()):
+        yield Measure(name, units, words, ("controller", *dims), _Taken(name))
+
+
+def axes(bench: Bench) -> Mapping[str, Axis]:
+    """Return controllers, instants and pixels."""
+    study, imaging = bench.study, bench.study.imaging
+    instants = max(len(time) - 1 for time in bench.optics.times)
+    names = [one.name for one in study.controller]
+    found = {
+        "controller": Axis(names, "what is done about the disturbance"),
+        "time": Axis(instants),
+        "axis": Axis(["x", "y"], "axis of the image plane"),
+        "frequency": Axis(_shown(bench), "frequency", "Hz"),
+    }
+    if not study.look.traced:
+        return found
+    frame = frame_coordinates(imaging.pixels, imaging.sampling)
+    sides = {dim: Axis(np.asarray(frame[dim][1]), f"image {dim}", "lambda/D") for dim in ("y", "x")}
+    return {**found, "traced": Axis(study.look.traced), **sides}
+
+
+def fixed(bench: Bench) -> dict[str, Any]:
+    """Return the telescope at rest, and linear loops over frequency, each alone."""
+    words = {"units": "nm", "long_name": "wavefront error rms of the fitted Zernikes j >= 4 at rest"}
+    found: dict[str, Any] = {"static_wfe_rms": ((), np.sqrt(np.sum(bench.optics.still**2)), words)}
+    names = [one.name for one in bench.study.controller]
+    hertz = _shown(bench)
+    curves = np.full((4, len(names), len(hertz)), np.nan)
+    for name, loop in bench.linear.items():
+        gain, rejection, passed = curve(loop, hertz)
+        curves[:, names.index(name)] = np.abs(gain), np.degrees(np.angle(gain)), rejection, passed
+    for (name, units, text), values in zip(_CURVES, curves, strict=True):
+        found[name] = ("controller", "frequency"), values, {"units": units, "long_name": text}
+    return found
+
+
+def _shown(bench: Bench) -> Array:
+    """Return the frequencies of curves, Hz, up to half the rate of the fastest sensor."""
+    high = 0.5 * max((one.rate_hz for one in bench.study.sensor), default=2.0)
+    return np.geomspace(1e-3 * high, high, _POINTS)
+
+
+def describe(bench: Bench) -> Mapping[str, str]:
+    """Return rays and channels, for the plan."""
+    channels = {name: len(one.channels(bench.optics.light)) for name, one in _actuators(bench).items()}
+    rays = f"{len(bench.optics.control.prepared.weight)} on {len(bench.optics.light.layout)} segments"
+    return {"rays": rays, **{name: f"{count} channels" for name, count in channels.items()}}
+
+
+def _actuators(bench: Bench) -> dict[str, Any]:
+    return {one.name: one for one in bench.study.actuator}
+
+
+KIND = study_kind(
+    "telescope-loop",
+    TelescopeLoopStudy,
+    prepare=bench_of,
+    cases=cases,
+    compute=compute,
+    measures=measures,
+    axes=axes,
+    fixed=fixed,
+    describe=describe,
+)

@@ -1,0 +1,95 @@
+"""Reduced models that stand beside the full one as cases, and how far they are from it."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator
+
+from wavequake.campaign.schema import Section
+from wavequake.errors import UserError
+from wavequake.reduction.names import parse
+from wavequake.workflows.mirrors.mirror_study import FULL
+
+Array = NDArray[np.float64]
+
+ERRORS = {
+    "model_error_wfe": ("nm", "wavefront (Zernikes j >= 4), rms over instants"),
+    "model_error_los": ("", "line of sight, rms over instants"),
+    "model_error": (
+        "1",
+        "the larger one of line of sight and wavefront, in parts of what the case does with full models",
+    ),
+    "model_error_image": ("1", "exposure, L2 norm relative to that of the full model"),
+}
+"""Of what reduced models are judged by: unit, that of the line of sight left open, and words."""
+
+
+class ComparedSection(Section):
+    """Reduced models that are compared: every draw is a case with each of them."""
+
+    variants: tuple[str, ...] = Field(min_length=1, strict=False, description="e.g. 'craigb36'")
+    largest: float = Field(
+        default=0.01,
+        gt=0,
+        description="when a model is good enough: error of line of sight and wavefront, rms, in parts of "
+        "what the disturbance does with the full model",
+    )
+
+    @field_validator("variants")
+    @classmethod
+    def _variants_are_canonical(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        names = tuple(canonical(name) for name in value)
+        twice = next((name for name in names if names.count(name) > 1 or name == FULL), None)
+        if twice == FULL:
+            raise ValueError("the full model is compared anyway; leave 'full' out")
+        if twice:
+            raise ValueError(f"the variant {twice!r} is listed twice")
+        return names
+
+
+def canonical(name: str) -> str:
+    """Return the canonical name of a reduced model, or "full"; ValueError if it is none."""
+    try:
+        return name if name == FULL else str(parse(name))
+    except UserError as error:
+        raise ValueError(str(error).rstrip(".")) from None
+
+
+def model_errors(
+    bent: Array,
+    away: Array,
+    sizes: tuple[Array, Array],
+    numbers: Mapping[str, Array],
+    full: Mapping[str, Array],
+) -> dict[str, Array]:
+    """Return the `ERRORS` of a case.
+
+    Parameters
+    ----------
+    bent, away : ndarray, shape (time, ..., k)
+        Differences to the full model: Noll coefficients from j = 4 on, and line of sight.
+    sizes : tuple of two ndarray, shape (...)
+        What both do with the full model, rms over the instants.
+    numbers, full : mapping of str to ndarray
+        With ``exposure`` (..., y, x), if there is one.
+    """
+    errors = rms_of(bent), rms_of(away)
+    parts = [
+        np.divide(one, size, out=np.zeros_like(one), where=size > 0.0)
+        for one, size in zip(errors, sizes, strict=True)
+    ]
+    found = {
+        "model_error_wfe": errors[0],
+        "model_error_los": errors[1],
+        "model_error": np.maximum(*parts),
+    }
+    if "exposure" in numbers:
+        apart = np.linalg.norm(numbers["exposure"] - full["exposure"], axis=(-2, -1))
+        found["model_error_image"] = apart / np.linalg.norm(full["exposure"], axis=(-2, -1))
+    return found
+
+
+def rms_of(values: Array) -> Array:
+    """Return the rms over instants (first axis) of vectors (last axis)."""
+    return np.asarray(np.sqrt(np.mean(np.sum(values**2, axis=-1), axis=0)))

@@ -1,0 +1,112 @@
+"""Cases of a segmented telescope: which each is, and in which launches of whole tiles they are traced."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.kernels.device.tiles import TILE, padded
+from wavequake.mechanics.disturbances.registry import Disturbance, Motion
+from wavequake.optics.segments.telescope import SegmentedTelescope
+from wavequake.optics.segments.wavefront import Wavefront
+from wavequake.workflows.mirrors.mirror_study import FULL
+
+Array = NDArray[np.float64]
+
+# Tiles per launch: about 40 MB per output array at 9000 rays, however many and long the cases are.
+_LAUNCH_TILES = 32
+
+
+def slots(shares: Sequence[int], cases: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the index of the population and the realization of each case.
+
+    Cases repeat a pattern in which population p has ``shares[p]`` rows, so that adding cases changes no
+    earlier one, and the n-th case of every population is realization n: comparisons between populations are
+    paired.
+    """
+    rows = np.asarray(shares, dtype=np.int64)
+    pattern = np.repeat(np.arange(len(rows)), rows)
+    first = np.cumsum(rows) - rows
+    round_, place = np.divmod(cases, len(pattern))
+    population = pattern[place]
+    return population, round_ * rows[population] + place - first[population]
+
+
+@dataclass(frozen=True)
+class CaseDraw:
+    """One case before optics: its population, realization, time axis (n,) in s and motion.
+
+    ``way`` (n, m, 2) is the line of sight from each instant back to the one before, rad on the sky, where it
+    moves by itself and images are made of it. ``model`` is that of elastic segments.
+    """
+
+    population: Disturbance
+    realization: int
+    time: Array
+    motion: Motion
+    way: Array | None = None
+    model: str = FULL
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Instants first <= i < last of the case in `row` of a chunk, and where in a launch they begin."""
+
+    row: int
+    first: int
+    last: int
+    place: int
+
+    @property
+    def here(self) -> slice:
+        """Its instants in the launch."""
+        return slice(self.place, self.place + self.last - self.first)
+
+
+def launches(draws: list[CaseDraw], instants: list[int]) -> Iterator[list[Piece]]:
+    """Cut the cases, of each so many instants, into launches of at most _LAUNCH_TILES tiles.
+
+    A case takes whole tiles of its own. Those of a single instant share tiles, each at the place that its
+    realization gives it, whatever is beside it.
+    """
+    launch: list[Piece] = []
+    tiles, shared = 0, dict[int, set[int]]()  # places that are taken of tiles that cases share
+    for row, (drawn, count) in enumerate(zip(draws, instants, strict=True)):
+        lane, first = drawn.realization % TILE, 0
+        while first < count:
+            free = next((tile for tile, taken in shared.items() if lane not in taken), tiles)
+            if tiles == _LAUNCH_TILES and (count > 1 or free == tiles):
+                yield launch
+                launch, tiles, shared, free = [], 0, {}, 0
+            if count == 1:
+                launch.append(Piece(row, 0, 1, free * TILE + lane))
+                shared.setdefault(free, set()).add(lane)
+                tiles, first = max(tiles, free + 1), 1
+                continue
+            last = min(count, first + (_LAUNCH_TILES - tiles) * TILE)
+            launch.append(Piece(row, first, last, tiles * TILE))
+            tiles, first = tiles + padded(last - first) // TILE, last
+    if launch:
+        yield launch
+
+
+def traced_instants(drawn: CaseDraw) -> int:
+    """Return how many instants of a case are traced: one of a case that stands still."""
+    motion = drawn.motion
+    figures = [one for one in motion.figure.values() if one.ndim > 1]
+    figures += [motion.segment_figure] * (motion.segment_figure.ndim > 2)
+    series = (motion.segment_motion, motion.mount, motion.m2, *motion.rigid.values(), *figures)
+    return 1 if all((one == one[:1]).all() for one in series) else len(drawn.time)
+
+
+def lost_segment(system: SegmentedTelescope, drawn: CaseDraw, wavefront: Wavefront, piece: Piece) -> str:
+    """Say which segment loses all its rays in a piece of a case; nothing where none does."""
+    instants, segments = np.nonzero(wavefront.lost_segments[piece.here])
+    if not len(instants):
+        return ""
+    instant, segment = piece.first + int(instants[0]), int(segments[0])
+    return (
+        f"segment {system.segments.names[segment]} lost all its rays at instant {instant} "
+        f"(t = {drawn.time[instant]:.4g} s): its motion takes its glass out of the beam"
+    )

@@ -1,0 +1,178 @@
+"""Spectra, transfer functions, titles on marks and words of reports against closed forms."""
+
+import io
+import re
+
+import numpy as np
+import pytest
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from wavequake.drawing.periodogram import has_spectrum, spectrum
+from wavequake.drawing.style import hover
+from wavequake.imaging.engines.matrix_fourier import matrix_fourier, psf
+from wavequake.imaging.exposures.mtf import ideal_mtf
+from wavequake.imaging.pupils.pupil_function import annular_pupil
+from wavequake.report.answers.sensitivity import conclusion
+from wavequake.report.exposures.psf_figures import annulus, frame_mtf, image_row, perfect_mtf, polygons
+from wavequake.report.page import VIEWED, inline_svg
+from wavequake.report.systems.figures import distributions
+from wavequake.report.table import radius
+from wavequake.report.vibration import histories_and_spectra
+from wavequake.viewer.view import _MAKERS
+from wavequake.words import unsaid
+from wavequake.workflows.study import load_study, study_with
+
+
+@pytest.mark.parametrize("count", [64, 65])
+def test_a_spectrum_sums_to_the_variance(count):
+    values = np.random.default_rng(1).normal(size=count).cumsum()
+    hertz, density = spectrum(np.arange(count) * 0.01, values)
+    assert np.sum(density) * hertz[0] == pytest.approx(values.var(), rel=1e-12)
+
+
+def test_a_sine_is_one_line_of_half_its_squared_amplitude():
+    time = np.arange(200) * 1e-3
+    hertz, density = spectrum(time, 3.0 * np.sin(2.0 * np.pi * 50.0 * time) + 7.0)
+    assert hertz[np.argmax(density)] == pytest.approx(50.0)
+    assert density.max() * hertz[0] == pytest.approx(4.5)
+    assert np.sort(density)[-2] < 1e-20
+
+
+def test_uneven_or_few_instants_have_no_spectrum():
+    assert has_spectrum(np.arange(16) * 0.1)
+    assert not has_spectrum(np.arange(15) * 0.1)
+    assert not has_spectrum(np.arange(16.0) ** 2)
+    figure = histories_and_spectra(np.arange(32.0), {"still": ("nm", {"x": np.ones(32)})})
+    assert len(figure.axes) == 2
+
+
+def test_the_mtf_of_a_round_pupil_is_its_closed_form():
+    frequency, mtf = perfect_mtf(annulus(0.0))
+    np.testing.assert_allclose(mtf, ideal_mtf(frequency), atol=2e-3)
+    _, annular = perfect_mtf(annulus(0.5))
+    middle = len(annular) // 2  # a hole costs at middle frequencies and gains at high ones
+    assert annular[middle] < ideal_mtf(0.5)
+    assert annular[int(0.85 * len(annular))] > mtf[int(0.85 * len(annular))]
+    square = np.array([[[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]])
+    frequency, mtf = perfect_mtf(polygons(square, 1.0))
+    np.testing.assert_allclose(mtf, 1.0 - frequency, atol=3e-3)
+
+
+@pytest.mark.parametrize(("pixels", "obscuration"), [(24, 0.0), (64, 0.3)])
+def test_no_image_has_more_contrast_than_its_pupil_allows(pixels, obscuration):
+    """Also where the frame cuts much of its light: over its own sum the curve would be too high."""
+    pupil = annular_pupil(128, obscuration)
+    image = psf(matrix_fourier(pupil, pixels, 0.25), np.zeros((1, len(pupil.cells))))[0]
+    frequency, mtf = frame_mtf(image, 0.25, annulus(obscuration))
+    at, perfect = perfect_mtf(annulus(obscuration))
+    limit = np.interp(frequency, at, perfect)
+    assert (mtf <= limit + 0.03).all()
+    assert mtf[-1] < 0.03
+    wide = frequency * pixels * 0.25 > 3.0  # finer than what the frame's edge blurs
+    np.testing.assert_allclose(mtf[wide], limit[wide], atol=0.05)
+
+
+def test_marks_say_what_they_are():
+    figure = Figure(figsize=(3, 3))
+    axes = figure.add_subplot()
+    squares = [np.array([[k, 0], [k + 1, 0], [k + 1, 1], [k, 1]]) for k in range(3)]
+    cells = PolyCollection(squares, facecolors=["#ff0000", "#00ff00", "#0000ff"])
+    cells.set_gid(hover(["A: 1 nm", 'B "2" & <3>', "C\x1b"]))
+    axes.add_collection(cells)
+    axes.plot([0, 3], [0, 1], marker=".", label="the <line>")
+    axes.autoscale_view()
+    svg = inline_svg(figure, "one")
+    titles = re.findall(r"<title>([^<]*)</title>", svg)
+    assert titles[:3] == ["A: 1 nm", "B &quot;2&quot; &amp; &lt;3&gt;", "C\\x1b"]
+    assert set(titles[3:]) == {"the &lt;line&gt;"}
+    fills = re.findall(r"<path[^>]*fill: (#\w+)[^>]*><title>[ABC]", svg)
+    assert fills == ["#ff0000", "#00ff00", "#0000ff"]
+    assert "hover" not in svg
+    assert inline_svg(figure, "one") == svg
+
+
+def test_distributions_begin_at_nothing():
+    (axes,) = distributions({"a": np.array([2.0, 1.0, 4.0])}, "nm").axes
+    x, y = axes.lines[0].get_data()
+    np.testing.assert_allclose(x, [1.0, 1.0, 2.0, 4.0])
+    np.testing.assert_allclose(y, [0.0, 1 / 3, 2 / 3, 1.0])
+
+
+def test_cases_that_are_alike_are_one_line_on_an_axis_without_an_offset():
+    figure = distributions({"a": 1.2985 + 1e-9 * np.arange(4)}, "nm")
+    (axes,) = figure.axes
+    figure.draw_without_rendering()
+    assert np.ptp(axes.get_xlim()) == pytest.approx(2.597e-3, rel=1e-6)
+    assert axes.xaxis.get_major_formatter().get_offset() == ""
+
+
+def test_counts_have_a_scale_in_electrons():
+    counts = np.array([[[0.0, 16.0], [4.0, 400.0]]])
+    figure = image_row(counts, ["x"], np.array([0.0, 1.0]), "µm", "electrons")
+    first, bar = figure.axes
+    assert (first.get_ylabel(), bar.get_ylabel()) == ("y (µm)", "electrons")
+    assert [one.get_text() for one in bar.get_yticklabels()] == ["0", "100", "225", "400"]
+    np.testing.assert_allclose(bar.get_yticks(), [0.0, 10.0, 15.0, 20.0])
+
+
+def test_a_circle_that_leaves_the_frame_says_so():
+    assert radius(np.inf, 5.25) == "> 5.25, the frame"
+    assert radius(1.234, 5.25) == "1.23"
+
+
+def test_what_was_said_is_not_said_again():
+    said = "A moves by 0.5 nm.\n It is e.g. bad."
+    assert unsaid("A moves by 0.5 nm. Over 3 cases. It is e.g. bad.", said) == "Over 3 cases."
+    assert unsaid("All said.", "All said.") == ""
+
+
+def test_reports_link_to_the_viewer_of_what_it_shows():
+    assert {*_MAKERS, "sweep"} == VIEWED
+
+
+def test_titles_follow_what_is_replaced():
+    plain = load_study("tmt-million").study.title
+    assert load_study("tmt-million", ["campaign.cases=40", "store.chunk_cases=4"]).study.title == plain
+    changed = load_study("tmt-million", {"telescope.name": "tmt-18", "campaign.cases": 40})
+    assert changed.study.title == f"{plain} [telescope.name = tmt-18]"
+    named = load_study("tmt-million", {"telescope.name": "tmt-18", "study.title": "mine"})
+    assert named.study.title == "mine"
+    again = study_with(load_study("tmt-million"), {"telescope.name": "tmt-18"})
+    assert again.study.title == changed.study.title
+    assert changed.identity_text() == study_with(changed, {"study.title": "another"}).identity_text()
+
+
+def test_the_conclusion_names_the_largest_of_shifts_and_turns():
+    los, rms = np.zeros((3, 6)), np.zeros((3, 6))
+    los[1, 0], los[2, 4], rms[0, 2] = 2.5, 4000.0, 0.75
+    words = conclusion(["M1", "M2", "M3"], los, rms)
+    assert words == (
+        "What moves the image most is M2 where it shifts (dx: 2.50 µm per µm) and M3 where it turns "
+        "(ry: 4.00 µm per µrad). "
+        "What disturbs the wavefront most is M1 where it shifts (dz: 0.750 nm per µm)."
+    )
+
+
+def test_numbers_of_variants_are_whole_at_80_columns(tmp_path):
+    from wavequake import run
+    from wavequake.report.campaign import summary_table
+
+    keys = {
+        "model.rings": 2,
+        "model.shapes": ["circular"],
+        "reduction.variants": ["krylov108(200,450,700)", "craigb18"],
+        "reduction.frequencies": 4,
+        "reduction.spot_checks": 0,
+        "time.duration_s": 0.002,
+        "optics.zernike_terms": 11,
+        "imaging.pupil_samples": 32,
+    }
+    run(load_study("mirror-mor", keys), store=tmp_path / "m", on="serial")
+    console = Console(width=80, file=io.StringIO())
+    console.print(summary_table(tmp_path / "m"))
+    text = console.file.getvalue()
+    assert "…" not in text
+    row = next(line for line in text.splitlines() if "craigb18" in line)
+    assert len(re.findall(r"\d\.\de[-+]\d\d\b", row)) >= 4
