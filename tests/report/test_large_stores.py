@@ -1,5 +1,6 @@
 """Reports, comparisons and exports of stores that are larger than what they may take of the memory."""
 
+import os
 import subprocess
 import sys
 import tracemalloc
@@ -79,13 +80,15 @@ def stores(tmp_path_factory):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "most"),
-    [(["compare", "large1", "large2"], 250.0), (["report", "large1"], 125.0)],
+    [(["compare", "large1", "large2"], 150.0), (["report", "large1"], 100.0)],
     ids=["compare", "report"],
 )
 def test_commands_take_a_part_of_the_store_into_memory_at_a_time(stores, words, most):
     """The images of one store are 250 MB, those that are compared 500 MB."""
     command = [sys.executable, "-c", MEASURED, stores, *words]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    # One arena of the C library: with one per thread, what it keeps of freed memory varies by 30 MB.
+    alone = {**os.environ, "MALLOC_ARENA_MAX": "1"}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=alone)
     assert "GREW" in done.stdout, done.stderr[-2000:]
     assert float(done.stdout.split("GREW")[1]) < most, done.stdout[-80:]
 
