@@ -81,6 +81,13 @@ INLINE void advance(ray *r, real step)
     r->path += step * r->length;
 }
 
+// The same step in a medium of this index.
+INLINE void travel(ray *r, real step, real index)
+{
+    r->position = along(r->position, step, r->direction);
+    r->path += step * (index * r->length);
+}
+
 INLINE void reflect(ray *r, triple normal)
 {
     real square = dot3(normal, normal);
@@ -90,13 +97,30 @@ INLINE void reflect(ray *r, triple normal)
     r->length *= square;
 }
 
-// Path back along the ray to the sphere about (x, y, 0) whose square of the radius is given.
-INLINE real back_to_sphere(const ray *r, real x, real y, double square)
+// Stoerkle 2018, Eq. 3.32 with its signs corrected, times the normal's square; `ratio` is the index before
+// over that behind. True where light is refracted and not totally reflected.
+INLINE mask refract(ray *r, triple normal, real ratio)
+{
+    real square = dot3(normal, normal);
+    real incident = ratio * dot3(normal, r->direction);
+    real radicand = (1.0 - ratio * ratio) * square * (r->length * r->length) + incident * incident;
+    real turn = root(radicand);
+    turn = EITHER(incident < 0.0, -turn, turn) - incident;
+    real scale = ratio * square;
+    triple kept = {scale * r->direction.x, scale * r->direction.y, scale * r->direction.z};
+    r->direction = along(kept, turn, normal);
+    r->length *= square;
+    return NOT(radicand < 0.0);
+}
+
+// Path back along the ray to the sphere about (x, y, 0), of a negative radius where it lies behind the image.
+INLINE real back_to_sphere(const ray *r, real x, real y, double radius)
 {
     triple offset = {r->position.x - x, r->position.y - y, r->position.z};
     real projection = dot3(offset, r->direction);
-    real excess = square - dot3(offset, offset);
-    return (projection + root(projection * projection + r->length * r->length * excess)) / r->length;
+    real excess = radius * radius - dot3(offset, offset);
+    real way = root(projection * projection + r->length * r->length * excess);
+    return (radius < 0.0 ? projection - way : projection + way) / r->length;
 }
 
 // A `b` that is not a number stays, an `a` that is none does not.

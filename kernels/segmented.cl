@@ -1,11 +1,11 @@
-// Traces rays through a segmented telescope: segments of M1, further mirrors, image plane, reference sphere.
+// Traces rays through a segmented telescope: segments of M1, mirrors and lenses, image plane, reference sphere.
 //
 // Work-item (lane group, group of RAYS, tile). Compile-time constants: W instants in a vector, EDGES per segment
 // (0: no edge), CONVEX (whether edges are half planes that hold all of the glass), DEGREE and MIRROR_DEGREE of
 // the figure polynomials of segments and of the mirrors after M1 (-1: none), SEGMENT_RING and MIRROR_RING
 // (whether these are evaluated by recurrences), SEGMENT_CHECKED and MIRROR_CHECKED (whether two steps onto them
 // may not do), SURFACES after M1 (the last is the image plane), PLANES (bit i: surface i is a plane), EDGED (bit
-// i: surface i has an edge).
+// i: surface i has an edge), REFRACTS (bit i: surface i refracts; indices[i] is the refractive index before it).
 
 #include "lanes.h"
 #include "rays.h"
@@ -150,11 +150,11 @@ INLINE real lose_beyond(const ray *r, double clear_square, real loss, double oth
 
 __kernel void segmented(
     const int rays, const int segments, const int candidates,
-    const double start_z, const double c, const double k1, const double sphere_square,
+    const double start_z, const double c, const double k1, const double sphere_radius,
     __global const double *ray_x, __global const double *ray_y, __global const int *candidate,
     __global const double *edges, __global const double *frames,
     __global const double *curvatures, __global const double *conics_plus_1,
-    __global const double *clear_squares, __global const double *mirror_frames,
+    __global const double *clear_squares, __global const double *indices, __global const double *mirror_frames,
     __global const double *segment_steps, __global const double *mirror_steps,
     __global const double *segment_limits, __global const double *mirror_limits,
     __global const double *segment_poses, __global const double *figures,
@@ -233,6 +233,7 @@ __kernel void segmented(
     for (int i = 0; i < SURFACES; ++i) {
         __global const double *pose = surface_poses + i * 12 * 16;
         const int plane = (PLANES >> i & 1) && (MIRROR_DEGREE < 0 || i == SURFACES - 1);
+        const double before = REFRACTS ? indices[i] : 1.0;
         real step[RAYS];
         triple normal[RAYS];
         EACH_TURN {
@@ -244,7 +245,7 @@ __kernel void segmented(
 #if MIRROR_DEGREE >= 0
         if (!plane) {
             EACH_TURN {
-                advance(&r[k], step[k]);
+                travel(&r[k], step[k], before);
                 normal[k] = conic_normal(r[k].position, curvatures[i], conics_plus_1[i]);
             }
             __global const double *figure = mirror_figures + i * TERMS(MIRROR_DEGREE) * 16;
@@ -258,24 +259,30 @@ __kernel void segmented(
                 mirror_figure_second(figure, mirror_steps, mirror_frames + i * 4, r[k].direction,
                                      curvatures[i], conics_plus_1[i], limit, first[k], &r[k].position, &further,
                                      &normal[k]);
-                r[k].path += further * r[k].length;
+                r[k].path += further * (before * r[k].length);
                 step[k] += further;
             }
         }
 #endif
         EACH_TURN {
             if (plane || MIRROR_DEGREE < 0)
-                advance(&r[k], step[k]);
+                travel(&r[k], step[k], before);
             if (plane) {
                 loss[k] = lose_unless(finite(step[k]), loss[k], LOSS(MISS, i));
-                if (i < SURFACES - 1)
+                normal[k].x = normal[k].y = 0.0;
+                normal[k].z = -1.0;
+                if (i < SURFACES - 1 && !(REFRACTS >> i & 1))
                     r[k].direction.z = -r[k].direction.z;
             } else {
                 if (MIRROR_DEGREE < 0)
                     normal[k] = conic_normal(r[k].position, curvatures[i], conics_plus_1[i]);
                 loss[k] = lose_unless(normal[k].z + poison(step[k]) < 0.0, loss[k], LOSS(MISS, i));
-                reflect(&r[k], normal[k]);
+                if (!(REFRACTS >> i & 1))
+                    reflect(&r[k], normal[k]);
             }
+            if (REFRACTS >> i & 1)
+                loss[k] = lose_unless(refract(&r[k], normal[k], before / indices[i + 1]), loss[k],
+                                      LOSS(TOTAL_REFLECTION, i));
             if (EDGED >> i & 1)
                 loss[k] = lose_beyond(&r[k], clear_squares[i], loss[k], LOSS(VIGNETTED, i));
         }
@@ -283,7 +290,7 @@ __kernel void segmented(
 
     EACH_TURN {
         const size_t out = (tile * rays + n + k) * 16 + lane;
-        const real back = back_to_sphere(&r[k], LOAD(chief), LOAD(chief + 16), sphere_square);
+        const real back = back_to_sphere(&r[k], LOAD(chief), LOAD(chief + 16), sphere_radius);
         const real opd = LOAD(chief + 32) - (r[k].path - back);
         loss[k] = lose_unless(finite(opd), loss[k], LOSS(MISS, SURFACES));
         const mask lost = loss[k] > 0.0;

@@ -41,12 +41,6 @@ INLINE void rotate_and_shift(ray *r, __global const double *pose)
     r->position = moved_by(pose, r->position);
 }
 
-INLINE void travel(ray *r, real step, real index)
-{
-    r->position = along(r->position, step, r->direction);
-    r->path += step * (index * r->length);
-}
-
 // The same with a direction that all rays have: it is turned once.
 INLINE void rotate_together_and_shift(ray *r, __global const double *a, __global const double *d)
 {
@@ -76,22 +70,6 @@ INLINE mask meet_conic(ray *r, real step, double c, double k1, real index, tripl
 }
 
 INLINE void reflect_at_plane(ray *r) { r->direction.z = -r->direction.z; }
-
-// Stoerkle 2018, Eq. 3.32 with its signs corrected, times the normal's square; `ratio` is the index before
-// over that behind. True where light is refracted and not totally reflected.
-INLINE mask refract(ray *r, triple normal, real ratio)
-{
-    real square = dot3(normal, normal);
-    real incident = ratio * dot3(normal, r->direction);
-    real radicand = (1.0 - ratio * ratio) * square * (r->length * r->length) + incident * incident;
-    real turn = root(radicand);
-    turn = EITHER(incident < 0.0, -turn, turn) - incident;
-    real scale = ratio * square;
-    triple kept = {scale * r->direction.x, scale * r->direction.y, scale * r->direction.z};
-    r->direction = along(kept, turn, normal);
-    r->length *= square;
-    return NOT(radicand < 0.0);
-}
 
 // Regions of apertures: a circle (x, y, square of the radius), a convex polygon (half planes a x + b y <= c),
 // any other (half planes, lowest and highest y of their edges), of which a way to +x crosses an odd number.

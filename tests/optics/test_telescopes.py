@@ -142,7 +142,7 @@ def changed(index, **keys):
         ({"surfaces": []}, "needs surfaces after the primary mirror"),
         ({"surfaces": ["M2", "image"]}, "surface 1 after the primary mirror is 'M2'; it must be a Mapping"),
         ({"surfaces": SURFACES[:1]}, "'M2', is the image plane"),
-        ({"surfaces": changed(len(SURFACES) - 1, semi_diameter_mm=5.0)}, "and no semi_diameter_mm"),
+        ({"surfaces": changed(len(SURFACES) - 1, semi_diameter_mm=5.0)}, "no semi_diameter_mm and no glass"),
         (
             {"surfaces": changed(1, name="M2")},
             "Surface 2 after the primary mirror is called 'M2'",

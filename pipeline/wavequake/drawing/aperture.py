@@ -95,9 +95,20 @@ def _richest(telescope: SegmentedTelescope, system: OpticalSystem) -> Array | No
 
 
 def _crossed(telescope: SegmentedTelescope, across: Array) -> list[tuple[float, float]]:
-    """Return where the line through the middle along `across` is on segments, mm; narrow gaps are none."""
+    """Return where the line through the middle along `across` is on segments, mm; narrow gaps are none.
+
+    Where it would run along a gap, it is the nearest beside the middle that does not.
+    """
+    found, aside = list[tuple[float, float]](), _NARROW * telescope.pupil_outer
+    while not found and aside < telescope.pupil_outer:
+        found = _crossed_beside(telescope, across, aside)
+        aside *= 2.0
+    return found
+
+
+def _crossed_beside(telescope: SegmentedTelescope, across: Array, aside: float) -> list[tuple[float, float]]:
+    """Return where the line along `across`, so far beside the middle, is on segments."""
     along, beside = across[:2], np.array([-across[1], across[0]])
-    aside = _NARROW * telescope.pupil_outer  # not along a gap
     found = list[tuple[float, float]]()
     for corners in telescope.segments.corners:
         s, t = corners @ along, corners @ beside + aside

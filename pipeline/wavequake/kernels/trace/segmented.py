@@ -144,13 +144,15 @@ def _launch(
         "MIRROR_CHECKED": int(limits[1] is not None),
         "EDGED": sum(1 << i for i, square in enumerate(train.clear_squares) if np.isfinite(square)),
         "PLANES": sum(1 << i for i, curvature in enumerate(train.surface_curvatures) if curvature == 0.0),
+        "REFRACTS": sum(1 << i for i, refracts in enumerate(train.refracts) if refracts),
     }
     inputs = [
         *(np.int32(number) for number in (count, segments, candidates.shape[1])),
         *(np.float64(number) for number in (start_z, train.primary_curvature, 1.0 + train.primary_conic)),
-        np.float64(train.sphere_radius**2),
+        np.float64(train.sphere_radius),
         *(ray_x, ray_y, candidates, train.edges, train.figure_frames),
-        *(train.surface_curvatures, 1.0 + train.surface_conics, train.clear_squares, train.mirror_frames),
+        *(train.surface_curvatures, 1.0 + train.surface_conics, train.clear_squares),
+        *(train.indices_before, train.mirror_frames),
         _steps(train.figure_degree, train.figure_basis),
         _steps(train.mirror_degree, train.mirror_basis),
         *limits,
@@ -165,12 +167,12 @@ def _launch(
         def twin(pick: Pick) -> list[Array]:
             now = [None if a is None else np.broadcast_to(a[0], (COPIES, *a.shape[1:])) for a in moving]
             for poses in (0, 2):
-                now[poses] = shaken(now[poses][0], train.sphere_radius)  # type: ignore[index]
+                now[poses] = shaken(now[poses][0], abs(train.sphere_radius))  # type: ignore[index]
             chosen = (ray_x[pick], ray_y[pick], start_z, candidates[pick])
             traced = trace_segmented_numpy(train, *chosen, *now)  # type: ignore[arg-type]
             return [traced.opd, traced.x, traced.y]
 
-        compare_rays(device, program, [values[0] for values in outputs[:3]], twin, train.sphere_radius)
+        compare_rays(device, program, [values[0] for values in outputs[:3]], twin, abs(train.sphere_radius))
 
 
 def _steps(degree: int, basis: Basis) -> Array | None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.ring import ring_polynomial
 from wavequake.kernels.trace.sequence import Basis
-from wavequake.kernels.trace.status import GAP, MISS, OK, VIGNETTED, lost_at
+from wavequake.kernels.trace.status import GAP, MISS, OK, TOTAL_REFLECTION, VIGNETTED, lost_at
 from wavequake.kernels.trace.surfaces import conic_path, conic_sag, conic_slopes
 from wavequake.kernels.trace.train import SegmentedTrain, Traced, check_train
 
@@ -234,28 +234,37 @@ def _through_surfaces(
     status: NDArray[np.int8],
     clear_squares: Array,
 ) -> tuple[Array, Array, Array, NDArray[np.int8]]:
-    """Reflect at each surface after M1, stop at the image; `poses` and `figures` have surfaces first."""
+    """Reflect or refract at each surface after M1, stop at the image; `poses`, `figures`: surfaces first."""
     last, form = train.surface_curvatures.size - 1, (train.mirror_degree, train.mirror_basis)
+    before = train.indices_before
     for surface, (c, kappa) in enumerate(zip(train.surface_curvatures, train.surface_conics, strict=True)):
         position, direction = _into(poses[surface], position, direction)
         figure = figures[surface] if figures is not None and surface < last else None
         frames = train.mirror_frames[surface : surface + 1]
         path, slopes = _meet((c, kappa), frames, form, figure, position, direction)
-        position, opl = position + path * direction, opl + path
+        position, opl = position + path * direction, opl + before[surface] * path
         clear = position[0] ** 2 + position[1] ** 2 <= clear_squares[surface]  # not where there is no path
         missed, beyond = (np.int8(lost_at(reason, surface)) for reason in (MISS, VIGNETTED))
         reason = np.where(np.isnan(path), missed, beyond)
         status = np.where((status == OK) & ~clear, reason, status)
-        if surface < last:
+        if train.refracts[surface]:
+            direction = _refracted(direction, *slopes, before[surface], before[surface + 1])
+            kept = (status != OK) | np.isfinite(direction[2])
+            status = np.where(kept, status, np.int8(lost_at(TOTAL_REFLECTION, surface)))
+        elif surface < last:
             direction = _reflected(direction, *slopes)
     return position, direction, opl, status
 
 
 def _back_to_sphere(position: Array, direction: Array, chief: Array, radius: float) -> Array:
-    """Return the path from the image back to the reference sphere; NaN where the ray misses it."""
+    """Return the path from the image back to the reference sphere; NaN where the ray misses it.
+
+    It is negative for a negative radius: that of a sphere behind the image.
+    """
     offset = np.stack([position[0] - chief[0], position[1] - chief[1], position[2]])
     along = np.sum(offset * direction, axis=0)
-    path: Array = along + np.sqrt(along * along - np.sum(offset * offset, axis=0) + radius * radius)
+    root = np.sqrt(along * along - np.sum(offset * offset, axis=0) + radius * radius)
+    path: Array = along + np.copysign(root, radius)
     return path
 
 
@@ -264,6 +273,15 @@ def _reflected(direction: Array, slope_x: Array, slope_y: Array) -> Array:
     normal = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)])
     twice: Array = 2.0 * np.sum(direction * normal, axis=0) / np.sum(normal * normal, axis=0)
     return direction - twice * normal
+
+
+def _refracted(direction: Array, slope_x: Array, slope_y: Array, before: float, behind: float) -> Array:
+    """Refract unit directions at a surface with the given slopes; NaN where they are totally reflected."""
+    normal = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)])
+    normal = normal / np.sqrt(np.sum(normal * normal, axis=0))
+    cosine = np.sum(direction * normal, axis=0)
+    sines = before / behind * (direction - cosine * normal)  # Snell: the part along the surface
+    return np.asarray(sines + np.copysign(np.sqrt(1.0 - np.sum(sines * sines, axis=0)), cosine) * normal)
 
 
 def _into(pose: Array, position: Array, direction: Array) -> tuple[Array, Array]:

@@ -32,9 +32,9 @@ class SegmentedTrain:
     figure_degree : int
         Total degree of the figure polynomial in u and v; -1 for no figure.
     surface_curvatures, surface_conics : ndarray, shape (L,)
-        Of the surfaces after M1; all but the last reflect, the last is a plane.
+        Of the surfaces after M1; the last is a plane.
     sphere_radius : float
-        Radius of the reference sphere about the chief ray's image point.
+        Radius of the reference sphere about the chief ray's image point; negative behind the image.
     semi_diameters : ndarray, shape (L,), optional
         Light that meets a surface farther than this from its vertex is vignetted; infinite for none.
     mirror_degree : int
@@ -43,6 +43,9 @@ class SegmentedTrain:
         Lengths of u and v of these figures: ``u = x / radius``, ``v = y / radius``.
     figure_basis, mirror_basis : "monomial" or Ring
         Of the figures' polynomials: above degree 20 monomials cancel too much.
+    indices : ndarray, shape (L,), optional
+        Refractive index behind each surface that refracts, NaN for one that reflects and for the image; all
+        reflect if left out. Before the first and at the image it is 1.
     """
 
     primary_curvature: float
@@ -58,6 +61,21 @@ class SegmentedTrain:
     mirror_radii: Array | None = None
     figure_basis: Basis = "monomial"
     mirror_basis: Basis = "monomial"
+    indices: Array | None = None
+
+    @property
+    def refracts(self) -> NDArray[np.bool_]:
+        """Which surfaces refract, shape (L,)."""
+        nothing = np.zeros(self.surface_curvatures.size, dtype=np.bool_)
+        return nothing if self.indices is None else ~np.isnan(self.indices)
+
+    @property
+    def indices_before(self) -> Array:
+        """Refractive indices before each surface, shape (L,)."""
+        before = np.ones(self.surface_curvatures.size)
+        for surface in np.flatnonzero(self.refracts[:-1]):
+            before[surface + 1 :] = self.indices[surface]  # type: ignore[index]
+        return before
 
     @property
     def clear_squares(self) -> Array:
@@ -88,8 +106,8 @@ class Traced:
         Position in the image frame, mm.
     status : ndarray of int8, shape (T, N, 16)
         0, or why and where a ray is lost, see `wavequake.kernels.trace.status.lost_at`: in a gap of M1, at
-        a surface after it that it misses or meets beyond the semi-diameter, or at the reference sphere
-        (surface L).
+        a surface after it that it misses, meets beyond the semi-diameter or is totally reflected at, or at
+        the reference sphere (surface L).
     """
 
     opd: Array
@@ -99,7 +117,7 @@ class Traced:
 
 
 def vignetted(train: SegmentedTrain, status: NDArray[np.int8]) -> NDArray[np.bool_]:
-    """Return which rays of a `Traced.status` pass by a mirror after M1."""
+    """Return which rays of a `Traced.status` pass by a mirror or lens after M1."""
     surface = surface_of(status)
     return np.asarray((surface >= 0) & (surface < train.surface_curvatures.size - 1))
 
@@ -126,12 +144,18 @@ def check_train(train: SegmentedTrain) -> None:
         raise ValueError("the last of surface_curvatures must be 0: it is the image plane")
     if train.semi_diameters is not None:
         _require("semi_diameters", train.semi_diameters, (surfaces,))
+    if train.indices is not None:
+        _require("indices", train.indices, (surfaces,))
+        if not (train.indices[train.refracts] > 0.0).all() or train.refracts[-1]:
+            raise ValueError("indices must be positive, and NaN for mirrors and for the image")
+        if train.indices_before[-1] != 1.0:
+            raise ValueError(f"the index before the image is {train.indices_before[-1]}; it must be 1")
     if train.mirror_degree >= 0:
         if train.mirror_radii is None:
             raise ValueError("mirror_degree needs mirror_radii")
         _require("mirror_radii", train.mirror_radii, (surfaces - 1,))
-    if not train.sphere_radius > 0.0:
-        raise ValueError(f"sphere_radius is {train.sphere_radius}; it must be positive")
+    if not (np.isfinite(train.sphere_radius) and train.sphere_radius):
+        raise ValueError(f"sphere_radius is {train.sphere_radius}; it must be finite and not 0")
 
 
 def check_rays(

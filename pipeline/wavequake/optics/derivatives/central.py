@@ -182,6 +182,7 @@ def checked_derivative(
     remedy: str,
     axis: int | tuple[int, ...] | None = None,
     units: Array | None = None,
+    least: ArrayLike = 0.0,
 ) -> Array:
     """Return central differences of values, if those of twice the step are the same.
 
@@ -197,6 +198,8 @@ def checked_derivative(
         Of a derivative, over which the largest number is the scale of the error; by default over all.
     units : ndarray, shape (K,), optional
         Labels of the other axis: derivatives of one unit share the largest scale of them.
+    least : array_like
+        What the scale is at least, where all derivatives are smaller.
 
     Returns
     -------
@@ -211,6 +214,7 @@ def checked_derivative(
     apart, size = (_largest(one, axis) for one in (once - twice, once))
     if units is not None:
         size = np.array([size[units == one].max() for one in units])
+    size = np.maximum(size, least)
     with np.errstate(invalid="ignore", divide="ignore"):
         worst = float(np.max(np.where(apart > 0.0, apart / size, 0.0)))
     if not worst < TOLERANCE:

@@ -12,6 +12,7 @@ import numpy as np
 
 from wavequake.errors import UserError
 from wavequake.optics.checks import number, require_kind
+from wavequake.optics.media.glasses import AIR, Medium, constant, glass
 from wavequake.optics.segments.arrangements import tmt_segments
 from wavequake.optics.segments.layout import (
     JWST_CONIC,
@@ -153,8 +154,9 @@ def custom(
         center of curvature lies towards the sky's side of an unfolded telescope), ``conic`` (0 by default),
         ``even_asphere`` (of rho^2, rho^4, ... in mm^-1, mm^-3, ...),
         ``distance_mm`` along the light from the previous surface, ``tilt_deg`` of a fold mirror about its y
-        axis (0 by default), ``semi_diameter_mm`` beyond which it vignettes light (None, without an edge, by
-        default).
+        axis (0 by default; a lens turns alone), ``semi_diameter_mm`` beyond which it vignettes light (None,
+        without an edge, by default), ``glass``: what follows a surface that refracts, by name, an index, or
+        "air" (None, a mirror, by default), ``body``: the name under which surfaces move together.
     """
     if not (isfinite(primary_radius) and primary_radius < 0.0):
         raise UserError(
@@ -165,12 +167,15 @@ def custom(
     if not surfaces:
         raise UserError("A custom telescope needs surfaces after the primary mirror, the image plane last.")
     rows = [_row(surface, index) for index, surface in enumerate(surfaces, start=1)]
-    if isfinite(rows[-1].radius) or rows[-1].tilt or isfinite(rows[-1].semi_diameter) or any(rows[-1].even):
+    last = rows[-1]
+    if isfinite(last.radius) or last.tilt or isfinite(last.semi_diameter) or any(last.even) or last.glass:
         raise UserError(
-            f"The last surface, {rows[-1].name!r}, is the image plane; it must have no radius, no "
-            "even_asphere, no tilt and no semi_diameter_mm."
+            f"The last surface, {last.name!r}, is the image plane; it must have no radius, no "
+            "even_asphere, no tilt, no semi_diameter_mm and no glass."
         )
+    _require_air_at_the_image(rows)
     _require_names([row.name for row in rows])
+    _require_bodies(rows)
     segments = polygons_from_csv(polygons, primary_radius, primary_conic)
     reach = float(np.hypot(*np.moveaxis(segments.corners, -1, 0)).max())
     if reach > -primary_radius:
@@ -179,6 +184,17 @@ def custom(
             f"primary mirror, {-primary_radius:g} mm: polygons are in m, primary_radius_mm in mm."
         )
     return around_its_glass("custom", segments, primary_radius, primary_conic, rows)
+
+
+def _require_air_at_the_image(rows: Sequence[Row]) -> None:
+    """Raise UserError if the light that meets the image is still in glass."""
+    glasses = [(row.glass, row.name) for row in rows if row.glass is not None]
+    if glasses and glasses[-1][0] != AIR:
+        medium, name = glasses[-1]
+        raise UserError(
+            f"The light meets the image in {medium.name}, behind {name!r}; the last surface that refracts "
+            'must have glass = "air".'
+        )
 
 
 def _require_names(names: Sequence[str]) -> None:
@@ -191,10 +207,26 @@ def _require_names(names: Sequence[str]) -> None:
             )
 
 
+def _require_bodies(rows: Sequence[Row]) -> None:
+    """Raise UserError if a body is called as a surface, or holds the image."""
+    for row in rows:
+        if row.body in ("M1", "stop", *(one.name for one in rows)):
+            raise UserError(
+                f"The body {row.body!r} of the surface {row.name!r} is called as a surface; give it a name "
+                "of its own."
+            )
+    if rows[-1].body:
+        raise UserError(
+            f"The image plane, {rows[-1].name!r}, belongs to the body {rows[-1].body!r}; bodies are of "
+            "mirrors and lenses."
+        )
+
+
 def _row(surface: Mapping[str, Any], index: int) -> Row:
     """Check one surface of a custom prescription."""
     require_kind(surface, Mapping, f"surface {index} after the primary mirror", " of keys to values.")
-    keys = ["name", "radius_mm", "conic", "distance_mm", "tilt_deg", "semi_diameter_mm", "even_asphere"]
+    keys = ["name", "radius_mm", "conic", "distance_mm", "tilt_deg", "semi_diameter_mm"]
+    keys += ["even_asphere", "glass", "body"]
     name = str(surface.get("name", f"surface {index}"))
     for key in surface:
         if key not in keys:
@@ -229,7 +261,26 @@ def _row(surface: Mapping[str, Any], index: int) -> Row:
         distance=float(values["distance_mm"]),
         tilt=values["tilt_deg"] * pi / 180.0,
         semi_diameter=float(values["semi_diameter_mm"]),
+        glass=_glass(name, surface.get("glass")),
+        body=str(surface.get("body") or ""),
     )
+
+
+def _glass(name: str, given: Any) -> Medium | None:
+    """Return what follows a surface that refracts; None for a mirror."""
+    if given is None or given == "mirror":
+        return None
+    if isinstance(given, str):
+        try:
+            return AIR if given.lower() == "air" else glass(given)
+        except UserError as error:
+            raise UserError(f"The surface {name!r}: {error}") from None
+    if isinstance(given, bool) or not isinstance(given, int | float) or not (isfinite(given) and given > 0.0):
+        raise UserError(
+            f"The surface {name!r} has glass = {given!r}; it must be the name of a glass, a positive index, "
+            '"air", or left out for a mirror.'
+        )
+    return constant(float(given))
 
 
 def _nearest(name: str, valid: list[str]) -> str:

@@ -5,6 +5,8 @@ frame in which a ray arrives to that of the displaced surface, so that the trace
 own frame.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -195,6 +197,31 @@ def in_optics_frame(motion: Array, rotation: Array) -> Array:
     beta = np.arctan2(turned[:, 0, 2], np.hypot(turned[:, 0, 0], turned[:, 0, 1]))
     gamma = np.arctan2(-turned[:, 0, 1], turned[:, 0, 0])
     return np.column_stack([motion[:, :3] @ rotation.T, alpha, beta, gamma])
+
+
+def carried(system: SegmentedTelescope, surfaces: Sequence[int], motion: Array) -> NDArray[np.float64]:
+    """Return the motions of surfaces that a body carries, as `surface_poses` takes them.
+
+    Parameters
+    ----------
+    system : SegmentedTelescope
+    surfaces : sequence of n int
+        Of the body, counted from M2.
+    motion : ndarray, shape (T, 6)
+        dx, dy, dz and Cardan angles x-y-z along and about the axes of its first surface, through the middle
+        between its first and last vertex.
+
+    Returns
+    -------
+    ndarray, shape (T, n, 6)
+    """
+    first, last = (system.surfaces[index] for index in (min(surfaces), max(surfaces)))
+    own = in_optics_frame(motion, first.rotation)
+    arms = np.array([system.surfaces[index].position for index in surfaces])
+    arms = arms - (first.position + last.position) / 2.0
+    found = np.repeat(own[:, None], len(arms), axis=1)
+    found[..., :3] += np.einsum("tij,nj->tni", cardan(own[:, 3:]) - np.eye(3), arms)
+    return found
 
 
 def field_directions(field: Array) -> Array:

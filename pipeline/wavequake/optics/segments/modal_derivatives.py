@@ -5,6 +5,8 @@ motions of that segment say all there is: one step of all segments in one degree
 derivatives with respect to each of them.
 """
 
+from contextlib import suppress
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
@@ -27,6 +29,9 @@ Array = NDArray[np.float64]
 # Half widths of the central differences, mm or rad: rounding of the OPD and the third derivative both stay
 # below 1e-8 of what the motion does.
 _TRANSLATION, _ROTATION, _FIGURE = 0.02, 3e-6, 1e-4
+# Steps are so much shorter where lenses bend the light too much. What turns do beyond a tilt of the wavefront
+# may be little: the scale is at least that share of a tilt of the whole pupil.
+_SHORTER, _FAINT = (1.0, 0.25, 0.0625), 1e-2
 _LAUNCH_TILES = 16
 
 
@@ -50,16 +55,27 @@ def modal_model(prepared: PreparedTrace, device: Device, field: Array, dofs: tup
     """
     if prepared.slopes is not None or prepared.sphere is not None:
         raise UserError("The modal model needs coefficients from path lengths about the chief ray.")
-    steps = _steps(dofs)
+    *shorter, last = (factor * _steps(dofs) for factor in _SHORTER)
+    for steps in shorter:
+        with suppress(UserError):
+            return _modal_model(prepared, device, field, dofs, steps)
+    return _modal_model(prepared, device, field, dofs, last)
+
+
+def _modal_model(
+    prepared: PreparedTrace, device: Device, field: Array, dofs: tuple[int, ...], steps: Array
+) -> ModalModel:
     singles, pairs = _stencils(len(steps))
     opd, x, y, chief = (
-        np.concatenate(part, axis=-1) for part in _traced(prepared, device, field, dofs, singles)
+        np.concatenate(part, axis=-1) for part in _traced(prepared, device, field, dofs, singles * steps)
     )
     still, remedy = opd[:, 0], "take other optics.rays, or optics.method = 'standard'"
-    far = np.concatenate(_traced(prepared, device, field, dofs, 2.0 * singles[1:], whole=False)[0], axis=-1)
+    twice = 2.0 * singles[1:] * steps
+    far = np.concatenate(_traced(prepared, device, field, dofs, twice, whole=False)[0], axis=-1)
     fourfold = np.stack([opd[:, 1::2], opd[:, 2::2], far[:, 0::2], far[:, 1::2]])
-    turns = steps == _ROTATION
-    slope = checked_derivative(fourfold, steps, "the path lengths", remedy, axis=0, units=turns)
+    turns = np.array([3 <= dof < RIGID for dof in dofs] + [True] * COMMON)
+    least = np.where(turns, _FAINT * prepared.system.pupil_outer / prepared.wavelength, 0.0)
+    slope = checked_derivative(fourfold, steps, "the path lengths", remedy, 0, turns, least)
     slope_x, slope_y = (central(np.stack([one[:, 1::2], one[:, 2::2]]), steps) for one in (x, y))
     chief_slope = central(np.stack([chief[:, 1::2], chief[:, 2::2]]), steps).T
     curvature = np.zeros((len(steps), len(steps)))
@@ -69,7 +85,7 @@ def modal_model(prepared: PreparedTrace, device: Device, field: Array, dofs: tup
     twist = np.concatenate(
         [
             _rms(prepared.weight, part[:, 0::4] + part[:, 1::4] - part[:, 2::4] - part[:, 3::4])
-            for part, *_ in zip(*_traced(prepared, device, field, dofs, pairs), strict=True)
+            for part, *_ in zip(*_traced(prepared, device, field, dofs, pairs * steps), strict=True)
         ]
         if len(pairs)
         else [np.zeros(0)]
@@ -101,16 +117,17 @@ def _traced(
     device: Device,
     field: Array,
     dofs: tuple[int, ...],
-    signs: Array,
+    moved: Array,
     whole: bool = True,
 ) -> tuple[list[Array], list[Array], list[Array], list[Array]]:
-    """Trace all segments moving at once; lists of launches of OPD in waves, x, y (N, m) and chief (2, m).
+    """Trace all segments moving at once by motions (n, D + 4); lists of launches of what light does.
 
-    A lost ray is an error, or NaN where not the `whole` light is needed.
+    That is the OPD in waves, x, y (N, m) and chief (2, m). A lost ray is an error, or NaN where not the
+    `whole` light is needed.
     """
     parts: tuple[list[Array], list[Array], list[Array], list[Array]] = ([], [], [], [])
-    for begin in range(0, len(signs), _LAUNCH_TILES * TILE):
-        motions = signs[begin : begin + _LAUNCH_TILES * TILE] * _steps(dofs)
+    for begin in range(0, len(moved), _LAUNCH_TILES * TILE):
+        motions = moved[begin : begin + _LAUNCH_TILES * TILE]
         states = _states(prepared, field, dofs, motions)
         traced = trace_states(prepared, states, device)
         count = len(motions)

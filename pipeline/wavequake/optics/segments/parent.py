@@ -4,22 +4,23 @@ from math import isfinite
 
 import numpy as np
 
+from wavequake.optics.media.glasses import AIR
 from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.optics.shapes.shapes import Conic, EvenAsphere, Opening
 from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
 
 
-def parent_system(telescope: SegmentedTelescope, wavelength: float = 550e-6) -> OpticalSystem:
+def parent_system(telescope: SegmentedTelescope, wavelength: float | None = None) -> OpticalSystem:
     """Return the telescope with a primary mirror of one piece: the annulus of its pupil.
 
     The stop is a surface of its own in the plane of M1's rim, before the mirror; the frame stays that of M1.
-    Mirrors after M1 keep their edges, and stop what light they stop in the telescope.
+    Mirrors and lenses after M1 keep their edges, and stop what light they stop in the telescope.
 
     Parameters
     ----------
     telescope : SegmentedTelescope
-    wavelength : float
-        mm.
+    wavelength : float, optional
+        mm; that of the telescope by default.
     """
     inner, outer = telescope.pupil_inner, telescope.pupil_outer
     annulus = Opening(outer, inner)
@@ -33,7 +34,8 @@ def parent_system(telescope: SegmentedTelescope, wavelength: float = 550e-6) -> 
             else Conic(surface.radius, surface.conic),
             surface.position,
             surface.rotation,
-            "reflect" if surface.reflects else "pass",
+            "reflect" if surface.reflects else "refract" if surface.glass else "pass",
+            surface.glass or AIR,
             opening=Opening(surface.semi_diameter) if isfinite(surface.semi_diameter) else None,
         )
         for surface in telescope.surfaces
@@ -43,6 +45,6 @@ def parent_system(telescope: SegmentedTelescope, wavelength: float = 550e-6) -> 
         surfaces=(stop, primary, *others),
         stop=0,
         pupil=Pupil("entrance_diameter", 2.0 * outer, inner / outer),
-        wavelengths=np.array([wavelength]),
+        wavelengths=np.array([wavelength or telescope.wavelength]),
         note=telescope.note,
     )

@@ -4,7 +4,7 @@
 The optics are in mm.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ from wavequake.optics.wavefronts.fits import (
     weighted_fit,
     well_determined,
 )
+from wavequake.optics.wavefronts.reference_sphere import sphere_radius
 
 Array = NDArray[np.float64]
 
@@ -138,6 +139,7 @@ def prepare(
         raise UserError(
             f"none of the {len(rays.x)} rays meets a segment of {system.name}, so there is no wavefront"
         )
+    system = replace(system, wavelength=wavelength)
     rays = PupilRays(rays.x[used], rays.y[used], rays.weight[used], rays.segment[used])
     weight = rays.weight / np.sum(rays.weight)
     x, y = rays.x / system.pupil_outer, rays.y / system.pupil_outer
@@ -145,7 +147,7 @@ def prepare(
     optics = first_order(system)
     figure, mirror = (zernike_basis(count) if count else _NO_FIGURE for count in (figure_terms, mirror_terms))
     mirror, aspheres = with_aspheres(mirror, asphere_polynomials(system))
-    train = _train(system, figure, mirror, optics.exit_pupil_distance)
+    train = _train(system, figure, mirror, sphere_radius(optics.exit_pupil_distance))
     rows, solved = segment_planes(rays.x, rays.y, weight, rays.segment, system.segments.centers[:, :2])
     if not solved.all():
         name = system.segments.names[int(np.argmin(solved))]
@@ -199,6 +201,7 @@ def _train(
         mirror_radii=footprints(system) if mirror.degree >= 0 else None,
         figure_basis=figure.basis,
         mirror_basis=mirror.basis,
+        indices=system.indices if any(surface.glass for surface in system.surfaces) else None,
     )
 
 

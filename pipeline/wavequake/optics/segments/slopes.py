@@ -130,9 +130,10 @@ def sphere_points(prepared: PreparedTrace, states: SurfaceStates) -> tuple[Array
         x and y on the sphere about the chief ray's image point, mm.
     """
     radius, step = prepared.train.sphere_radius, STEP * prepared.system.pupil_outer
-    image, upstream = _two_points(prepared, states, step * SHIFTS, _UPSTREAM * radius)
+    before = _UPSTREAM * abs(radius)
+    image, upstream = _two_points(prepared, states, step * SHIFTS, before)
     along = upstream - image
-    squared = np.sum(along**2, axis=0) + (_UPSTREAM * radius) ** 2
+    squared = np.sum(along**2, axis=0) + before**2
     path = to_sphere(image, along, squared, radius)
     sphere = image + path * along
     derivatives = np.stack([sphere[..., 1] - sphere[..., 2], sphere[..., 3] - sphere[..., 4]]) / (2.0 * step)

@@ -1,4 +1,4 @@
-"""Segmented telescopes: a segmented (or monolithic) primary mirror followed by conic surfaces."""
+"""Segmented telescopes: a segmented (or monolithic) primary mirror followed by mirrors and lenses."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.trace.surfaces import conic_path, conic_sag, conic_slopes, even_sag_and_slopes
+from wavequake.optics.media.glasses import Medium, refractive_index
 from wavequake.optics.segments.layout import Segments
 from wavequake.optics.shapes.polygons import distance_from_origin
 from wavequake.words import counted
@@ -24,9 +25,11 @@ class ConicSurface:
     """One rotationally symmetric surface in the optics frame of M1 (z along the incoming light, mm).
 
     ``radius`` is infinite for a plane and positive if the center of curvature lies on the surface's +z side.
-    ``position`` (3,) is the vertex, ``rotation`` (3, 3) turns the surface's frame into the optics frame. The
-    image plane does not reflect. Light that meets a mirror farther than ``semi_diameter`` from its vertex is
-    vignetted. ``even`` are coefficients of rho^2, rho^4, ... in mm^-1, mm^-3, ... that add to the conic.
+    ``position`` (3,) is the vertex, ``rotation`` (3, 3) turns the surface's frame into the optics frame. A
+    surface with ``glass`` refracts light into it, the image plane does nothing, all others reflect. Light
+    that meets a surface farther than ``semi_diameter`` from its vertex is vignetted. ``even`` are
+    coefficients of rho^2, rho^4, ... in mm^-1, mm^-3, ... that add to the conic. Surfaces of one ``body``,
+    such as the faces of a lens, can move together.
     """
 
     name: str
@@ -37,6 +40,8 @@ class ConicSurface:
     reflects: bool = True
     semi_diameter: float = float("inf")
     even: tuple[float, ...] = ()
+    glass: Medium | None = None
+    body: str = ""
 
 
 @dataclass(frozen=True, repr=False)
@@ -47,6 +52,7 @@ class SegmentedTelescope:
     ``segments`` its glass, ``surfaces`` M2, M3, ... and last the image plane. ``pupil_inner``/``pupil_outer``
     are the radii of the annulus that normalizes the Zernike polynomials; ``stop_z`` is the plane in which
     rays start (that of M1's rim). ``note`` says which of its numbers are assumed or approximate.
+    ``wavelength`` (mm) is that of the light that its lenses refract.
     """
 
     name: str
@@ -58,6 +64,30 @@ class SegmentedTelescope:
     pupil_inner: float
     pupil_outer: float
     note: str = ""
+    wavelength: float = 550e-6
+
+    @property
+    def indices(self) -> Array:
+        """Refractive index behind each surface after M1 that refracts, shape (L,); NaN for the others.
+
+        Raises
+        ------
+        UserError
+            If a glass has no index at the wavelength.
+        """
+        glasses = [surface.glass for surface in self.surfaces]
+        return np.array(
+            [np.nan if one is None else refractive_index(one, self.wavelength) for one in glasses]
+        )
+
+    @property
+    def bodies(self) -> dict[str, tuple[int, ...]]:
+        """Surfaces, counted from M2, of each body."""
+        names = dict.fromkeys(surface.body for surface in self.surfaces if surface.body)
+        return {
+            name: tuple(index for index, surface in enumerate(self.surfaces) if surface.body == name)
+            for name in names
+        }
 
     def __repr__(self) -> str:
         count = counted(len(self.segments), "segment")
@@ -69,9 +99,10 @@ class Row:
     """A line of a prescription: where the next surface stands and what it is.
 
     ``distance`` is the way of the light from the previous surface, mm. ``tilt`` turns a mirror about its y
-    axis, rad; what follows turns by twice as much, so that it stands on the folded beam. Light beyond
-    ``semi_diameter`` (mm, from the vertex in the surface's x and y) is vignetted. ``even`` is that of a
-    `ConicSurface`.
+    axis, rad; what follows turns by twice as much, so that it stands on the folded beam (a lens turns alone).
+    Light beyond
+    ``semi_diameter`` (mm, from the vertex in the surface's x and y) is vignetted. ``even``, ``glass`` and
+    ``body`` are those of a `ConicSurface`.
     """
 
     name: str
@@ -81,6 +112,8 @@ class Row:
     tilt: float = 0.0
     semi_diameter: float = float("inf")
     even: tuple[float, ...] = ()
+    glass: Medium | None = None
+    body: str = ""
 
 
 @dataclass(frozen=True)
@@ -92,12 +125,12 @@ class FirstOrder:
     focal_length : float
         mm; an angle on the sky times it is a length in the image.
     back_focus : float
-        From the last mirror's vertex to the paraxial focus, mm along the light.
+        From the last mirror's or lens' vertex to the paraxial focus, mm along the light.
     defocus : float
         From the paraxial focus to the image plane, mm along the light.
     exit_pupil_distance : float
-        From the paraxial image of the stop plane to the image plane, mm along the light: the reference
-        sphere's radius.
+        From the paraxial image of the stop plane to the image plane, mm along the light; negative where it
+        lies behind the image, and infinite.
     numerical_aperture : float
         Sine of the angle between the chief ray and the real ray from the pupil's outer rim.
     """
@@ -112,8 +145,8 @@ class FirstOrder:
 def sequential_surfaces(rows: Iterable[Row]) -> tuple[ConicSurface, ...]:
     """Place the surfaces after M1 one by one along the beam; the last one is the image plane.
 
-    The light meets M2 against the z axis of M1 and turns round at each mirror. Surfaces keep the z axis of
-    the incoming light, folds apart, as in Table 4.2 of Störkle 2018.
+    The light meets M2 against the z axis of M1 and turns round at each mirror, not at lenses. Surfaces keep
+    the z axis of the incoming light, folds apart, as in Table 4.2 of Störkle 2018.
     """
     prescription = list(rows)
     surfaces = []
@@ -125,12 +158,15 @@ def sequential_surfaces(rows: Iterable[Row]) -> tuple[ConicSurface, ...]:
         surfaces.append(
             ConicSurface(
                 *(row.name, row.radius, row.conic, position, rotation),
-                reflects=row is not prescription[-1],
+                reflects=row.glass is None and row is not prescription[-1],
                 semi_diameter=row.semi_diameter,
                 even=row.even,
+                glass=row.glass,
+                body=row.body,
             )
         )
-        frame, sense = rotation @ half_turn, -sense
+        if row.glass is None:
+            frame, sense = rotation @ half_turn, -sense
     return tuple(surfaces)
 
 
@@ -170,13 +206,12 @@ def first_order(system: SegmentedTelescope) -> FirstOrder:
     """Trace a system paraxially from the stop plane to the image, and its marginal ray really.
 
     The paraxial trace follows the vertex ray, so folds by plane mirrors do not matter; the power of a curved
-    mirror is taken as if it stood upright.
+    mirror is taken as if it stood upright. Its slopes are times the refractive index.
 
     Raises
     ------
     UserError
-        If the system has no focus, its exit pupil does not lie before the image, or the marginal ray misses a
-        surface.
+        If the system has no focus, its exit pupil lies in the image, or the marginal ray misses a surface.
     """
     matrix = np.eye(2)
     distance = 0.0
@@ -186,11 +221,10 @@ def first_order(system: SegmentedTelescope) -> FirstOrder:
     infinite = 1e9 * abs(system.primary_radius)  # rounding leaves nothing exactly at infinity
     if abs(slope) * infinite < 1.0:
         raise UserError(f"The telescope {system.name} is afocal; it must form an image.")
-    pupil = stop_height / stop_slope if stop_slope else np.inf
-    if not 0.0 < pupil < infinite:
+    pupil = stop_height / stop_slope if abs(stop_slope) * infinite > abs(stop_height) else np.inf
+    if not pupil:
         raise UserError(
-            f"The exit pupil of the telescope {system.name} lies {pupil:g} mm before the image; "
-            "the reference sphere needs it at a finite positive distance."
+            f"The exit pupil of the telescope {system.name} lies in the image; it must be elsewhere."
         )
     defocus = height / slope
     return FirstOrder(
@@ -203,16 +237,25 @@ def first_order(system: SegmentedTelescope) -> FirstOrder:
 
 
 def _unfolded(system: SegmentedTelescope) -> Iterator[tuple[float, float]]:
-    """Yield the way to each surface from its predecessor (first: from the stop plane to M1) and its power."""
+    """Yield the way to each surface from its predecessor over its index, and the power of the surface.
+
+    The first way is that from the stop plane to M1.
+    """
     yield -system.stop_z, -2.0 / system.primary_radius
-    position, direction = np.zeros(3), -_AXIS
-    for surface in system.surfaces:
+    position, direction, before = np.zeros(3), -_AXIS, 1.0
+    for surface, index in zip(system.surfaces, system.indices, strict=True):
         normal = surface.rotation[:, 2]
-        way = float(direction @ (surface.position - position))
-        bend = -2.0 / surface.radius - 4.0 * sum(surface.even[:1])
-        yield way, bend * float(np.sign(direction @ normal)) if surface.reflects else 0.0
+        way = float(direction @ (surface.position - position)) / before
+        bend = (1.0 / surface.radius + 2.0 * sum(surface.even[:1])) * float(np.sign(direction @ normal))
+        if surface.reflects:
+            yield way, -2.0 * before * bend
+            direction = direction - 2.0 * (direction @ normal) * normal
+        elif surface.glass is None:
+            yield way, 0.0
+        else:
+            yield way, (index - before) * bend
+            before = float(index)
         position = surface.position
-        direction = direction - 2.0 * (direction @ normal) * normal
 
 
 def _marginal_sine(system: SegmentedTelescope) -> float:
@@ -228,16 +271,33 @@ def _marginal_sine(system: SegmentedTelescope) -> float:
 
 def _final_direction(system: SegmentedTelescope, y: float) -> Array:
     """Return the direction at the image of the axial ray at height y; NaN if it misses a surface."""
-    position, direction = np.array([0.0, y, system.stop_z]), _AXIS
+    *_, (_, direction) = _axial_rays(system, np.array([[0.0], [y], [system.stop_z]]))
+    return direction[:, 0]
+
+
+def _axial_rays(system: SegmentedTelescope, position: Array) -> Iterator[tuple[Array, Array]]:
+    """Yield where axial rays (3, n) meet M1 and all after it but the image, and their directions then.
+
+    Points are in the frame of the surface, directions in that of the optics.
+    """
+    direction = np.broadcast_to(_AXIS[:, None], position.shape)
     primary = ConicSurface("M1", system.primary_radius, system.primary_conic, np.zeros(3), np.eye(3))
-    for surface in (primary, *system.surfaces):
-        if surface.reflects:
-            local, along = (position - surface.position) @ surface.rotation, direction @ surface.rotation
-            hit, slope_x, slope_y = _met(surface, local, along)
-            normal = np.array([-slope_x, -slope_y, 1.0])
-            along = along - 2.0 * (along @ normal) / (normal @ normal) * normal
-            position, direction = surface.position + surface.rotation @ hit, surface.rotation @ along
-    return direction
+    before = 1.0
+    surfaces = (primary, *system.surfaces[:-1])
+    for surface, index in zip(surfaces, (np.nan, *system.indices[:-1]), strict=True):
+        frame = surface.rotation
+        local, along = frame.T @ (position - surface.position[:, None]), frame.T @ direction
+        hit, slope_x, slope_y = _met(surface, local, along)
+        normal = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)])
+        square, incident = np.sum(normal**2, axis=0), np.sum(along * normal, axis=0)
+        if surface.glass is None:
+            along = along - 2.0 * incident / square * normal
+        else:
+            tangent = before / index * (along - incident / square * normal)
+            kept = np.sqrt((1.0 - np.sum(tangent**2, axis=0)) / square)  # NaN: total reflection
+            along, before = tangent + np.copysign(kept, incident) * normal, index
+        position, direction = surface.position[:, None] + frame @ hit, frame @ along
+        yield hit, direction
 
 
 def _met(surface: ConicSurface, position: Array, direction: Array) -> tuple[Array, Array, Array]:
@@ -256,23 +316,12 @@ def _met(surface: ConicSurface, position: Array, direction: Array) -> tuple[Arra
 
 
 def footprints(system: SegmentedTelescope) -> Array:
-    """Return the radii (L - 1,) of the axial beam on the mirrors after M1, from each vertex, mm.
+    """Return the radii (L - 1,) of the axial beam on the surfaces between M1 and image, from each vertex, mm.
 
     That is where the light of the rim of the pupil arrives; on a fold, its farthest point. NaN where that
-    light misses a mirror.
+    light misses a surface.
     """
     azimuth = 2.0 * np.pi * np.arange(64) / 64
     rim = system.pupil_outer
-    position = np.stack([rim * np.cos(azimuth), rim * np.sin(azimuth), np.full(64, system.stop_z)])
-    direction = np.broadcast_to(_AXIS[:, None], position.shape)
-    primary = ConicSurface("M1", system.primary_radius, system.primary_conic, np.zeros(3), np.eye(3))
-    radii = []
-    for surface in (primary, *system.surfaces[:-1]):
-        frame = surface.rotation
-        local, along = frame.T @ (position - surface.position[:, None]), frame.T @ direction
-        hit, slope_x, slope_y = _met(surface, local, along)
-        radii.append(np.hypot(hit[0], hit[1]).max())
-        normal = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)])
-        twice = 2.0 * np.sum(along * normal, axis=0) / np.sum(normal**2, axis=0)
-        position, direction = surface.position[:, None] + frame @ hit, frame @ (along - twice * normal)
-    return np.array(radii[1:])
+    start = np.stack([rim * np.cos(azimuth), rim * np.sin(azimuth), np.full(64, system.stop_z)])
+    return np.array([np.hypot(hit[0], hit[1]).max() for hit, _ in _axial_rays(system, start)][1:])

@@ -33,6 +33,7 @@ from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import OpticalSystem, SystemStates, wavelength_of
 from wavequake.optics.wavefronts.fits import MORE_RAYS, Fit, fit_instants, pupil_fit
+from wavequake.optics.wavefronts.reference_sphere import sphere_radius
 from wavequake.optics.wavefronts.sight import line_of_sight
 from wavequake.optics.wavefronts.slopes import (
     SystemSlopes,
@@ -46,8 +47,6 @@ from wavequake.optics.wavefronts.sphere_fit import sphere_basis_fit
 Array = NDArray[np.float64]
 Traced = tuple[Array, TracedRays, Array]  # see `trace_light`
 
-# Radius of the reference sphere where the exit pupil is at infinity, and of one far away (rounding), mm.
-_TELECENTRIC_RADIUS, _LARGEST_RADIUS = 1e5, 1e6
 _PLANE = 3  # terms, without which there is no line of sight
 
 
@@ -186,7 +185,6 @@ def prepare_system(
             f"no ray of {system.name} reaches its point of the stop: they are lost, "
             f"{losses(system, aimed.status, aimed.surface)}; make the pupil or the field smaller"
         )
-    exit_pupil = first_order.exit_pupil if np.isfinite(first_order.exit_pupil) else -_TELECENTRIC_RADIUS
     return PreparedSystem(
         system=system,
         sequence=sequence,
@@ -195,7 +193,7 @@ def prepare_system(
         pupil=np.stack([x, y], axis=1),
         fit=fit,
         wavelength=wavelength,
-        sphere_radius=float(np.clip(-exit_pupil, -_LARGEST_RADIUS, _LARGEST_RADIUS)),
+        sphere_radius=sphere_radius(-first_order.exit_pupil),
         image_index=image_index(sequence),
         cosines=cosines,
         field=field,

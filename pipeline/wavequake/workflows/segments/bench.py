@@ -115,10 +115,24 @@ def _beside(first: Bench, place: int) -> Bench:
     optics = first.study.optics
     point, color = divmod(place, len(optics.colors_nm))
     field = np.array(optics.points_arcmin[point]) * _ARCMIN
-    light = replace(first.prepared, wavelength=optics.colors_nm[color] * 1e-6)
-    prepared = _at_field(light, first.study, field)
-    static, stopped, _ = _reference(first.system, prepared, field, first.figure_terms, first.mirror_terms)
-    return replace(first, prepared=prepared, static=static, stopped=stopped, field=field, place=place)
+    light = _in_color(first, optics.colors_nm[color] * 1e-6)
+    system, prepared = light.system, _at_field(light, first.study, field)
+    static, stopped, _ = _reference(system, prepared, field, first.figure_terms, first.mirror_terms)
+    own = replace(first, system=system, prepared=prepared, static=static, stopped=stopped, field=field)
+    return replace(own, place=place, first_order=first_order(system))
+
+
+def _in_color(first: Bench, wavelength: float) -> PreparedTrace:
+    """Return what is prepared, for light of another wavelength (mm), which lenses refract otherwise."""
+    if not has_lenses(first.system):
+        return replace(first.prepared, wavelength=wavelength)
+    terms, rays = first.study.wavefront.zernike_terms, first.prepared.rays
+    return prepare(first.system, rays, wavelength, terms, first.figure_terms, first.mirror_terms)
+
+
+def has_lenses(system: SegmentedTelescope) -> bool:
+    """Return whether light is refracted after M1."""
+    return any(surface.glass for surface in system.surfaces)
 
 
 @prepared(maxsize=2)
@@ -140,14 +154,15 @@ def bench_of(study_text: str) -> Bench:
 
 def _prepared(study_text: str) -> Bench:
     study = study_from_identity(SegmentStudy, study_text)
-    system = build_telescope(study)
+    wavelength = study.optics.wavelength_nm * 1e-6
+    system = replace(build_telescope(study), wavelength=wavelength)
     _require_m2(study, system)
+    _require_mirrors_for_colors(study, system)
     plants = _elastic_segments(study, system)
     layout = replace(layout_of(system), plant=plants.get(FULL))
-    _require_elements(study, layout)
+    _require_elements(study, layout, tuple(system.bodies))
     rays = build_rays(study, system)
     terms, mirror_terms = deformed_terms(study, layout)
-    wavelength = study.optics.wavelength_nm * 1e-6
     prepared = prepare(
         system, rays, wavelength, study.wavefront.zernike_terms, figure_terms=terms, mirror_terms=mirror_terms
     )
@@ -269,7 +284,7 @@ def layout_of(system: SegmentedTelescope) -> SegmentLayout:
         axes=segments.axes,
         corners_m=segments.corners / MM_PER_M,
         areas_m2=(annulus if monolithic(system) else areas(segments)) / MM_PER_M**2,
-        others=tuple(surface.name for surface in system.surfaces),
+        others=(*system.bodies, *(surface.name for surface in system.surfaces)),
         owner=f"the telescope {system.name}",
     )
 
@@ -297,7 +312,15 @@ def _require_m2(study: SegmentStudy, system: SegmentedTelescope) -> None:
             )
 
 
-def _require_elements(study: SegmentStudy, layout: SegmentLayout) -> None:
+def _require_mirrors_for_colors(study: SegmentStudy, system: SegmentedTelescope) -> None:
+    if study.imaging.wavelengths_nm is not None and has_lenses(system):
+        raise UserError(
+            "imaging.wavelengths_nm adds images of colors whose paths are the same, as mirrors make them, "
+            f"but the telescope {system.name} has lenses; give optics.wavelengths_nm, each is traced."
+        )
+
+
+def _require_elements(study: SegmentStudy, layout: SegmentLayout, bodies: tuple[str, ...]) -> None:
     """Raise UserError if a disturbance moves what there is not, or deforms what cannot."""
     for population in study.disturbance:
         for part in parts(study.disturbance, population):
@@ -314,6 +337,11 @@ def _require_elements(study: SegmentStudy, layout: SegmentLayout) -> None:
                 raise UserError(
                     f"The disturbance {part.name!r} deforms {image!r} of {layout.owner}, where the image is; "
                     "segments and mirrors deform."
+                )
+            if body := next((name for name in part.figure_terms(layout) if name in bodies), None):
+                raise UserError(
+                    f"The disturbance {part.name!r} deforms {body!r} of {layout.owner}, a body of several "
+                    "surfaces; name the surface that deforms."
                 )
             grid = next(iter(part.figure_grids()), None)
             if grid is not None:

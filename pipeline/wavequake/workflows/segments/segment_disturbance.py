@@ -30,7 +30,7 @@ from wavequake.mechanics.disturbances.registry import (
     instants_of,
 )
 from wavequake.mechanics.disturbances.sources import edge_sensors
-from wavequake.optics.segments.kinematics import in_optics_frame
+from wavequake.optics.segments.kinematics import carried, in_optics_frame
 from wavequake.optics.segments.prepared import chief_rays, trace_states
 from wavequake.optics.segments.states import SurfaceStates, rest
 from wavequake.optics.segments.wavefront import Wavefront, analyse
@@ -137,6 +137,10 @@ def _put(states: SurfaceStates, place: int, bench: Bench, drawn: CaseDraw, part:
         if bent is not None and states.mirror_figure is not None:
             shape = bent[part] if bent.ndim > 1 else bent
             states.mirror_figure[here, index, : bent.shape[-1]] += shape * MM_PER_M
+    for name, surfaces in bench.system.bodies.items():
+        if name in motion.rigid:
+            own = motion.rigid[name][part] * np.repeat([MM_PER_M, 1.0], 3)
+            states.surface_motion[here, surfaces] += carried(bench.system, surfaces, own)
     states.field[here] += motion.mount[part]
 
 

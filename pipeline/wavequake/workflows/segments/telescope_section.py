@@ -21,16 +21,31 @@ class SurfaceSection(Section):
         default=(), strict=False, max_length=8, description="of rho^2, rho^4, ... in mm^-1, mm^-3, ..."
     )
     distance_mm: float = Field(description="along the light from the previous surface", gt=0)
-    tilt_deg: float = Field(default=0.0, gt=-90, lt=90, description="of a fold mirror about its y axis")
+    tilt_deg: float = Field(
+        default=0.0,
+        gt=-90,
+        lt=90,
+        description="of a fold mirror about its y axis; a lens or window turns alone",
+    )
     semi_diameter_mm: float | None = Field(
         default=None, gt=0, description="light beyond it is vignetted; None is a mirror without an edge"
     )
+    glass: str | Annotated[float, Field(gt=0)] | None = Field(
+        default=None,
+        description='of a lens or window: what follows, a glass, an index or "air"; None is a mirror',
+    )
+    body: str | None = Field(
+        default=None,
+        min_length=1,
+        description="name by which the surfaces that have it, such as the faces of a lens, move together",
+    )
 
     @model_serializer(mode="wrap")
-    def _conics_say_nothing_of_powers(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _conic_mirrors_say_nothing_of_others(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         record: dict[str, Any] = handler(self)
-        if not self.even_asphere:
-            record.pop("even_asphere", None)
+        for key in ("even_asphere", "glass", "body"):
+            if not getattr(self, key):
+                record.pop(key, None)
         return record
 
 
