@@ -57,8 +57,8 @@ def require_all_rays(stopped: Stopped, why: str) -> None:
     """Raise UserError, which says why all are needed, if rays are lost at rest."""
     if words := stopped.words():
         raise UserError(
-            f"{words}, {why}: give what stops it a larger semi_diameter_mm, or bring optics.field_arcmin nearer "
-            "the axis."
+            f"{words}, {why}: give what stops it a larger semi_diameter_mm, or bring optics.field_arcmin "
+            "nearer the axis."
         )
 
 
