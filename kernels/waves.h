@@ -8,7 +8,8 @@
 #ifndef __has_builtin
 #define __has_builtin(name) 0
 #endif
-#if __has_builtin(__builtin_prefetch)
+// A GPU's memory is another than that of which the intrinsic takes addresses.
+#if W > 1 && __has_builtin(__builtin_prefetch)
 #define PREFETCH(address) __builtin_prefetch(address)
 #else
 #define PREFETCH(address)

@@ -263,6 +263,12 @@ def test_a_device_without_memory_is_told_in_a_sentence(device):
 
 
 @pytest.mark.parametrize("device", **NAMES)
+def test_copies_are_of_arrays_that_lie_anyhow(device):
+    for array in (np.broadcast_to(WHOLE[0], (7, 5)), WHOLE[::-2, 1:4], WHOLE.T):
+        np.testing.assert_array_equal(device_copy(device, array), array)
+
+
+@pytest.mark.parametrize("device", **NAMES)
 def test_threads_share_it(device):
     """Some fetch while others sum, and all get the one array that there is."""
     random = np.random.default_rng(7)

@@ -18,6 +18,10 @@ from wavequake.optics.segments.states import rest
 from wavequake.optics.segments.wavefront import analyse, measure
 
 
+def arrays_of(wavefront):
+    return {name: values for name, values in vars(wavefront).items() if name != "device"}
+
+
 def synthetic(prepared, waves, tiles=1):
     """Traced rays with an OPD (N,) or (N, 16) in waves and image points at the origin, and the chief ray."""
     waves = np.broadcast_to(
@@ -78,7 +82,7 @@ def test_lost_rays_are_left_out_of_their_instant_only(tmt18, device):
         array[0, gone, 9] = value
     wavefront = analyse(tmt18, holed, chief, device)
     others = np.arange(TILE) != 9
-    for name, values in vars(whole).items():
+    for name, values in arrays_of(whole).items():
         np.testing.assert_array_equal(getattr(wavefront, name)[others], values[others], err_msg=name)
     kept, w = ~gone, waves[~gone, 9]
     system = tmt18.system
@@ -158,7 +162,7 @@ def test_results_do_not_depend_on_the_batch(tmt18, device):
     one = replace(states, **parts)
     batch, alone = measure(tmt18, states, device), measure(tmt18, one, device)
     assert alone.lost.min() > 0
-    for name, values in vars(alone).items():
+    for name, values in arrays_of(alone).items():
         np.testing.assert_array_equal(getattr(batch, name)[TILE : 2 * TILE], values, err_msg=name)
 
 

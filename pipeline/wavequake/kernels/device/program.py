@@ -144,7 +144,8 @@ def device_copy(device: Device, array: NDArray[Any]) -> NDArray[Any]:
     kept = Resident(device, array.shape, array.dtype)
     with exclusive(device):
         queue = _queue(device)
-        cl.enqueue_copy(queue, kept.place(queue, device), array)
+        place = kept.place(queue, device)
+        cl.enqueue_copy(queue, place, np.ascontiguousarray(array))
         count_bytes("to", array.nbytes)
     return cast(NDArray[Any], kept)
 

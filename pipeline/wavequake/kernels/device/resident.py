@@ -12,7 +12,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import DTypeLike, NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.device.devices import Device
+from wavequake.kernels.device.devices import Device, opencl_handle
 from wavequake.kernels.device.launches import count_bytes
 
 # Of all arrays that stay on devices. The largest trace and the wavefronts made of it take four fifths.
@@ -53,6 +53,9 @@ class Resident(NDArrayOperatorsMixin):
             return self.numpy()
         with exclusive(self.device):
             if self._place is None:
+                # Some drivers take any size, and fail when it is first used.
+                if self.nbytes > opencl_handle(self.device).global_mem_size:
+                    raise _no_memory(self.device, "INVALID_BUFFER_SIZE")
                 _make_room(self.nbytes)
                 self._place = cl.Buffer(queue.context, cl.mem_flags.READ_WRITE, self.nbytes)
                 self._queue = queue
@@ -178,10 +181,14 @@ class exclusive:  # noqa: N801 - used as a context
         code = getattr(error, "code", None) if isinstance(error, cl.Error) else None
         for name in _NO_MEMORY:
             if code == getattr(cl.status_code, name):
-                raise UserError(
-                    f"the OpenCL device {self._device.label!r} has not enough memory left ({name}); end "
-                    "other programs that use it, take fewer rays, or choose another (campaign.device=cpu)"
-                ) from error
+                raise _no_memory(self._device, name) from error
+
+
+def _no_memory(device: Device, name: str) -> UserError:
+    return UserError(
+        f"the OpenCL device {device.label!r} has not enough memory left ({name}); end other programs that "
+        "use it, take fewer rays, or choose another (campaign.device=cpu)"
+    )
 
 
 def _on_host(item: Any) -> Any:

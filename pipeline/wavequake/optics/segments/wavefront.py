@@ -61,6 +61,8 @@ class Wavefront:
         Those of them that pass by a mirror after M1, beyond its edge.
     lost_segments : ndarray of bool, shape (batch, S)
         Segments whose remaining rays do not determine a plane: mostly, that lost all their rays.
+    device : Device
+        Where it was measured, and where images of it are made.
     """
 
     zernike: Array
@@ -77,6 +79,7 @@ class Wavefront:
     lost: NDArray[np.int64]
     vignetted: NDArray[np.int64]
     lost_segments: NDArray[np.bool_]
+    device: Device = NUMPY
 
 
 def los_eq339(
@@ -166,6 +169,7 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array, device: Devic
         lost=lost,
         vignetted=passed_by,
         lost_segments=lost_segments,
+        device=device,
     )
 
 

@@ -253,7 +253,8 @@ def local_images(control: ControlBench, opd: Array, wavefront: Wavefront) -> Arr
     Where that is NaN a ray is dark.
     """
     size = control.basis.pixels
-    images = images_of_rays(control.basis, ray_phase(control, opd, wavefront, wavefront.los))
+    phase = ray_phase(control, opd, wavefront, wavefront.los)
+    images = images_of_rays(control.basis, phase, wavefront.device)
     return np.asarray(images, dtype=np.float64).reshape(-1, size, size)
 
 

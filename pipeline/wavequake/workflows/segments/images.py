@@ -16,6 +16,7 @@ from wavequake.imaging.engines.segment_basis import SegmentBasis, ray_basis, seg
 from wavequake.imaging.engines.segment_psf import amplitude_images, psf, shift_phase, truncation_error
 from wavequake.imaging.exposures.placement import place
 from wavequake.imaging.pupils.nyquist import too_few_rays
+from wavequake.kernels.device.devices import NUMPY, Device
 from wavequake.kernels.device.tiles import TILE, from_tiles
 from wavequake.kernels.trace.train import Traced, vignetted
 from wavequake.optics.polynomials.zernike import noll_to_nm
@@ -244,13 +245,14 @@ def _colored(
     """Return images (instants, size²) at a wavelength that is shorter by a factor, moved by lambda/D."""
     diameter, dark = 2.0 * bench.system.pupil_outer, wavefront.vignetted[here] > 0
     if by_rays(bench) or behind_um:
-        return _ray_images(bench, traced, here, shift / diameter, size, factor, behind_um)
+        return _ray_images(bench, traced, here, shift / diameter, size, factor, behind_um, wavefront.device)
     centers = bench.system.segments.centers[:, :2]
     waves = bench.prepared.wavelength / bench.unit_mm  # of the wavefront, in those of lambda/D
     phase = shift_phase(-waves * wavefront.segment_phase[here], shift, centers, diameter)
-    frames = _psf(bench, phase * factor, size, factor)
+    frames = _psf(bench, phase * factor, size, factor, wavefront.device)
     if dark.any():
-        frames[dark] = _ray_images(bench, traced, here, shift / diameter, size, factor, 0.0)[dark]
+        lit = _ray_images(bench, traced, here, shift / diameter, size, factor, 0.0, wavefront.device)
+        frames[dark] = lit[dark]
     return frames
 
 
@@ -262,6 +264,7 @@ def _ray_images(
     size: int,
     factor: float,
     behind_um: float,
+    device: Device,
 ) -> NDArray[np.floating[Any]]:
     """Return images (instants, size²) as sums over the rays; rays that mirrors stop are dark.
 
@@ -269,13 +272,13 @@ def _ray_images(
     one of `psf`, so that its bits do not depend on those beside it.
     """
     basis = _lit_basis(bench.text, bench.place, size, factor)
-    return images_of_rays(basis, ray_phase(bench, traced, here, slopes, behind_um) * factor)
+    return images_of_rays(basis, ray_phase(bench, traced, here, slopes, behind_um) * factor, device)
 
 
-def images_of_rays(basis: SegmentBasis, phase: Array) -> NDArray[np.floating[Any]]:
+def images_of_rays(basis: SegmentBasis, phase: Array, device: Device = NUMPY) -> NDArray[np.floating[Any]]:
     """Return images (instants, size²) of phases (instants, R) in waves; a ray whose phase is NaN is dark."""
     unknown = np.isnan(phase)
-    images = psf(basis, np.where(unknown, 0.0, phase))
+    images = psf(basis, np.where(unknown, 0.0, phase), device=device)
     dark = unknown.any(axis=1)
     if dark.any():
         fields = np.where(unknown[dark], 0.0, np.exp(2j * np.pi * phase[dark]))
@@ -314,19 +317,21 @@ def ray_phase(bench: Bench, traced: Traced, here: slice, slopes: Array, behind_u
     return phase
 
 
-def _psf(bench: Bench, phase: Array, pixels: int, factor: float = 1.0) -> NDArray[np.floating[Any]]:
+def _psf(
+    bench: Bench, phase: Array, pixels: int, factor: float = 1.0, device: Device = NUMPY
+) -> NDArray[np.floating[Any]]:
     """Return the images of a case's segments with as many moments as the study says, or as they need.
 
     Segments that are too steep for any number of moments are imaged by their parts.
     """
     chosen = bench.study.imaging.moments
     if chosen != "auto":
-        return psf(_basis(bench.text, pixels, chosen, factor), phase)
+        return psf(_basis(bench.text, pixels, chosen, factor), phase, device=device)
     *quick, last = _AUTO_MOMENTS
     for moments in quick:
         basis = _basis(bench.text, pixels, moments, factor)
         if truncation_error(basis, phase)[-1].max() <= _TOLERANCE:
-            return psf(basis, phase, _TOLERANCE)
+            return psf(basis, phase, _TOLERANCE, device)
     whole = _basis(bench.text, pixels, last, factor)
     if truncation_error(whole, phase)[-1].max() > _TOLERANCE:
         for halvings in range(_HALVINGS):
@@ -335,8 +340,8 @@ def _psf(bench: Bench, phase: Array, pixels: int, factor: float = 1.0) -> NDArra
                 break
             basis, finer = _parts_basis(bench.text, pixels, halvings, factor), divided_phase(parts, phase)
             if truncation_error(basis, finer)[-1].max() <= _TOLERANCE:
-                return psf(basis, finer, _TOLERANCE)
-    return psf(whole, phase, _TOLERANCE)
+                return psf(basis, finer, _TOLERANCE, device)
+    return psf(whole, phase, _TOLERANCE, device)
 
 
 @prepared(maxsize=18)

@@ -1,0 +1,135 @@
+"""Images of segments with pistons and slopes by a device, a tile of 16 instants at a time.
+
+The NumPy twin is `wavequake.imaging.engines.segment_psf.psf`, whose products BLAS makes: on processors it is
+as fast as OpenCL could be. A GPU is sent the phases alone, and the images come back.
+"""
+
+import weakref
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.kernels.device.devices import Device
+from wavequake.kernels.device.first_batch import Pick, compare_first, is_trusted
+from wavequake.kernels.device.program import device_copy, source
+from wavequake.kernels.device.steps import Step, run_steps
+from wavequake.kernels.device.tiles import TILE
+
+Real = NDArray[np.float64]
+Floating = NDArray[np.float32] | NDArray[np.float64]
+
+# Sums over terms are parted among so many work-groups; the bits of an image depend on their number.
+_SPLITS = 8
+_TALL, _EACH = 32, 4
+# By how much images may differ from NumPy's, relative to the perfect peak.
+_TOLERANCE = {"float32": 1e-5, "float64": 1e-11}
+_KEPT: dict[tuple[int, int, Device], tuple[weakref.ref[Any], Any]] = {}
+
+
+def segment_images(
+    device: Device,
+    phase: Real,
+    matrix: Floating,
+    interpolation: Floating,
+    twins: NDArray[np.intp],
+    shares: Real,
+    powers: NDArray[np.intp],
+    scale: float,
+    peak: float,
+    twin: Callable[[], Floating],
+) -> Floating:
+    """Return the images of a tile, relative to the perfect peak.
+
+    Parameters
+    ----------
+    device : Device
+        An OpenCL device.
+    phase : ndarray, shape (16, S, 3)
+        Piston in waves, slopes in waves per mm.
+    matrix : ndarray, shape (4, Q, K), float32 or float64
+        Of `wavequake.imaging.engines.segment_basis.SegmentBasis`, with the moments that are taken or more.
+    interpolation : ndarray, shape (pixels, M)
+    twins, shares : ndarray, shape (4, R)
+    powers : ndarray of int, shape (J, 2)
+        Powers of x and y of the moments that are taken.
+    scale, peak : float
+        As the basis has them.
+    twin : callable
+        Returns the same images by NumPy, with which the first ones are compared.
+
+    Returns
+    -------
+    ndarray, shape (16, pixels²), of the matrix's precision
+
+    Raises
+    ------
+    UserError
+        If the device has not enough memory or computes something else.
+    """
+    pixels, nodes = interpolation.shape
+    sets, moments, dtype = twins.shape[1], len(powers), matrix.dtype
+    quarter, folded = matrix.shape[1], 4 if shares[1:].any() else 1
+    constants = {"W": 1, "SINGLE": int(dtype == np.float32), "SEGMENTS": phase.shape[1], "TWINS": sets}
+    constants |= {"FOLDED": folded, "MOMENTS": moments, "HALF": nodes // 2, "PIXELS": pixels}
+    names = tuple((constants | {"SPLITS": _SPLITS}).items())
+
+    def step(kernel: str, size: tuple[int, int, int], group: tuple[int, int, int], *arguments: Any) -> Step:
+        return Step(_text(), kernel, names, size, group, arguments)
+
+    columns = 2 * TILE
+    blocks = -(-quarter // _TALL) * (_TALL // _EACH)
+    steps = [
+        step(
+            "fold_segments", (TILE, sets, 1), (TILE, 8, 1),
+            *(np.float64(peak), np.float64(scale), "phase", "twins", "shares", "powers", "folded"),
+        ),
+        step(
+            "add_segments", (columns, blocks, 4 * _SPLITS), (columns, _TALL // _EACH, 1),
+            *("matrix", "folded", "sums"),
+        ),
+        step("unfold_field", (TILE, quarter, 1), (TILE, 8, 1), "sums", "field"),
+        step("spread_rows", (columns, nodes, pixels), (columns, 4, 1), "across", "field", "rows"),
+        step("square_pixels", (TILE, pixels, pixels), (TILE, 8, 1), "across", "rows", "images"),
+    ]  # fmt: skip
+    inputs = {
+        "phase": phase,
+        "twins": twins.astype(np.int32),
+        "shares": shares,
+        "powers": np.asarray(powers, np.int32),
+        "matrix": _there(device, matrix, moments * sets),
+        "across": _there(device, interpolation, nodes),
+    }
+    numbers = {"folded": folded * moments * sets, "sums": _SPLITS * 4 * quarter, "field": nodes * nodes}
+    numbers["rows"] = pixels * nodes
+    scratch = {name: count * columns * dtype.itemsize for name, count in numbers.items()}
+    images = np.empty((TILE, pixels * pixels), dtype)
+    run_steps(device, steps, inputs, {"images": images}, scratch)
+    program = "segment images", names
+    if not is_trusted(device, program):
+        expected = twin()
+
+        def same(pick: Pick) -> list[Real]:
+            return list(expected[:, pick].astype(np.float64))
+
+        found = list(images.astype(np.float64))
+        compare_first(device, program, found, same, kind="pixels", tolerance=_TOLERANCE[dtype.name])
+    return images
+
+
+def _there(device: Device, array: Floating, last: int) -> Any:
+    """Return the first `last` numbers of each row on the device, which keeps them while the array lives."""
+    key = id(array), last, device
+    kept = _KEPT.get(key)
+    if kept is None or kept[0]() is not array:
+        copy = device_copy(device, np.ascontiguousarray(array[..., :last]))
+        kept = weakref.ref(array, lambda _: _KEPT.pop(key, None)), copy
+        _KEPT[key] = kept
+    return kept[1]
+
+
+@lru_cache(maxsize=1)
+def _text() -> str:
+    return source("segment_images.cl")
