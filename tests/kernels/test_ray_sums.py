@@ -63,7 +63,7 @@ def test_a_matrix_that_is_kept_on_the_device_is_still_the_callers(device):
     matrix = np.ones((4, 50))
     matrix.flags.writeable = False
     ray_coefficients(matrix, values, device)
-    matrix.shape = (2, 100)
+    matrix.resize((2, 100))
     assert ray_coefficients(matrix, np.ones((1, 100)), device)[0].tolist() == [[100.0, 100.0]]
     # One that can, or that shows another's numbers, is looked at each time.
     writable = random.normal(size=(4, 50))
