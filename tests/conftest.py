@@ -3,7 +3,7 @@
 import os
 import signal
 import sys
-from contextlib import suppress
+from contextlib import contextmanager, nullcontext, suppress
 
 import pytest
 from hypothesis import settings
@@ -25,16 +25,27 @@ settings.load_profile("ci")
 DRAWN = ("report", "viewer", "drawing", "test_docs.py", "test_retention_reports.py", "test_telescope_loop.py")
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _figures_are_left_undrawn(request):
-    """Make the figures of pages but do not draw them, which takes most of a report's time, elsewhere."""
-    if {request.path.parent.name, request.path.name} & {*DRAWN}:
-        yield
-        return
+@contextmanager
+def _undrawn():
+    """Make the figures of pages, but do not draw them, which takes most of a report's time."""
     from wavequake.report import page  # after the threads of NumPy are set
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(page, "svg_text", lambda figure, salt: "<svg></svg>")
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _drawn_where_figures_are_looked_at(request):
+    drawn = {request.path.parent.name, request.path.name} & {*DRAWN}
+    with nullcontext() if drawn else _undrawn():
+        yield
+
+
+@pytest.fixture
+def undrawn():
+    """Leave figures undrawn in one test of a file that draws them."""
+    with _undrawn():
         yield
 
 
