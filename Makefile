@@ -12,6 +12,8 @@ TESTS ?=
 comma := ,
 LINKER := $(shell command -v ld >/dev/null || echo '[linker]')
 export PYTHONUNBUFFERED := 1
+# Every process that is started would compile the package anew.
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: docs help run test test-fast soak fuzz slurm newest lint bench wheel clean
 help:

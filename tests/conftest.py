@@ -3,7 +3,7 @@
 import os
 import signal
 import sys
-from contextlib import suppress
+from contextlib import contextmanager, nullcontext, suppress
 
 import pytest
 from hypothesis import settings
@@ -20,6 +20,44 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 settings.register_profile("ci", max_examples=25, deadline=None, derandomize=True, database=None)
 settings.load_profile("ci")
+
+# Where tests look at the figures of pages.
+DRAWN = ("report", "viewer", "drawing", "test_docs.py", "test_retention_reports.py", "test_telescope_loop.py")
+
+
+@contextmanager
+def _undrawn():
+    """Make the figures of pages, but do not draw them, which takes most of a report's time."""
+    from wavequake.report import page  # after the threads of NumPy are set
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page, "svg_text", lambda figure, salt: "<svg></svg>")
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _drawn_where_figures_are_looked_at(request):
+    drawn = {request.path.parent.name, request.path.name} & {*DRAWN}
+    with nullcontext() if drawn else _undrawn():
+        yield
+
+
+@pytest.fixture
+def undrawn():
+    """Leave figures undrawn in one test of a file that draws them."""
+    with _undrawn():
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _campaigns_that_name_no_place_are_serial():
+    """Tests of workers ask for them; processes of a campaign's own would take seconds to start."""
+    from wavequake.workflows import run
+
+    decide = run._why_serial
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "_why_serial", lambda study, path, workers: decide(study, path, workers or 1))
+        yield
 
 
 @pytest.fixture

@@ -32,8 +32,13 @@ def again(kept_stores, tmp_path):
     return again_of
 
 
-@pytest.mark.parametrize("keys", [{"reduce": "summary"}, {"every": 2}, {}], ids=str)
-@pytest.mark.parametrize("name", SMALL)
+# What a store keeps is no matter of the workflow: summaries of each, the others of three.
+KEPT = [(name, {"reduce": "summary"}) for name in SMALL]
+for name in ("telescope-exposure", "mirror-exposure", "mirror-mor"):
+    KEPT += [(name, {"every": 2}), (name, {})]
+
+
+@pytest.mark.parametrize(("name", "keys"), KEPT, ids=str)
 def test_all_histories_of_a_case_have_the_bits_of_a_store_that_keeps_them(again, name, keys):
     whole, detail = again(name, case=0, **keys)
     assert int(detail["case"]) == 0

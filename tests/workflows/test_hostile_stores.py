@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import resource
+import shutil
 from hashlib import sha256
 
 import pytest
@@ -16,10 +17,16 @@ from wavequake.campaign.store.verify import verify_store
 from wavequake.errors import StoreDamageError, UserError
 
 
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    store = tmp_path_factory.mktemp("kept") / "s"
+    toy.run(store, cases=43)
+    return store
+
+
 @pytest.fixture
-def done(tmp_path):
-    toy.run(tmp_path / "s", cases=43)
-    return tmp_path / "s"
+def done(kept, tmp_path):
+    return shutil.copytree(kept, tmp_path / "s")
 
 
 @pytest.fixture

@@ -213,6 +213,10 @@ register(Measure("coma", "nm", "rms of the coma terms j = 7 and 8", {dims}, coma
 """
 
 
+LENS = ("run", "double-gauss", "optics.rays=60", "imaging.pixels=16", "--on", "serial")
+FEW = ("disturbance.vibration.instants=4", "disturbance.all.instants=4", "system.fields_deg=[[0.0, 5.0]]")
+
+
 def coma_file(tmp_path, fails=False, dims=("time", "field", "wavelength")):
     file = tmp_path / "coma.py"
     file.write_text(COMA.format(fails=fails, dims=dims))
@@ -222,7 +226,7 @@ def coma_file(tmp_path, fails=False, dims=("time", "field", "wavelength")):
 def test_one_record_adds_a_number_to_any_kind(tmp_path, wavequake):
     """It is computed, stored, reduced, judged and exported; stores that do not ask for it have none."""
     plugin, store = ("--plugin", coma_file(tmp_path)), tmp_path / "store"
-    words = ["run", "double-gauss", "campaign.cases=4", "optics.rays=100", "--on", "serial"]
+    words = [*LENS, *FEW, "campaign.cases=4"]
     code, out, err = wavequake(*words, "store.measures=['coma']", "--store", store, *plugin)
     assert (code, err) == (0, ""), out
     dataset = open_store(store)
@@ -247,7 +251,7 @@ def test_one_record_adds_a_number_to_any_kind(tmp_path, wavequake):
     ],
 )
 def test_measures_that_fail_cost_a_sentence(tmp_path, wavequake, keys, code, words):
-    run = ["run", "double-gauss", "campaign.cases=2", "optics.rays=100", "--on", "serial"]
+    run = [*LENS, *FEW, "campaign.cases=2"]
     given = (
         "store.measures=['coma']",
         "--store",

@@ -52,6 +52,7 @@ def test_the_report_of_a_summary_of_segments_says_so(kept_stores):
     assert [[*column.cells] for column in short.columns] == [[*column.cells] for column in whole.columns]
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("name", sorted(SMALL))
 def test_the_report_of_every_other_instant_says_so(kept_stores, name):
     _, store_of = kept_stores

@@ -43,10 +43,16 @@ def swap(file):
     file.write_bytes(file.with_name(file.name.replace("c.1", "c.0").replace("c.4", "c.0")).read_bytes())
 
 
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    store = tmp_path_factory.mktemp("kept") / "s"
+    toy.run(store, {"reasons": [15]}, cases=43)
+    return store
+
+
 @pytest.fixture
-def done(tmp_path):
-    toy.run(tmp_path / "s", {"reasons": [15]}, cases=43)
-    return tmp_path / "s"
+def done(kept, tmp_path):
+    return shutil.copytree(kept, tmp_path / "s")
 
 
 def test_an_intact_store_passes(done):
