@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from wavequake.mechanics.telemetry.line import NORMAL, RESOLVED, Line
 from wavequake.mechanics.telemetry.profile import profile_ends, shape_ends
 from wavequake.mechanics.telemetry.sinusoids import sinusoid, take_sinusoids
-from wavequake.mechanics.telemetry.spectra import Fourier, background, fourier
+from wavequake.mechanics.telemetry.spectra import Fourier, fourier
 from wavequake.mechanics.telemetry.subspace import Subspace, across, subspace
 from wavequake.mechanics.telemetry.whittle import (
     Fit,
@@ -55,8 +55,8 @@ def _rises(ratio: Array, spectrum: Fourier) -> Iterator[tuple[float, int, int]]:
         first = max(first, scale // 2)  # beyond the ends there is nothing to average
         starts = np.arange(first, count - scale // 2, step) - scale // 2
         mean = (total[starts + scale] - total[starts]) / scale if scale > 1 else ratio
-        gain = scale / spectrum.loss * (mean - 1.0 - np.log(np.maximum(mean, 1e-300)))
-        gain[mean < _RISE] = 0.0
+        gain, high = np.zeros_like(mean), mean >= _RISE
+        gain[high] = scale / spectrum.loss * (mean[high] - 1.0 - np.log(mean[high]))
         best = gain.max(axis=1)
         least = np.log(count * channels) + _DOUBT
         found += [(float(best[k]), first + int(k) * step, scale) for k in np.flatnonzero(best > least)]
@@ -91,12 +91,10 @@ def find_lines(values: Array, step: float, most: int = MOST_LINES) -> tuple[tupl
     most : int
         Candidates, at most.
     """
-    sinusoids, rest = take_sinusoids(values, step)
+    sinusoids, rest, spectrum, floor = take_sinusoids(values, step)
     # Rounding errors of a record without noise are no lines.
     found = [line for line in sinusoids if (np.abs(line.rms) > _ROUNDING * values.std(axis=0)).any()]
-    spectrum = fourier(rest, step)
-    least = _ROUNDING**2 * (np.abs(fourier(values, step).values) ** 2).mean(axis=0)
-    floor = np.maximum(background(spectrum), least)
+    floor = np.maximum(floor, _ROUNDING**2 * 2.0 * step * values.var(axis=0))
     candidates: list[_Candidate] = []
     for gain, place, width in _rises(np.abs(spectrum.values) ** 2 / floor, spectrum):
         candidates.append(

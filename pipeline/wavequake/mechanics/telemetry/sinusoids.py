@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.mechanics.telemetry.line import RESOLVED, Line
-from wavequake.mechanics.telemetry.spectra import background, fourier
+from wavequake.mechanics.telemetry.spectra import Fourier, background, fourier
 
 Array = NDArray[np.float64]
 
@@ -16,12 +16,12 @@ _SHARP = 6.0  # times the power beside a peak
 _NEWTON = 5
 
 
-def take_sinusoids(values: Array, step: float) -> tuple[list[Line], Array]:
-    """Return the sinusoids of a record (n, c), and the record without them."""
+def take_sinusoids(values: Array, step: float) -> tuple[list[Line], Array, Fourier, Array]:
+    """Return the sinusoids of a record (n, c), and without them the record, its coefficients and floor."""
     found: list[Line] = []
+    spectrum = fourier(values, step)
+    floor = background(spectrum)
     for _ in range(_PASSES):
-        spectrum = fourier(values, step)
-        floor = background(spectrum)
         ratio = np.sum(np.abs(spectrum.values) ** 2 / floor, axis=1)
         sharp = list(_sharp(ratio, values.shape[1]))
         for place in sharp:
@@ -30,7 +30,9 @@ def take_sinusoids(values: Array, step: float) -> tuple[list[Line], Array]:
             found.append(line)
         if not sharp:
             break
-    return found, values
+        spectrum = fourier(values, step)
+        floor = background(spectrum)
+    return found, values, spectrum, floor
 
 
 def _sharp(ratio: Array, channels: int) -> Iterator[int]:

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import rfft
 from scipy.signal.windows import hann, tukey
 from scipy.stats import chi2
 
@@ -53,7 +54,7 @@ def fourier(values: Array, step: float) -> Fourier:
     line = np.linspace(-1.0, 1.0, count)
     flat = values - values.mean(axis=0)
     flat -= np.outer(line, line @ flat / (line @ line))
-    found = np.fft.rfft(flat * taper[:, None], axis=0) * np.sqrt(2.0 * step / count)
+    found = rfft(flat * taper[:, None], axis=0) * np.sqrt(2.0 * step / count)
     kept = slice(4, (count + 1) // 2)
     frequency = np.arange(len(found)) / (count * step)
     return Fourier(frequency[kept], found[kept], step, count * step, float(np.mean(taper**4)))
@@ -122,7 +123,7 @@ def welch(values: Array, step: float, length: int) -> Averaged:
     total = np.zeros((length // 2 + 1, values.shape[1]))
     for start in starts:
         piece = values[start : start + length]
-        total += np.abs(np.fft.rfft((piece - piece.mean(axis=0)) * window[:, None], axis=0)) ** 2
+        total += np.abs(rfft((piece - piece.mean(axis=0)) * window[:, None], axis=0)) ** 2
     density = total * (2.0 * step / np.sum(window**2) / len(starts))
     kept = slice(2, (length + 1) // 2)
     frequency = np.arange(len(density)) / (length * step)
