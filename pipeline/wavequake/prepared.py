@@ -6,6 +6,7 @@ plan, a report or a user's script, with all threads: it is guarded here, not whe
 """
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache, wraps
@@ -37,13 +38,41 @@ def one_thread() -> Iterator[None]:
         _this.entered = False
 
 
+@contextmanager
+def preparing() -> Iterator[None]:
+    """Count the time of what is done within as preparation; where it is entered again, once."""
+    if getattr(_this, "preparing", False):
+        yield
+        return
+    _this.preparing, start = True, time.perf_counter()
+    try:
+        yield
+    finally:
+        _this.preparing = False
+        count_preparation(time.perf_counter() - start)
+
+
+def count_preparation(seconds: float) -> None:
+    """Count seconds as preparation, unless they are part of what is counted anyhow."""
+    if not getattr(_this, "preparing", False):
+        _this.spent = preparation_seconds() + seconds
+
+
+def preparation_seconds() -> float:
+    """Return how long this thread has prepared so far what all cases share: models, tables, kernels.
+
+    Of its time by the clock that is a part, never more: what other threads prepare meanwhile is theirs.
+    """
+    return float(getattr(_this, "spent", 0.0))
+
+
 def prepared(maxsize: int | None) -> Callable[[Function], Function]:
     """Keep the last `maxsize` results of a function, as `lru_cache` does; it computes with `one_thread`."""
 
     def kept(function: Function) -> Function:
         @wraps(function)
         def alone(*arguments: Any, **keys: Any) -> Any:
-            with one_thread():
+            with one_thread(), preparing():
                 return function(*arguments, **keys)
 
         return lru_cache(maxsize)(alone)  # type: ignore[return-value]

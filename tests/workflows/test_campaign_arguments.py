@@ -1,6 +1,7 @@
 """What `wavequake.run` takes: numbers of NumPy, folders that are none, and titles."""
 
 import dataclasses
+import threading
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from wavequake.campaign.contract import Template, Variable
 from wavequake.campaign.engine.chunk_size import default_chunk
 from wavequake.campaign.store.store import read_manifest
 from wavequake.errors import UserError
+from wavequake.prepared import prepared, preparing
 from wavequake.workflows import run as campaign
 from wavequake.workflows.run import chunk_of, plan
 from wavequake.workflows.study import load_study
@@ -123,6 +125,56 @@ def test_a_plan_says_which_chunk_would_suit_better(monkeypatch, seconds, chunk, 
     monkeypatch.setattr(campaign, "kind_of", lambda study: workflow)
     monkeypatch.setattr(campaign.time, "perf_counter", clock)
     assert plan(study)["one chunk"] == words
+
+
+@pytest.mark.parametrize(
+    ("seconds", "whole", "flights"),
+    [
+        (0.001, 1000, [1, 1000]),  # a whole chunk is over soon
+        (0.01, 1000, [1, 8]),  # that is enough to tell
+        (0.003, 1000, [1, 8, 64]),
+        (1.0, 20, [1, 2]),
+        (3.0, 20, [1]),  # nothing is computed twice
+        (0.01, 1, [1]),
+        (0.0, 20, [1, 20]),  # less than the clock can tell
+    ],
+)
+def test_a_plan_flies_no_more_than_it_takes_to_tell_a_case_s_time(monkeypatch, seconds, whole, flights):
+    """Models, tables and kernels, half a minute in the first flight, are no part of a case's time."""
+    now, flown = [0.0], []
+
+    @prepared(maxsize=1)
+    def prepare():
+        now[0] += 20.0
+
+    def fly(cases):
+        with preparing():
+            prepare()
+            now[0] += 0.0 if flown else 10.0
+        now[0] += seconds * cases
+        flown.append(cases)
+
+    monkeypatch.setattr("time.perf_counter", lambda: now[0])
+    each, pilot = campaign._time_case(fly, whole)
+    assert (flown, pilot) == (flights, flights[-1])
+    assert each == pytest.approx(seconds, rel=1e-9, abs=1e-9)
+
+
+def test_what_other_threads_prepare_is_no_part_of_this_one_s_time(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("time.perf_counter", lambda: now[0])
+
+    def other():
+        with preparing():
+            now[0] += 5.0
+
+    def fly(cases):
+        thread = threading.Thread(target=other)
+        thread.start()
+        thread.join()
+        now[0] += 1.0
+
+    assert campaign._time_case(fly, 1) == (6.0, 1)
 
 
 @pytest.mark.parametrize("until", ["wfe_rms.p95 ci<=-2%", "nonsense", "", "phase.p95 ci<=2%"])

@@ -1,13 +1,19 @@
 """Reduce a finite-element model by one method."""
 
+from collections.abc import Callable
+from functools import partial
+
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, ReducedModel
+from wavequake.prepared import preparing
 from wavequake.reduction.galerkin import reduced
 from wavequake.reduction.intermediate import Intermediate, dense_structure, intermediate
 from wavequake.reduction.method import METHODS, Variant
 from wavequake.reduction.names import parse
 from wavequake.reduction.own import OWN, Given, own_model
-from wavequake.reduction.structure import Structure, structure
+from wavequake.reduction.structure import structure
+
+Keep = Callable[[float, Callable[[], Intermediate]], Intermediate]
 
 
 def reduce(
@@ -58,19 +64,39 @@ def reduce(
             raise UserError(f"Snapshots are for pod, not for {variant}.")
         chosen = chosen.of_snapshots(snapshots)
     body = structure(model)
-    if chosen.dense and not body.is_dense:
-        stage = _own_intermediate(model, variant, body)
+    if needs_intermediate(model, variant):
+        stage = shared_intermediate(model, variant)
         return reduced(dense_structure(stage), variant, stage, lambda shapes: stage.surface @ shapes)
     rows = model.surface
     return reduced(body, variant, model, lambda shapes: rows @ shapes, chosen)
 
 
-def _own_intermediate(model: FiniteElementModel, variant: Variant, body: Structure) -> Intermediate:
+@preparing()
+def shared_intermediate(
+    model: FiniteElementModel, variant: Variant, keep: Keep | None = None
+) -> Intermediate:
+    """Return the intermediate model that methods of dense matrices reduce; all variants of a model share it.
+
+    Parameters
+    ----------
+    model : FiniteElementModel
+        Large enough to need one.
+    variant : Variant
+    keep : callable, optional
+        Given the highest frequency, Hz, and what builds it, returns it: from disk, for instance.
+    """
+    cache = structure(model).cache
     highest = max(
         [1200.0] + [high for _, high, _ in variant.bands] + [abs(point) for point in variant.points]
     )
     key = ("intermediate", highest)
-    if key not in body.cache:
-        body.cache[key] = intermediate(model, highest=highest)
-    stage: Intermediate = body.cache[key]
+    if key not in cache:
+        build = partial(intermediate, model, highest=highest)
+        cache[key] = build() if keep is None else keep(highest, build)
+    stage: Intermediate = cache[key]
     return stage
+
+
+def needs_intermediate(model: FiniteElementModel, variant: Variant) -> bool:
+    """Return whether a variant is made from the intermediate model: of a large model by a dense method."""
+    return METHODS.entries()[variant.method].dense and not structure(model).is_dense

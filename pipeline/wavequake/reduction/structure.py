@@ -20,6 +20,7 @@ from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, Integers, RayleighDamping, places
 from wavequake.mechanics.vibration.eigen import dense_modes, mass_normalized_rigid_modes
 from wavequake.mechanics.vibration.factors import LARGE, factorize
+from wavequake.prepared import preparing
 from wavequake.reduction.directions import turn_equal
 
 Solver = Callable[[NDArray[Any]], NDArray[Any]]
@@ -163,6 +164,7 @@ def held(body: Structure) -> Integers:
     return result
 
 
+@preparing()
 def clamped(body: Structure, fixed: Integers) -> Solver:
     """Return the solver of K u = f with the coordinates `fixed` at rest; u is zero there.
 
@@ -299,6 +301,7 @@ def fixed_modes(body: Structure, count: int, fixed: Integers) -> tuple[Array, Ar
     return _modes(body, count, fixed)
 
 
+@preparing()
 def _modes(body: Structure, count: int, fixed: Integers | None) -> tuple[Array, Array]:
     available = body.order - (body.rigid.shape[1] if fixed is None else len(fixed))
     if count > available:

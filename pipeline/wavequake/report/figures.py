@@ -37,6 +37,7 @@ from wavequake.report.table import number
 _GRID, _DIVERGING = "#dddddd", "RdBu_r"
 Quantity = Literal["wfe", "strehl"]
 _MAP_PIXELS = 400
+_ROUNDING = 1e-9  # mas: what differs by less stands still
 
 
 @rc_context(STYLE)
@@ -148,8 +149,10 @@ def history(population: Population) -> Figure:
         axes.set_ylabel(label)
         axes.tick_params(labelbottom=axes is panels[-1])
         draw_ticks_at_once(axes)
+    low, high = _common_limits(panels[1:])
+    still = high - low < _ROUNDING
     for axes in panels[1:]:
-        axes.set_ylim(_common_limits(panels[1:]))
+        axes.set_ylim((-1.0, 1.0) if still else (low, high))
     panels[0].set_ylim(0, 1.06 * panels[0].get_ylim()[1])
     panels[-1].set_xlabel("time (s)")
     panels[0].set_title(

@@ -22,6 +22,7 @@ from wavequake.words import printable
 LISTED = 200
 KNOWN_ERRORS = "known_errors"  # of the encoding of a store's dataset: what adds its errors to a page
 _WIDE = 1.2 * 72.0 * WIDTH  # points
+_PHONE = 350  # pixels of the narrowest pages
 # Kinds whose stores the viewer shows; a test compares them with the viewer's own.
 VIEWED = frozenset(
     {
@@ -53,6 +54,11 @@ class Picture:
     def wide(self) -> bool:
         """Whether it needs the whole width of the page."""
         return self.points > _WIDE
+
+    @property
+    def scrolls(self) -> bool:
+        """Whether a phone shows its text at 9 pixels only if it is scrolled."""
+        return 1.3 * self.points > _PHONE
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from wavequake.campaign.store.store import JOURNAL, MANIFEST, done_records, open
 from wavequake.chain.doubts import doubts
 from wavequake.errors import NoWorkersError, UserError
 from wavequake.kernels.device.devices import choose_device
+from wavequake.prepared import one_thread, preparation_seconds
 from wavequake.registry import own_modules
 from wavequake.words import counted, lasting
 from wavequake.workflows.kinds import compared_labels, find_kind
@@ -37,8 +38,7 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int, int], None]
 
 _PILOT_S = 0.05  # a pilot that is shorter says little: it is repeated with more cases
-_LONG_S = 4.0  # a pilot of some cases takes no longer, if that is more than one
-_WHOLE_S = 5.0  # a pilot of a whole chunk may take that long
+_LONG_S = 2.5  # a pilot of more cases than one takes no longer
 # Engine and store shall take at most 2 % of a chunk; but a chunk is what a crash may cost, and the least that
 # a worker takes on.
 _CHUNK_S = (2.0, 10.0)
@@ -258,13 +258,12 @@ def plan(study: str | Path | Study) -> dict[str, str]:
         goal_of(study.campaign.until, template)  # says what is wrong with it
     per_case = stored_bytes(template)
     device = choose_device(study.campaign.device)
-    whole = min(cases, chunk)
-    pilot = 1
 
-    def fly() -> None:
+    def fly(pilot: int) -> None:
         ids = np.arange(cases - pilot, cases)  # the first ones may be special
         try:
-            workflow.compute(text, ids, device.name)
+            with one_thread():
+                workflow.compute(text, ids, device.name)
         except UserError:
             raise
         except Exception as error:
@@ -275,16 +274,7 @@ def plan(study: str | Path | Study) -> dict[str, str]:
             )
             raise UserError(f"The {which}: {type(error).__name__}: {error}.") from error
 
-    fly()  # builds kernels and tables
-    while True:
-        start = time.perf_counter()
-        fly()
-        each = (time.perf_counter() - start) / pilot
-        room = int(_LONG_S / each)
-        enough = pilot > 1 and each * pilot > _PILOT_S and each * whole > _WHOLE_S
-        if pilot == whole or room < 2 or enough:
-            break
-        pilot = whole if each * whole < _WHOLE_S else min(whole, 8 * pilot, room)
+    each, pilot = _time_case(fly, min(cases, chunk))
     note = "\n".join(notices(study))
     return {
         **({"note": note} if note else {}),
@@ -298,6 +288,26 @@ def plan(study: str | Path | Study) -> dict[str, str]:
         "estimate": f"{cases * each:.0f} s of one process",
         **workflow.describe(text),
     }
+
+
+def _time_case(fly: Callable[[int], None], whole: int) -> tuple[float, int]:
+    """Return how long a case takes, s, without what is prepared once, and of how many cases that is the mean.
+
+    `fly` computes so many cases; `whole` are a chunk. One case that takes long is the whole pilot.
+    """
+
+    def each_of(pilot: int) -> float:
+        start, prepared = time.perf_counter(), preparation_seconds()
+        fly(pilot)
+        return (time.perf_counter() - start - (preparation_seconds() - prepared)) / pilot
+
+    pilot, each = 1, each_of(1)
+    while pilot < whole and 2 * each < _LONG_S:
+        if pilot > 1 and each * pilot > _PILOT_S and each * whole > _LONG_S:
+            break
+        pilot = whole if each * whole < _LONG_S else min(whole, 8 * pilot, int(_LONG_S / each))
+        each = each_of(pilot)
+    return each, pilot
 
 
 def notices(study: Study) -> Iterator[str]:

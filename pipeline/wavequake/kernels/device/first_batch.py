@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device
+from wavequake.prepared import preparing
 
 Array = NDArray[np.float64]
 Pick = NDArray[np.intp]
@@ -37,6 +38,7 @@ def is_trusted(device: Device, program: Any) -> bool:
     return (device, program) in _TRUSTED
 
 
+@preparing()
 def compare_first(
     device: Device,
     program: Any,
@@ -99,6 +101,7 @@ def shaken(poses: Array, length: float) -> Array:
     return np.concatenate([poses[None], poses + noise, poses - noise])
 
 
+@preparing()
 def compare_rays(
     device: Device,
     program: Any,

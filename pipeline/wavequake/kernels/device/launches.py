@@ -18,6 +18,11 @@ def count_launch(name: str, event: Any) -> None:
     _LAUNCHES[name] = launches + 1, before + 1e-9 * (end - start)
 
 
+def device_seconds() -> float:
+    """Return how long all kernels have run so far."""
+    return sum(seconds for _, seconds in _LAUNCHES.values())
+
+
 def count_bytes(way: Literal["to", "from"], size: int) -> None:
     """Add bytes that are copied to or from a device; one that works in the host's memory copies none."""
     name = f"bytes {way} device"

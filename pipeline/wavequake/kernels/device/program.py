@@ -4,8 +4,10 @@ import math
 import mmap
 import os
 import re
+import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from itertools import accumulate
 from typing import Any, cast
@@ -15,9 +17,10 @@ from numpy.typing import DTypeLike, NDArray
 
 from wavequake.files import folder
 from wavequake.kernels.device.devices import POCL, Device, opencl_handle
-from wavequake.kernels.device.launches import count_bytes, count_launch
+from wavequake.kernels.device.launches import count_bytes, count_launch, device_seconds
 from wavequake.kernels.device.pocl_source import for_pocl, has_wide_vectors
 from wavequake.kernels.device.resident import Resident, exclusive, settled
+from wavequake.prepared import count_preparation
 
 # Rays, or groups of them, in a work-group. One size for all launches: PoCL compiles a kernel for each size.
 _GROUP_RAYS = {"cpu": 125, "gpu": 8}
@@ -76,7 +79,7 @@ def launch(
     group = group or _GROUP_RAYS[device.kind]
     arrays = [np.ascontiguousarray(item) if isinstance(item, np.ndarray) else item for item in inputs]
     # A kernel object holds one set of arguments, and does not keep their buffers alive.
-    with exclusive(device):
+    with exclusive(device), building():
         queue = _queue(device)
         arguments = [_input(queue, device, item) for item in arrays]
         results = [_output(queue, device, out) for out in outputs]
@@ -90,6 +93,18 @@ def launch(
             _fetch(queue, device, out, result)
         queue.finish()
         count_launch(name, event)
+
+
+@contextmanager
+def building() -> Iterator[None]:
+    """Count what is done within as preparation if a kernel is built there, but for the time that it runs.
+
+    PoCL compiles when it launches, before the event begins to run.
+    """
+    built, run, start = _kernel.cache_info().misses, device_seconds(), time.perf_counter()
+    yield
+    if _kernel.cache_info().misses > built:
+        count_preparation(time.perf_counter() - start - (device_seconds() - run))
 
 
 def watch(queue: Any, device: Device, event: Any) -> None:

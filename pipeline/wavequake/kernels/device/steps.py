@@ -9,7 +9,16 @@ import numpy as np
 from wavequake.kernels.device.devices import POCL, Device, opencl_handle
 from wavequake.kernels.device.launches import count_launch
 from wavequake.kernels.device.pocl_source import has_wide_vectors
-from wavequake.kernels.device.program import _fetch, _input, _kernel, _output, _queue, scalar_types, watch
+from wavequake.kernels.device.program import (
+    _fetch,
+    _input,
+    _kernel,
+    _output,
+    _queue,
+    building,
+    scalar_types,
+    watch,
+)
 from wavequake.kernels.device.resident import exclusive
 
 # Scratch memory is kept for the next call, unless it is more than this: (device, name) to buffer.
@@ -66,7 +75,7 @@ def run_steps(
         name: np.ascontiguousarray(array) if isinstance(array, np.ndarray) else array
         for name, array in inputs.items()
     }
-    with exclusive(device):
+    with exclusive(device), building():
         queue = _queue(device)
         buffers = {name: _input(queue, device, array) for name, array in arrays.items()}
         buffers |= {name: _output(queue, device, array) for name, array in outputs.items()}

@@ -20,7 +20,6 @@ from wavequake.control.stage_identification import IdentifiedStage, identify_sta
 from wavequake.control.thesis import KalmanFilter, kalman_filter
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
 from wavequake.report.mirrors.variants import few
-from wavequake.words import counted
 
 Array = NDArray[np.float64]
 
@@ -235,7 +234,7 @@ def sensor(case: Shown) -> Figure:
     upper.set_ylabel("position (mm)")
     kept = case.time <= 2.0
     lower.plot(case.time[kept], 1e3 * (case.sensor - case.lens)[kept], color=COLORS[0], linewidth=0.6)
-    lower.set_ylabel("error (um)")
+    lower.set_ylabel("error (µm)")
     lower.set_xlabel("time (s)")
     return figure
 
@@ -261,8 +260,13 @@ def bars(ranges: Array, deviations: Array, springs: str, names: Sequence[str]) -
     axes.set_ylabel("of uncontrolled (%)")
     axes.set_ylim(0, 115)
     axes.legend(loc="upper right")
-    axes.set_title(f"{springs} springs, median of {counted(len(ranges), 'plant')}")
+    axes.set_title(f"{springs} springs, {median_of(len(ranges))}")
     return figure
+
+
+def median_of(plants: int) -> str:
+    """Say of how many plants numbers are the median, if of more than one."""
+    return "one plant" if plants == 1 else f"median of {plants} plants"
 
 
 @rc_context(STYLE)

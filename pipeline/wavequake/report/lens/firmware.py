@@ -100,7 +100,7 @@ def off_exact(firmware: Firmware) -> Figure:
         )
     axes.set_xlim(left=0)
     axes.set_ylim(0, 103)
-    axes.set_xlabel("rms difference of commands from double precision (um); the converter's step is 3.9 um")
+    axes.set_xlabel("rms difference of commands from double precision (µm); the converter's step is 3.9 µm")
     axes.set_ylabel("plants (%)")
     axes.legend(loc="lower right")
     return figure

@@ -145,7 +145,7 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
 _HEADERS = (
     "controller", "range (%)", "std (%)", "range (mm)", "std (mm)", "reference (%)",
 )  # fmt: skip
-_FIRMWARE_HEADERS = ("image", "off exact (um rms)")
+_FIRMWARE_HEADERS = ("image", "off exact (µm rms)")
 
 
 def _with_small(value: str, small: str) -> str:
@@ -190,7 +190,7 @@ def answer(found: list[Configuration]) -> str:
         words.append(
             f"{one.springs.capitalize()} springs: the identified modal regulator leaves {number(best, 2)} % "
             f"of the image's range and {number(best_late, 2)} % of its standard deviation "
-            f"(median of {counted(len(one.rows), 'plant')}), "
+            f"({draw.median_of(len(one.rows))}), "
             f"FF {number(old, 2)} % and {number(old_late, 2)} %."
         )
         if one.firmware:

@@ -33,6 +33,12 @@ _SMALL_PRINT = (
     "error of the peak."
 )
 
+_SCALE = (
+    "scale",
+    "imaging.scale: deformations are so many times as large in images, line of sight and MTF as in the "
+    "wavefront errors, which are not scaled.",
+)
+
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
@@ -53,7 +59,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
             for model, cases in common.finished(dataset, "model")
             for excitation in map(str, dataset["excitation"].to_numpy())
         ],
-        definitions=list(common.DEFINITIONS),
+        definitions=[*common.DEFINITIONS, _SCALE],
         kind="variant",
         left_out=left_out(dataset),
     )

@@ -21,7 +21,6 @@ from wavequake.report.segments.fields import base_name, of_population
 from wavequake.report.statistics import FEWEST
 from wavequake.report.table import number, rows
 from wavequake.report.vibration import histories_and_spectra
-from wavequake.words import counted
 
 _SMALL_PRINT = (
     "Small print below a number: its 95 % confidence interval (≤, ≥: too few cases for both bounds); ± is a "
@@ -169,24 +168,29 @@ def answer(summaries: Iterable[Summary]) -> str:
     shaken = max(known, key=lambda summary: summary.los_jitter.radial)
     several = len(known) > 1
     lead = f"Of {len(known)} disturbances, {worst.name} costs the most" if several else worst.name
-    where = f", the most, under {shaken.name}" if several else ""
+    where = f" most under {shaken.name}," if several else ""
     dim = (
         f"5 % of its {worst.cases} exposures have a peak below {number(worst.peak_p5.value)}"
         if worst.cases >= FEWEST
-        else f"the dimmest of its {counted(worst.cases, 'exposure')} has a peak of {number(worst.peak_least)}"
+        else f"{_dimmest(worst.cases)} has a peak of {number(worst.peak_least)}"
     )
     return (
         f"{lead}: {dim} of the perfect image's, motion of the line of sight included. "
         f"{_of_wavefront(largest, several)} "
-        f"The line of sight scatters by {number(shaken.los_jitter.radial)} mas rms{where}."
+        f"The line of sight scatters{where} by {number(shaken.los_jitter.radial)} mas rms."
     )
+
+
+def _dimmest(cases: int) -> str:
+    return "its only exposure" if cases == 1 else f"the dimmest of its {cases} exposures"
 
 
 def _of_wavefront(largest: Summary, several: bool) -> str:
     """Say how large the wavefront error of a disturbance is: of few cases, all of them."""
     who = f"The largest wavefront error is that of {largest.name}: " if several else ""
     if largest.cases < FEWEST:
-        said = f"at most {number(largest.wfe_raw_most)} nm rms in {counted(largest.cases, 'case')}."
+        most = number(largest.wfe_raw_most)
+        said = f"at most {most} nm rms in {largest.cases} cases." if largest.cases > 1 else f"{most} nm rms."
         return who + said if several else f"Its wavefront error is {said}"
     bound = f"below {number(largest.wfe_raw_p95.value)} nm rms."
     return (
@@ -276,7 +280,7 @@ def _section(place: int, population: Population, details: Sequence[Detail], data
             f"d{place}-time",
             "Median and worst case over time",
             figures.history(population),
-            "The band between median and worst case: flat lines are static errors, waves are vibration.",
+            "Flat lines are static errors, waves are vibration; the band holds 90 % of the cases.",
         )
     )
     pictures += _spectra(place, population)

@@ -18,6 +18,7 @@ from wavequake.report.table import number
 Array = NDArray[np.float64]
 
 _MOST_PANELS = 9
+_FAR_APART = 30.0  # medians that differ by more have no room beside each other but on a scale of powers
 
 
 @rc_context(STYLE)
@@ -40,10 +41,14 @@ def distributions(
             label=name,
         )
     axes.set_ylim(0, 1)
-    low, high = axes.get_xlim()
-    middle = 0.5 * (low + high)
-    reach = max(0.5 * (high - low), 1e-3 * abs(middle))  # tables have three digits: cases alike are one line
-    axes.set_xlim(middle - reach, middle + reach)
+    medians = [float(np.median(samples)) for samples in values.values()]
+    if min(medians) > 0 and max(medians) > _FAR_APART * min(medians):
+        axes.set_xscale("log")
+    else:
+        low, high = axes.get_xlim()
+        middle = 0.5 * (low + high)
+        reach = max(0.5 * (high - low), 1e-3 * abs(middle))  # tables have three digits: alike is one line
+        axes.set_xlim(middle - reach, middle + reach)
     axes.set_xlabel(label)
     axes.set_ylabel("share of cases")
     axes.legend(loc="lower right")

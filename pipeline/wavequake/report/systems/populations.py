@@ -28,7 +28,8 @@ class FieldResult:
 
     ``wfe``, ``raw`` (of the rays that arrive), ``change`` (nm) and ``spot`` (um) hold the rms over its
     instants of each case, (C,); ``sets`` the stratified set of each, if cases are not independent; ``peak``
-    and ``ee80`` (lambda/D) are of the exposures (C,), where there are images.
+    and ``ee80`` (lambda/D) are of the exposures (C,), where there are images, and ``peak_at_rest`` of the
+    design itself.
     """
 
     field: str
@@ -44,6 +45,7 @@ class FieldResult:
     sets: NDArray[np.int64] | None = None
     peak: Array | None = None
     ee80: Array | None = None
+    peak_at_rest: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -145,6 +147,7 @@ def _population(light: xr.Dataset, name: str, parts: Sequence[dict[str, Array]])
     values = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
     sets = light["replicate"].to_numpy() if "replicate" in light.coords else None
     vignetted, lost, marechal = (light[name].to_numpy() for name in ("vignetted", "lost", "marechal"))
+    at_rest = peaks_at_rest(light)
     fields = tuple(
         FieldResult(
             field=str(label),
@@ -160,11 +163,20 @@ def _population(light: xr.Dataset, name: str, parts: Sequence[dict[str, Array]])
             raw=values["wfe_rms_raw"][:, index],
             lost=int(lost[:, index].max()),
             sets=sets,
+            peak_at_rest=float(at_rest[index]),
             **{key: light[key].to_numpy()[:, index] for key in ("peak", "ee80") if key in light},
         )
         for index, label in enumerate(light["field"].to_numpy())
     )
     return SystemPopulation(name, cases, fields, int(cases[np.argmax(values["worst"])]))
+
+
+def peaks_at_rest(dataset: xr.Dataset) -> Array:
+    """Return the peak of the design's image at every field point; NaN without images."""
+    if "exposure_static" not in dataset:
+        return np.full(dataset.sizes["field"], np.nan)
+    found: Array = dataset["exposure_static"].max(["y", "x"]).to_numpy()
+    return found
 
 
 def parted_variance(dataset: xr.Dataset, bench: SystemBench) -> list[PartedResult]:

@@ -21,19 +21,21 @@ from wavequake.report import uncertain
 from wavequake.report.answers import budget
 from wavequake.report.histories import has_all_instants, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
-from wavequake.report.populations import left_out
+from wavequake.report.populations import frame_of, left_out
 from wavequake.report.reduced_models import model_results, verdict
 from wavequake.report.reduced_models import pictures as model_pictures
-from wavequake.report.statistics import FEWEST, Quantile, quantile
+from wavequake.report.statistics import Quantile, quantile
 from wavequake.report.systems import figures as draw_figures
 from wavequake.report.systems import images as system_images
+from wavequake.report.systems.answer import answer, is_incomplete
 from wavequake.report.systems.populations import (
     FieldResult,
     SystemPopulation,
     parted_variance,
+    peaks_at_rest,
     populations,
 )
-from wavequake.report.table import interval, number, share
+from wavequake.report.table import interval, number, radius, share
 from wavequake.report.vibration import histories_and_spectra
 from wavequake.words import counted
 from wavequake.workflows.systems.system_bench import (
@@ -65,6 +67,12 @@ _DEFINITIONS = (
 )
 
 
+_DEFINITIONS_OF_IMAGES = (
+    ("peak", "Of a case's exposure, the mean of the images of its instants, over that of a perfect image."),
+    ("EE80", "Radius of the circle about the exposure's centroid that holds 80 % of its light."),
+)
+
+
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     bench = system_bench(read_manifest(store).study)
@@ -82,7 +90,7 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     for population in found:
         table.add_row(Text(f"{population.name}, {counted(len(population.cases), 'case')}", style="bold"))
         for one in population.fields:
-            row = _row(population, one, bench)
+            row = _row(population, one, bench, frame_of(dataset))
             table.add_row(f"  {one.field}", *(row[header][0] for header in headers[3:]))
     return table
 
@@ -93,7 +101,8 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     found = populations(dataset, bench)
     headers = _headers(found)
     rows = [*_at_rest(dataset, bench)]
-    rows += [_row(population, one, bench) for population in found for one in population.fields]
+    frame = frame_of(dataset)
+    rows += [_row(population, one, bench, frame) for population in found for one in population.fields]
     parts, compared = parted_variance(dataset, bench), bench.study.reduction
     light = dataset.isel(wavelength=bench.system.primary_wavelength)
     models = model_results(light, compared.variants) if compared is not None else []
@@ -111,7 +120,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         sections=[
             Section(one.name, [*_figures(bench, one, _error(found), dataset, device)]) for one in found
         ],
-        definitions=list(_DEFINITIONS),
+        definitions=[*_DEFINITIONS, *(_DEFINITIONS_OF_IMAGES if _imaged(found) else ())],
         kind="disturbance",
         left_out=left_out(dataset),
     )
@@ -153,7 +162,9 @@ _OF_PARTS = ("arrived WFE P50 (nm)", "lost")
 _OF_IMAGES = ("peak P50", "EE80 P50 (λ/D)")
 
 
-def _row(population: SystemPopulation, one: FieldResult, bench: SystemBench) -> dict[str, tuple[str, str]]:
+def _row(
+    population: SystemPopulation, one: FieldResult, bench: SystemBench, frame: float
+) -> dict[str, tuple[str, str]]:
     """Return header -> (value, small print) of one population at one field point."""
     error = one.los.standard_error
     rays = bench.study.optics.rays
@@ -172,7 +183,7 @@ def _row(population: SystemPopulation, one: FieldResult, bench: SystemBench) -> 
         (f"{one.vignetted} of {rays}" if one.vignetted else "0", ""),
         (f"{one.lost - one.vignetted} of {rays}" if one.lost > one.vignetted else "0", ""),
         *(
-            ("", "") if values is None else _quantile(quantile(values, 0.5, sets=one.sets))
+            ("", "") if values is None else _quantile(quantile(values, 0.5, sets=one.sets), frame)
             for values in (one.peak, one.ee80)
         ),
     )
@@ -182,7 +193,7 @@ def _row(population: SystemPopulation, one: FieldResult, bench: SystemBench) -> 
 def _at_rest(dataset: xr.Dataset, bench: SystemBench) -> Iterator[dict[str, tuple[str, str]]]:
     """Yield the rows of the design itself, field by field: what no disturbance adds."""
     light = dataset.isel(wavelength=bench.system.primary_wavelength)
-    peaks = dataset["exposure_static"].max(["y", "x"]).to_numpy() if "exposure_static" in dataset else None
+    peaks = peaks_at_rest(dataset)
     for place, field in enumerate(map(str, dataset["field"].to_numpy())):
         wfe, spot, strehl = (
             float(light[f"{key}_static"][place]) for key in ("wfe_rms", "spot_rms", "strehl")
@@ -193,14 +204,14 @@ def _at_rest(dataset: xr.Dataset, bench: SystemBench) -> Iterator[dict[str, tupl
             "WFE P50 (nm)": number(wfe),
             "spot P50 (µm)": number(spot),
             "Strehl P50": number(strehl),
-            "peak P50": "" if peaks is None else number(float(peaks[place])),
+            "peak P50": number(float(peaks[place])),
         }
         yield {header: (known.get(header, ""), "") for header in _HEADERS}
 
 
 def _headers(found: Sequence[SystemPopulation]) -> tuple[str, ...]:
     """Return the columns of the table: some more where rays do not arrive, and where there are images."""
-    absent = set(() if _incomplete(found) else _OF_PARTS) | set(() if _imaged(found) else _OF_IMAGES)
+    absent = set(() if is_incomplete(found) else _OF_PARTS) | set(() if _imaged(found) else _OF_IMAGES)
     return tuple(name for name in _HEADERS if name not in absent)
 
 
@@ -208,14 +219,9 @@ def _imaged(found: Sequence[SystemPopulation]) -> bool:
     return any(one.peak is not None for population in found for one in population.fields)
 
 
-def _incomplete(found: Sequence[SystemPopulation]) -> bool:
-    """Return whether rays are missing anywhere, so that fits over the full pupil are none of the light."""
-    return any(one.lost for population in found for one in population.fields)
-
-
 def _error(found: Sequence[SystemPopulation]) -> tuple[str, str]:
     """Return which error of a `FieldResult` figures show, and its words."""
-    return ("raw", "arrived WFE rms") if _incomplete(found) else ("change", "WFE change rms")
+    return ("raw", "arrived WFE rms") if is_incomplete(found) else ("change", "WFE change rms")
 
 
 def _partial(found: Sequence[SystemPopulation], bench: SystemBench) -> str:
@@ -232,66 +238,14 @@ def _partial(found: Sequence[SystemPopulation], bench: SystemBench) -> str:
     )
 
 
-def _quantile(found: Quantile) -> tuple[str, str]:
-    return number(found.value), interval(found)
+def _quantile(found: Quantile, frame: float = np.nan) -> tuple[str, str]:
+    """Return a quantile and its interval; infinite radii are those of circles beyond the `frame`."""
+    return radius(found.value, frame), "" if np.isposinf(found.value) else interval(found)
 
 
 def _sums(bench: SystemBench) -> frozenset[str]:
     """Return the names of disturbances that are sums of others, which rank nothing."""
     return frozenset(one.name for one in bench.study.disturbance if isinstance(one, Combine))
-
-
-def answer(found: Sequence[SystemPopulation], sums: frozenset[str] = frozenset()) -> str:
-    """Say which disturbance changes the wavefront most, and where; where light is missing, what it leaves.
-
-    The `sums` of disturbances are left out, unless there is nothing else.
-    """
-    every = [(population.name, one) for population in found for one in population.fields]
-    results = [result for result in every if result[0] not in sums] or every
-    if not results:
-        return "No case is done yet."
-    if _incomplete(found):
-        name, one = max(results, key=lambda result: quantile(result[1].raw, 0.95).value)
-        return (
-            f"Rays are missing at some instants. Of the light that arrives, {name} has the largest wavefront "
-            f"error: {_share_of(95, one)} at most {number(_level(one.raw, 95))} nm rms at field "
-            f"{one.field}, where the median Strehl ratio is {number(one.strehl_p50)}."
-        )
-    name, one = max(results, key=lambda result: quantile(result[1].change, 0.95).value)
-    value = number(_level(one.change, 95))
-    return (
-        f"{name} changes the wavefront most: {_share_of(95, one)} by at most {value} nm rms at field "
-        f"{one.field}, where the line of sight moves by {number(one.los.radial)} µm rms."
-        + _worst_image(results)
-    )
-
-
-def _worst_image(results: Sequence[tuple[str, FieldResult]]) -> str:
-    """Say which disturbance costs most of the exposure, line of sight included, where there are images."""
-    imaged = [(name, one, _level(one.peak, 5)) for name, one in results if one.peak is not None]
-    if not imaged:
-        return ""
-    name, one, peak = min(imaged, key=lambda result: result[2])
-    return (
-        f" Of exposures, which the motion of the line of sight blurs, too, {name} costs most: at field "
-        f"{one.field} {_share_of(5, one)} the peak is at most {number(peak)} of the perfect image's."
-    )
-
-
-def _level(values: Array, percent: int) -> float:
-    """Return a percentile over the cases, or of few cases the last one."""
-    few = 1.0 if percent > 50 else 0.0
-    return quantile(values, percent / 100.0 if len(values) >= FEWEST else few).value
-
-
-def _share_of(percent: int, one: FieldResult) -> str:
-    """Return of which cases a percentile speaks: few cases have none."""
-    cases = len(one.wfe)
-    if cases >= FEWEST:
-        return f"in {percent} % of its cases"
-    if cases == 1:
-        return "in its only case"
-    return f"in all of its {cases} cases" if percent > 50 else f"in the worst of its {cases} cases"
 
 
 def _worst_fields(found: Sequence[SystemPopulation]) -> dict[str, Array]:
@@ -360,8 +314,8 @@ def _figures(
         f"{name}-spots",
         f"Spot diagrams, {name}",
         _spots(bench, population.worst, device),
-        "The worst case beside the design at rest, about the same point: a shift is the line of sight, a "
-        "wider spot an aberration.",
+        "The worst case at its worst instant, about the chief ray of the design at rest: a shift is the line "
+        "of sight, a wider spot an aberration.",
     )
     yield from _over_time(name, population.worst, bench, dataset)
     yield from system_images.pictures(name, population.cases, bench, dataset)

@@ -25,9 +25,10 @@ from wavequake.reduction.limits import check_size
 from wavequake.reduction.method import METHODS
 from wavequake.reduction.metrics import modal_form
 from wavequake.reduction.names import parse
+from wavequake.reduction.reduce import needs_intermediate, reduce, shared_intermediate
 from wavequake.reduction.structure import elastic_flexibility, elastic_modes, structure
 from wavequake.workflows.loops.controller_study import ControllerStudy
-from wavequake.workflows.mirrors.model_store import digest, kept_arrays
+from wavequake.workflows.mirrors.model_store import digest, kept_arrays, kept_intermediate
 
 # Modes of the full model that are looked for in a reduced one.
 COMPARED = 60
@@ -133,6 +134,17 @@ def bench_of(study: ControllerStudy) -> Bench:
     open_wavefront = float(np.sqrt(np.sum(gram * open_covariance(plant))))
     shapes, hertz = kept["shapes"][:, :COMPARED], _shown(study, plant)
     return Bench(study, full, sensors, plant, shapes, gram, figure, open_wavefront, hertz)
+
+
+def reduced(bench: Bench, name: str) -> ReducedModel:
+    """Reduce the full model; the intermediate model of those methods that take one is kept on disk."""
+    model, variant = bench.full(), parse(name)
+    if needs_intermediate(model, variant):
+        record = {"intermediate": bench.study.model.model_dump(mode="json", exclude={"modes"})}
+        shared_intermediate(
+            model, variant, lambda hertz, build: kept_intermediate(digest(record | {"hz": hertz}), build)
+        )
+    return reduce(model, name)
 
 
 def _shown(study: ControllerStudy, plant: Plant) -> Array:

@@ -26,12 +26,12 @@ from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, Integers
 from wavequake.reduction.metrics import eps_mor, mac
 from wavequake.reduction.names import parse
-from wavequake.reduction.reduce import reduce
 from wavequake.workflows.loops.controller_bench import (
     COMPARED,
     Bench,
     bench_of,
     exact_response,
+    reduced,
     reduced_plant,
     wavefront_grams,
 )
@@ -76,7 +76,7 @@ def compute(bench: Bench, table: CaseTable, device: str, clock: Stopwatch) -> It
 def judged(bench: Bench, name: str, effort: float, clock: Stopwatch) -> Numbers:
     """Return all numbers of a variant and the controller that is designed on it."""
     with clock("reduce"):
-        variant = reduce(bench.full(), name)
+        variant = reduced(bench, name)
         model, shapes = reduced_plant(bench, variant)
     with clock("design"):
         controller = lqg(model, effort, effort)
@@ -366,7 +366,7 @@ def loops(study: ControllerStudy) -> Makers:
 
 def _made(bench: Bench, name: str, effort: float) -> StudyLoop:
     with threadpool_limits(1):
-        model, _ = reduced_plant(bench, reduce(bench.full(), name))
+        model, _ = reduced_plant(bench, reduced(bench, name))
         loop = Loop(bench.plant, lqg(model, effort, effort))
     unit, section = bench.time_unit, bench.study.controller
     second, newton, metre = 1 / unit, 1 / section.force_n, 1 / section.length_m
