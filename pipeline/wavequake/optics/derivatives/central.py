@@ -6,7 +6,7 @@ crossed an edge, rounding is too large, or the motion acts nonlinearly.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -181,7 +181,7 @@ def checked_derivative(
     what: str,
     remedy: str,
     axis: int | tuple[int, ...] | None = None,
-    units: Array | None = None,
+    units: NDArray[Any] | None = None,
     least: ArrayLike = 0.0,
 ) -> Array:
     """Return central differences of values, if those of twice the step are the same.

@@ -18,6 +18,7 @@ from wavequake.campaign.contract import DONE
 from wavequake.campaign.store.store import read_manifest
 from wavequake.mechanics.disturbances.registry import analytic_rms
 from wavequake.report.answers import budget
+from wavequake.report.certificate import ERRORS, certificate, modal_errors
 from wavequake.report.histories import what_is_kept
 from wavequake.report.page import Page, Picture, picture, render_page, write_page
 from wavequake.report.populations import left_out
@@ -30,7 +31,6 @@ from wavequake.report.uncertain import PartedResult, parted_results, sentence
 from wavequake.report.uncertain import pictures as parts_pictures
 from wavequake.words import counted
 from wavequake.workflows.segments.bench import bench_of
-from wavequake.workflows.segments.segment_modal import CERTIFIED, TRACED
 
 Array = NDArray[np.float64]
 
@@ -40,13 +40,6 @@ _SMALL_PRINT = (
     "Segments: rms along their normals, in brackets what the model of the disturbance implies. Maréchal: "
     "share of instants with an rms of at most λ/14, piston and tilt removed."
 )
-_ERRORS = {
-    "wfe_rms_raw": "WFE on glass",
-    "wfe_rms": "WFE j ≥ 4",
-    "zernike": "Zernike coefficients",
-    "los": "LOS",
-    "centroid": "centroid",
-}
 _SERIES = ("wfe_rms_raw", "wfe_rms", "los", "segment_piston_rms")
 _PERCENTILES = ((0.5, "P50"), (0.95, "P95"), (0.999, "P99.9"))
 _LISTED = 1000
@@ -73,7 +66,7 @@ class ReducedPopulation:
 
 def _loaded(dataset: xr.Dataset) -> xr.Dataset:
     """Read what the report needs, once: of each series one number per case."""
-    names = ["marechal", "status", "message", "traced", *(f"modal_error_{name}" for name in _ERRORS)]
+    names = ["marechal", "status", "message", "traced", *(f"modal_error_{name}" for name in ERRORS)]
     found = dataset[[name for name in names if name in dataset]]
     return found.assign({name: _per_case(dataset, name) for name in _SERIES}).load()
 
@@ -131,7 +124,13 @@ def parted_variance(store: Path, dataset: xr.Dataset) -> list[PartedResult]:
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     kept, light, dataset = what_is_kept(dataset), stopped_light(store, dataset), _loaded(dataset)
-    caption = "\n\n".join([*([light] if light else []), _SMALL_PRINT + kept, *certificate(store, dataset)])
+    caption = "\n\n".join(
+        [
+            *([light] if light else []),
+            _SMALL_PRINT + kept,
+            *certificate(bench_of(read_manifest(store).study).study.optics.modal_tolerance_nm, dataset),
+        ]
+    )
     table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=caption, caption_justify="left")
     table.add_column("disturbance\ncases", overflow="fold")
     table.add_column("")
@@ -165,42 +164,6 @@ def _rms(values: Array) -> float:
     return float(case_rms(values[None])[0]) if values.size else np.nan
 
 
-def certificate(store: Path, dataset: xr.Dataset) -> list[str]:
-    """Say how large the errors of the modal model are; nothing of a store that is traced in full."""
-    if "traced" not in dataset:
-        return []
-    optics = bench_of(read_manifest(store).study).study.optics
-    done = dataset["status"].to_numpy() == DONE
-    traced = dataset["traced"].to_numpy()[done]
-    certified, beyond = (int(np.count_nonzero(traced == code)) for code in (CERTIFIED, TRACED))
-    parts = []
-    for name, values in _errors(dataset, done).items():
-        unit = dataset[f"modal_error_{name}"].attrs["units"]
-        levels = [number(quantile(values, p).value, 2) for p in (0.5, 0.95, 1.0)]
-        parts.append(f"{_ERRORS[name]} {', '.join(levels)} {unit}")
-    words = [
-        f"Modal model: {len(traced) - beyond} cases, of which {certified} were traced in full to measure its "
-        f"error; {beyond} cases beyond its range (second order above {optics.modal_tolerance_nm:g} nm) are "
-        "numbers of full traces."
-    ]
-    if parts:
-        words.append(f"Largest error of a case (P50, P95, largest over cases): {'; '.join(parts)}.")
-        raw = _errors(dataset, done)["wfe_rms_raw"]
-        wrong = int(np.count_nonzero(raw > optics.modal_tolerance_nm))
-        if wrong:
-            words.append(
-                f"WARNING: the error of {wrong} of {len(raw)} traced cases is above the tolerance; use "
-                "optics.method = 'standard', or a smaller optics.modal_tolerance_nm."
-            )
-    return words
-
-
-def _errors(dataset: xr.Dataset, done: NDArray[np.bool_]) -> dict[str, Array]:
-    found = {name: dataset[f"modal_error_{name}"].to_numpy()[done] for name in _ERRORS}
-    finite = {name: values[np.isfinite(values)] for name, values in found.items()}
-    return {name: values for name, values in finite.items() if len(values)}
-
-
 def write_report_of(
     store: Path, dataset: xr.Dataset, target: Path, words: str = "", more: Sequence[Picture] = ()
 ) -> Path:
@@ -225,8 +188,8 @@ def write_report_of(
                 )
             )
     parts = parted_variance(store, dataset)
-    errors = _errors(dataset, done) if "traced" in dataset else {}
-    in_nm = {_ERRORS[name]: errors[name] for name in errors if name not in ("los", "centroid")}
+    errors = modal_errors(dataset, done) if "traced" in dataset else {}
+    in_nm = {ERRORS[name]: errors[name] for name in errors if name not in ("los", "centroid")}
     if in_nm:
         label = "largest error of the modal model in a case (nm)"
         how = "What the modal model is off by in cases that were traced in full, too: further left is better."
@@ -237,7 +200,7 @@ def write_report_of(
                 _answer(found) + sentence(parts),
                 *([words] if words else []),
                 *([light] if light else []),
-                *certificate(store, dataset),
+                *certificate(bench_of(read_manifest(store).study).study.optics.modal_tolerance_nm, dataset),
             ]
         ),
         table=[_row(one) for one in found],

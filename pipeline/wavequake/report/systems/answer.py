@@ -28,10 +28,12 @@ def answer(found: Sequence[SystemPopulation], sums: frozenset[str] = frozenset()
         return "No case is done yet."
     if is_incomplete(found):
         name, one = max(results, key=lambda result: quantile(result[1].raw, 0.95).value)
+        known = np.isfinite(one.strehl_p50)  # the modal model knows none
+        strehl = f", where the median Strehl ratio is {number(one.strehl_p50)}" if known else ""
         return (
             f"Rays are missing at some instants. Of the light that arrives, {name} has the largest wavefront "
             f"error: {_share_of(95, one)} at most {number(_level(one.raw, 95))} nm rms at field "
-            f"{one.field}, where the median Strehl ratio is {number(one.strehl_p50)}."
+            f"{one.field}{strehl}."
         )
     name, one = max(results, key=lambda result: quantile(result[1].change, 0.95).value)
     value, most = number(_level(one.change, 95)), " most" if len({name for name, _ in results}) > 1 else ""

@@ -90,7 +90,10 @@ def populations(dataset: xr.Dataset, bench: SystemBench) -> list[SystemPopulatio
         rows = {name: mine[(first <= mine) & (mine < last)] - first for name, mine in places.items()}
         if not any(map(len, rows.values())):
             continue
-        block = {key: light[key].isel(case=slice(first, last)).to_numpy() for key in _SERIES}
+        block = {key: light[key].isel(case=slice(first, last)).to_numpy() for key in _SERIES if key in light}
+        block.setdefault(
+            "strehl", np.full_like(block["wfe_change"], np.nan)
+        )  # the modal model does not know it
         for name, mine in rows.items():
             if len(mine) and not present:
                 parts[name].append(_of_summary(block, mine))
@@ -104,7 +107,7 @@ def _blocks(light: xr.Dataset) -> Iterator[tuple[int, int]]:
     """Yield the first case and the case after the last of blocks of whole chunks."""
     cases = light.sizes["case"]
     chunk = max(1, *light.chunks.get("case", (cases,)))
-    each = sum(light[key].nbytes for key in _SERIES) / max(1, cases)
+    each = sum(light[key].nbytes for key in _SERIES if key in light) / max(1, cases)
     rows = chunk * max(1, int(_BLOCK_BYTES / max(1.0, each * chunk)))
     for first in range(0, cases, rows):
         yield first, min(first + rows, cases)

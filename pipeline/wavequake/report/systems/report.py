@@ -19,6 +19,7 @@ from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.wavefronts.wavefront import trace_system
 from wavequake.report import uncertain
 from wavequake.report.answers import budget
+from wavequake.report.certificate import certificate
 from wavequake.report.histories import has_all_instants, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import frame_of, left_out
@@ -78,7 +79,8 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     bench = system_bench(read_manifest(store).study)
     found = populations(dataset, bench)
     headers = _headers(found)
-    caption = _SMALL_PRINT + _partial(found, bench) + what_is_kept(dataset)
+    words = certificate(bench.study.optics.modal_tolerance_nm, dataset)
+    caption = "\n\n".join([_SMALL_PRINT + _partial(found, bench) + what_is_kept(dataset), *words])
     table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, caption=caption)
     table.caption_justify = "left"
     table.add_column("disturbance\nfield")
@@ -108,7 +110,10 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     models = model_results(light, compared.variants) if compared is not None else []
     largest = compared.largest if compared is not None else 0.0
     page = Page(
-        answer=answer(found, _sums(bench)) + verdict(models, largest) + uncertain.sentence(parts),
+        answer=answer(found, _sums(bench))
+        + verdict(models, largest)
+        + uncertain.sentence(parts)
+        + "".join(f" {one}" for one in certificate(bench.study.optics.modal_tolerance_nm, dataset)),
         table=[{header: row[header] for header in headers} for row in rows],
         small_print=_SMALL_PRINT + _partial(found, bench) + what_is_kept(dataset),
         overview=[
@@ -212,7 +217,13 @@ def _at_rest(dataset: xr.Dataset, bench: SystemBench) -> Iterator[dict[str, tupl
 def _headers(found: Sequence[SystemPopulation]) -> tuple[str, ...]:
     """Return the columns of the table: some more where rays do not arrive, and where there are images."""
     absent = set(() if is_incomplete(found) else _OF_PARTS) | set(() if _imaged(found) else _OF_IMAGES)
+    absent |= set() if _strehl_known(found) else {"Strehl P50"}
     return tuple(name for name in _HEADERS if name not in absent)
+
+
+def _strehl_known(found: Sequence[SystemPopulation]) -> bool:
+    """Return whether Strehl ratios are stored: the modal model does not know them."""
+    return any(np.isfinite(one.strehl_p50) for population in found for one in population.fields) or not found
 
 
 def _imaged(found: Sequence[SystemPopulation]) -> bool:

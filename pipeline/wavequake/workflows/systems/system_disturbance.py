@@ -20,7 +20,7 @@ from wavequake.chain.images.system import SystemImager
 from wavequake.chain.nodal import nodal_sources
 from wavequake.chain.sampling import Plan, plan_of, replicate_labels
 from wavequake.chain.uncertain import shared_models
-from wavequake.kernels.device.devices import Device, choose_device
+from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.trace.sequence import bends
 from wavequake.mechanics.assembly.plant import Plant
 from wavequake.mechanics.disturbances.element_motion import (
@@ -37,6 +37,7 @@ from wavequake.optics.systems.kinematics import rest_states
 from wavequake.prepared import prepared
 from wavequake.words import counted
 from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.segments.segment_modal import MODAL, TRACED
 from wavequake.workflows.systems.system_bench import (
     NM_PER_MM,
     SystemBench,
@@ -48,8 +49,9 @@ from wavequake.workflows.systems.system_bench import (
     system_bench,
     system_states,
 )
-from wavequake.workflows.systems.system_measure import measured_cases
+from wavequake.workflows.systems.system_measure import See, measured_cases
 from wavequake.workflows.systems.system_measures import axes, fixed, measures
+from wavequake.workflows.systems.system_modal import certificate, model_of, routes
 from wavequake.workflows.systems.system_streaks import places_between, places_of_rows, streaked_times
 from wavequake.workflows.systems.system_study import SystemStudy
 from wavequake.workflows.systems.system_uncertain import uncertain_plant
@@ -125,6 +127,8 @@ def prepare(study: SystemStudy) -> SystemBench:
     """Return what all cases of a study share; raises as `system_bench`, and where disturbances do not fit."""
     bench = system_bench(study.identity_text())
     sampling_plan(bench.text)
+    if study.optics.method == "modal":
+        model_of(bench.text, study.campaign.device)
     for population in study.disturbance:
         drawn = draw_elements(study.disturbance, population, study.study.seed, 0, layout=bench.layout)
         moving(bench.system, system_states(bench, drawn))
@@ -136,7 +140,7 @@ def compute(bench: SystemBench, table: CaseTable, device_name: str, clock: Stopw
 
     Matrix products are made case by case, so that the bits of a case depend on no other.
     """
-    device, imager = choose_device(device_name), imager_on(bench.text, device_name)
+    imager = imager_on(bench.text, device_name)
     cases, populations = table["case"].tolist(), bench.study.disturbance
     most = max(1, _NUMBERS // _numbers_of_a_case(bench))
     for first in range(0, len(cases), most):
@@ -144,13 +148,13 @@ def compute(bench: SystemBench, table: CaseTable, device_name: str, clock: Stopw
             drawn = [draw(bench, case) for case in cases[first : first + most]]
             away = [sight_between(bench, *slot_of(bench.study, case)) for case in cases[first : first + most]]
         motions = [(instants_of(populations, population), motion) for population, motion in drawn]
-        found = measured_cases(bench, motions, device, clock, imager, away)
+        found = _seen_cases(bench, cases[first : first + most], motions, away, device_name, clock)
         if bench.study.reduction is not None:
             found = [
                 (numbers if message else numbers | errors_of(numbers, full), message)
                 for (numbers, message), full in zip(
                     found,
-                    _with_full_models(bench, cases[first : first + most], device, clock, imager),
+                    _with_full_models(bench, cases[first : first + most], device_name, clock),
                     strict=True,
                 )
             ]
@@ -168,8 +172,44 @@ def _seen(bench: SystemBench, imager: SystemImager, case: int, exposures: Array)
     return seen(imager.camera, exposures, noise)
 
 
+def _seen_cases(
+    bench: SystemBench,
+    cases: list[int] | None,
+    motions: list[tuple[Array, ElementMotion]],
+    away: list[Array | None],
+    device_name: str,
+    clock: Stopwatch,
+) -> list[tuple[dict[str, Array], str]]:
+    """Return the numbers of cases and why one has none: traced, or by the modal model as far as it reaches.
+
+    The model's errors are measured and returned of `cases` alone.
+    """
+    study, device, imager = bench.study, choose_device(device_name), imager_on(bench.text, device_name)
+    if study.optics.method == "standard":
+        return measured_cases(bench, motions, device, clock, imager, away)
+    model = model_of(bench.text, device_name)
+    bounds = np.array([model.bound(drawn) for _, drawn in motions])
+    how = routes(study, cases, bounds)
+
+    def chosen(rows: NDArray[np.intp], see: See | None) -> dict[int, tuple[dict[str, Array], str]]:
+        found = measured_cases(
+            bench, [motions[row] for row in rows], device, clock, imager, [away[row] for row in rows], see
+        )
+        return dict(zip(rows.tolist(), found, strict=True))
+
+    modal, full = chosen(np.flatnonzero(how != TRACED), model.see), chosen(np.flatnonzero(how != MODAL), None)
+    found = []
+    for row, (bound, route) in enumerate(zip(bounds, how, strict=True)):
+        numbers, message = modal[row] if row in modal else full[row]
+        traced, lost = full.get(row, ({}, ""))
+        silent = cases is None or message or lost
+        more = {} if silent else certificate(study, bound, route, numbers, traced)
+        found.append((numbers | more, message or lost))
+    return found
+
+
 def _with_full_models(
-    bench: SystemBench, cases: list[int], device: Device, clock: Stopwatch, imager: SystemImager | None
+    bench: SystemBench, cases: list[int], device_name: str, clock: Stopwatch
 ) -> list[dict[str, Array]]:
     """Return the numbers of the same draws with the full models; each draw once."""
     slots = [slot_of(bench.study, case) for case in cases]
@@ -179,7 +219,7 @@ def _with_full_models(
         for (_, realization), population in draws.items()
     ]
     away = [sight_between(bench, population, number, FULL) for (_, number), population in draws.items()]
-    found = dict(zip(draws, measured_cases(bench, motions, device, clock, imager, away), strict=True))
+    found = dict(zip(draws, _seen_cases(bench, None, motions, away, device_name, clock), strict=True))
     return [found[population.name, realization][0] for population, realization, _ in slots]
 
 
@@ -236,10 +276,21 @@ def describe(bench: SystemBench) -> dict[str, str]:
         "rays": f"{rays} per field and wavelength"
         + (", which bend where the index varies" if bends(bench.prepared[0][0].sequence) else ""),
         **sampling_plan(bench.text).words(),
+        **_modal(bench),
         **lines,
         **_structure(bench),
         **{f"nodes of {name}": one.words for name, one in bench.layout.moved.items()},
         "system": system.info(),
+    }
+
+
+def _modal(bench: SystemBench) -> dict[str, str]:
+    """Say what the modal model knows, if the study takes it."""
+    if bench.study.optics.method == "standard":
+        return {}
+    count = int(model_of(bench.text, bench.study.campaign.device).columns.moving.sum())
+    return {
+        "light": f"by the modal model of {counted(count, 'motion')}; a sample of the cases is traced, too"
     }
 
 
@@ -293,6 +344,8 @@ def work(bench: SystemBench, cases: int) -> dict[str, tuple[float, str]]:
     populations, rays = bench.study.disturbance, bench.study.optics.rays
     instants = sum(one.share * one.instants for one in populations) / sum(one.share for one in populations)
     beams = len(bench.prepared) * len(bench.prepared[0])
+    if bench.study.optics.method == "modal":
+        return {"modal": (cases * instants * beams, "wavefronts")}
     return {"trace": (cases * instants * beams * rays * len(bench.system.surfaces), "ray-surfaces")}
 
 

@@ -1,6 +1,6 @@
 """What a system-disturbance study measures of a case: the numbers of its wavefronts at all instants."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 
 import numpy as np
@@ -28,6 +28,11 @@ from wavequake.workflows.systems.system_bench import NM_PER_MM, SystemBench, fai
 
 Array = NDArray[np.float64]
 
+See = Callable[[int, int, ElementMotion], SystemWavefront]
+"""From field, wavelength and motion to the wavefronts of a case."""
+# Of each case at a field and wavelength, and the instant that has no wavefront and why, if any.
+_Light = Callable[[int, int], Iterator[tuple[SystemWavefront, tuple[int, str] | None]]]
+
 # Rays of all instants that are traced together; of each there are a dozen numbers.
 _RAYS = 1 << 22
 
@@ -46,35 +51,25 @@ def measured_cases(
     clock: Stopwatch,
     imager: SystemImager | None = None,
     away: Sequence[Array | None] | None = None,
+    see: See | None = None,
 ) -> list[tuple[dict[str, Array], str]]:
     """Return what `measured` does for each of several cases, their times and motions; and exposures.
 
-    ``away`` (fields, exposed instants, m, 2) in mm is where the line of sight of each case is besides.
+    ``away`` (fields, exposed instants, m, 2) in mm is where the line of sight of each case is besides. Light
+    is traced, or seen by ``see``.
     """
     away = away or [None] * len(motions)
-    states = [system_states(bench, drawn) for _, drawn in motions]
-    lights = [moving(bench.system, one, device=device) for one in states]
+    light = _traced(bench, motions, device, clock) if see is None else _seen(bench, motions, see, clock)
     found: list[dict[str, list[Array]]] = [{} for _ in motions]
     messages = [""] * len(motions)
     images: list[dict[str, list[Array]]] = [{} for _ in motions]
     for field, (row, still) in enumerate(zip(bench.prepared, bench.static, strict=True)):
         seen: list[list[SystemWavefront]] = [[] for _ in motions]
-        for prepared, rest in zip(row, still, strict=True):
-            with clock("aim"):
-                incoming = incoming_lights(prepared, states, lights)
-                pieces = [_pieces(prepared, light) for light in incoming]
-                traces = trace_lights(prepared, [one for case in pieces for one in case], device)
-            for case, (time, _) in enumerate(motions):
-                parts = []
-                for _ in pieces[case]:
-                    with clock("trace"):
-                        traced = next(traces)
-                    with clock("wavefront"):
-                        parts.append(analyse_system(prepared, *traced, device))
-                wavefront = _joined(parts)
-                trouble = failure(prepared, wavefront, states[case])
+        for wavelength, (prepared, rest) in enumerate(zip(row, still, strict=True)):
+            for case, (wavefront, trouble) in enumerate(light(field, wavelength)):
                 if trouble:
-                    messages[case] = messages[case] or f"at t = {time[trouble[0]]:.4g} s {trouble[1]}"
+                    at = motions[case][0][trouble[0]]
+                    messages[case] = messages[case] or f"at t = {at:.4g} s {trouble[1]}"
                     continue
                 numbers = wavefront_numbers(prepared, wavefront, rest, bench.study.wavefront.basis)
                 seen[case].append(wavefront)
@@ -103,6 +98,46 @@ def measured_cases(
         )
         for (time, _), numbers, exposed, message in zip(motions, found, images, messages, strict=True)
     ]
+
+
+def _traced(
+    bench: SystemBench, motions: list[tuple[Array, ElementMotion]], device: Device, clock: Stopwatch
+) -> _Light:
+    """Return what traces several cases."""
+    states = [system_states(bench, drawn) for _, drawn in motions]
+    lights = [moving(bench.system, one, device=device) for one in states]
+
+    def light(field: int, wavelength: int) -> Iterator[tuple[SystemWavefront, tuple[int, str] | None]]:
+        prepared = bench.prepared[field][wavelength]
+        with clock("aim"):
+            incoming = incoming_lights(prepared, states, lights)
+            pieces = [_pieces(prepared, one) for one in incoming]
+            traces = trace_lights(prepared, [one for case in pieces for one in case], device)
+        for state, case in zip(states, pieces, strict=True):
+            parts = []
+            for _ in case:
+                with clock("trace"):
+                    traced = next(traces)
+                with clock("wavefront"):
+                    parts.append(analyse_system(prepared, *traced, device))
+            wavefront = _joined(parts)
+            yield wavefront, failure(prepared, wavefront, state)
+
+    return light
+
+
+def _seen(
+    bench: SystemBench, motions: list[tuple[Array, ElementMotion]], see: See, clock: Stopwatch
+) -> _Light:
+    """Return what sees several cases without rays."""
+
+    def light(field: int, wavelength: int) -> Iterator[tuple[SystemWavefront, None]]:
+        for _, drawn in motions:
+            with clock("modal"):
+                found = see(field, wavelength, drawn)
+            yield found, None
+
+    return light
 
 
 def _pieces(prepared: PreparedSystem, light: Moving) -> list[Moving]:

@@ -16,6 +16,7 @@ from wavequake.workflows.mirrors.compared_models import ERRORS
 from wavequake.workflows.segments.segment_template import wavefront_source
 from wavequake.workflows.systems.system_bench import NM_PER_MM, SystemBench, field_name
 from wavequake.workflows.systems.system_measure import shaped, wavefront_numbers
+from wavequake.workflows.systems.system_modal import TRACED_ONLY, modal_measures
 from wavequake.workflows.systems.system_study import SystemStudy
 
 Array = NDArray[np.float64]
@@ -30,6 +31,14 @@ _SPHERES = {"chief": "the chief ray", "fitted": "the best-fit sphere"}
 
 def measures(study: SystemStudy, over_annulus: Mapping[str, str]) -> Iterator[Measure]:
     """Yield the measures of a study; `over_annulus` says over what its polynomials are orthogonal."""
+    if study.optics.method == "standard":
+        yield from _traced_measures(study, over_annulus)
+        return
+    yield from (one for one in _traced_measures(study, over_annulus) if one.name not in TRACED_ONLY)
+    yield from modal_measures(study)
+
+
+def _traced_measures(study: SystemStudy, over_annulus: Mapping[str, str]) -> Iterator[Measure]:
     yield _stored(
         "time_s", "s", "time of the instant; NaN beyond the population's instants", ("time",), coordinate=True
     )

@@ -37,6 +37,30 @@ class SystemOpticsSection(Section):
     """Rays per field point and wavelength, spread evenly over the pupil."""
 
     rays: int = Field(default=500, ge=10, le=1_000_000)
+    method: Literal["standard", "modal"] = Field(
+        default="standard",
+        description="trace every instant, or take wavefronts and images from derivatives that are traced "
+        "once (modal: many cases of small motions)",
+    )
+    modal_tolerance_nm: float = Field(
+        default=0.1,
+        gt=0,
+        description="modal: a case whose OPD may miss this much of second order (rms) is traced in full",
+    )
+    modal_sample: float = Field(
+        default=0.001,
+        ge=0,
+        le=1,
+        description="modal: share of cases that are traced besides, to measure the error; the first 100 "
+        "cases always are",
+    )
+
+    @model_serializer(mode="wrap")
+    def _traced_studies_say_nothing_of_it(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        record: dict[str, Any] = write(self)
+        if self.method == "standard":
+            record = {key: value for key, value in record.items() if key == "rays"}
+        return record
 
 
 class SystemWavefrontSection(Section):
@@ -137,6 +161,16 @@ class SystemStudy(Study):
                 raise ValueError("an object is seen in images: add the section [imaging], or leave it out")
             self.object.chosen()
             check_object(self.object, self.imaging.pixels, self.imaging.sampling)
+        return self
+
+    @model_validator(mode="after")
+    def _modal_light_is_of_path_lengths(self) -> "SystemStudy":
+        if self.optics.method == "modal" and (
+            self.wavefront.method != "opd" or self.wavefront.reference != "chief"
+        ):
+            raise ValueError(
+                "optics.method = 'modal' needs wavefront.method = 'opd' and wavefront.reference = 'chief'"
+            )
         return self
 
     @model_validator(mode="after")
