@@ -37,18 +37,30 @@ def ring(hexagons):
 def test_tmt_noise_gain_and_null_modes_are_the_published_geometrys(tmt, arm, gain, null_modes, smallest):
     shape = shaping(tmt, arm, OFFSET)
     assert shape.transposed.shape == (1476, 2772)
-    assert shape.null_modes == null_modes
+    assert shape.unseen.shape == (1476, null_modes)
     assert shape.gain == pytest.approx(gain, rel=2e-4)
-    worst = power_iteration(shape.normal_inverse)
+    worst = power_iteration(lambda motion: shape.seen(shape.factor.solve(shape.seen(motion))), 1476)
     assert 1 / np.sqrt(worst) == pytest.approx(smallest, rel=2e-4)
 
 
-def power_iteration(matrix):
-    vector = np.random.default_rng(0).standard_normal(len(matrix))
+def power_iteration(applied, size):
+    """Return the largest eigenvalue of a symmetric matrix."""
+    vector = np.random.default_rng(0).standard_normal((size, 1))
     for _ in range(60):
-        vector = matrix @ vector
+        vector = applied(vector)
         vector /= np.linalg.norm(vector)
-    return vector @ matrix @ vector
+    return (vector.T @ applied(vector)).item()
+
+
+@pytest.mark.parametrize("arm", [0.0, 0.05])
+def test_unknowns_are_those_of_a_singular_value_decomposition(tmt, arm):
+    shape = shaping(tmt, arm, OFFSET)
+    left, values, right = np.linalg.svd(sensor_matrix(tmt, arm, OFFSET).matrix.toarray(), full_matrices=False)
+    known = values > 1e-8 * values[0]
+    assert (~known).sum() == shape.unseen.shape[1]
+    readings = np.random.default_rng(3).standard_normal((2772, 8))
+    found = right[known].T @ ((left[:, known].T @ readings) / values[known, None])
+    np.testing.assert_allclose(shape.unknowns(readings), found, rtol=0, atol=1e-8 * found.std())
 
 
 def test_tmt_has_1386_shared_edges(tmt):

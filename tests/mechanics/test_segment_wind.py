@@ -3,16 +3,22 @@ import pytest
 from pydantic import ValidationError
 from scipy import integrate, signal, stats
 
-from wavequake.mechanics.disturbances.registry import analytic_rms, draw_case, generator
+from wavequake.mechanics.disturbances.registry import analytic_rms, draw_case, draw_cases, generator
 from wavequake.mechanics.disturbances.sources.segment_wind import (
     SegmentWind,
     compliance,
-    draw_wind,
     gusts_of,
     segment_wind_rms_nm,
 )
+from wavequake.mechanics.disturbances.spectra import frequencies
+from wavequake.mechanics.disturbances.streams import own_streams
+from wavequake.mechanics.disturbances.supports import Supports
 
 WIND = SegmentWind(name="wind")
+
+
+def drawn(parameters, layout, time, random):
+    return parameters.draw(layout, time, lambda _: random)
 
 
 def force_to_piston(p, f, area):
@@ -71,10 +77,7 @@ def test_sampled_rms_and_correlation_are_those_of_the_spectrum_and_the_coherence
     cases = 4000
     at = np.array([17.3])
     pistons = np.array(
-        [
-            draw_wind(WIND, few, at, generator(1, "wind", case)).segment_motion[0, :, 2]
-            for case in range(cases)
-        ]
+        [drawn(WIND, few, at, generator(1, "wind", case)).segment_motion[0, :, 2] for case in range(cases)]
     )
     ratio = np.mean(pistons**2, axis=0) * 1e18 / segment_wind_rms_nm(WIND, few) ** 2
     low, high = stats.chi2.ppf([1e-5, 1 - 1e-5], cases) / cases
@@ -115,7 +118,7 @@ def test_coherence_of_two_segments_is_the_exponential_one(few):
     rate, samples = 2.0, 256
     at = np.arange(samples) / rate
     series = np.array(
-        [draw_wind(WIND, few, at, generator(2, "wind", case)).segment_motion[:, :2, 2] for case in range(200)]
+        [drawn(WIND, few, at, generator(2, "wind", case)).segment_motion[:, :2, 2] for case in range(200)]
     )
     spectra = np.fft.rfft(series * signal.windows.hann(samples)[:, None], axis=1)
     f = np.fft.rfftfreq(samples, 1 / rate)
@@ -136,7 +139,7 @@ def test_welch_finds_the_resonances(few):
     rate = 100.0
     at = np.arange(4096) / rate
     series = np.concatenate(
-        [draw_wind(p, few, at, generator(3, "wind", case)).segment_motion[..., 2] for case in range(8)],
+        [drawn(p, few, at, generator(3, "wind", case)).segment_motion[..., 2] for case in range(8)],
         axis=1,
     )
     f, psd = signal.welch(series, rate, nperseg=512, axis=0)
@@ -151,6 +154,35 @@ def test_numbers_do_not_depend_on_the_instants(few):
     long, short = WIND.model_copy(update={"instants": 64}), WIND.model_copy(update={"instants": 16})
     fine, coarse = (draw_case([WIND], entry, few, 1, 3).segment_motion for entry in (long, short))
     np.testing.assert_allclose(fine[3::4], coarse, rtol=1e-12, atol=1e-20)
+
+
+def test_a_case_is_the_sum_of_the_harmonics_that_its_numbers_make(few):
+    gusts, random, time = gusts_of(WIND, few), generator(1, "wind", 21), np.array([0.0, 3.7, 41.0])
+    together = random.standard_normal((len(gusts.factors), len(few), 2))
+    apart = random.standard_normal((2, len(gusts.apart.variances), len(few)))
+    slow, fast = frequencies(gusts.together, random), frequencies(gusts.apart, random)
+    piston = np.zeros((3, len(few)))
+    for factor, normals, frequency in zip(gusts.factors, together, slow, strict=True):
+        turn = 2 * np.pi * frequency * time[:, None]
+        piston += np.cos(turn) * (factor @ normals[:, 0]) + np.sin(turn) * (factor @ normals[:, 1])
+    for variance, cosine, sine, frequency in zip(gusts.apart.variances, *apart, fast, strict=True):
+        turn = 2 * np.pi * frequency * time[:, None]
+        piston += np.sqrt(variance) * (np.cos(turn) * cosine + np.sin(turn) * sine)
+    motion = draw_case([WIND], WIND, few, 1, 21, time=time).segment_motion
+    np.testing.assert_allclose(motion[..., 2], piston * few.areas_m2, rtol=0, atol=1e-12 * motion.std())
+
+
+@pytest.mark.parametrize("supports", [None, Supports(0.1, 0.2, True, (7, "~structure", 1))])
+def test_each_case_alone_has_the_bits_that_it_has_beside_others(few, supports):
+    import dataclasses
+
+    layout, time = dataclasses.replace(few, supports=supports), np.linspace(0.0, 40.0, 7)
+    realizations = [16, 17, 23, 31]
+    several = draw_cases([WIND], WIND, [layout] * 4, 1, realizations, [own_streams] * 4, time)
+    for realization, motion in zip(realizations, several, strict=True):
+        alone = draw_case([WIND], WIND, layout, 1, realization, time=time)
+        assert alone.segment_motion.any()
+        np.testing.assert_array_equal(motion.segment_motion, alone.segment_motion)
 
 
 def test_only_the_normal_moves_and_larger_segments_move_more(tmt):

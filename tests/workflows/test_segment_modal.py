@@ -149,14 +149,14 @@ def test_certification_catches_a_model_that_is_used_too_far(study):
 
 
 def test_motions_that_the_model_does_not_know_are_traced(study, uncertified, monkeypatch):
-    known = segment_modal.draw_realization
+    known = segment_modal.draw_realizations
 
-    def turned(bench, population, realization):
-        motion = known(bench, population, realization)
-        motion.segment_motion[..., 5] += 1e-12 * (realization == 1)
-        return motion
+    def turned(bench, population, realizations):
+        for realization, motion in zip(realizations, known(bench, population, realizations), strict=True):
+            motion.segment_motion[..., 5] += 1e-12 * (realization == 1)
+            yield motion
 
-    monkeypatch.setattr(segment_modal, "draw_realization", turned)
+    monkeypatch.setattr(segment_modal, "draw_realizations", turned)
     only = study.model_copy(update={"disturbance": study.disturbance[2:3]})
     traced = workflow.compute(only.identity_text(), np.arange(2), DEVICE).arrays["traced"]
     assert traced.tolist() == [MODAL, TRACED]

@@ -7,11 +7,10 @@ import pytest
 
 import wavequake as wq
 from wavequake.errors import UserError
-from wavequake.mechanics.disturbances.motion import generator
+from wavequake.mechanics.disturbances.registry import draw_case
 from wavequake.mechanics.disturbances.sources.segment_wind import (
     SegmentWind,
     compliance,
-    draw_wind,
     segment_wind_rms_nm,
 )
 from wavequake.mechanics.disturbances.supports import Supports
@@ -74,7 +73,7 @@ def test_a_segment_moves_as_one_whose_support_is_built_so(layout, apart):
     time = np.sort(np.random.default_rng(0).uniform(0.0, 600.0, 64))
     squares = np.array(
         [
-            (draw_wind(SOFT, off, time, generator(1, "wind", case)).segment_motion[..., 2] ** 2).mean(axis=0)
+            (draw_case([SOFT], SOFT, off, 1, case, time=time).segment_motion[..., 2] ** 2).mean(axis=0)
             for case in range(200)
         ]
     )

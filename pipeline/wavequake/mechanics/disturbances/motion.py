@@ -92,6 +92,8 @@ def summed(maps: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray[np.f
 
 
 def _grown(values: NDArray[np.float64], size: int) -> NDArray[np.float64]:
+    if values.shape[-1] == size:
+        return values
     return np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, size - values.shape[-1])])
 
 

@@ -63,10 +63,26 @@ def draw(source: Source, layout: SegmentLayout, time: Array, randoms: Randoms) -
     UserError
         If it has other instants of its own, or moves what there is not.
     """
+    return _draw_several(source, [layout], time, [randoms], [0])[0]
+
+
+def _draw_several(
+    source: Source,
+    layouts: Sequence[SegmentLayout],
+    time: Array,
+    randoms: Sequence[Randoms],
+    realizations: Sequence[int],
+) -> list[Motion]:
     own = source.instants_of_file()
     if own is not None:
         _require_instants(source, own, time, "those of what it is a part of")
-    motion = _on_segments(source.draw(layout, time, randoms), layout)
+    drawn = source.draw_several(layouts, time, randoms, realizations)
+    return [_of_moving(source, motion, layout) for motion, layout in zip(drawn, layouts, strict=True)]
+
+
+def _of_moving(source: Source, motion: Motion, layout: SegmentLayout) -> Motion:
+    """Return a motion of those segments alone that the source moves."""
+    motion = _on_segments(motion, layout)
     moving = source.moving(layout) if isinstance(source, SegmentSource) else None
     if moving is None:
         return motion
@@ -138,13 +154,37 @@ def draw_case(
         If a combination names what is none of `populations`, or contains itself, or a history has other
         instants.
     """
+    return draw_cases(populations, population, [layout], seed, [realization], [streams], time)[0]
+
+
+def draw_cases(
+    populations: Sequence[Population],
+    population: Population,
+    layouts: Sequence[SegmentLayout],
+    seed: int,
+    realizations: Sequence[int],
+    streams: Sequence[Streams],
+    time: Array | None = None,
+) -> list[Motion]:
+    """Draw different cases of a population at once, each as :func:`draw_case` does, to the bit.
+
+    They are of the same `TOGETHER` realizations; layouts differ in supports and plant at most.
+    """
     at = instants_of(populations, population) if time is None else time
-    return add(
-        [
-            draw(part, layout, at, randoms_of(part, len(layout), seed, realization, streams))
-            for part in parts(populations, population)
-        ]
-    )
+    drawn = [
+        _draw_several(
+            part,
+            layouts,
+            at,
+            [
+                randoms_of(part, len(layout), seed, realization, own)
+                for layout, realization, own in zip(layouts, realizations, streams, strict=True)
+            ],
+            realizations,
+        )
+        for part in parts(populations, population)
+    ]
+    return [add(list(of_case)) for of_case in zip(*drawn, strict=True)]
 
 
 def draw_sight(

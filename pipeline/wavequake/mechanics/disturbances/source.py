@@ -5,7 +5,7 @@ segments, surfaces and bodies that it addresses, and what sampling plans and bud
 `register` makes it known to the study files of every optics that it fits.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union
 
@@ -36,6 +36,9 @@ Names = Annotated[tuple[str, ...], Field(min_length=1, strict=False)]
 
 Randoms = Callable[[str], Random]
 """Gives random numbers by the name of a stream: a source's own name, or ``name/element``."""
+
+TOGETHER = 16
+"""Realizations that are drawn together: those whose numbers, divided by this, are alike but for the rest."""
 
 
 class Source(Population):
@@ -69,6 +72,19 @@ class Source(Population):
         What is drawn for an element depends on its stream alone, not on which others there are.
         """
         raise NotImplementedError
+
+    def draw_several(
+        self,
+        layouts: Sequence[SegmentLayout],
+        time: Array,
+        randoms: Sequence[Randoms],
+        realizations: Sequence[int],
+    ) -> list[Motion]:
+        """Draw different realizations at once, of the same `TOGETHER`, each as :meth:`draw` does.
+
+        Layouts differ in supports and plant at most. A realization has the same bits whatever is beside it.
+        """
+        return [self.draw(layout, time, one) for layout, one in zip(layouts, randoms, strict=True)]
 
     def generator(self, stream: str, segments: int, seed: int, realization: int) -> np.random.Generator:
         """Return the random numbers of one of its streams where no sampling plan gives them."""

@@ -5,8 +5,9 @@ are drawn (`mechanics`), every instant is ray traced and its wavefront measured 
 instants' point spread functions make the case's exposure (`imaging`).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import TypeVar
 
 import numpy as np
@@ -61,7 +62,7 @@ from wavequake.workflows.segments.launches import (
     slots,
     traced_instants,
 )
-from wavequake.workflows.segments.segment_draws import draw_realization, sampling_plan, way_between
+from wavequake.workflows.segments.segment_draws import draw_realizations, sampling_plan, way_between
 from wavequake.workflows.segments.segment_modal import modal_cases
 from wavequake.workflows.segments.segment_model import model_of
 from wavequake.workflows.segments.segment_rare import rare_cases
@@ -90,18 +91,34 @@ def slot(populations: tuple[Kind, ...], case: int) -> tuple[Kind, int]:
 
 def draw(bench: Bench, case: int) -> CaseDraw:
     """Draw the motion of one case: of seed, disturbance, realization and model of the segments only."""
-    population, place = slot(bench.study.disturbance, case)
-    realization, model = divmod(place, len(bench.study.compared))
-    return drawn_with(bench, population, realization, bench.study.compared[model])
+    return _draw_all(bench, np.array([case]))[0]
 
 
-def drawn_with(bench: Bench, population: Disturbance, realization: int, model: str) -> CaseDraw:
-    """Draw a realization of a population with one of the models that the study compares."""
-    motion = draw_realization(bench, population, realization, model)
-    time, way = instants_of(bench.study.disturbance, population), None
-    if bench.study.imaging.enabled:
-        way = way_between(bench, population, realization, time, motion)
-    return CaseDraw(population, realization, time, motion, way, model)
+def _draw_all(bench: Bench, cases: NDArray[np.int64]) -> list[CaseDraw]:
+    """Draw the motions of cases, those of a population and a model together."""
+    study = bench.study
+    which, places = slots([population.share for population in study.disturbance], cases)
+    realizations, models = np.divmod(places, len(study.compared))
+    draws: dict[int, CaseDraw] = {}
+    for index, place in product(range(len(study.disturbance)), range(len(study.compared))):
+        rows = np.flatnonzero((which == index) & (models == place)).tolist()
+        population, model = study.disturbance[index], study.compared[place]
+        drawn = _drawn_with(bench, population, realizations[rows].tolist(), model)
+        draws |= zip(rows, drawn, strict=True)
+    return [draws[row] for row in range(len(cases))]
+
+
+def _drawn_with(
+    bench: Bench, population: Disturbance, realizations: Sequence[int], model: str
+) -> Iterator[CaseDraw]:
+    """Draw realizations of a population with one of the models that the study compares."""
+    time = instants_of(bench.study.disturbance, population)
+    motions = draw_realizations(bench, population, realizations, model)
+    for realization, motion in zip(realizations, motions, strict=True):
+        way = None
+        if bench.study.imaging.enabled:
+            way = way_between(bench, population, realization, time, motion)
+        yield CaseDraw(population, realization, time, motion, way, model)
 
 
 def surface_states(bench: Bench, drawn: CaseDraw, first: int, last: int) -> SurfaceStates:
@@ -164,7 +181,7 @@ def trace_cases(study_text: str, cases: NDArray[np.int64], device_name: str) -> 
     bench = bench_of(study_text)
     start = Stopwatch()
     with start("draw"):
-        draws = [draw(bench, int(case)) for case in cases]
+        draws = _draw_all(bench, cases)
     if bench.study.reduction is None:
         return trace_draws(study_text, draws, device_name, start)
     with start("draw"):
@@ -172,7 +189,7 @@ def trace_cases(study_text: str, cases: NDArray[np.int64], device_name: str) -> 
         for one in tuple(draws):
             key = one.population.name, one.realization
             if key not in whole:
-                draws.append(drawn_with(bench, one.population, one.realization, FULL))
+                draws += _drawn_with(bench, one.population, [one.realization], FULL)
                 whole.add(key)
     return judged(bench, draws, trace_draws(study_text, draws, device_name, start), len(cases))
 

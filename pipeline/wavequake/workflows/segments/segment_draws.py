@@ -1,6 +1,8 @@
 """What a case of a segmented telescope draws: motions by generators, by a sampling plan, or near a limit."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,8 +10,17 @@ from numpy.typing import NDArray
 from wavequake.chain.images.streak import around_rows, times_between
 from wavequake.chain.sampling import Plan, plan_of
 from wavequake.chain.uncertain import STREAM
-from wavequake.mechanics.disturbances.registry import Disturbance, Motion, draw_case, draw_sight, parts
-from wavequake.mechanics.disturbances.source import Source
+from wavequake.mechanics.assembly.plant import Plant
+from wavequake.mechanics.disturbances.layout import SegmentLayout
+from wavequake.mechanics.disturbances.registry import (
+    Disturbance,
+    Motion,
+    draw_case,
+    draw_cases,
+    draw_sight,
+    parts,
+)
+from wavequake.mechanics.disturbances.source import TOGETHER, Source
 from wavequake.mechanics.disturbances.streams import Streams
 from wavequake.mechanics.disturbances.supports import Supports
 from wavequake.prepared import prepared
@@ -49,10 +60,26 @@ def sampling_plan(study_text: str) -> Plan:
 
 def draw_realization(bench: Bench, population: Disturbance, realization: int, model: str = FULL) -> Motion:
     """Draw a realization, of study, population and number alone, with a model of elastic segments."""
-    study, streams = bench.study, _streams(bench, realization)
-    supports = _supports(study, realization)
-    layout = replace(bench.layout, supports=supports, plant=bench.plants.get(model))
-    return draw_case(study.disturbance, population, layout, study.study.seed, realization, streams)
+    return next(draw_realizations(bench, population, [realization], model))
+
+
+def draw_realizations(
+    bench: Bench, population: Disturbance, realizations: Sequence[int], model: str = FULL
+) -> Iterator[Motion]:
+    """Draw realizations in the order given, ascending: neighbors together, to the bit as each alone."""
+    study, plant = bench.study, bench.plants.get(model)
+    for _, neighbors in groupby(realizations, lambda realization: realization // TOGETHER):
+        group = list(neighbors)
+        layouts = [_with(bench.layout, _supports(study, realization), plant) for realization in group]
+        streams = [_streams(bench, realization) for realization in group]
+        yield from draw_cases(study.disturbance, population, layouts, study.study.seed, group, streams)
+
+
+def _with(layout: SegmentLayout, supports: Supports | None, plant: Plant | None) -> SegmentLayout:
+    """Return a layout on supports, with bodies; the same one, whose digest is known, if there are none."""
+    if supports is None and plant is None:
+        return layout
+    return replace(layout, supports=supports, plant=plant)
 
 
 def _supports(study: SegmentStudy, realization: int) -> Supports | None:

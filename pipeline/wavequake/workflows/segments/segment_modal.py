@@ -6,6 +6,7 @@ whose motion is too large for the model is traced in full instead. Both depend o
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from wavequake.campaign.contract import DONE, ChunkResult
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.kernels.device.tiles import TILE, padded
 from wavequake.mechanics.disturbances.registry import Disturbance, Motion, instants_of, time_axis
+from wavequake.mechanics.disturbances.source import TOGETHER
 from wavequake.mechanics.disturbances.sources.common_history import (
     CommonHistory,
     amplitude_generator,
@@ -26,7 +28,7 @@ from wavequake.optics.segments.modal import Forms, ModalModel
 from wavequake.optics.wavefronts.quality import meets_marechal
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M, Bench, bench_of, in_basis
 from wavequake.workflows.segments.launches import slots
-from wavequake.workflows.segments.segment_draws import draw_realization, sampling_plan
+from wavequake.workflows.segments.segment_draws import draw_realization, draw_realizations, sampling_plan
 from wavequake.workflows.segments.segment_model import knows, model_of, motion_rows
 from wavequake.workflows.segments.segment_template import computed
 
@@ -118,13 +120,7 @@ def _found(
     """Draw cases of one population and return what they come to."""
     known = np.ones(len(cases), dtype=np.bool_)
     if not isinstance(population, CommonHistory | StaticRandom):
-        parts = []
-        for realization in realizations.tolist():
-            with clock("draw"):
-                motion = draw_realization(bench, population, realization)
-            with clock("modal"):
-                parts.append(_by_instants(bench, model, motion))
-        return _joined(parts)
+        return _moving(bench, model, population, realizations, clock)
     motions, rows = _in_tiles(model, bench, cases)
     with clock("draw"):
         if isinstance(population, CommonHistory):
@@ -188,17 +184,35 @@ def _separable(
     return _Found(found, sizes, _piston(model, motions)[rows, None] * np.abs(swing), known)
 
 
-def _by_instants(bench: Bench, model: ModalModel, motion: Motion) -> _Found:
-    """Return one case, instant by instant."""
-    count = len(motion.mount)
-    motions = motion_rows(bench, model, motion, padded(count))
+def _moving(
+    bench: Bench, model: ModalModel, population: Disturbance, realizations: Cases, clock: Stopwatch
+) -> _Found:
+    """Draw cases that move in any way over their instants."""
+    parts: list[_Found] = []
+    drawn = draw_realizations(bench, population, realizations.tolist())
+    while True:
+        with clock("draw"):
+            motions = list(islice(drawn, TOGETHER))
+        if not motions:
+            return _joined(parts)
+        with clock("modal"):
+            parts.append(_by_instants(bench, model, motions))
+
+
+def _by_instants(bench: Bench, model: ModalModel, drawn: list[Motion]) -> _Found:
+    """Return cases instant by instant, each in tiles of its own."""
+    count = len(drawn[0].mount)
+    motions = np.concatenate([motion_rows(bench, model, motion, padded(count)) for motion in drawn])
+
+    def of_cases(values: Array) -> Array:
+        return values.reshape(len(drawn), -1, *values.shape[1:])
+
     found = modal.forms(model, motions, TILE)
-    sizes = modal.amplitudes(model, motions).max(axis=0)
     return _Found(
-        Forms(found.linear[None, :count], found.quadratic[None, :count]),
-        sizes[None],
-        _piston(model, motions)[None, :count],
-        np.array([knows(model, motion)]),
+        Forms(of_cases(found.linear)[:, :count], of_cases(found.quadratic)[:, :count]),
+        of_cases(modal.amplitudes(model, motions)).max(axis=1),
+        of_cases(_piston(model, motions))[:, :count],
+        np.array([knows(model, motion) for motion in drawn]),
     )
 
 

@@ -18,6 +18,7 @@ from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.motion import Motion, still
 from wavequake.mechanics.disturbances.source import Randoms, Source, register
 from wavequake.mechanics.disturbances.streams import Random
+from wavequake.mechanics.level_factor import LevelFactor, level_factor
 from wavequake.prepared import prepared
 from wavequake.tables import kept
 
@@ -176,27 +177,39 @@ def shared_edges(layout: SegmentLayout) -> tuple[NDArray[np.intp], NDArray[np.in
 class Shaping:
     """How noise becomes motion.
 
-    ``transposed`` is A^T (3 S, 2 E), ``normal_inverse`` (3 S, 3 S) the pseudo-inverse of A^T A, whose
-    product with A^T is the pseudo-inverse of A; ``null_modes`` counts the motions that no sensor sees;
-    ``radius`` (S,) scales the slopes; ``gain`` is the rms of the surface per rms of a sensor and
-    ``piston_gain`` that of the pistons alone.
+    ``transposed`` is A^T (3 S, 2 E); ``unseen`` (3 S, k) are orthonormal motions that no sensor sees, and
+    ``factor`` is that of A^T A with k of its unknowns held, which those are made of. ``radius`` (S,) scales
+    the slopes; ``gain`` is the rms of the surface per rms of a sensor and ``piston_gain`` that of the pistons
+    alone.
     """
 
     transposed: scipy.sparse.csr_array
-    normal_inverse: Array
-    null_modes: int
+    factor: LevelFactor
+    unseen: Array
     radius: Array
     gain: float
     piston_gain: float
+
+    def unknowns(self, readings: Array) -> Array:
+        """Return the shortest least-squares solutions (3 S, n) of readings (2 E, n).
+
+        With some unknowns held, a solution differs from the shortest one by unseen motions.
+        """
+        return self.seen(self.factor.solve(self.seen(self.transposed @ readings)))
+
+    def seen(self, unknowns: Array) -> Array:
+        """Return unknowns (3 S, n) without what no sensor sees of them."""
+        rest: Array = unknowns - self.unseen @ (self.unseen.T @ unknowns)
+        return rest
 
 
 @prepared(maxsize=3)
 def shaping(layout: SegmentLayout, dihedral_arm_m: float, sensor_offset_m: float) -> Shaping:
     """Invert the sensor matrix, leaving out the modes that it does not see.
 
-    A^T A of 1476 unknowns is decomposed in 0.6 s. Null modes lie below the largest gap between eigenvalues
-    in the lowest 1e-5 of their range (for the TMT: 1e-16 against 8e-8 and more). The numbers depend neither
-    on the signs of eigenvectors nor on their choice where eigenvalues coincide.
+    A^T A of 1476 unknowns is decomposed in 0.6 s, once. Null modes lie below the largest gap between
+    eigenvalues in the lowest 1e-5 of their range (for the TMT: 1e-16 against 8e-8 and more). The numbers
+    depend neither on the signs of eigenvectors nor on their choice where eigenvalues coincide.
 
     Raises
     ------
@@ -205,24 +218,34 @@ def shaping(layout: SegmentLayout, dihedral_arm_m: float, sensor_offset_m: float
     """
     arrays = layout.centers_m, layout.axes, layout.corners_m
     found = kept(_Tables, _tables, *arrays, dihedral_arm_m, sensor_offset_m)
-    size = len(found.inverse)
+    size = 3 * len(layout)
     transposed = scipy.sparse.csr_array((found.values, found.columns, found.starts), (size, found.readings))
-    gain = float(np.sqrt(found.trace / len(layout)))
-    piston_gain = float(np.sqrt(np.mean(np.diag(found.inverse)[::3])))
-    return Shaping(transposed, found.inverse, found.null_modes, found.radius, gain, piston_gain)
+    holds = np.zeros((size, len(found.held)))
+    holds[found.held, np.arange(len(found.held))] = 1.0
+    normal = (transposed @ transposed.T).tocsr()
+    held = scipy.sparse.diags_array(normal.diagonal().mean() * holds.sum(axis=1))
+    factor = level_factor((normal + held).tocsr())
+    # (A^T A + H) v = h, where H holds unknowns: v moves one of those alone, and no sensor sees it.
+    unseen = np.linalg.qr(factor.solve(holds))[0]
+    gain, piston_gain = (float(np.sqrt(one / len(layout))) for one in (found.variance, found.piston_variance))
+    return Shaping(transposed, factor, unseen, found.radius, gain, piston_gain)
 
 
 @dataclass(frozen=True)
 class _Tables:
-    """The transposed sensor matrix by rows, and of A^T A the pseudo-inverse, its trace and null modes."""
+    """The transposed sensor matrix by rows, and what its decomposition tells.
+
+    ``held`` are as many unknowns as there are null modes, which tell those apart; ``variance`` of all
+    unknowns, and of the pistons, is for readings of variance 1.
+    """
 
     values: Array
     columns: NDArray[np.int32]
     starts: NDArray[np.int32]
     readings: int
-    inverse: Array
-    trace: float
-    null_modes: int
+    held: NDArray[np.int64]
+    variance: float
+    piston_variance: float
     radius: Array
 
 
@@ -235,12 +258,12 @@ def _tables(centers: Array, axes: Array, corners: Array, dihedral_arm_m: float, 
     normal = (sensors.matrix.T @ sensors.matrix).toarray()
     eigenvalues, vectors = scipy.linalg.eigh(normal, check_finite=False, driver="evd")
     null = null_count(eigenvalues)
-    inverse = (vectors[:, null:] / eigenvalues[null:]) @ vectors[:, null:].T
+    _, order = scipy.linalg.qr(vectors[:, :null].T, mode="r", pivoting=True)
     return _Tables(
         *(transposed.data, transposed.indices, transposed.indptr, transposed.shape[1]),
-        inverse,
+        np.sort(order[:null]).astype(np.int64),
         float(np.sum(1 / eigenvalues[null:])),
-        null,
+        float(np.sum(vectors[::3, null:] ** 2 / eigenvalues[null:])),
         sensors.radius,
     )
 
@@ -264,7 +287,7 @@ def unseen_motions(parameters: EdgeSensorNoise, layout: SegmentLayout) -> int:
 
     They are not in the motion that is drawn.
     """
-    return shaping(layout, parameters.dihedral_arm_m, parameters.sensor_offset_m).null_modes - 3
+    return len(shaping(layout, parameters.dihedral_arm_m, parameters.sensor_offset_m).unseen.T) - 3
 
 
 def draw_edge_noise(
@@ -275,7 +298,7 @@ def draw_edge_noise(
     readings = random.standard_normal((len(time), shape.transposed.shape[1])) * (
         parameters.sensor_rms_nm * 1e-9
     )
-    unknowns = shape.normal_inverse @ (shape.transposed @ readings.T)
+    unknowns = shape.unknowns(readings.T)
     piston, x_slope, y_slope = np.moveaxis(unknowns.T.reshape(len(time), len(layout), 3), 2, 0)
     motion = still(len(time), len(layout))
     motion.segment_motion[..., 2] = piston

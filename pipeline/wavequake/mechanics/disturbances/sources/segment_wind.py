@@ -1,6 +1,7 @@
 """Wind on the segments of a primary mirror: gusts push each segment against its finite stiffness."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import ClassVar, Literal, Self
@@ -13,7 +14,7 @@ from pydantic import Field, model_validator
 from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.motion import Motion, still
 from wavequake.mechanics.disturbances.population import Positive
-from wavequake.mechanics.disturbances.source import Randoms, Source, register
+from wavequake.mechanics.disturbances.source import TOGETHER, Randoms, Source, register
 from wavequake.mechanics.disturbances.spectra import (
     Bands,
     Spectrum,
@@ -29,7 +30,7 @@ from wavequake.tables import kept
 
 Array = NDArray[np.float64]
 
-# 12 factors of 492 x 492 are 23 MB, applied in 1 ms.
+# 12 factors of 492 x 492 are 23 MB: read once for all realizations that are drawn together.
 _COHERENT_BANDS = 12
 _INCOHERENT_BANDS = 20
 # Neighbors whose gusts are coherent to less than this are taken as independent.
@@ -88,7 +89,17 @@ class SegmentWind(Source):
 
     def draw(self, layout: SegmentLayout, time: Array, randoms: Randoms) -> Motion:
         """Draw one realization."""
-        return draw_wind(self, layout, time, randoms(self.name))
+        return self.draw_several([layout], time, [randoms], [0])[0]
+
+    def draw_several(
+        self,
+        layouts: Sequence[SegmentLayout],
+        time: Array,
+        randoms: Sequence[Randoms],
+        realizations: Sequence[int],
+    ) -> list[Motion]:
+        """Draw realizations whose gusts are shaped at once."""
+        return draw_winds(self, layouts, time, [one(self.name) for one in randoms], realizations)
 
     def analytic_rms(self, layout: SegmentLayout) -> tuple[float, Literal["mas", "nm"]]:
         """Return that of the pistons."""
@@ -137,20 +148,50 @@ def segment_wind_rms_nm(parameters: SegmentWind, layout: SegmentLayout) -> Array
     return rms
 
 
-def draw_wind(parameters: SegmentWind, layout: SegmentLayout, time: Array, random: Random) -> Motion:
-    """Draw one time history of all segments; the numbers drawn do not depend on `time`."""
-    found = gusts_of(parameters, layout)
-    count = len(layout)
-    together = random.standard_normal((len(found.factors), count, 2))
-    apart = random.standard_normal((2, len(found.apart.variances), count))
-    slow, fast = frequencies(found.together, random), frequencies(found.apart, random)
-    waves = np.moveaxis(found.factors @ together, 2, 0)
-    apart *= np.sqrt(found.apart.variances)[:, None]
+def draw_winds(
+    parameters: SegmentWind,
+    layouts: Sequence[SegmentLayout],
+    time: Array,
+    randoms: Sequence[Random],
+    realizations: Sequence[int],
+) -> list[Motion]:
+    """Draw time histories of all segments; the numbers drawn do not depend on `time`.
+
+    A realization has a place of its own in products of a constant shape, so that its bits do not depend on
+    what is drawn with it.
+    """
+    found = gusts_of(parameters, layouts[0])
+    bands, count = len(found.factors), len(layouts[0])
+    places = [realization % TOGETHER for realization in realizations]
+    normals = np.zeros((bands, TOGETHER, 2, count))
+    others = []
+    for place, random in zip(places, randoms, strict=True):
+        normals[:, place] = np.moveaxis(random.standard_normal((bands, count, 2)), 2, 1)
+        apart = random.standard_normal((2, len(found.apart.variances), count))
+        apart *= np.sqrt(found.apart.variances)[:, None]
+        others.append((apart, frequencies(found.together, random), frequencies(found.apart, random)))
+    shaped = normals.reshape(bands, -1, count) @ np.swapaxes(found.factors, 1, 2)
+    together = np.moveaxis(shaped.reshape(normals.shape), 0, 2)
+    return [
+        _moved(parameters, layout, time, (slow, together[place]), (fast, apart))
+        for layout, place, (apart, slow, fast) in zip(layouts, places, others, strict=True)
+    ]
+
+
+def _moved(
+    parameters: SegmentWind,
+    layout: SegmentLayout,
+    time: Array,
+    together: tuple[Array, Array],
+    apart: tuple[Array, Array],
+) -> Motion:
+    """Return what gusts do to the segments: frequencies, and waves (cosine and sine, frequency, segment)."""
+    waves = [together, apart]
     if layout.supports is not None:
-        factors = layout.supports.factors(count, len(parameters.modes_hz))
-        waves, apart = (_through(parameters, f, one, factors) for f, one in ((slow, waves), (fast, apart)))
-    piston = _harmonics(time, slow, waves) + _harmonics(time, fast, apart)
-    motion = still(len(time), count)
+        factors = layout.supports.factors(len(layout), len(parameters.modes_hz))
+        waves = [(frequency, _through(parameters, frequency, one, factors)) for frequency, one in waves]
+    motion = still(len(time), len(layout))
+    piston = sum(_harmonics(time, frequency, one) for frequency, one in waves)
     motion.segment_motion[..., 2] = piston * layout.areas_m2
     return motion
 
