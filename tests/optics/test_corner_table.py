@@ -115,6 +115,7 @@ def test_rays_over_segments_cover_the_distorted_glass(system):
         ("segment,corner,dx_mm,dy_mm\n1,1,x,0", "'x' is not a number; write millimeters"),
         ("segment,corner,dx_mm,dy_mm\n1,1,nan,0", "'nan' is not a number"),
         ("segment,corner,dx_mm,dy_mm\n1,1,0", "'' is not a number"),
+        ("segment,corner,dx_mm,dy_mm\n1,1,0,5,0", "line 2: there are 5 cells, but 4 columns"),
         ("segment,corner,dx_mm,dy_mm\n1,1,0,0\n1,1,1,0", "line 3: corner 1 of segment 1 is displaced twice"),
         ("segment,corner,dx_mm,dy_mm\n1,1,-9000,-9000", "segment '1' would cross itself"),
         ("segment,corner,dx_mm,dy_mm\n1,1,0,200", "segments '1' and '.*' would overlap"),

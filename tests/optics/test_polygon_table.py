@@ -79,6 +79,17 @@ def test_an_empty_list_and_missing_columns():
     assert "it has id, x1, y1" in complaint("A,1,2\n", header="id,x1,y1\n")
 
 
+@pytest.mark.parametrize(("column", "other"), [("y4_m", "y5_m"), ("y4_m", "note"), ("y4_m", "x3_m")])
+def test_corners_are_not_left_out_for_want_of_a_column(column, other):
+    assert " has no place among x1_m, y1_m, x2_m, " in complaint(SQUARE, HEADER.replace(column, other))
+
+
+def test_cells_beyond_the_columns_are_not_left_out():
+    assert "line 2: there are 10 cells, but 9 columns" in complaint(SQUARE.replace("\n", ",7\n"))
+    assert "line 3: there are 11 cells" in complaint(SQUARE + "B,1,0,2,5,0,2,1,1,5,1\n")
+    assert read_polygons(StringIO(HEADER + SQUARE.replace("\n", ",, \n")))[0] == ["A"]
+
+
 def test_too_few_corners_and_no_area():
     assert "line 2: the polygon has 2 corners" in complaint("A,0,0,1,0,,,,\n")
     assert "line 2: the polygon has 0 corners" in complaint("A\n")

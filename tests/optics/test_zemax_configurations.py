@@ -99,6 +99,18 @@ def test_studies_and_commands_name_a_configuration(tmp_path, wavequake):
     assert "zoom, configuration 3" in out
 
 
+def test_a_value_that_the_saved_configuration_does_not_have_is_taken_all_the_same():
+    """The surface is 35 mm from the next one in the file, which was saved in number 2."""
+    system = parse_zmx(text("0", (("THIC", 1, (25.0, 99.0, 99.0)),)), "zoom.zmx", configuration=3)
+    assert system.surfaces[1].position[2] == 99.0
+
+
+def test_one_of_thousands_of_configurations():
+    gaps = [20.0 + 0.001 * k for k in range(5000)]
+    lens = text("0", (("THIC", 1, gaps),)).replace("MNUM 3 2", "MNUM 5000 2")
+    assert parse_zmx(lens, "zoom.zmx", configuration=4999).surfaces[1].position[2] == gaps[4998]
+
+
 def test_other_surfaces_of_the_editor_are_changed():
     operands = (
         ("CRVT", 1, (0.01, 0.02, 0.03)),
@@ -134,6 +146,25 @@ def test_other_surfaces_of_the_editor_are_changed():
         ),
         (text().replace("MAZH 0 0", "PZUP 1 1 0"), "surface 2 has a number that a solve or pickup found"),
         (text("0").replace("MAZH 0 0", "MAZH 3 0"), "solved for a paraxial height other than 0"),
+        (text("1e300"), r"solved for the zone 1e\+300; zones are between -1 and 1"),
+        (
+            text("0", (*OPERANDS, ("THIC", 1, (26, 35, 50)))),
+            "line 44 .THIC.: THIC 1 has another value in line 29",
+        ),
+        (
+            text().replace("THIC 1 3", "THIC 1 4"),
+            "line 29 .THIC.: THIC must have a line for each of configur",
+        ),
+        (text().replace("THIC 1 2 35.0 0 0 0 1 1 1.0 0.0 0\n", ""), "THIC must have a line for each of"),
+        (text().replace("MNUM 3 2", "MNUM 2 2"), "line 29 .THIC.: THIC must have a line for each of"),
+        (text() + "MNUM 2 1\n", "line 45 .MNUM.: the number of configurations is given twice"),
+        *(
+            (
+                text().replace("MNUM 3 2", f"MNUM {count} {saved}"),
+                f"cannot have {count} configurations and be",
+            )
+            for count, saved in ((3, 0), (3, 4), (0, 0), (-3, 2))
+        ),
     ],
 )
 def test_what_a_configuration_needs_and_has_not_is_told(lens, message):

@@ -5,6 +5,7 @@ from math import sqrt
 import numpy as np
 import pytest
 from test_custom_telescope import SQUARES
+from test_senseless_keys import said
 
 from wavequake.campaign.contract import DONE
 from wavequake.errors import UserError
@@ -114,6 +115,28 @@ def test_the_modal_model_knows_segments_before_lenses(camera, tmp_path):
     assert (result.status == DONE).all()
     assert (result.arrays["traced"] == 1).all()
     assert 0.0 < result.arrays["modal_error_wfe_rms"].max() < 0.1
+
+
+MISSED = "misses a surface of custom, or is totally reflected there"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"N-BK7"', "50.0", MISSED),
+        ("radius_mm = 400.0", "radius_mm = 1e-320", MISSED),
+        ("distance_mm = 9500.0", "distance_mm = 1e300", MISSED),
+        ("distance_mm = 189.27665", "distance_mm = 1e300", "No ray of segment a"),
+        ("radius_mm = 400.0", "radius_mm = 400.0, even_asphere = [1e300]", MISSED),
+        ("radius_mm = 400.0", "radius_mm = 400.0, even_asphere = [0, 0, 0, 0, 0, 0, 0, 1e-9]", MISSED),
+        ("distance_mm = 20.0", "distance_mm = 20.0, tilt_deg = 60.0", MISSED),
+        ("distance_mm = 8000.0", "distance_mm = 8000.0, tilt_deg = 45.0", "too far from focus"),
+        ("distance_mm = 9500.0", "distance_mm = 9500.0, tilt_deg = 89.999999", MISSED),
+        ('"SILICA"', "1e-320", "no real refractive index"),
+    ],
+)
+def test_cameras_that_cannot_be(camera, tmp_path, old, new, words):
+    assert words in said(tmp_path, CAMERA.replace(old, new))
 
 
 def test_sentences(camera, tmp_path):

@@ -96,6 +96,7 @@ def _scanned(aim: Aim, chief: Array, target: Array, sign: float, beam: float) ->
     arrived = np.zeros(target.shape[1], dtype=np.bool_)
     if alike.any():
         away, nearest = scipy.spatial.KDTree(met[:, alike].T).query(target.T)
+        nearest[np.isinf(away)] = 0  # its square overflows, and none is the nearest
         size = np.sqrt(np.sum(across**2 + up**2, axis=0))[alike[:-1, :-1]][nearest]
         worth = np.flatnonzero(away <= _NEAR * size)
         if worth.size:

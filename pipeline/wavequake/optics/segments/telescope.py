@@ -202,6 +202,7 @@ def surface_transforms(system: SegmentedTelescope) -> Array:
     return np.array(transforms)
 
 
+@np.errstate(invalid="ignore", over="ignore", divide="ignore")
 def first_order(system: SegmentedTelescope) -> FirstOrder:
     """Trace a system paraxially from the stop plane to the image, and its marginal ray really.
 
@@ -211,7 +212,8 @@ def first_order(system: SegmentedTelescope) -> FirstOrder:
     Raises
     ------
     UserError
-        If the system has no focus, its exit pupil lies in the image, or the marginal ray misses a surface.
+        If the system has no focus, its exit pupil lies in the image, or the marginal ray misses a surface or
+        is totally reflected.
     """
     matrix = np.eye(2)
     distance = 0.0
@@ -264,7 +266,7 @@ def _marginal_sine(system: SegmentedTelescope) -> float:
     if not np.isfinite(marginal).all():
         raise UserError(
             f"The ray at the outer pupil radius of {system.pupil_outer:g} mm misses a surface "
-            f"of {system.name}; the surfaces must reach out to it."
+            f"of {system.name}, or is totally reflected there; surfaces must reach out to it."
         )
     return float(np.linalg.norm(np.cross(marginal, chief)))
 
@@ -315,6 +317,7 @@ def _met(surface: ConicSurface, position: Array, direction: Array) -> tuple[Arra
     return hit, slope_x + more_x, slope_y + more_y
 
 
+@np.errstate(invalid="ignore", over="ignore", divide="ignore")
 def footprints(system: SegmentedTelescope) -> Array:
     """Return the radii (L - 1,) of the axial beam on the surfaces between M1 and image, from each vertex, mm.
 

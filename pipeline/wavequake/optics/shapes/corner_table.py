@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from wavequake.errors import UserError
 from wavequake.optics.segments.layout import Segments
 from wavequake.optics.shapes.concave import crossing
+from wavequake.optics.shapes.polygon_table import require_columns
 from wavequake.optics.shapes.polygons import ROUNDING, concave, overlapping, signed_areas
 from wavequake.user_files import read_text
 
@@ -89,6 +90,7 @@ def _rows(stream: TextIO, where: str) -> list[tuple[str, list[str]]]:
     missing = [name for name in _COLUMNS if name not in header]
     if missing:
         raise UserError(f"{where} must have the columns {', '.join(_COLUMNS)}; it lacks {missing[0]}.")
+    require_columns(header, rows)
     places = [header.index(name) for name in _COLUMNS]
     return [(line, [row[place] if place < len(row) else "" for place in places]) for line, row in rows]
 

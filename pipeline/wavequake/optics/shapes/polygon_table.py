@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TextIO
@@ -68,6 +69,7 @@ def _parsed(stream: TextIO, where: str) -> tuple[list[str], Array, Array | None]
         raise UserError(f"{where} is not a table in CSV (UTF-8): {error}.") from None
     if not rows:
         raise UserError(f"{where} has no polygons; give one row per segment.")
+    require_columns(header, rows)
     names, polygons = _names(header, rows, where), [_corners(pairs, row, line) for line, row in rows]
     corners = _padded(polygons)
     _require_area(names, corners, where)
@@ -97,7 +99,24 @@ def _corner_columns(header: list[str], where: str) -> list[tuple[int, int]]:
             f"{where} must have the columns id, x1_m, y1_m, x2_m, y2_m, x3_m, y3_m, ... in its first line; "
             f"it has {', '.join(filter(None, header)) or 'none'}."
         )
+    corners = [name for name in header if re.fullmatch(r"[xy]\d+_m", name)]
+    named = {f"{axis}{index + 1}_m" for index in range(len(pairs)) for axis in "xy"}
+    if spare := next((name for name in corners if name not in named or corners.count(name) > 1), None):
+        raise UserError(
+            f"{where}: the column {spare} has no place among x1_m, y1_m, x2_m, y2_m, ... of {len(pairs)} "
+            "corners; each corner has both, once, and none is left out."
+        )
     return pairs
+
+
+def require_columns(header: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]) -> None:
+    """Raise UserError for a row, with its place, that has more cells than there are columns."""
+    for line, row in rows:
+        if any(cell.strip() for cell in row[len(header) :]):
+            raise UserError(
+                f"{line}: there are {len(row)} cells, but {len(header)} columns; numbers have a decimal "
+                "point, and commas part them."
+            )
 
 
 def _names(header: list[str], rows: Sequence[tuple[str, list[str]]], where: str) -> list[str]:

@@ -35,10 +35,16 @@ _INFINITE = 1e10
 
 def count_of(file: LensFile) -> tuple[int, int]:
     """Return how many configurations a file has, and in which one it was saved, from 1."""
-    line = next((line for line in file.behind if line.keyword == "MNUM"), None)
-    if line is None:
+    lines = [line for line in file.behind if line.keyword == "MNUM"]
+    if not lines:
         return 1, 1
-    return as_integer(line, 0), as_integer(line, 1) if len(line.words) > 1 else 1
+    first, *others = lines
+    count, saved = as_integer(first, 0), as_integer(first, 1) if len(first.words) > 1 else 1
+    if not 1 <= saved <= count:
+        fail(first, f"the file cannot have {count} configurations and be saved in number {saved}")
+    if others:
+        fail(others[0], "the number of configurations is given twice")
+    return count, saved
 
 
 def with_configuration(file: LensFile, number: int | None) -> LensFile:
@@ -60,17 +66,17 @@ def with_configuration(file: LensFile, number: int | None) -> LensFile:
     lines = _operands(file, count)
     if not lines:
         raise UserError(f"{file.where} does not say what its {count} configurations change.")
-    given = {(line.keyword, as_integer(line, 0), as_integer(line, 1)): line for line in lines}
+    given = _numbers(lines)
     solved = {("DISZ", key[1]) for key in given if key[0] == "THIC"}
     for (operand, index, configuration), line in given.items():
-        if configuration == number and not _same(line, given.get((operand, index, saved))):
+        if configuration == number and (operand in READ or not _same(line, given[operand, index, saved])):
             file = _changed(file, line, operand, index)
     _require_no_solves(file, solved)
     return file
 
 
 def _operands(file: LensFile, count: int) -> list[Line]:
-    """Return the lines of the editor: each operand for all configurations in turn."""
+    """Return the lines of the editor: each operand for all configurations in turn; others end them."""
     place = next(k for k, line in enumerate(file.behind) if line.keyword == "MNUM") + 1
     found: list[Line] = []
     while True:
@@ -79,13 +85,27 @@ def _operands(file: LensFile, count: int) -> list[Line]:
         if len(block) < count or any(
             head != (heads[0][0], *heads[0][1:2], str(k)) for k, head in enumerate(heads, start=1)
         ):
-            return found
+            break
         found += block
         place += count
+    torn = next((line for line in file.behind[place:] if line.keyword in READ), None)
+    if torn is not None:
+        fail(torn, f"{torn.keyword} must have a line for each of configurations 1 to {count}, in this order")
+    return found
 
 
-def _same(line: Line, other: Line | None) -> bool:
-    return other is not None and line.words[2:3] == other.words[2:3]
+def _numbers(lines: list[Line]) -> dict[tuple[str, int, int], Line]:
+    """Return the lines of the editor by operand, index and configuration."""
+    given: dict[tuple[str, int, int], Line] = {}
+    for line in lines:
+        key = line.keyword, as_integer(line, 0), as_integer(line, 1)
+        if key[0] not in _NOTHING and not _same(given.setdefault(key, line), line):
+            fail(line, f"{key[0]} {key[1]} has another value in line {given[key].number}")
+    return given
+
+
+def _same(line: Line, other: Line) -> bool:
+    return line.words[2:3] == other.words[2:3]
 
 
 def _changed(file: LensFile, line: Line, operand: str, index: int) -> LensFile:
@@ -160,6 +180,8 @@ def with_solved_image(system: OpticalSystem, file: LensFile, scale: float) -> Op
     if line is None:
         return system
     height, zone = as_number(line, 0) * scale, as_number(line, 1)
+    if abs(zone) > 1.0:
+        fail(line, f"{file.rows[-2].label} is solved for the zone {zone:g}; zones are between -1 and 1")
     axis = replace(system, fields=np.zeros((1, 2)), vignetting=())
     wave = wavelength_of(system)
     if not zone:

@@ -202,6 +202,7 @@ def _at_field(prepared: PreparedTrace, study: SegmentStudy, field: NDArray[np.fl
     return prepared
 
 
+@np.errstate(invalid="ignore", over="ignore")
 def _beam_clears_mirrors(prepared: PreparedTrace, field: NDArray[np.float64]) -> bool:
     """Return whether the beam stays inside all mirrors by 1 %, more than any motion that can be imaged needs.
 
