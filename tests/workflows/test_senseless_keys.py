@@ -135,7 +135,7 @@ def test_surfaces_that_cannot_be(tmp_path, keys, words):
         ({"more": "[detector]\npixel_um = 1e-320"}, "detector.photons"),
         ({"workflow": "telescope-loop"}, "the key 'controller' is missing"),
         ({"workflow": "segment-control"}, "the key 'mode' is missing"),
-        ({"name": "keck-3"}, "'keck', 'gtc', 'gmt'"),
+        ({"name": "keck-3"}, "'keck', 'gtc', 'het', 'gmt'"),
         ({"model": "segment-shaking"}, "shakes nothing"),
         ({"model": "pattern-vibration"}, "pattern' is missing"),
     ],

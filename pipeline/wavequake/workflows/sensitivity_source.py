@@ -22,6 +22,7 @@ TELESCOPES: dict[str, tuple[str, dict[str, Any]]] = {
     "elt": ("tmt-segments", {"telescope.name": "elt"}),
     "keck": ("tmt-segments", {"telescope.name": "keck"}),
     "gtc": ("tmt-segments", {"telescope.name": "gtc"}),
+    "het": ("tmt-segments", {"telescope.name": "het"}),
     "gmt": ("tmt-segments", {"telescope.name": "gmt"}),
 }
 # Keys that say what the system is: with one of them, the name would be that of something else.

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from wavequake.errors import UserError
 from wavequake.optics.catalog.lenses import double_gauss, six_lens
 from wavequake.optics.catalog.lithography import euv
-from wavequake.optics.catalog.telescopes import gregorian, herschel, jwst, rubin, tmt, tmt_thesis
+from wavequake.optics.catalog.surveys import decam, hsc, rubin, sdss
+from wavequake.optics.catalog.telescopes import gregorian, herschel, jwst, tmt, tmt_thesis
 from wavequake.optics.systems.system import OpticalSystem
 
 _BUILDERS: dict[str, Callable[[], OpticalSystem]] = {
@@ -19,6 +20,9 @@ _BUILDERS: dict[str, Callable[[], OpticalSystem]] = {
     "herschel": herschel,
     "gregorian": gregorian,
     "rubin": rubin,
+    "hsc": hsc,
+    "decam": decam,
+    "sdss": sdss,
     "double-gauss": double_gauss,
     "six-lens": six_lens,
     "euv": euv,

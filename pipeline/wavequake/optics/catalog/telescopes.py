@@ -5,10 +5,9 @@ from math import inf, radians
 
 import numpy as np
 
-from wavequake.optics.media.glasses import AIR, glass
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.parent import parent_system
-from wavequake.optics.shapes.shapes import Conic, EvenAsphere, Opening
+from wavequake.optics.shapes.shapes import Conic, Opening
 from wavequake.optics.systems.kinematics import Break, SurfaceRow, sequential
 from wavequake.optics.systems.system import OpticalSystem, Pupil
 
@@ -114,52 +113,4 @@ def gregorian() -> OpticalSystem:
         stop=0,
         pupil=Pupil("entrance_diameter", 1000.0),
         fields=np.array([[0.0, 0.0], [0.0, 1.0 * _ARCMIN]]),
-    )
-
-
-def rubin() -> OpticalSystem:
-    """Return the survey telescope of the Rubin Observatory in the r band: three mirrors and lenses, f/1.23.
-
-    The prescription is that of the public model LSST_r of the program batoid: two concave aspheres on one
-    substrate, a convex M2, lenses and a filter of fused silica. Heights there count from M1 towards the sky,
-    so that radii and powers change their signs here.
-    """
-    air, silica = AIR, glass("SILICA")
-    # Name, height above M1, radius, conic (m), coefficients of rho^4 and rho^6 (m^-3, m^-5), what follows.
-    surfaces = [
-        ("M1", 0.0, 19.835, -1.215, (0.0, -1.381e-9), None),
-        ("M2", 6.1562006, 6.788, -0.222, (0.0, 1.274e-5, 9.68e-7), None),
-        ("M3", -0.2338, 8.3445, 0.155, (0.0, 4.5e-7, 8.15e-9), None),
-        ("L1 front", 3.3974725882, 2.824, 0.0, (), silica),
-        ("L1 back", 3.4797025882, 5.021, 0.0, (), air),
-        ("L2 front", 3.8923446082, inf, 0.0, (), silica),
-        ("L2 back", 3.9223446082, 2.529, -1.57, (0.0, -0.001656), air),
-        ("filter front", 4.2719246082, 5.632, 0.0, (), silica),
-        ("filter back", 4.2898246082, 5.606, 0.0, (), air),
-        ("L3 front", 4.3409246082, 3.169, -0.962, (), silica),
-        ("L3 back", 4.4009246082, -13.36, 0.0, (), air),
-        ("image", 4.4294246082, inf, 0.0, (), None),
-    ]
-    rows: list[SurfaceRow | Break] = []
-    heights = [one[1] for one in surfaces]
-    for place, (name, height, radius, conic, powers, medium) in enumerate(surfaces):
-        even = (0.0, *(-power * 1e-3 ** (2 * k + 3) for k, power in enumerate(powers)))
-        radius = -1e3 * radius if radius < inf else inf
-        shape = EvenAsphere(radius, conic, even) if powers else Conic(radius, conic)
-        if name == "image":
-            rows.append(SurfaceRow(name))
-            break
-        way = 1e3 * (height - heights[place + 1])
-        if medium is None:
-            rows.append(SurfaceRow(name, shape, way, "reflect"))
-        else:
-            rows.append(SurfaceRow(name, shape, way, "refract", medium))
-    return OpticalSystem(
-        name="rubin",
-        surfaces=sequential(rows),
-        stop=0,
-        pupil=Pupil("entrance_diameter", 8360.0, 0.612),
-        fields=np.array([[0.0, 0.0], [0.0, radians(1.0)]]),
-        wavelengths=np.array([622e-6]),
-        note="Prescription of a public model; left out: clear apertures and what shadows the light.",
     )

@@ -27,7 +27,7 @@ from wavequake.optics.segments.layout import (
     polygons_from_csv,
     tmt18_segments,
 )
-from wavequake.optics.segments.observatories import elt, gmt, gtc, keck
+from wavequake.optics.segments.observatories import elt, gmt, gtc, het, keck
 from wavequake.optics.segments.telescope import (
     Row,
     SegmentedTelescope,
@@ -46,7 +46,8 @@ def telescope(name: str, **options: Any) -> SegmentedTelescope:
     Parameters
     ----------
     name : str
-        ``tmt``, ``tmt-18``, ``tmt-thesis``, ``jwst``, ``elt``, ``keck``, ``gtc``, ``gmt`` or ``custom``.
+        ``tmt``, ``tmt-18``, ``tmt-thesis``, ``jwst``, ``elt``, ``keck``, ``gtc``, ``het``, ``gmt`` or
+        ``custom``.
     **options
         Those of the function of the same name in this module; the others have none.
 
@@ -296,6 +297,7 @@ _BUILDERS: dict[str, Callable[..., SegmentedTelescope]] = {
     "elt": elt,
     "keck": keck,
     "gtc": gtc,
+    "het": het,
     "gmt": gmt,
     "custom": custom,
 }

@@ -118,6 +118,7 @@ def hexagon_ring_segments(
     gap: float = 0.0,
     radius: float = TMT_RADIUS,
     conic: float = TABLE_4_2_CONIC,
+    central: bool = False,
 ) -> Segments:
     """Return rings of regular hexagons about a missing one, named 1, 2, ... by ring and azimuth.
 
@@ -131,6 +132,8 @@ def hexagon_ring_segments(
         Distance between neighboring edges, mm.
     radius, conic : float
         Of the parent surface.
+    central : bool
+        Whether there is one in the middle, too; it is then number 1.
 
     Raises
     ------
@@ -141,7 +144,8 @@ def hexagon_ring_segments(
         raise UserError(f"The side of a hexagonal segment is {side:g} mm; it must be a positive length.")
     pitch = sqrt(3.0) * side
     require_gap(gap, 0.9 * pitch)
-    centers = np.concatenate([ring_centers(pitch, ring) for ring in range(1, rings + 1)])
+    middle = np.zeros((int(central), 2))
+    centers = np.concatenate([middle, *(ring_centers(pitch, ring) for ring in range(1, rings + 1))])
     angles = pi / 6.0 + pi / 3.0 * np.arange(6)
     corners = centers[:, None] + (side - gap / sqrt(3.0)) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     names = [str(number) for number in range(1, len(centers) + 1)]

@@ -1,4 +1,4 @@
-"""Segmented telescopes that stand or are built: Keck, GTC, GMT and ELT, with the sources of their numbers."""
+"""Segmented telescopes that stand or are built, Keck, GTC, HET, GMT and ELT: whence their numbers are."""
 
 from math import cos, inf, pi, sin
 
@@ -14,7 +14,8 @@ def keck() -> SegmentedTelescope:
 
     M1 is that of J. Nelson, Optical parameters of the Keck telescope, Keck Observatory Technical Note 163
     (rev. 3, 1991): R = 34.974 m, conic -1.003683, hexagons with sides of 0.9 m. The f/15 secondary (R =
-    4.737916 m, conic -1.644326) puts the focus 2.5 m behind the vertex of M1 from 15.395 m before it.
+    4.737916 m, conic -1.644326) puts the focus 2.5 m behind the vertex of M1 from 15.395 m before it; both
+    numbers follow from the note's f = 149.583 m and 2.5 m by the mirror formula and third-order theory.
     """
     radius, conic = -34974.0, -1.003683
     rows = [
@@ -24,8 +25,9 @@ def keck() -> SegmentedTelescope:
     gap = 3.0
     segments = hexagon_ring_segments(900.0 + gap / 3.0**0.5, 3, gap, radius, conic)
     note = (
-        "M1 as in Keck Observatory Technical Note 163, with the f/15 secondary; assumed are hexagons that "
-        "are regular as seen along the axis."
+        "M1 as in Keck Observatory Technical Note 163; the f/15 secondary is the one that makes the note's "
+        "focal length and focus without spherical aberration; assumed are hexagons that are regular as seen "
+        "along the axis."
     )
     return around_its_glass("keck", segments, radius, conic, rows, note)
 
@@ -49,6 +51,40 @@ def gtc() -> SegmentedTelescope:
         "are hexagons that are regular as seen along the axis."
     )
     return around_its_glass("gtc", segments, radius, conic, rows, note)
+
+
+def het() -> SegmentedTelescope:
+    """Return the Hobby-Eberly Telescope: 91 segments of a sphere and a corrector of one mirror, f = 36.5 m.
+
+    Published are 91 hexagons of 1 m across flats, equal parts of a sphere of R = 26.165 m, an array of 11.1 m
+    by 9.8 m, and f/3.65 of 10 m behind the wide-field corrector. Its four mirrors are not: M2 is here the one
+    Gregorian mirror, 1.2 m behind the focus of M1, that makes all paths along the axis equal and f = 36.5 m.
+    Its heights follow from the paths in closed form; the coefficients are fitted to them over the whole
+    array, and leave 11 nm rms of wavefront.
+    """
+    radius, focal_length, behind = -26165.0, 36500.0, 1200.0
+    reach = behind * focal_length / (0.5 * -radius)  # from M2 to the image
+    m2_radius, m2_conic = (
+        2.0 * behind * reach / (behind + reach),
+        -(((reach - behind) / (reach + behind)) ** 2),
+    )
+    even = (
+        *(0.0, -9.85133814616e-11, 1.65222011281e-16, -4.34423478771e-22, 1.0696817104e-27),
+        *(-1.97956787974e-33, 2.25108280907e-39, -1.14276975237e-45),
+    )
+    rows = [
+        Row("M2", m2_radius, m2_conic, 0.5 * -radius + behind, even=even),
+        Row("image", inf, 0.0, reach),
+    ]
+    gap = 6.0
+    segments = hexagon_ring_segments((1000.0 + gap) / 3.0**0.5, 5, gap, radius, 0.0, central=True)
+    note = (
+        "Published are the segments, the radius of M1 and the focal length; assumed are gaps of 6 mm, with "
+        "which the array is as wide as published, hexagons that are regular as seen along the axis, and M2: "
+        "one mirror in the place of the corrector's four, sharp on the axis alone; all of M1 is used, where "
+        "the telescope's pupil is a circle of 10 m that wanders over it."
+    )
+    return around_its_glass("het", segments, radius, 0.0, rows, note)
 
 
 def gmt() -> SegmentedTelescope:

@@ -50,13 +50,13 @@ class SurfaceSection(Section):
 
 
 # Telescopes whose glass is that of polygons which belong to their names.
-_OF_POLYGONS = ("tmt", "tmt-18", "jwst", "elt", "keck", "gtc", "gmt")
+_OF_POLYGONS = ("tmt", "tmt-18", "jwst", "elt", "keck", "gtc", "het", "gmt")
 
 
 class TelescopeSection(Section):
     """Which telescope, and what may be changed of it."""
 
-    name: Literal["tmt", "tmt-18", "tmt-thesis", "jwst", "elt", "keck", "gtc", "gmt", "custom"]
+    name: Literal["tmt", "tmt-18", "tmt-thesis", "jwst", "elt", "keck", "gtc", "het", "gmt", "custom"]
     side_mm: float | None = Field(default=None, gt=0, description="tmt-18: side length of the hexagons")
     gap_mm: float | None = Field(default=None, ge=0, description="tmt, tmt-18: gap between the segments")
     polygons: str | None = Field(
