@@ -92,7 +92,7 @@ def test_bandwidth_and_margins_are_those_that_were_asked_for(tmp_path):
 
 
 def test_sensors_of_segments_read_their_own_segment():
-    seen = np.arange(3.0 * len(LIGHT.layout))
+    seen = np.arange(float(LIGHT.bodies))
     names = LIGHT.layout.names
     one = DisplacementSensors(name="d", segments=(names[3], names[5]), dofs=("rx", "dz"))
     assert one.labels(LIGHT) == tuple(f"{dof}[{names[k]}]" for dof in ("rx", "dz") for k in (3, 5))
@@ -171,7 +171,7 @@ latency_frames = 0.5
         ("rate_hz = 2000.0", 'segments = ["Q*"]', "sensor.where.segments: there is no segment 'Q*'"),
         ("bandwidth_hz = 150.0", "bandwidth_hz = 900.0", "held: no controller keeps |S| and |K S| below"),
         ("bandwidth_hz = 150.0", "bandwidth_hz = 1200.0", "is 1200, not below half of its 2000 commands"),
-        ('sensor = "where"', 'sensor = "acceleration"', "does not see where things stand; state-space or"),
+        ('sensor = "where"', 'sensor = "acceleration"', "does not see where things stand; take lqg, lqr,"),
         ("each = true", "each = false", "inertial leads from 1 readings to 1 commands, but the sensor"),
         ("terms = 15", "terms = 28", "actuator.push.terms is 28, more than wavefront.zernike_terms 15"),
     ],

@@ -10,8 +10,9 @@ from typer.testing import CliRunner
 import wavequake as wq
 from wavequake.campaign.plugins import load_text
 from wavequake.campaign.stopwatch import Stopwatch
-from wavequake.chain.loops.block import Centroids, Light
+from wavequake.chain.loops.block import Centroids
 from wavequake.chain.loops.displaced import seen_through
+from wavequake.chain.loops.light import Light
 from wavequake.chain.loops.sensors.edges import EdgeSensors
 from wavequake.chain.loops.sensors.slopes import SlopeSensor
 from wavequake.chain.loops.sensors.wavefront import WavefrontSensor

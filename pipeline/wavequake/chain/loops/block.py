@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from wavequake.campaign.schema import Section
-from wavequake.control.sampled.channel import RIGID, Dynamics, Timing, first_order, second_order
+from wavequake.chain.loops.light import Light
+from wavequake.control.sampled.channel import RIGID, Dynamics, Timing, first_order, in_series, second_order
 from wavequake.control.sampled.regulator import Instant, Regulator, Stepped
 from wavequake.errors import UserError
-from wavequake.mechanics.disturbances.layout import SegmentLayout
-from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
 from wavequake.mechanics.disturbances.source import AnySource
 from wavequake.optics.segments.states import SurfaceStates
 from wavequake.registry import Registry
@@ -27,55 +26,11 @@ Varied = Annotated[tuple[float | str, ...], Field(strict=False)]
 _NAMED = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 
 
-@dataclass(frozen=True)
-class Light:
-    """What sensors see: the line of sight x, y in mas and Noll coefficients 4..J of the wavefront in nm.
-
-    Where a sensor sees segments themselves, dz (nm), rx and ry (nrad) of all of them follow.
-
-    Attributes
-    ----------
-    terms : int
-        J.
-    obscuration, radius_mm : float
-        Of the pupil.
-    layout : SegmentLayout
-        The segments of M1.
-    segments_too : bool
-        Whether motions of the segments are seen.
-    """
-
-    terms: int
-    obscuration: float
-    radius_mm: float
-    layout: SegmentLayout
-    segments_too: bool = False
-
-    @property
-    def optical(self) -> int:
-        """Number of entries that are light."""
-        return self.terms - 1
-
-    def __len__(self) -> int:
-        return self.optical + (3 * len(self.layout) if self.segments_too else 0)
-
-    @property
-    def tilt(self) -> float:
-        """Noll tilt of the wavefront, nm, of 1 mas of line of sight: OPD falls to where the image goes."""
-        size = self.radius_mm * 1e6 * RAD_PER_MAS
-        return float(-0.5 * np.hypot(1.0, self.obscuration) * size)
-
-    @property
-    def noll(self) -> Array:
-        """From what sensors see to Noll coefficients 2..J in nm, (J - 1, J - 1)."""
-        return np.diag([self.tilt, self.tilt, *np.ones(self.terms - 3)])
-
-
 class Sensor(Section):
     """A sensor that averages over its frames; a study file names it by the default of its field ``model``."""
 
     units: ClassVar[str]
-    sees: ClassVar[Literal["light", "segments"]] = "light"
+    sees: ClassVar[Literal["light", "bodies"]] = "light"
 
     name: str = Field(pattern=_NAMED, description="also names its random numbers")
     rate_hz: float = Field(default=1000.0, gt=0, description="frames per second")
@@ -102,7 +57,7 @@ class Sensor(Section):
         raise NotImplementedError
 
     def matrix(self, light: Light, nominal: bool = False) -> Array:
-        """Return readings per what of it is seen, (m, J - 1) or (m, 3 S): as they are, or as believed."""
+        """Return readings per what of it is seen, (m, J - 1) or (m, 3 S or more): as they are or believed."""
         raise NotImplementedError
 
     def readings(self, light: Light, nominal: bool = False) -> Array:
@@ -110,7 +65,7 @@ class Sensor(Section):
         found, rest = self.matrix(light, nominal), len(light) - light.optical
         if self.sees == "light":
             return np.pad(found, ((0, 0), (0, rest)))
-        return np.pad(found, ((0, 0), (light.optical, 0)))
+        return np.pad(found, ((0, 0), (light.optical, rest - found.shape[1])))
 
     def noise_rms(self) -> float:
         """Return the standard deviation of a reading of one frame."""
@@ -203,8 +158,8 @@ class Design:
         Readings per position, as they are believed to be.
     noise : float
         Rms of a reading's mean over a period.
-    dynamics : Dynamics
-        From a channel's command to its reading: actuator and sensor.
+    follows, shows : Dynamics
+        How the actuator follows a command, and a reading what is read.
     timing : Timing
     """
 
@@ -215,8 +170,14 @@ class Design:
     channels: tuple[str, ...]
     sees: Array
     noise: float
-    dynamics: Dynamics
+    follows: Dynamics
+    shows: Dynamics
     timing: Timing
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """From a channel's command to its reading."""
+        return in_series(self.follows, self.shows)
 
     @property
     def sees_positions(self) -> bool:
@@ -301,7 +262,7 @@ def decoupling(asked: Design, modes: int | None = None, rates: bool = False) -> 
     sizes = np.linalg.norm(asked.sees, axis=0)
     where = f"controller.{asked.controller}: the sensor {asked.sensor!r}"
     if not (rates or asked.sees_positions):
-        raise UserError(f"{where} does not see where things stand; state-space or a function can use it.")
+        raise UserError(f"{where} does not see where things stand; take lqg, lqr, state-space or a function.")
     if not sizes.all():
         channel = asked.channels[int(np.flatnonzero(sizes == 0)[0])]
         raise UserError(f"{where} does not see {channel!r} of the actuator {asked.actuator!r} at all.")

@@ -9,6 +9,9 @@ from scipy.signal import tf2ss
 
 from wavequake.control.linear import Array
 
+# So many times a disturbance may decay by e within a step.
+_DECAYS = 5.0
+
 
 @dataclass(frozen=True)
 class Shaped:
@@ -33,7 +36,7 @@ def wind_shake(amplitude: float, corner_hz: float, mode_hz: float, damping: floa
     corner, mode = 2 * np.pi * corner_hz, 2 * np.pi * mode_hz
     down = np.polymul(np.polymul([1 / corner, 1], [1 / corner, 1]), [1 / mode**2, damping / mode, 1])
     a, g, c, _ = tf2ss([np.sqrt(amplitude / 2) / (2 * np.pi), 0.0], down)
-    return _balanced(a, g, c[0])
+    return balanced(Shaped(a, g, c[0]))[0]
 
 
 def line(center_hz: float, fwhm_hz: float, rms: float) -> Shaped:
@@ -43,9 +46,8 @@ def line(center_hz: float, fwhm_hz: float, rms: float) -> Shaped:
     omega, rate = 2 * np.pi * f0, 2 * np.pi * width
     # x'' + rate x' + omega^2 x = k w has the variance k^2 / (2 rate omega^2).
     k = rms * np.sqrt(2 * rate) * omega
-    return _balanced(
-        np.array([[0.0, 1.0], [-(omega**2), -rate]]), np.array([[0.0], [k]]), np.array([1.0, 0.0])
-    )
+    a = np.array([[0.0, 1.0], [-(omega**2), -rate]])
+    return balanced(Shaped(a, np.array([[0.0], [k]]), np.array([1.0, 0.0])))[0]
 
 
 def joined(parts: Sequence[Shaped]) -> Shaped:
@@ -57,10 +59,10 @@ def joined(parts: Sequence[Shaped]) -> Shaped:
     )
 
 
-def _balanced(a: Array, g: Array, c: Array) -> Shaped:
-    """Scale states to unit variance."""
-    sizes = np.sqrt(np.diag(solve_continuous_lyapunov(a, -g @ g.T)))
-    return Shaped(a * sizes / sizes[:, None], g / sizes[:, None], c * sizes)
+def balanced(one: Shaped) -> tuple[Shaped, Array]:
+    """Scale states to unit variance; returns their sizes (n,) too."""
+    sizes = np.sqrt(np.diag(solve_continuous_lyapunov(one.a, -one.g @ one.g.T)))
+    return Shaped(one.a * sizes / sizes[:, None], one.g / sizes[:, None], one.c * sizes), sizes
 
 
 @dataclass(frozen=True)
@@ -98,9 +100,14 @@ def sampled(disturbance: Shaped, frame: float) -> Sampled:
     a[:count, :count], a[count, :count] = disturbance.a, disturbance.c
     g = np.vstack([disturbance.g, np.zeros((1, disturbance.g.shape[1]))])
     zero = np.zeros_like(a)
-    whole = expm(np.block([[-a, g @ g.T], [zero, a.T]]) * frame)
+    # What decays within a frame would overflow backwards: shorter steps, doubled.
+    fastest = float(-np.linalg.eigvals(disturbance.a).real.min()) * frame
+    doubled = max(int(np.ceil(np.log2(fastest / _DECAYS))), 0) if fastest > 0 else 0
+    whole = expm(np.block([[-a, g @ g.T], [zero, a.T]]) * (frame / 2**doubled))
     step = whole[count + 1 :, count + 1 :].T
     noise = step @ whole[: count + 1, count + 1 :]
+    for _ in range(doubled):
+        noise, step = step @ noise @ step.T + noise, step @ step
     noise = (noise + noise.T) / 2
     states = solve_continuous_lyapunov(disturbance.a, -disturbance.g @ disturbance.g.T)
     row, r = step[count, :count] / frame, float(noise[count, count]) / frame**2

@@ -70,6 +70,15 @@ def acceleration(frequency_hz: float, zeta: float) -> Dynamics:
     return Dynamics(mass.a, mass.b, np.array([-(w**2), -2 * zeta * w**2]), w**2)
 
 
+def recoil(frequency_hz: float, zeta: float) -> Dynamics:
+    """Return how a mode of a structure answers what moves along it: w^2 / (s^2 + 2 zeta w s + w^2) - 1.
+
+    Nothing at rest, and the opposite of what is fast.
+    """
+    mode = second_order(frequency_hz, zeta)
+    return Dynamics(mode.a, mode.b, mode.c, -1.0)
+
+
 def in_series(first: Dynamics, second: Dynamics) -> Dynamics:
     """Return dynamics whose input is what others give; states of the first come first."""
     n, m = len(first), len(second)

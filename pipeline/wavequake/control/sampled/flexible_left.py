@@ -12,7 +12,7 @@ import numpy as np
 from wavequake.control.linear import Array
 from wavequake.control.robustness.margins import Margins
 from wavequake.control.sampled.flexible import Complex, FlexibleLoop, Reduced, poles, response
-from wavequake.control.sampled.stability import LoopGain, gain_margins, pole_grid
+from wavequake.control.sampled.margins import LoopGain, gain_margins, pole_grid
 
 # Where integrals are parted about a pole, in its half widths.
 _ABOUT = np.array([-10.0, -3.0, -1.0, 0.0, 1.0, 3.0, 10.0])

@@ -16,6 +16,7 @@ from wavequake.control.sampled.channel import RIGID, SAME, Dynamics, Step, Timin
 from wavequake.control.sampled.regulator import Regulator, Stepped, advance, start
 
 OPEN, READ, ACT, LOOK = range(4)
+_STEP = ("phi", "gamma", "row", "through")
 # Beyond it a case has diverged; commands are of the order of 1e-9 to 1.
 ENDLESS = 1e30
 
@@ -51,12 +52,15 @@ class Loop:
     timing : Timing
     regulator : Regulator
     actuator : Actuator
-    sees : ndarray, shape (m, P)
-        How readings follow the positions of all loops' channels, one loop after the other.
+    sees : ndarray, shape (m, P + K)
+        How readings follow the positions of all loops' channels, one loop after the other, and then the
+        modes of the structure.
     quantum : float
         To whole multiples of this readings are rounded; 0: they are not.
     sensor : Dynamics
         How each reading follows what is read.
+    drives : ndarray, shape (K, p), or None
+        How the channels move along each mode of the structure.
     """
 
     timing: Timing
@@ -65,6 +69,7 @@ class Loop:
     sees: Array
     quantum: float = 0.0
     sensor: Dynamics = RIGID
+    drives: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -93,8 +98,9 @@ class Outcome:
 
     Attributes
     ----------
-    positions : ndarray, shape (l, P, cases)
-        Of all channels at the instants that are looked at, before what acts just then.
+    positions : ndarray, shape (l, P + K, cases)
+        Of all channels and of the structure's modes at the instants that are looked at, before what acts just
+        then.
     limited : ndarray, shape (cases,)
         Share of the channels' commands that stroke or slew limited.
     diverged : ndarray of bool, shape (cases,)
@@ -184,7 +190,43 @@ class _Moving:
         return np.asarray(np.where(np.isnan(stuck), self.integral / self.integration, stuck))
 
 
-def run(loops: Sequence[Loop], events: Schedule, seen: Sequence[Array], looks: int) -> Outcome:
+@dataclass
+class _Answering:
+    """Modes of a structure, as a sensor sees them, that answer one actuator: states (K, n, cases)."""
+
+    drives: Array
+    own: int
+    rows: Array
+    through: Array
+    integration: float
+    steps: Sequence[tuple[Array, ...]]
+    states: Array
+    held: Array
+    integral: Array
+
+    def pass_by(self, length: int) -> None:
+        """Move on by one of the lengths of the schedule."""
+        phi, gamma, row, through = self.steps[length]
+        self.integral += np.matmul(row[:, None], self.states)[:, 0] + through[:, None] * self.held
+        self.states = np.matmul(phi, self.states) + gamma[:, :, None] * self.held[:, None]
+
+    def position(self) -> Array:
+        """Return where the modes are, (K, cases)."""
+        found = np.matmul(self.rows[:, None], self.states[:, : self.own])[:, 0]
+        return np.asarray(found + self.through[:, None] * self.held)
+
+    def mean(self) -> Array:
+        """Return what is read of the modes, on average since the sensor opened."""
+        return np.asarray(self.integral / self.integration)
+
+
+def run(
+    loops: Sequence[Loop],
+    events: Schedule,
+    seen: Sequence[Array],
+    looks: int,
+    structure: Sequence[Dynamics] = (),
+) -> Outcome:
     """Run loops that begin at rest.
 
     Parameters
@@ -196,29 +238,40 @@ def run(loops: Sequence[Loop], events: Schedule, seen: Sequence[Array], looks: i
         Of each loop's sensor: the mean of the disturbance over each frame, with noise.
     looks : int
         Number of instants that are looked at.
+    structure : sequence of Dynamics
+        How each of its modes answers what moves along it, as `recoil`.
     """
     cases = seen[0].shape[2]
-    # Every sensor averages over its own frames what all actuators do.
+    # Every sensor averages over its own frames what all actuators do, and what the structure answers.
     moving = [[_at_rest(other, loop, events.lengths, cases) for other in loops] for loop in loops]
-    channels = sum(len(loop.actuator.stroke) for loop in loops)
+    answers = [
+        [_answering(structure, other, loop, events.lengths, cases) for other in loops if structure]
+        for loop in loops
+    ]
+    channels = sum(len(loop.actuator.stroke) for loop in loops) + len(structure)
     positions = np.empty((looks, channels, cases))
     limited, total, look = np.zeros(cases), 0, 0
     with np.errstate(over="ignore", invalid="ignore"):
         for length, kind, index in zip(events.steps, events.kinds, events.loops, strict=True):
             if length >= 0:
-                for row in moving:
+                for row, answered in zip(moving, answers, strict=True):
                     for one in row:
                         one.pass_by(length)
+                    for mode in answered:
+                        mode.pass_by(length)
             if kind == LOOK:
-                positions[look] = np.concatenate([one.position() for one in moving[0]])
+                positions[look] = _joined(
+                    [one.position() for one in moving[0]], [one.position() for one in answers[0]]
+                )
                 look += 1
             elif kind == OPEN:
-                for one in moving[index]:
+                for one in (*moving[index], *answers[index]):
                     one.integral[:] = 0.0
             elif kind == READ:
                 mine = moving[index][index]
-                _read(mine, np.concatenate([one.mean() for one in moving[index]]), seen[index])
-                for one in moving[index]:
+                means = _joined([one.mean() for one in moving[index]], [one.mean() for one in answers[index]])
+                _read(mine, means, seen[index])
+                for one in (*moving[index], *answers[index]):
                     one.integral[:] = 0.0
                 if mine.frame % mine.loop.timing.frames == 0:
                     limited += _command(mine)
@@ -227,6 +280,9 @@ def run(loops: Sequence[Loop], events: Schedule, seen: Sequence[Array], looks: i
                 command = moving[index][index].waiting.pop(0)
                 for row in moving:
                     row[index].held = command
+                for answered in answers:
+                    for mode in answered[index : index + 1]:
+                        mode.held = mode.drives @ command
     diverged = np.logical_not(np.all(np.abs(positions) < ENDLESS, axis=(0, 1)))
     return Outcome(positions, limited / max(total, 1), np.asarray(diverged))
 
@@ -245,6 +301,35 @@ def _at_rest(loop: Loop, seen_by: Loop, lengths: Sequence[float], cases: int) ->
         controller=start(loop.regulator, cases),
         readings=np.zeros((len(loop.sees), cases)),
     )
+
+
+def _answering(
+    structure: Sequence[Dynamics], loop: Loop, seen_by: Loop, lengths: Sequence[float], cases: int
+) -> _Answering:
+    assert loop.drives is not None
+    own = [in_series(loop.actuator.dynamics, mode) for mode in structure]
+    read = [in_series(one, seen_by.sensor) for one in own]
+    steps = []
+    for length in lengths:
+        each = [step_over(one, length) for one in read]
+        steps.append(tuple(np.array([getattr(one, name) for one in each]) for name in _STEP))
+    k = len(structure)
+    return _Answering(
+        loop.drives,
+        len(own[0]),
+        np.array([one.c for one in own]),
+        np.array([one.d for one in own]),
+        seen_by.timing.integration,
+        steps,
+        states=np.zeros((k, len(read[0]), cases)),
+        held=np.zeros((k, cases)),
+        integral=np.zeros((k, cases)),
+    )
+
+
+def _joined(channels: list[Array], modes: list[Array]) -> Array:
+    """Return channels one loop after the other, and the sum of what the structure answers them."""
+    return np.concatenate([*channels, *([np.sum(modes, axis=0)] if modes else [])])
 
 
 def _read(one: _Moving, means: Array, seen: Array) -> None:

@@ -1,31 +1,28 @@
 """Poles and margins of a sampled loop of many channels, all that is changed changed in all of them alike.
 
 Where all channels share a filter and the actuator's dynamics, a loop is as many loops of one channel as there
-are eigenvalues of W M, decoupling times sight: each is small, whatever the number of channels.
+are eigenvalues of W M, decoupling times sight: each is small, whatever the number of channels. A structure
+that answers them couples the few directions that drive it or show it.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq, minimize_scalar
 
 from wavequake.control.linear import Array, LinearModel, frequency_response
 from wavequake.control.robustness.margins import Margins
-from wavequake.control.sampled.channel import Dynamics, Timing, sampled_channel
+from wavequake.control.sampled.alike import Parts, apart, coupled, sizes_of
+from wavequake.control.sampled.channel import Dynamics, Timing, in_series, sampled_channel
+from wavequake.control.sampled.margins import LoopGain, gain_margins, pole_grid
 from wavequake.control.sampled.regulator import Regulator, model_of
 
 Complex = NDArray[np.complex128]
 
-# Factors of the gain that are tried, up and down; beyond them a margin does not matter.
-_FACTORS = np.geomspace(1.0, 1e3, 150)
-_ROUNDING = 1e-9
 # Eigenvalues of W M nearer than this share of the largest one are one.
 _ALIKE = 1e-9
-_POINTS = 1500
-# Eigenvalues whose crossings are followed, and frequencies at which singular values are taken.
-_FINE, _TRIED, _EVENLY = 60, 12, 60
+# Squares of what W gives below this share of the largest are rounding.
+_UNUSED = 1e-13
 
 
 @dataclass(frozen=True)
@@ -39,12 +36,32 @@ class SampledLoop:
     sees : ndarray, shape (m, p)
         Change of readings with positions, as they truly are.
     regulator : Regulator
+    structure : tuple of Dynamics
+        How each of K modes of a structure answers what moves along it.
+    drives, shown : ndarray, shapes (K, p) and (m, K), or None
+        How positions move along modes, and readings with them.
     """
 
     timing: Timing
     dynamics: Dynamics
     sees: Array
     regulator: Regulator
+    structure: tuple[Dynamics, ...] = ()
+    drives: Array | None = None
+    shown: Array | None = None
+
+    def modes(self) -> tuple[Array, Array]:
+        """Return readings per mode of the structure (m, K) and modes per position (K, p)."""
+        m, p = self.sees.shape
+        return (
+            np.zeros((m, 0)) if self.shown is None else self.shown,
+            np.zeros((0, p)) if self.drives is None else self.drives,
+        )
+
+    def channels(self) -> tuple[LinearModel, ...]:
+        """Return one channel by periods, then through each mode of the structure."""
+        through = (in_series(self.dynamics, mode) for mode in self.structure)
+        return tuple(sampled_channel(one, self.timing) for one in (self.dynamics, *through))
 
 
 @dataclass(frozen=True)
@@ -59,14 +76,7 @@ class Worst:
 
 def plant_model(loop: SampledLoop) -> LinearModel:
     """Return the plant from commands (p,) to mean readings (m,) by periods; strictly proper."""
-    one, unit = sampled_channel(loop.dynamics, loop.timing), np.eye(loop.sees.shape[1])
-    return LinearModel(
-        np.asarray(np.kron(one.a, unit), dtype=np.float64),
-        np.asarray(np.kron(one.b, unit), dtype=np.float64),
-        loop.sees @ np.kron(one.c, unit),
-        np.zeros(loop.sees.shape),
-        one.sample_time,
-    )
+    return coupled(loop.channels(), loop.sees, *loop.modes())
 
 
 def controller_model(loop: SampledLoop) -> LinearModel:
@@ -75,25 +85,100 @@ def controller_model(loop: SampledLoop) -> LinearModel:
     return LinearModel(found.a, found.b, -found.c, -found.d, found.sample_time)
 
 
+@dataclass(frozen=True)
+class _Closed:
+    """A loop as loops of one channel with real or complex gains, and one of several directions.
+
+    Attributes
+    ----------
+    channel, own : LinearModel
+        Of one channel: plant and filter.
+    gains : ndarray of complex, shape (g,)
+    weights : ndarray, shape (p, g)
+        Which channels take part.
+    several, controller : LinearModel or None
+        Plant and controller of N directions.
+    basis : ndarray, shape (p, N)
+    """
+
+    channel: LinearModel
+    own: LinearModel
+    gains: Complex
+    weights: Array
+    several: LinearModel | None
+    controller: LinearModel
+    basis: Array
+
+    def poles(self, factor: float) -> list[Complex]:
+        """Return the poles of each loop, with the loop gain times a factor."""
+        found = [_scalar_poles(self.channel, self.own, factor * one) for one in self.gains]
+        if self.several is not None:
+            found.append(np.asarray(np.linalg.eigvals(self.step(factor)), dtype=np.complex128))
+        return found
+
+    def radius(self, factor: float) -> float:
+        """Return the size of the largest pole."""
+        return max(float(np.abs(one).max(initial=0.0)) for one in self.poles(factor))
+
+    def step(self, factor: float) -> Array:
+        """Return the step of the loop of several directions."""
+        assert self.several is not None
+        plant, own, c = self.several, self.controller, factor * self.several.c
+        return np.block([[plant.a + plant.b @ own.d @ c, plant.b @ own.c], [own.b @ c, own.a]])
+
+
+def _closed(loop: SampledLoop, parts: Parts | None) -> _Closed:
+    channels, period, p = loop.channels(), loop.timing.period, loop.sees.shape[1]
+    if parts is None:
+        own = model_of(loop.regulator, period)
+        nothing = np.zeros(0, dtype=complex), np.zeros((p, 0))
+        return _Closed(channels[0], own, *nothing, plant_model(loop), own, np.eye(p))
+    own = _filter(loop.regulator)
+    if not loop.structure:
+        gains, vectors = _distinct(parts)
+        return _Closed(channels[0], own, gains, np.abs(vectors), None, own, parts.basis)
+    rest = [] if parts.value is None else [parts.value]
+    weights = np.sqrt(np.maximum(1.0 - np.sum(parts.basis**2, axis=1, keepdims=True), 0.0))
+    unit = np.eye(len(parts.inner))
+    a, b, c, d = (np.asarray(np.kron(unit, one)) for one in (own.a, own.b, own.c, own.d))
+    several = LinearModel(a, b, c, d)
+    gains = np.array(rest, dtype=complex)
+    return _Closed(
+        channels[0], own, gains, weights[:, : len(rest)], parts.plant(channels), several, parts.basis
+    )
+
+
+def _parts(loop: SampledLoop) -> Parts | None:
+    """Return what is alike of a loop whose channels share a filter; None if they do not."""
+    if not loop.regulator.shared:
+        return None
+    shown, drives = loop.modes()
+    through = loop.regulator.decoupling
+    if not loop.structure:
+        return apart(through @ loop.sees, through @ shown, drives)
+    # What is never commanded would stand there as integrators that nothing drives.
+    squares, vectors = np.linalg.eigh(through @ through.T)
+    used = vectors[:, squares > _UNUSED * squares[-1]]
+    if used.shape[1] == len(through):
+        return apart(through @ loop.sees, through @ shown, drives)
+    through = used.T @ through
+    found = apart(through @ loop.sees @ used, through @ shown, drives @ used)
+    return replace(found, basis=used @ found.basis)
+
+
 def worst_pole(loop: SampledLoop, factor: float = 1.0) -> Worst:
     """Return the pole that grows most, with the loop gain times a factor."""
-    plant = sampled_channel(loop.dynamics, loop.timing)
-    sees = factor * loop.sees
-    if loop.regulator.shared:
-        gains, shapes = np.linalg.eig(loop.regulator.decoupling @ sees)
-        kept = np.unique(np.round(gains / np.abs(gains).max(), 9), return_index=True)[1]
-        kept = kept[np.abs(gains[kept]) > _ALIKE * np.abs(gains).max()]  # nothing drives the others
-        found = [_closed(plant, _filter(loop.regulator), one) for one in gains[kept]]
-        mode = int(np.argmax([np.abs(one).max(initial=0.0) for one in found]))
-        values, channels = found[mode], np.abs(shapes[:, kept[mode]])
+    closed = _closed(loop, _parts(loop))
+    found = closed.poles(factor)
+    which = int(np.argmax([np.abs(one).max(initial=0.0) for one in found]))
+    values = found[which]
+    if which < len(closed.gains):
+        channels = closed.weights[:, which]
     else:
-        whole, own = plant_model(loop), model_of(loop.regulator, loop.timing.period)
-        whole = LinearModel(whole.a, whole.b, factor * whole.c, whole.d, whole.sample_time)
-        step = np.block([[whole.a + whole.b @ own.d @ whole.c, whole.b @ own.c], [own.b @ whole.c, own.a]])
-        values, vectors = np.linalg.eig(step)
-        p = loop.sees.shape[1]
-        parts = np.abs(vectors[: len(whole.a), np.abs(values).argmax()]).reshape(-1, p)
-        channels = parts.sum(axis=0)
+        values, vectors = np.linalg.eig(closed.step(factor))
+        n = len(closed.channel.a) * closed.basis.shape[1]
+        parts = vectors[:n, np.abs(values).argmax()].reshape(-1, closed.basis.shape[1])
+        channels = np.abs(parts @ closed.basis.T).sum(axis=0)
     value = complex(values[np.abs(values).argmax()])
     rate = np.log(max(abs(value), 1e-300)) / loop.timing.period
     hertz = abs(np.angle(value)) / (2 * np.pi * loop.timing.period)
@@ -105,80 +190,56 @@ def _filter(regulator: Regulator) -> LinearModel:
     return LinearModel(a, b, c, d)
 
 
-def _closed(plant: LinearModel, own: LinearModel, gain: complex) -> Complex:
+def _scalar_poles(plant: LinearModel, own: LinearModel, gain: complex) -> Complex:
     """Return the poles of u = filter(gain plant(u))."""
     c = gain * plant.c
     closed = np.block([[plant.a + plant.b @ own.d @ c, plant.b @ own.c], [own.b @ c, own.a]])
     return np.asarray(np.linalg.eigvals(closed), dtype=np.complex128)
 
 
-@dataclass(frozen=True)
-class LoopGain:
-    """The loop gain -K G at the commands over frequency, in Hz: eigenvalues (f, q) and whole, (q, q)."""
+def _distinct(parts: Parts) -> tuple[Complex, Complex]:
+    """Return the eigenvalues of W M, without those that are alike or nothing, and their vectors."""
+    gains, vectors = parts.gains()
+    largest = np.abs(gains).max()
+    kept = np.unique(np.round(gains / largest, 9), return_index=True)[1]
+    kept = kept[np.abs(gains[kept]) > _ALIKE * largest]  # nothing drives the others
+    return gains[kept], vectors[:, kept]
 
-    loci: Callable[[Array], Complex]
-    whole: Callable[[float], Complex]
 
-
-def _loop_gain(loop: SampledLoop) -> LoopGain:
-    plant, period = sampled_channel(loop.dynamics, loop.timing), loop.timing.period
-    regulator = loop.regulator
-    if not regulator.shared:
-        model = model_of(regulator, period)
+def _loop_gain(loop: SampledLoop, parts: Parts | None) -> LoopGain:
+    channels, period = loop.channels(), loop.timing.period
+    if parts is None:
+        model = model_of(loop.regulator, period)
+        shown, drives = loop.modes()
 
         def full(hertz: Array) -> Complex:
-            size = frequency_response(plant, 2 * np.pi * hertz)
-            return np.asarray(-frequency_response(model, 2 * np.pi * hertz) @ loop.sees * size)
+            sizes = sizes_of(channels, hertz)[:, None]
+            plant = loop.sees * sizes[..., :1] + (shown * sizes[..., 1:]) @ drives
+            return np.asarray(-frequency_response(model, 2 * np.pi * hertz) @ plant)
 
         return LoopGain(
             lambda hertz: np.asarray(np.linalg.eigvals(full(hertz)), dtype=np.complex128),
             lambda hertz: np.asarray(full(np.array([hertz]))[0]),
         )
-    own = _filter(regulator)
+    own = _filter(loop.regulator)
     own = LinearModel(own.a, own.b, own.c, own.d, period)
-    gains, matrix = _distinct(loop), regulator.decoupling @ loop.sees
-    if len(gains) == 1 and np.abs(matrix - gains[0] * np.eye(len(matrix))).max() < _ALIKE * np.abs(gains[0]):
-        matrix = np.array([[gains[0].real]])  # as many equal loops
 
-    def size(hertz: Array) -> Complex:
-        omega = 2 * np.pi * hertz
-        found = -frequency_response(own, omega) * frequency_response(plant, omega)
-        return np.asarray(found[:, 0, 0])
+    def sizes(hertz: Array) -> Complex:
+        found = -frequency_response(own, 2 * np.pi * hertz)[:, 0] * sizes_of(channels, hertz)
+        return np.asarray(found)
 
-    return LoopGain(
-        lambda hertz: np.asarray(size(hertz)[:, None] * gains),
-        lambda hertz: np.asarray(size(np.array([hertz]))[0] * matrix),
-    )
+    def whole(hertz: float) -> Complex:
+        return parts.whole(sizes(np.array([hertz]))[0])
 
+    if not loop.structure:
+        gains = _distinct(parts)[0]
+        return LoopGain(lambda hertz: np.asarray(sizes(hertz) * gains), whole)
 
-def _distinct(loop: SampledLoop) -> Complex:
-    """Return the eigenvalues of W M without those that are alike or nothing."""
-    gains = np.linalg.eigvals(loop.regulator.decoupling @ loop.sees).astype(complex)
-    largest = np.abs(gains).max()
-    kept = np.unique(np.round(gains / largest, 9), return_index=True)[1]
-    return np.asarray(gains[kept][np.abs(gains[kept]) > _ALIKE * largest])
+    def loci(hertz: Array) -> Complex:
+        found = [np.linalg.eigvals(parts.whole(one)) for one in sizes(hertz)]
+        return np.asarray(found, dtype=np.complex128)
 
-
-def _grid(loop: SampledLoop) -> Array:
-    """Return rising frequencies up to half the rate of commands, some about each pole of the loop."""
-    if loop.regulator.shared:
-        plant = sampled_channel(loop.dynamics, loop.timing)
-        values = np.concatenate([_closed(plant, _filter(loop.regulator), one) for one in _distinct(loop)])
-    else:
-        values = np.linalg.eigvals(model_of(loop.regulator, loop.timing.period).a).astype(complex)
-    return pole_grid(values, loop.timing.period)
-
-
-def pole_grid(values: Complex, period: float) -> Array:
-    """Return rising frequencies up to half the rate of commands, some about each pole of a period, in Hz."""
-    high = 0.5 / period
-    poles = np.log(values[np.abs(values) > 1e-6]) / period / (2 * np.pi)
-    poles = poles[poles.imag >= 0]
-    poles = poles[np.unique(np.round(np.log(np.abs(poles) + 1e-300), 6), return_index=True)[1]]
-    poles = poles[np.abs(poles.real) < 0.2 * np.abs(poles.imag)]
-    about = (poles.imag[:, None] + np.abs(poles.real)[:, None] * np.linspace(-6, 6, 25)).ravel()
-    between = [np.linspace(0, high, _POINTS)[1:], np.geomspace(1e-6 * high, high, _POINTS)]
-    return np.unique(np.concatenate([about[(about > 0) & (about <= high)], *between]))
+    return LoopGain(loci, whole)
 
 
 def sampled_margins(loop: SampledLoop) -> Margins:
@@ -187,33 +248,15 @@ def sampled_margins(loop: SampledLoop) -> Margins:
     The last frequency is that at which an eigenvalue of the loop gain reaches 1. The sensitivity is
     (I - K G)^-1 of what the actuators should do, G the plant and K the regulator.
     """
-    plant = sampled_channel(loop.dynamics, loop.timing)
-    gains = _distinct(loop) if loop.regulator.shared else np.zeros(0, dtype=complex)
-
-    def radius(factor: float) -> float:
-        if not len(gains):
-            return abs(worst_pole(loop, factor).value)
-        poles = (_closed(plant, _filter(loop.regulator), factor * one) for one in gains)
-        return max(float(np.abs(one).max()) for one in poles)
-
-    return gain_margins(_loop_gain(loop), _grid(loop), radius)
-
-
-def gain_margins(gain: LoopGain, hertz: Array, radius: Callable[[float], float]) -> Margins:
-    """Return margins from the loop gain at frequencies and the size of the largest pole by its factor."""
-    loci = gain.loci(hertz)
-    peak, where = _peak(gain, hertz, loci)
-    late, at = _critical(gain, hertz, loci)
-    above = np.flatnonzero(np.abs(loci).max(axis=1) >= 1.0)
-    return Margins(
-        peak,
-        2 * np.pi * where,
-        first_unstable(radius, _FACTORS, np.inf),
-        first_unstable(radius, 1 / _FACTORS, 0.0),
-        float(np.minimum(late, 2 * np.pi - late).min(initial=np.pi)),
-        float((late / (2 * np.pi * at)).min(initial=np.inf)),
-        2 * np.pi * float(hertz[above[-1]]) if len(above) else 0.0,
-    )
+    parts = _parts(loop)
+    closed = _closed(loop, parts)
+    if parts is None:
+        values = np.linalg.eigvals(closed.controller.a).astype(complex)
+        if loop.structure:
+            values = np.concatenate([values, *closed.poles(1.0)])
+    else:
+        values = np.concatenate(closed.poles(1.0))
+    return gain_margins(_loop_gain(loop, parts), pole_grid(values, loop.timing.period), closed.radius)
 
 
 def curve(loop: SampledLoop, hertz: Array) -> tuple[Complex, Array, Array]:
@@ -227,7 +270,7 @@ def curve(loop: SampledLoop, hertz: Array) -> tuple[Complex, Array, Array]:
         Largest 1 / (1 + L) and L / (1 + L) of an eigenvalue L.
     """
     inside = hertz < 0.5 / loop.timing.period
-    loci = _loop_gain(loop).loci(hertz[inside])
+    loci = _loop_gain(loop, _parts(loop)).loci(hertz[inside])
     nearest = np.abs(1.0 + loci).argmin(axis=1)
     gain = np.full(len(hertz), np.nan + 0j)
     rejection, passed = np.full((2, len(hertz)), np.nan)
@@ -235,53 +278,3 @@ def curve(loop: SampledLoop, hertz: Array) -> tuple[Complex, Array, Array]:
     rejection[inside] = (1.0 / np.abs(1.0 + loci)).max(axis=1)
     passed[inside] = np.abs(loci / (1.0 + loci)).max(axis=1)
     return gain, rejection, passed
-
-
-def _peak(gain: LoopGain, hertz: Array, loci: Complex) -> tuple[float, float]:
-    """Return the largest singular value of the sensitivity, looked for where eigenvalues peak, and its Hz."""
-    sizes = (1.0 / np.abs(1.0 + loci)).max(axis=1)
-    if gain.whole(float(hertz[0])).shape == (1, 1):
-        return float(sizes.max()), float(hertz[sizes.argmax()])
-    # Eigenvalues say where a peak is, but for matrices that are not normal singular values have their own.
-    evenly = np.linspace(0, len(hertz) - 1, _EVENLY).astype(int)
-    places = np.unique(np.concatenate([np.argsort(-sizes, kind="stable")[:_TRIED], evenly]))
-    found = [_sensitivity(gain.whole(float(hertz[one]))) for one in places]
-    top = int(np.argmax(found))
-    low, high = hertz[places[max(top - 1, 0)]], hertz[places[min(top + 1, len(places) - 1)]]
-    near = minimize_scalar(
-        lambda at: -_sensitivity(gain.whole(float(at))), bounds=(low, high), method="bounded"
-    )
-    return max((float(found[top]), float(hertz[places[top]])), (-float(near.fun), float(near.x)))
-
-
-def _sensitivity(gain: Complex) -> float:
-    return float(1.0 / np.linalg.svd(np.eye(len(gain)) + gain, compute_uv=False)[-1])
-
-
-def _critical(gain: LoopGain, hertz: Array, loci: Complex) -> tuple[Array, Array]:
-    """Return by which phases eigenvalues of size 1 come before -1, and their frequencies."""
-    order = np.sort(np.abs(loci), axis=1)
-    late, at = [], []
-    for rank in dict.fromkeys([0, order.shape[1] - 1, *range(min(order.shape[1], _FINE))]):
-        signs = np.sign(order[:, rank] - 1.0)
-        for one in np.flatnonzero(signs[1:] * signs[:-1] < 0):
-
-            def height(f: float, rank: int = rank) -> float:
-                return float(np.sort(np.abs(gain.loci(np.array([f]))[0]))[rank]) - 1.0
-
-            where = float(brentq(height, hertz[one], hertz[one + 1], rtol=1e-13))
-            values = gain.loci(np.array([where]))[0]
-            value = values[np.abs(values).argsort()[rank]]
-            late.append(float(np.angle(-value) % (2 * np.pi)))
-            at.append(where)
-    return np.array(late), np.array(at)
-
-
-def first_unstable(radius: Callable[[float], float], factors: Array, none: float) -> float:
-    """Return the first of rising or falling factors of the gain at which the loop becomes unstable."""
-    last = float(factors[0])
-    for factor in map(float, factors[1:]):
-        if radius(factor) - 1.0 > _ROUNDING:
-            return float(brentq(lambda one: radius(one) - 1.0, last, factor, rtol=1e-10))
-        last = factor
-    return none

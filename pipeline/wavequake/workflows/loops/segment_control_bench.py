@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from wavequake.chain.loops.structure import zernike_motion
 from wavequake.control.linear import Array
 from wavequake.control.sampled.channel import RIGID, Timing, second_order
 from wavequake.control.sampled.filters import crossover_gain
@@ -20,14 +21,12 @@ from wavequake.control.sampled.flexible_left import (
     sensitivity_of,
     turns,
 )
-from wavequake.control.sampled.stability import first_unstable
+from wavequake.control.sampled.margins import first_unstable
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.layout import SegmentLayout
-from wavequake.mechanics.disturbances.sources.edge_sensors import planar_axes
 from wavequake.mechanics.disturbances.sources.segment_wind import SegmentWind, gusts_of, piston_spectrum
 from wavequake.mechanics.disturbances.spectra import Spectrum, band_variance, resonance
 from wavequake.mechanics.segment_control import EdgeSensing, SeenModes, seen_modes
-from wavequake.optics.polynomials.zernike import annular_zernike_gradient
 from wavequake.optics.segments.catalog import telescope
 from wavequake.prepared import one_thread, prepared
 from wavequake.workflows.loops.segment_control_study import SegmentControlStudy
@@ -116,18 +115,9 @@ def structure_of(study: SegmentControlStudy, layout: SegmentLayout, modes: SeenM
     UserError
         If sensors do not see one.
     """
-    outer = float(np.linalg.norm(layout.corners_m, axis=2).max())
-    x, y = layout.centers_m[:, :2].T / outer
-    terms = max(max(one.zernike) for one in study.mode)
-    values, by_x, by_y = annular_zernike_gradient(x, y, terms, 0.0)
-    slopes = np.einsum("sij,isn->sjn", planar_axes(layout), np.stack([by_x, by_y])) / outer
+    motions = zernike_motion(layout, modes.radius, [one.zernike for one in study.mode])
     shapes = []
-    for one in study.mode:
-        size = np.zeros(terms)
-        size[[noll - 1 for noll in one.zernike]] = list(one.zernike.values())
-        motion = np.concatenate(
-            [(values @ size)[:, None], (slopes @ size) * modes.radius[:, None]], axis=1
-        ).ravel()
+    for one, motion in zip(study.mode, motions.reshape(len(study.mode), -1), strict=True):
         seen = modes.shapes.T @ motion
         if np.linalg.norm(seen) < _SEEN * np.linalg.norm(motion):
             raise UserError(

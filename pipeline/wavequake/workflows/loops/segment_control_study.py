@@ -1,13 +1,12 @@
 """Study files of ``segment-control``: the loop that holds the segments of a mirror by edge sensors."""
 
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from wavequake.campaign.schema import CampaignSection, Section, Study
-
-NollIndex = Annotated[int, Field(ge=2, le=231, strict=False)]
+from wavequake.chain.loops.structure import ModeSection
 
 
 class MirrorSection(Section):
@@ -88,19 +87,8 @@ class ControlSection(Section):
         return self
 
 
-class ModeSection(Section):
+class SeenMode(ModeSection):
     """A mode of the structure that carries the segments."""
-
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_. -]*$")
-    hz: float = Field(gt=0)
-    zeta: float = Field(gt=0, lt=1, description="damping ratio")
-    share: float = Field(
-        ge=0, le=1, description="of the mirror's static response in the direction of its shape"
-    )
-    rms_nm: float = Field(default=0.0, ge=0, description="of the surface, shaken by wind and machines")
-    zernike: dict[NollIndex, float] = Field(
-        description="its shape over the mirror: Noll coefficients over the circle about it, in any unit"
-    )
 
     @field_validator("zernike")
     @classmethod
@@ -148,7 +136,7 @@ class SegmentControlStudy(Study):
 
     mirror: MirrorSection = MirrorSection()
     control: ControlSection = ControlSection()
-    mode: tuple[ModeSection, ...] = Field(min_length=1, strict=False)
+    mode: tuple[SeenMode, ...] = Field(min_length=1, strict=False)
     wind: GustSection = GustSection()
     errors: ErrorsSection = ErrorsSection()
     criterion: PeakSection = PeakSection()
@@ -156,7 +144,7 @@ class SegmentControlStudy(Study):
 
     @field_validator("mode")
     @classmethod
-    def _names_differ(cls, value: tuple[ModeSection, ...]) -> tuple[ModeSection, ...]:
+    def _names_differ(cls, value: tuple[SeenMode, ...]) -> tuple[SeenMode, ...]:
         names = [one.name for one in value]
         if twice := next((name for name in names if names.count(name) > 1), None):
             raise ValueError(f"two modes are called {twice!r}; each needs a name of its own")

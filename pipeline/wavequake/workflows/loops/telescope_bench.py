@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wavequake.chain.loops.block import Actuator, Controller, Design, stroke_of, stuck_of
+from wavequake.chain.loops.light import Light
 from wavequake.control.linear import Array
-from wavequake.control.sampled.channel import Timing, in_series
+from wavequake.control.sampled.channel import Dynamics, Timing, in_series
 from wavequake.control.sampled.regulator import Instant, Regulator, Stepped, shape_of
 from wavequake.control.sampled.run import Actuator as Moved
 from wavequake.control.sampled.run import Loop, Schedule, frame_count, run, schedule
@@ -34,8 +35,8 @@ class Designed:
     name : str
     actuators : tuple of Actuator
         Whose channels are the positions, one after the other.
-    sight : ndarray, shape (K, P)
-        What sensors see per position of all channels.
+    sight : ndarray, shape (K, P + modes)
+        What sensors see per position of all channels, and of the structure's modes where loops move them.
     loops : tuple of Loop
     readings : tuple of ndarray, shape (m, K)
         Of each loop's sensor, per what is seen.
@@ -52,6 +53,10 @@ class Designed:
     readings: tuple[Array, ...]
     instant: Array | None
     schedules: tuple[Schedule, ...]
+
+    def channels(self, light: Light) -> int:
+        """Return P."""
+        return sum(len(one.channels(light)) for one in self.actuators)
 
 
 @dataclass(frozen=True)
@@ -86,6 +91,8 @@ def bench_of(study: TelescopeLoopStudy) -> Bench:
     for index, entry in enumerate(study.disturbance):
         if entry.share:
             drawn(study, optics, index, 0)  # what no case can do is said before a run
+    for sensor in study.sensor:
+        sensor.labels(optics.light)  # what those cannot read that no controller uses, too
     designs = {one.name: designed(study, optics, one) for one in study.controller}
     linear = sampled_loops(study, optics, designs)
     for name, loop in linear.items():
@@ -94,9 +101,14 @@ def bench_of(study: TelescopeLoopStudy) -> Bench:
         study, optics, tuple(_designed(study, optics, one, designs) for one in study.controller), linear
     )
     for one in bench.controllers:
-        refuse_unstable_together(study, one)
+        refuse_unstable_together(study, one, modes_of(optics))
     refuse_saturated(bench)
     return bench
+
+
+def modes_of(optics: Optics) -> tuple[Dynamics, ...]:
+    """Return how the modes of a telescope's structure answer."""
+    return () if optics.structure is None else optics.structure.dynamics
 
 
 def timing_of(study: TelescopeLoopStudy, one: Controller) -> Timing:
@@ -127,7 +139,8 @@ def designed(study: TelescopeLoopStudy, optics: Optics, one: Controller) -> Give
         actuator.channels(optics.light),
         sensor.readings(optics.light, nominal=True) @ optics.sights[actuator.name],
         sensor.noise_rms() / np.sqrt(timing.frames),
-        in_series(actuator.dynamics(), sensor.dynamics()),
+        actuator.dynamics(),
+        sensor.dynamics(),
         timing,
     )
     wanted = len(asked.channels), len(asked.readings)
@@ -158,10 +171,17 @@ def sampled_loops(
             one = study.part("controller", name)
             sensor, actuator = study.part("sensor", one.sensor), study.part("actuator", one.actuator)
             free = np.isnan(stuck_of(actuator, actuator.channels(optics.light)))
-            sees = sensor.readings(optics.light) @ optics.sights[actuator.name] * free
-            loops[name] = SampledLoop(
-                timing_of(study, one), in_series(actuator.dynamics(), sensor.dynamics()), sees, found
+            readings = sensor.readings(optics.light)
+            loop = SampledLoop(
+                timing_of(study, one),
+                in_series(actuator.dynamics(), sensor.dynamics()),
+                readings @ optics.sights[actuator.name] * free,
+                found,
             )
+            if optics.structure is not None:
+                modes, drives = optics.structure.dynamics, optics.drives[actuator.name] * free
+                loop = replace(loop, structure=modes, drives=drives, shown=readings @ optics.shown)
+            loops[name] = loop
     return loops
 
 
@@ -169,13 +189,30 @@ def refuse_unstable(study: TelescopeLoopStudy, name: str, loop: SampledLoop, opt
     """Raise UserError if a loop is unstable."""
     worst = worst_pole(loop)
     if abs(worst.value) > 1.0 + _GROWS:
+        said = growing(study, name, worst, optics)
+        if loop.structure and abs(worst_pole(replace(loop, structure=())).value) <= 1.0 + _GROWS:
+            said += f", on {carrier(study, loop)} of the structure, which on a stiff one would be stable"
         raise UserError(
-            f"controller.{name} is unstable: {growing(study, name, worst, optics)}; lower gain or latency "
+            f"controller.{name} is unstable: {said}; lower gain or latency "
             f"(wavequake margins {study.study.name})."
         )
 
 
-def refuse_unstable_together(study: TelescopeLoopStudy, one: Designed) -> None:
+def carrier(study: TelescopeLoopStudy, loop: SampledLoop) -> str:
+    """Say which mode of the structure makes a loop unstable: that without which it grows least."""
+    found = []
+    for k, mode in enumerate(study.mode):
+        left = [place for place in range(len(study.mode)) if place != k]
+        shown, drives = loop.modes()
+        modes = tuple(loop.structure[place] for place in left)
+        without = replace(loop, structure=modes, drives=drives[left], shown=shown[:, left])
+        found.append((worst_pole(without).growth, f"{mode.name!r} ({mode.hz:g} Hz)"))
+    return min(found)[1]
+
+
+def refuse_unstable_together(
+    study: TelescopeLoopStudy, one: Designed, modes: tuple[Dynamics, ...] = ()
+) -> None:
     """Raise UserError if loops that run beside each other, of any rates, drive each other without limits.
 
     They are kicked by noise in the first part of a run, and it is seen whether the kick dies away.
@@ -195,7 +232,8 @@ def refuse_unstable_together(study: TelescopeLoopStudy, one: Designed) -> None:
         kick = random.standard_normal((frame_count(loop.timing, at[-1]), len(loop.sees), 1))
         kick[len(kick) // 10 :] = 0.0
         seen.append(kick)
-    found = np.abs(run(loops, schedule([loop.timing for loop in loops], at), seen, len(at)).positions[..., 0])
+    events = schedule([loop.timing for loop in loops], at)
+    found = np.abs(run(loops, events, seen, len(at), modes).positions[..., 0])
     early, late = found[: _KICKED // 4].max(axis=0), found[-_KICKED // 4 :].max(axis=0)
     if not late.max() <= early.max():
         names = " and ".join(repr(each.name) for each in study.running(study.part("controller", one.name)))
@@ -229,19 +267,22 @@ def _designed(
         instant = -found.decoupling @ sensor.readings(optics.light, nominal=True)
         return Designed(one.name, actuators, sight, (), (), instant, ())
     loops, readings = [], []
+    if optics.structure is not None:
+        sight = np.hstack([sight, optics.shown])
     for each, actuator in zip(running, actuators, strict=True):
         sensor = study.part("sensor", each.sensor)
         timing = timing_of(study, each)
         channels = actuator.channels(optics.light)
         slew = np.inf if actuator.slew is None else actuator.slew * timing.period
-        moved = Moved(
-            actuator.dynamics(), stroke_of(actuator, len(channels)), slew, stuck_of(actuator, channels)
-        )
+        stuck = stuck_of(actuator, channels)
+        moved = Moved(actuator.dynamics(), stroke_of(actuator, len(channels)), slew, stuck)
         readings.append(sensor.readings(optics.light))
         regulator = designs[each.name]
         if not isinstance(regulator, Regulator | Stepped):
             raise UserError(f"controller.{each.name} gives no commands, so that it cannot run beside others.")
-        loops.append(Loop(timing, regulator, moved, readings[-1] @ sight, sensor.quantum, sensor.dynamics()))
+        drives = None if optics.structure is None else optics.drives[actuator.name] * np.isnan(stuck)
+        sees, shows = readings[-1] @ sight, sensor.dynamics()
+        loops.append(Loop(timing, regulator, moved, sees, sensor.quantum, shows, drives))
     schedules = tuple(schedule([loop.timing for loop in loops], time[1:]) for time in optics.times)
     return Designed(one.name, actuators, sight, tuple(loops), tuple(readings), None, schedules)
 

@@ -5,14 +5,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wavequake.chain.loops.block import ACTUATORS, Actuator, Light
+from wavequake.chain.loops.actuators.m2_rigid import RigidM2
+from wavequake.chain.loops.actuators.segments import SegmentActuators
+from wavequake.chain.loops.block import ACTUATORS, Actuator
+from wavequake.chain.loops.light import Light
+from wavequake.chain.loops.structure import UNITS, Carrying, carrying, node_names
 from wavequake.control.linear import Array
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import TILE, padded
-from wavequake.mechanics.disturbances.registry import draw_case, instants_of, parts
+from wavequake.mechanics.disturbances.motion import Motion, generator
+from wavequake.mechanics.disturbances.registry import Disturbance, draw_case, instants_of, parts
 from wavequake.optics.derivatives.central import SIGNS, checked_derivative
 from wavequake.optics.segments import modal
+from wavequake.optics.segments.kinematics import in_optics_frame
 from wavequake.optics.segments.modal import ModalModel, layout_of
 from wavequake.optics.segments.states import SurfaceStates, rest
 from wavequake.prepared import prepared
@@ -22,6 +28,10 @@ from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M
 from wavequake.workflows.segments.launches import CaseDraw
 from wavequake.workflows.segments.segment_model import knows, model_of, motion_rows
 from wavequake.workflows.segments.vignetting import require_all_rays
+
+# All that may move of segments and of M2, where no actuator does.
+_ALL = SegmentActuators(name="all", dofs=("dz", "rx", "ry"))
+_M2 = RigidM2(name="m2", dofs=("dx", "dy", "dz", "rx", "ry", "rz"))
 
 
 @dataclass(frozen=True)
@@ -36,6 +46,13 @@ class Optics:
     light : Light
     sights : dict of ndarray, shape (K, p)
         What sensors see per position of each actuator, by name.
+    m2 : ndarray, shape (J - 1, 6), or None
+        Light per dx, dy, dz (nm), rx, ry, rz (nrad) of M2, where anything moves it.
+    structure : Carrying or None
+    shown : ndarray, shape (K, modes)
+        What sensors see per mode of the structure.
+    drives : dict of ndarray, shape (modes, p)
+        How modes of the structure answer positions of each actuator, by name.
     times : tuple of ndarray, shape (1 + n,)
         Of each population: 0 and its instants, s.
     """
@@ -44,6 +61,10 @@ class Optics:
     model: ModalModel
     light: Light
     sights: dict[str, Array]
+    m2: Array | None
+    structure: Carrying | None
+    shown: Array
+    drives: dict[str, Array]
     times: tuple[Array, ...]
 
     @property
@@ -62,26 +83,62 @@ def optics_of(study: TelescopeLoopStudy) -> Optics:
     """
     text = study.exposed.identity_text()
     moved = {dof for one in study.actuator for dof in one.segment_dofs}
+    moved |= set(_ALL.segment_dofs) if any(one.zernike for one in study.mode) else set()
     sights = {one.name: _sight(text, json.dumps(one.model_dump(), sort_keys=True)) for one in study.actuator}
     control, model, light = _telescope(text, tuple(sorted(moved)))
-    if any(one.sees == "segments" for one in study.sensor):
-        light = replace(light, segments_too=True)
-        for one in study.actuator:
-            sights[one.name] = np.vstack([sights[one.name], _moved_segments(control, light, one)])
     times = tuple(
         np.concatenate([[0.0], instants_of(study.disturbance, entry)]) for entry in study.disturbance
     )
-    return Optics(control, model, light, sights, times)
+    name = control.bench.system.surfaces[0].name
+    m2 = None
+    if any(one.m2 for one in study.mode) or any(
+        _moves(study, light, entry, name) for entry in study.disturbance
+    ):
+        m2 = _sight(text, _M2.model_dump_json())
+    if study.mode or any(one.sees == "bodies" for one in study.sensor):
+        light = replace(light, bodies_too=True, nodes=node_names(study.mode))
+        for one in study.actuator:
+            by_bodies = _moved_bodies(control, light, one)
+            sights[one.name] = np.vstack(
+                [sights[one.name], by_bodies, np.zeros((len(light.nodes), by_bodies.shape[1]))]
+            )
+    shown = np.zeros((len(light), len(study.mode)))
+    if not study.mode:
+        return Optics(control, model, light, sights, m2, None, shown, {}, times)
+    structure, first = carrying(study.mode, light.layout), 3 * len(light.layout)
+    if any(one.zernike for one in study.mode):
+        seen = _sight(text, json.dumps(_ALL.model_dump(), sort_keys=True))
+        shown[: light.optical] += seen @ structure.moves[:first]
+    if m2 is not None:
+        shown[: light.optical] += m2 @ structure.moves[first:]
+    shown[light.optical :] = np.vstack([structure.moves, structure.at])
+    drives = {
+        one.name: structure.answers @ sights[one.name][light.optical : light.optical + first + 6]
+        for one in study.actuator
+    }
+    return Optics(control, model, light, sights, m2, structure, shown, drives, times)
 
 
-def _moved_segments(control: ControlBench, light: Light, one: Actuator) -> Array:
-    """Return dz (nm), rx and ry (nrad) of the segments per position of an actuator, (3 S, p)."""
+def _moves(study: TelescopeLoopStudy, light: Light, entry: Disturbance, surface: str) -> bool:
+    """Return whether a disturbance moves a surface."""
+    motion = draw_case(
+        study.disturbance,
+        entry,
+        light.layout,
+        study.study.seed,
+        0,
+        time=instants_of(study.disturbance, entry),
+    )
+    return surface in motion.rigid and bool(motion.rigid[surface].any())
+
+
+def _moved_bodies(control: ControlBench, light: Light, one: Actuator) -> Array:
+    """Return motions of segments (nm, nrad) and M2 per position of an actuator, (3 S + 6, p)."""
     p = len(one.channels(light))
-    if not one.segment_dofs:
-        return np.zeros((3 * len(light.layout), p))
-    states = rest(p, len(light.layout), 1)
+    states = states_at_rest(control, p)
     one.put(states, np.eye(p))
-    return in_nm_and_nrad(states.segment_motion / np.repeat([MM_PER_M, 1.0], 3)).T
+    segments = in_nm_and_nrad(states.segment_motion / np.repeat([MM_PER_M, 1.0], 3))
+    return np.hstack([segments, states.surface_motion[:, 0] / UNITS]).T
 
 
 def in_nm_and_nrad(segment_motion: Array) -> Array:
@@ -161,12 +218,36 @@ def drawn(study: TelescopeLoopStudy, optics: Optics, index: int, realization: in
     )
     if own:
         motion = motion.at([0, *range(len(at))])
-    if not knows(optics.model, motion):
+    m2 = optics.control.bench.system.surfaces[0].name
+    others = {name: values for name, values in motion.rigid.items() if name != m2}
+    if not knows(optics.model, replace(motion, rigid=others)):
         raise UserError(
             f"The disturbance {population.name!r} moves what the linear light of loops does not know: "
-            "surfaces beside M1's segments."
+            "other things than M1's segments and M2 as rigid bodies."
         )
-    return CaseDraw(population, realization, time, motion)
+    if optics.structure is None:
+        return CaseDraw(population, realization, time, motion)
+    shaken = _shaken(study, optics, time, realization)
+    return CaseDraw(population, realization, time, _carried(motion, optics, m2, shaken))
+
+
+def _shaken(study: TelescopeLoopStudy, optics: Optics, time: Array, realization: int) -> Array:
+    """Draw how white forces shake the modes of the structure, (n, K), nm."""
+    assert optics.structure is not None
+    random = [generator(study.study.seed, f"mode {name}", realization) for name in optics.structure.names]
+    return optics.structure.shaken(time, random)
+
+
+def _carried(motion: Motion, optics: Optics, m2: str, shaken: Array) -> Motion:
+    """Return a motion with what the structure adds."""
+    assert optics.structure is not None
+    states = states_at_rest(optics.control, len(shaken))
+    optics.structure.put(states, shaken)
+    added = states.segment_motion / np.repeat([MM_PER_M, 1.0], 3)
+    rotation = optics.control.bench.system.surfaces[0].rotation
+    moved = in_optics_frame(states.surface_motion[:, 0], rotation.T) / np.repeat([MM_PER_M, 1.0], 3)
+    rigid = motion.rigid | {m2: motion.rigid.get(m2, 0.0) + moved}
+    return replace(motion, segment_motion=motion.segment_motion + added, rigid=rigid)
 
 
 def seen_of(study: TelescopeLoopStudy, optics: Optics, case: CaseDraw) -> Array:
@@ -175,7 +256,18 @@ def seen_of(study: TelescopeLoopStudy, optics: Optics, case: CaseDraw) -> Array:
     count, places = len(case.time), layout_of(optics.model.terms)
     rows = motion_rows(optics.control.bench, optics.model, case.motion, padded(count))
     linear = modal.forms(optics.model, rows, TILE).linear[:count]
-    seen = [linear[:, places.los] * to_mas, linear[:, places.zernike][:, 3:] * to_nm]
-    if optics.light.segments_too:
-        seen.append(in_nm_and_nrad(case.motion.segment_motion))
-    return np.hstack(seen)
+    seen = np.hstack([linear[:, places.los] * to_mas, linear[:, places.zernike][:, 3:] * to_nm])
+    bench = optics.control.bench
+    surface = bench.system.surfaces[0]
+    m2 = np.zeros((count, 6))
+    if optics.m2 is not None and surface.name in case.motion.rigid:
+        own = case.motion.rigid[surface.name] * np.repeat([MM_PER_M, 1.0], 3)
+        m2 += in_optics_frame(own, surface.rotation) / UNITS
+        seen += m2 @ optics.m2.T
+    if not optics.light.bodies_too:
+        return seen
+    m2[:, 3:5] += case.motion.m2 @ bench.m2_tilt.T / UNITS[3:5]
+    nodes = np.zeros((count, 0))
+    if optics.structure is not None:
+        nodes = _shaken(study, optics, case.time, case.realization) @ optics.structure.at.T
+    return np.hstack([seen, in_nm_and_nrad(case.motion.segment_motion), m2, nodes])

@@ -31,7 +31,7 @@ from wavequake.mechanics.disturbances.motion import generator
 from wavequake.mechanics.model import Integers
 from wavequake.optics.segments.states import SurfaceStates
 from wavequake.workflows.exposures.telescope_control import local_images, measured_opd, position, trace
-from wavequake.workflows.loops.telescope_bench import Bench, Designed, bench_of
+from wavequake.workflows.loops.telescope_bench import Bench, Designed, bench_of, modes_of
 from wavequake.workflows.loops.telescope_light import drawn, seen_of, seen_units, states_at_rest
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 from wavequake.workflows.segments.launches import CaseDraw, slots
@@ -98,7 +98,8 @@ def _batch(
             if diverged[row]:
                 messages.setdefault(row, f"it diverges under the controller {one.name!r}")
             values = _numbers(bench, one, seen[row][1:], positions[row])
-            values |= {"limited": limited[row], "largest": np.abs(positions[row]).max(initial=0.0)}
+            channels = positions[row][:, : one.channels(bench.optics.light)]
+            values |= {"limited": limited[row], "largest": np.abs(channels).max(initial=0.0)}
             if row in messages:
                 values |= _nothing(bench)
             else:
@@ -131,7 +132,7 @@ def positions_of(
         for column, values in zip(columns, readings, strict=True):
             whole[..., column] = values[place]
         given.append(whole)
-    found = run(one.loops, one.schedules[index], given, looks)
+    found = run(one.loops, one.schedules[index], given, looks, modes_of(bench.optics))
     positions = [np.ascontiguousarray(found.positions[..., column]) for column in columns]
     return positions, found.limited[columns], found.diverged[columns]
 
@@ -167,6 +168,8 @@ def states_of(
         last = first + len(actuator.channels(bench.optics.light))
         actuator.put(states, positions[chosen, first:last])
         first = last
+    if bench.optics.structure is not None and positions.shape[1] > first:
+        bench.optics.structure.put(states, positions[chosen, first:])
     return states
 
 

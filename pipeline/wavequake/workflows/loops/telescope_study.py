@@ -17,6 +17,7 @@ from wavequake.chain.loops.block import (
 )
 from wavequake.chain.loops.controllers.off import Off
 from wavequake.chain.loops.controllers.perfect import Perfect
+from wavequake.chain.loops.structure import CarryingMode
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.segments.segment_study import SegmentStudy
 
@@ -41,6 +42,7 @@ class TelescopeLoopStudy(SegmentStudy):
     sensor: tuple[Annotated[Sensor, AnyBlock(SENSORS)], ...] = Field(default=(), strict=False)
     actuator: tuple[Annotated[Actuator, AnyBlock(ACTUATORS)], ...] = Field(default=(), strict=False)
     controller: tuple[Annotated[Controller, AnyBlock(CONTROLLERS)], ...] = Field(min_length=1, strict=False)
+    mode: tuple[CarryingMode, ...] = Field(default=(), strict=False)
     look: LookSection = LookSection()
 
     @field_validator("controller")
@@ -50,7 +52,7 @@ class TelescopeLoopStudy(SegmentStudy):
 
     @model_validator(mode="after")
     def _blocks_fit_each_other(self) -> "TelescopeLoopStudy":
-        for kind in ("sensor", "actuator", "controller"):
+        for kind in ("sensor", "actuator", "controller", "mode"):
             names = [one.name for one in getattr(self, kind)]
             twice = next((name for name in names if names.count(name) > 1), None)
             if twice is not None:

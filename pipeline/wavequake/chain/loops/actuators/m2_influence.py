@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from wavequake.chain.loops.actuators.m2_figure import MM_PER_NM
-from wavequake.chain.loops.block import Actuator, Light, register
+from wavequake.chain.loops.block import Actuator, register
+from wavequake.chain.loops.light import Light
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.history_table import read_columns
 from wavequake.optics.polynomials.zernike import MOST_TERMS, annular_zernike

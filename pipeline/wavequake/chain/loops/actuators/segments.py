@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from wavequake.chain.loops.block import Actuator, Light, register
+from wavequake.chain.loops.block import Actuator, register
+from wavequake.chain.loops.light import Light
 from wavequake.optics.derivatives.central import DOFS
 from wavequake.optics.segments.states import SurfaceStates
 

@@ -18,17 +18,18 @@ class LineSection(Section):
 
     hz: float = Field(gt=0)
     fwhm_hz: float = Field(default=0.5, gt=0, description="full width at half maximum")
-    rms: float = Field(gt=0, description="in the sensor's unit")
+    rms: float = Field(gt=0, description="in the sensor's unit; of accelerometers in m or rad")
 
 
 class Expecting(Controller):
     """What a controller expects: in every channel a drift and vibration lines, beside noise of the sensor.
 
-    Only ratios of rms count. All channels expect the same.
+    Only ratios of rms count. All channels expect the same. Accelerometers see no drifts; what they
+    read twice derived is expected in m or rad.
     """
 
     lines: tuple[LineSection, ...] = Field(default=(), strict=False)
-    drift_rms: float = Field(default=0.0, ge=0, description="of first-order noise, in the sensor's unit")
+    drift_rms: float = Field(default=0.0, ge=0, description="of first-order noise, in that unit")
     drift_hz: float = Field(default=0.1, gt=0, description="its corner")
     noise: float | None = Field(
         default=None, gt=0, description="of a command's reading that it believes; default: the sensor's"
@@ -60,7 +61,7 @@ class Expecting(Controller):
             model = self.filtered(asked)
         except UserError as error:
             raise UserError(f"controller.{self.name}: {error}") from None
-        return shared_filter(decoupling(asked, self.modes), model)
+        return shared_filter(decoupling(asked, self.modes, rates=True), model)
 
 
 @register
@@ -71,4 +72,4 @@ class Lqg(Expecting):
 
     def filtered(self, asked: Design) -> LinearModel:
         """Return the predictor."""
-        return lqg(*self.expected(asked), asked.dynamics, asked.timing)
+        return lqg(*self.expected(asked), asked.follows, asked.timing, asked.shows)

@@ -22,4 +22,4 @@ class Lqr(Expecting):
     def filtered(self, asked: Design) -> LinearModel:
         """Return regulator and filter."""
         known, noise = self.expected(asked)
-        return lqr(known, noise, self.effort, asked.dynamics, asked.timing)
+        return lqr(known, noise, self.effort, asked.follows, asked.timing, asked.shows)

@@ -1,4 +1,4 @@
-"""Accelerometers on segments."""
+"""Accelerometers on segments, M2 and points of the structure."""
 
 from typing import ClassVar, Literal
 
@@ -6,14 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from wavequake.chain.loops.block import Light, register
-from wavequake.chain.loops.sensors.displacement import OfSegments
+from wavequake.chain.loops.block import register
+from wavequake.chain.loops.light import Light
+from wavequake.chain.loops.sensors.displacement import OfBodies
 from wavequake.control.sampled.channel import Dynamics, acceleration, first_order, in_series
 
 
 @register
-class Accelerometers(OfSegments):
-    """Accelerations of segments along or about their own axes, in m/s^2 and rad/s^2.
+class Accelerometers(OfBodies):
+    """Accelerations of segments along or about their own axes, of M2 or of points, in m/s^2 and rad/s^2.
 
     A proof mass on a spring shows them up to its resonance. It sees no constant and hardly any slow motion.
     """
@@ -30,5 +31,5 @@ class Accelerometers(OfSegments):
         return mass if self.bandwidth_hz is None else in_series(mass, first_order(self.bandwidth_hz))
 
     def matrix(self, light: Light, nominal: bool = False) -> NDArray[np.float64]:
-        """Return readings per dz (nm), rx, ry (nrad) of all segments, each twice derived, (m, 3 S)."""
+        """Return readings per motion of bodies in nm and nrad, each twice derived, (m, 3 S + 6 + N)."""
         return 1e-9 * super().matrix(light, nominal)

@@ -1,5 +1,6 @@
-"""Sensors of where segments are, against the ground."""
+"""Sensors of where segments, M2 and points of the structure are, against the ground."""
 
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from typing import ClassVar, Literal
 
@@ -7,51 +8,80 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from wavequake.chain.loops.block import Light, Sensor, register
+from wavequake.chain.loops.block import Sensor, register
+from wavequake.chain.loops.light import Light
+from wavequake.chain.loops.structure import Dof
 from wavequake.errors import UserError
+from wavequake.optics.derivatives.central import DOFS
 
 _DOFS = ("dz", "rx", "ry")
 
 
-class OfSegments(Sensor):
-    """What a sensor on each of some segments reads."""
+class OfBodies(Sensor):
+    """What a sensor on each of some segments, on M2 or on points of the structure reads."""
 
-    sees: ClassVar[Literal["light", "segments"]] = "segments"
+    sees: ClassVar[Literal["light", "bodies"]] = "bodies"
 
-    segments: tuple[str, ...] = Field(
-        default=("*",), min_length=1, strict=False, description="names or patterns, as A*"
+    segments: tuple[str, ...] | None = Field(
+        default=None,
+        strict=False,
+        description="names or patterns, as A*; default: all, or none where m2 or nodes are named",
     )
     dofs: tuple[Literal["dz", "rx", "ry"], ...] = Field(
-        default=("dz",), min_length=1, strict=False, description="of dz, rx, ry"
+        default=("dz",), min_length=1, strict=False, description="of segments: of dz, rx, ry"
+    )
+    m2: tuple[Dof, ...] = Field(default=(), strict=False, description="of M2: of dx, dy, dz, rx, ry, rz")
+    nodes: tuple[str, ...] = Field(
+        default=(), strict=False, description="names or patterns of points that [[mode]] blocks move"
     )
 
     def labels(self, light: Light) -> tuple[str, ...]:
-        """Return the degree of freedom and the segment, one degree of freedom after the other."""
-        names = light.layout.names
-        return tuple(f"{dof}[{names[place]}]" for dof in self.dofs for place in self._places(light))
+        """Return degree of freedom and segment, one after the other, then those of M2, then nodes."""
+        return tuple(label for label, _ in self._read(light))
 
     def matrix(self, light: Light, nominal: bool = False) -> NDArray[np.float64]:
-        """Return readings per dz (nm), rx, ry (nrad) of all segments, (m, 3 S)."""
-        places, count = self._places(light), len(light.layout)
-        rows = [_DOFS.index(dof) * count + place for dof in self.dofs for place in places]
-        return np.asarray(np.eye(3 * count)[rows])
+        """Return readings per motion of bodies, (m, 3 S + 6 + N)."""
+        found = np.zeros((len(self._read(light)), light.bodies))
+        for row, (_, place) in enumerate(self._read(light)):
+            found[row, place] = 1.0
+        return found
 
-    def _places(self, light: Light) -> list[int]:
-        names = light.layout.names
-        for pattern in self.segments:
-            if not any(fnmatchcase(name, pattern) for name in names):
-                raise UserError(
-                    f"sensor.{self.name}.segments: there is no segment {pattern!r}; there are {names[0]} to "
-                    f"{names[-1]}."
-                )
-        return [
-            place for place, name in enumerate(names) if any(fnmatchcase(name, one) for one in self.segments)
+    def _read(self, light: Light) -> list[tuple[str, int]]:
+        """Return what is read by name, and its places among the motions of bodies.
+
+        Raises
+        ------
+        UserError
+            If there is no such segment or node, or nothing is read.
+        """
+        names, count = light.layout.names, len(light.layout)
+        everywhere = () if self.m2 or self.nodes else ("*",)
+        segments = self._places("segments", everywhere if self.segments is None else self.segments, names)
+        found = [
+            (f"{dof}[{names[place]}]", _DOFS.index(dof) * count + place)
+            for dof in self.dofs
+            for place in segments
         ]
+        found += [(f"{dof}[M2]", 3 * count + DOFS.index(dof)) for dof in self.m2]
+        found += [
+            (light.nodes[place], 3 * count + 6 + place)
+            for place in self._places("nodes", self.nodes, light.nodes)
+        ]
+        if not found:
+            raise UserError(f"sensor.{self.name} reads nothing; name segments, m2 or nodes.")
+        return found
+
+    def _places(self, key: str, patterns: Sequence[str], names: Sequence[str]) -> list[int]:
+        for pattern in patterns:
+            if not any(fnmatchcase(name, pattern) for name in names):
+                there = f"there are {names[0]} to {names[-1]}" if names else "no [[mode]] block names nodes"
+                raise UserError(f"sensor.{self.name}.{key}: there is no {key[:-1]} {pattern!r}; {there}.")
+        return [place for place, name in enumerate(names) if any(fnmatchcase(name, one) for one in patterns)]
 
 
 @register
-class DisplacementSensors(OfSegments):
-    """Where segments are along or about their own axes: dz in nm, rx and ry in nrad."""
+class DisplacementSensors(OfBodies):
+    """Where segments are along or about their own axes, or M2 or points of the structure: nm, or nrad."""
 
     units: ClassVar[str] = "nm"
 

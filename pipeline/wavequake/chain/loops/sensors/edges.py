@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from wavequake.chain.loops.block import Light, Sensor, register
+from wavequake.chain.loops.block import Sensor, register
+from wavequake.chain.loops.light import Light
 from wavequake.mechanics.disturbances.sources.edge_sensors import sensor_matrix, shared_edges
 
 
@@ -19,7 +20,7 @@ class EdgeSensors(Sensor):
     """
 
     units: ClassVar[str] = "nm"
-    sees: ClassVar[Literal["light", "segments"]] = "segments"
+    sees: ClassVar[Literal["light", "bodies"]] = "bodies"
 
     model: Literal["edges"] = "edges"
     arm_m: float = Field(default=0.05, ge=0, le=10, description="reading per dihedral angle, as believed")

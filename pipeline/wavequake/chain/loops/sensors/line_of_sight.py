@@ -5,7 +5,8 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.chain.loops.block import Centroids, Light, Sensor, register
+from wavequake.chain.loops.block import Centroids, Sensor, register
+from wavequake.chain.loops.light import Light
 
 
 @register

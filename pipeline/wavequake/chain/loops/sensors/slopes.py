@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from wavequake.chain.loops.block import Centroids, Light, Sensor, register
+from wavequake.chain.loops.block import Centroids, Sensor, register
 from wavequake.chain.loops.displaced import Placed, seen_through
+from wavequake.chain.loops.light import Light
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
 

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from wavequake.chain.loops.block import Light, Sensor, register
+from wavequake.chain.loops.block import Sensor, register
 from wavequake.chain.loops.displaced import Placed, seen_through
+from wavequake.chain.loops.light import Light
 from wavequake.errors import UserError
 from wavequake.optics.rays.pupils import sunflower
 

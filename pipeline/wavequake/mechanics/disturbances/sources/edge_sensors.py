@@ -98,7 +98,7 @@ def sensor_matrix(
         )
     along = along / length
     outward = np.stack([along[:, 1], -along[:, 0]], axis=1)
-    radius = np.sqrt(_second_moments(layout.corners_m))
+    radius = segment_radius(layout)
     rows = np.arange(2 * len(first)).reshape(2, -1)
     entries = []
     for places, row in zip(
@@ -320,6 +320,11 @@ def planar_axes(layout: SegmentLayout) -> Array:
     """Return the local x and y axes projected along the mirror's axis, orthonormal columns, (S, 2, 2)."""
     x_axis = layout.axes[:, :2, 0] / np.linalg.norm(layout.axes[:, :2, 0], axis=1, keepdims=True)
     return np.stack([x_axis, np.stack([-x_axis[:, 1], x_axis[:, 0]], axis=1)], axis=2)
+
+
+def segment_radius(layout: SegmentLayout) -> Array:
+    """Return the root of each segment's second moment of area per area and axis, m, (S,)."""
+    return np.asarray(np.sqrt(_second_moments(layout.corners_m)))
 
 
 def _second_moments(corners: Array) -> Array:

@@ -1,0 +1,114 @@
+"""Loops of many channels of which most are alike: the few directions that matter one by one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.control.linear import Array, LinearModel, frequency_response
+
+Complex = NDArray[np.complex128]
+# A direction that matters less than this share of what is alike does not matter.
+_ALIKE = 1e-9
+# Channels below which nothing is gained.
+_FEW = 6
+
+
+@dataclass(frozen=True)
+class Parts:
+    """B + sum over k of g_k into_k drives_k, of p channels, B = value 1 + basis (inner - value 1) basis'.
+
+    Attributes
+    ----------
+    basis : ndarray, shape (p, N)
+        Orthonormal.
+    inner : ndarray, shape (N, N)
+    into, drives : ndarray, shapes (N, K) and (K, N)
+        Of the modes of a structure.
+    value : float or None
+        Of the p - N other directions; None if there are none.
+    """
+
+    basis: Array
+    inner: Array
+    into: Array
+    drives: Array
+    value: float | None
+
+    def gains(self) -> tuple[Complex, Complex]:
+        """Return the eigenvalues of B and their vectors (p, g), those of what is alike once."""
+        values, vectors = np.linalg.eig(self.inner)
+        found = values.astype(complex), (self.basis @ vectors).astype(complex)
+        if self.value is None:
+            return found
+        rest = np.sqrt(np.maximum(1.0 - np.sum(self.basis**2, axis=1), 0.0))
+        return np.append(found[0], self.value), np.column_stack([found[1], rest])
+
+    def plant(self, channels: tuple[LinearModel, ...]) -> LinearModel:
+        """Return the plant along the basis, of one channel and of what goes through each mode."""
+        return coupled(channels, self.inner, self.into, self.drives)
+
+    def whole(self, sizes: Complex) -> Complex:
+        """Return the matrix of sizes (1 + K,) of one channel and of what goes through each mode."""
+        n = len(self.inner)
+        rest = 0 if self.value is None else 1
+        found = np.zeros((n + rest, n + rest), dtype=complex)
+        found[:n, :n] = sizes[0] * self.inner + (self.into * sizes[1:]) @ self.drives
+        if self.value is not None:
+            found[n, n] = sizes[0] * self.value
+        return found
+
+
+def apart(matrix: Array, into: Array, drives: Array) -> Parts:
+    """Return a matrix B (p, p), and the modes of a structure (p, K), (K, p), in the directions that matter.
+
+    B is a multiple of 1 but for a matrix of low rank where controllers know their mirror well: then few
+    directions are left, found by products with random vectors (Halko, Martinsson and Tropp 2011, algorithm
+    4.1), and all others are one loop of one channel.
+    """
+    p = len(matrix)
+    everything = Parts(np.eye(p), matrix, into, drives, None)
+    size = float(np.abs(matrix).max(initial=0.0))
+    if p < _FEW or not size:
+        return everything
+    width = p // 6 + 1
+    random = np.random.default_rng(0).standard_normal((p, width))
+    common, counts = np.unique(np.round(np.diag(matrix), 9), return_counts=True)
+    best = everything
+    for value in dict.fromkeys([1.0, float(common[counts.argmax()])]):
+        right, left = matrix @ random - value * random, matrix.T @ random - value * random
+        others = [one / max(float(np.abs(one).max(initial=0.0)), 1e-300) for one in (into, drives.T)]
+        columns, sizes, _ = np.linalg.svd(
+            np.hstack([right / size, left / size, *others]), full_matrices=False
+        )
+        kept = int((sizes > _ALIKE * np.sqrt(p)).sum())
+        if np.linalg.matrix_rank(right, _ALIKE * size * np.sqrt(p)) == width or kept >= len(best.inner):
+            continue
+        basis = columns[:, :kept]
+        inner = basis.T @ matrix @ basis
+        best = Parts(basis, inner, basis.T @ into, drives @ basis, value)
+    return best
+
+
+def coupled(channels: tuple[LinearModel, ...], sees: Array, shown: Array, drives: Array) -> LinearModel:
+    """Return y = sees q + shown m of channels q, and of modes m that are driven by drives u, by periods."""
+    rigid, *through = channels
+    unit = np.eye(sees.shape[1])
+    sizes = [len(one.a) for one in through]
+    a = np.kron(rigid.a, unit)
+    n = len(a)
+    whole = np.zeros((n + sum(sizes), n + sum(sizes)))
+    whole[:n, :n] = a
+    b, c = [np.kron(rigid.b, unit)], [sees @ np.kron(rigid.c, unit)]
+    for one, column, row in zip(through, shown.T, drives, strict=True):
+        whole[n : n + len(one.a), n : n + len(one.a)] = one.a
+        n += len(one.a)
+        b.append(one.b @ row[None])
+        c.append(column[:, None] @ one.c)
+    return LinearModel(whole, np.vstack(b), np.hstack(c), np.zeros(sees.shape), rigid.sample_time)
+
+
+def sizes_of(channels: tuple[LinearModel, ...], hertz: Array) -> Complex:
+    """Return the responses (f, 1 + K) of one channel and of what goes through each mode."""
+    found = [frequency_response(one, 2 * np.pi * hertz)[:, 0, 0] for one in channels]
+    return np.asarray(np.array(found).T)

@@ -1,0 +1,107 @@
+"""Margins of a loop gain over frequency, all that is changed changed in all channels alike."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq, minimize_scalar
+
+from wavequake.control.linear import Array
+from wavequake.control.robustness.margins import Margins
+
+Complex = NDArray[np.complex128]
+
+# Factors of the gain that are tried, up and down; beyond them a margin does not matter.
+_FACTORS = np.geomspace(1.0, 1e3, 150)
+_ROUNDING = 1e-9
+_POINTS = 1500
+# Eigenvalues whose crossings are followed, and frequencies at which singular values are taken.
+_FINE, _TRIED, _EVENLY = 60, 12, 60
+
+
+@dataclass(frozen=True)
+class LoopGain:
+    """The loop gain -K G at the commands over frequency, in Hz: eigenvalues (f, q) and whole, (q, q)."""
+
+    loci: Callable[[Array], Complex]
+    whole: Callable[[float], Complex]
+
+
+def pole_grid(values: Complex, period: float) -> Array:
+    """Return rising frequencies up to half the rate of commands, some about each pole of a period, in Hz."""
+    high = 0.5 / period
+    poles = np.log(values[np.abs(values) > 1e-6]) / period / (2 * np.pi)
+    poles = poles[poles.imag >= 0]
+    poles = poles[np.unique(np.round(np.log(np.abs(poles) + 1e-300), 6), return_index=True)[1]]
+    poles = poles[np.abs(poles.real) < 0.2 * np.abs(poles.imag)]
+    about = (poles.imag[:, None] + np.abs(poles.real)[:, None] * np.linspace(-6, 6, 25)).ravel()
+    between = [np.linspace(0, high, _POINTS)[1:], np.geomspace(1e-6 * high, high, _POINTS)]
+    return np.unique(np.concatenate([about[(about > 0) & (about <= high)], *between]))
+
+
+def gain_margins(gain: LoopGain, hertz: Array, radius: Callable[[float], float]) -> Margins:
+    """Return margins from the loop gain at frequencies and the size of the largest pole by its factor."""
+    loci = gain.loci(hertz)
+    peak, where = _peak(gain, hertz, loci)
+    late, at = _critical(gain, hertz, loci)
+    above = np.flatnonzero(np.abs(loci).max(axis=1) >= 1.0)
+    return Margins(
+        peak,
+        2 * np.pi * where,
+        first_unstable(radius, _FACTORS, np.inf),
+        first_unstable(radius, 1 / _FACTORS, 0.0),
+        float(np.minimum(late, 2 * np.pi - late).min(initial=np.pi)),
+        float((late / (2 * np.pi * at)).min(initial=np.inf)),
+        2 * np.pi * float(hertz[above[-1]]) if len(above) else 0.0,
+    )
+
+
+def _peak(gain: LoopGain, hertz: Array, loci: Complex) -> tuple[float, float]:
+    """Return the largest singular value of the sensitivity, looked for where eigenvalues peak, and its Hz."""
+    sizes = (1.0 / np.abs(1.0 + loci)).max(axis=1)
+    if gain.whole(float(hertz[0])).shape == (1, 1):
+        return float(sizes.max()), float(hertz[sizes.argmax()])
+    # Eigenvalues say where a peak is, but for matrices that are not normal singular values have their own.
+    evenly = np.linspace(0, len(hertz) - 1, _EVENLY).astype(int)
+    places = np.unique(np.concatenate([np.argsort(-sizes, kind="stable")[:_TRIED], evenly]))
+    found = [_sensitivity(gain.whole(float(hertz[one]))) for one in places]
+    top = int(np.argmax(found))
+    low, high = hertz[places[max(top - 1, 0)]], hertz[places[min(top + 1, len(places) - 1)]]
+    near = minimize_scalar(
+        lambda at: -_sensitivity(gain.whole(float(at))), bounds=(low, high), method="bounded"
+    )
+    return max((float(found[top]), float(hertz[places[top]])), (-float(near.fun), float(near.x)))
+
+
+def _sensitivity(gain: Complex) -> float:
+    return float(1.0 / np.linalg.svd(np.eye(len(gain)) + gain, compute_uv=False)[-1])
+
+
+def _critical(gain: LoopGain, hertz: Array, loci: Complex) -> tuple[Array, Array]:
+    """Return by which phases eigenvalues of size 1 come before -1, and their frequencies."""
+    order = np.sort(np.abs(loci), axis=1)
+    late, at = [], []
+    for rank in dict.fromkeys([0, order.shape[1] - 1, *range(min(order.shape[1], _FINE))]):
+        signs = np.sign(order[:, rank] - 1.0)
+        for one in np.flatnonzero(signs[1:] * signs[:-1] < 0):
+
+            def height(f: float, rank: int = rank) -> float:
+                return float(np.sort(np.abs(gain.loci(np.array([f]))[0]))[rank]) - 1.0
+
+            where = float(brentq(height, hertz[one], hertz[one + 1], rtol=1e-13))
+            values = gain.loci(np.array([where]))[0]
+            value = values[np.abs(values).argsort()[rank]]
+            late.append(float(np.angle(-value) % (2 * np.pi)))
+            at.append(where)
+    return np.array(late), np.array(at)
+
+
+def first_unstable(radius: Callable[[float], float], factors: Array, none: float) -> float:
+    """Return the first of rising or falling factors of the gain at which the loop becomes unstable."""
+    last = float(factors[0])
+    for factor in map(float, factors[1:]):
+        if radius(factor) - 1.0 > _ROUNDING:
+            return float(brentq(lambda one: radius(one) - 1.0, last, factor, rtol=1e-10))
+        last = factor
+    return none
