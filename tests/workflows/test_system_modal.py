@@ -134,16 +134,14 @@ def test_what_is_left_out_is_of_second_order_and_below_its_bound(name, study_of)
 def test_every_number_that_it_knows_is_that_of_a_trace(study_of):
     study = study_of("double-gauss")
     bench, model = system_bench(study.identity_text()), model_of(study.identity_text(), DEVICE)
-    _, drawn = draw(bench, 2)  # vibration, which begins at rest
+    _, drawn = draw(bench, 0)
     states = system_states(bench, drawn)
-    for field, wavelength in ((0, 0), (2, 1)):
+    for field, wavelength in ((1, 0), (2, 1)):
         traced = measure_system(bench.prepared[field][wavelength], states, choose_device(DEVICE))
-        found = model.see(field, wavelength, drawn)
-        for name in ("rms", "rms_raw", "rms_flat", "spot_rms", "zernike"):
-            one, other = getattr(traced, name), getattr(found, name)
-            np.testing.assert_allclose(other[0], one[0], rtol=1e-9, atol=1e-9, err_msg=name)
-            moved = np.abs(one - one[0]).max()
-            assert np.abs(other - one).max() < 0.01 * moved, name
+        found, rest = model.see(field, wavelength, drawn), bench.static[field][wavelength]
+        for name in ("rms", "rms_raw", "rms_flat", "spot_rms", "zernike", "chief", "los", "centroid"):
+            one, other, still = (getattr(seen, name) for seen in (traced, found, rest))
+            assert np.abs(other - one).max() < 0.02 * np.abs(one - still).max(), name
         assert np.isnan(found.pv).all()
         assert np.isnan(found.strehl).all()
 
@@ -154,7 +152,7 @@ def test_images_are_those_of_traces(study_of):
     assert (found.status == DONE).all()
     traced = KIND.compute(standard(study).identity_text(), np.arange(3), DEVICE)
     for name in ("exposure", "exposure_focus", "object_image"):
-        np.testing.assert_allclose(found.arrays[name], traced.arrays[name], atol=3e-3)
+        np.testing.assert_allclose(found.arrays[name], traced.arrays[name], atol=1e-4)
         assert np.abs(found.arrays[name] - traced.arrays[name]).max() > 0.0
     np.testing.assert_allclose(found.arrays["fwhm"], traced.arrays["fwhm"], rtol=2e-2)
     apart = np.abs(found.arrays["peak"] - traced.arrays["peak"]).max(axis=1)
