@@ -49,6 +49,15 @@ def undrawn():
         yield
 
 
+@pytest.fixture
+def drawn(monkeypatch):
+    """Draw figures in one test of a file that leaves them undrawn."""
+    from wavequake.drawing import style
+    from wavequake.report import page
+
+    monkeypatch.setattr(page, "svg_text", style.svg_text)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _campaigns_that_name_no_place_are_serial():
     """Tests of workers ask for them; processes of a campaign's own would take seconds to start."""

@@ -20,9 +20,9 @@ def sides(seed, line=LINE, level=1.0):
 
 @pytest.mark.slow
 def test_equal_spectra_are_called_unequal_at_the_stated_rate():
-    bands = [agreement(*sides(seed)) for seed in range(200)]
+    bands = [agreement(*sides(seed)) for seed in range(100)]
     alarms = sum(any(not band.agrees for band in found) for found in bands)
-    assert 2 <= alarms <= 18, alarms  # 99 % of the binomial distribution of 5 %, and a third of that
+    assert 1 <= alarms <= 11, alarms  # 99 % of the binomial distribution of 5 %
     held = np.array([[band.low <= 1.0 <= band.high for band in found] for found in bands])
     for scale in ("line", "octave", "whole"):
         mine = held[:, [band.scale == scale for band in bands[0]]]
@@ -30,7 +30,7 @@ def test_equal_spectra_are_called_unequal_at_the_stated_rate():
 
 
 def test_a_line_that_moved_by_two_percent_is_found_where_it_moved():
-    for seed in range(20):
+    for seed in range(8):
         wrong = [band for band in agreement(*sides(seed, (20.4, 0.004, (3.0, 2.0)))) if not band.agrees]
         lines = [band for band in wrong if band.scale == "line"]
         assert lines, seed
@@ -40,7 +40,7 @@ def test_a_line_that_moved_by_two_percent_is_found_where_it_moved():
 
 
 def test_a_level_that_rose_by_thirty_percent_is_found():
-    for seed in range(20):
+    for seed in range(8):
         found = agreement(*sides(seed, level=np.sqrt(1.3)))
         wrong = [band for band in found if not band.agrees]
         assert wrong, seed

@@ -102,10 +102,10 @@ def test_slopes_and_information_are_those_of_the_likelihood():
 
 @pytest.mark.slow
 def test_a_line_comes_back_as_often_as_its_intervals_say():
-    """200 records of 60 s: at least 183 hold, and not so many that intervals are too wide (99.9 %)."""
+    """100 records of 60 s: at least 88 hold, and not so many that intervals are too wide (99.9 %)."""
     truth = (20.0, 0.01, (3.0, 4.0))
     away, widths, held = [], [], []
-    for seed in range(200):
+    for seed in range(100):
         values = signals(np.random.default_rng(seed), 12000, STEP, [truth], 1.0)
         lines, _ = find_lines(values, STEP)
         assert len(lines) == 1, seed
@@ -113,8 +113,8 @@ def test_a_line_comes_back_as_often_as_its_intervals_say():
         held.append(holds(lines[0], *truth))
         widths.append(lines[0].deviations)
     away, held = np.array(away), np.sum(held, axis=0)
-    assert (held >= 183).all(), held
-    assert (held <= 198).all(), held
+    assert (held >= 88).all(), held
+    assert (held <= 99).all(), held
     # Cramér-Rao for a line far above the noise: var(ln f) = D / (w T), var(ln D) = 1 / (D w T).
     bound = np.sqrt(np.array([0.01, 1 / 0.01]) / (2 * np.pi * 20.0 * 60.0))
     ratio = np.mean(widths, axis=0)[:2] / bound
@@ -136,17 +136,13 @@ def held_of_twins(seeds):
     return np.sum(held, axis=0)
 
 
-def test_two_lines_one_percent_apart_are_told_apart():
-    held = held_of_twins(range(25)).sum()
-    assert 175 <= held <= 198, held  # of 200: the numbers of a record are not independent
-
-
 @pytest.mark.slow
 def test_two_lines_one_percent_apart_come_back_as_often_as_their_intervals_say():
     """Of 200 records (`make soak`, four minutes) seven of the eight numbers reach 183."""
-    count = int(os.environ.get("TWIN_RECORDS", "40"))
+    count = int(os.environ.get("TWIN_RECORDS", "25"))
     held = held_of_twins(range(count))
     assert (held >= binom.ppf(0.001, count, 0.95)).all(), held  # 180 of 200
+    assert 0.875 * 8 * count <= held.sum() <= 0.99 * 8 * count, held  # those of a record are not independent
     if count == 200:
         assert np.sum(held >= 183) >= 7, held
         assert (held <= 199).all(), held

@@ -205,6 +205,7 @@ def test_the_table_of_a_mirror(store, dataset):
     assert "craigb18 is off by" in table.caption
 
 
+@pytest.mark.usefixtures("drawn")
 def test_the_report_of_a_mirror(store, dataset, tmp_path):
     target = tmp_path / "report.html"
     text = mirror_exposures.write_report_of(
@@ -231,6 +232,7 @@ def telescope_store(tmp_path_factory):
     return path
 
 
+@pytest.mark.usefixtures("drawn")
 def test_the_report_of_a_telescope(telescope_store):
     table, path = report_store(telescope_store)
     text = path.read_text()
