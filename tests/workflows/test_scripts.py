@@ -89,9 +89,8 @@ def test_where_workers_would_not_do_it_runs_serially_and_says_so(tmp_path, befor
 
 
 def test_one_chunk_of_cases_starts_no_workers(tmp_path, capsys):
-    found = wq.run(
-        "double-gauss", cases=2, store=tmp_path / "s", optics__rays=60, wavefront__zernike_terms=11
-    )
+    few = {"optics__rays": 60, "wavefront__zernike_terms": 11}
+    found = wq.run("double-gauss", cases=2, store=tmp_path / "s", workers=2, **few)
     assert np.isfinite(found.wfe_rms.isel(time=0)).all()
     (log,) = (tmp_path / "s" / "log").glob("*.log")
     assert "on=serial" in log.read_text()

@@ -18,17 +18,17 @@ from wavequake.viewer.chosen import some_cases
 from wavequake.viewer.film import Array, Stage, Take, principal, same_reach, zernike_map
 from wavequake.workflows.exposures.exposure_study import MirrorExposureStudy
 from wavequake.workflows.exposures.mirror_exposure import local_images
-from wavequake.workflows.mirrors import mirror_mor, mirror_trace
 from wavequake.workflows.mirrors.mirror_bench import (
     Bench,
     any_study_of,
     bench_of,
+    cases_of,
     over_time,
     time_of,
     variant_of,
 )
 from wavequake.workflows.mirrors.mirror_optics import optical_rows
-from wavequake.workflows.mirrors.mirror_study import FULL, AnyMirrorStudy, MirrorStudy, TraceStudy
+from wavequake.workflows.mirrors.mirror_study import FULL, AnyMirrorStudy, MirrorStudy
 
 _MODES = 12
 _PERIOD = 40  # instants of a mode
@@ -44,7 +44,7 @@ def film_of(
 ) -> tuple[tuple[Stage, ...], tuple[Take, ...]]:
     """Return a stage for every variant, and its modes and excitations."""
     study = any_study_of(manifest.study)
-    every = mirror_trace.cases_of(study) if isinstance(study, TraceStudy) else _cases(study)
+    every = cases_of(study)
     others = [k for k, (_, variant) in enumerate(every) if variant not in (FULL, _reference(study))]
     cases = list(chosen) or some_cases(dataset, others)
     device = choose_device(device_at_hand(manifest))
@@ -68,12 +68,6 @@ def film_of(
 
 def _reference(study: AnyMirrorStudy) -> str:
     return study.reduction.reference if isinstance(study, MirrorStudy) else FULL
-
-
-def _cases(study: AnyMirrorStudy) -> list[tuple[str, str]]:
-    if not isinstance(study, MirrorStudy):
-        raise TypeError(f"{type(study).__name__} has no variants")
-    return mirror_mor.cases_of(study)
 
 
 def side_by_side(whole: Model, reduced: Model, name: str, variant: str) -> Stage:

@@ -177,13 +177,17 @@ def wavefront_history(
         above.plot(time, part["wfe_rms"].sel(case=one.case), **_style(number))
         off = np.maximum(part["wfe_error"].sel(case=one.case).to_numpy(), 1e-9)
         below.semilogy(time, off, label=one.variant, **_style(number))
+    _label_histories(above, below, f"{excitation}; gray: {reference.variant}", "off the reference (nm)")
+    return figure
+
+
+def _label_histories(above: Axes, below: Axes, title: str, difference: str) -> None:
     above.set_ylabel("WFE rms (nm)")
-    above.set_title(f"{excitation}; gray: {reference.variant}")
+    above.set_title(title)
     _powers(below.yaxis)
-    below.set_ylabel("off the reference (nm)")
+    below.set_ylabel(difference)
     below.set_xlabel("time (ms)")
     below.legend(fontsize=7, ncols=2)
-    return figure
 
 
 @rc_context(STYLE)
@@ -267,12 +271,8 @@ def both_methods(dataset: xr.Dataset, excitation: str, shown: Sequence[tuple[int
         above.plot(time, one["wfe_rms_modal"], color=color, linewidth=0.9)
         off = np.maximum(one["wfe_difference"].to_numpy(), 1e-9)
         below.semilogy(time, off, label=variant, **_style(number))
-    above.set_ylabel("WFE rms (nm)")
-    above.set_title(f"{excitation}; wide: every instant traced, thin: sensitivities of modes")
-    _powers(below.yaxis)
-    below.set_ylabel("difference (nm)")
-    below.set_xlabel("time (ms)")
-    below.legend(fontsize=7, ncols=2)
+    title = f"{excitation}; wide: every instant traced, thin: sensitivities of modes"
+    _label_histories(above, below, title, "difference (nm)")
     return figure
 
 

@@ -185,6 +185,26 @@ def _worded(value: float, criterion: Criterion) -> str:
     return number(100 * value if criterion.measure == "wfe" else value) + units
 
 
+def over_frequency(
+    dataset: xr.Dataset,
+    name: str,
+    shown: Sequence[VariantResult],
+    reference: VariantResult | None,
+    mechanical: str,
+    optical: str,
+) -> Iterable[Picture]:
+    """Draw both responses of some variants and their errors; ids of the pictures begin with `name`."""
+    for part, response, error in (("mech", mechanical, "receptance"), ("opt", optical, optical)):
+        for key, text, ground in (("frf", response, reference), ("eps", f"error of the {error}", None)):
+            yield picture(
+                f"{name}-{key}_{part}",
+                f"{text[0].upper()}{text[1:]} over frequency",
+                draw.spectra(dataset, f"{key}_{part}", shown, ground),
+                "A variant is good as far as its line follows the reference (responses) or stays low "
+                "(errors); peaks are modes.",
+            )
+
+
 def _figures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
     reference = model.reference
     if reference is None or not model.variants:
@@ -193,19 +213,7 @@ def _figures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
     krylov = few([one for one in model.variants if one.method == "krylov"])
     drawn = {one.case for one in (reference, *shown, *krylov)}
     dataset = dataset.sel(case=sorted(drawn)).load()  # once, not figure by figure
-    for key, text, ground in (
-        ("frf_mech", "Receptance over frequency", reference),
-        ("eps_mech", "Error of the receptance over frequency", None),
-        ("frf_opt", "Mechanical-optical response over frequency", reference),
-        ("eps_opt", "Error of the mechanical-optical response over frequency", None),
-    ):
-        yield picture(
-            f"{name}-{key}",
-            text,
-            draw.spectra(dataset, key, shown, ground),
-            "A variant is good as far as its line follows the reference (responses) or stays low "
-            "(errors); peaks are modes.",
-        )
+    yield from over_frequency(dataset, name, shown, reference, "receptance", "mechanical-optical response")
     if len(krylov) > 1:
         yield picture(
             f"{name}-krylov",

@@ -23,7 +23,7 @@ from wavequake.workflows.exposures.telescope_exposure import case_blocks, scaled
 from wavequake.workflows.lens import lens_experiment as lens
 from wavequake.workflows.mirrors import mirror_trace as mirror
 from wavequake.workflows.mirrors.mirror_base import driven
-from wavequake.workflows.mirrors.mirror_bench import bench_of, time_of, trace_study_of, variant_of
+from wavequake.workflows.mirrors.mirror_bench import bench_of, cases_of, time_of, trace_study_of, variant_of
 from wavequake.workflows.mirrors.mirror_optics import displacements_mm
 from wavequake.workflows.mirrors.mirror_residual import coordinates_of, left_by, residual_of
 from wavequake.workflows.segments.bench import bench_of as segment_bench
@@ -233,7 +233,7 @@ def _of_plant(study: str, case: int, device: str) -> xr.Dataset:
 def _of_mirror(text: str, case: int, device_name: str) -> xr.Dataset:
     """Return inputs, coordinates, figures and Zernike coefficients over time, by both methods."""
     study, device = trace_study_of(text), choose_device(device_name)
-    name, variant = mirror.cases_of(study)[case]
+    name, variant = cases_of(study)[case]
     bench, time = bench_of(text, name), time_of(study)
     reduced, optics, clock = variant_of(bench, variant), bench.optics, Stopwatch()
     motion = motion_fit(optics.surface, displacements_mm(reduced.surface.T))

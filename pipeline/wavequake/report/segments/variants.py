@@ -96,19 +96,8 @@ def _segment_figures(dataset: xr.Dataset, models: list[ModelResult]) -> Iterable
     if model is None:
         return
     shown = representatives(model)
-    for key, text, ground in (
-        ("frf_mech", "Receptance at the supports over frequency", model.reference),
-        ("eps_mech", "Error of the receptance over frequency", None),
-        ("frf_opt", "Response of the segment's surface over frequency", model.reference),
-        ("eps_opt", "Error of the response of the segment's surface over frequency", None),
-    ):
-        yield picture(
-            f"segment-{key}",
-            text,
-            draw.spectra(dataset, key, shown, ground),
-            "A variant is good as far as its line follows the reference (responses) or stays low "
-            "(errors); peaks are modes.",
-        )
+    responses = "receptance at the supports", "response of the segment's surface"
+    yield from mirrors.over_frequency(dataset, "segment", shown, model.reference, *responses)
     yield picture(
         "segment-fmax",
         "Largest pseudo-eigenfrequencies",

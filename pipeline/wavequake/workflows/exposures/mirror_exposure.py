@@ -36,6 +36,8 @@ from wavequake.workflows.mirrors import mirror_bench
 from wavequake.workflows.mirrors.mirror_bench import (
     aberrations_over_time,
     bench_of,
+    case_table,
+    cases_of,
     check_variants_of,
     imager_of,
     import_notices,
@@ -43,7 +45,6 @@ from wavequake.workflows.mirrors.mirror_bench import (
     time_of,
     variant_of,
 )
-from wavequake.workflows.mirrors.mirror_mor import case_table, cases_of
 from wavequake.workflows.mirrors.mirror_optics import Optics, optical_rows
 
 Array = NDArray[np.float64]

@@ -39,7 +39,7 @@ from wavequake.workflows.mirrors.model_store import (
     kept_model,
     kept_notes,
 )
-from wavequake.workflows.mirrors.own_models import own_arrays
+from wavequake.workflows.mirrors.own_models import method_of, own_arrays
 
 Array = NDArray[np.float64]
 
@@ -111,6 +111,23 @@ def any_study_of(text: str) -> AnyMirrorStudy:
     if json.loads(text)["study"]["workflow"] == "mirror-trace":
         return trace_study_of(text)
     return study_of(text)
+
+
+def cases_of(study: AnyMirrorStudy) -> list[tuple[str, str]]:
+    """Return model and variant of every case; the first of each model is the reference, if there is one."""
+    return [(model, variant) for model in study.models for variant in study.compared]
+
+
+def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
+    """Return the labels of cases first <= id < last: model, variant, its method and the seed."""
+    study = any_study_of(study_text)
+    rows = cases_of(study)[first:last]
+    return {
+        "model": np.array([model for model, _ in rows], dtype=object),
+        "variant": np.array([variant for _, variant in rows], dtype=object),
+        "method": np.array([method_of(study, one) for _, one in rows], dtype=object),
+        "seed": np.full(last - first, study.study.seed, dtype=np.int64),
+    }
 
 
 @prepared(maxsize=4)

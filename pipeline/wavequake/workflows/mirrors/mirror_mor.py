@@ -27,6 +27,8 @@ from wavequake.workflows.mirrors.mirror_bench import (
     Bench,
     answers_of,
     bench_of,
+    case_table,
+    cases_of,
     check_variants_of,
     frequencies_of,
     imager_of,
@@ -47,7 +49,6 @@ from wavequake.workflows.mirrors.mirror_shapes import (
     rim_angle,
 )
 from wavequake.workflows.mirrors.mirror_study import MirrorStudy
-from wavequake.workflows.mirrors.own_models import method_of
 
 Array = NDArray[np.float64]
 
@@ -57,11 +58,6 @@ SHOWN_TERMS = 15
 MODES = 40
 FITTED_MODES = 120
 _UM_PER_MM = 1e3
-
-
-def cases_of(study: MirrorStudy) -> list[tuple[str, str]]:
-    """Return model and variant of every case; the first of each model is the reference itself."""
-    return [(model, variant) for model in study.models for variant in study.compared]
 
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
@@ -207,18 +203,6 @@ def _image_error(images: Array, reference: Array) -> Array:
     """Return the L2 norms of the differences of unit-energy images, (excitation,)."""
     one, two = (part / part.sum(axis=(1, 2), keepdims=True) for part in (images, reference))
     return np.asarray(np.sqrt(np.sum((one - two) ** 2, axis=(1, 2))))
-
-
-def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
-    """Return the labels of cases first <= id < last: model, variant, its method and the seed."""
-    study = study_of(study_text)
-    rows = cases_of(study)[first:last]
-    return {
-        "model": np.array([model for model, _ in rows], dtype=object),
-        "variant": np.array([variant for _, variant in rows], dtype=object),
-        "method": np.array([method_of(study, one) for _, one in rows], dtype=object),
-        "seed": np.full(last - first, study.study.seed, dtype=np.int64),
-    }
 
 
 def template(study_text: str) -> Template:

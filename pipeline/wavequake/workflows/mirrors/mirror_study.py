@@ -101,6 +101,11 @@ class VariantsSection(Section):
     )
     last_hz: float = Field(default=1200.0, gt=0, description="upper end of the band that the basis covers")
 
+    @property
+    def compared(self) -> tuple[str, ...]:
+        """All variants."""
+        return self.variants
+
     @field_validator("variants")
     @classmethod
     def _variants_are_canonical(cls, value: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
@@ -143,6 +148,11 @@ class ReductionSection(VariantsSection):
     spot_checks: int = Field(
         default=3, ge=0, le=50, description="frequencies at which the sweep's basis is checked in full"
     )
+
+    @property
+    def compared(self) -> tuple[str, ...]:
+        """All variants, the reference first."""
+        return (self.reference, *(name for name in self.variants if name != self.reference))
 
     @field_validator("reference")
     @classmethod
@@ -284,8 +294,8 @@ class AnyMirrorStudy(Study):
 
     @property
     def compared(self) -> tuple[str, ...]:
-        """The variants of each model."""
-        return self.reduction.variants
+        """The variants of each model, the reference first where there is one."""
+        return self.reduction.compared
 
     @property
     def cases(self) -> int:
@@ -333,12 +343,6 @@ class MirrorStudy(AnyMirrorStudy):
             if name not in names:
                 raise ValueError(f"criterion.excitations names {name!r}; there are {', '.join(names)}")
         return self
-
-    @property
-    def compared(self) -> tuple[str, ...]:
-        """The variants of each model, the reference first."""
-        reference = self.reduction.reference
-        return (reference, *(name for name in self.reduction.variants if name != reference))
 
     @property
     def stores_images(self) -> bool:

@@ -31,6 +31,8 @@ from wavequake.workflows.mirrors.mirror_base import driven
 from wavequake.workflows.mirrors.mirror_bench import (
     Bench,
     bench_of,
+    case_table,
+    cases_of,
     check_variants_of,
     import_notices,
     import_record,
@@ -50,7 +52,6 @@ from wavequake.workflows.mirrors.mirror_residual import (
     rms_of,
 )
 from wavequake.workflows.mirrors.mirror_study import TraceStudy
-from wavequake.workflows.mirrors.own_models import method_of
 
 Array = NDArray[np.float64]
 
@@ -78,11 +79,6 @@ class Wavefronts:
 
     aberrations: Array
     rms_raw: Array
-
-
-def cases_of(study: TraceStudy) -> list[tuple[str, str]]:
-    """Return model and variant of every case."""
-    return [(model, variant) for model in study.models for variant in study.compared]
 
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
@@ -275,18 +271,6 @@ def modal_method(
         fitted = rms_of(optics.prepared.fit.normal[3:, 3:], aberrations[:, 5:])
         raw = np.hypot(fitted, rms_of(rough, amplitudes))
     return Wavefronts(aberrations, raw)
-
-
-def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:
-    """Return the labels of cases first <= id < last: model, variant, its method and the seed."""
-    study = trace_study_of(study_text)
-    rows = cases_of(study)[first:last]
-    return {
-        "model": np.array([model for model, _ in rows], dtype=object),
-        "variant": np.array([variant for _, variant in rows], dtype=object),
-        "method": np.array([method_of(study, variant) for _, variant in rows], dtype=object),
-        "seed": np.full(last - first, study.study.seed, dtype=np.int64),
-    }
 
 
 def variables(study: TraceStudy) -> dict[str, Variable]:

@@ -118,8 +118,7 @@ class SegmentMorStudy(Study):
     @property
     def compared(self) -> tuple[str, ...]:
         """The variants, the reference first."""
-        reference = self.reduction.reference
-        return (reference, *(name for name in self.reduction.variants if name != reference))
+        return self.reduction.compared
 
     @property
     def cases(self) -> int:
