@@ -75,8 +75,11 @@ def test_a_killed_driver_leaves_no_workers_and_the_next_run_completes(tmp_path, 
     assert verify_store(tmp_path / "s").extra == ()
 
 
-@pytest.mark.parametrize("keys", [{"reduce": "summary"}, {"every": 3}], ids=["summary", "every third"])
-@pytest.mark.parametrize("place", [{"on": "serial"}, {"on": "local", "workers": 2}], ids=["serial", "local"])
+@pytest.mark.parametrize(
+    ("keys", "place"),
+    [({"reduce": "summary"}, {"on": "local", "workers": 2}), ({"every": 3}, {"on": "serial"})],
+    ids=["summary, local", "every third, serial"],
+)
 def test_a_killed_campaign_that_keeps_less_goes_on_with_the_same_bits(tmp_path, keys, place):
     """Four instants: a summary of them, or the third alone; killed when three of ten chunks are recorded."""
     options = {**SLOW, "store": keys}
