@@ -114,6 +114,19 @@ def huge(time_s, values):
     return time_s, values * np.where(np.arange(values.shape[1]) == 0, 1e200, 1.0)
 
 
+def straight(time_s, values):
+    values[:, 0] = 3.0 + 0.1 * time_s
+    return time_s, values
+
+
+def quick(time_s, values):
+    return time_s * 1e-300, values
+
+
+def slow(time_s, values):
+    return time_s * 1e300, values
+
+
 def tiny(time_s, values):
     return time_s, values * 1e-200
 
@@ -132,6 +145,9 @@ def short(time_s, values):
         (hole, "row 8 of 'wavefront[2].z4_nm' is no finite number"),
         (clipped, "'line_of_sight.x_mas' is clipped"),
         (dead, "'camera.ax_m_s2' is 3 throughout"),
+        (straight, "'line_of_sight.x_mas' is a straight line but for rounding"),
+        (quick, "its time step is 2e-303 s; instants increase evenly, by 1e-09 to 1e+06 s"),
+        (slow, "its time step is 2e+297 s"),
         (huge, "which no sensor measures"),
         (tiny, "which no sensor measures"),
         (short, "it has 100 rows; spectra need at least 512"),

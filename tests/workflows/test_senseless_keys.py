@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+from test_telescope_structure import ELASTIC, OPTICS, RIGID, SLOW
 
 from wavequake.errors import UserError
 from wavequake.report.table import difference
@@ -143,6 +144,39 @@ def test_surfaces_that_cannot_be(tmp_path, keys, words):
 def test_telescopes_with_what_does_not_belong_to_them(tmp_path, keys, words):
     usual = {"workflow": "segment-disturbance", "name": "gtc", "model": "static-random"}
     assert words in said(tmp_path, TELESCOPE.format(**{**usual, "optics": "", "more": "", **keys}))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("mass_kg = 8.0", "mass_kg = 1e300", "less than or equal to 1000000000"),
+        (
+            "[2.0, 3.0, 4.0]",
+            "[1e300, 1e300, 1e300]",
+            "inertia_kg_m2.0: input should be less than or equal to",
+        ),
+        ("[2.0, 3.0, 4.0]", "[2.0, 1e9, 4.0]", "belong to no mass"),
+        ("a = [300.0, 0.0, 0.0]", "a = [-1e300, 0.0, 0.0]", "greater than or equal to -10000000"),
+        (
+            "mass_kg = 8.0",
+            "mass_kg = 8.0\ncenter_mm = [1e300, 0.0, 0.0]",
+            "center_mm.0: input should be less",
+        ),
+        (
+            'surfaces = ["M1"]',
+            'surfaces = ["M1"]\nabout_mm = [0.0, 1e300, 0.0]',
+            "about_mm.1: input should be",
+        ),
+        ("[2e5, 3e5, 4e5]", "[1e300, 3e5, 4e5]", "'feet' needs stiffnesses and dampings from 0 to 1e+18"),
+        ("[2e5, 3e5, 4e5]", "1e5\ndamping_n_s_m = -1.0", "'feet' needs stiffnesses and dampings from 0 to"),
+        ("thickness_m = 0.004", "thickness_m = 1e300", "less than or equal to 100"),
+        ("thickness_m = 0.004", "thickness_m = 0.004\nyoungs_modulus_pa = 1e300", "less than or equal to"),
+        ("thickness_m = 0.004", "thickness_m = 0.004\ndensity_kg_m3 = 1e-320", "greater than or equal to"),
+    ],
+)
+def test_bodies_that_cannot_be(tmp_path, old, new, words):
+    bodies = ELASTIC if old in ELASTIC and old not in RIGID else RIGID
+    assert words in said(tmp_path, OPTICS + bodies.replace(old, new, 1) + SLOW)
 
 
 @pytest.mark.parametrize("key", ["actuator_radius_m", "arm_m", "offset_m", "servo_hz", "sensor_nm"])

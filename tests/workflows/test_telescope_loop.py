@@ -483,6 +483,15 @@ def test_loops_that_cannot_be_are_said_in_a_sentence(block, words, tmp_path):
         ({"sensor.wavefront.noise": 0.0}, "controller.elastic-lqg/0.5: The noise of the sensor is 0"),
         ({"look.traced": 51}, "look.traced is 51, but there are cases of 50 instants"),
         ({"wavefront.method": "slopes"}, "loops need wavefront.method = 'opd'"),
+        ({"sensor.sight.rate_hz": 1e9}, "rate_hz: input should be less than or equal to 100000"),
+        ({"sensor.wavefront.noise": 1e300}, "noise: input should be less than or equal to"),
+        *(
+            ({"controller.elastic-lqg.lines": [{"hz": 15, "fwhm_hz": 10, "rms": 2} | line]}, words)
+            for line, words in (
+                ({"rms": 1e300}, "rms: input should be less than or equal to"),
+                ({"fwhm_hz": 1e-320}, "fwhm_hz: input should be greater than or equal to"),
+            )
+        ),
     ],
 )
 def test_blocks_that_do_not_fit_are_said_in_a_sentence(changes, words):

@@ -33,11 +33,13 @@ class Sensor(Section):
     sees: ClassVar[Literal["light", "bodies"]] = "light"
 
     name: str = Field(pattern=_NAMED, description="also names its random numbers")
-    rate_hz: float = Field(default=1000.0, gt=0, description="frames per second")
+    rate_hz: float = Field(default=1000.0, gt=0, le=1e5, description="frames per second")
     integration: float = Field(
         default=1.0, gt=0, le=1, description="last share of a frame over which it averages"
     )
-    noise: float = Field(default=0.0, ge=0, description="rms of each reading, per frame, in its unit")
+    noise: float = Field(
+        default=0.0, ge=0, le=1e12, description="rms of each reading, per frame, in its unit"
+    )
     noise_density: float = Field(
         default=0.0, ge=0, description="one-sided, in its unit per root of Hz, beside `noise`"
     )
@@ -77,7 +79,7 @@ class Centroids(Section):
     """What makes the noise of a centroid; without photons it has none."""
 
     photons: float = Field(default=0.0, ge=0, description="in a spot, per frame; 0: photons make no noise")
-    read_noise: float = Field(default=0.0, ge=0, description="electrons rms per pixel")
+    read_noise: float = Field(default=0.0, ge=0, le=1e6, description="electrons rms per pixel")
     spot_mas: float = Field(default=20.0, gt=0, description="rms width of the spot along one axis")
     pixel_mas: float = Field(default=20.0, gt=0)
     pixels: int = Field(default=8, ge=2, le=64, description="along one side of the window")

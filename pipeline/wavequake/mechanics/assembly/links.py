@@ -15,6 +15,7 @@ from wavequake.mechanics.multibody.joined import Bearing, Joint, Place
 
 _TOGETHER = 1e-5  # m: nodes of a spring or rigid connection that are one point
 _DEPENDENT = 1e-10
+_STIFFEST = 1e18  # N/m and N s/m
 
 
 class End(NamedTuple):
@@ -158,10 +159,8 @@ def _turning(bodies: Mapping[str, Body], link: Link, first: Node, second: Node) 
 
 def _bearing(link: Link, places: tuple[Place, Place], along: Array) -> Bearing:
     numbers = np.array([*link.stiffness, *link.damping])
-    if numbers.shape != (6,) or not np.isfinite(numbers).all() or (numbers < 0.0).any():
-        raise UserError(
-            f"the link {link.name!r} needs stiffnesses and dampings that are finite and at least 0"
-        )
+    if numbers.shape != (6,) or not ((numbers >= 0.0) & (numbers <= _STIFFEST)).all():
+        raise UserError(f"the link {link.name!r} needs stiffnesses and dampings from 0 to {_STIFFEST:g}")
     if not numbers.any():
         raise UserError(f"the link {link.name!r} has neither stiffness nor damping; give it stiffness_n_m")
     if link.kind == "leg":

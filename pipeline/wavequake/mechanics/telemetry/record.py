@@ -1,6 +1,5 @@
 """Records of telemetry from files: evenly sampled, finite, long enough, or a sentence of what is not."""
 
-import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +18,8 @@ Array = NDArray[np.float64]
 
 FEWEST = 512
 MOST_CHANNELS = 64
+_SHORTEST, _LONGEST = 1e-9, 1e6  # s: steps whose frequencies have squares and reciprocals
+_ROUNDING = 16.0 * float(np.finfo(float).eps)
 _UNEVEN = 0.01  # of a step: what clocks of data acquisition jitter at most
 _PILED = 1e-3  # share of samples at an end of the range, and how many of the next value there are at most
 _MORE = 3.0
@@ -101,8 +102,10 @@ def record_of(names: Sequence[str], time: Array | float, values: Array) -> Recor
         raise UserError(f"it has {len(values)} rows; spectra need at least {FEWEST}.")
     _require_finite(channels, values)
     step = time if isinstance(time, float) else _step_of(time)
-    if not (math.isfinite(step) and step > 0.0):
-        raise UserError(f"its time step is {step:g} s; instants increase evenly.")
+    if not _SHORTEST <= step <= _LONGEST:
+        raise UserError(
+            f"its time step is {step:g} s; instants increase evenly, by {_SHORTEST:g} to {_LONGEST:g} s."
+        )
     for channel, column in zip(channels, values.T, strict=True):
         _require_free(channel.name, column)
     return Record(step, channels, np.ascontiguousarray(values))
@@ -148,6 +151,8 @@ def _require_free(name: str, column: Array) -> None:
     low, high = float(column.min()), float(column.max())
     if low == high:
         raise UserError(f"the column {name!r} is {low:g} throughout; leave it out.")
+    if np.ptp(np.diff(column)) <= _ROUNDING * max(abs(low), abs(high)):
+        raise UserError(f"the column {name!r} is a straight line but for rounding; leave it out.")
     if not _LEAST < high - low < _MOST:
         raise UserError(f"the column {name!r} runs from {low:g} to {high:g}, which no sensor measures.")
     for end in (low, high):

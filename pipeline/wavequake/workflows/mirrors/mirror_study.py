@@ -35,13 +35,13 @@ class ModelSection(Section):
     )
     diameter_m: float = Field(default=1.0, gt=0)
     inner_diameter_m: float = Field(default=0.4, gt=0, description="of the annular mirror")
-    thickness_m: float = Field(default=0.02, gt=0)
+    thickness_m: float = Field(default=0.02, gt=0, le=100)
     focal_length_m: float = Field(
         default=1.7, gt=0, description="of the parabola; it puts the defocus mode of the defaults at 295 Hz"
     )
-    youngs_modulus_pa: float = Field(default=70e9, gt=0)
+    youngs_modulus_pa: float = Field(default=70e9, gt=0, le=1e15)
     poisson_ratio: float = Field(default=0.33, gt=-1, lt=0.5)
-    density_kg_m3: float = Field(default=2700.0, gt=0)
+    density_kg_m3: float = Field(default=2700.0, ge=1e-3, le=1e6)
     mount_radius_m: float = Field(default=0.333, gt=0, description="of the interface nodes on the rear face")
     mount_angles_deg: tuple[float, ...] = Field(default=(0.0, 120.0, 240.0), strict=False)
     damping_alpha: float = Field(default=0.0, ge=0, description="1/s, times the mass")

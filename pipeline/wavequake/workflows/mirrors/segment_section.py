@@ -15,13 +15,13 @@ from wavequake.workflows.mirrors.mirror_study import FULL
 class SegmentModelSection(Section):
     """The segment: a hexagonal meniscus on three supports; its side is that of the telescope's segments."""
 
-    thickness_m: float = Field(default=0.045, gt=0)
+    thickness_m: float = Field(default=0.045, gt=0, le=100)
     mount_radius_m: float | None = Field(
         default=None, gt=0, description="of the supports, toward every other corner; default: 0.6 of the side"
     )
-    youngs_modulus_pa: float = Field(default=GLASS_CERAMIC.young, gt=0)
+    youngs_modulus_pa: float = Field(default=GLASS_CERAMIC.young, gt=0, le=1e15)
     poisson_ratio: float = Field(default=GLASS_CERAMIC.poisson, gt=-1, lt=0.5)
-    density_kg_m3: float = Field(default=GLASS_CERAMIC.density, gt=0)
+    density_kg_m3: float = Field(default=GLASS_CERAMIC.density, ge=1e-3, le=1e6)
     support: Literal["springs", "rigid"] = Field(
         default="springs",
         description="springs: displacements move their far ends; rigid: displacements are prescribed",

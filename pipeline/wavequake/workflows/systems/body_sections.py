@@ -13,9 +13,11 @@ from wavequake.mechanics.nodal.modes import FORMATS as MODE_FILES
 from wavequake.workflows.mirrors.compared_models import ComparedSection, canonical
 from wavequake.workflows.mirrors.mirror_study import FULL
 
-Point = Annotated[tuple[float, float, float], Field(strict=False)]
+Place = Annotated[float, Field(ge=-1e7, le=1e7)]  # mm: within 10 km
+Point = Annotated[tuple[Place, Place, Place], Field(strict=False)]
+Vector = Annotated[tuple[float, float, float], Field(strict=False)]
 Points = dict[str, Point]
-Positive = Annotated[float, Field(gt=0)]
+Positive = Annotated[float, Field(gt=0, le=1e15)]
 Ratios = Annotated[tuple[float, ...], Field(strict=False)]
 Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _-]*$")]
 
@@ -23,9 +25,9 @@ Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _-]*$")]
 class SolidSection(Section):
     """Of what a body is made; the defaults are aluminium."""
 
-    youngs_modulus_pa: float = Field(default=70e9, gt=0)
+    youngs_modulus_pa: float = Field(default=70e9, gt=0, le=1e15)
     poisson_ratio: float = Field(default=0.33, gt=-1, lt=0.5)
-    density_kg_m3: float = Field(default=2700.0, gt=0)
+    density_kg_m3: float = Field(default=2700.0, ge=1e-3, le=1e6)
 
 
 class MirrorBodySection(SolidSection):
@@ -39,7 +41,7 @@ class MirrorBodySection(SolidSection):
         default=None, gt=0, description="default: that of the surface, or of what the beams fill of it"
     )
     inner_diameter_m: float | None = Field(default=None, gt=0, description="of an annulus, required")
-    thickness_m: float = Field(gt=0)
+    thickness_m: float = Field(gt=0, le=100)
     mount_radius_m: float | None = Field(default=None, gt=0, description="default: 0.645 of the radius")
     mount_angles_deg: tuple[float, ...] = Field(
         default=(0.0, 120.0, 240.0),
@@ -110,7 +112,7 @@ class ImportedBodySection(Section):
 class RigidBodySection(Section):
     """A rigid body: any point of it is a node."""
 
-    mass_kg: float = Field(gt=0)
+    mass_kg: float = Field(gt=0, le=1e9)
     inertia_kg_m2: Annotated[tuple[Positive, Positive, Positive], Field(strict=False)] = Field(
         description="principal moments about the center of mass, along x, y, z of the body's axes"
     )
@@ -256,10 +258,10 @@ class LinkSection(Section):
         description="pairs such as ['M1.1', 'tube.a']: body.node; a rigid body or 'ground' alone is joined "
         "where the other end is",
     )
-    stiffness_n_m: float | Point | None = Field(
+    stiffness_n_m: float | Vector | None = Field(
         default=None, description="of each spring (x, y, z) or leg, required; a rigid connection has none"
     )
-    damping_n_s_m: float | Point = Field(default=0.0, description="of the damper beside it")
+    damping_n_s_m: float | Vector = Field(default=0.0, description="of the damper beside it")
 
     @model_validator(mode="after")
     def _has_stiffness_or_not(self) -> Self:

@@ -17,8 +17,8 @@ class LineSection(Section):
     """A vibration that the controller expects."""
 
     hz: float = Field(gt=0)
-    fwhm_hz: float = Field(default=0.5, gt=0, description="full width at half maximum")
-    rms: float = Field(gt=0, description="in the sensor's unit; of accelerometers in m or rad")
+    fwhm_hz: float = Field(default=0.5, ge=1e-9, le=1e5, description="full width at half maximum")
+    rms: float = Field(gt=0, le=1e12, description="in the sensor's unit; of accelerometers in m or rad")
 
 
 class Expecting(Controller):
@@ -29,7 +29,7 @@ class Expecting(Controller):
     """
 
     lines: tuple[LineSection, ...] = Field(default=(), strict=False)
-    drift_rms: float = Field(default=0.0, ge=0, description="of first-order noise, in that unit")
+    drift_rms: float = Field(default=0.0, ge=0, le=1e12, description="of first-order noise, in that unit")
     drift_hz: float = Field(default=0.1, gt=0, description="its corner")
     noise: float | None = Field(
         default=None, gt=0, description="of a command's reading that it believes; default: the sensor's"
