@@ -24,7 +24,7 @@ from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror
 from wavequake.mechanics.nodal import frd, tables
 from wavequake.mechanics.vibration import factors, pardiso
 from wavequake.mechanics.vibration.dissection import dissect
-from wavequake.mechanics.vibration.forecast import forecast
+from wavequake.mechanics.vibration.forecast import by_dissection
 
 ENTRIES = 1_000_000
 BAND = 40  # entries of each column
@@ -175,7 +175,7 @@ def factorizing() -> Table:
         model = circular_mirror(mirror)
         matrix = csc_array(model.stiffness + 1e3 * model.mass)
         matrix.sum_duplicates()
-        told = forecast(matrix)
+        told = by_dissection(matrix)
 
         def ours(matrix: csc_array = matrix) -> None:
             factors._Multifrontal(matrix, dissect(matrix), True)
@@ -194,17 +194,18 @@ def factorizing() -> Table:
             f"{told.seconds / seconds:.2f}",
             f"{told.memory / 1e9 / memory:.2f}",
             f"{superlu:.2f}" if told.order <= PATIENCE else "",
-            *by_pardiso(matrix),
+            *pardiso_of(matrix),
         )
     return table
 
 
-def by_pardiso(matrix: csc_array) -> tuple[str, str]:
+def pardiso_of(matrix: csc_array) -> tuple[str, str]:
     """Return seconds and memory of PARDISO; empty where it is not installed."""
     if not pardiso.is_there():
         return "", ""
     start = time.process_time()
-    found = pardiso.Pardiso(matrix, True, lambda needed, order: None)
+    found = pardiso.Pardiso(matrix, True)
+    found.factorize()
     return f"{time.process_time() - start:.2f}", f"{found.memory / 1e9:.2f}"
 
 

@@ -127,6 +127,17 @@ def test_every_field_is_diffraction_limited(name, airy_radii):
         assert spot_of(system, field).rms[0] < airy_radii * airy
 
 
+@pytest.mark.parametrize(
+    ("name", "arcsec"), [("rubin", 0.06), ("hsc", 0.09), ("decam", 0.23), ("sdss", 0.28)]
+)
+def test_surveys_are_sharper_than_the_air_lets_them(name, arcsec):
+    """Good seeing has 0.25 arcsec rms; another glass or distance is worse. Rims stop light of HSC's edge."""
+    system = optical_system(name)
+    scale = np.deg2rad(arcsec / 3600.0) * abs(paraxial(system).focal_length)
+    for field in system.fields[: 1 if name == "hsc" else None]:
+        assert 0.3 * scale < spot_of(system, field).rms[0] < scale
+
+
 def test_jwst_is_an_anastigmat_over_its_field():
     system = optical_system("jwst")
     airy = 0.61 * 2000e-6 / paraxial(system).image_na

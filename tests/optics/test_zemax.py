@@ -14,6 +14,7 @@ from wavequake.optics.media.glasses import AIR, glass, refractive_index
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.rays.packing import moving, opening_regions, pack
 from wavequake.optics.segments.kinematics import cardan
+from wavequake.optics.shapes.sag import shape_sag
 from wavequake.optics.shapes.shapes import (
     Opening,
     ZernikeSag,
@@ -180,6 +181,33 @@ def test_fringe_zernike_terms_are_converted():
     np.testing.assert_allclose(ours, expected, rtol=0, atol=1e-14)
 
 
+@pytest.mark.parametrize(("kind", "astigmatism"), [("SZERNSAG", 6), ("FZERNSAG", 5)])
+def test_zernike_terms_over_an_even_asphere(kind, astigmatism):
+    """Heights as written out: conic, powers of the radius (as of a mirror of a public file), astigmatism."""
+    powers = {2: -1.782e-8, 3: 1.508e-12, 4: -1.362e-16, 5: 1.015e-20, 6: -3.996e-25, 8: 2e-34}
+    norm, term = 75.0, 1.5e-4
+    text = "\n".join(
+        [f"  TYPE {kind}\n  STOP\n  CURV -6.6e-4\n  CONI -1.6\n  XDAT 1 8\n  XDAT 2 {norm}"]
+        + [f"  PARM {k} {value!r}" for k, value in powers.items()]
+        + [f"  XDAT {2 + astigmatism} {term!r}\n  DISZ 1"]
+    )
+    x, y = np.random.default_rng(0).uniform(-53.0, 53.0, (2, 60))
+    square = x**2 + y**2
+    c, k = -6.6e-4, -1.6
+    wanted = c * square / (1.0 + np.sqrt(1.0 - (1.0 + k) * c**2 * square))
+    wanted += sum(value * square**power for power, value in powers.items())
+    if kind == "SZERNSAG":
+        wanted += term * np.sqrt(6.0) * (x**2 - y**2) / norm**2
+    else:
+        wanted += term * (x**2 - y**2) / norm**2
+    found = read(text).surfaces[0].shape
+    np.testing.assert_allclose(shape_sag(found, x, y)[0], wanted, rtol=0, atol=1e-14)
+    inch = (
+        read(text, header="UNIT IN X W\nENPD 1\nWAVM 1 0.55 1\nFTYP 0 0 1 1 0 0 0\nYFLN 0").surfaces[0].shape
+    )
+    np.testing.assert_allclose(shape_sag(inch, 25.4 * x, 25.4 * y)[0], 25.4 * wanted, rtol=0, atol=1e-12)
+
+
 def test_the_37th_fringe_term_is_that_of_twelfth_degree():
     """As printed by Wyant and Creath: 924 r^12 - 2772 r^10 + 3150 r^8 - 1680 r^6 + 420 r^4 - 42 r^2 + 1."""
     rows = "  XDAT 1 37\n  XDAT 2 2.0\n  XDAT 6 0.3\n  XDAT 39 -0.2"
@@ -226,7 +254,7 @@ STOP = "  STOP\n  DISZ 1"
         (lens(STOP + "\n  SPID 1 0 0"), "0 is not a number of things"),
         (lens(STOP + "\n  PARM 1 0.5"), "parameter 1 of the type STANDARD must be 0"),
         (lens("  TYPE EVENASPH\n  PARM 9 1\n" + STOP), "parameter 9"),
-        (lens("  TYPE SZERNSAG\n  PARM 2 1e-5\n  XDAT 1 1\n  XDAT 2 1\n" + STOP), "parameter 2"),
+        (lens("  TYPE SZERNSAG\n  PARM 9 1e-5\n  XDAT 1 1\n  XDAT 2 1\n" + STOP), "parameter 9"),
         (lens("  TYPE SZERNSAG\n  XDAT 1 1\n" + STOP), "positive normalization radius"),
         (lens("  CURV nan\n" + STOP), "'nan' is not a finite number"),
         (lens("  CURV x\n" + STOP), "'x' is not a number"),

@@ -12,7 +12,10 @@ from wavequake.errors import UserError
 from wavequake.kernels.trace.sequence import Rays
 from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
 from wavequake.optics.catalog.names import optical_system, system_names
-from wavequake.optics.media.glasses import AIR, constant, glass, glasses
+from wavequake.optics.media.agf import read_agf
+from wavequake.optics.media.dispersion import AGF_FORMULAS
+from wavequake.optics.media.environment import Thermal
+from wavequake.optics.media.glasses import AIR, Medium, constant, glass, glasses
 from wavequake.optics.media.gradients import selfoc
 from wavequake.optics.rays.aiming import pupil_rays
 from wavequake.optics.rays.packing import moving, pack
@@ -219,7 +222,6 @@ def test_rings_too_narrow_for_circular_polynomials_are_refused():
         (simple(opening=Opening(corners=((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))), "no centered rectangle"),
         (simple(name="two\nlines"), "one line"),
         (simple(shape=Conic(np.nan)), "finite numbers only"),
-        (simple(action="refract", medium=replace(glass("F2"), name="mine")), "no glass of the catalogue"),
         (replace(simple(), fields=np.zeros((13, 2))), "13 fields"),
     ],
 )
@@ -273,9 +275,36 @@ def test_every_bundled_system_comes_back_with_its_light(name):
                 np.testing.assert_allclose(getattr(found, key), getattr(truth, key), rtol=1e-13, atol=1e-9)
 
 
-def test_glasses_of_no_catalogue_have_no_lens_file():
-    with pytest.raises(UserError, match="silica of HSC of G1 front is no glass of the catalogue"):
-        zmx_text(optical_system("hsc"))
+@pytest.mark.parametrize("formula", sorted({*AGF_FORMULAS.values()}))
+def test_glasses_of_no_catalogue_stand_beside_the_lens(tmp_path, formula):
+    """Their indices come back through the catalogue; without it the file says what is missing."""
+    kind, count = formula
+    coefficients = (1.5, *[1e-3] * (count - 1)) if kind != "sellmeier" else (1.1, 0.01) * (count // 2)
+    thermal = Thermal((1e-6, 0.0, 0.0, 0.0, 0.0, 0.2), 22.0)
+    own = Medium("my own glass", kind, coefficients, (400.0, 900.0), "", thermal)
+    system = simple(action="refract", medium=own)
+    path = write_zmx(system, tmp_path / "case 7.zmx")
+    again = read_zmx(path, glasses=read_agf(tmp_path / "case 7.agf")).surfaces[0].medium
+    assert (again.formula, again.coefficients, again.thermal) == (kind, coefficients, own.thermal)
+    assert again.range_nm == pytest.approx(own.range_nm)
+    with pytest.raises(UserError) as refused:
+        read_zmx(path)
+    assert "no glass 'MY_OWN_GLASS' in the catalogue" in f"{refused.value} {refused.value.details}"
+
+
+def test_hsc_comes_back_with_its_glasses(tmp_path):
+    system = optical_system("hsc")
+    path = write_zmx(system, tmp_path / "hsc.zmx")
+    again = read_zmx(path, glasses=read_agf(tmp_path / "hsc.agf"))
+    assert paraxial(again).focal_length == pytest.approx(paraxial(system).focal_length, rel=1e-12)
+
+
+@pytest.mark.parametrize("other", [glass("F2"), Medium("F2", "conrady", (1.5, 1e-3, 1e-4))])
+def test_own_glasses_of_equal_names_are_refused(other):
+    mine = Medium("F2", "conrady", (1.6, 1e-3, 1e-4))
+    first, image = simple(action="refract", medium=mine).surfaces
+    with pytest.raises(UserError, match="cannot tell apart"):
+        zmx_text(replace(simple(), surfaces=(first, replace(first, medium=other), image)))
 
 
 RECTANGLE = ((6.0, -5.0), (6.0, 5.0), (-6.0, 5.0), (-6.0, -5.0))

@@ -101,7 +101,9 @@ def factorize(matrix: csc_array, definite: bool = False) -> Factors:
 
 
 def _by_pardiso(matrix: csc_array, definite: bool) -> Factors:
-    found = pardiso.Pardiso(matrix, definite, _require_memory)
+    found = pardiso.Pardiso(matrix, definite)
+    _require_memory(found.memory, found.order)
+    found.factorize()
     return Factors(found.solve, found.elimination)
 
 

@@ -49,7 +49,7 @@ def is_there() -> bool:
 
 
 class Pardiso:
-    """Factors of a symmetric matrix.
+    """Analysis of a symmetric matrix, and its factors after `factorize`.
 
     Parameters
     ----------
@@ -57,16 +57,21 @@ class Pardiso:
         Both triangles stored, without duplicates; real or complex.
     definite : bool
         It is positive definite.
-    require : callable
-        Is given the bytes and the order of the matrix before they are taken; raises what it likes.
+
+    Attributes
+    ----------
+    memory, copies, factors : int
+        Bytes that PARDISO takes at the most, bytes of the triangle that it is given, numbers in the factors.
+    operations : float
+        Multiplications and additions that they take (PARDISO counts both).
 
     Raises
     ------
     ZeroDivisionError
-        If there are none: a pivot is zero, or of a definite matrix negative.
+        If the matrix is structurally singular.
     """
 
-    def __init__(self, matrix: csc_array, definite: bool, require: Callable[[int, int], None]) -> None:
+    def __init__(self, matrix: csc_array, definite: bool) -> None:
         self.order = matrix.shape[0]
         # Columns of the lower triangle are rows of the upper one, which is what is asked for.
         lower = csc_array(tril(matrix, format="csc"))
@@ -84,6 +89,7 @@ class Pardiso:
         self._options[7] = 0 if definite else 2  # steps of refinement
         self._options[9] = 13 if definite else 8  # disturbs pivots below 10^-this
         self._options[10] = self._options[12] = 0 if definite else 1  # scaling, matching
+        self._options[17] = self._options[18] = -1  # counts numbers and operations
         self._options[20] = 1  # pivots of 1 and 2
         self._options[55] = 1  # keeps the diagonal
         nothing = np.zeros(1, dtype=self._entries.dtype)
@@ -92,12 +98,24 @@ class Pardiso:
         arrays = self._entries, self._starts, self._places
         weakref.finalize(self, call, _RELEASE, *arrays, nothing, nothing, 1)
         self._call: Callable[..., int] = call
-        if call(_ANALYSE, *arrays, nothing, nothing, 1):
+        self._arguments = *arrays, nothing, nothing, 1
+        if call(_ANALYSE, *self._arguments):
             raise ZeroDivisionError
         peak, kept, factors = (int(kilobytes) for kilobytes in self._options[14:17])
-        self.memory = 1000 * max(peak, kept + factors)  # bytes
-        require(self.memory, self.order)
-        if call(_FACTORIZE, *arrays, nothing, nothing, 1) or self._options[13]:  # pivots that were disturbed
+        self.memory = 1024 * max(peak, kept + factors)
+        self.copies = self._entries.nbytes + self._places.nbytes + self._starts.nbytes
+        self.factors = int(self._options[17])
+        self.operations = 0.5e6 * float(self._options[18])
+
+    def factorize(self) -> None:
+        """Compute the factors.
+
+        Raises
+        ------
+        ZeroDivisionError
+            If there are none: a pivot is zero, or of a definite matrix negative.
+        """
+        if self._call(_FACTORIZE, *self._arguments) or self._options[13]:  # pivots that were disturbed
             raise ZeroDivisionError
 
     def elimination(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

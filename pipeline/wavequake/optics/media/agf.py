@@ -5,6 +5,7 @@ follows temperature: D0, D1, D2, E0, E1, l_tk, and the temperature of the coeffi
 shortest and longest wavelength, um); other lines hold prices, transmission and the like.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from wavequake.errors import UserError
@@ -66,6 +67,35 @@ def parse_agf(text: str, where: str) -> dict[str, Medium]:
             f"{where} holds no glass; each needs lines NM (name, formula), CD (coefficients), LD (range)."
         )
     return found
+
+
+def has_formula(medium: Medium) -> bool:
+    """Return whether a catalogue can hold the dispersion of a medium."""
+    return (medium.formula, len(medium.coefficients)) in AGF_FORMULAS.values()
+
+
+def agf_text(glasses: Mapping[str, Medium]) -> str:
+    """Return the text of a catalogue of glasses by the names that they are to have there, without blanks.
+
+    What is not known of them (density, price, transmission) is left out.
+    """
+    lines = ["CC glasses of an exported lens file"]
+    for name, medium in glasses.items():
+        kinds = [
+            number
+            for number, kind in AGF_FORMULAS.items()
+            if kind == (medium.formula, len(medium.coefficients))
+        ]
+        low, high = (value * 1e-3 for value in medium.range_nm)
+        lines += [
+            f"NM {name} {kinds[0]} 0 1.5 50 0 0 0",
+            "CD " + " ".join(repr(value) for value in medium.coefficients),
+        ]
+        if medium.thermal is not None:
+            numbers = (*medium.thermal.coefficients, medium.thermal.at_c)
+            lines.append("TD " + " ".join(repr(value) for value in numbers))
+        lines.append(f"LD {max(low, 1e-3)!r} {min(high, 1e3)!r}")
+    return "\n".join(lines) + "\n"
 
 
 def _number(word: str, place: str) -> float:

@@ -21,7 +21,8 @@ import numpy as np
 
 from wavequake.errors import UserError
 from wavequake.optics.checks import require_fields, require_kind
-from wavequake.optics.media.glasses import AIR, Medium, catalogues, glasses, medium_label
+from wavequake.optics.media.agf import agf_text, has_formula
+from wavequake.optics.media.glasses import AIR, Medium, catalogues, medium_label
 from wavequake.optics.media.gradients import GradientIndex
 from wavequake.optics.polynomials.transforms import transform_coefficients
 from wavequake.optics.shapes.shapes import (
@@ -38,6 +39,7 @@ from wavequake.optics.systems.system import OpticalSystem, Surface, wavelength_o
 from wavequake.optics.zemax.gradients import gradient_lines
 from wavequake.optics.zemax.grids import grid_lines
 from wavequake.optics.zemax.media import MODEL_GLASS, GlassShelf
+from wavequake.optics.zemax.own_glasses import is_known, of_maker, own_glasses, own_name
 from wavequake.optics.zemax.phases import MAX_EVEN_TERMS, phase_lines
 from wavequake.optics.zemax.rows import written
 from wavequake.optics.zemax.surfaces import MAX_TERMS, cardan_angles, spider
@@ -56,6 +58,8 @@ _LISTS = {  # of coefficients: the surface type, what it is, and how many it may
 
 def write_zmx(system: OpticalSystem, path: str | Path) -> Path:
     """Write a system as a sequential .zmx file (UTF-16); an existing file is replaced in one step.
+
+    Glasses that no catalogue has stand beside it in one of their own: ``lens.agf`` for ``lens.zmx``.
 
     Returns
     -------
@@ -78,25 +82,35 @@ def write_zmx(system: OpticalSystem, path: str | Path) -> Path:
     target = Path(path) if isinstance(path, str | Path) else Path()
     if not target.name:
         raise UserError(f"The path {path!r} of the lens file is no name of a file, such as 'lens.zmx'.")
-    text = zmx_text(system)
+    beside = target.with_suffix(".agf")
+    text, own = zmx_text(system, beside.stem), own_glasses(system)
+    if own:
+        _replace(beside, agf_text(own).encode("utf-16"))
+    _replace(target, text.replace("\n", "\r\n").encode("utf-16"))
+    return target
+
+
+def _replace(target: Path, content: bytes) -> None:
     partial = target.with_name(f".{target.name}.partial-{uuid.uuid4().hex}")
     try:
-        partial.write_bytes(text.replace("\n", "\r\n").encode("utf-16"))
+        partial.write_bytes(content)
         os.replace(partial, target)
     except OSError as error:
         raise UserError(f"The lens file {target} cannot be written: {error.strerror}.") from None
     finally:
         partial.unlink(missing_ok=True)
-    return target
 
 
-def zmx_text(system: OpticalSystem) -> str:
-    """Return the text of a .zmx file; the origin moves along z to the first surface."""
+def zmx_text(system: OpticalSystem, catalogue: str = "") -> str:
+    """Return the text of a .zmx file; the origin moves along z to the first surface.
+
+    ``catalogue`` names that of the system's `own_glasses`.
+    """
     require_kind(system, OpticalSystem, "what is written", ", such as load_system('double-gauss') returns")
     require_fields(system, f"the system {system.name}")
     _require_one_line(system.name, "the system")
     lines = ["MODE SEQ", f"NAME {system.name}", "UNIT MM X W X CM MR CPMM", *_pupil(system), *_fields(system)]
-    lines += [*_catalogues(system), "RAIM 0 2 1 1 0 0 0 0 0 1"]  # rays are aimed at the real stop
+    lines += [*_catalogues(system, catalogue), "RAIM 0 2 1 1 0 0 0 0 0 1"]  # rays are aimed at the real stop
     lines += [*_environment(system), *_wavelengths(system), *_note(system)]
     infinite = math.isinf(system.object_distance)
     distance = "INFINITY" if infinite else written(system.object_distance)
@@ -154,16 +168,18 @@ def _wavelengths(system: OpticalSystem) -> list[str]:
     return [*lines, f"PWAV {system.primary_wavelength + 1}"]
 
 
-def _catalogues(system: OpticalSystem) -> list[str]:
-    """Return the line that names the makers of the glasses, in an order in which each is found."""
+def _catalogues(system: OpticalSystem, catalogue: str) -> list[str]:
+    """Return the line that names the catalogues of the glasses, in an order in which each is found."""
+    own = own_glasses(system)
+    first = ["".join(c if c.isalnum() else "_" for c in catalogue).upper() or "OWN"] if own else []
     media = (system.medium, *(surface.medium for surface in system.surfaces))
     plain = [replace(one, environment=None) for one in media if isinstance(one, Medium)]
-    used = [one for one in plain if one == _of_maker(one)]
+    used = [one for one in plain if one == of_maker(one)]
     makers = [name for name in catalogues() if any(one.catalogue == name for one in used)]
     for order in islice(permutations(makers), 1000):
         shelf = GlassShelf({}, order)
-        if all(shelf.find(one.name) == one for one in used):
-            return ["GCAT " + " ".join(order)] if order else []
+        if all(shelf.find(one.name) == one and own_name(one) not in own for one in used):
+            return ["GCAT " + " ".join([*first, *order])] if first or order else []
     names = ", ".join(sorted({medium_label(one) for one in used}))
     raise UserError(
         f"{system.name} has glasses of equal names of several makers ({names}), which a lens file cannot "
@@ -190,18 +206,16 @@ def _glass(medium: Medium, name: str) -> list[str]:
     if medium == AIR:
         return []
     medium = replace(medium, environment=None)
-    if medium in (glasses().get(medium.name.upper()), _of_maker(medium)):
+    if is_known(medium):
         return [f"GLAS {medium.name} 0 0 1.5 40 0 0 0 0 0 0"]
     if medium.formula == "constant":
         return [f"GLAS {MODEL_GLASS} 1 0 {written(medium.coefficients[0])} 0 0 0 0 0 0 0"]
+    if has_formula(medium):
+        return [f"GLAS {own_name(medium)} 0 0 1.5 40 0 0 0 0 0 0"]
     raise UserError(
-        f"The medium {medium.name} of {name} is no glass of the catalogue, and a lens file holds no "
-        "coefficients."
+        f"The medium {medium.name} of {name} is no glass of the catalogue, and its formula "
+        f"({medium.formula}) is none that catalogues have."
     )
-
-
-def _of_maker(medium: Medium) -> Medium | None:
-    return catalogues().get(medium.catalogue, {}).get(medium.name.upper())
 
 
 def _rows(

@@ -1,7 +1,8 @@
 """One row of Zemax's lens data editor: its shape, aperture and coordinate break."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import zip_longest
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from wavequake.optics.zemax.rows import (
 MAX_TERMS = {"XPOLYNOM": 230, "SZERNSAG": 231, "FZERNSAG": 37}  # both lists end with degree 20
 
 _FRINGE_TERMS = 36
+_ASPHERE = range(1, 9)  # parameters of rho^2 to rho^16 beside Zernike polynomials
 
 _Builder = Callable[[Row, float, float, float], Shape]
 
@@ -76,11 +78,38 @@ def _extended_polynomial(row: Row, scale: float, radius: float, conic: float) ->
 
 def _zernike(row: Row, scale: float, radius: float, conic: float) -> ZernikeSag:
     # Parameters 1-8 add an even asphere, 9 and 10 shift the polynomials; 0 only extrapolates.
-    require_no_numbers(row, "PARM", {k: v for k, v in row.table("PARM").items() if k})
+    given = row.table("PARM")
+    require_no_numbers(row, "PARM", {k: v for k, v in given.items() if k and k not in _ASPHERE})
     coefficients, norm = _extra_data(row, scale)
     if row.type == "FZERNSAG":
         coefficients = _from_fringe(row, coefficients)
+    powers = [given.get(k, 0.0) * scale ** (1 - 2 * k) for k in _ASPHERE]
+    if any(powers):
+        coefficients = _added(coefficients, _as_zernike(powers, norm))
     return ZernikeSag(radius, conic, coefficients, norm)
+
+
+def _as_zernike(powers: Sequence[float], norm: float) -> tuple[float, ...]:
+    """Return the Noll coefficients of powers rho^2, rho^4, ... (mm), exactly: they are even polynomials.
+
+    The radial polynomial of degree 2 k without azimuth is Legendre's of degree k in 2 rho^2 - 1, its Noll
+    number (2 k)(2 k + 1) / 2 + 1 and its norm sqrt(2 k + 1).
+    """
+    while not powers[-1]:
+        powers = powers[:-1]
+    total = np.polynomial.Polynomial([0.0])
+    square = np.polynomial.Polynomial([0.5, 0.5])  # rho^2 by 2 rho^2 - 1
+    for k, power in enumerate(powers, start=1):
+        total = total + power * norm ** (2 * k) * square**k
+    legendre = np.polynomial.legendre.poly2leg(total.coef)
+    found = np.zeros(len(powers) * (2 * len(powers) + 1) + 1)
+    for k, value in enumerate(legendre):
+        found[k * (2 * k + 1)] = value / math.sqrt(2 * k + 1)
+    return tuple(float(value) for value in found)
+
+
+def _added(one: tuple[float, ...], other: tuple[float, ...]) -> tuple[float, ...]:
+    return tuple(a + b for a, b in zip_longest(one, other, fillvalue=0.0))
 
 
 def _from_fringe(row: Row, coefficients: tuple[float, ...]) -> tuple[float, ...]:
