@@ -173,8 +173,8 @@ def sampled_loops(
             free = np.isnan(stuck_of(actuator, actuator.channels(optics.light)))
             if not free.any():
                 raise UserError(
-                    f"controller.{name}: all {len(free)} channels of the actuator {actuator.name!r} are stuck; "
-                    "leave one free, or the controller out."
+                    f"controller.{name}: all {len(free)} channels of the actuator {actuator.name!r} are "
+                    "stuck; leave one free, or the controller out."
                 )
             readings = sensor.readings(optics.light)
             loop = SampledLoop(

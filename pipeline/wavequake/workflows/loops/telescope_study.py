@@ -117,7 +117,7 @@ class TelescopeLoopStudy(SegmentStudy):
             if entry.share and rate * entry.duration_s > _FRAMES:
                 raise ValueError(
                     f"the sensor {one.sensor!r} has {rate * entry.duration_s:.3g} frames in a case of "
-                    f"{entry.name!r} ({entry.duration_s:g} s); lower rate_hz, so that it has {_FRAMES:,} or fewer"
+                    f"{entry.name!r} ({entry.duration_s:g} s); lower rate_hz, to {_FRAMES:,} or fewer"
                 )
             if entry.share and (1.0 + one.latency_frames) * period >= entry.duration_s:
                 raise ValueError(
