@@ -44,9 +44,10 @@ def line(center_hz: float, fwhm_hz: float, rms: float) -> Shaped:
     f0, w = center_hz, fwhm_hz
     width = np.sqrt(2 * f0**2 + w**2 - np.sqrt(4 * f0**4 + 2 * w**4))
     omega, rate = 2 * np.pi * f0, 2 * np.pi * width
-    # x'' + rate x' + omega^2 x = k w has the variance k^2 / (2 rate omega^2), and so has x' / omega.
-    a = np.array([[0.0, omega], [-omega, -rate]])
-    return Shaped(a, np.array([[0.0], [np.sqrt(2 * rate)]]), np.array([rms, 0.0]))
+    # x'' + rate x' + omega^2 x = k w has the variance k^2 / (2 rate omega^2).
+    k = rms * np.sqrt(2 * rate) * omega
+    a = np.array([[0.0, 1.0], [-(omega**2), -rate]])
+    return balanced(Shaped(a, np.array([[0.0], [k]]), np.array([1.0, 0.0])))[0]
 
 
 def joined(parts: Sequence[Shaped]) -> Shaped:

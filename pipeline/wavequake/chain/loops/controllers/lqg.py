@@ -19,8 +19,8 @@ _SHARPEST = 1e-4
 class LineSection(Section):
     """A vibration that the controller expects."""
 
-    hz: float = Field(ge=0.01, le=1e4)
-    fwhm_hz: float = Field(default=0.5, ge=1e-6, le=1e4, description="full width at half maximum")
+    hz: float = Field(ge=0.1, le=1e3)
+    fwhm_hz: float = Field(default=0.5, ge=1e-5, le=1e3, description="full width at half maximum")
     rms: float = Field(ge=1e-15, le=1e15, description="in the sensor's unit; of accelerometers in m or rad")
 
     @model_validator(mode="after")
