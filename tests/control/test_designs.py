@@ -11,6 +11,7 @@ from wavequake.control.sampled.placed import placed
 from wavequake.control.sampled.regulator import shared_filter
 from wavequake.control.sampled.robust import robust
 from wavequake.control.sampled.run import Actuator, Loop, run, schedule
+from wavequake.control.sampled.stability import SampledLoop, sampled_margins, worst_pole
 from wavequake.errors import UserError
 
 T = 1e-3
@@ -123,9 +124,23 @@ def test_what_cannot_be_kept_is_told_with_the_least_that_can():
 
 
 @NO_SLYCOT
-def test_a_controller_that_is_itself_unstable_is_refused():
-    with pytest.raises(UserError, match="is unstable by itself"):
-        robust(45.0, 1.9, 8.0, RIGID, timing(2))
+def test_a_controller_that_is_itself_unstable_closes_a_stable_loop_down_to_a_least_gain():
+    """Bode's integral is then pi times what grows of the controller, per period; margins tell the least."""
+    model = robust(45.0, 1.9, 8.0, RIGID, timing(2))
+    grows = np.linalg.eigvals(model.a)
+    grows = grows[np.abs(grows) > 1]
+    assert len(grows) > 0
+    s = 1 / (1 - Z**-3.0 * of(model))
+    assert np.abs(s).max() <= 1.9 * (1 + 1e-6)
+    # Over one half of the circle, in Hz: half of the rate times the sum of ln|p|.
+    assert np.trapezoid(np.log(np.abs(s)), HERTZ) == pytest.approx(
+        np.log(np.abs(grows)).sum() * 0.5 / T, abs=0.3
+    )
+    loop = SampledLoop(timing(2), RIGID, np.eye(1), shared_filter(np.eye(1), model))
+    found = sampled_margins(loop)
+    assert abs(worst_pole(loop).value) < 1
+    assert 0.01 < found.gain_down < 1 < found.gain_up
+    assert abs(worst_pole(loop, 0.999 * found.gain_down).value) > 1
 
 
 def test_filters_step_as_their_matrices_say():

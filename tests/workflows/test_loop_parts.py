@@ -5,8 +5,13 @@ import pytest
 from test_telescope_loop import LIGHT, first_case, written
 
 from wavequake.chain.loops.actuators.m2_influence import InfluencedM2
+from wavequake.chain.loops.block import Design
+from wavequake.chain.loops.controllers.state_space import StateSpace
 from wavequake.chain.loops.sensors.accelerometer import Accelerometers
 from wavequake.chain.loops.sensors.displacement import DisplacementSensors
+from wavequake.control.sampled.channel import RIGID, Timing
+from wavequake.control.sampled.regulator import advance, start
+from wavequake.control.sampled.stability import SampledLoop, worst_pole
 from wavequake.errors import UserError
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.segments.states import rest
@@ -240,3 +245,12 @@ def test_loops_that_are_stable_alone_but_not_together_are_refused(tmp_path):
     with pytest.raises(UserError, match="'two' and 'slow' are stable each alone, but not beside each other"):
         bench_of(written(tmp_path, BESIDE.format(gain=0.6)))
     assert bench_of(written(tmp_path, BESIDE.format(gain=0.2))).controllers[-1].name == "two"
+
+
+def test_a_matrix_alone_is_a_controller_without_states():
+    given = StateSpace(name="c", d=((-0.1, 0.0), (0.05, -0.2)))
+    asked = Design("c", "s", "a", ("x", "y"), ("p", "q"), np.eye(2), 1.0, RIGID, RIGID, Timing(1, 1, 1, 0))
+    regulator = given.design(asked)
+    commands = advance(regulator, start(regulator, 1), np.array([[1.0], [2.0]]))[1]
+    np.testing.assert_allclose(commands, [[-0.1], [-0.35]], rtol=1e-15)
+    assert worst_pole(SampledLoop(asked.timing, RIGID, asked.sees, regulator)).growth < 0

@@ -444,6 +444,11 @@ actuator = "{actuator}"
         ({"keys": "bandwidth_hz = 600"}, "bandwidth_hz is 600, not below half of its 1000 commands"),
         ({"keys": "mode_gains = {Z9 = 2}"}, "'tilt' has no channel 'Z9'; it has rx to ry"),
         ({"model": "lqg"}, "'more' expects no disturbance; give lines or drift_rms"),
+        (
+            {"model": "lqr", "keys": "lines = [{ hz = 0.3, rms = 1.0 }]"},
+            "a line at 0.3 Hz cannot be 0.5 Hz wide; fwhm_hz must be between 3e-05 and 0.3",
+        ),
+        ({"model": "state-space", "keys": "each = true"}, "give a, b and c, or d alone"),
         ({"model": "integrater"}, "controller.more.model: there is no model 'integrater'"),
         (
             {"model": "state-space", "keys": "a=[[1]]\nb=[[1]]\nc=[[1]]"},
@@ -471,6 +476,8 @@ def test_loops_that_cannot_be_are_said_in_a_sentence(block, words, tmp_path):
     ("changes", "words"),
     [
         ({"actuator.tilt.stroke": 1.0}, "actuator.tilt is saturated from the start: 'history' asks r"),
+        ({"actuator.tilt.stuck": {"rx": 0.0, "ry": 1.0}}, "all 2 channels of the actuator 'tilt' are stuck"),
+        ({"sensor.sight.rate_hz": 1e9}, "the sensor 'sight' has 1e+08 frames in a case of 'history'"),
         ({"actuator.tilt.stuck": {"rz": 0.0}}, "actuator.tilt.stuck: there is no channel 'rz'"),
         ({"actuator.tilt.bandwidth_hz": 50.0}, "actuator.tilt: give bandwidth_hz or resonance_hz, not both"),
         ({"actuator.figure.terms": 21}, "actuator.figure.terms is 21, more than wavefront.zernike_terms 15"),

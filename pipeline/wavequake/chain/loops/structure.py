@@ -190,7 +190,7 @@ def carrying(modes: Sequence[CarryingMode], layout: SegmentLayout) -> Carrying:
     moves, answers = np.zeros((3 * segments + 6, len(modes))), np.zeros((len(modes), 3 * segments + 6))
     at = np.zeros((len(nodes), len(modes)))
     for k, one in enumerate(modes):
-        if one.zernike:
+        if any(one.zernike.values()):
             piston, x_slope, y_slope = zernike_motion(layout, radius, [one.zernike])[0].T
             size = np.sqrt(np.mean(piston**2 + x_slope**2 + y_slope**2))
             # z = slope_x x + slope_y y is the rotation (slope_y, -slope_x).

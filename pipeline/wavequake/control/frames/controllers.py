@@ -92,12 +92,18 @@ def filter_gain(known: Sampled, noise: float) -> Array:
     Raises
     ------
     UserError
-        If the noise is not positive.
+        If the noise is not positive, or the equation cannot be solved in double precision.
     """
     if not (np.isfinite(noise) and noise > 0):
         raise UserError(f"The noise of the sensor is {noise:g}; a filter needs a positive one.")
     row, seen = known.row[:, None], known.r + noise**2
-    p = solve_discrete_are(known.phi.T, row, known.q, np.array([[seen]]), s=known.s[:, None])
+    try:
+        p = solve_discrete_are(known.phi.T, row, known.q, np.array([[seen]]), s=known.s[:, None])
+    except (ValueError, np.linalg.LinAlgError):
+        raise UserError(
+            "The filter's equation is too ill-conditioned to be solved; expect wider or faster lines, or "
+            "read less often."
+        ) from None
     return np.asarray((known.phi @ p @ known.row + known.s) / (known.row @ p @ known.row + seen))
 
 

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.control.linear import Array
-from wavequake.control.sampled.channel import RIGID, SAME, Dynamics, Step, Timing, in_series, step_over
+from wavequake.control.sampled.channel import RIGID, SAME, Dynamics, Timing
+from wavequake.control.sampled.moving import Channels, Modes, answering, channels
 from wavequake.control.sampled.regulator import Regulator, Stepped, advance, start
 
 OPEN, READ, ACT, LOOK = range(4)
-_STEP = ("phi", "gamma", "row", "through")
 # Beyond it a case has diverged; commands are of the order of 1e-9 to 1.
 ENDLESS = 1e30
 
@@ -152,74 +152,6 @@ def schedule(timings: Sequence[Timing], looks: Array) -> Schedule:
     )
 
 
-@dataclass
-class _Moving:
-    """An actuator as a sensor sees it: states of both (n, p, cases), integral of what is read, controller."""
-
-    loop: Loop
-    sensor: Dynamics
-    integration: float
-    steps: Sequence[Step]
-    states: Array
-    held: Array
-    given: Array
-    integral: Array
-    controller: Array
-    readings: Array
-    waiting: list[Array] = field(default_factory=list)
-    frame: int = 0
-
-    def pass_by(self, length: int) -> None:
-        """Move on by one of the lengths of the schedule."""
-        step = self.steps[length]
-        self.integral += step.through * self.held
-        if len(step.gamma):
-            flat = self.states.reshape(len(self.states), -1)
-            self.integral += (step.row @ flat).reshape(self.held.shape)
-            self.states = (step.phi @ flat).reshape(self.states.shape) + step.gamma[:, None, None] * self.held
-
-    def position(self) -> Array:
-        """Return where the channels are, (p, cases)."""
-        dynamics, stuck = self.loop.actuator.dynamics, self.loop.actuator.stuck[:, None]
-        found = np.tensordot(dynamics.c, self.states[: len(dynamics)], 1) + dynamics.d * self.held
-        return np.asarray(np.where(np.isnan(stuck), found, stuck))
-
-    def mean(self) -> Array:
-        """Return what is read of the channels, on average since the sensor opened."""
-        stuck = self.sensor.static_gain * self.loop.actuator.stuck[:, None]
-        return np.asarray(np.where(np.isnan(stuck), self.integral / self.integration, stuck))
-
-
-@dataclass
-class _Answering:
-    """Modes of a structure, as a sensor sees them, that answer one actuator: states (K, n, cases)."""
-
-    drives: Array
-    own: int
-    rows: Array
-    through: Array
-    integration: float
-    steps: Sequence[tuple[Array, ...]]
-    states: Array
-    held: Array
-    integral: Array
-
-    def pass_by(self, length: int) -> None:
-        """Move on by one of the lengths of the schedule."""
-        phi, gamma, row, through = self.steps[length]
-        self.integral += np.matmul(row[:, None], self.states)[:, 0] + through[:, None] * self.held
-        self.states = np.matmul(phi, self.states) + gamma[:, :, None] * self.held[:, None]
-
-    def position(self) -> Array:
-        """Return where the modes are, (K, cases)."""
-        found = np.matmul(self.rows[:, None], self.states[:, : self.own])[:, 0]
-        return np.asarray(found + self.through[:, None] * self.held)
-
-    def mean(self) -> Array:
-        """Return what is read of the modes, on average since the sensor opened."""
-        return np.asarray(self.integral / self.integration)
-
-
 def run(
     loops: Sequence[Loop],
     events: Schedule,
@@ -242,89 +174,76 @@ def run(
         How each of its modes answers what moves along it, as `recoil`.
     """
     cases = seen[0].shape[2]
+    same = SAME * min(loop.timing.frame for loop in loops)
     # Every sensor averages over its own frames what all actuators do, and what the structure answers.
-    moving = [[_at_rest(other, loop, events.lengths, cases) for other in loops] for loop in loops]
-    answers = [
-        [_answering(structure, other, loop, events.lengths, cases) for other in loops if structure]
-        for loop in loops
-    ]
-    channels = sum(len(loop.actuator.stroke) for loop in loops) + len(structure)
-    positions = np.empty((looks, channels, cases))
+    moving = [[_channels(one, eye, same, cases) for one in loops] for eye in loops]
+    answers = [[_modes(structure, one, eye, same, cases) for one in loops if structure] for eye in loops]
+    controlled = [_at_rest(loop, cases) for loop in loops]
+    everything = [one for row in moving for one in row], [one for row in answers for one in row]
+    count = sum(len(loop.actuator.stroke) for loop in loops) + len(structure)
+    positions = np.empty((looks, count, cases))
     limited, total, look = np.zeros(cases), 0, 0
     with np.errstate(over="ignore", invalid="ignore"):
         for length, kind, index in zip(events.steps, events.kinds, events.loops, strict=True):
             if length >= 0:
-                for row, answered in zip(moving, answers, strict=True):
-                    for one in row:
-                        one.pass_by(length)
-                    for mode in answered:
-                        mode.pass_by(length)
+                for one in everything[0]:
+                    one.elapsed += events.lengths[length]
+                for mode in everything[1]:
+                    mode.elapsed += events.lengths[length]
+            mine, own, answer = controlled[index], moving[index], answers[index]
             if kind == LOOK:
                 positions[look] = _joined(
-                    [one.position() for one in moving[0]], [one.position() for one in answers[0]]
+                    [one.position() for one in moving[0]], [mode.position() for mode in answers[0]]
                 )
                 look += 1
             elif kind == OPEN:
-                for one in (*moving[index], *answers[index]):
-                    one.integral[:] = 0.0
+                for one in own:
+                    one.open()
+                for mode in answer:
+                    mode.open()
             elif kind == READ:
-                mine = moving[index][index]
-                means = _joined([one.mean() for one in moving[index]], [one.mean() for one in answers[index]])
-                _read(mine, means, seen[index])
-                for one in (*moving[index], *answers[index]):
-                    one.integral[:] = 0.0
+                _read(mine, _joined([one.mean() for one in own], [one.mean() for one in answer]), seen[index])
                 if mine.frame % mine.loop.timing.frames == 0:
                     limited += _command(mine)
                     total += len(mine.given)
             else:
-                command = moving[index][index].waiting.pop(0)
+                command = mine.waiting.pop(0)
                 for row in moving:
-                    row[index].held = command
+                    row[index].hold(command)
+                moved = np.where(np.isnan(mine.loop.actuator.stuck)[:, None], command, 0.0)
                 for answered in answers:
                     for mode in answered[index : index + 1]:
-                        mode.held = mode.drives @ command
+                        mode.hold(moved)
     diverged = np.logical_not(np.all(np.abs(positions) < ENDLESS, axis=(0, 1)))
     return Outcome(positions, limited / max(total, 1), np.asarray(diverged))
 
 
-def _at_rest(loop: Loop, seen_by: Loop, lengths: Sequence[float], cases: int) -> _Moving:
-    dynamics, p = in_series(loop.actuator.dynamics, seen_by.sensor), len(loop.actuator.stroke)
-    return _Moving(
-        loop,
-        seen_by.sensor,
-        seen_by.timing.integration,
-        [step_over(dynamics, length) for length in lengths],
-        states=np.zeros((len(dynamics), p, cases)),
-        held=np.zeros((p, cases)),
-        given=np.zeros((p, cases)),
-        integral=np.zeros((p, cases)),
-        controller=start(loop.regulator, cases),
-        readings=np.zeros((len(loop.sees), cases)),
-    )
+@dataclass
+class _Controlled:
+    """A loop's controller: its states, what it has read of a period, and commands that wait."""
+
+    loop: Loop
+    states: Array
+    readings: Array
+    given: Array
+    waiting: list[Array] = field(default_factory=list)
+    frame: int = 0
 
 
-def _answering(
-    structure: Sequence[Dynamics], loop: Loop, seen_by: Loop, lengths: Sequence[float], cases: int
-) -> _Answering:
+def _at_rest(loop: Loop, cases: int) -> _Controlled:
+    given = np.zeros((len(loop.actuator.stroke), cases))
+    return _Controlled(loop, start(loop.regulator, cases), np.zeros((len(loop.sees), cases)), given)
+
+
+def _channels(loop: Loop, eye: Loop, same: float, cases: int) -> Channels:
+    own, when = loop.actuator, eye.timing.integration
+    return channels(own.dynamics, own.stuck, eye.sensor, when, same, cases)
+
+
+def _modes(structure: Sequence[Dynamics], loop: Loop, eye: Loop, same: float, cases: int) -> Modes:
     assert loop.drives is not None
-    own = [in_series(loop.actuator.dynamics, mode) for mode in structure]
-    read = [in_series(one, seen_by.sensor) for one in own]
-    steps = []
-    for length in lengths:
-        each = [step_over(one, length) for one in read]
-        steps.append(tuple(np.array([getattr(one, name) for one in each]) for name in _STEP))
-    k = len(structure)
-    return _Answering(
-        loop.drives,
-        len(own[0]),
-        np.array([one.c for one in own]),
-        np.array([one.d for one in own]),
-        seen_by.timing.integration,
-        steps,
-        states=np.zeros((k, len(read[0]), cases)),
-        held=np.zeros((k, cases)),
-        integral=np.zeros((k, cases)),
-    )
+    when = eye.timing.integration
+    return answering(structure, loop.drives, loop.actuator.dynamics, eye.sensor, when, same, cases)
 
 
 def _joined(channels: list[Array], modes: list[Array]) -> Array:
@@ -332,7 +251,7 @@ def _joined(channels: list[Array], modes: list[Array]) -> Array:
     return np.concatenate([*channels, *([np.sum(modes, axis=0)] if modes else [])])
 
 
-def _read(one: _Moving, means: Array, seen: Array) -> None:
+def _read(one: _Controlled, means: Array, seen: Array) -> None:
     reading = seen[one.frame] + one.loop.sees @ means
     if one.loop.quantum:
         reading = one.loop.quantum * np.round(reading / one.loop.quantum)
@@ -340,10 +259,10 @@ def _read(one: _Moving, means: Array, seen: Array) -> None:
     one.frame += 1
 
 
-def _command(one: _Moving) -> Array:
+def _command(one: _Controlled) -> Array:
     """Give the command of a period; return of each case how many channels are limited."""
     actuator = one.loop.actuator
-    one.controller, wanted = advance(one.loop.regulator, one.controller, one.readings)
+    one.states, wanted = advance(one.loop.regulator, one.states, one.readings)
     one.readings = np.zeros_like(one.readings)
     near = np.clip(wanted, one.given - actuator.slew, one.given + actuator.slew)
     one.given = np.clip(near, -actuator.stroke[:, None], actuator.stroke[:, None])

@@ -171,6 +171,11 @@ def sampled_loops(
             one = study.part("controller", name)
             sensor, actuator = study.part("sensor", one.sensor), study.part("actuator", one.actuator)
             free = np.isnan(stuck_of(actuator, actuator.channels(optics.light)))
+            if not free.any():
+                raise UserError(
+                    f"controller.{name}: all {len(free)} channels of the actuator {actuator.name!r} are "
+                    "stuck; leave one free, or the controller out."
+                )
             readings = sensor.readings(optics.light)
             loop = SampledLoop(
                 timing_of(study, one),

@@ -83,7 +83,7 @@ def optics_of(study: TelescopeLoopStudy) -> Optics:
     """
     text = study.exposed.identity_text()
     moved = {dof for one in study.actuator for dof in one.segment_dofs}
-    moved |= set(_ALL.segment_dofs) if any(one.zernike for one in study.mode) else set()
+    moved |= set(_ALL.segment_dofs) if any(any(one.zernike.values()) for one in study.mode) else set()
     sights = {one.name: _sight(text, json.dumps(one.model_dump(), sort_keys=True)) for one in study.actuator}
     control, model, light = _telescope(text, tuple(sorted(moved)))
     times = tuple(
@@ -106,7 +106,7 @@ def optics_of(study: TelescopeLoopStudy) -> Optics:
     if not study.mode:
         return Optics(control, model, light, sights, m2, None, shown, {}, times)
     structure, first = carrying(study.mode, light.layout), 3 * len(light.layout)
-    if any(one.zernike for one in study.mode):
+    if any(any(one.zernike.values()) for one in study.mode):
         seen = _sight(text, json.dumps(_ALL.model_dump(), sort_keys=True))
         shown[: light.optical] += seen @ structure.moves[:first]
     if m2 is not None:

@@ -22,6 +22,8 @@ from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.segments.segment_study import SegmentStudy
 
 _WHOLE = 1e-9
+# Frames of a sensor in a case, whose events are kept.
+_FRAMES = 1_000_000
 
 
 class LookSection(Section):
@@ -112,6 +114,11 @@ class TelescopeLoopStudy(SegmentStudy):
             )
         period = round(frames) / rate
         for entry in self.disturbance:
+            if entry.share and rate * entry.duration_s > _FRAMES:
+                raise ValueError(
+                    f"the sensor {one.sensor!r} has {rate * entry.duration_s:.3g} frames in a case of "
+                    f"{entry.name!r} ({entry.duration_s:g} s); lower rate_hz, to {_FRAMES:,} or fewer"
+                )
             if entry.share and (1.0 + one.latency_frames) * period >= entry.duration_s:
                 raise ValueError(
                     f"the first command of the controller {one.name!r} acts after "

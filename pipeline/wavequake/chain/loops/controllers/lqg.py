@@ -12,13 +12,25 @@ from wavequake.control.sampled.filters import drift, lqg
 from wavequake.control.sampled.regulator import Regulator, shared_filter
 from wavequake.errors import UserError
 
+# Narrower lines, as a share of their frequency, are lost in rounding.
+_SHARPEST = 1e-4
+
 
 class LineSection(Section):
     """A vibration that the controller expects."""
 
-    hz: float = Field(gt=0)
-    fwhm_hz: float = Field(default=0.5, ge=1e-9, le=1e5, description="full width at half maximum")
-    rms: float = Field(gt=0, le=1e12, description="in the sensor's unit; of accelerometers in m or rad")
+    hz: float = Field(ge=0.1, le=1e3)
+    fwhm_hz: float = Field(default=0.5, ge=1e-5, le=1e3, description="full width at half maximum")
+    rms: float = Field(ge=1e-15, le=1e15, description="in the sensor's unit; of accelerometers in m or rad")
+
+    @model_validator(mode="after")
+    def _is_a_line(self) -> "LineSection":
+        if not 0.999 * _SHARPEST * self.hz <= self.fwhm_hz <= self.hz:
+            raise ValueError(
+                f"a line at {self.hz:g} Hz cannot be {self.fwhm_hz:g} Hz wide; fwhm_hz must be between "
+                f"{_SHARPEST * self.hz:g} and {self.hz:g}"
+            )
+        return self
 
 
 class Expecting(Controller):
@@ -29,8 +41,8 @@ class Expecting(Controller):
     """
 
     lines: tuple[LineSection, ...] = Field(default=(), strict=False)
-    drift_rms: float = Field(default=0.0, ge=0, le=1e12, description="of first-order noise, in that unit")
-    drift_hz: float = Field(default=0.1, gt=0, description="its corner")
+    drift_rms: float = Field(default=0.0, ge=0, le=1e15, description="of first-order noise, in that unit")
+    drift_hz: float = Field(default=0.1, ge=1e-6, le=1e4, description="its corner")
     noise: float | None = Field(
         default=None, gt=0, description="of a command's reading that it believes; default: the sensor's"
     )

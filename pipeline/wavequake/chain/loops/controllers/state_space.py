@@ -2,10 +2,11 @@
 
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field
 
 from wavequake.chain.loops.block import Controller, Design, decoupling, register
-from wavequake.control.linear import linear_model
+from wavequake.control.linear import LinearModel, linear_model
 from wavequake.control.sampled.regulator import Regulator, shared_filter, whole
 from wavequake.errors import UserError
 
@@ -20,9 +21,11 @@ class StateSpace(Controller):
     """
 
     model: Literal["state-space"] = "state-space"
-    a: Matrix = Field(strict=False, description="A by rows")
-    b: Matrix = Field(strict=False)
-    c: Matrix = Field(strict=False)
+    a: Matrix = Field(
+        default=(), strict=False, description="A by rows; default: no states, commands are D times readings"
+    )
+    b: Matrix = Field(default=(), strict=False)
+    c: Matrix = Field(default=(), strict=False)
     d: Matrix | None = Field(default=None, strict=False, description="default: zero")
     each: bool = Field(default=False, description="the matrices are one filter for every channel")
 
@@ -38,7 +41,7 @@ class StateSpace(Controller):
         if any(len(set(map(len, one))) > 1 for one in given):
             raise UserError(f"controller.{self.name}: rows of a matrix have different lengths.")
         try:
-            model = linear_model(self.a, self.b, self.c, self.d)
+            model = self._static() or linear_model(self.a, self.b, self.c, self.d)
         except UserError as error:
             raise UserError(f"controller.{self.name}: {error}") from None
         if self.each:
@@ -56,3 +59,12 @@ class StateSpace(Controller):
                 f"{asked.actuator!r} {wanted[0]}."
             )
         return whole(model)
+
+    def _static(self) -> LinearModel | None:
+        """Return D alone; None if there are states."""
+        if self.a or self.b or self.c:
+            return None
+        if not self.d:
+            raise UserError("give a, b and c, or d alone.")
+        d = np.array(self.d)
+        return LinearModel(np.zeros((0, 0)), np.zeros((0, d.shape[1])), np.zeros((len(d), 0)), d)
