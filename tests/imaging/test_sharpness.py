@@ -52,6 +52,12 @@ def test_what_the_frame_does_not_hold_is_not_a_number():
         assert all(np.isnan(values).all() for values in sharpness(nothing, 0.25).values())
 
 
+@pytest.mark.parametrize("outside", np.linspace(12.2, 16.0, 20))
+def test_rings_of_an_image_outside_the_frame_have_no_width(outside):
+    for found in (sharpness(airy(outside, 0.3), 0.25), sharpness(airy(-1.0, -outside), 0.25)):
+        assert all(np.isnan(values).all() for values in found.values())
+
+
 @pytest.mark.parametrize("width", [0.1, 0.25, 0.7, 1.5, 7.8])
 def test_pixels_of_any_width_hold_the_integral(width):
     found = detector_pixels(gauss(0.8, 1.1, 0.3, 0.5), 0.25, width)

@@ -17,6 +17,8 @@ Real = NDArray[np.float64]
 _FINE = 64
 # Irradiance between two stars over that at the stars at Rayleigh's distance (Störkle 2018, Eq. 3.76).
 RAYLEIGH_DIP = 0.735
+# Farthest from a border outside of which an image is that its rings are brightest inside; their distance.
+_RING = 1.22
 
 
 def sharpness(image: Real, sampling: float) -> dict[str, Real]:
@@ -35,10 +37,11 @@ def sharpness(image: Real, sampling: float) -> dict[str, Real]:
         ``fwhm``: full width at half maximum; ``two_point``: distance of two equal stars whose saddle is
         0.735 (Rayleigh, 1.22 for a perfect round pupil); ``sparrow``: distance at which there is no saddle
         any more (0.947); ``mtf50``: cycles per wavelength / diameter at which half of the contrast is left
-        (0.404). NaN where the frame is too small for it, or the image has no light.
+        (0.404). NaN where the frame is too small for it, the image has no light, or it is brightest within
+        1.22 of the border (a quarter of the frame at most): it may be the ring of an image outside.
     """
     names = ("fwhm", "two_point", "sparrow", "mtf50")
-    if not (np.isfinite(image).all() and image.sum() > 0.0):
+    if not (np.isfinite(image).all() and image.sum() > 0.0 and _is_inside(image, sampling)):
         return {name: np.full(2, np.nan) for name in names}
     lines = _lines(image)
     frequency, transfer = modulation_transfer(image, sampling)
@@ -55,6 +58,13 @@ def sharpness(image: Real, sampling: float) -> dict[str, Real]:
         for line, contrast in zip(lines, contrasts, strict=True)
     ]
     return dict(zip(names, np.array(found).T, strict=True))
+
+
+def _is_inside(image: Real, sampling: float) -> bool:
+    """Return whether an image is brightest so far inside that this is no ring of one outside."""
+    margin = min(int(np.ceil(_RING / sampling)), len(image) // 4)
+    inside = image[margin:-margin, margin:-margin] if margin else image
+    return bool(inside.max(initial=0.0) == image.max())
 
 
 def _lines(image: Real) -> tuple[Real, Real]:
