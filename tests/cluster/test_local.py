@@ -81,6 +81,8 @@ def test_interrupts_wait_until_they_may_come():
         # SciPy loads these when they are first used, which few studies do; each takes half a second.
         ("workflows.run", ["dask", "matplotlib", "scipy.signal", "scipy.special", "scipy.stats"]),
         ("workflows.segments.segment_disturbance", ["scipy.optimize", "scipy.spatial", "scipy.special"]),
+        ("report.campaign", ["matplotlib"]),
+        ("report.segments.report", ["matplotlib"]),  # whose table a complete store shows again
         (
             "drawing.draw",
             ["wavequake.workflows.mirrors.mirror_study", "wavequake.workflows.lens.lens_study"],

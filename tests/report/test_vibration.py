@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from wavequake.drawing.periodogram import has_spectrum, spectrum
-from wavequake.drawing.style import hover
+from wavequake.drawing.style import hover, svg_text
+from wavequake.drawing.ticks import number_powers
 from wavequake.imaging.engines.matrix_fourier import matrix_fourier, psf
 from wavequake.imaging.exposures.mtf import ideal_mtf
 from wavequake.imaging.pupils.pupil_function import annular_pupil
@@ -46,6 +47,32 @@ def test_uneven_or_few_instants_have_no_spectrum():
     assert not has_spectrum(np.arange(16.0) ** 2)
     figure = histories_and_spectra(np.arange(32.0), {"still": ("nm", {"x": np.ones(32)})})
     assert len(figure.axes) == 2
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        ((0.05, 60.0), ["10⁻¹", "10⁰", "10¹"]),
+        ((2e-7, 2.5e-5), ["10⁻⁶", "10⁻⁵"]),
+        ((4e-8, 1.5e-6), ["5·10⁻⁸", "10⁻⁷", "2·10⁻⁷", "5·10⁻⁷", "10⁻⁶"]),
+        ((0.3, 6.0), ["0.5", "10⁰", "2", "5"]),
+        ((3.05, 3.45), ["3.05", "3.1", "3.15", "3.2", "3.25", "3.3", "3.35", "3.4", "3.45"]),
+    ],
+)
+def test_numbers_of_logarithmic_axes_are_plain_text(limits, words):
+    axes = Figure().add_subplot(xscale="log", xlim=limits)
+    number_powers(axes.xaxis)
+    low, high = limits
+    ticks = [tick for tick in axes.xaxis.get_majorticklocs() if low * 0.999 < tick < high * 1.001]
+    assert axes.xaxis.get_major_formatter().format_ticks(ticks) == words
+
+
+def test_spectra_say_their_powers_without_formulas():
+    time = np.arange(32.0)
+    curve = 1e-6 * np.random.default_rng(0).standard_normal(32)
+    svg = svg_text(histories_and_spectra(time, {"line of sight": ("mas", {"x": curve})}))
+    assert {"1e−6", "10⁻⁶", "frequency (Hz)", "mas / √Hz"} <= set(re.findall(r">([^<>]+)</text>", svg))
+    assert "tspan" not in svg  # of which formulas are made
 
 
 def test_the_mtf_of_a_round_pupil_is_its_closed_form():

@@ -8,8 +8,10 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backend_bases import RendererBase
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.path import Path
+from matplotlib.ticker import AutoLocator, FuncFormatter, LogLocator, NullFormatter
 from matplotlib.transforms import IdentityTransform
 from numpy.typing import NDArray
 
@@ -23,6 +25,7 @@ _MARGIN = 4.0  # points, between numbers and label
 _ASCENT, _LINE = 0.76, 1.0  # of the size, of DejaVu Sans
 _ALIGN: dict[str, Align] = {"left": "right", "right": "left"}
 _WIDTHS = 0.7, 0.6  # points
+_FEW = 0.7, 2.0  # decades: fewer than the first have even ticks, more than the second powers of ten alone
 
 
 def draw_ticks_at_once(axes: Axes) -> None:
@@ -33,6 +36,41 @@ def draw_ticks_at_once(axes: Axes) -> None:
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_visible(False)
         axes.add_artist(Ticks(axis))
+
+
+def in_inches(
+    figure: Figure, left: float, bottom: float, width: float, height: float, label: float = 0.44
+) -> Axes:
+    """Add axes placed in inches, the y label `label` left of them: automatic layouts are slow."""
+    across, up = figure.get_size_inches()
+    axes = figure.add_axes((left / across, bottom / up, width / across, height / up))
+    axes.yaxis.set_label_coords(-label / width, 0.5)
+    return axes
+
+
+def power_of_ten(value: float, place: int | None = None) -> str:
+    """Return a power of ten in plain text: parsing formulas takes longer than all the rest of a figure."""
+    exponent = f"{np.log10(value):.0f}" if value > 0 else ""
+    return "10" + exponent.translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def number_powers(axis: Axis) -> None:
+    """Write numbers at a logarithmic axis, whose limits stay, in plain text: powers of ten; or few others."""
+    low, high = sorted(axis.get_view_interval())
+    decades = float(np.log10(high / low))
+    powers = LogLocator(subs=(1.0,) if decades > _FEW[1] else (1.0, 2.0, 5.0))
+    axis.set_major_locator(AutoLocator() if decades < _FEW[0] else powers)
+    axis.set_major_formatter(FuncFormatter(_power))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _power(value: float, place: int | None = None) -> str:
+    """Return a power of ten as such, and what else is on a logarithmic axis in few digits."""
+    exponent = np.floor(np.log10(value) + 1e-9) if value > 0 else 0.0
+    times = value / 10.0**exponent
+    if abs(times - 1.0) < 1e-6:
+        return power_of_ten(value)
+    return f"{value:.4g}" if -4 < exponent < 4 else f"{times:.4g}·{power_of_ten(10.0**exponent)}"
 
 
 class Ticks(Artist):

@@ -22,7 +22,6 @@ from wavequake.campaign.store.verify import verify_store
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.report.exports.store import export, target_of
-from wavequake.report.page import KNOWN_ERRORS
 from wavequake.workflows.kinds import find_kind
 
 # Modules with table_of(store, dataset) and write_report_of(store, dataset, target, device), imported when a
@@ -104,6 +103,7 @@ def report_store(store: Path) -> tuple[Table, Path]:
     report = _report_of(manifest.workflow)
     if (Path(store) / ERRORS).exists():
         from wavequake.report.answers.errors_shown import page_with_errors
+        from wavequake.report.page import KNOWN_ERRORS  # what draws is slow to load
 
         dataset.encoding[KNOWN_ERRORS] = lambda page: page_with_errors(store, page)
     with _damage_named(store):

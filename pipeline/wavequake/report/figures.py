@@ -27,7 +27,7 @@ from wavequake.drawing.style import LINES as LINES
 from wavequake.drawing.style import STYLE as STYLE
 from wavequake.drawing.style import WIDTH as WIDTH
 from wavequake.drawing.style import as_name, hover
-from wavequake.drawing.ticks import draw_ticks_at_once
+from wavequake.drawing.ticks import draw_ticks_at_once, in_inches, power_of_ten
 from wavequake.report.populations import Population
 from wavequake.report.segments.detail import Bent, Detail
 from wavequake.report.segments.raster import fill_segments
@@ -139,7 +139,7 @@ def history(population: Population) -> Figure:
     figure = Figure(figsize=(WIDTH, HEIGHT))
     gap, height = 0.2, (HEIGHT - 1.4) / 3
     bottoms = [0.5 + row * (height + gap) for row in (2, 1, 0)]
-    panels = [_inches(figure, 0.75, bottom, WIDTH - 0.95, height, label=0.54) for bottom in bottoms]
+    panels = [in_inches(figure, 0.75, bottom, WIDTH - 0.95, height, label=0.54) for bottom in bottoms]
     los = population.los - population.los.mean(axis=(0, 1)) if population.los.size else population.los
     series = (population.wfe_raw, los[..., 0], los[..., 1])
     for axes, values, label in zip(
@@ -171,7 +171,7 @@ def summary_figure(detail: Detail, populations: Sequence[Population]) -> Figure:
     """Show a campaign in one wide picture: segments, wavefront, image, distribution of the error."""
     pitch, square, bottom = 4.0, 2.45, 0.5
     figure = Figure(figsize=(4 * pitch - 0.1, 3.45))
-    maps = [_inches(figure, 0.65 + place * pitch, bottom, square, square) for place in range(3)]
+    maps = [in_inches(figure, 0.65 + place * pitch, bottom, square, square) for place in range(3)]
     _draw_segments(figure, maps[0], detail, numbers=False)
     _draw_opd(figure, maps[1], detail)
     _draw_psf(figure, maps[2], detail.image, detail.image_x, detail.image_y, detail.case)
@@ -179,26 +179,10 @@ def summary_figure(detail: Detail, populations: Sequence[Population]) -> Figure:
     return figure
 
 
-def _inches(
-    figure: Figure, left: float, bottom: float, width: float, height: float, label: float = 0.44
-) -> Axes:
-    """Add axes placed in inches, the y label `label` left of them: automatic layouts are slow."""
-    across, up = figure.get_size_inches()
-    axes = figure.add_axes((left / across, bottom / up, width / across, height / up))
-    axes.yaxis.set_label_coords(-label / width, 0.5)
-    return axes
-
-
 def _square(figure: Figure) -> Axes:
-    axes = _inches(figure, 0.65, 0.5, HEIGHT - 0.95, HEIGHT - 0.95)
+    axes = in_inches(figure, 0.65, 0.5, HEIGHT - 0.95, HEIGHT - 0.95)
     draw_ticks_at_once(axes)
     return axes
-
-
-def power_of_ten(value: float, place: int | None = None) -> str:
-    """Return a power of ten in plain text: parsing formulas takes longer than all the rest of a figure."""
-    exponent = f"{np.log10(value):.0f}" if value > 0 else ""
-    return "10" + exponent.translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def _colorbar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str) -> None:
@@ -345,7 +329,7 @@ def _draw_distributions(
     # Letters are about 0.075 inches wide; two columns only where they fit.
     columns = 2 if 2 * (0.075 * max(map(len, names), default=0) + 0.5) <= width + 0.5 else 1
     legend = 0.185 * -(-len(names) // columns)
-    axes = _inches(figure, left, bottom + legend, width, height - legend)
+    axes = in_inches(figure, left, bottom + legend, width, height - legend)
     samples = [
         case_rms(population.wfe_raw) if quantity == "wfe" else population.strehl for population in named
     ]

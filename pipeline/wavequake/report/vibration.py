@@ -1,6 +1,7 @@
 """Histories of one case and their spectra side by side: what moves, and at which frequencies."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from wavequake.drawing.periodogram import spectrum
 from wavequake.drawing.style import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.drawing.ticks import draw_ticks_at_once, in_inches, number_powers
 
 Array = NDArray[np.float64]
 
@@ -26,12 +28,16 @@ def histories_and_spectra(time: Array, series: Mapping[str, tuple[str, Mapping[s
     series : mapping of str to (str, mapping of str to ndarray of shape (T,))
         Name -> unit and curves by label.
     """
-    figure = Figure(figsize=(2.0 * WIDTH, 0.75 * HEIGHT * len(series)), layout="constrained")
-    for (left, right), (name, (unit, curves)) in zip(
-        figure.subplots(len(series), 2, squeeze=False), series.items(), strict=True
-    ):
+    high = 0.75 * HEIGHT
+    figure = Figure(figsize=(2.0 * WIDTH, high * len(series)))
+    for row, (name, (unit, curves)) in enumerate(series.items()):
+        bottom = (len(series) - 1 - row) * high + 0.55
+        left, right = (
+            in_inches(figure, start + 0.8, bottom, WIDTH - 1.0, high - 1.05, label=0.6)
+            for start in (0.0, WIDTH)
+        )
         for number, (label, values) in enumerate(curves.items()):
-            style = {
+            style: dict[str, Any] = {
                 "color": COLORS[number % len(COLORS)],
                 "linestyle": LINES[number % len(LINES)],
                 "lw": 1.2,
@@ -41,10 +47,15 @@ def histories_and_spectra(time: Array, series: Mapping[str, tuple[str, Mapping[s
             seen = density > _NOTHING * max(float(np.max(values**2)), 1e-300)
             if seen.any():
                 right.loglog(hertz[seen], np.sqrt(density[seen]), label=label, **style)
-        left.set(xlabel="time (s)", ylabel=f"{name} ({unit})", title=f"{name} over time")
-        right.set(
-            xlabel="frequency (Hz)", ylabel=f"{unit} / √Hz", title=f"{name}: amplitude spectral density"
-        )
+        left.set(xlabel="time (s)", ylabel=f"{name} ({unit})")
+        right.set(xlabel="frequency (Hz)", ylabel=f"{unit} / √Hz")
+        for axes, title in ((left, f"{name} over time"), (right, f"{name}: amplitude spectral density")):
+            axes.set_title(title, pad=14.0)  # above what numbers of an axis are to be multiplied by
         if len(curves) > 1:
             left.legend()
+        if right.get_xscale() == "log":
+            for axis in (right.xaxis, right.yaxis):
+                number_powers(axis)
+        for axes in (left, right):
+            draw_ticks_at_once(axes)
     return figure

@@ -10,7 +10,8 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH, power_of_ten
+from wavequake.drawing.ticks import power_of_ten
+from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
 from wavequake.report.loops.outcomes import Level
 
 _STABLE, _UNSTABLE, _GROUND = COLORS[0], COLORS[1], "#999999"

@@ -12,7 +12,8 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
-from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH, power_of_ten
+from wavequake.drawing.ticks import power_of_ten
+from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
 
 Array = NDArray[np.float64]
 _GREY, _FLOOR, _REACH = "#444444", 1e-4, 2.5

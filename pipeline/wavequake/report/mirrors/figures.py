@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
-from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH, power_of_ten
+from wavequake.drawing.ticks import power_of_ten
+from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
 from wavequake.report.mirrors.variants import MEASURES, Criterion, ModelResult, VariantResult, largest
 
 # Noll indices whose responses Fig. 4.29 shows: one of each pair that three-fold symmetry makes alike.

@@ -17,8 +17,6 @@ from wavequake.optics.segments.layout import is_monolithic
 from wavequake.optics.segments.prepared import trace_states
 from wavequake.report.histories import what_is_kept
 from wavequake.report.populations import Summary, populations, representatives, summarize
-from wavequake.report.reduced_models import model_results, verdict
-from wavequake.report.reduced_models import pictures as model_pictures
 from wavequake.report.segments.detail import Bent, Detail
 from wavequake.report.segments.fields import base_name, by_field, of_population, place_names
 from wavequake.report.segments.vignetting import stopped_light
@@ -56,6 +54,8 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     """
     from wavequake.report import uncertain
     from wavequake.report.answers import budget
+    from wavequake.report.reduced_models import model_results, verdict
+    from wavequake.report.reduced_models import pictures as model_pictures
     from wavequake.report.segments import reduced
     from wavequake.report.segments.page import write_report
 
