@@ -286,7 +286,8 @@ def costs(seconds: Mapping[str, Mapping[str, float]]) -> Figure:
         width = 1e3 * np.array([stages[stage] for stages in seconds.values()])
         if stage in ("sensitivities", "residual of modes"):  # once, and longer than all others together
             continue
-        axes.barh(np.arange(len(seconds)), width, left=start, label=stage, color=COLORS[number % len(COLORS)])
+        look = {"color": COLORS[number % len(COLORS)], "hatch": "///" if number >= len(COLORS) else ""}
+        axes.barh(np.arange(len(seconds)), width, left=start, label=stage, edgecolor="white", **look)
         start += width
     axes.set_yticks(np.arange(len(seconds)), list(seconds))
     axes.invert_yaxis()
