@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
+from wavequake.report.page import _marked
 from wavequake.report.segments.page import render_report, write_report
 
 LIMITS = {"shake": (5.1, "mas")}
@@ -111,6 +112,11 @@ def test_nothing_that_is_obeyed_is_written(campaign, detail, tmp_path):
     assert not [one for one in text if unicodedata.category(one) in ("Cc", "Cs", "Zl", "Zp") and one != "\n"]
     assert not re.search("[\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069\ufeff]", text)
     read(text)
+
+
+def test_what_stands_between_backticks_is_code_and_nothing_else_is_html():
+    assert _marked("`rerun <STORE>` & <b>") == "<code>rerun &lt;STORE&gt;</code> &amp; &lt;b&gt;"
+    assert _marked("a ` alone") == "a ` alone"
 
 
 def test_it_says_everything_that_it_should(html):

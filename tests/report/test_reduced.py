@@ -74,7 +74,7 @@ def test_the_table_has_the_quantiles_and_the_certificate(store):
     certified = int((dataset["traced"] == 1).sum())
     assert 100 <= certified < CASES
     assert f"Modal model: {CASES} cases, of which {certified} were traced in full" in text
-    assert "0 cases beyond its range (second order above 0.1 nm)" in text
+    assert "error; none is beyond its range (second order above 0.1 nm)" in text
     assert "WARNING" not in text
 
 

@@ -87,6 +87,14 @@ def test_quantile_interpolates_and_takes_infinite_radii():
     assert np.isnan(quantile(np.array([]), 0.5).value)
 
 
+@pytest.mark.parametrize(("probability", "value"), [(0.999, 6.0), (0.001, 1.0), (0.5, 3.5)])
+def test_a_quantile_lies_in_its_interval(probability, value):
+    """Six draws: with 99.4 % all are below the 99.9th percentile, which is no less than the largest, then."""
+    found = quantile(np.arange(1.0, 7.0), probability)
+    assert found.value == value
+    assert found.low <= found.value <= found.high
+
+
 @given(st.integers(1, 40))
 def test_the_band_and_the_interval_of_a_quantile_are_two_views_of_one_thing(draws):
     """A value is within the interval of the median just where the band at that value holds one half."""
@@ -127,7 +135,10 @@ def test_jitter_removes_the_mean_of_the_population_only():
     found = jitter(los)
     np.testing.assert_allclose(found.axis, [3.0, 4.0])
     assert found.radial == pytest.approx(5.0)
-    assert found.standard_error == pytest.approx(0.0, abs=1e-12)
+    assert np.isnan(found.standard_error)  # two are equally far from their mean, however much they scatter
+    found = jitter(np.concatenate([los, [[[100.0, -7.0]] * 6]]))  # and a third at the mean: 25, 25, 0
+    assert found.radial**2 == pytest.approx(50.0 / 3.0)
+    assert found.standard_error == pytest.approx(25.0 / 3.0 / (2.0 * found.radial))
 
 
 def test_jitter_of_a_sine_is_its_amplitude_over_root_two():

@@ -18,6 +18,10 @@ SCALE = """Math.min(...[...document.querySelectorAll('figure svg')]
   .map(e => e.getBoundingClientRect().width / e.viewBox.baseVal.width))"""
 HIDDEN = """[...document.querySelectorAll('table, figure svg')].filter(e =>
   e.getBoundingClientRect().right > innerWidth && !e.closest('.wide, figure a')).length"""
+UNHINTED = """[...document.querySelectorAll('figure')].filter(e => {
+  const shown = e.querySelector('a');
+  return shown.scrollWidth > shown.clientWidth + 1 && getComputedStyle(e, '::before').content === 'none';
+}).map(e => e.id)"""
 EMPTY = """[...document.querySelectorAll('figure')].filter(e => {
   const drawn = e.querySelector('svg').getBoundingClientRect(), card = e.getBoundingClientRect();
   return drawn.width < 0.6 * card.width || drawn.height < 0.6 * card.height;
@@ -64,7 +68,7 @@ def browser(tmp_path_factory):
 
 SEEN = f"""({{
   width: document.documentElement.scrollWidth, smallest: {SMALLEST}, scale: {SCALE}, hidden: {HIDDEN},
-  empty: {EMPTY}, unexplained: {UNEXPLAINED}, lost: {LOST},
+  unhinted: {UNHINTED}, empty: {EMPTY}, unexplained: {UNEXPLAINED}, lost: {LOST},
   contents: document.querySelectorAll('nav a').length,
   answer: document.querySelector('.answer').textContent,
 }})"""
@@ -79,6 +83,7 @@ def fits_and_explains(browser, report):
         assert seen["smallest"] >= 9.0
         assert seen["scale"] >= 9.0 / 7.0
         assert (seen["hidden"], seen["empty"], seen["unexplained"], seen["lost"]) == (0, [], [], 0)
+        assert seen["unhinted"] == []
         assert seen["contents"] > 3
         assert seen["answer"] == read_answer(report) != ""
     assert browser.said == []

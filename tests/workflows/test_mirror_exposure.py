@@ -368,4 +368,4 @@ def test_figures_of_images():
     curve = axes.lines[0]
     np.testing.assert_allclose(curve.get_ydata(), ideal_mtf(curve.get_xdata()), rtol=0, atol=0.05)
     panels = psf_figures.focus_panels(images, [-0.2, 0.0, 0.2], axis).axes
-    assert [place.get_title(loc="left") for place in panels] == ["-0.2 waves", "+0 waves", "+0.2 waves"]
+    assert [place.get_title(loc="left") for place in panels] == ["-0.2 waves", "in focus", "+0.2 waves"]

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from wavequake.campaign.contract import DONE
 from wavequake.report.statistics import quantile
 from wavequake.report.table import number
+from wavequake.words import counted
 from wavequake.workflows.segments.segment_modal import CERTIFIED, TRACED
 
 Array = NDArray[np.float64]
@@ -36,10 +37,12 @@ def certificate(tolerance_nm: float, dataset: xr.Dataset) -> list[str]:
         unit = dataset[f"modal_error_{name}"].attrs["units"]
         levels = [number(quantile(values, p).value, 2) for p in (0.5, 0.95, 1.0)]
         parts.append(f"{ERRORS[name]} {', '.join(levels)}" + f" {unit}" * (unit != "1"))
+    which = f"of which {certified}" if certified < len(traced) - beyond else "all of which"
+    limit = f"beyond its range (second order above {tolerance_nm:g} nm)"
     words = [
-        f"Modal model: {len(traced) - beyond} cases, of which {certified} were traced in full to measure its "
-        f"error; {beyond} cases beyond its range (second order above {tolerance_nm:g} nm) are "
-        "numbers of full traces."
+        f"Modal model: {counted(len(traced) - beyond, 'case')}, {which} were traced in full to measure its "
+        f"error; {f'the numbers of {beyond} more,' if beyond else 'none is'} {limit}"
+        + (", are those of full traces." if beyond else ".")
     ]
     if parts:
         words.append(f"Largest error of a case (P50, P95, largest over cases): {'; '.join(parts)}.")

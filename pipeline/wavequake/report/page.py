@@ -11,7 +11,7 @@ from typing import Any
 
 import xarray as xr
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from wavequake.drawing.style import WIDTH, hover, svg_text, with_titles
@@ -115,6 +115,7 @@ def render_page(dataset: xr.Dataset, page: Page) -> str:
         undefined=StrictUndefined,
         trim_blocks=True,
     )
+    environment.filters["marked"] = _marked
     text = environment.get_template("report.html.j2").render(
         name=_entry(study, "name") or "Campaign",
         title=str(dataset.attrs.get("study_title", "")),
@@ -167,6 +168,11 @@ def _study(dataset: xr.Dataset) -> dict[str, Any]:
     except (TypeError, json.JSONDecodeError):
         return {}
     return study if isinstance(study, dict) else {}
+
+
+def _marked(text: str) -> Markup:
+    """Return a text as HTML; what stands between backticks is code."""
+    return Markup(re.sub(r"`([^`<>]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def _shortened(value: Any) -> Any:

@@ -149,7 +149,7 @@ def jitter_of_cases(
     if sets is not None:
         _, which = np.unique(sets, return_inverse=True)
         per_case = np.bincount(which, per_case) / np.bincount(which)
-    if per_case.size < 3:  # two are equally far from their mean
+    if per_case.size < 2 or len(means) < 3:  # two cases are equally far from their mean
         return Jitter(axis, radial, np.nan)
     error = per_case.std(ddof=1) / np.sqrt(per_case.size)
     return Jitter(axis, radial, float(error / (2.0 * radial)) if radial > 0 else 0.0)

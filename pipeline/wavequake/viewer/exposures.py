@@ -107,7 +107,7 @@ def _take(
     return Take(
         f"{population}, case {case}: {controller}",
         drawn.time[::step],
-        note=_NOTES[controller] + (f" Every {step}th instant is shown." if step > 1 else ""),
+        note=_NOTES[controller] + (f" One instant in {step} is shown." if step > 1 else ""),
         poses=_poses(control, stage, drawn, controller, motion["m2_tilt"])[::step],
         shapes=shapes,
         weights=weights,

@@ -90,7 +90,7 @@ def _take(stage: Stage, name: str, time: Array, lenses: Array, image: Array) -> 
     return Take(
         name,
         time[::step],
-        note=note + (f" Every {step}th instant is shown." if step > 1 else ""),
+        note=note + (f" One instant in {step} is shown." if step > 1 else ""),
         poses=_poses(stage, lenses, image),
         series={
             "image displacement": ("mm", 1e3 * image[:, None]),
@@ -111,7 +111,7 @@ def _poses(stage: Stage, lenses: Array, image: Array) -> Array:
 def _modes(stage: Stage, bench: Bench) -> list[Take]:
     """Return the modes of a bench by rising frequency, each with a largest motion of 1 mm of a lens."""
     modes, takes = bench_modes(bench), []
-    phase = np.sin(2.0 * np.pi * np.arange(_PERIOD) / _PERIOD)
+    phase = np.cos(2.0 * np.pi * np.arange(_PERIOD) / _PERIOD)
     for number, place in enumerate(np.argsort(modes.omega), start=1):
         lenses = np.zeros(len(SENSITIVITIES))
         lenses[bench.lenses] = modes.shapes[: len(bench.lenses), place]

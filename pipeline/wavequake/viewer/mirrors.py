@@ -122,7 +122,7 @@ def mode_takes(whole: tuple[Array, Array], reduced: tuple[Array, Array]) -> list
                 np.arange(_PERIOD) / _PERIOD / hertz[0],
                 note="Left the reference, right the reduced model, each scaled to a largest motion of 1 m.",
                 shapes=moved[None],
-                weights=np.sin(phase)[:, None],
+                weights=np.cos(phase)[:, None],
                 of=f"mode {number}",
             )
         )

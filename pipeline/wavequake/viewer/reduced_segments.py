@@ -94,7 +94,7 @@ def shaken(
     return Take(
         "",
         time,
-        note=f"Every {step}th instant is shown." if step > 1 else "",
+        note=f"One instant in {step} is shown." if step > 1 else "",
         poses=poses,
         figures=figures_on(stage, history[..., 6:] / MM_PER_M, which) if stage.terms is not None else None,
         images=np.concatenate(images),

@@ -184,7 +184,7 @@ def _note(drawn: CaseDraw, step: int) -> str:
         motion.segment_figure.ndim < 3 or not np.ptp(motion.segment_figure, axis=0).any()
     ):
         notes.append("Nothing changes over time in this case.")
-    notes += [f"Every {step}th instant is shown."] if step > 1 else []
+    notes += [f"One instant in {step} is shown."] if step > 1 else []
     return " ".join(notes)
 
 

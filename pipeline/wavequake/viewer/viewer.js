@@ -104,7 +104,7 @@
     factor.disabled = !(take.largest > 0);
     factor.value = take.largest > 0 ? 50 : -1;
     const series = still ? [] : take.series;  // of one instant there is no curve, but a number
-    const told = still ? take.series.map((one) => `${one.name[0].toUpperCase()}${one.name.slice(1)}: ${(one.values[0] || []).map((v) => v ?? "–").join(", ")} ${one.unit}.`) : [];
+    const told = still ? take.series.map((one) => `${one.name[0].toUpperCase()}${one.name.slice(1)}: ${(one.values[0] || []).map((v) => v === null ? "–" : short(v)).join(", ")} ${one.unit}.`) : [];
     note.textContent = [take.note, ...told, ...film.notes].join(" ");
     image.hidden = !images;
     [...state.curves, ...state.maps].forEach((one) => one.canvas.remove());
@@ -215,6 +215,7 @@
   function frame(points, count) {
     const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
     for (let v = 0; v < 3 * count; v++) { low[v % 3] = Math.min(low[v % 3], points[v]); high[v % 3] = Math.max(high[v % 3], points[v]); }
+    for (const [, line] of state.stage.lines) for (const point of line) for (let k = 0; k < 3; k++) { low[k] = Math.min(low[k], point[k]); high[k] = Math.max(high[k], point[k]); }
     state.middle = low.map((l, k) => (l + high[k]) / 2);
     state.extent = low.map((l, k) => high[k] - l);
   }

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from wavequake.campaign.statistics.quantiles import (
     Quantile,
+    bounded,
     bounds,
     bounds_of_share,
     error_of_shares,
@@ -64,7 +65,7 @@ def pooled_quantiles(parts: Parts, probability: float) -> dict[str, Quantile]:
         found = order_statistics(parts, {name: _given(pair) for name, pair in ends.items()})
     quantiles = {name: Quantile(np.nan, np.nan, np.nan) for name in counts}
     for name, (low, high) in ends.items():
-        quantiles[name] = Quantile(
+        quantiles[name] = bounded(
             value[name],
             -np.inf if low is None else found[name][low],
             np.inf if high is None else found[name][high],

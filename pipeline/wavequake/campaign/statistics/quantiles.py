@@ -69,7 +69,8 @@ def quantile(
     Returns
     -------
     Quantile
-        The value interpolates linearly between order statistics; all NaN if there are no values.
+        The value interpolates linearly between order statistics, within the interval; all NaN if there are
+        no values.
 
     References
     ----------
@@ -84,11 +85,16 @@ def quantile(
     else:
         half = float(share_error(np.asarray(values), sets, np.array([value]))[0])
         low, high = bounds_of_share(ordered.size, probability, half)
-    return Quantile(
+    return bounded(
         value,
         -np.inf if low is None else float(ordered[low]),
         np.inf if high is None else float(ordered[high]),
     )
+
+
+def bounded(value: float, low: float, high: float) -> Quantile:
+    """Return a quantile whose value is in its interval: few values may all be surely below it, or above."""
+    return Quantile(min(max(value, low), high), low, high)
 
 
 def bounds(count: int, draws: int, probability: float) -> tuple[int | None, int | None]:

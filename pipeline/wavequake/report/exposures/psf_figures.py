@@ -111,7 +111,7 @@ def mtf_curves(images: Mapping[str, Array], sampling: float, pupil: Mask) -> Fig
 
 def focus_panels(images: Array, defocus: Sequence[float], axis: Array, unit: str = "waves") -> Figure:
     """Show images (k, n, n) through focus side by side, each with the same scale of square roots."""
-    return image_row(images, [f"{value:+.3g} {unit}" for value in defocus], axis)
+    return image_row(images, [f"{value:+.3g} {unit}" if value else "in focus" for value in defocus], axis)
 
 
 @rc_context(STYLE)

@@ -73,6 +73,9 @@ def loops_of(dataset: xr.Dataset) -> list[Loop]:
     return found
 
 
+_WORDS = {"lqg": "LQG", "integrator": "the integrator"}
+
+
 def answer(dataset: xr.Dataset, loops: Sequence[Loop]) -> str:
     """Say what the best loop leaves, what a model of the vibration gains, and whether all ways agree."""
     if not loops:
@@ -80,7 +83,8 @@ def answer(dataset: xr.Dataset, loops: Sequence[Loop]) -> str:
     best = min(loops, key=lambda one: one.exact)
     shaken = float(dataset["open_mas"].to_numpy()[best.row])
     words = (
-        f"Of {number(shaken)} mas, {best.controller} at {best.rate_hz:g} Hz leaves the least, "
+        f"Of {number(shaken)} mas, {_WORDS.get(best.controller, best.controller)} at {best.rate_hz:g} Hz "
+        "leaves the least, "
         f"{number(best.exact)} mas."
     )
     for rate in dict.fromkeys(one.rate_hz for one in loops):

@@ -35,8 +35,8 @@ _SMALL_PRINT = (
 
 _SCALE = (
     "scale",
-    "imaging.scale: deformations are so many times as large in images, line of sight and MTF as in the "
-    "wavefront errors, which are not scaled.",
+    "Images, line of sight and MTF are those of deformations times imaging.scale; wavefront errors are not "
+    "scaled.",
 )
 
 

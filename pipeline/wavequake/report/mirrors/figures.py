@@ -287,7 +287,9 @@ def costs(seconds: Mapping[str, Mapping[str, float]]) -> Figure:
         width = 1e3 * np.array([stages[stage] for stages in seconds.values()])
         if stage in ("sensitivities", "residual of modes"):  # once, and longer than all others together
             continue
-        axes.barh(np.arange(len(seconds)), width, left=start, label=stage, color=COLORS[number % len(COLORS)])
+        color, hatch = COLORS[number % len(COLORS)], "///" if number >= len(COLORS) else ""
+        rows = np.arange(len(seconds))
+        axes.barh(rows, width, left=start, label=stage, color=color, hatch=hatch, edgecolor="white")
         start += width
     axes.set_yticks(np.arange(len(seconds)), list(seconds))
     axes.invert_yaxis()

@@ -24,12 +24,11 @@ from wavequake.report.page import Page, Picture, picture, render_page, write_pag
 from wavequake.report.populations import left_out
 from wavequake.report.segments.fields import base_name
 from wavequake.report.segments.vignetting import stopped_light
-from wavequake.report.statistics import Quantile, case_rms, quantile
+from wavequake.report.statistics import FEWEST, Quantile, case_rms, quantile
 from wavequake.report.systems.figures import distributions
 from wavequake.report.table import MISSING, interval, number, share
 from wavequake.report.uncertain import PartedResult, parted_results, sentence
 from wavequake.report.uncertain import pictures as parts_pictures
-from wavequake.words import counted
 from wavequake.workflows.segments.bench import bench_of
 
 Array = NDArray[np.float64]
@@ -37,7 +36,7 @@ Array = NDArray[np.float64]
 _SMALL_PRINT = (
     "WFE, LOS: rms of a case over its instants, of the LOS the distance from rest; P50, P95 and P99.9 over "
     "cases, with their 95 % confidence interval (≤, ≥: too few cases for both bounds). "
-    "Segments: rms along their normals, in brackets what the model of the disturbance implies. Maréchal: "
+    "Segments: rms along their normals, beneath it what the model of the disturbance implies. Maréchal: "
     "share of instants with an rms of at most λ/14, piston and tilt removed."
 )
 _SERIES = ("wfe_rms_raw", "wfe_rms", "los", "segment_piston_rms")
@@ -228,10 +227,13 @@ def _answer(found: list[ReducedPopulation]) -> str:
         return "No case is done yet."
     worst = max(found, key=lambda one: quantile(one.wfe_raw, 0.95).value)
     lead = f"Of {len(found)} disturbances, {worst.name} costs the most" if len(found) > 1 else worst.name
-    return (
-        f"{lead}: 95 % of its {counted(len(worst.wfe), 'case')} have a wavefront error of at most "
-        f"{number(quantile(worst.wfe_raw, 0.95).value)} nm rms on glass."
-    )
+    cases, level = len(worst.wfe), quantile(worst.wfe_raw, 0.95).value
+    share_of = "95 %"
+    if cases < FEWEST:  # they have no percentiles
+        share_of, level = "all", float(worst.wfe_raw.max())
+    which = "its only case has" if cases == 1 else f"{share_of} of its {cases} cases have"
+    most = "" if cases == 1 else "at most "
+    return f"{lead}: {which} a wavefront error of {most}{number(level)} nm rms on glass."
 
 
 def _row(one: ReducedPopulation) -> dict[str, tuple[str, str]]:

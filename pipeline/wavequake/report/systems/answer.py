@@ -32,13 +32,13 @@ def answer(found: Sequence[SystemPopulation], sums: frozenset[str] = frozenset()
         strehl = f", where the median Strehl ratio is {number(one.strehl_p50)}" if known else ""
         return (
             f"Rays are missing at some instants. Of the light that arrives, {name} has the largest wavefront "
-            f"error: {_share_of(95, one)} at most {number(_level(one.raw, 95))} nm rms at field "
+            f"error: {_share_of(95, one)} {_bound(one)}{number(_level(one.raw, 95))} nm rms at field "
             f"{one.field}{strehl}."
         )
     name, one = max(results, key=lambda result: quantile(result[1].change, 0.95).value)
     value, most = number(_level(one.change, 95)), " most" if len({name for name, _ in results}) > 1 else ""
     return (
-        f"{name} changes the wavefront{most}: {_share_of(95, one)} by at most {value} nm rms at field "
+        f"{name} changes the wavefront{most}: {_share_of(95, one)} by {_bound(one)}{value} nm rms at field "
         f"{one.field}, where the line of sight moves by {number(one.los.radial)} µm rms."
         + _worst_image(results)
     )
@@ -55,9 +55,10 @@ def _worst_image(results: Sequence[tuple[str, FieldResult]]) -> str:
     name, one, peak = min(imaged, key=lambda result: result[2] / result[1].peak_at_rest)
     many = len({name for name, _, _ in imaged}) > 1
     what = f"{name} costs most: at" if many else "at"
+    least = "at most " if len(one.wfe) >= FEWEST else ""
     return (
         f" Of exposures, which the motion of the line of sight blurs, too, {what} field {one.field} "
-        f"{_share_of(5, one)} the peak is at most {number(peak)} of the perfect image's, "
+        f"{_share_of(5, one)} the peak is {least}{number(peak)} of the perfect image's, "
         f"{number(one.peak_at_rest)} at rest."
     )
 
@@ -66,6 +67,11 @@ def _level(values: Array, percent: int) -> float:
     """Return a percentile over the cases, or of few cases the last one."""
     few = 1.0 if percent > 50 else 0.0
     return quantile(values, percent / 100.0 if len(values) >= FEWEST else few).value
+
+
+def _bound(one: FieldResult) -> str:
+    """Return what stands before the largest of several cases."""
+    return "at most " if len(one.wfe) > 1 else ""
 
 
 def _share_of(percent: int, one: FieldResult) -> str:

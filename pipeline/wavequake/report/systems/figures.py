@@ -51,7 +51,7 @@ def distributions(
         axes.set_xlim(middle - reach, middle + reach)
     axes.set_xlabel(label)
     axes.set_ylabel("share of cases")
-    axes.legend(loc="lower right")
+    axes.legend()
     return figure
 
 

@@ -53,12 +53,13 @@ Array = NDArray[np.float64]
 
 _SMALL_PRINT = (
     "At the primary wavelength. WFE, its change from rest and spot: rms of a case over its instants; P50 "
-    "and P95 over cases, in small print its 95 % interval. LOS: rms of both axes "
+    "and P95 over cases. LOS: rms of both axes "
     "about the mean of all cases and instants, ± standard error. Strehl: over all instants; over a million, "
     "evenly spaced, of more. Maréchal: share "
     "of instants with an rms of at most λ/14 about the best-fit plane. Vignetted: the largest number of rays "
     "at any instant that openings stop, of all that are traced."
 )
+_INTERVALS = " Small print below a number: its 95 % confidence interval."
 _DEFINITIONS = (
     ("WFE", "Root of the sum of squares of the Noll Zernike coefficients j ≥ 4: piston and tilt removed."),
     ("WFE change", "The same of the coefficients less those at rest: what the disturbance adds."),
@@ -115,7 +116,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
         + uncertain.sentence(parts)
         + "".join(f" {one}" for one in certificate(bench.study.optics.modal_tolerance_nm, dataset)),
         table=[{header: row[header] for header in headers} for row in rows],
-        small_print=_SMALL_PRINT + _partial(found, bench) + what_is_kept(dataset),
+        small_print=_SMALL_PRINT + _INTERVALS + _partial(found, bench) + what_is_kept(dataset),
         overview=[
             *_overview(found),
             *model_pictures(models, largest),
@@ -251,7 +252,9 @@ def _partial(found: Sequence[SystemPopulation], bench: SystemBench) -> str:
 
 def _quantile(found: Quantile, frame: float = np.nan) -> tuple[str, str]:
     """Return a quantile and its interval; infinite radii are those of circles beyond the `frame`."""
-    return radius(found.value, frame), "" if np.isposinf(found.value) else interval(found)
+    if np.isposinf(found.value):
+        return (f"> {frame:g}", "the frame") if np.isfinite(frame) else (radius(found.value, frame), "")
+    return number(found.value), interval(found)
 
 
 def _sums(bench: SystemBench) -> frozenset[str]:
