@@ -12,6 +12,8 @@ from wavequake.campaign.rare.splitting import probability
 from wavequake.campaign.statistics.tail import fit_tail, rare_value
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.gaussian import gaussian_motions
+from wavequake.report.answers.accuracy import plan_accuracy
+from wavequake.report.answers.errors import store_errors
 from wavequake.report.answers.rare import in_unit, rare_answer, rare_notes
 from wavequake.report.exports.rerun import rerun_stored
 from wavequake.workflows.rare import modal_answer, rare_study
@@ -136,6 +138,29 @@ def test_the_store_has_what_undoes_the_draws(proof):
     np.testing.assert_allclose(dataset.modal_value, dataset.wfe_rms.isel(time=0), atol=2e-3)
     with pytest.raises(UserError, match="drawn near a limit"):
         wq.tail(proof.store, "wfe_rms")
+    with pytest.raises(UserError, match="have no errors of their own; take those of wavequake run"):
+        store_errors(proof.store)
+
+
+def test_telemetry_is_not_compared_with_cases_near_a_limit(proof, tmp_path):
+    np.savez(
+        tmp_path / "a.npz",
+        rate_hz=100.0,
+        **{"line_of_sight.x_mas": np.random.default_rng(0).normal(size=600)},
+    )
+    with pytest.raises(UserError, match="drawn near a limit, where all shakes more"):
+        wq.agreement(proof.store, tmp_path / "a.npz")
+
+
+def test_a_plan_measures_cases_that_are_not_near_the_limit(study):
+    """Other terms would draw other cases near the limit; those of the study stay what they are."""
+    near = rare_study(study, "wfe_rms", None, 1e-3, "aligned")
+    assert near.rare is not None
+    said = plan_accuracy(near, 0.01, "wfe_rms")
+    plain = plan_accuracy(near.model_copy(update={"rare": None}), 0.01, "wfe_rms")
+    assert "cases" in plain
+    assert "cases" not in said
+    assert [said[key] for key in ("rays", "terms")] == [plain[key] for key in ("rays", "terms")]
 
 
 def test_traces_are_cases_of_a_store_that_goes_on_is_verified_and_computed_again(proof, study, tmp_path):

@@ -116,8 +116,8 @@ def _require_finite(channels: Sequence[Channel], values: Array) -> None:
     if bad.any():
         row, column = (int(one) for one in np.argwhere(bad)[0])
         raise UserError(
-            f"row {row + 1} of {channels[column].name!r} is no finite number ({int(bad.sum())} are none in "
-            "all); give a piece of the record without them: spectra need every sample."
+            f"row {row + 1} of {channels[column].name!r} is no finite number ({int(bad.sum())} in all); "
+            "give a piece of the record without them: spectra need every sample."
         )
 
 

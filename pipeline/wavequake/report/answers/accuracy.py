@@ -60,7 +60,7 @@ def plan_accuracy(
     study : Study
     accuracy : float
         Largest error by each origin, in parts of the median; of sampling half the 95 % interval of the 95 %
-        quantile over cases.
+        quantile over cases, of which a study that draws them near a limit has none.
     measure : str, optional
         By default ``wfe_rms``, or else the first that there is.
     asked : sequence of str
@@ -71,6 +71,9 @@ def plan_accuracy(
     UserError
         If there is no such measure, or the pilot's cases fail.
     """
+    rare = getattr(study, "rare", None) is not None
+    if rare:  # other rays or terms would draw other cases near the limit
+        study = study.model_copy(update={"rare": None})
     kind, text = find_kind(study.study.workflow), study.identity_text()
     device = choose_device(study.campaign.device).name
     every = min(study.cases, 10_000)
@@ -93,13 +96,15 @@ def plan_accuracy(
     coords = {label: ("case", values_of[pilot]) for label, values_of in table.items()}
     found += _reduced(xr.Dataset({}, coords), values, keys, mine, levels, accuracy)
     shares = {group: len(places) / every for group, places in groups.items()}
-    found.append(_cases(study, values, keys, mine, levels, accuracy, shares))
+    if not rare:
+        found.append(_cases(study, values, keys, mine, levels, accuracy, shares))
+    over = "of cases that are not drawn near the limit" if rare else "P95 over cases"
     changed = {key: value for one in found for key, value in one.keys.items()}
     kept = [one for one in asked[1:] if one.partition("=")[0].strip() not in changed]
     words = [*(asked[:1] or [study.study.name]), *kept, *(f"{key}={value}" for key, value in changed.items())]
     command = shlex.join(["wavequake", "run", *words])
     return {
-        "accuracy": f"{_percent(accuracy)} of {name} by each origin; P95 over cases",
+        "accuracy": f"{_percent(accuracy)} of {name} by each origin; {over}",
         **{one.origin: one.words for one in found},
         "proposal": command if changed else "the study is as accurate as that",
     }

@@ -80,11 +80,16 @@ def agreement_of(store: Path, data: Path, of: str | None = None) -> Agreement:
     Raises
     ------
     UserError
-        If the store has no series of what was measured, there are several disturbances to choose from, or the
-        sampling of both has no common step; or as `read_record`.
+        If the store has no series of what was measured, or cases near a limit, there are several disturbances
+        to choose from, or the sampling of both has no common step; or as `read_record`.
     """
     record = read_record(data)
     dataset = open_store(store)
+    if "log_weight" in dataset.variables:
+        raise UserError(
+            f"The cases of {store} are drawn near a limit, where all shakes more; compare telemetry with "
+            "those of wavequake run, of the study without [rare]."
+        )
     if "time_s" not in dataset or "disturbance" not in dataset:
         raise UserError(
             f"{store} holds no series over time of a disturbance; compare telemetry with stores of "

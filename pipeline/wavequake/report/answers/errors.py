@@ -169,7 +169,7 @@ def store_errors(
     Raises
     ------
     UserError
-        If there is no store, nothing in it is done, or `cases` is below 2.
+        If there is no store, nothing in it is done, its cases are drawn near a limit, or `cases` is below 2.
     """
     import xarray as xr
 
@@ -178,6 +178,11 @@ def store_errors(
     if cases < FEWEST:
         raise UserError(f"{cases} cases say nothing of an error; take at least {FEWEST}.")
     manifest, dataset = read_manifest(store), open_store(store)
+    if "log_weight" in dataset.variables:
+        raise UserError(
+            f"The cases of {store} are drawn near a limit, and others are with other rays or terms: they "
+            "have no errors of their own; take those of wavequake run, of the study without [rare]."
+        )
     groups = {name: mine for name, mine in groups_of(store, dataset).items() if mine.any()}
     if not groups:
         raise UserError(f"No case of {store} is done, and none has an error; wavequake run computes them.")
