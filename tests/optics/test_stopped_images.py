@@ -59,7 +59,7 @@ def sky_of(bench):
 def computed(case_study, monkeypatch, motion):
     """What the store gets of a case that draws `motion`."""
     drawn = workflow.CaseDraw(case_study.disturbance[0], 0, np.arange(1.0, 1.0 + len(motion.mount)), motion)
-    monkeypatch.setattr(workflow, "draw", lambda bench, case: drawn)
+    monkeypatch.setattr(workflow, "_draw_all", lambda bench, cases: [drawn])
     result = workflow.compute(case_study.identity_text(), np.array([0]), DEVICE)
     assert result.status[0] == DONE, result.messages
     return {name: array[0] for name, array in result.arrays.items()}

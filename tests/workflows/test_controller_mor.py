@@ -41,7 +41,7 @@ def dense_loop(bench, name, effort):
     count = len(mass)
     forces = controller_bench.force_columns(model)
     rows = controller_bench.sensor_rows(model, bench.sensors)
-    reduced, _ = controller_bench.reduced_plant(bench, controller_mor.reduce(model, name))
+    reduced, _ = controller_bench.reduced_plant(bench, controller_mor.reduced(bench, name))
     own, section, time = controller_mor.lqg(reduced, effort, effort), bench.study.controller, bench.time_unit
     solved = scipy.linalg.solve(mass, np.hstack([-stiffness, -damping, forces]), assume_a="pos")
     unit = np.eye(count)

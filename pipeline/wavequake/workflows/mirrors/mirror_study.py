@@ -39,7 +39,7 @@ class ModelSection(Section):
     focal_length_m: float = Field(
         default=1.7, gt=0, description="of the parabola; it puts the defocus mode of the defaults at 295 Hz"
     )
-    youngs_modulus_pa: float = Field(default=70e9, gt=0, le=1e15)
+    youngs_modulus_pa: float = Field(default=70e9, gt=0, le=1e16)
     poisson_ratio: float = Field(default=0.33, gt=-1, lt=0.5)
     density_kg_m3: float = Field(default=2700.0, ge=1e-3, le=1e6)
     mount_radius_m: float = Field(default=0.333, gt=0, description="of the interface nodes on the rear face")

@@ -19,7 +19,7 @@ class SegmentModelSection(Section):
     mount_radius_m: float | None = Field(
         default=None, gt=0, description="of the supports, toward every other corner; default: 0.6 of the side"
     )
-    youngs_modulus_pa: float = Field(default=GLASS_CERAMIC.young, gt=0, le=1e15)
+    youngs_modulus_pa: float = Field(default=GLASS_CERAMIC.young, gt=0, le=1e16)
     poisson_ratio: float = Field(default=GLASS_CERAMIC.poisson, gt=-1, lt=0.5)
     density_kg_m3: float = Field(default=GLASS_CERAMIC.density, ge=1e-3, le=1e6)
     support: Literal["springs", "rigid"] = Field(

@@ -25,7 +25,7 @@ Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _-]*$")]
 class SolidSection(Section):
     """Of what a body is made; the defaults are aluminium."""
 
-    youngs_modulus_pa: float = Field(default=70e9, gt=0, le=1e15)
+    youngs_modulus_pa: float = Field(default=70e9, gt=0, le=1e16)
     poisson_ratio: float = Field(default=0.33, gt=-1, lt=0.5)
     density_kg_m3: float = Field(default=2700.0, ge=1e-3, le=1e6)
 
