@@ -61,7 +61,7 @@ def test_rays_of_a_system_have_the_errors_that_are_stored(again, case, instants)
     # All rays arrive and weigh alike.
     np.testing.assert_allclose(detail["opd"].std("ray"), stored["wfe_rms_raw"], rtol=1e-6, atol=1e-9)
     center = detail["spot"].mean("ray")
-    moved = center - center.isel(traced=0)
+    moved = center - center.isel(traced_instant=0)
     centroid = 1e3 * (stored["centroid_mm"] - stored["centroid_mm"].isel(time=0))
     np.testing.assert_allclose(moved, centroid.to_numpy(), rtol=0, atol=1e-6)
     spread = np.sqrt(((detail["spot"] - center) ** 2).sum("axis").mean("ray"))
@@ -89,7 +89,9 @@ def test_motions_of_a_system_are_those_that_were_asked_for(again):
     center = other["spot"].mean("ray").isel(field=0)
     moved = other["sight"] - other["sight"].isel(instant=0)
     expected = np.repeat(1e6 * moved.to_numpy()[:, None], 2, axis=1)
-    np.testing.assert_allclose(abs(center - center.isel(traced=0)), abs(expected), rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(
+        abs(center - center.isel(traced_instant=0)), abs(expected), rtol=1e-3, atol=1e-4
+    )
 
 
 def test_a_case_that_loses_its_light_shows_what_was_drawn(tmp_path):
@@ -119,9 +121,9 @@ def test_many_rays_are_those_of_the_worst_instant(again, monkeypatch):
     monkeypatch.setattr(case_detail, "_RAYS_BYTES", 10_000)
     whole, detail = again("system-disturbance", 0)
     change = whole["wfe_change"].isel(case=0, wavelength=0).max("field")
-    assert detail["traced"].to_numpy().tolist() == [int(change.argmax("time"))]
+    assert detail["traced_instant"].to_numpy().tolist() == [int(change.argmax("time"))]
     stored = whole["wfe_rms_raw"].isel(case=0, time=int(change.argmax("time")))
-    np.testing.assert_allclose(detail["opd"].isel(traced=0).std("ray"), stored, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(detail["opd"].isel(traced_instant=0).std("ray"), stored, rtol=1e-6, atol=1e-9)
     assert detail.sizes["instant"] == 7
 
 

@@ -12,6 +12,7 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.registry import instants_of
 from wavequake.optics.wavefronts.wavefront import measure_system
+from wavequake.report.exports.rerun import rerun_stored
 from wavequake.workflows.segments.segment_modal import CERTIFIED, MODAL, TRACED
 from wavequake.workflows.study import load_study
 from wavequake.workflows.systems.system_bench import system_bench, system_states
@@ -192,6 +193,8 @@ def test_an_imported_lens_runs_and_its_report_certifies_it(study_of, tmp_path):
     wq.run(study, store=tmp_path / "store", workers=1)
     dataset = wq.open_store(tmp_path / "store")
     assert float(dataset["modal_error_zernike"].max()) < 0.1
+    again = rerun_stored(tmp_path / "store", 2)
+    assert (again.differing, again.trouble, again.status) == ((), "", DONE)
     page = (wq.report(tmp_path / "store")).read_text()
     assert "traced in full to measure its error" in page
     assert "Strehl P50" not in page
@@ -218,6 +221,46 @@ def test_what_the_model_cannot_know_is_refused_in_a_sentence(more, keys, words, 
 
     with pytest.raises(UserError, match=words):
         check()
+
+
+STILL = """
+[study]
+name = "still"
+workflow = "system-disturbance"
+[system]
+name = "double-gauss"
+[[disturbance]]
+name = "apart"
+model = "surface-random"
+of = ["surface 4"]
+rms = {{ dx_um = {um}, dy_um = {um} }}
+[optics]
+rays = 50
+method = "modal"
+"""
+
+
+def test_a_plane_that_slides_in_itself_changes_nothing(tmp_path):
+    (tmp_path / "plane.toml").write_text(STILL.format(um=1.0))
+    study = load_study(tmp_path / "plane.toml", {"campaign.cases": 2})
+    found = KIND.compute(study.identity_text(), np.arange(2), DEVICE).arrays
+    assert set(found["traced"].tolist()) == {CERTIFIED}
+    assert np.abs(found["wfe_change"]).max() < 1e-4
+    assert found["modal_error_wfe_rms_raw"].max() < 1e-4
+
+
+def test_what_does_not_move_is_refused_in_a_sentence(tmp_path):
+    (tmp_path / "still.toml").write_text(STILL.format(um=0.0))
+    with pytest.raises(UserError, match="No disturbance moves anything"):
+        KIND.check(load_study(tmp_path / "still.toml", {}).identity_text())
+
+
+def test_the_check_of_a_study_builds_the_model_that_its_cases_use(study_of):
+    study = study_of("zmx", campaign__cases=3)
+    model_of.cache_clear()
+    KIND.check(study.identity_text())
+    KIND.compute(study.identity_text(), np.arange(1), choose_device(study.campaign.device).name)
+    assert model_of.cache_info().misses == 1
 
 
 def test_studies_that_trace_keep_the_identity_that_they_had(study_of):

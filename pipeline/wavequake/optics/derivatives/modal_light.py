@@ -25,13 +25,14 @@ Array = NDArray[np.float64]
 Move = Callable[[Array], SystemStates]
 """From motions (K, D) to the states of K instants."""
 
+_MM_PER_M = 1e3
 _AT_ONCE = 64  # instants of a launch, a constant shape
 
 
 class Motions(NamedTuple):
     """The motions that a model knows: how they move a system, and the steps (D,) of their differences.
 
-    Those that are ``turns`` (D,) share a scale, and all others do.
+    Those that are ``turns`` (D,), in rad, share a scale, and all others, in m, do.
     """
 
     move: Move
@@ -81,7 +82,7 @@ def modal_light(prepared: PreparedSystem, device: Device, motions: Motions) -> M
     opd, x, y, chief = _traced(prepared, device, motions, signs)
     arrives = _arrive(opd)
     opd[:, ~arrives] = np.nan
-    scale = FAINT / wavelength * np.where(motions.turns, paraxial(prepared.system).stop_radius, 1.0)
+    scale = FAINT / wavelength * np.where(motions.turns, paraxial(prepared.system).stop_radius, _MM_PER_M)
     remedy = "choose optics.method = 'standard'"
     around = opd[1:].reshape(4, count, -1).swapaxes(1, 2)
     slope = checked_derivative(around, motions.steps, "the path lengths", remedy, 0, motions.turns, scale).T

@@ -117,7 +117,7 @@ def _of_system(study: str, case: int, device_name: str) -> xr.Dataset:
             spot[:, field, wave] = 1e3 * (np.stack([traced.x, traced.y], axis=-1) - rest.chief[0])
     motion = states.surface_motion.copy()
     motion[..., :3] /= MM_PER_M
-    over, pupil = ("traced", "field", "wavelength", "ray"), bench.prepared[0][0].pupil
+    over, pupil = ("traced_instant", "field", "wavelength", "ray"), bench.prepared[0][0].pupil
     found = {
         "surface_motion": _variable(
             ("instant", "surface", "dof"), motion, "m, rad", "motion of every surface in its frame at rest"
@@ -149,7 +149,7 @@ def _of_system(study: str, case: int, device_name: str) -> xr.Dataset:
     for place, (name, heights) in enumerate(drawn.grid.items()):
         dims = ("instant", f"row_{place}", f"column_{place}")
         found[f"given_grid_{place}"] = _variable(dims, 1e9 * heights, "nm", f"heights on the grid of {name}")
-    labels = {"traced": instants, "surface": names, "dof": _DEGREES}
+    labels = {"traced_instant": instants, "surface": names, "dof": _DEGREES}
     labels |= {"element": list(drawn.rigid)} if drawn.rigid else {}
     labels |= {"deformed": list(drawn.figure)} if drawn.figure else {}
     return xr.Dataset(found, labels)

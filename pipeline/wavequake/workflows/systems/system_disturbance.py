@@ -128,7 +128,7 @@ def prepare(study: SystemStudy) -> SystemBench:
     bench = system_bench(study.identity_text())
     sampling_plan(bench.text)
     if study.optics.method == "modal":
-        model_of(bench.text, study.campaign.device)
+        model_of(bench.text, choose_device(study.campaign.device).name)
     for population in study.disturbance:
         drawn = draw_elements(study.disturbance, population, study.study.seed, 0, layout=bench.layout)
         moving(bench.system, system_states(bench, drawn))
@@ -288,7 +288,8 @@ def _modal(bench: SystemBench) -> dict[str, str]:
     """Say what the modal model knows, if the study takes it."""
     if bench.study.optics.method == "standard":
         return {}
-    count = int(model_of(bench.text, bench.study.campaign.device).columns.moving.sum())
+    device = choose_device(bench.study.campaign.device)  # by its name, as `compute` asks for it
+    count = int(model_of(bench.text, device.name).columns.moving.sum())
     return {
         "light": f"by the modal model of {counted(count, 'motion')}; a sample of the cases is traced, too"
     }

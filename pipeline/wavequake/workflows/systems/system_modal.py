@@ -133,7 +133,7 @@ def model_of(study_text: str, device_name: str) -> SystemModel:
     Raises
     ------
     UserError
-        If something deforms on a grid, or there are no derivatives.
+        If nothing moves, something deforms on a grid, or there are no derivatives.
     """
     from wavequake.workflows.systems.system_disturbance import drawn_with  # it computes with this
 
@@ -147,16 +147,20 @@ def model_of(study_text: str, device_name: str) -> SystemModel:
                 "optics.method = 'modal' knows rigid motions and Zernike terms alone; choose 'standard'."
             )
         columns.moving[:] |= columns.row(drawn).any(axis=0)
+    if not columns.moving.any():
+        raise UserError(
+            "No disturbance moves anything, so that optics.method = 'modal' has no motion to take "
+            "derivatives of; give one that is not 0, or choose 'standard'."
+        )
     motions = _motions(bench, columns)
     primary = bench.system.primary_wavelength
     lights, bends = [], []
     for field, row in enumerate(bench.prepared):
         try:
             lights.append(tuple(modal_light(one, device, motions) for one in row))
+            bends.append(row[primary].wavelength * NM_PER_MM * curvatures(row[primary], device, motions))
         except UserError as error:
             raise UserError(f"At field {field_name(bench.system, field)} {error}.") from error
-        to_nm = row[primary].wavelength * NM_PER_MM
-        bends.append(to_nm * curvatures(row[primary], device, motions))
     return SystemModel(columns, tuple(lights), tuple(bends), bench.static)
 
 
