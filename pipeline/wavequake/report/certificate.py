@@ -26,21 +26,26 @@ ERRORS = {
 
 
 def certificate(tolerance_nm: float, dataset: xr.Dataset) -> list[str]:
-    """Say how large the errors of the modal model are; nothing of a store that is traced in full."""
+    """Say how large the errors of the modal model are; nothing where none is known."""
     if "traced" not in dataset:
         return []
     done = dataset["status"].to_numpy() == DONE
     traced = dataset["traced"].to_numpy()[done]
+    if not len(traced):
+        return []
     certified, beyond = (int(np.count_nonzero(traced == code)) for code in (CERTIFIED, TRACED))
     parts = []
     for name, values in modal_errors(dataset, done).items():
         unit = dataset[f"modal_error_{name}"].attrs["units"]
         levels = [number(quantile(values, p).value, 2) for p in (0.5, 0.95, 1.0)]
         parts.append(f"{ERRORS[name]} {', '.join(levels)}" + f" {unit}" * (unit != "1"))
-    which = f"of which {certified}" if certified < len(traced) - beyond else "all of which"
+    modal = len(traced) - beyond
     limit = f"beyond its range (second order above {tolerance_nm:g} nm)"
+    if not modal:
+        return [f"Modal model: every case is {limit}; all numbers are those of full traces."]
+    which = f"of which {certified}" if certified < modal else "all of which"
     words = [
-        f"Modal model: {counted(len(traced) - beyond, 'case')}, {which} were traced in full to measure its "
+        f"Modal model: {counted(modal, 'case')}, {which} were traced in full to measure its "
         f"error; {f'the numbers of {beyond} more,' if beyond else 'none is'} {limit}"
         + (", are those of full traces." if beyond else ".")
     ]
