@@ -12,7 +12,7 @@ from wavequake.control.sampled.channel import Timing, acceleration, first_order,
 from wavequake.control.sampled.filters import integrator
 from wavequake.control.sampled.flexible import FlexibleLoop, Structure, poles, reduced
 from wavequake.control.sampled.flexible_left import flexible_margins
-from wavequake.control.sampled.regulator import shared_filter, whole
+from wavequake.control.sampled.regulator import model_of, shared_filter, whole
 from wavequake.control.sampled.run import Actuator, Loop, run, schedule
 from wavequake.control.sampled.stability import (
     SampledLoop,
@@ -56,6 +56,35 @@ def test_a_loop_on_a_structure_has_the_poles_and_margins_of_the_segments_loop(ga
     wanted, found = flexible_margins(flexible), sampled_margins(loop)
     for name in ("peak", "gain_up", "phase", "delay", "last_omega"):
         assert getattr(found, name) == pytest.approx(getattr(wanted, name), rel=1e-4), name
+
+
+@pytest.mark.parametrize("place", [0, 3, 15])
+def test_a_stuck_channel_is_as_good_as_none(place):
+    """Its integrator, which reads what the structure does there, is seen by nothing."""
+    loop, free = mirror(0.05)[1], np.arange(30) != place
+    stuck = replace(loop, sees=loop.sees * free, drives=loop.drives * free)
+    without = replace(
+        loop,
+        sees=loop.sees[free][:, free],
+        drives=loop.drives[:, free],
+        shown=loop.shown[free],
+        regulator=shared_filter(np.eye(29), integrator(0.05)),
+    )
+    assert abs(worst_pole(stuck).value) == pytest.approx(abs(worst_pole(without).value), abs=1e-12)
+    assert worst_pole(stuck).growth < 0.0
+    wanted, found = sampled_margins(without), sampled_margins(stuck)
+    for name in ("peak", "gain_up", "phase", "delay", "last_omega"):
+        assert getattr(found, name) == pytest.approx(getattr(wanted, name), rel=1e-9), name
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3, 7])
+def test_integrators_that_nothing_needs_leave_the_gain_margin(seed):
+    """Four commands of three readings: one direction stands still, at a pole of size 1 but for rounding."""
+    sees = np.random.default_rng(seed).standard_normal((3, 4))
+    shared = shared_filter(np.linalg.pinv(sees), integrator(0.25))
+    loop = SampledLoop(WHEN, SERVO, sees, shared)
+    own = replace(loop, regulator=whole(model_of(shared, T)))
+    assert sampled_margins(own).gain_up == pytest.approx(sampled_margins(loop).gain_up, rel=1e-6)
 
 
 def test_what_is_alike_is_left_out_exactly():

@@ -98,10 +98,14 @@ def _critical(gain: LoopGain, hertz: Array, loci: Complex) -> tuple[Array, Array
 
 
 def first_unstable(radius: Callable[[float], float], factors: Array, none: float) -> float:
-    """Return the first of rising or falling factors of the gain at which the loop becomes unstable."""
+    """Return the first of rising or falling factors of the gain at which the loop becomes unstable.
+
+    Poles of size 1, as those of integrators that nothing sees, do not make it so.
+    """
     last = float(factors[0])
     for factor in map(float, factors[1:]):
         if radius(factor) - 1.0 > _ROUNDING:
-            return float(brentq(lambda one: radius(one) - 1.0, last, factor, rtol=1e-10))
+            limit = 1.0 if radius(last) < 1.0 - _ROUNDING else 1.0 + _ROUNDING
+            return float(brentq(lambda one, size: radius(one) - size, last, factor, (limit,), rtol=1e-10))
         last = factor
     return none

@@ -156,14 +156,16 @@ def _parts(loop: SampledLoop) -> Parts | None:
     through = loop.regulator.decoupling
     if not loop.structure:
         return apart(through @ loop.sees, through @ shown, drives)
-    # What is never commanded would stand there as integrators that nothing drives.
+    # What is never commanded, or never moves, would stand there as integrators that nothing drives or sees.
+    moves = np.any(loop.sees, axis=0) | np.any(drives, axis=0)
+    through, sees, drives = through[moves], loop.sees[:, moves], drives[:, moves]
+    basis = np.eye(len(moves))[:, moves]
     squares, vectors = np.linalg.eigh(through @ through.T)
     used = vectors[:, squares > _UNUSED * squares[-1]]
-    if used.shape[1] == len(through):
-        return apart(through @ loop.sees, through @ shown, drives)
-    through = used.T @ through
-    found = apart(through @ loop.sees @ used, through @ shown, drives @ used)
-    return replace(found, basis=used @ found.basis)
+    if used.shape[1] < len(through):
+        through, sees, drives, basis = used.T @ through, sees @ used, drives @ used, basis @ used
+    found = apart(through @ sees, through @ shown, drives)
+    return replace(found, basis=basis @ found.basis)
 
 
 def worst_pole(loop: SampledLoop, factor: float = 1.0) -> Worst:
