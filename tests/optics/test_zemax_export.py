@@ -299,6 +299,16 @@ def test_hsc_comes_back_with_its_glasses(tmp_path):
     assert paraxial(again).focal_length == pytest.approx(paraxial(system).focal_length, rel=1e-12)
 
 
+def test_glasses_replace_those_of_an_export_and_no_catalogue_of_a_user(tmp_path):
+    system, catalogue = optical_system("hsc"), tmp_path / "hsc.agf"
+    write_zmx(system, write_zmx(system, tmp_path / "hsc.zmx"))
+    for mine in ("CC of mine\nNM MELT 1 0 1.5 50 0 0 0\n".encode("utf-16"), b"", b"CC of mine"):
+        catalogue.write_bytes(mine)
+        with pytest.raises(UserError, match=r"hsc\.agf is a catalogue that another lens file may need"):
+            write_zmx(system, tmp_path / "hsc.zmx")
+        assert catalogue.read_bytes() == mine
+
+
 @pytest.mark.parametrize("other", [glass("F2"), Medium("F2", "conrady", (1.5, 1e-3, 1e-4))])
 def test_own_glasses_of_equal_names_are_refused(other):
     mine = Medium("F2", "conrady", (1.6, 1e-3, 1e-4))

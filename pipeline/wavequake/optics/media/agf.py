@@ -14,6 +14,9 @@ from wavequake.optics.media.environment import STANDARD_C, Thermal
 from wavequake.optics.media.glasses import Medium
 from wavequake.optics.text_file import read_text
 
+EXPORTED = "CC glasses of an exported lens file"
+"""The line that a catalogue written here begins with."""
+
 
 def read_agf(path: str | Path) -> dict[str, Medium]:
     """Return the glasses of an .agf file (UTF-16, UTF-8 or Latin-1) by their names in upper case.
@@ -79,7 +82,7 @@ def agf_text(glasses: Mapping[str, Medium]) -> str:
 
     What is not known of them (density, price, transmission) is left out.
     """
-    lines = ["CC glasses of an exported lens file"]
+    lines = [EXPORTED]
     for name, medium in glasses.items():
         kinds = [
             number

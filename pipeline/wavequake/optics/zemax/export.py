@@ -21,7 +21,7 @@ import numpy as np
 
 from wavequake.errors import UserError
 from wavequake.optics.checks import require_fields, require_kind
-from wavequake.optics.media.agf import agf_text, has_formula
+from wavequake.optics.media.agf import EXPORTED, agf_text, has_formula
 from wavequake.optics.media.glasses import AIR, Medium, catalogues, medium_label
 from wavequake.optics.media.gradients import GradientIndex
 from wavequake.optics.polynomials.transforms import transform_coefficients
@@ -59,7 +59,8 @@ _LISTS = {  # of coefficients: the surface type, what it is, and how many it may
 def write_zmx(system: OpticalSystem, path: str | Path) -> Path:
     """Write a system as a sequential .zmx file (UTF-16); an existing file is replaced in one step.
 
-    Glasses that no catalogue has stand beside it in one of their own: ``lens.agf`` for ``lens.zmx``.
+    Glasses that no catalogue has stand beside it in one of their own: ``lens.agf`` for ``lens.zmx``. It
+    replaces no catalogue that was not written so.
 
     Returns
     -------
@@ -68,7 +69,8 @@ def write_zmx(system: OpticalSystem, path: str | Path) -> Path:
     Raises
     ------
     UserError
-        If the folder is missing, or the system has something that the format cannot hold: names it.
+        If the folder is missing, another catalogue would be replaced, or the system has something that the
+        format cannot hold: names it.
 
     Examples
     --------
@@ -85,6 +87,11 @@ def write_zmx(system: OpticalSystem, path: str | Path) -> Path:
     beside = target.with_suffix(".agf")
     text, own = zmx_text(system, beside.stem), own_glasses(system)
     if own:
+        if beside.exists() and not beside.read_bytes().startswith(EXPORTED.encode("utf-16")):
+            raise UserError(
+                f"{beside} is a catalogue that another lens file may need, and the glasses of {target.name} "
+                "would replace it; choose another name."
+            )
         _replace(beside, agf_text(own).encode("utf-16"))
     _replace(target, text.replace("\n", "\r\n").encode("utf-16"))
     return target
