@@ -127,6 +127,15 @@ def test_a_shape_of_the_mirror_has_unit_rms_and_gives_way_along_itself():
     assert heights.std() > 0.5
 
 
+@pytest.mark.parametrize("unit", [1e-320, 1e300])
+def test_the_unit_of_a_shape_does_not_matter(unit):
+    shapes = [{4: 1.0, 6: 0.25}, {4: unit, 6: 0.25 * unit}]
+    modes = [CarryingMode(name="m", hz=5.0, zeta=0.05, share=0.1, zernike=shape) for shape in shapes]
+    wanted, found = (carrying([mode], LAYOUT) for mode in modes)
+    np.testing.assert_allclose(found.moves, wanted.moves, rtol=1e-3, atol=1e-12)
+    np.testing.assert_allclose(found.answers, wanted.answers, rtol=1e-3, atol=1e-12)
+
+
 def test_sensors_read_m2_and_points_of_the_structure(tmp_path):
     study = written(tmp_path, STRUCTURE, LONGER)
     optics = bench_of(study).optics

@@ -1,5 +1,6 @@
 """A structure that carries mirrors: modes by name, what they move, and what moves them."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -191,7 +192,7 @@ def carrying(modes: Sequence[CarryingMode], layout: SegmentLayout) -> Carrying:
     at = np.zeros((len(nodes), len(modes)))
     for k, one in enumerate(modes):
         if any(one.zernike.values()):
-            piston, x_slope, y_slope = zernike_motion(layout, radius, [one.zernike])[0].T
+            piston, x_slope, y_slope = zernike_motion(layout, radius, [_about_one(one.zernike)])[0].T
             size = np.sqrt(np.mean(piston**2 + x_slope**2 + y_slope**2))
             # z = slope_x x + slope_y y is the rotation (slope_y, -slope_x).
             moved = np.concatenate([piston, y_slope / radius, -x_slope / radius]) / size
@@ -213,6 +214,12 @@ def carrying(modes: Sequence[CarryingMode], layout: SegmentLayout) -> Carrying:
             )
     hertz, zeta, rms = (np.array([getattr(one, key) for one in modes]) for key in ("hz", "zeta", "rms_nm"))
     return Carrying(tuple(one.name for one in modes), moves, answers, at, rms, hertz, zeta)
+
+
+def _about_one(shape: Mapping[int, float]) -> dict[int, float]:
+    """Return a shape whose largest coefficient is about 1: its squares are numbers, and it keeps its bits."""
+    power = math.frexp(max(map(abs, shape.values())))[1]
+    return {noll: math.ldexp(value, -power) for noll, value in shape.items()}
 
 
 def node_names(modes: Sequence[CarryingMode]) -> tuple[str, ...]:
