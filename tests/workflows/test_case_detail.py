@@ -57,7 +57,7 @@ def test_all_histories_of_a_case_have_the_bits_of_a_store_that_keeps_them(again,
 def test_rays_of_a_system_have_the_errors_that_are_stored(again, case, instants):
     whole, detail = again("system-disturbance", case, reduce="summary")
     stored = whole.isel(case=case, time=slice(instants))
-    assert detail.sizes["instant"] == detail.sizes["traced"] == instants
+    assert detail.sizes["instant"] == detail.sizes["traced_instant"] == instants
     # All rays arrive and weigh alike.
     np.testing.assert_allclose(detail["opd"].std("ray"), stored["wfe_rms_raw"], rtol=1e-6, atol=1e-9)
     center = detail["spot"].mean("ray")
