@@ -54,8 +54,13 @@ class Registry(Generic[Entry]):
         Raises
         ------
         UserError
-            If another entry has the name.
+            If another entry has the name, or a method that it must have is not written.
         """
+        if unwritten := [name for name in dir(entry) if _is_abstract(entry, name)]:
+            called, missing = getattr(entry, "__qualname__", entry), " and no ".join(unwritten)
+            raise UserError(
+                f"the {self._what} {called} has no {missing} of its own; write what its base class describes"
+            )
         name = self._name_of(entry)
         before = self._entries.get(name)
         if before is not None and _origin(before) != _origin(entry):
@@ -98,6 +103,10 @@ class Registry(Generic[Entry]):
                 finally:
                     self._installing = False
         return self._entries
+
+
+def _is_abstract(entry: object, name: str) -> bool:
+    return getattr(getattr(entry, name, None), "__isabstractmethod__", False) is True
 
 
 def _origin(entry: object) -> str:

@@ -1,5 +1,6 @@
 """What sensors, actuators and controllers offer, and their registries: one file adds a kind of one."""
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from itertools import product
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
@@ -54,13 +55,13 @@ class Sensor(Section):
         """Return how a reading follows what is read."""
         return RIGID if self.bandwidth_hz is None else first_order(self.bandwidth_hz)
 
+    @abstractmethod
     def labels(self, light: Light) -> tuple[str, ...]:
         """Return the names of its m readings."""
-        raise NotImplementedError
 
+    @abstractmethod
     def matrix(self, light: Light, nominal: bool = False) -> Array:
         """Return readings per what of it is seen, (m, J - 1) or (m, 3 S or more): as they are or believed."""
-        raise NotImplementedError
 
     def readings(self, light: Light, nominal: bool = False) -> Array:
         """Return readings per all that is seen, (m, K)."""
@@ -129,13 +130,13 @@ class Actuator(Section):
         """Degrees of freedom (0 to 5: dx ... rz) in which it moves every segment of M1."""
         return ()
 
+    @abstractmethod
     def channels(self, light: Light) -> tuple[str, ...]:
         """Return the names of its p channels."""
-        raise NotImplementedError
 
+    @abstractmethod
     def put(self, states: SurfaceStates, positions: Array) -> None:
         """Add positions (batch, p) to the first instants of a telescope's states."""
-        raise NotImplementedError
 
     def dynamics(self) -> Dynamics:
         """Return how a channel follows."""
@@ -240,6 +241,7 @@ class Controller(Section):
                 raise ValueError(f"the controller {own['name']!r}: {key}: {why}") from None
         return tuple(found)
 
+    @abstractmethod
     def design(self, asked: Design) -> Regulator | Stepped | Instant | None:
         """Return what gives the commands; None: nothing moves.
 
@@ -248,7 +250,6 @@ class Controller(Section):
         UserError
             If there is none for this sensor and actuator.
         """
-        raise NotImplementedError
 
 
 def decoupling(asked: Design, modes: int | None = None, rates: bool = False) -> Array:

@@ -1,5 +1,6 @@
 """What sources that act on elastic bodies have in common: from forces and floor motion to surfaces."""
 
+from abc import abstractmethod
 from typing import ClassVar, Literal, Self
 
 import numpy as np
@@ -38,9 +39,9 @@ class PlantSource(Source):
     fits: ClassVar[tuple[Optics, ...]] = ("surfaces",)
     stratified: ClassVar[bool] = False
 
+    @abstractmethod
     def answer(self, plant: Plant, time: Array, random: Random) -> Array:
         """Return the outputs (n, m) of the plant at the instants `time` (n,) in s, of one realization."""
-        raise NotImplementedError
 
     def draw(self, layout: SegmentLayout, time: Array, randoms: Randoms) -> Motion:
         """Draw one realization."""

@@ -5,6 +5,7 @@ segments, surfaces and bodies that it addresses, and what sampling plans and bud
 `register` makes it known to the study files of every optics that it fits.
 """
 
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union
@@ -66,12 +67,12 @@ class Source(Population):
     independent: ClassVar[Literal["element", "whole"]] = "whole"
     stratified: ClassVar[bool] = True
 
+    @abstractmethod
     def draw(self, layout: SegmentLayout, time: Array, randoms: Randoms) -> Motion:
         """Draw one realization at the instants `time` (n,) in s, which may be any.
 
         What is drawn for an element depends on its stream alone, not on which others there are.
         """
-        raise NotImplementedError
 
     def draw_several(
         self,

@@ -129,7 +129,8 @@ def register(shape: type[Kind]) -> type[Kind]:
     Raises
     ------
     UserError
-        If another shape has its name, one of its keys or its surface type.
+        If another shape has its name, one of its keys or its surface type, or it has keys or a surface type
+        and does not say what they mean.
     """
     for name, other in SHAPES.known().items():
         if name == shape.__name__:
@@ -138,6 +139,11 @@ def register(shape: type[Kind]) -> type[Kind]:
         if common or (shape.zemax and shape.zemax == other.zemax):
             what = f"key {common[0]!r}" if common else f"surface type {shape.zemax!r}"
             raise UserError(f"the shapes {name} and {shape.__name__} have the same {what}")
+    needed = ["from_keys"] * (shape.keys is not None) + ["from_zemax", "zemax_lines"] * bool(shape.zemax)
+    own = shape.__mro__[: shape.__mro__.index(Shape)]
+    if unwritten := [name for name in needed if not any(name in vars(one) for one in own)]:
+        missing = " and no ".join(unwritten)
+        raise UserError(f"the shape {shape.__name__} has no {missing} of its own; write what Shape describes")
     SHAPES.add(shape)
     return shape
 

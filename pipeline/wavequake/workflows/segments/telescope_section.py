@@ -5,6 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from wavequake.campaign.schema import Section
+from wavequake.chain.modal_options import ModalSample, ModalTolerance
 from wavequake.kernels.trace.status import MOST_SURFACES
 from wavequake.optics.sections import Pair
 
@@ -146,18 +147,8 @@ class OpticsSection(Section):
         description="of segment-disturbance: trace every instant, or take wavefronts from derivatives that "
         "are traced once (modal: for up to millions of cases of small motions; no images)",
     )
-    modal_tolerance_nm: float = Field(
-        default=0.1,
-        gt=0,
-        description="modal: a case whose OPD may miss this much of second order (rms) is traced in full",
-    )
-    modal_sample: float = Field(
-        default=0.001,
-        ge=0,
-        le=1,
-        description="modal: share of cases that are traced besides, to measure the error; the first 100 "
-        "cases always are",
-    )
+    modal_tolerance_nm: ModalTolerance = 0.1
+    modal_sample: ModalSample = 0.001
 
     alternatives: ClassVar = (("field_arcmin", "fields_arcmin"), ("wavelength_nm", "wavelengths_nm"))
 

@@ -10,6 +10,7 @@ from wavequake.chain.images.camera import DetectorSection
 from wavequake.chain.images.extended import ObjectSection, check_object
 from wavequake.chain.images.picture import embed_picture
 from wavequake.chain.images.system import SystemImagingSection
+from wavequake.chain.modal_options import ModalSample, ModalTolerance
 from wavequake.chain.sampling import SampledCampaignSection, whole_sets
 from wavequake.chain.sources import read_source_files
 from wavequake.chain.uncertain import require_independent_sets
@@ -42,18 +43,8 @@ class SystemOpticsSection(Section):
         description="trace every instant, or take wavefronts and images from derivatives that are traced "
         "once (modal: many cases of small motions)",
     )
-    modal_tolerance_nm: float = Field(
-        default=0.1,
-        gt=0,
-        description="modal: a case whose OPD may miss this much of second order (rms) is traced in full",
-    )
-    modal_sample: float = Field(
-        default=0.001,
-        ge=0,
-        le=1,
-        description="modal: share of cases that are traced besides, to measure the error; the first 100 "
-        "cases always are",
-    )
+    modal_tolerance_nm: ModalTolerance = 0.1
+    modal_sample: ModalSample = 0.001
 
     @model_serializer(mode="wrap")
     def _traced_studies_say_nothing_of_it(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:

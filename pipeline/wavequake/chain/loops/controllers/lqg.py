@@ -1,5 +1,6 @@
 """LQG with a model of the vibration."""
 
+from abc import abstractmethod
 from typing import Literal
 
 from pydantic import Field, model_validator
@@ -63,9 +64,9 @@ class Expecting(Controller):
             parts.append(drift(self.drift_hz, self.drift_rms))
         return joined(parts), asked.noise if self.noise is None else self.noise
 
+    @abstractmethod
     def filtered(self, asked: Design) -> LinearModel:
         """Return the filter of a channel."""
-        raise NotImplementedError
 
     def design(self, asked: Design) -> Regulator:
         """Return a filter for every channel."""
