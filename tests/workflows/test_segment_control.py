@@ -112,7 +112,7 @@ def test_a_slower_focus_bears_more_of_the_structures_focus():
     assert even.loops[1].by_mode[0] > 1.5 * slow.loops[1].by_mode[0]
 
 
-def test_a_run_says_how_fast_and_what_remains(tmp_path):
+def test_a_run_says_how_fast_and_what_remains(tmp_path, drawn):
     wq.run(study(cases=2), store=tmp_path / "s", on="serial")
     dataset = wq.open_store(tmp_path / "s")
     words = answer(dataset)
@@ -122,7 +122,7 @@ def test_a_run_says_how_fast_and_what_remains(tmp_path):
     slow, fast = bandwidths_of(dataset)
     assert row_of(fast)["unstable"] == ("", "")
     assert slow.total > fast.total
-    assert "<svg" in (wq.report(tmp_path / "s")).read_text()
+    assert "<path" in (wq.report(tmp_path / "s")).read_text()
 
 
 @pytest.mark.parametrize(
