@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_telescope_loop import first_case, written
+from small_loops import first_case, written
 
 import wavequake as wq
 from wavequake.chain.loops.structure import CarryingMode, carrying

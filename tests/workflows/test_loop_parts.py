@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_telescope_loop import LIGHT, first_case, written
+from small_loops import LIGHT, first_case, written
 
 from wavequake.chain.loops.actuators.m2_influence import InfluencedM2
 from wavequake.chain.loops.block import Design

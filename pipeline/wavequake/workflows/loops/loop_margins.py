@@ -46,8 +46,8 @@ class LoopMargins:
 
     @property
     def stable(self) -> bool:
-        """Whether all that moves decays."""
-        return self.growth < 0
+        """Whether it has margins: nothing grows, but for rounding."""
+        return not np.isnan(self.peak)
 
 
 @dataclass(frozen=True)

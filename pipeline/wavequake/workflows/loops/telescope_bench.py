@@ -190,12 +190,17 @@ def sampled_loops(
     return loops
 
 
+def grows(pole: Worst) -> bool:
+    """Return whether a loop with this pole is unstable: what neither grows nor decays is off by rounding."""
+    return abs(pole.value) > 1.0 + _GROWS
+
+
 def refuse_unstable(study: TelescopeLoopStudy, name: str, loop: SampledLoop, optics: Optics) -> None:
     """Raise UserError if a loop is unstable."""
     worst = worst_pole(loop)
-    if abs(worst.value) > 1.0 + _GROWS:
+    if grows(worst):
         said = growing(study, name, worst, optics)
-        if loop.structure and abs(worst_pole(replace(loop, structure=())).value) <= 1.0 + _GROWS:
+        if loop.structure and not grows(worst_pole(replace(loop, structure=()))):
             said += f", on {carrier(study, loop)} of the structure, which on a stiff one would be stable"
         raise UserError(
             f"controller.{name} is unstable: {said}; lower gain or latency "

@@ -10,7 +10,7 @@ from wavequake.control.sampled.stability import (
     worst_pole,
 )
 from wavequake.workflows.loops.loop_margins import LoopMargins, Makers, StudyLoop, converted
-from wavequake.workflows.loops.telescope_bench import designed, sampled_loops
+from wavequake.workflows.loops.telescope_bench import designed, grows, sampled_loops
 from wavequake.workflows.loops.telescope_light import optics_of
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 
@@ -29,6 +29,6 @@ def _made(name: str, loop: SampledLoop) -> StudyLoop:
 
 def _margins(name: str, loop: SampledLoop) -> LoopMargins:
     worst = worst_pole(loop)
-    if abs(worst.value) >= 1.0:
+    if grows(worst):
         return LoopMargins(name, worst.growth, worst.hertz)
     return converted(name, worst.growth, worst.hertz, sampled_margins(loop))
