@@ -171,6 +171,11 @@ def test_margins_know_the_structure(tmp_path):
     [
         ("share = 0.06", "share = 1.6", "mode.astigmatism.share: input should be less than or equal to 1"),
         (
+            "rms_nm = 200.0",
+            "rms_nm = 1e300",
+            "mode.spider.rms_nm: input should be less than or equal to 1e+12 (it is 1e+300)",
+        ),
+        (
             "zernike = { 6 = 1.0 }",
             "m2 = { dz = 1.0 }",
             "the mode 'astigmatism' has a share of M1, which it does not move",

@@ -250,6 +250,8 @@ def describe(error: ValidationError, record: Mapping[str, Any], model: type[Base
     for theirs, ours in _WORDS_OF_FILES.items():
         message = message.replace(theirs, ours)
     message = re.sub(r" or instance of \w+", "", message)
+    if first["type"].startswith(("greater_than", "less_than")):  # bounds with all their zeros
+        message = re.sub(r"\d[\d.]{12,}$", lambda bound: f"{float(bound[0]):g}", message)
     given = first.get("input")
     shown = (
         ""

@@ -32,12 +32,14 @@ class ModeSection(Section):
     """A mode of the structure that carries the segments."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_. -]*$")
-    hz: float = Field(gt=0)
+    hz: float = Field(ge=1e-6, le=1e6)
     zeta: float = Field(gt=0, lt=1, description="damping ratio")
     share: float = Field(
         ge=0, le=1, description="of the mirror's static response in the direction of its shape"
     )
-    rms_nm: float = Field(default=0.0, ge=0, description="of the surface, shaken by wind and machines")
+    rms_nm: float = Field(
+        default=0.0, ge=0, le=1e12, description="of the surface, shaken by wind and machines"
+    )
     zernike: dict[NollIndex, float] = Field(
         description="its shape over the mirror: Noll coefficients over the circle about it, in any unit"
     )
