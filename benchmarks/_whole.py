@@ -1,6 +1,7 @@
 """Whole commands: processor time of all their processes, those of workers included, and wall time."""
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -32,6 +33,12 @@ class Spent(NamedTuple):
     wall: float
 
 
+def _as_users_have_it(environment: Mapping[str, str] | None) -> dict[str, str]:
+    """Return an environment in which Python keeps what it compiles: half a second less per process."""
+    given = os.environ if environment is None else environment
+    return {key: value for key, value in given.items() if key != "PYTHONDONTWRITEBYTECODE"}
+
+
 def spent(command: Sequence[str], environment: Mapping[str, str] | None = None) -> Spent:
     """Run a command to its end and return what it took.
 
@@ -41,7 +48,9 @@ def spent(command: Sequence[str], environment: Mapping[str, str] | None = None) 
         If it fails.
     """
     counting = [sys.executable, "-c", _COUNT, *command]
-    ran = subprocess.run(counting, env=environment, capture_output=True, text=True, check=True)
+    ran = subprocess.run(
+        counting, env=_as_users_have_it(environment), capture_output=True, text=True, check=True
+    )
     cpu, wall, code = json.loads(ran.stdout)
     if code:
         raise RuntimeError(f"{' '.join(command)} ended with exit code {code}: {ran.stderr[-500:]}")
@@ -51,7 +60,11 @@ def spent(command: Sequence[str], environment: Mapping[str, str] | None = None) 
 def until(command: Sequence[str], there: Callable[[], bool], folder: Path) -> float:
     """Start a command, return the seconds until something is there, and let it end."""
     begun = time.perf_counter()
-    with (folder / "output").open("w") as output, subprocess.Popen(command, stdout=output) as process:
+    clean = _as_users_have_it(None)
+    with (
+        (folder / "output").open("w") as output,
+        subprocess.Popen(command, env=clean, stdout=output) as process,
+    ):
         while not there() and process.poll() is None:
             time.sleep(0.01)
         found = time.perf_counter() - begun

@@ -22,10 +22,10 @@ from wavequake.workflows.segments.segment_mor_bench import (
     reduced,
     segment_drive,
     study_of,
-    telescope_study,
     time_of,
     traced_instants,
 )
+from wavequake.workflows.segments.segment_mor_study import telescope_study
 from wavequake.workflows.study import load_study
 
 DATA = Path(__file__).parents[1] / "data"

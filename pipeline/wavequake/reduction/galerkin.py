@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-import scipy.linalg
+import scipy  # its parts load when first used
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, ReducedModel

@@ -11,10 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.linalg
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
 from scipy.sparse import csc_array
-from scipy.sparse.linalg import LinearOperator, eigsh
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, Integers, RayleighDamping, places
@@ -361,9 +360,11 @@ def _dense_modes(body: Structure, fixed: Integers | None) -> tuple[Array, Array]
 def _sparse_modes(body: Structure, count: int, fixed: Integers | None) -> tuple[Array, Array]:
     """Lanczos on the flexibility: rigid motions have the eigenvalue 0 and are never found."""
     solve = elastic_flexibility(body) if fixed is None else clamped(body, fixed)
-    inverse = LinearOperator((body.order, body.order), matvec=solve, dtype=float)
+    inverse = scipy.sparse.linalg.LinearOperator((body.order, body.order), matvec=solve, dtype=float)
     start = solve(body.mass @ np.random.default_rng(0).standard_normal(body.order))
-    squared, shapes = eigsh(body.stiffness, count, M=body.mass, sigma=0.0, OPinv=inverse, v0=start, tol=1e-13)
+    squared, shapes = scipy.sparse.linalg.eigsh(
+        body.stiffness, count, M=body.mass, sigma=0.0, OPinv=inverse, v0=start, tol=1e-13
+    )
     order = np.argsort(squared)
     if fixed is None:
         shapes = body.remove_rigid(shapes)

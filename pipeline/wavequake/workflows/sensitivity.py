@@ -18,7 +18,7 @@ from wavequake.campaign.store.store import (
     refuse_foreign,
     refuse_other,
 )
-from wavequake.campaign.store.whole import read_dataset, write_dataset
+from wavequake.campaign.store.whole import Labelled, labelled, read_dataset, write_dataset
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.optics.checks import whole
@@ -26,14 +26,10 @@ from wavequake.optics.derivatives.central import DOFS, SensitivityMatrix
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.segments.prepared import prepare
 from wavequake.optics.segments.sensitivity import Sensitivities, sensitivities
-from wavequake.workflows.exposures.telescope_control import segment_text
 from wavequake.workflows.segments.bench import MM_PER_M, Bench, bench_of
-from wavequake.workflows.segments.segment_mor_bench import telescope_study
-from wavequake.workflows.segments.segment_mor_study import SegmentMorStudy
-from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.segments.segment_study import SegmentStudy, segment_text
 from wavequake.workflows.sensitivity_source import sensitivity_study
 from wavequake.workflows.study import study_with
-from wavequake.workflows.systems.system_study import SystemStudy
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -41,9 +37,6 @@ if TYPE_CHECKING:
 SCHEMA = 1
 MIRROR_TERMS = 11  # of figures by default: up to primary spherical aberration
 LINE_OF_SIGHT = "direction of the best-fit plane (Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2))"
-
-# Dimensions, values and attributes of an array.
-_Array = tuple[tuple[str, ...], Any, dict[str, str]]
 
 
 def sensitivity(
@@ -106,11 +99,12 @@ def stored_sensitivity(
     StoreDamageError
         If what is there cannot be read.
     """
-    if isinstance(study, SystemStudy):
-        from wavequake.workflows.systems.system_sensitivity import (
-            stored_system_sensitivity,  # it builds on this
-        )
+    if study.study.workflow == "system-disturbance":
+        # Another kind of studies; and the first of these builds on this module.
+        from wavequake.workflows.systems.system_sensitivity import stored_system_sensitivity
+        from wavequake.workflows.systems.system_study import SystemStudy
 
+        assert isinstance(study, SystemStudy)
         return stored_system_sensitivity(study, path, figure_terms, mirror_terms)
     text = _telescope_text(study)
     require_own_store(study, path)
@@ -133,7 +127,10 @@ def stored_sensitivity(
 
 def _telescope_text(study: Study) -> str:
     """Return the identity text of the segment-disturbance study whose telescope a study looks through."""
-    if isinstance(study, SegmentMorStudy):
+    if study.study.workflow == "segment-mor":
+        from wavequake.workflows.segments.segment_mor_study import SegmentMorStudy, telescope_study
+
+        assert isinstance(study, SegmentMorStudy)
         return telescope_study(study).identity_text()
     if isinstance(study, SegmentStudy):
         study.require_one_place("Sensitivities are")
@@ -214,19 +211,17 @@ def dataset(bench: Bench, found: Sensitivities, device: Device) -> "xr.Dataset":
         ``sensitivity_wfe_rms_raw_X`` in nm per m or rad, ``step_error_X``. A column of dx, dy, dz or of a
         figure is per m, one of rx, ry, rz per rad.
     """
-    import xarray as xr
-
     surfaces = found.all_surfaces
     matrices = {"surface": ("surface", surfaces), "segment": ("segment", found.segments)}
     if found.figures is not None:
         matrices["figure"] = ("segment", found.figures)
     if found.mirrors is not None:
         matrices["mirror"] = ("mirror", found.mirrors)
-    variables: dict[str, _Array] = {}
+    variables: dict[str, Labelled] = {}
     for name, (element, matrix) in matrices.items():
         variables |= _variables(name, element, matrix, bench.study.optics.wavelength_nm)
         variables[f"sensitivity_zernike_{name}"][2]["obscuration"] = repr(bench.prepared.obscuration)
-    coordinates: dict[str, _Array] = {
+    coordinates: dict[str, Labelled] = {
         "surface": (("surface",), _text(surfaces.elements), {"long_name": "surface; M1 is all its segments"}),
         "segment": (("segment",), _text(found.segments.elements), {"long_name": "segment of M1"}),
         "dof": (("dof",), _text(DOFS), {"long_name": "motion"}),
@@ -265,10 +260,12 @@ def dataset(bench: Bench, found: Sensitivities, device: Device) -> "xr.Dataset":
         "device": f"{device.name} ({device.kind})",
         **collect(device),
     }
-    return xr.Dataset(variables, coordinates, attrs)
+    return labelled(variables, coordinates, attrs)
 
 
-def _variables(name: str, element: str, matrix: SensitivityMatrix, wavelength_nm: float) -> dict[str, _Array]:
+def _variables(
+    name: str, element: str, matrix: SensitivityMatrix, wavelength_nm: float
+) -> dict[str, Labelled]:
     """Return the arrays of one matrix by name, in nm or mm per m or rad."""
     column = {"figure": "term", "mirror": "mirror_term"}.get(name, "dof")
     frame = {

@@ -5,7 +5,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import scipy.fft
+import scipy  # its parts load when first used
 from numpy.typing import DTypeLike, NDArray
 
 from wavequake.errors import UserError

@@ -1,7 +1,7 @@
 """What a plant answers to loads that are given over time, from rest: exact for straight lines."""
 
 import numpy as np
-import scipy.linalg
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
 
 from wavequake.mechanics.assembly.plant import Plant

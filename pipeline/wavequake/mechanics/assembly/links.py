@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-import scipy.linalg
+import scipy  # its parts load when first used
 
 from wavequake.errors import UserError
 from wavequake.mechanics.assembly.bodies import GROUND, Body, Node, with_point

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
 from pandas import read_csv
-from scipy.io import mmread
 
 from wavequake import user_files
 from wavequake.errors import UserError
@@ -156,7 +156,7 @@ def triples(data: bytes, source: str, size: int, first_line: int = 1) -> tuple[I
     count = data.count(b"\n")
     head = b"%%%%MatrixMarket matrix coordinate real general\n%d %d %d\n" % (size, size, count)
     try:
-        matrix = mmread(io.BytesIO(head + data), spmatrix=False)
+        matrix = scipy.io.mmread(io.BytesIO(head + data), spmatrix=False)
     except (ValueError, OverflowError):
         table = numbers(data, source, 3, first_line)
         bad = np.flatnonzero(~((table[:, :2] >= 1) & (table[:, :2] <= size)).all(axis=1))

@@ -1,8 +1,8 @@
 """The check that every motion of an imported model has a mass or a stiffness."""
 
 import numpy as np
+import scipy  # its parts load when first used
 from scipy.sparse import csc_array, diags_array
-from scipy.sparse.csgraph import connected_components
 
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.checks import describe, refuse
@@ -81,7 +81,7 @@ def _singular_row(mass: csc_array, dofs: Integers, source: str) -> int:
     )
     scaled = _scaled(mass)
     # Without constraints the three directions do not couple: three small factorizations, not a large one.
-    count, part = connected_components(scaled, directed=False)
+    count, part = scipy.sparse.csgraph.connected_components(scaled, directed=False)
     if count > len(dofs) // 3:
         parts = [np.arange(len(dofs))]  # nearly diagonal: cheap in one go
     else:

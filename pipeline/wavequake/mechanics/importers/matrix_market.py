@@ -4,7 +4,7 @@ import io
 from pathlib import Path
 
 import numpy as np
-from scipy.io import mminfo, mmread
+import scipy  # its parts load when first used
 from scipy.sparse import coo_array
 
 from wavequake.errors import UserError
@@ -28,9 +28,13 @@ def read_matrix(path: Path) -> Contents:
     """
     data = whole_lines(path)
     try:
-        rows, columns, count, storage, kind, symmetry = mminfo(io.BytesIO(data))
+        rows, columns, count, storage, kind, symmetry = scipy.io.mminfo(io.BytesIO(data))
         _require_entries(data, count if storage == "coordinate" else _dense(rows, columns, symmetry))
-        matrix = coo_array(mmread(io.BytesIO(data), spmatrix=False)) if kind in ("real", "integer") else None
+        matrix = (
+            coo_array(scipy.io.mmread(io.BytesIO(data), spmatrix=False))
+            if kind in ("real", "integer")
+            else None
+        )
     except (ValueError, OverflowError) as error:
         raise UserError(f"{path.name} is no complete Matrix Market file: {error}") from error
     if matrix is None:

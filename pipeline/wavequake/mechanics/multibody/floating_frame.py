@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
+import scipy  # its parts load when first used
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, FiniteElementModel, Model, rigid_modes

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.linalg
+import scipy  # its parts load when first used
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, Model, ReducedModel

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.linalg
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError

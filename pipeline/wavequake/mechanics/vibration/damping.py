@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-import scipy.linalg
+import scipy  # its parts load when first used
 from numpy.typing import ArrayLike
 
 from wavequake.errors import UserError

@@ -8,9 +8,9 @@ says exactly how many numbers the factors hold and how many operations they take
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
 from scipy.sparse import csc_array
-from scipy.sparse.csgraph import connected_components
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -100,7 +100,7 @@ def dissect(matrix: csc_array) -> Dissection:
     columns = np.repeat(np.arange(size), np.diff(graph.indptr))
     below = graph.indices > columns  # each coupling once
     edges = np.stack([graph.indices[below].astype(np.int64), columns[below]])
-    count, part = connected_components(graph, directed=False)
+    count, part = scipy.sparse.csgraph.connected_components(graph, directed=False)
     splitter = _Splitter(_axes(graph, part, count), np.full(size, -1, dtype=np.int8))
     by_part, edge_part = np.argsort(part, kind="stable"), part[edges[0]]
     bounds = np.searchsorted(part[by_part], np.arange(count + 1))

@@ -3,9 +3,8 @@
 from collections.abc import Callable
 
 import numpy as np
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, eigh, eigvalsh, qr, solve_triangular
-from scipy.sparse.linalg import LinearOperator, eigsh, norm
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import FiniteElementModel, rigid_modes
@@ -57,7 +56,7 @@ def mass_normalized_rigid_modes(model: FiniteElementModel) -> Array:
     length = float(np.abs(spread - center).max()) or 1.0
     motions = rigid_motions(model, center) / np.array([1.0] * 3 + [length] * 3)
     energies, combinations = np.linalg.eigh(motions.T @ (model.stiffness @ motions))
-    free = combinations[:, energies <= RIGID * norm(model.stiffness)]
+    free = combinations[:, energies <= RIGID * scipy.sparse.linalg.norm(model.stiffness)]
     if free.shape[1] == 6:
         free = np.eye(6)
     basis = motions @ free
@@ -65,7 +64,9 @@ def mass_normalized_rigid_modes(model: FiniteElementModel) -> Array:
     moves = np.abs(basis).max(axis=0, initial=0.0) > 1e-12
     basis = basis[:, moves]
     gram = basis.T @ (model.mass @ basis)
-    return np.asarray(solve_triangular(cholesky(gram, lower=True), basis.T, lower=True).T)
+    return np.asarray(
+        scipy.linalg.solve_triangular(scipy.linalg.cholesky(gram, lower=True), basis.T, lower=True).T
+    )
 
 
 def elastic_flexibility(model: FiniteElementModel, rigid: Array) -> Callable[[Array], Array]:
@@ -81,7 +82,7 @@ def elastic_flexibility(model: FiniteElementModel, rigid: Array) -> Callable[[Ar
     rigid : ndarray, shape (n, r)
         Orthonormal with respect to the mass.
     """
-    held = qr(rigid.T, mode="r", pivoting=True)[1][: rigid.shape[1]]
+    held = scipy.linalg.qr(rigid.T, mode="r", pivoting=True)[1][: rigid.shape[1]]
     free = np.delete(np.arange(model.order), held)
     factors = factorize(model.stiffness[free][:, free], definite=True)
     momenta = model.mass @ rigid
@@ -144,20 +145,26 @@ def _start(order: int) -> Array:
 
 def _sparse(model: FiniteElementModel, rigid: Array, wanted: int) -> tuple[Array, Array]:
     flexibility = elastic_flexibility(model, rigid)
-    operator = LinearOperator((model.order, model.order), matvec=flexibility, dtype=np.float64)
+    operator = scipy.sparse.linalg.LinearOperator(
+        (model.order, model.order), matvec=flexibility, dtype=np.float64
+    )
     start = _start(model.order)
     start -= rigid @ (rigid.T @ (model.mass @ start))
-    _, modes = eigsh(
+    _, modes = scipy.sparse.linalg.eigsh(
         model.stiffness, k=wanted, M=model.mass, sigma=0.0, OPinv=operator, v0=start, which="LM", tol=1e-13
     )
     # The Rayleigh-Ritz values on the true matrix forgive what rounding left at the held degrees of freedom.
-    squares, combinations = eigh(modes.T @ (model.stiffness @ modes), modes.T @ (model.mass @ modes))
+    squares, combinations = scipy.linalg.eigh(
+        modes.T @ (model.stiffness @ modes), modes.T @ (model.mass @ modes)
+    )
     return squares, modes @ combinations
 
 
 def _dense(model: FiniteElementModel, rigid: Array, wanted: int) -> tuple[Array, Array]:
     # All that is orthogonal to the rigid modes, as an orthonormal basis.
-    basis = qr(model.mass @ rigid)[0][:, rigid.shape[1] :] if rigid.shape[1] else np.eye(model.order)
+    basis = (
+        scipy.linalg.qr(model.mass @ rigid)[0][:, rigid.shape[1] :] if rigid.shape[1] else np.eye(model.order)
+    )
     squares, modes = dense_modes(basis.T @ (model.stiffness @ basis), basis.T @ (model.mass @ basis), wanted)
     heavy = int((squares < 0.5 * squares[0] / MASSLESS).sum()) if squares[0] > 0 else wanted
     if heavy < wanted:
@@ -184,13 +191,13 @@ def dense_modes(stiffness: Array, mass: Array, wanted: int | None = None) -> tup
         If a motion has neither mass nor stiffness.
     """
     scale = 1.0 / np.sqrt(np.maximum(mass.diagonal(), MASSLESS * mass.diagonal().max()))
-    if eigvalsh(mass * scale[:, None] * scale, subset_by_index=(0, 0))[0] > SINGULAR:
-        squares, modes = eigh(
+    if scipy.linalg.eigvalsh(mass * scale[:, None] * scale, subset_by_index=(0, 0))[0] > SINGULAR:
+        squares, modes = scipy.linalg.eigh(
             stiffness, mass, subset_by_index=None if wanted is None else (0, min(wanted, len(mass)) - 1)
         )
         return squares, modes
     try:
-        inverse, shapes = eigh(mass, stiffness)
+        inverse, shapes = scipy.linalg.eigh(mass, stiffness)
     except np.linalg.LinAlgError as error:
         raise UserError("mass and stiffness are singular together: a motion has neither") from error
     squared_periods = np.maximum(inverse, MASSLESS * inverse[-1])[::-1][:wanted]

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 import psutil  # type: ignore[import-untyped]
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
-from scipy.linalg import blas, lapack
 from scipy.sparse import csc_array
-from scipy.sparse.linalg import splu
 
 from wavequake.errors import UserError
 from wavequake.mechanics.vibration import pardiso
@@ -125,7 +124,7 @@ def _require_memory(needed: int, order: int) -> None:
 def _superlu(matrix: csc_array, threshold: float, order: str = "MMD_AT_PLUS_A") -> Factors:
     try:
         # Three to five times as fast as the defaults of SciPy, which are made for unsymmetric matrices.
-        factors = splu(
+        factors = scipy.sparse.linalg.splu(
             matrix, permc_spec=order, diag_pivot_thresh=threshold, options={"SymmetricMode": threshold < 1.0}
         )
     except RuntimeError as error:
@@ -180,7 +179,7 @@ class _Multifrontal:
             return rest
         pivot, below, rest = _parts(dense, own)
         pivot = np.tril(pivot) + np.tril(pivot, -1).T
-        getrf, getrs = lapack.get_lapack_funcs(("getrf", "getrs"), (pivot,))
+        getrf, getrs = scipy.linalg.lapack.get_lapack_funcs(("getrf", "getrs"), (pivot,))
         block, swaps, info = getrf(pivot, overwrite_a=1)
         if info or not np.abs(np.diag(block)).min() > 1e-14 * np.abs(np.diag(block)).max():
             raise ZeroDivisionError
@@ -217,7 +216,7 @@ class _Multifrontal:
 
     @staticmethod
     def _forward_definite(values: NDArray[Any], front: Front, block: tuple[Any, ...]) -> None:
-        own = blas.dtrsm(1.0, block[0], values[front.first : front.last], lower=1)
+        own = scipy.linalg.blas.dtrsm(1.0, block[0], values[front.first : front.last], lower=1)
         values[front.first : front.last] = own
         if len(front.border):
             values[front.border] -= block[1] @ own
@@ -227,11 +226,11 @@ class _Multifrontal:
         own = values[front.first : front.last]
         if len(front.border):
             own = own - block[1].T @ values[front.border]
-        values[front.first : front.last] = blas.dtrsm(1.0, block[0], own, lower=1, trans_a=1)
+        values[front.first : front.last] = scipy.linalg.blas.dtrsm(1.0, block[0], own, lower=1, trans_a=1)
 
     @staticmethod
     def _forward(values: NDArray[Any], front: Front, block: tuple[Any, ...]) -> None:
-        getrs = lapack.get_lapack_funcs("getrs", (block[0],))
+        getrs = scipy.linalg.lapack.get_lapack_funcs("getrs", (block[0],))
         own = getrs(block[0], block[1], values[front.first : front.last])[0]
         values[front.first : front.last] = own
         if len(front.border):
@@ -240,7 +239,7 @@ class _Multifrontal:
     @staticmethod
     def _back(values: NDArray[Any], front: Front, block: tuple[Any, ...]) -> None:
         if len(front.border):
-            getrs = lapack.get_lapack_funcs("getrs", (block[0],))
+            getrs = scipy.linalg.lapack.get_lapack_funcs("getrs", (block[0],))
             coupled = block[2].T @ values[front.border]
             values[front.first : front.last] -= getrs(block[0], block[1], coupled)[0]
 
@@ -266,10 +265,10 @@ def _parts(dense: NDArray[Any], own: int) -> tuple[NDArray[Any], NDArray[Any], N
 def eliminate_definite(dense: Array, own: int) -> tuple[Array, Array, Array, int]:
     """Return L11, L21 and what is left of a front (its lower triangle), and the row of a failure (or 0)."""
     pivot, below, rest = _parts(dense, own)
-    lower, info = lapack.dpotrf(pivot, lower=1, overwrite_a=1)
+    lower, info = scipy.linalg.lapack.dpotrf(pivot, lower=1, overwrite_a=1)
     if not info and len(below):
-        below = blas.dtrsm(1.0, lower, below, side=1, lower=1, trans_a=1, overwrite_b=1)
-        rest = blas.dsyrk(-1.0, below, beta=1.0, c=rest, lower=1, overwrite_c=1)
+        below = scipy.linalg.blas.dtrsm(1.0, lower, below, side=1, lower=1, trans_a=1, overwrite_b=1)
+        rest = scipy.linalg.blas.dsyrk(-1.0, below, beta=1.0, c=rest, lower=1, overwrite_c=1)
     return lower, below, rest, int(info)
 
 

@@ -1,7 +1,7 @@
 """Prescribed interface motion: what remains free to move, and the static shape that carries the motion."""
 
 import numpy as np
-import scipy.linalg
+import scipy  # its parts load when first used
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array

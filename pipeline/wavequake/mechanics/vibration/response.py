@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import scipy.linalg
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from wavequake.errors import UserError
 from wavequake.mechanics.model import Array, Integers
@@ -166,7 +165,11 @@ def time_step(time: Array) -> float:
 def _blocks(modal: ModalModel, step: float) -> list[_Block]:
     """Split the modes into single oscillators (one stack) and groups that damping couples."""
     strong = np.abs(modal.damping) > _COUPLED * np.abs(modal.damping).max(initial=0.0)
-    labels = connected_components(strong, directed=False)[1] if strong.size else np.zeros(0, dtype=int)
+    labels = (
+        scipy.sparse.csgraph.connected_components(strong, directed=False)[1]
+        if strong.size
+        else np.zeros(0, dtype=int)
+    )
     counts = np.bincount(labels)
     single = np.flatnonzero(counts[labels] == 1)
     groups = [single[:, None]] if len(single) else []

@@ -11,8 +11,8 @@ Lengths in mm in the surface's frame, displacements (batch, p, 3), rotations in 
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
-from scipy.linalg import qr, solve_triangular
 
 from wavequake.errors import UserError
 from wavequake.optics.polynomials.zernike import annular_zernike
@@ -314,11 +314,13 @@ def _require_displacements(fit: SurfaceFit, displacements: Array) -> None:
 def _least_squares(basis: Array, weights: Array) -> tuple[Array, float]:
     """Return the matrix (terms, points) from values to coefficients, and the condition number."""
     root = np.sqrt(weights)[:, None]
-    q, r = qr(root * basis, mode="economic")
+    q, r = scipy.linalg.qr(root * basis, mode="economic")
     singular = np.linalg.svd(r, compute_uv=False)
     if singular[-1] <= np.finfo(float).eps * singular[0]:
         return np.zeros_like(basis.T), np.inf
-    return np.ascontiguousarray(solve_triangular(r, (root * q).T)), float(singular[0] / singular[-1])
+    return np.ascontiguousarray(scipy.linalg.solve_triangular(r, (root * q).T)), float(
+        singular[0] / singular[-1]
+    )
 
 
 def _rigid(nodes: Array) -> Array:

@@ -4,7 +4,6 @@ The target motion is the inverse of the kinematic-optical sensitivities times th
 (Störkle 2018, Eq. 4.25 and 4.27); what it does to the light is then ray traced, not supposed.
 """
 
-import json
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +25,7 @@ from wavequake.prepared import prepared
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.segments.bench import Bench, bench_of, monolithic
 from wavequake.workflows.segments.images import energy_scale, images_of_rays
-from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.segments.segment_study import segment_text
 
 Array = NDArray[np.float64]
 
@@ -88,13 +87,6 @@ class ControlBench:
         return float(
             np.hypot(1.0, prepared.obscuration) * prepared.numerical_aperture / (2.0 * prepared.wavelength)
         )
-
-
-def segment_text(study_text: str) -> str:
-    """Return the identity text of the segment-disturbance study in one of images or loops."""
-    kept = SegmentStudy.model_fields.keys() - {"object"}  # what is imaged changes neither rays nor light
-    record = {key: value for key, value in json.loads(study_text).items() if key in kept}
-    return json.dumps(record, sort_keys=True, separators=(",", ":"))
 
 
 @prepared(maxsize=2)

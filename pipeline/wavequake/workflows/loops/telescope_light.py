@@ -22,11 +22,12 @@ from wavequake.optics.segments.kinematics import in_optics_frame
 from wavequake.optics.segments.modal import ModalModel, layout_of
 from wavequake.optics.segments.states import SurfaceStates, rest
 from wavequake.prepared import prepared
-from wavequake.workflows.exposures.telescope_control import ControlBench, imaged_bench_of, segment_text, trace
+from wavequake.workflows.exposures.telescope_control import ControlBench, imaged_bench_of, trace
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 from wavequake.workflows.segments.bench import MAS_PER_RAD, MM_PER_M
 from wavequake.workflows.segments.launches import CaseDraw
 from wavequake.workflows.segments.segment_model import knows, model_of, motion_rows
+from wavequake.workflows.segments.segment_study import segment_text
 from wavequake.workflows.segments.vignetting import require_all_rays
 
 # All that may move of segments and of M2, where no actuator does.

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
-import scipy.linalg
+import scipy  # its parts load when first used
 from scipy.spatial import ConvexHull, QhullError
 
 from wavequake.mechanics.model import Array, FiniteElementModel

@@ -5,7 +5,7 @@ import io
 from pathlib import Path
 
 import numpy as np
-from scipy.io import mmread
+import scipy  # its parts load when first used
 
 from wavequake.campaign.schema import base64_of
 from wavequake.errors import UserError
@@ -25,7 +25,7 @@ def own_file(path: Path, key: str) -> str:
     if path.suffix.lower() != ".mtx":
         raise UserError(f"{key}: {path.name} must be an .npz file, or an .mtx file of a basis.")
     try:
-        matrix = mmread(io.BytesIO(read_bytes(path)), spmatrix=False)
+        matrix = scipy.io.mmread(io.BytesIO(read_bytes(path)), spmatrix=False)
         dense = np.asarray(matrix.toarray() if hasattr(matrix, "toarray") else matrix, dtype=np.float64)
     except UserError as error:
         raise UserError(f"{key}: the file {error}") from None

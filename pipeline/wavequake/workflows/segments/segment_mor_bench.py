@@ -10,7 +10,6 @@ from threadpoolctl import threadpool_limits
 from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.motion import generator
-from wavequake.mechanics.disturbances.sources.static_random import StaticRandom
 from wavequake.mechanics.model import ReducedModel
 from wavequake.mechanics.vibration.drive import Drive
 from wavequake.mechanics.vibration.excitations import AnyExcitation, RandomVibration, drive_of
@@ -29,13 +28,7 @@ from wavequake.workflows.mirrors.segment_body import (
     variant_of,
 )
 from wavequake.workflows.segments.bench import Bench, bench_of
-from wavequake.workflows.segments.segment_mor_study import SegmentMorStudy
-from wavequake.workflows.segments.segment_study import (
-    ImagingSection,
-    SegmentStudy,
-    WavefrontSection,
-)
-from wavequake.workflows.segments.telescope_section import OpticsSection
+from wavequake.workflows.segments.segment_mor_study import SegmentMorStudy, telescope_study
 from wavequake.workflows.segments.vignetting import require_all_rays
 
 Array = NDArray[np.float64]
@@ -71,22 +64,6 @@ def study_of(text: str) -> SegmentMorStudy:
     """Rebuild a study from its identity."""
     study: SegmentMorStudy = study_from_identity(SegmentMorStudy, text)
     return study
-
-
-def telescope_study(study: SegmentMorStudy) -> SegmentStudy:
-    """Return the telescope, light and image as a study of ``segment-disturbance``, whose bench is reused.
-
-    Its only disturbance is a figure of zero, which says how many terms a segment's figure has.
-    """
-    optics = OpticsSection(**study.optics.model_dump(exclude={"zernike_terms"}))
-    return SegmentStudy(
-        study=study.study.model_copy(update={"workflow": "segment-disturbance", "title": ""}),
-        telescope=study.telescope,
-        disturbance=(StaticRandom(name="figure", figure_nm={study.segments.figure_terms: 0.0}, instants=1),),
-        optics=optics,
-        wavefront=WavefrontSection(zernike_terms=study.optics.zernike_terms),
-        imaging=ImagingSection(pixels=study.imaging.pixels, sampling=study.imaging.sampling),
-    )
 
 
 @prepared(maxsize=2)

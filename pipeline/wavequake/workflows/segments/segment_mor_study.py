@@ -6,6 +6,7 @@ from typing import Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from wavequake.campaign.schema import Section, StoreSection, Study, text_of
+from wavequake.mechanics.disturbances.sources.static_random import StaticRandom
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.workflows.mirrors.mirror_study import (
     CriterionSection,
@@ -15,8 +16,8 @@ from wavequake.workflows.mirrors.mirror_study import (
     TimeSection,
 )
 from wavequake.workflows.mirrors.segment_section import SegmentModelSection
-from wavequake.workflows.segments.segment_study import SegmentStudy
-from wavequake.workflows.segments.telescope_section import TelescopeSection
+from wavequake.workflows.segments.segment_study import ImagingSection, SegmentStudy, WavefrontSection
+from wavequake.workflows.segments.telescope_section import OpticsSection, TelescopeSection
 
 
 class SegmentsSection(Section):
@@ -143,3 +144,19 @@ class SegmentMorStudy(Study):
         for entry in record.get("excitation") or ():
             if isinstance(entry, dict) and isinstance(entry.get("file"), str):
                 entry["file_csv"] = text_of(base / entry["file"], f"excitation.{entry.get('name')}.file")
+
+
+def telescope_study(study: SegmentMorStudy) -> SegmentStudy:
+    """Return the telescope, light and image as a study of ``segment-disturbance``, whose bench is reused.
+
+    Its only disturbance is a figure of zero, which says how many terms a segment's figure has.
+    """
+    optics = OpticsSection(**study.optics.model_dump(exclude={"zernike_terms"}))
+    return SegmentStudy(
+        study=study.study.model_copy(update={"workflow": "segment-disturbance", "title": ""}),
+        telescope=study.telescope,
+        disturbance=(StaticRandom(name="figure", figure_nm={study.segments.figure_terms: 0.0}, instants=1),),
+        optics=optics,
+        wavefront=WavefrontSection(zernike_terms=study.optics.zernike_terms),
+        imaging=ImagingSection(pixels=study.imaging.pixels, sampling=study.imaging.sampling),
+    )

@@ -1,5 +1,6 @@
 """Study files of the workflow "segment-disturbance": a telescope, its light, what disturbs its segments."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -356,3 +357,10 @@ def without_images(study: SegmentStudy) -> SegmentStudy:
     plain = {key: fields[key].default for key in ImagingSection._new} | {"enabled": False}
     imaging = study.imaging.model_copy(update=plain)
     return study.model_copy(update={"imaging": imaging, "detector": None, "object": None})
+
+
+def segment_text(study_text: str) -> str:
+    """Return the identity text of the segment-disturbance study in one of images or loops."""
+    kept = SegmentStudy.model_fields.keys() - {"object"}  # what is imaged changes neither rays nor light
+    record = {key: value for key, value in json.loads(study_text).items() if key in kept}
+    return json.dumps(record, sort_keys=True, separators=(",", ":"))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.provenance import collect
+from wavequake.campaign.store.whole import Labelled, labelled
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.optics.derivatives.central import DOFS, SensitivityMatrix
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 Array = NDArray[np.float64]
-_Stored = tuple[tuple[str, ...], Any, dict[str, str]]
 
 _FRAMES = {
     "surface": "motion of a surface about its vertex in its own frame",
@@ -76,8 +76,6 @@ def system_dataset(study: SystemStudy, device: Device, terms: int = 0) -> "xr.Da
         ``sensitivity_centroid_X`` (..., axis) in mm per m or rad, ``sensitivity_wfe_rms_raw_X`` in nm per m
         or rad, ``step_error_X``.
     """
-    import xarray as xr
-
     bench = system_bench(study.identity_text())
     primary = [bench.system.primary_wavelength]
     count = len(bench.system.surfaces)
@@ -97,8 +95,8 @@ def system_dataset(study: SystemStudy, device: Device, terms: int = 0) -> "xr.Da
             ]
             matrices["deformation"] = ("deformed", "term", figures)
     wavelength_nm = float(bench.system.wavelengths[primary[0]]) * NM_PER_MM
-    variables: dict[str, _Stored] = {}
-    coordinates: dict[str, _Stored] = {
+    variables: dict[str, Labelled] = {}
+    coordinates: dict[str, Labelled] = {
         "field": (
             ("field",),
             _text([field_name(bench.system, index) for index in range(len(rows))]),
@@ -133,7 +131,7 @@ def system_dataset(study: SystemStudy, device: Device, terms: int = 0) -> "xr.Da
         "device": f"{device.name} ({device.kind})",
         **collect(device),
     }
-    return xr.Dataset(variables, coordinates, attrs)
+    return labelled(variables, coordinates, attrs)
 
 
 def _vignetted(bench: SystemBench) -> dict[str, str]:
@@ -164,13 +162,13 @@ def _part(matrix: SensitivityMatrix, part: slice) -> SensitivityMatrix:
 
 def _variables(
     name: str, dims: tuple[str, str], found: Sequence[SensitivityMatrix], wavelength_nm: float
-) -> dict[str, _Stored]:
+) -> dict[str, Labelled]:
     """Return the arrays of one matrix over the fields by name, in nm or mm per m or rad."""
     scale = np.array([1.0 if dof in DOFS[3:] else MM_PER_M for dof in found[0].dofs])
     unit = "m" if name == "deformation" else "m or rad"
     over = ("field", *dims)
 
-    def stored(key: str, factor: float, units: str, what: str, *more: str) -> _Stored:
+    def stored(key: str, factor: float, units: str, what: str, *more: str) -> Labelled:
         values = np.stack([getattr(one, key) for one in found]) * factor
         shaped = scale.reshape(-1, *(1 for _ in more))
         return (*over, *more), values * shaped, {"units": units, "long_name": f"{what}, per {_FRAMES[name]}"}

@@ -19,10 +19,9 @@ from wavequake.optics.systems.system import OpticalSystem
 from wavequake.optics.zemax.codev import read_seq
 from wavequake.optics.zemax.lens_file import LensFileError
 from wavequake.optics.zemax.read import read_zmx
-from wavequake.workflows.exposures.telescope_control import segment_text
 from wavequake.workflows.overrides import split_overrides
 from wavequake.workflows.segments.bench import bench_of
-from wavequake.workflows.segments.segment_study import SegmentStudy
+from wavequake.workflows.segments.segment_study import SegmentStudy, segment_text
 from wavequake.workflows.sensitivity_source import TELESCOPES, sensitivity_study
 from wavequake.workflows.study import bundled_studies, load_study
 from wavequake.workflows.systems.system_study import SystemStudy

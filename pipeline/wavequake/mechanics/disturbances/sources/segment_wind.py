@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import ClassVar, Literal, Self
 
 import numpy as np
-import scipy.linalg
+import scipy  # its parts load when first used
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
