@@ -12,6 +12,10 @@ from wavequake.report.table import number
 _MOST = 5  # images side by side
 
 
+CAMERA = frozenset({"counts", "exposure_focus", "fwhm"})
+"""Variables of which there are pictures."""
+
+
 def camera_pictures(name: str, case: int, one: xr.Dataset, field_names: Sequence[str]) -> Iterator[Picture]:
     """Yield the pictures of a case `one` of a store whose exposures have fields, or one without a name."""
     one = one if "field" in one.dims else one.expand_dims("field")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from wavequake.drawing.periodogram import has_spectrum
 from wavequake.errors import UserError
 from wavequake.report import figures
-from wavequake.report.exposures.camera import camera_pictures
+from wavequake.report.exposures.camera import CAMERA, camera_pictures
 from wavequake.report.exposures.tables import object_picture
 from wavequake.report.histories import what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
@@ -262,7 +262,8 @@ def _section(place: int, population: Population, details: Sequence[Detail], data
                 "error. Light blue: the track of the line of sight, which blurs the image.",
             ),
         ]
-    if "exposure" in dataset:
+    # What is not there is not looked for: choosing a case of a dataset loads Dask's arrays.
+    if "exposure" in dataset and not dataset.keys().isdisjoint(CAMERA | {"object_image"}):
         worst = int(population.cases[population.worst_index])
         one = dataset.sel(case=worst)
         pictures += camera_pictures(population.name, worst, one, [""])
