@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import html
 import json
 from pathlib import Path
 
@@ -18,6 +19,9 @@ from wavequake.errors import UserError
 from wavequake.reduction.intermediate import intermediate
 from wavequake.reduction.names import orders_of
 from wavequake.report import plain, sweeps
+from wavequake.report.campaign import report_store
+from wavequake.report.mirrors import swept as variants
+from wavequake.report.mirrors.variants import largest
 from wavequake.workflows import kinds
 from wavequake.workflows import sweep as swept
 from wavequake.workflows.kinds import compared_labels
@@ -90,9 +94,9 @@ def test_commands_take_stores_of_sweeps(mirror, wavequake):
         code, out, err = wavequake(*words)
         assert (code, err) == (0, ""), out
     page = (folder / "report.html").read_text()
-    assert "wfe_error" in page
+    assert "smallest good enough" in page
     assert "over thickness_m" in page
-    assert "With thickness_m, " in page
+    assert "at all 4 points." in page
     assert "reduce_seconds over" not in page  # a stopwatch's
 
 
@@ -262,6 +266,75 @@ def test_impossible_ranges_are_told(name):
         orders_of(name)
     with pytest.raises(UserError, match="range"):
         load_study("mirror-mor", {"reduction.variants": [name]})
+
+
+def test_the_answer_of_variants_names_the_smallest_that_is_enough_at_every_point(mirror, tmp_path):
+    """The shares are taken anew from what is stored."""
+    store, _ = mirror
+    dataset = wq.open_store(store).load()
+    shares = {}
+    for thickness, damping, variant in zip(
+        *(dataset[name].to_numpy() for name in ("thickness_m", "damping_beta", "variant")), strict=True
+    ):
+        here = (dataset.thickness_m == thickness) & (dataset.damping_beta == damping)
+        one, full = (
+            dataset.isel(case=np.flatnonzero((here & (dataset.variant == name)).to_numpy())[0])
+            for name in (variant, "full")
+        )
+        share = one.wfe_error.max(one.wfe_error.dims[-1]) / full.wfe_rms.max(full.wfe_rms.dims[-1])
+        shares[thickness, damping, variant] = float(share.sel(excitation=["sine100", "sine300", "floor"]).max())
+    points = variants.points_done(store, dataset)
+    assert [tuple(one.values.values()) for one in points] == [
+        (0.01, 5e-6), (0.01, 1e-5), (0.04, 5e-6), (0.04, 1e-5),
+    ]  # fmt: skip
+    for point in points:
+        for one in point.model.variants:
+            expected = shares[(*point.values.values(), one.variant)]
+            assert largest(one, point.criterion) == pytest.approx(expected, rel=1e-12)
+
+    def judged(bound):
+        limited = [dataclasses.replace(one.criterion, bound=bound) for one in points]
+        enough = [
+            next((v for v in one.model.variants if largest(v, criterion) <= bound), None)
+            for one, criterion in zip(points, limited, strict=True)
+        ]
+        return [
+            dataclasses.replace(one, criterion=criterion, model=dataclasses.replace(one.model, enough=found))
+            for one, criterion, found in zip(points, limited, enough, strict=True)
+        ]
+
+    coarse = [share for (_, _, variant), share in shares.items() if variant == "craigb18"]
+    fine = [share for (_, _, variant), share in shares.items() if variant == "craigb36"]
+    assert max(fine) < min(coarse)
+    middle = (min(coarse) + max(coarse)) / 2
+    assert "craigb18 (18 coordinates) is the smallest variant" in variants.answer(judged(2 * max(coarse)))
+    words = variants.answer(judged(middle))
+    assert "craigb36 (36 coordinates) is the smallest variant" in words
+    assert "at all 4 points" in words
+    assert "At single points from 18 (craigb18 at thickness_m" in words
+    assert "to 36 (craigb36 at" in words
+    none = variants.answer(judged(min(fine) / 2))
+    assert none.startswith("circular: no variant keeps the wavefront error below")
+    assert "At single" not in none
+    some = variants.answer(judged((min(fine) + max(fine)) / 2))
+    assert "no variant keeps" in some
+    assert "None does at" in some
+
+
+def test_the_report_of_swept_variants_draws_errors_over_order_and_what_is_enough(mirror, tmp_path):
+    store, _ = mirror
+    table, page = report_store(store)
+    text = page.read_text()
+    assert [column.header for column in table.columns][:5] == [
+        "model", "thickness_m", "damping_beta", "smallest good enough", "order",
+    ]  # fmt: skip
+    assert table.row_count == 4
+    for title in (
+        "Least error over the number of coordinates",
+        "Coordinates that are enough, over thickness_m",
+    ):
+        assert title in text
+    assert str(table.caption) in html.unescape(text)
 
 
 def test_the_answer_compares_like_with_like_and_leaves_failures_out():

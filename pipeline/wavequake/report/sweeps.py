@@ -18,12 +18,15 @@ from wavequake.campaign.schema import study_from_identity
 from wavequake.campaign.store.store import read_manifest
 from wavequake.report import plain
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
+from wavequake.report.mirrors import swept as variants
 from wavequake.report.page import Picture, picture
 from wavequake.report.table import number
 from wavequake.words import counted
 from wavequake.workflows.sweep import SweepStudy, label_names, template
 
 _MOST_LINES, _MOST_ENTRIES, _MOST_COLUMNS, _MOST_PICTURES = 8, 4, 6, 12
+# Kinds whose cases are variants of one model, over which no median means anything.
+_OF_VARIANTS = ("mirror-mor", "segment-mor")
 _NAMELESS = ("realization", "seed", "replicate")
 _HOW = (
     "Points are medians over the cases of a value; where there are more than eight kinds of cases, the line "
@@ -33,6 +36,9 @@ _HOW = (
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table for the terminal: the medians of the first numbers that change, a row per point."""
+    study = study_from_identity(SweepStudy, read_manifest(store).study)
+    if study.base["study"]["workflow"] in _OF_VARIANTS:
+        return variants.table_of(store, dataset)
     shown = rows(store, dataset)[:_MOST_COLUMNS]
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, caption_justify="left")
     table.caption = f"Medians over the cases of a point. {plain.OVER_TIME}"
@@ -50,6 +56,8 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
     """Write the HTML report."""
     study = study_from_identity(SweepStudy, read_manifest(store).study)
+    if study.base["study"]["workflow"] in _OF_VARIANTS:
+        return variants.write_report_of(store, dataset, target, device)
     names, found = label_names(study), rows(store, dataset)
     swept = [
         name

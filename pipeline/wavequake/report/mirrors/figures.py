@@ -26,7 +26,7 @@ def _figure() -> tuple[Figure, Axes]:
     return figure, figure.add_subplot()
 
 
-def _powers(axis: Axis) -> None:
+def label_powers(axis: Axis) -> None:
     """Label a logarithmic axis at powers of ten."""
     axis.set_major_formatter(FuncFormatter(power_of_ten))
     axis.set_minor_formatter(NullFormatter())
@@ -58,7 +58,7 @@ def errors_over_order(models: Sequence[ModelResult], criterion: Criterion) -> Fi
             )
     axes.axhline(criterion.bound, color="#444444", linewidth=0.8, linestyle=(0, (5, 2)))
     axes.set_yscale("log")
-    _powers(axes.yaxis)
+    label_powers(axes.yaxis)
     axes.set_xlabel("order (coordinates of the variant)")
     axes.set_ylabel(f"largest {MEASURES[criterion.measure]}, relative")
     names = [f"{'full' if number == 0 else 'open'}: {model.name}" for number, model in enumerate(models)]
@@ -82,7 +82,7 @@ def spectra(
     for number, one in enumerate(shown):
         values = dataset[name].isel(case=rows[one.case]).to_numpy()
         axes.semilogy(frequency, np.maximum(values, 1e-16), label=one.variant, **_style(number))
-    _powers(axes.yaxis)
+    label_powers(axes.yaxis)
     axes.set_xlabel("frequency (Hz)")
     units = dataset[name].attrs.get("units", "1")
     axes.set_ylabel(_SPECTRA[name] + (f" ({units})" if units != "1" else ""))
@@ -110,7 +110,7 @@ def coefficient_spectra(dataset: xr.Dataset, reference: VariantResult) -> Figure
             label=f"c{j}",
             **_style(number),
         )
-    _powers(axes.yaxis)
+    label_powers(axes.yaxis)
     axes.set_xlabel("frequency (Hz)")
     axes.set_ylabel("response of the coefficient (nm/N)")
     axes.legend(fontsize=7.5, ncols=2)
@@ -130,7 +130,7 @@ def models_side_by_side(dataset: xr.Dataset, models: Sequence[ModelResult]) -> F
         response.semilogy(dataset["frequency"].to_numpy(), one["frf_mech"].to_numpy(), **style)
         found = one["mode_frequency"].to_numpy()
         modes.plot(np.arange(1, len(found) + 1), found, ".-", color=style["color"], linewidth=0.6)
-    _powers(response.yaxis)
+    label_powers(response.yaxis)
     response.set_xlabel("frequency (Hz)")
     response.set_ylabel("interface receptance (m/N)")
     modes.set_xlabel("mode, rigid motions first")
@@ -185,7 +185,7 @@ def wavefront_history(
 def _label_histories(above: Axes, below: Axes, title: str, difference: str) -> None:
     above.set_ylabel("WFE rms (nm)")
     above.set_title(title)
-    _powers(below.yaxis)
+    label_powers(below.yaxis)
     below.set_ylabel(difference)
     below.set_xlabel("time (ms)")
     below.legend(fontsize=7, ncols=2)
@@ -251,7 +251,7 @@ def mode_fits(dataset: xr.Dataset, shown: Sequence[VariantResult]) -> Figure:
         axes.semilogy(
             np.arange(1, len(values) + 1), np.maximum(values, 1e-16), label=one.variant, **_style(number)
         )
-    _powers(axes.yaxis)
+    label_powers(axes.yaxis)
     axes.set_ylim(bottom=1e-6)
     axes.set_xlabel("mode of the variant, rigid motions first")
     axes.set_ylabel("share of the mode that the fit misses")

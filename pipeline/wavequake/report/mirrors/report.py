@@ -145,7 +145,7 @@ def _percent(value: float) -> str:
 
 def answer(models: Iterable[ModelResult], criterion: Criterion) -> str:
     """Say per model which variant is the smallest that is good enough."""
-    limit = _worded(criterion.bound, criterion)
+    limit = worded(criterion.bound, criterion)
     words = []
     for model in models:
         if model.reference is None:
@@ -159,7 +159,7 @@ def answer(models: Iterable[ModelResult], criterion: Criterion) -> str:
             words.append(
                 f"{model.name}: {model.enough.variant} ({model.enough.order} coordinates) is the smallest "
                 f"variant that keeps the {MEASURES[criterion.measure]} below {limit} "
-                f"({_worded(found, criterion)})."
+                f"({worded(found, criterion)})."
             )
     return " ".join(words)
 
@@ -180,7 +180,8 @@ def checked(dataset: xr.Dataset) -> str:
     )
 
 
-def _worded(value: float, criterion: Criterion) -> str:
+def worded(value: float, criterion: Criterion) -> str:
+    """Return an error with the unit of the criterion's measure."""
     units = {"wfe": " %", "los": " λ/D", "image": ""}[criterion.measure]
     return number(100 * value if criterion.measure == "wfe" else value) + units
 
