@@ -161,7 +161,7 @@ def test_margins_know_the_structure(tmp_path):
     assert found.stable
     assert found.gain_up < 0.8 * stiff.gain_up
     text = STRUCTURE.replace("share = 0.06", "share = 0.9")
-    words = r"controller\.held is unstable: .* on 'astigmatism' \(6\.3 Hz\) of the structure, which"
+    words = r"controller\.held is unstable: .* by the mode 'astigmatism' \(6\.3 Hz\); were all stiff, it"
     with pytest.raises(UserError, match=words):
         bench_of(written(tmp_path, text, LONGER))
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from wavequake.campaign.schema import Section
+from wavequake.chain.loops.answers import OwnModes
 from wavequake.chain.loops.light import Light
 from wavequake.control.sampled.channel import RIGID, Dynamics, Timing, first_order, in_series, second_order
 from wavequake.control.sampled.regulator import Instant, Regulator, Stepped
@@ -137,6 +138,10 @@ class Actuator(Section):
     @abstractmethod
     def put(self, states: SurfaceStates, positions: Array) -> None:
         """Add positions (batch, p) to the first instants of a telescope's states."""
+
+    def own_modes(self) -> OwnModes | None:
+        """Return the modes of what it moves; None: that is stiff, and follows as the channels do."""
+        return None
 
     def dynamics(self) -> Dynamics:
         """Return how a channel follows."""
