@@ -54,14 +54,16 @@ def test_stiff_springs_make_the_surface_follow_and_equal_commands_a_piston():
     reached = annular_zernike(*actuator_places(2), 66)
     off = []
     for stiffness in (1.0, 1e5):
-        bent = reached @ (told @ ElasticM2(**COARSE | {"terms": 66}, stiffness_n_um=stiffness).bending().static)
+        bent = reached @ (
+            told @ ElasticM2(**COARSE | {"terms": 66}, stiffness_n_um=stiffness).bending().static
+        )
         off.append(np.linalg.norm(bent - told) / np.linalg.norm(told))
     assert off[1] < 0.05 < 0.4 < off[0]
 
 
 @pytest.mark.parametrize("reduction", ["modal24", "krylov114(0)"])
 def test_statics_and_modes_together_are_the_full_disc(reduction):
-    """The harmonic response of all degrees of freedom by a sparse solution, undamped, below the modes' end."""
+    """The harmonic response of all degrees of freedom by a sparse solution, undamped."""
     one = ElasticM2(**COARSE | {"reduction": reduction}, radius_m=-6.2)
     found = one.bending()
     disc = circular_mirror(
@@ -84,7 +86,7 @@ def test_statics_and_modes_together_are_the_full_disc(reduction):
     polynomials = annular_zernike(*(disc.nodes[front, :2].T / RADIUS), 15)
     root = np.sqrt(disc.surface_weights)[:, None]
     first = found.hertz[0]
-    for share, agreed in ((0.0, 1e-9), (0.6, 2e-4), (1.3, 2e-3)):
+    for share, agreed in ((0.0, 1e-9), (0.6, 2e-4), (1.3, 3e-4)):
         w = 2 * np.pi * share * first
         moved = splu((stiffness - w**2 * disc.mass).tocsc()).solve(force)[3 * front + 2]
         wanted = np.linalg.lstsq(root * polynomials, root * moved, rcond=None)[0].T
@@ -96,7 +98,7 @@ def test_statics_and_modes_together_are_the_full_disc(reduction):
 
 BODY = """
 [[actuator]]
-name = "mirror"
+name = "disc"
 model = "m2-body"
 rings = 3
 divisions = 4
@@ -106,31 +108,31 @@ reduction = "modal24"
 zeta = 0.05
 bandwidth_hz = 1000.0
 [[controller]]
-name = "body-perfect"
+name = "disc-perfect"
 model = "perfect"
 sensor = "wavefront"
-actuator = "mirror"
+actuator = "disc"
 modes = 14
 [[controller]]
-name = "body"
+name = "disc"
 model = "integrator"
 sensor = "wavefront"
-actuator = "mirror"
+actuator = "disc"
 modes = 14
 vary = { bandwidth_hz = [60], latency_frames = [0.5] }
 """
 
 
 def test_a_loop_by_the_disc_leaves_what_the_figure_leaves(tmp_path):
-    """Slow against its modes it is the deformable mirror of Zernike terms; traced light says what linear does."""
+    """Slow against its modes it is the mirror of Zernike terms; traced light says what linear light does."""
     bench, block, los, wfe = first_case(written(tmp_path, BODY))
-    assert wfe["body-perfect"] == pytest.approx(wfe["elastic-perfect"], rel=1e-6)
-    assert los["body-perfect"] < 1e-6
+    assert wfe["disc-perfect"] == pytest.approx(wfe["elastic-perfect"], rel=1e-6)
+    assert los["disc-perfect"] < 1e-6
     added = {name: np.sqrt(wfe[name] ** 2 - wfe["elastic-perfect"] ** 2) for name in wfe if "/" in name}
-    assert added["body/60/0.5"] == pytest.approx(added["elastic/60/0.5"], rel=0.1)
-    assert added["body/60/0.5"] != pytest.approx(added["elastic/60/0.5"], rel=1e-3)
+    assert added["disc/60/0.5"] == pytest.approx(added["elastic/60/0.5"], rel=0.1)
+    assert added["disc/60/0.5"] != pytest.approx(added["elastic/60/0.5"], rel=1e-3)
     assert block.result["light_error_wfe_rms"].max() < 2e-3
-    loop = bench.linear["body/60/0.5"]
+    loop = bench.linear["disc/60/0.5"]
     assert len(loop.structure) == 24
     assert not bench.linear["elastic/60/0.5"].structure
 
@@ -138,19 +140,19 @@ def test_a_loop_by_the_disc_leaves_what_the_figure_leaves(tmp_path):
 def test_names_of_actuators_are_ring_and_place():
     names = ElasticM2(**COARSE).channels(LIGHT)
     assert len(names) == 19
-    assert names[0] == "r0a1" and names[-1] == "r2a12"
+    assert (names[0], names[-1]) == ("r0a1", "r2a12")
 
 
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("rings = 3", "rings = 12", "two actuators of 'mirror' fall on one node of the mesh; lower rings"),
-        ('"modal24"', '"modal24000"', "actuator.mirror: .*modal24000"),
-        ('"modal24"', '"fastest"', "actuator.mirror: .*fastest"),
-        ("terms = 15", "terms = 66", "actuator.mirror.terms is 66, more than wavefront.zernike_terms 15"),
-        ("= 300.0", "= 1e-8", "actuators of 1e-08 N/um are too soft to hold the disc"),
-        ("zeta = 0.05", "radius_m = 0.3", "the actuator 'mirror': the focal length"),
-        ("zeta = 0.05", "zeta = 1e-5", "controller.body/60/0.5 is unstable: .* by the mode 'mirror "),
+        ("rings = 3", "rings = 12", "two actuators of 'disc' fall on one node of the mesh; lower rings"),
+        ('"modal24"', '"modal24000"', "actuator.disc: .*modal24000"),
+        ('"modal24"', '"fastest"', "actuator.disc: .*fastest"),
+        ("terms = 15", "terms = 66", "actuator.disc.terms is 66, more than wavefront.zernike_terms 15"),
+        ("= 300.0", "= 1e-8", "actuators of 1e-08 N/um are too soft to hold a disc"),
+        ("zeta = 0.05", "radius_m = 0.3", "the actuator 'disc': the focal length"),
+        ("zeta = 0.05", "zeta = 1e-5", "controller.disc/60/0.5 is unstable: .* by the mode 'disc "),
     ],
 )
 def test_discs_that_cannot_be_are_said_in_a_sentence(old, new, words, tmp_path):

@@ -177,7 +177,7 @@ def _bending(body: _Body, reduction: str, terms: int) -> Bending:
     model = _model(*body)
     if structure(model).rigid.shape[1]:
         raise UserError(
-            f"actuators of {body.stiffness * 1e-6:g} N/um are too soft to hold the disc; raise stiffness_n_um."
+            f"actuators of {body.stiffness * 1e-6:g} N/um are too soft to hold a disc; raise stiffness_n_um."
         )
     pushed = model.inputs[:, 2::3].toarray() * body.stiffness
     surface = model.surface[2::3]
