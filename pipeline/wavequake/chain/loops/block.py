@@ -153,6 +153,15 @@ class Actuator(Section):
 
 
 @dataclass(frozen=True)
+class Shaken:
+    """Modes of a structure that white forces shake: frequency (Hz), damping ratio, rms in readings (m, K)."""
+
+    hertz: Array
+    zeta: Array
+    seen: Array
+
+
+@dataclass(frozen=True)
 class Design:
     """What a controller is designed for.
 
@@ -169,6 +178,8 @@ class Design:
     follows, shows : Dynamics
         How the actuator follows a command, and a reading what is read.
     timing : Timing
+    shaken : Shaken or None
+        The structure, where the study has one.
     """
 
     controller: str
@@ -181,6 +192,7 @@ class Design:
     follows: Dynamics
     shows: Dynamics
     timing: Timing
+    shaken: Shaken | None = None
 
     @property
     def dynamics(self) -> Dynamics:

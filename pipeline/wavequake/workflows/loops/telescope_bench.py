@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wavequake.chain.loops.answers import Answer, answering, drives_of, dynamics_of, names_of, shown_of
-from wavequake.chain.loops.block import Actuator, Controller, Design, stroke_of, stuck_of
+from wavequake.chain.loops.block import Actuator, Controller, Design, Sensor, Shaken, stroke_of, stuck_of
 from wavequake.chain.loops.light import Light
 from wavequake.control.linear import Array
 from wavequake.control.sampled.channel import Timing, in_series
@@ -128,20 +128,7 @@ def designed(study: TelescopeLoopStudy, optics: Optics, one: Controller) -> Give
     """
     if not one.sensor or not one.actuator:
         return None
-    sensor, actuator = study.part("sensor", one.sensor), study.part("actuator", one.actuator)
-    timing = timing_of(study, one)
-    asked = Design(
-        one.name,
-        sensor.name,
-        actuator.name,
-        sensor.labels(optics.light),
-        actuator.channels(optics.light),
-        sensor.readings(optics.light, nominal=True) @ optics.sights[actuator.name],
-        sensor.noise_rms() / np.sqrt(timing.frames),
-        actuator.dynamics(),
-        sensor.dynamics(),
-        timing,
-    )
+    asked = asked_of(study, optics, one)
     wanted = len(asked.channels), len(asked.readings)
     try:
         found = one.design(asked)
@@ -155,9 +142,36 @@ def designed(study: TelescopeLoopStudy, optics: Optics, one: Controller) -> Give
     if shape != wanted:
         raise UserError(
             f"controller.{one.name} gives {shape[0]} commands of {shape[1]} readings; the actuator "
-            f"{actuator.name!r} takes {wanted[0]}, the sensor {sensor.name!r} gives {wanted[1]}."
+            f"{asked.actuator!r} takes {wanted[0]}, the sensor {asked.sensor!r} gives {wanted[1]}."
         )
     return found
+
+
+def asked_of(study: TelescopeLoopStudy, optics: Optics, one: Controller) -> Design:
+    """Return what a controller with sensor and actuator is designed for."""
+    sensor, actuator = study.part("sensor", one.sensor), study.part("actuator", one.actuator)
+    timing = timing_of(study, one)
+    return Design(
+        one.name,
+        sensor.name,
+        actuator.name,
+        sensor.labels(optics.light),
+        actuator.channels(optics.light),
+        sensor.readings(optics.light, nominal=True) @ optics.sights[actuator.name],
+        sensor.noise_rms() / np.sqrt(timing.frames),
+        actuator.dynamics(),
+        sensor.dynamics(),
+        timing,
+        _shaken(study, optics, sensor),
+    )
+
+
+def _shaken(study: TelescopeLoopStudy, optics: Optics, sensor: Sensor) -> Shaken | None:
+    """Return the structure as a sensor sees it shaken, as it is believed to be."""
+    if optics.structure is None:
+        return None
+    seen = sensor.readings(optics.light, nominal=True) @ optics.answers[0].shown
+    return Shaken(optics.structure.hertz, optics.structure.zeta, seen * optics.structure.rms)
 
 
 def sampled_loops(

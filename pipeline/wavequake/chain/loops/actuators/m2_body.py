@@ -159,10 +159,8 @@ def _ringed(rings: int) -> tuple[tuple[str, float, float], ...]:
 
 
 @prepared(maxsize=4)
-def _model(
-    disc: CircularMirror, rings: int, stiffness: float
-) -> tuple[FiniteElementModel, NDArray[np.int64]]:
-    """Return the disc on its actuators, and the nodes of its rear where they stand."""
+def _model(disc: CircularMirror, rings: int, stiffness: float) -> FiniteElementModel:
+    """Return the disc on its actuators, which are its interface: nodes of its rear."""
     free = circular_mirror(disc)
     front = free.nodes[free.surface_nodes]
     wanted = 0.5 * disc.diameter * np.array([[x, y] for _, x, y in _ringed(rings)])
