@@ -111,10 +111,34 @@ LOOPS = HISTORY | {
     "look.traced": 2,
     "wavefront.zernike_terms": 15,
     "actuator.figure.terms": 15,
+    "actuator.mirror.rings": 2,
+    "actuator.mirror.stiffness_n_um": 5000.0,
+    "actuator.mirror.thickness_m": 0.3,
+    "actuator.mirror.divisions": 4,
+    "actuator.mirror.reduction": "modal12",
+    "actuator.mirror.terms": 15,
+    "controller.body-perfect.modes": 12,
+    "controller.body.modes": 12,
     "controller.rigid.vary": {"latency_frames": [0.5, 2.0]},
     "controller.elastic.vary": {"latency_frames": [0.5, 2.0], "gain": [0.2]},
+    "controller.body.vary": {"latency_frames": [0.5, 2.0], "bandwidth_hz": [20.0]},
     "controller.elastic-faint.vary": {"rate_hz": [500.0]},
     "controller.elastic-lqg.vary": {"latency_frames": [1.5]},
+}
+RINGING = {
+    "disturbance.shaken.instants": 40,
+    "disturbance.shaken.duration_s": 0.2,
+    "disturbance.shaken.low_hz": 10.0,
+    "disturbance.shaken.high_hz": 40.0,
+    "optics.rays": 300,
+    "imaging.pixels": 16,
+    "look.traced": 2,
+    "wavefront.zernike_terms": 15,
+    "actuator.figure.terms": 15,
+    "controller.tilt.vary": {"bandwidth_hz": [15.0]},
+    "controller.tilt-lqg.vary": {"latency_frames": [1.0]},
+    "controller.figure.vary": {"bandwidth_hz": [15.0]},
+    "controller.figure-lqg.vary": {"latency_frames": [0.5]},
 }
 
 
@@ -193,6 +217,7 @@ RECORDED = {
     "mirror-trace-residual": Small(
         "mirror-trace", TRACED | {"model.shapes": ["circular"], "optics.residual_limit": 0.0}
     ),
+    "structure-loop": Small("structure-loop", RINGING, 2),
     "telescope-structure": Small("telescope-structure", STRUCTURE, 12),
     "tip-tilt-vibration": Small(
         "tip-tilt-vibration", {"simulated.duration_s": 4.0, "simulated.settling_s": 1.0}, 6

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from wavequake.campaign.schema import Section
+from wavequake.chain.loops.answers import OwnModes
 from wavequake.chain.loops.light import Light
 from wavequake.control.sampled.channel import RIGID, Dynamics, Timing, first_order, in_series, second_order
 from wavequake.control.sampled.regulator import Instant, Regulator, Stepped
@@ -138,6 +139,10 @@ class Actuator(Section):
     def put(self, states: SurfaceStates, positions: Array) -> None:
         """Add positions (batch, p) to the first instants of a telescope's states."""
 
+    def own_modes(self) -> OwnModes | None:
+        """Return the modes of what it moves; None: that is stiff, and follows as the channels do."""
+        return None
+
     def dynamics(self) -> Dynamics:
         """Return how a channel follows."""
         if self.resonance_hz is not None:
@@ -145,6 +150,15 @@ class Actuator(Section):
                 raise UserError(f"actuator.{self.name}: give bandwidth_hz or resonance_hz, not both.")
             return second_order(self.resonance_hz, self.damping)
         return RIGID if self.bandwidth_hz is None else first_order(self.bandwidth_hz)
+
+
+@dataclass(frozen=True)
+class Shaken:
+    """Modes of a structure that white forces shake: frequency (Hz), damping ratio, rms in readings (m, K)."""
+
+    hertz: Array
+    zeta: Array
+    seen: Array
 
 
 @dataclass(frozen=True)
@@ -164,6 +178,8 @@ class Design:
     follows, shows : Dynamics
         How the actuator follows a command, and a reading what is read.
     timing : Timing
+    shaken : Shaken or None
+        The structure, where the study has one.
     """
 
     controller: str
@@ -176,6 +192,7 @@ class Design:
     follows: Dynamics
     shows: Dynamics
     timing: Timing
+    shaken: Shaken | None = None
 
     @property
     def dynamics(self) -> Dynamics:

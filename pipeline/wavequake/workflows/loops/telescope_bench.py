@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wavequake.chain.loops.block import Actuator, Controller, Design, stroke_of, stuck_of
+from wavequake.chain.loops.answers import Answer, answering, drives_of, dynamics_of, names_of, shown_of
+from wavequake.chain.loops.block import Actuator, Controller, Design, Sensor, Shaken, stroke_of, stuck_of
 from wavequake.chain.loops.light import Light
 from wavequake.control.linear import Array
-from wavequake.control.sampled.channel import Dynamics, Timing, in_series
+from wavequake.control.sampled.channel import Timing, in_series
 from wavequake.control.sampled.regulator import Instant, Regulator, Stepped, shape_of
 from wavequake.control.sampled.run import Actuator as Moved
 from wavequake.control.sampled.run import Loop, Schedule, frame_count, run, schedule
@@ -35,8 +36,10 @@ class Designed:
     name : str
     actuators : tuple of Actuator
         Whose channels are the positions, one after the other.
+    answers : tuple of Answer
+        Whose modes answer them.
     sight : ndarray, shape (K, P + modes)
-        What sensors see per position of all channels, and of the structure's modes where loops move them.
+        What sensors see per position of all channels, and of these modes.
     loops : tuple of Loop
     readings : tuple of ndarray, shape (m, K)
         Of each loop's sensor, per what is seen.
@@ -48,6 +51,7 @@ class Designed:
 
     name: str
     actuators: tuple[Actuator, ...]
+    answers: tuple[Answer, ...]
     sight: Array
     loops: tuple[Loop, ...]
     readings: tuple[Array, ...]
@@ -101,14 +105,9 @@ def bench_of(study: TelescopeLoopStudy) -> Bench:
         study, optics, tuple(_designed(study, optics, one, designs) for one in study.controller), linear
     )
     for one in bench.controllers:
-        refuse_unstable_together(study, one, modes_of(optics))
+        refuse_unstable_together(study, one)
     refuse_saturated(bench)
     return bench
-
-
-def modes_of(optics: Optics) -> tuple[Dynamics, ...]:
-    """Return how the modes of a telescope's structure answer."""
-    return () if optics.structure is None else optics.structure.dynamics
 
 
 def timing_of(study: TelescopeLoopStudy, one: Controller) -> Timing:
@@ -129,20 +128,7 @@ def designed(study: TelescopeLoopStudy, optics: Optics, one: Controller) -> Give
     """
     if not one.sensor or not one.actuator:
         return None
-    sensor, actuator = study.part("sensor", one.sensor), study.part("actuator", one.actuator)
-    timing = timing_of(study, one)
-    asked = Design(
-        one.name,
-        sensor.name,
-        actuator.name,
-        sensor.labels(optics.light),
-        actuator.channels(optics.light),
-        sensor.readings(optics.light, nominal=True) @ optics.sights[actuator.name],
-        sensor.noise_rms() / np.sqrt(timing.frames),
-        actuator.dynamics(),
-        sensor.dynamics(),
-        timing,
-    )
+    asked = asked_of(study, optics, one)
     wanted = len(asked.channels), len(asked.readings)
     try:
         found = one.design(asked)
@@ -156,9 +142,36 @@ def designed(study: TelescopeLoopStudy, optics: Optics, one: Controller) -> Give
     if shape != wanted:
         raise UserError(
             f"controller.{one.name} gives {shape[0]} commands of {shape[1]} readings; the actuator "
-            f"{actuator.name!r} takes {wanted[0]}, the sensor {sensor.name!r} gives {wanted[1]}."
+            f"{asked.actuator!r} takes {wanted[0]}, the sensor {asked.sensor!r} gives {wanted[1]}."
         )
     return found
+
+
+def asked_of(study: TelescopeLoopStudy, optics: Optics, one: Controller) -> Design:
+    """Return what a controller with sensor and actuator is designed for."""
+    sensor, actuator = study.part("sensor", one.sensor), study.part("actuator", one.actuator)
+    timing = timing_of(study, one)
+    return Design(
+        one.name,
+        sensor.name,
+        actuator.name,
+        sensor.labels(optics.light),
+        actuator.channels(optics.light),
+        sensor.readings(optics.light, nominal=True) @ optics.sights[actuator.name],
+        sensor.noise_rms() / np.sqrt(timing.frames),
+        actuator.dynamics(),
+        sensor.dynamics(),
+        timing,
+        _shaken(study, optics, sensor),
+    )
+
+
+def _shaken(study: TelescopeLoopStudy, optics: Optics, sensor: Sensor) -> Shaken | None:
+    """Return the structure as a sensor sees it shaken, as it is believed to be."""
+    if optics.structure is None:
+        return None
+    seen = sensor.readings(optics.light, nominal=True) @ optics.answers[0].shown
+    return Shaken(optics.structure.hertz, optics.structure.zeta, seen * optics.structure.rms)
 
 
 def sampled_loops(
@@ -183,9 +196,11 @@ def sampled_loops(
                 readings @ optics.sights[actuator.name] * free,
                 found,
             )
-            if optics.structure is not None:
-                modes, drives = optics.structure.dynamics, optics.drives[actuator.name] * free
-                loop = replace(loop, structure=modes, drives=drives, shown=readings @ optics.shown)
+            answers = answering(optics.answers, [actuator.name])
+            if answers:
+                drives = drives_of(answers, actuator.name, len(free)) * free
+                shown = readings @ shown_of(answers, len(optics.light))
+                loop = replace(loop, structure=dynamics_of(answers), drives=drives, shown=shown)
             loops[name] = loop
     return loops
 
@@ -201,28 +216,28 @@ def refuse_unstable(study: TelescopeLoopStudy, name: str, loop: SampledLoop, opt
     if grows(worst):
         said = growing(study, name, worst, optics)
         if loop.structure and not grows(worst_pole(replace(loop, structure=()))):
-            said += f", on {carrier(study, loop)} of the structure, which on a stiff one would be stable"
+            said += f", by the mode {carrier(study, name, loop, optics)}; were all stiff, it would be stable"
         raise UserError(
             f"controller.{name} is unstable: {said}; lower gain or latency "
             f"(wavequake margins {study.study.name})."
         )
 
 
-def carrier(study: TelescopeLoopStudy, loop: SampledLoop) -> str:
-    """Say which mode of the structure makes a loop unstable: that without which it grows least."""
+def carrier(study: TelescopeLoopStudy, name: str, loop: SampledLoop, optics: Optics) -> str:
+    """Say which mode makes a loop unstable: that without which it grows least."""
+    names = names_of(answering(optics.answers, [study.part("controller", name).actuator]))
+    shown, drives = loop.modes()
     found = []
-    for k, mode in enumerate(study.mode):
-        left = [place for place in range(len(study.mode)) if place != k]
-        shown, drives = loop.modes()
+    for k, mode in enumerate(loop.structure):
+        left = np.delete(np.arange(len(names)), k)
         modes = tuple(loop.structure[place] for place in left)
         without = replace(loop, structure=modes, drives=drives[left], shown=shown[:, left])
-        found.append((worst_pole(without).growth, f"{mode.name!r} ({mode.hz:g} Hz)"))
+        hertz = np.sqrt(np.linalg.det(mode.a)) / (2 * np.pi)
+        found.append((worst_pole(without).growth, f"{names[k]!r} ({hertz:.4g} Hz)"))
     return min(found)[1]
 
 
-def refuse_unstable_together(
-    study: TelescopeLoopStudy, one: Designed, modes: tuple[Dynamics, ...] = ()
-) -> None:
+def refuse_unstable_together(study: TelescopeLoopStudy, one: Designed) -> None:
     """Raise UserError if loops that run beside each other, of any rates, drive each other without limits.
 
     They are kicked by noise in the first part of a run, and it is seen whether the kick dies away.
@@ -243,7 +258,7 @@ def refuse_unstable_together(
         kick[len(kick) // 10 :] = 0.0
         seen.append(kick)
     events = schedule([loop.timing for loop in loops], at)
-    found = np.abs(run(loops, events, seen, len(at), modes).positions[..., 0])
+    found = np.abs(run(loops, events, seen, len(at), dynamics_of(one.answers)).positions[..., 0])
     early, late = found[: _KICKED // 4].max(axis=0), found[-_KICKED // 4 :].max(axis=0)
     if not late.max() <= early.max():
         names = " and ".join(repr(each.name) for each in study.running(study.part("controller", one.name)))
@@ -268,17 +283,17 @@ def _designed(
 ) -> Designed:
     found = designs[one.name]
     if found is None:
-        return Designed(one.name, (), np.zeros((len(optics.light), 0)), (), (), None, ())
+        return Designed(one.name, (), (), np.zeros((len(optics.light), 0)), (), (), None, ())
     running = study.running(one)
     actuators = tuple(study.part("actuator", each.actuator) for each in running)
     sight = np.hstack([optics.sights[each.name] for each in actuators])
     if isinstance(found, Instant):
         sensor = study.part("sensor", one.sensor)
         instant = -found.decoupling @ sensor.readings(optics.light, nominal=True)
-        return Designed(one.name, actuators, sight, (), (), instant, ())
+        return Designed(one.name, actuators, (), sight, (), (), instant, ())
     loops, readings = [], []
-    if optics.structure is not None:
-        sight = np.hstack([sight, optics.shown])
+    answers = answering(optics.answers, [each.name for each in actuators])
+    sight = np.hstack([sight, shown_of(answers, len(optics.light))])
     for each, actuator in zip(running, actuators, strict=True):
         sensor = study.part("sensor", each.sensor)
         timing = timing_of(study, each)
@@ -290,11 +305,11 @@ def _designed(
         regulator = designs[each.name]
         if not isinstance(regulator, Regulator | Stepped):
             raise UserError(f"controller.{each.name} gives no commands, so that it cannot run beside others.")
-        drives = None if optics.structure is None else optics.drives[actuator.name] * np.isnan(stuck)
+        drives = drives_of(answers, actuator.name, len(channels)) * np.isnan(stuck)
         sees, shows = readings[-1] @ sight, sensor.dynamics()
         loops.append(Loop(timing, regulator, moved, sees, sensor.quantum, shows, drives))
     schedules = tuple(schedule([loop.timing for loop in loops], time[1:]) for time in optics.times)
-    return Designed(one.name, actuators, sight, tuple(loops), tuple(readings), None, schedules)
+    return Designed(one.name, actuators, answers, sight, tuple(loops), tuple(readings), None, schedules)
 
 
 def refuse_saturated(bench: Bench) -> None:

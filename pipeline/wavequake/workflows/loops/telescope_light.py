@@ -7,6 +7,7 @@ import numpy as np
 
 from wavequake.chain.loops.actuators.m2_rigid import RigidM2
 from wavequake.chain.loops.actuators.segments import SegmentActuators
+from wavequake.chain.loops.answers import Answer, OwnModes, Put
 from wavequake.chain.loops.block import ACTUATORS, Actuator
 from wavequake.chain.loops.light import Light
 from wavequake.chain.loops.structure import UNITS, Carrying, carrying, node_names
@@ -50,10 +51,9 @@ class Optics:
     m2 : ndarray, shape (J - 1, 6), or None
         Light per dx, dy, dz (nm), rx, ry, rz (nrad) of M2, where anything moves it.
     structure : Carrying or None
-    shown : ndarray, shape (K, modes)
-        What sensors see per mode of the structure.
-    drives : dict of ndarray, shape (modes, p)
-        How modes of the structure answer positions of each actuator, by name.
+        As disturbances move it.
+    answers : tuple of Answer
+        Modes of the structure, then of actuators that bend, as actuators move them.
     times : tuple of ndarray, shape (1 + n,)
         Of each population: 0 and its instants, s.
     """
@@ -64,8 +64,7 @@ class Optics:
     sights: dict[str, Array]
     m2: Array | None
     structure: Carrying | None
-    shown: Array
-    drives: dict[str, Array]
+    answers: tuple[Answer, ...]
     times: tuple[Array, ...]
 
     @property
@@ -103,21 +102,32 @@ def optics_of(study: TelescopeLoopStudy) -> Optics:
             sights[one.name] = np.vstack(
                 [sights[one.name], by_bodies, np.zeros((len(light.nodes), by_bodies.shape[1]))]
             )
-    shown = np.zeros((len(light), len(study.mode)))
-    if not study.mode:
-        return Optics(control, model, light, sights, m2, None, shown, {}, times)
-    structure, first = carrying(study.mode, light.layout), 3 * len(light.layout)
-    if any(any(one.zernike.values()) for one in study.mode):
+    structure = carrying(study.mode, light.layout) if study.mode else None
+    answers = [] if structure is None else [_of_structure(text, light, structure, m2, sights)]
+    for one in study.actuator:
+        modes = one.own_modes()
+        if modes is not None:
+            seen = np.zeros((len(light), len(modes.names)))
+            seen[: light.optical] = _sight(text, json.dumps(one.model_dump(), sort_keys=True), True)
+            answers.append(Answer(modes.names, modes.dynamics, modes.put, seen, {one.name: modes.drives}))
+    return Optics(control, model, light, sights, m2, structure, tuple(answers), times)
+
+
+def _of_structure(
+    text: str, light: Light, structure: Carrying, m2: Array | None, sights: dict[str, Array]
+) -> Answer:
+    """Return how a structure answers actuators."""
+    first = 3 * len(light.layout)
+    shown = np.zeros((len(light), len(structure.names)))
+    if structure.moves[:first].any():
         seen = _sight(text, json.dumps(_ALL.model_dump(), sort_keys=True))
         shown[: light.optical] += seen @ structure.moves[:first]
     if m2 is not None:
         shown[: light.optical] += m2 @ structure.moves[first:]
     shown[light.optical :] = np.vstack([structure.moves, structure.at])
-    drives = {
-        one.name: structure.answers @ sights[one.name][light.optical : light.optical + first + 6]
-        for one in study.actuator
-    }
-    return Optics(control, model, light, sights, m2, structure, shown, drives, times)
+    bodies = slice(light.optical, light.optical + first + 6)
+    drives = {name: structure.answers @ sight[bodies] for name, sight in sights.items()}
+    return Answer(structure.names, structure.dynamics, structure.put, shown, drives)
 
 
 def _moves(study: TelescopeLoopStudy, light: Light, entry: Disturbance, surface: str) -> bool:
@@ -157,14 +167,17 @@ def _telescope(text: str, dofs: tuple[int, ...]) -> tuple[ControlBench, ModalMod
 
 
 @prepared(maxsize=8)
-def _sight(text: str, actuator: str) -> Array:
-    """Return what sensors see per position of an actuator, (K, p); kept by the texts of both."""
+def _sight(text: str, actuator: str, of_modes: bool = False) -> Array:
+    """Return what sensors see per position of an actuator or of its own modes, (K, p); kept by both texts."""
     record = json.loads(actuator)
     one = ACTUATORS.entries()[record["model"]].model_validate(record, strict=False)
     control, model, light = _telescope(text, one.segment_dofs)
-    return (
-        _modal_sight(control, model, light, one) if one.segment_dofs else _traced_sight(control, light, one)
-    )
+    if of_modes:
+        modes: OwnModes = one.own_modes()
+        return _traced_sight(control, one, len(modes.names), modes.put)
+    if one.segment_dofs:
+        return _modal_sight(control, model, light, one)
+    return _traced_sight(control, one, len(one.channels(light)), one.put)
 
 
 def seen_units(control: ControlBench, wavelength_nm: float) -> tuple[float, float]:
@@ -187,12 +200,11 @@ def _modal_sight(control: ControlBench, model: ModalModel, light: Light, one: Ac
     return np.vstack(rows).T
 
 
-def _traced_sight(control: ControlBench, light: Light, one: Actuator) -> Array:
-    """Return the sight of any actuator, by central differences of traces of each of its channels."""
+def _traced_sight(control: ControlBench, one: Actuator, p: int, put: Put) -> Array:
+    """Return what is seen of p motions that are put into states, by central differences of traces of each."""
     to_mas, to_nm = seen_units(control, control.study.optics.wavelength_nm)
-    p = len(one.channels(light))
     states = states_at_rest(control, padded(4 * p))
-    one.put(states, np.concatenate([factor * one.step * np.eye(p) for factor in SIGNS]))
+    put(states, np.concatenate([factor * one.step * np.eye(p) for factor in SIGNS]))
     found = trace(control.prepared, states, choose_device("numpy"))[1]
     values = np.hstack([found.los * to_mas, found.zernike[:, 3:] * to_nm])[: 4 * p]
     slopes = checked_derivative(

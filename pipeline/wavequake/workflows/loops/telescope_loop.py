@@ -17,6 +17,7 @@ from wavequake.campaign.measured import Block, CaseTable, study_kind
 from wavequake.campaign.measures import Axis, Measure
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.images.shortcuts import frame_coordinates
+from wavequake.chain.loops.answers import dynamics_of, put_all
 from wavequake.control.linear import Array
 from wavequake.control.sampled.channel import Dynamics
 from wavequake.control.sampled.readings import means
@@ -31,7 +32,7 @@ from wavequake.mechanics.disturbances.motion import generator
 from wavequake.mechanics.model import Integers
 from wavequake.optics.segments.states import SurfaceStates
 from wavequake.workflows.exposures.telescope_control import local_images, measured_opd, position, trace
-from wavequake.workflows.loops.telescope_bench import Bench, Designed, bench_of, modes_of
+from wavequake.workflows.loops.telescope_bench import Bench, Designed, bench_of
 from wavequake.workflows.loops.telescope_light import drawn, seen_of, seen_units, states_at_rest
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 from wavequake.workflows.segments.launches import CaseDraw, slots
@@ -132,7 +133,7 @@ def positions_of(
         for column, values in zip(columns, readings, strict=True):
             whole[..., column] = values[place]
         given.append(whole)
-    found = run(one.loops, one.schedules[index], given, looks, modes_of(bench.optics))
+    found = run(one.loops, one.schedules[index], given, looks, dynamics_of(one.answers))
     positions = [np.ascontiguousarray(found.positions[..., column]) for column in columns]
     return positions, found.limited[columns], found.diverged[columns]
 
@@ -168,8 +169,7 @@ def states_of(
         last = first + len(actuator.channels(bench.optics.light))
         actuator.put(states, positions[chosen, first:last])
         first = last
-    if bench.optics.structure is not None and positions.shape[1] > first:
-        bench.optics.structure.put(states, positions[chosen, first:])
+    put_all(one.answers, states, positions[chosen, first:])
     return states
 
 

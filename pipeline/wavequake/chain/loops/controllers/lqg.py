@@ -3,6 +3,7 @@
 from abc import abstractmethod
 from typing import Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from wavequake.campaign.schema import Section
@@ -15,6 +16,8 @@ from wavequake.errors import UserError
 
 # Narrower lines, as a share of their frequency, are lost in rounding.
 _SHARPEST = 1e-4
+# Modes that are seen less than this share of the largest one are not expected.
+_SEEN = 1e-6
 
 
 class LineSection(Section):
@@ -42,6 +45,9 @@ class Expecting(Controller):
     """
 
     lines: tuple[LineSection, ...] = Field(default=(), strict=False)
+    structure: bool = Field(
+        default=False, description="the [[mode]] blocks that are shaken are expected, too, as they are"
+    )
     drift_rms: float = Field(default=0.0, ge=0, le=1e15, description="of first-order noise, in that unit")
     drift_hz: float = Field(default=0.1, ge=1e-6, le=1e4, description="its corner")
     noise: float | None = Field(
@@ -53,13 +59,15 @@ class Expecting(Controller):
 
     @model_validator(mode="after")
     def _something_is_expected(self) -> "Expecting":
-        if not (self.lines or self.drift_rms):
-            raise ValueError(f"{self.name!r} expects no disturbance; give lines or drift_rms")
+        if not (self.lines or self.drift_rms or self.structure):
+            raise ValueError(f"{self.name!r} expects no disturbance; give lines, drift_rms or structure")
         return self
 
     def expected(self, asked: Design) -> tuple[Shaped, float]:
         """Return the disturbance and the noise of a reading."""
         parts = [line(one.hz, one.fwhm_hz, one.rms) for one in self.lines]
+        if self.structure:
+            parts += shaken_lines(asked, self.modes)
         if self.drift_rms:
             parts.append(drift(self.drift_hz, self.drift_rms))
         return joined(parts), asked.noise if self.noise is None else self.noise
@@ -75,6 +83,33 @@ class Expecting(Controller):
         except UserError as error:
             raise UserError(f"controller.{self.name}: {error}") from None
         return shared_filter(decoupling(asked, self.modes, rates=True), model)
+
+
+def shaken_lines(asked: Design, modes: int | None = None) -> list[Shaped]:
+    """Return the modes of the structure as channels see them on average, in the sensor's unit.
+
+    Raises
+    ------
+    UserError
+        If there is no structure, or no channel sees any of its modes shaken.
+    """
+    where = f"controller.{asked.controller}.structure"
+    if asked.shaken is None:
+        raise UserError(f"{where}: there is no [[mode]] block.")
+    channels = decoupling(asked, modes, rates=True)
+    # What of a channel's reading is noise of the sensor, per noise of a reading.
+    sizes = np.linalg.norm(channels, axis=1)
+    kept = sizes > 0
+    rms = np.sqrt(np.mean((channels[kept] @ asked.shaken.seen / sizes[kept, None]) ** 2, axis=0))
+    seen = rms > _SEEN * rms.max(initial=0.0)
+    if not seen.any():
+        raise UserError(f"{where}: the sensor {asked.sensor!r} sees no [[mode]] block shaken; set rms_nm.")
+    return [
+        line(hertz, max(2 * zeta, _SHARPEST) * hertz, size)
+        for hertz, zeta, size in zip(
+            asked.shaken.hertz[seen], asked.shaken.zeta[seen], rms[seen], strict=True
+        )
+    ]
 
 
 @register

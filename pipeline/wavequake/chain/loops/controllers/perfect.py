@@ -2,6 +2,8 @@
 
 from typing import Literal
 
+from pydantic import Field
+
 from wavequake.chain.loops.block import Controller, Design, decoupling, register
 from wavequake.control.sampled.regulator import Instant
 
@@ -14,7 +16,10 @@ class Perfect(Controller):
     """
 
     model: Literal["perfect"] = "perfect"
+    modes: int | None = Field(
+        default=None, ge=1, description="so many best-seen motions are corrected; default: all"
+    )
 
     def design(self, asked: Design) -> Instant:
         """Return the pseudo-inverse."""
-        return Instant(decoupling(asked))
+        return Instant(decoupling(asked, self.modes))
