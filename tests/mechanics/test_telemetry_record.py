@@ -87,8 +87,14 @@ def twice(time_s, values):
     return time_s, values
 
 
+def early(time_s, values):
+    time_s[100] -= 0.7 * STEP
+    return time_s, values
+
+
 def drifting(time_s, values):
-    return time_s + 0.05 * time_s**2 / time_s[-1], values
+    """A clock that runs 2 % faster in the end smears every line over 2 % of its frequency."""
+    return time_s + 0.01 * time_s**2 / time_s[-1], values
 
 
 def backwards(time_s, values):
@@ -139,7 +145,8 @@ def short(time_s, values):
     ("change", "said"),
     [
         (gap, "after row 100 (0.198 s) there is a gap of 0.004 s where the step is 0.002 s"),
-        (twice, "after row 100 (0.198 s) there does not increase"),
+        (twice, "time_s does not increase after row 100 (0.198 s); sort the rows by time"),
+        (early, "after row 100 (0.198 s) the next comes 0.0006 s later, where the step is 0.002 s"),
         (drifting, "steps off even spacing"),
         (backwards, "time_s does not increase"),
         (hole, "row 8 of 'wavefront[2].z4_nm' is no finite number"),

@@ -20,7 +20,7 @@ FEWEST = 512
 MOST_CHANNELS = 64
 _SHORTEST, _LONGEST = 1e-9, 1e6  # s: steps whose frequencies have squares and reciprocals
 _ROUNDING = 16.0 * float(np.finfo(float).eps)
-_UNEVEN = 0.01  # of a step: what clocks of data acquisition jitter at most
+_DRIFT = 1e-4  # of all instants: a clock whose rate changes by 0.08 %, less than the width of a narrow line
 _PILED = 1e-3  # share of samples at an end of the range, and how many of the next value there are at most
 _MORE = 3.0
 _LEAST, _MOST = 1e-30, 1e30  # range of a signal in its unit: squares of spectra must be numbers
@@ -132,16 +132,23 @@ def _step_of(time: Array) -> float:
     worst = int(np.argmax(np.abs(steps - step)))
     # Times of few digits are rounded; what counts is that no sample is missing and none comes twice.
     if np.abs(steps[worst] - step) > 0.5 * step:
-        what = "does not increase" if steps[worst] <= 0.0 else f"is a gap of {steps[worst]:.6g} s"
+        after = f"after row {worst + 1} ({time[worst]:.9g} s)"
+        if steps[worst] <= 0.0:
+            raise UserError(f"time_s does not increase {after}; sort the rows by time, each instant once.")
+        if steps[worst] < step:
+            raise UserError(
+                f"{after} the next comes {steps[worst]:.6g} s later, where the step is {step:.6g} s; "
+                "resample it at even instants."
+            )
         raise UserError(
-            f"after row {worst + 1} ({time[worst]:.9g} s) there {what} where the step is {step:.6g} s; give "
-            "the longest piece without gaps."
+            f"{after} there is a gap of {steps[worst]:.6g} s where the step is {step:.6g} s; give the "
+            "longest piece without gaps."
         )
     drift = np.abs(time - time[0] - span * np.arange(len(time))).max()
-    if drift > max(_UNEVEN * len(time), 1.0) * step:
+    if drift > max(_DRIFT * len(time), 1.0) * step:
         raise UserError(
-            f"its instants are up to {drift / step:.3g} steps off even spacing; resample it, or give a piece "
-            "that was sampled evenly."
+            f"its instants are up to {drift / step:.3g} steps off even spacing, which smears lines; resample "
+            "it, or give a piece that was sampled evenly."
         )
     return span
 
