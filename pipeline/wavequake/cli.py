@@ -42,6 +42,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
+_PLAN_S = 7.5  # with what is loaded before: ten
 _BEGIN, _RUN, _DECIDE, _SURE, _MEASURED, _PARTS = (
     "Begin: files and pictures",
     "Run, watch, keep",
@@ -226,8 +227,9 @@ def plan(
         str | None, typer.Option(help="Propose rays, terms, order and cases for it, as '1 %'.")
     ] = None,
     measure: Annotated[str | None, typer.Option(help="What shall be as accurate (default: wfe_rms).")] = None,
+    wait: Annotated[bool, typer.Option("--wait", help="Wait for the estimate, however long.")] = False,
 ) -> None:
-    """Show cases, chunks, memory and an estimate of the time; stores nothing."""
+    """Show cases, chunks, memory and an estimate of the time, or soon what is known; stores nothing."""
     from wavequake.workflows.run import plan as plan_study
     from wavequake.workflows.study import load_study
 
@@ -238,7 +240,7 @@ def plan(
         from wavequake.report.answers.accuracy import accuracy_of, plan_accuracy
 
         wanted = accuracy_of(accuracy)
-    print_pairs(plan_study(loaded))
+    print_pairs(plan_study(loaded, None if wait or wanted is not None else _PLAN_S))
     if wanted is not None:
         print_pairs(plan_accuracy(loaded, wanted, measure, [study, *(overrides or [])]))
 

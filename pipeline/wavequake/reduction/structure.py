@@ -21,6 +21,7 @@ from wavequake.mechanics.vibration.eigen import dense_modes, mass_normalized_rig
 from wavequake.mechanics.vibration.factors import LARGE, factorize
 from wavequake.prepared import preparing
 from wavequake.reduction.directions import turn_equal
+from wavequake.reduction.lanczos import ACCURACY, lowest_modes
 
 Solver = Callable[[NDArray[Any]], NDArray[Any]]
 
@@ -326,7 +327,7 @@ def _seen(body: Structure, squared: Array, shapes: Array, fixed: Integers | None
 
 
 def _step(body: Structure, count: int, available: int) -> int:
-    """Return how many modes to compute: the next power of two, whatever was asked for before.
+    """Return how many modes to compute: the next quarter of a power of two, whatever was asked for before.
 
     With some to spare: both of a pair must be known where a variant keeps one of them.
     """
@@ -335,7 +336,8 @@ def _step(body: Structure, count: int, available: int) -> int:
             f"{count} modes are too many for the {body.order} degrees of freedom of the model {body.name}; "
             "ask for fewer than half of them."
         )
-    size = max(32, 1 << (count + _SPARE - 1).bit_length())
+    quarter = 1 << max(3, (count + _SPARE - 1).bit_length() - 3)
+    size = max(32, -(-(count + _SPARE) // quarter) * quarter)
     return size if 2 * size < available else (available - 1) // 2
 
 
@@ -360,11 +362,14 @@ def _dense_modes(body: Structure, fixed: Integers | None) -> tuple[Array, Array]
 def _sparse_modes(body: Structure, count: int, fixed: Integers | None) -> tuple[Array, Array]:
     """Lanczos on the flexibility: rigid motions have the eigenvalue 0 and are never found."""
     solve = elastic_flexibility(body) if fixed is None else clamped(body, fixed)
-    inverse = scipy.sparse.linalg.LinearOperator((body.order, body.order), matvec=solve, dtype=float)
-    start = solve(body.mass @ np.random.default_rng(0).standard_normal(body.order))
-    squared, shapes = scipy.sparse.linalg.eigsh(
-        body.stiffness, count, M=body.mass, sigma=0.0, OPinv=inverse, v0=start, tol=1e-13
-    )
+    found = lowest_modes(solve, body.mass, count)
+    if found is None:  # the rest of the shapes has no mass
+        inverse = scipy.sparse.linalg.LinearOperator((body.order, body.order), matvec=solve, dtype=float)
+        start = solve(body.mass @ np.random.default_rng(0).standard_normal(body.order))
+        found = scipy.sparse.linalg.eigsh(
+            body.stiffness, count, M=body.mass, sigma=0.0, OPinv=inverse, v0=start, tol=ACCURACY
+        )
+    squared, shapes = found
     order = np.argsort(squared)
     if fixed is None:
         shapes = body.remove_rigid(shapes)

@@ -25,12 +25,13 @@ from wavequake.campaign.store.retention import stored_template
 from wavequake.campaign.store.store import JOURNAL, MANIFEST, done_records, open_store, read_manifest
 from wavequake.chain.doubts import doubts
 from wavequake.errors import NoWorkersError, UserError
-from wavequake.kernels.device.devices import choose_device
+from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.prepared import one_thread, preparation_seconds
 from wavequake.registry import own_modules
 from wavequake.words import counted, lasting
 from wavequake.workflows.kinds import compared_labels, find_kind
 from wavequake.workflows.study import load_study, study_with
+from wavequake.workflows.time_limit import OutOfTimeError, time_limit
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -241,8 +242,14 @@ def _why_serial(study: Study, path: Path, workers: int | None) -> str | None:
     return None
 
 
-def plan(study: str | Path | Study) -> dict[str, str]:
+def plan(study: str | Path | Study, seconds: float | None = None) -> dict[str, str]:
     """Describe what running `study` would take: a pilot of a few cases gives the time; nothing is stored.
+
+    Parameters
+    ----------
+    study : str, Path or Study
+    seconds : float, optional
+        Say after this time what is known by then. What is prepared and kept on disk is there the next time.
 
     Examples
     --------
@@ -250,14 +257,35 @@ def plan(study: str | Path | Study) -> dict[str, str]:
     '1000 in 50 chunks of 20'
     """
     study = study if isinstance(study, Study) else load_study(study)
-    workflow, text = kind_of(study), study.identity_text()
-    cases, chunk = study.cases, chunk_of(study)
+    device = choose_device(study.campaign.device)
+    known = {"note": "", "study": f"{study.study.name} ({study.identity()[:12]})", "cases": f"{study.cases}"}
+    known["device"] = f"{device.name} ({device.kind})"
+    try:
+        with time_limit(seconds):
+            for more in _planned(study, device):
+                known |= more
+    except OutOfTimeError:
+        still = "a case of the pilot runs" if "store" in known else "what all cases share is prepared"
+        known["estimate"] = (
+            f"not known: {still} still after {seconds:.3g} s; --wait (Python: no seconds) waits"
+        )
+    return {name: words for name, words in known.items() if words}
+
+
+def _planned(study: Study, device: Device) -> Iterator[dict[str, str]]:
+    """Yield what a plan says, as soon as it is known."""
+    workflow, text, cases = kind_of(study), study.identity_text(), study.cases
     workflow.check(text)
     template = stored_template(workflow, text)
+    chunk = chunk_of(study)
     if study.campaign.until is not None:
         goal_of(study.campaign.until, template)  # says what is wrong with it
     per_case = stored_bytes(template)
-    device = choose_device(study.campaign.device)
+    yield {
+        "note": "\n".join(notices(study)),
+        "cases": f"{cases} in {counted(-(-cases // chunk), 'chunk')} of {min(cases, chunk)}",
+        "store": f"{cases * per_case / 1e6:.1f} MB, {per_case / 1e3:.1f} kB per case",
+    }
 
     def fly(pilot: int) -> None:
         ids = np.arange(cases - pilot, cases)  # the first ones may be special
@@ -267,27 +295,18 @@ def plan(study: str | Path | Study) -> dict[str, str]:
         except UserError:
             raise
         except Exception as error:
-            which = (
-                f"case of the pilot, {ids[0]}, fails"
-                if pilot == 1
-                else (f"cases of the pilot, {ids[0]} to {ids[-1]}, fail")
-            )
+            more = f"cases of the pilot, {ids[0]} to {ids[-1]}, fail"
+            which = f"case of the pilot, {ids[0]}, fails" if pilot == 1 else more
             raise UserError(f"The {which}: {type(error).__name__}: {error}.") from error
 
     each, pilot = _time_case(fly, min(cases, chunk))
-    note = "\n".join(notices(study))
-    return {
-        **({"note": note} if note else {}),
-        "study": f"{study.study.name} ({study.identity()[:12]})",
-        "cases": f"{cases} in {counted(-(-cases // chunk), 'chunk')} of {min(cases, chunk)}",
-        "device": f"{device.name} ({device.kind})",
-        "store": f"{cases * per_case / 1e6:.1f} MB, {per_case / 1e3:.1f} kB per case",
+    yield {
         "memory": f"{_peak_memory_mb():.0f} MB in the pilot's process, which is what each worker needs",
         "one case": f"{lasting(each)} in one process (pilot of {counted(pilot, 'case')}, after set-up)",
         "one chunk": _chunk_advice(cases, chunk, each),
         "estimate": f"{cases * each:.0f} s of one process",
-        **workflow.describe(text),
     }
+    yield workflow.describe(text)
 
 
 def _time_case(fly: Callable[[int], None], whole: int) -> tuple[float, int]:
