@@ -3,12 +3,15 @@
 import re
 import signal
 import stat
+import sys
 import time
 from importlib.util import find_spec
+from pathlib import Path
 
 import psutil
 import pytest
 from test_attack import attack, ports
+from test_scratch import others_may_write
 
 from wavequake.cluster.places import place_of
 
@@ -50,7 +53,10 @@ def lives(process):
 
 def test_jobs_have_the_certificate_of_the_run_and_serve_no_http(jobs):
     template = jobs / "cluster.yaml"
-    template.write_text(f"jobs: 1\nprocesses: 2\nmemory: 2 GiB\nshared_directory: {jobs}/shared\n")
+    template.write_text(
+        f"jobs: 1\nprocesses: 2\nmemory: 2 GiB\nshared_directory: {jobs}/shared\n"
+        f"local_directory: {jobs}/local\n"
+    )
     before, ctrl_c = set(ports()), signal.getsignal(signal.SIGINT)
     with place_of("slurm", template)(None, False) as client:
         client.wait_for_workers(2, timeout=30)
@@ -67,5 +73,8 @@ def test_jobs_have_the_certificate_of_the_run_and_serve_no_http(jobs):
         } | (set(ports()) - before)
         assert len(listening) == 5  # a scheduler, two nannies, two workers
         assert attack(jobs, *listening) == ""
+        for path in client.run(lambda: Path(sys.path[0])).values():
+            assert path.is_relative_to(jobs / "local")
+            assert not others_may_write(path)
     assert list((jobs / "shared").iterdir()) == []
     assert signal.getsignal(signal.SIGINT) is ctrl_c

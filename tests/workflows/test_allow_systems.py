@@ -166,6 +166,28 @@ def test_what_cannot_be_allowed_is_a_sentence(euv, keywords, message):
         allowances(study, **words)
 
 
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"cost": {"M5": 1e308}}, "cost.M5: input should be less than or equal to 1e"),
+        ({"cost": {"M5": 1e-320}}, "cost.M5: input should be greater than or equal to 1e-12"),
+        (
+            {"spectrum": {"a": {"frequency_hz": [1.0, 5.0], "psd": [1e308, 1e308]}}},
+            "psd.0: input should be less",
+        ),
+        ({"spectrum": {"a": {"frequency_hz": [1.0, 5.0], "psd": [1e-320, 0.0]}}}, "psd is zero everywhere"),
+        (
+            {"spectrum": {"a": {"frequency_hz": [1e-300, 5.0], "psd": [1.0, 1.0]}}},
+            "frequency_hz.0: input should",
+        ),
+    ],
+)
+def test_sizes_that_would_overflow_are_refused(euv, asked, message):
+    """As "anything is allowed", or levels without end, would be said of them."""
+    with pytest.raises(UserError, match=message):
+        study_with(euv, {f"allow.{key}": value for key, value in asked.items()})
+
+
 def test_motions_that_do_nothing_or_belong_to_no_element_are_sentences(euv, tmp_path):
     turning = study_with(euv, {"disturbance.mirrors.rms": {"rz_urad": 1.0}})
     with pytest.raises(UserError, match="does nothing to wfe_change: anything is allowed"):

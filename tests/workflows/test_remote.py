@@ -205,10 +205,11 @@ def test_hosts_that_ssh_reaches_give_the_bits_of_a_serial_run(tmp_path, host, ma
         ):
             with pytest.raises(OSError, match=r"certificate|address|timed out|closed"):
                 Client(address, security=security, timeout=1, set_as_default=False)
-        kept = list(Path("/tmp").glob("wavequake-*"))
-        assert len(kept) == (made == "for the run")
-        assert all(stat.S_IMODE(folder.stat().st_mode) == 0o700 for folder in kept)
-    assert list(Path("/tmp").glob("wavequake-*")) == []
+        (kept,) = Path("/tmp").glob("wavequake-run-*")
+        assert stat.S_IMODE(kept.stat().st_mode) == 0o700
+        assert (kept / "run.pem").exists() == (made == "for the run")
+        assert all(path.is_relative_to(kept) for path in client.run(lambda: Path(sys.path[0])).values())
+    assert list(Path("/tmp").glob("wavequake-run-*")) == []
     assert toy.run(tmp_path / "s", on="ssh", cluster=host).computed == 40
     toy.run(tmp_path / "serial")
     assert toy.digests(tmp_path / "s") == toy.digests(tmp_path / "serial")

@@ -14,6 +14,7 @@ from multiprocessing import forkserver, resource_tracker
 from typing import TYPE_CHECKING, Any
 
 from wavequake.cluster.certificate import make_certificate, make_security
+from wavequake.cluster.scratch import SETTING, scratch_folder
 from wavequake.errors import NoWorkersError, UserError
 
 if TYPE_CHECKING:
@@ -154,7 +155,8 @@ def local_cluster(workers: int | None = None, dashboard: bool = False) -> Iterat
 
 def settings(dashboard: bool) -> dict[str, Any]:
     """Return Dask's settings for campaigns."""
-    return SETTINGS if dashboard else SETTINGS | NO_DASHBOARD
+    ours = SETTINGS | {SETTING: scratch_folder()}
+    return ours if dashboard else ours | NO_DASHBOARD
 
 
 def _calm(scheduler: Any) -> None:

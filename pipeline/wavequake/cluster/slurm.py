@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from wavequake.cluster.certificate import certificate_file
 from wavequake.cluster.local import NO_HTTP, THREADS, UNSET, close, interrupts_blocked, settings, silence
+from wavequake.cluster.scratch import scratch_lines
 from wavequake.cluster.template import Slurm, Tls, tls_settings
 from wavequake.errors import UserError
 
@@ -73,7 +74,6 @@ def slurm_cluster(template: Slurm, workers: int | None, dashboard: bool) -> Iter
                     walltime=template.walltime,
                     interface=template.interface,
                     python=template.python or sys.executable,
-                    local_directory=template.local_directory,
                     log_directory=template.log_directory,
                     job_extra_directives=list(template.directives),
                     job_script_prologue=prologue(template),
@@ -142,9 +142,13 @@ def _wait(client: "Client", hopeless: Event) -> None:
 
 
 def prologue(template: Slurm) -> list[str]:
-    """Return what a job's script does before it starts workers: modules, and one thread for each of them."""
+    """Return what a job's script does before it starts workers.
+
+    Modules, one thread for each worker, and a folder for their files that nobody else can write.
+    """
     return [
         *(f"module load {name}" for name in template.modules),
         *(f"export {name}={value}" for name, value in THREADS.items()),
         *(f"unset {name}" for name in UNSET),
+        *scratch_lines(template.local_directory),
     ]

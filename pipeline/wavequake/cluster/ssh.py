@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from wavequake.cluster.certificate import make_certificate, make_security
 from wavequake.cluster.local import THREADS, UNSET, close, settings, silence
+from wavequake.cluster.scratch import SETTING
 from wavequake.cluster.template import Ssh, tls_paths, tls_settings
 from wavequake.errors import UserError
 
@@ -44,7 +45,7 @@ def ssh_cluster(template: Ssh, dashboard: bool) -> Iterator["Client"]:
     worker: dict[str, Any] = {"nthreads": 1, "n_workers": template.processes}
     if template.interface:
         worker["interface"] = template.interface
-    with _certificates(template) as (tls, security), dask.config.set(settings(dashboard) | tls):
+    with _on_all_hosts(template) as (own, security), dask.config.set(settings(dashboard) | own):
         try:
             cluster = SSHCluster(
                 [template.hosts[0], *template.hosts],
@@ -76,22 +77,31 @@ def ssh_cluster(template: Ssh, dashboard: bool) -> Iterator["Client"]:
 
 
 @contextmanager
-def _certificates(template: Ssh) -> Iterator[tuple[dict[str, object], "Security"]]:
-    """Yield Dask's settings for the hosts, and what this process shows to them."""
+def _on_all_hosts(template: Ssh) -> Iterator[tuple[dict[str, object], "Security"]]:
+    """Yield Dask's settings for the hosts, and what this process shows to them.
+
+    A folder on every host, which only its user can write, has Dask's files, and the certificate of the run if
+    the template names none.
+    """
     import dask
     from distributed.security import Security
 
-    if template.tls:
-        tls = tls_settings(template.tls)
-        with dask.config.set(tls):
-            security = Security()
-        yield tls, security
-        return
-    certificate = make_certificate()
-    folder = f"/tmp/wavequake-{secrets.token_hex(16)}"  # on the hosts; nobody can be there before us
-    _on_hosts(template, f"umask 077; mkdir -p {folder} && cat > {folder}/run.pem", "".join(certificate))
+    certificate = None if template.tls else make_certificate()
+    folder = f"/tmp/wavequake-run-{secrets.token_hex(16)}"
+    # Two names may mean one host, where it is there already; made by somebody else, it is refused.
+    own = f"umask 077; mkdir -p {folder} && test -O {folder} && test ! -L {folder}"
+    if certificate is None:
+        _on_hosts(template, own)
+    else:
+        _on_hosts(template, f"{own} && cat > {folder}/run.pem", "".join(certificate))
     try:
-        yield tls_paths(*[f"{folder}/run.pem"] * 3), make_security(certificate)
+        if certificate is None:
+            tls = tls_settings(template.tls)
+            with dask.config.set(tls):
+                security = Security()
+        else:
+            tls, security = tls_paths(*[f"{folder}/run.pem"] * 3), make_security(certificate)
+        yield tls | {SETTING: folder}, security
     finally:
         _on_hosts(template, f"rm -rf {folder}")
 

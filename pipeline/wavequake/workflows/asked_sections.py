@@ -12,8 +12,8 @@ STATIC, RMS = "static", "rms"
 class AllowedSpectrumSection(Section):
     """The shape of a spectrum: straight between its points, zero beyond them, of any size."""
 
-    frequency_hz: tuple[Annotated[float, Field(gt=0)], ...] = Field(min_length=2, strict=False)
-    psd: tuple[Annotated[float, Field(ge=0)], ...] = Field(
+    frequency_hz: tuple[Annotated[float, Field(ge=1e-9, le=1e9)], ...] = Field(min_length=2, strict=False)
+    psd: tuple[Annotated[float, Field(ge=0, le=1e100)], ...] = Field(
         min_length=2, strict=False, description="power spectral density at these frequencies; scale alike all"
     )
 
@@ -25,7 +25,7 @@ class AllowedSpectrumSection(Section):
             )
         if any(high <= low for low, high in zip(self.frequency_hz, self.frequency_hz[1:], strict=False)):
             raise ValueError("frequency_hz must increase")
-        if not any(self.psd):
+        if max(self.psd) < 1e-100:
             raise ValueError("psd is zero everywhere; a spectrum has power somewhere")
         return self
 
@@ -40,7 +40,7 @@ class AllowSection(Section):
     by: Literal["shares", "cost", "factor"] = Field(
         default="shares", description="equal shares, shares by cost, or what the study has, times a factor"
     )
-    cost: dict[str, Annotated[float, Field(gt=0)]] = Field(
+    cost: dict[str, Annotated[float, Field(ge=1e-12, le=1e12)]] = Field(
         default={},
         description='what it costs to halve a motion, by element, axis, or both ("M1", "rx", "M1 rx", '
         '"M* rx"); all others 1',
