@@ -45,7 +45,7 @@ actuator = "{actuator}"
         ({"keys": "gain = 0.5\nbandwidth_hz = 20"}, "controller.more: give gain or bandwidth_hz, not both"),
         ({"keys": "bandwidth_hz = 600"}, "bandwidth_hz is 600, not below half of its 1000 commands"),
         ({"keys": "mode_gains = {Z9 = 2}"}, "'tilt' has no channel 'Z9'; it has rx to ry"),
-        ({"model": "lqg"}, "'more' expects no disturbance; give lines or drift_rms"),
+        ({"model": "lqg"}, "'more' expects no disturbance; give lines, drift_rms or structure"),
         (
             {"model": "lqr", "keys": "lines = [{ hz = 0.3, rms = 1.0 }]"},
             "a line at 0.3 Hz cannot be 0.5 Hz wide; fwhm_hz must be between 3e-05 and 0.3",
@@ -143,7 +143,7 @@ def test_an_unstable_loop_is_told_by_mode_and_frequency_and_has_no_margins(tmp_p
     words = [f"{key}={json.dumps(value)}" for key, value in SMALL.items() if "vary" not in key]
     done = CliRunner().invoke(app, ["margins", str(tmp_path / "study.toml"), *words])
     assert done.exit_code == 3, done.output
-    assert "1 of 25 loops are unstable" in done.output
+    assert "1 of 29 loops are unstable" in done.output
 
 
 def test_a_case_that_diverges_alone_says_so(tmp_path, monkeypatch):

@@ -43,7 +43,12 @@ def line(center_hz: float, fwhm_hz: float, rms: float) -> Shaped:
     """Return an oscillator shaken by white noise: a line of given full width at half maximum and rms."""
     f0, w = center_hz, fwhm_hz
     width = np.sqrt(2 * f0**2 + w**2 - np.sqrt(4 * f0**4 + 2 * w**4))
-    omega, rate = 2 * np.pi * f0, 2 * np.pi * width
+    return oscillator(f0, 2 * np.pi * width, rms)
+
+
+def oscillator(hertz: float, rate: float, rms: float) -> Shaped:
+    """Return an oscillator x'' + rate x' + omega^2 x that white noise shakes; its rate is 2 zeta omega."""
+    omega = 2 * np.pi * hertz
     # x'' + rate x' + omega^2 x = k w has the variance k^2 / (2 rate omega^2).
     k = rms * np.sqrt(2 * rate) * omega
     a = np.array([[0.0, 1.0], [-(omega**2), -rate]])
@@ -92,6 +97,20 @@ class Sampled:
     variance: float
 
 
+def stepped(a: Array, g: Array, seconds: float) -> tuple[Array, Array]:
+    """Return the step of x' = A x + G w over a time, and the covariance of its noise, exactly."""
+    zero, count = np.zeros_like(a), len(a)
+    # What decays within the step would overflow backwards: shorter steps, doubled.
+    fastest = float(-np.linalg.eigvals(a).real.min()) * seconds
+    doubled = max(int(np.ceil(np.log2(fastest / _DECAYS))), 0) if fastest > 0 else 0
+    whole = expm(np.block([[-a, g @ g.T], [zero, a.T]]) * (seconds / 2**doubled))
+    step = whole[count:, count:].T
+    noise = step @ whole[:count, count:]
+    for _ in range(doubled):
+        noise, step = step @ noise @ step.T + noise, step @ step
+    return step, (noise + noise.T) / 2
+
+
 def sampled(disturbance: Shaped, frame: float) -> Sampled:
     """Return a disturbance by frames of so many seconds, exactly."""
     count = len(disturbance.a)
@@ -99,16 +118,7 @@ def sampled(disturbance: Shaped, frame: float) -> Sampled:
     a = np.zeros((count + 1, count + 1))
     a[:count, :count], a[count, :count] = disturbance.a, disturbance.c
     g = np.vstack([disturbance.g, np.zeros((1, disturbance.g.shape[1]))])
-    zero = np.zeros_like(a)
-    # What decays within a frame would overflow backwards: shorter steps, doubled.
-    fastest = float(-np.linalg.eigvals(disturbance.a).real.min()) * frame
-    doubled = max(int(np.ceil(np.log2(fastest / _DECAYS))), 0) if fastest > 0 else 0
-    whole = expm(np.block([[-a, g @ g.T], [zero, a.T]]) * (frame / 2**doubled))
-    step = whole[count + 1 :, count + 1 :].T
-    noise = step @ whole[: count + 1, count + 1 :]
-    for _ in range(doubled):
-        noise, step = step @ noise @ step.T + noise, step @ step
-    noise = (noise + noise.T) / 2
+    step, noise = stepped(a, g, frame)
     states = solve_continuous_lyapunov(disturbance.a, -disturbance.g @ disturbance.g.T)
     row, r = step[count, :count] / frame, float(noise[count, count]) / frame**2
     variance = float(disturbance.c @ states @ disturbance.c)

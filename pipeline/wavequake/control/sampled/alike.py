@@ -1,9 +1,11 @@
 """Loops of many channels of which most are alike: the few directions that matter one by one."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from wavequake.control.linear import Array, LinearModel, frequency_response
 
@@ -106,6 +108,17 @@ def coupled(channels: tuple[LinearModel, ...], sees: Array, shown: Array, drives
         b.append(one.b @ row[None])
         c.append(column[:, None] @ one.c)
     return LinearModel(whole, np.vstack(b), np.hstack(c), np.zeros(sees.shape), rigid.sample_time)
+
+
+def stacked(parts: Sequence[LinearModel]) -> LinearModel:
+    """Return models of the same inputs as one, their outputs one after the other."""
+    return LinearModel(
+        block_diag(*(one.a for one in parts)),
+        np.vstack([one.b for one in parts]),
+        block_diag(*(one.c for one in parts)),
+        np.vstack([one.d for one in parts]),
+        parts[0].sample_time,
+    )
 
 
 def sizes_of(channels: tuple[LinearModel, ...], hertz: Array) -> Complex:

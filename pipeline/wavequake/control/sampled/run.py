@@ -44,6 +44,15 @@ class Actuator:
 
 
 @dataclass(frozen=True)
+class Eye:
+    """A further sensor of a loop, of the same frames; attributes as of `Loop`."""
+
+    sees: Array
+    quantum: float = 0.0
+    sensor: Dynamics = RIGID
+
+
+@dataclass(frozen=True)
 class Loop:
     """A controller with its sensor and actuator.
 
@@ -61,6 +70,8 @@ class Loop:
         How each reading follows what is read.
     drives : ndarray, shape (K, p), or None
         How the channels move along each mode of the structure.
+    further : tuple of Eye
+        Sensors whose readings come after these.
     """
 
     timing: Timing
@@ -70,6 +81,12 @@ class Loop:
     quantum: float = 0.0
     sensor: Dynamics = RIGID
     drives: Array | None = None
+    further: tuple[Eye, ...] = ()
+
+    @property
+    def eyes(self) -> tuple[Eye, ...]:
+        """All its sensors."""
+        return (Eye(self.sees, self.quantum, self.sensor), *self.further)
 
 
 @dataclass(frozen=True)
@@ -167,7 +184,7 @@ def run(
     events : Schedule
         Of their timings.
     seen : sequence of ndarray, shape (frames, m, cases)
-        Of each loop's sensor: the mean of the disturbance over each frame, with noise.
+        Of each loop's sensors: the mean of the disturbance over each frame, with noise.
     looks : int
         Number of instants that are looked at.
     structure : sequence of Dynamics
@@ -176,8 +193,12 @@ def run(
     cases = seen[0].shape[2]
     same = SAME * min(loop.timing.frame for loop in loops)
     # Every sensor averages over its own frames what all actuators do, and what the structure answers.
-    moving = [[_channels(one, eye, same, cases) for one in loops] for eye in loops]
-    answers = [[_modes(structure, one, eye, same, cases) for one in loops if structure] for eye in loops]
+    owners = [loop for loop in loops for _ in loop.eyes]
+    eyes = [eye for loop in loops for eye in loop.eyes]
+    watched = [(eye, owner.timing.integration) for eye, owner in zip(eyes, owners, strict=True)]
+    moving = [[_channels(one, *each, same, cases) for one in loops] for each in watched]
+    answers = [[_modes(structure, one, *each, same, cases) for one in loops if structure] for each in watched]
+    starts = np.cumsum([0, *(len(loop.eyes) for loop in loops)])
     controlled = [_at_rest(loop, cases) for loop in loops]
     everything = [one for row in moving for one in row], [one for row in answers for one in row]
     count = sum(len(loop.actuator.stroke) for loop in loops) + len(structure)
@@ -190,19 +211,24 @@ def run(
                     one.elapsed += events.lengths[length]
                 for mode in everything[1]:
                     mode.elapsed += events.lengths[length]
-            mine, own, answer = controlled[index], moving[index], answers[index]
+            mine, places = controlled[index], range(starts[index], starts[index + 1])
             if kind == LOOK:
                 positions[look] = _joined(
                     [one.position() for one in moving[0]], [mode.position() for mode in answers[0]]
                 )
                 look += 1
             elif kind == OPEN:
-                for one in own:
-                    one.open()
-                for mode in answer:
-                    mode.open()
+                for place in places:
+                    for one in moving[place]:
+                        one.open()
+                    for mode in answers[place]:
+                        mode.open()
             elif kind == READ:
-                _read(mine, _joined([one.mean() for one in own], [one.mean() for one in answer]), seen[index])
+                means = [
+                    _joined([one.mean() for one in moving[place]], [one.mean() for one in answers[place]])
+                    for place in places
+                ]
+                _read(mine, means, seen[index])
                 if mine.frame % mine.loop.timing.frames == 0:
                     limited += _command(mine)
                     total += len(mine.given)
@@ -232,18 +258,21 @@ class _Controlled:
 
 def _at_rest(loop: Loop, cases: int) -> _Controlled:
     given = np.zeros((len(loop.actuator.stroke), cases))
-    return _Controlled(loop, start(loop.regulator, cases), np.zeros((len(loop.sees), cases)), given)
+    readings = sum(len(eye.sees) for eye in loop.eyes)
+    return _Controlled(loop, start(loop.regulator, cases), np.zeros((readings, cases)), given)
 
 
-def _channels(loop: Loop, eye: Loop, same: float, cases: int) -> Channels:
-    own, when = loop.actuator, eye.timing.integration
-    return channels(own.dynamics, own.stuck, eye.sensor, when, same, cases)
+def _channels(loop: Loop, eye: Eye, integration: float, same: float, cases: int) -> Channels:
+    own = loop.actuator
+    return channels(own.dynamics, own.stuck, eye.sensor, integration, same, cases)
 
 
-def _modes(structure: Sequence[Dynamics], loop: Loop, eye: Loop, same: float, cases: int) -> Modes:
+def _modes(
+    structure: Sequence[Dynamics], loop: Loop, eye: Eye, integration: float, same: float, cases: int
+) -> Modes:
     assert loop.drives is not None
-    when = eye.timing.integration
-    return answering(structure, loop.drives, loop.actuator.dynamics, eye.sensor, when, same, cases)
+    own = loop.actuator.dynamics
+    return answering(structure, loop.drives, own, eye.sensor, integration, same, cases)
 
 
 def _joined(channels: list[Array], modes: list[Array]) -> Array:
@@ -251,11 +280,15 @@ def _joined(channels: list[Array], modes: list[Array]) -> Array:
     return np.concatenate([*channels, *([np.sum(modes, axis=0)] if modes else [])])
 
 
-def _read(one: _Controlled, means: Array, seen: Array) -> None:
-    reading = seen[one.frame] + one.loop.sees @ means
-    if one.loop.quantum:
-        reading = one.loop.quantum * np.round(reading / one.loop.quantum)
-    one.readings += reading / one.loop.timing.frames
+def _read(one: _Controlled, means: list[Array], seen: Array) -> None:
+    first = 0
+    for eye, moved in zip(one.loop.eyes, means, strict=True):
+        last = first + len(eye.sees)
+        reading = seen[one.frame, first:last] + eye.sees @ moved
+        if eye.quantum:
+            reading = eye.quantum * np.round(reading / eye.quantum)
+        one.readings[first:last] += reading / one.loop.timing.frames
+        first = last
     one.frame += 1
 
 

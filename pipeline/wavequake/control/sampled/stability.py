@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wavequake.control.linear import Array, LinearModel, frequency_response
 from wavequake.control.robustness.margins import Margins
-from wavequake.control.sampled.alike import Parts, apart, coupled, sizes_of
+from wavequake.control.sampled.alike import Parts, apart, coupled, sizes_of, stacked
 from wavequake.control.sampled.channel import Dynamics, Timing, in_series, sampled_channel
 from wavequake.control.sampled.margins import LoopGain, gain_margins, pole_grid
 from wavequake.control.sampled.regulator import Regulator, model_of
@@ -23,6 +23,15 @@ Complex = NDArray[np.complex128]
 _ALIKE = 1e-9
 # Squares of what W gives below this share of the largest are rounding.
 _UNUSED = 1e-13
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What a further sensor reads; attributes as of `SampledLoop`, its dynamics with the actuator's."""
+
+    dynamics: Dynamics
+    sees: Array
+    shown: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -40,6 +49,8 @@ class SampledLoop:
         How each of K modes of a structure answers what moves along it.
     drives, shown : ndarray, shapes (K, p) and (m, K), or None
         How positions move along modes, and readings with them.
+    further : tuple of Sight
+        Sensors whose readings come after these; their regulator shares no filter.
     """
 
     timing: Timing
@@ -49,6 +60,13 @@ class SampledLoop:
     structure: tuple[Dynamics, ...] = ()
     drives: Array | None = None
     shown: Array | None = None
+    further: tuple[Sight, ...] = ()
+
+    def parts(self) -> "tuple[SampledLoop, ...]":
+        """Return the loop as each of its sensors sees it."""
+        own = replace(self, further=())
+        others = (replace(own, dynamics=one.dynamics, sees=one.sees, shown=one.shown) for one in self.further)
+        return (own, *others)
 
     def modes(self) -> tuple[Array, Array]:
         """Return readings per mode of the structure (m, K) and modes per position (K, p)."""
@@ -76,7 +94,7 @@ class Worst:
 
 def plant_model(loop: SampledLoop) -> LinearModel:
     """Return the plant from commands (p,) to mean readings (m,) by periods; strictly proper."""
-    return coupled(loop.channels(), loop.sees, *loop.modes())
+    return stacked([coupled(one.channels(), one.sees, *one.modes()) for one in loop.parts()])
 
 
 def controller_model(loop: SampledLoop) -> LinearModel:
@@ -150,7 +168,7 @@ def _closed(loop: SampledLoop, parts: Parts | None) -> _Closed:
 
 def _parts(loop: SampledLoop) -> Parts | None:
     """Return what is alike of a loop whose channels share a filter; None if they do not."""
-    if not loop.regulator.shared:
+    if loop.further or not loop.regulator.shared:
         return None
     shown, drives = loop.modes()
     through = loop.regulator.decoupling
@@ -212,12 +230,14 @@ def _loop_gain(loop: SampledLoop, parts: Parts | None) -> LoopGain:
     channels, period = loop.channels(), loop.timing.period
     if parts is None:
         model = model_of(loop.regulator, period)
-        shown, drives = loop.modes()
+
+        def plant(one: SampledLoop, hertz: Array) -> Complex:
+            sizes, (shown, drives) = sizes_of(one.channels(), hertz)[:, None], one.modes()
+            return np.asarray(one.sees * sizes[..., :1] + (shown * sizes[..., 1:]) @ drives)
 
         def full(hertz: Array) -> Complex:
-            sizes = sizes_of(channels, hertz)[:, None]
-            plant = loop.sees * sizes[..., :1] + (shown * sizes[..., 1:]) @ drives
-            return np.asarray(-frequency_response(model, 2 * np.pi * hertz) @ plant)
+            seen = np.concatenate([plant(one, hertz) for one in loop.parts()], axis=1)
+            return np.asarray(-frequency_response(model, 2 * np.pi * hertz) @ seen)
 
         return LoopGain(
             lambda hertz: np.asarray(np.linalg.eigvals(full(hertz)), dtype=np.complex128),
@@ -254,7 +274,7 @@ def sampled_margins(loop: SampledLoop) -> Margins:
     closed = _closed(loop, parts)
     if parts is None:
         values = np.linalg.eigvals(closed.controller.a).astype(complex)
-        if loop.structure:
+        if loop.structure or loop.further:
             values = np.concatenate([values, *closed.poles(1.0)])
     else:
         values = np.concatenate(closed.poles(1.0))

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from wavequake.campaign.schema import Section
 from wavequake.chain.loops.block import Controller, Design, decoupling, register
-from wavequake.control.frames.disturbance import Shaped, joined, line
+from wavequake.control.frames.disturbance import Shaped, joined, line, oscillator
 from wavequake.control.linear import LinearModel
 from wavequake.control.sampled.filters import drift, lqg
 from wavequake.control.sampled.regulator import Regulator, shared_filter
@@ -105,7 +105,7 @@ def shaken_lines(asked: Design, modes: int | None = None) -> list[Shaped]:
     if not seen.any():
         raise UserError(f"{where}: the sensor {asked.sensor!r} sees no [[mode]] block shaken; set rms_nm.")
     return [
-        line(hertz, max(2 * zeta, _SHARPEST) * hertz, size)
+        oscillator(hertz, 4 * np.pi * zeta * hertz, size)
         for hertz, zeta, size in zip(
             asked.shaken.hertz[seen], asked.shaken.zeta[seen], rms[seen], strict=True
         )
