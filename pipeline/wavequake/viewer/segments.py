@@ -18,6 +18,7 @@ from wavequake.optics.segments.layout import is_monolithic
 from wavequake.optics.segments.parent import parent_system
 from wavequake.optics.segments.prepared import chief_rays, trace_states
 from wavequake.optics.segments.states import rest
+from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.optics.segments.wavefront import analyse
 from wavequake.optics.shapes.sag import shape_sag
 from wavequake.report.campaign import device_at_hand
@@ -67,11 +68,16 @@ def _worst(dataset: xr.Dataset) -> list[int]:
 
 
 def stage_of_telescope(bench: Bench) -> Stage:
-    """Return the telescope with a body for every segment; what follows M1 stands still.
+    """Return the telescope with a body for every segment; those that have figures are of triangles."""
+    stage = stage_of_segments(bench.system)
+    return (
+        _bending(bench, stage) if bench.figure_terms and not is_monolithic(bench.system.segments) else stage
+    )
 
-    Segments that have figures are of triangles, which deform.
-    """
-    whole, segments = stage_of(telescope_scene(bench.system)), bench.system.segments
+
+def stage_of_segments(system: SegmentedTelescope) -> Stage:
+    """Return a telescope with a body for every segment; what follows M1 stands still."""
+    whole, segments = stage_of(telescope_scene(system)), system.segments
     points, pivots = whole.points * TO_SKY, whole.pivots * TO_SKY
     body, names, axes = whole.body, whole.names, np.array(whole.axes)
     if not is_monolithic(segments):
@@ -82,15 +88,14 @@ def stage_of_telescope(bench: Bench) -> Stage:
         pivots = np.concatenate([segments.centers * TO_SKY / MM_PER_M, pivots[1:]])
         axes = np.concatenate([segments.axes, axes[1:]])
     # What follows M1 moves in the frame of M1, whose z axis is along the light, about its vertices.
-    places = {surface.name: surface.position * TO_SKY / MM_PER_M for surface in bench.system.surfaces}
+    places = {surface.name: surface.position * TO_SKY / MM_PER_M for surface in system.surfaces}
     for number, name in enumerate(names):
         if name in places:
             pivots[number], axes[number] = places[name], np.diag(TO_SKY)
     lines = tuple((color, line * TO_SKY) for color, line in whole.lines)
     labels = tuple((name, point * TO_SKY) for name, point in whole.labels)
     up = np.array([0.0, 0.0, 1.0])
-    stage = Stage(points, whole.faces, body, whole.colors, names, pivots, axes, lines, labels, up)
-    return _bending(bench, stage) if bench.figure_terms and not is_monolithic(segments) else stage
+    return Stage(points, whole.faces, body, whole.colors, names, pivots, axes, lines, labels, up)
 
 
 def _bending(bench: Bench, stage: Stage) -> Stage:

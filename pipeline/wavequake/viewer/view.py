@@ -19,6 +19,7 @@ from wavequake.viewer import (
     loops,
     mirrors,
     reduced_segments,
+    segment_controls,
     segments,
     sights,
     sweeps,
@@ -45,6 +46,7 @@ _MAKERS: Mapping[str, sweeps.Maker] = {
     "lens-experiment": lenses.film_of,
     "lens-passive": lenses.film_of,
     "controller-mor": loops.film_of,
+    "segment-control": segment_controls.film_of,
     "telescope-loop": telescope_loops.film_of,
     "tip-tilt-vibration": sights.film_of,
 }
