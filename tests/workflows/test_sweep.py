@@ -22,6 +22,7 @@ from wavequake.report import plain, sweeps
 from wavequake.report.campaign import report_store
 from wavequake.report.mirrors import swept as variants
 from wavequake.report.mirrors.variants import largest
+from wavequake.report.table import number
 from wavequake.workflows import kinds
 from wavequake.workflows import sweep as swept
 from wavequake.workflows.kinds import compared_labels
@@ -316,6 +317,8 @@ def test_the_answer_of_variants_names_the_smallest_that_is_enough_at_every_point
     assert "to 36 (craigb36 at" in words
     none = variants.answer(judged(min(fine) / 2))
     assert none.startswith("circular: no variant keeps the wavefront error below")
+    least = min(shares, key=lambda key: shares[key] or np.inf)
+    assert f"at any point; the least is {number(100 * shares[least])} % ({least[2]} at" in none
     assert "At single" not in none
     some = variants.answer(judged((min(fine) + max(fine)) / 2))
     assert "no variant keeps" in some

@@ -108,8 +108,10 @@ def answer(points: Sequence[Point]) -> str:
                 f"{name}: {everywhere.variant} ({everywhere.order} coordinates) is the smallest variant that "
                 f"keeps {what} at {_all(judged)}."
             )
-        else:
+        elif any(one.model.enough for one in judged):
             words.append(f"{name}: no variant keeps {what} at {_all(judged)}.")
+        else:
+            words.append(f"{name}: no variant keeps {what} at any point; {_nearest(judged)}.")
         known = [one for one in judged if one.model.enough is not None]
         orders = {one.model.enough.order for one in known if one.model.enough is not None}
         if len(orders) > 1:
@@ -137,6 +139,13 @@ def _all(points: Sequence[Point]) -> str:
     if len(points) > 1:
         return f"all {len(points)} points"
     return f"the one point that is done, {points[0].place()}"
+
+
+def _nearest(points: Sequence[Point]) -> str:
+    error, name, place = min(
+        (largest(one, at.criterion), one.variant, at.place()) for at in points for one in at.model.variants
+    )
+    return f"the least is {worded(error, points[0].criterion)} ({name} at {place})"
 
 
 def _order(point: Point) -> float:
