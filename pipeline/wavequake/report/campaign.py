@@ -48,6 +48,14 @@ def _report_of(workflow: str) -> ModuleType:
     return import_module(f"wavequake.report.{_REPORTS.get(workflow, 'plain')}")
 
 
+def load(workflow: str) -> None:
+    """Import what the reports of a kind of study need, most of which is what draws."""
+    with suppress(ImportError):  # said where the report is written
+        _report_of(workflow)
+        import_module("matplotlib.backends.backend_svg")
+        import_module("wavequake.report.page")
+
+
 def report_path(store: Path) -> Path:
     """Return where the report of a store is."""
     return Path(store) / REPORT
