@@ -230,3 +230,12 @@ def test_progress_comes_to_the_one_who_asks(tmp_path):
     )
     assert told[-1] == (8, 8, 0)
     assert json.loads((tmp_path / "s" / "manifest.json").read_text())["cases"] == 8
+
+
+def test_a_response_that_takes_long_says_so(monkeypatch, capsys):
+    mirror, shaker = wq.load_model("circular", core=2, rings=2), {"kind": "sinusoid", "frequency_hz": 300.0}
+    wq.respond(mirror, shaker)
+    assert not capsys.readouterr().err
+    monkeypatch.setattr("wavequake.doors.models._LONG", 100)
+    wq.respond(mirror, shaker)
+    assert f"all {mirror.order} modes of circular mirror are computed, some 0 s" in capsys.readouterr().err

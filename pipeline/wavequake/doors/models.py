@@ -1,5 +1,6 @@
 """Finite-element models in one call each: load, shake, and as a plant for control software."""
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from wavequake.campaign.schema import Study
     from wavequake.mechanics.model import FiniteElementModel, Model
     from wavequake.mechanics.vibration.state_space import StateSpace
+
+# A model of more coordinates is told how long all its modes take; times their third power, s.
+_LONG, _FOR_ALL_S = 1500, 1.3e-9
 
 
 def load_model(file: str | Path, **keywords: Any) -> "FiniteElementModel":
@@ -95,7 +99,7 @@ def respond(
     import xarray as xr
 
     from wavequake.mechanics.vibration.excitations import AnyExcitation, drive_of
-    from wavequake.mechanics.vibration.modal import modal_model
+    from wavequake.mechanics.vibration.modal import LARGEST, modal_model
     from wavequake.mechanics.vibration.response import displacements
     from wavequake.mechanics.vibration.response import respond as response_of
 
@@ -109,6 +113,9 @@ def respond(
         raise UserError(f"{duration} s in steps of {step} s are no instants; the step must be the shorter.")
     time = np.arange(round(duration / step) + 1, dtype=np.float64) * step
     drive = drive_of(wanted, len(model.interfaces), time)
+    if _LONG < (order := model.mass.shape[0]) <= LARGEST:
+        words = f"all {order} modes of {model.name} are computed, some {_FOR_ALL_S * order**3:.0f} s"
+        print(f"Wavequake responds: {words}; wavequake.reduce makes smaller models.", file=sys.stderr)
     found = response_of(modal_model(model, drive.prescribed), [drive], time)
     moved = displacements(found, model.surface)[0].reshape(len(time), -1, 3)
     nodes = model.nodes[model.surface_nodes]
