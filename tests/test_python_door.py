@@ -238,4 +238,4 @@ def test_a_response_that_takes_long_says_so(monkeypatch, capsys):
     assert not capsys.readouterr().err
     monkeypatch.setattr("wavequake.doors.models._LONG", 100)
     wq.respond(mirror, shaker)
-    assert f"all {mirror.order} modes of circular mirror are computed, some 0 s" in capsys.readouterr().err
+    assert f"all {mirror.order} modes of circular mirror are computed, some 1 s" in capsys.readouterr().err
