@@ -1,5 +1,6 @@
 """The study of edge-sensor loops on a structure, with 18 segments: limits, residuals, bad input."""
 
+import dataclasses
 import tomllib
 from itertools import pairwise
 from pathlib import Path
@@ -12,7 +13,7 @@ import wavequake as wq
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.spectra import resonance
-from wavequake.report.loops.segment_control import answer, bandwidths_of, row_of
+from wavequake.report.loops.segment_control import answer, bandwidths_of, row_of, rows_of
 from wavequake.workflows.loops import segment_control, segment_control_bench
 from wavequake.workflows.loops.loop_margins import loop_named, loops_of
 from wavequake.workflows.loops.segment_control_bench import bench_of, loop_of
@@ -121,6 +122,9 @@ def test_a_run_says_how_fast_and_what_remains(tmp_path, drawn):
     assert "With 1 draw of errors" in words
     slow, fast = bandwidths_of(dataset)
     assert row_of(fast)["unstable"] == ("", "")
+    grows = dataclasses.replace(fast, growth=2.0)
+    assert "unstable" not in rows_of([slow, fast])[0]  # no column of nothing
+    assert [row["unstable"][0] for row in rows_of([slow, grows])] == ["", "2.00 1/s"]
     assert slow.total > fast.total
     assert "<path" in (wq.report(tmp_path / "s")).read_text()
 

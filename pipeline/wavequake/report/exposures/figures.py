@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -70,7 +71,7 @@ def line_of_sight(time_ms: Array, tracks: Mapping[str, Array], unit: str) -> Fig
             axes.plot(time_ms, track[:, place], label=name, **_style(number))
         axes.set_ylabel(f"line of sight {'xy'[place]} ({unit})")
     axes.set_xlabel("time (ms)")
-    axes.legend(fontsize=7.5)
+    _legend_above(figure, axes)
     return figure
 
 
@@ -84,8 +85,13 @@ def wavefront_error(time_ms: Array, histories: Mapping[str, Array]) -> Figure:
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("time (ms)")
     axes.set_ylabel("wavefront error rms, j ≥ 4 (nm)")
-    axes.legend(fontsize=7.5)
+    _legend_above(figure, axes)
     return figure
+
+
+def _legend_above(figure: Figure, axes: Axes) -> None:
+    """Name the curves outside: histories fill their panels."""
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", fontsize=7.5, ncols=3)
 
 
 def _style(number: int) -> dict[str, Any]:

@@ -119,9 +119,16 @@ def row_of(one: Bandwidth) -> dict[str, tuple[str, str]]:
     }
 
 
+def rows_of(loops: Sequence[Bandwidth]) -> list[dict[str, tuple[str, str]]]:
+    """Return the rows of loops; how one grows is said where one does."""
+    rows = [row_of(one) for one in loops]
+    empty = {"unstable"} if all(one.stable for one in loops) else set()
+    return [{name: cell for name, cell in row.items() if name not in empty} for row in rows]
+
+
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
-    rows = [row_of(one) for one in bandwidths_of(dataset)]
+    rows = rows_of(bandwidths_of(dataset))
     table = Table(box=SIMPLE_HEAD, caption=answer(dataset), caption_justify="left")
     for header in rows[0]:
         table.add_column(header.replace(" ", "\n", 1), justify="right", no_wrap=True)
@@ -137,7 +144,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     focus, others = float(dataset["multiplier"][0]), float(dataset["multiplier_rest"])
     page = Page(
         answer=answer(dataset),
-        table=[row_of(one) for one in loops],
+        table=rows_of(loops),
         small_print="Surface rms over all segments; the wavefront is twice as large.",
         overview=[
             picture(
