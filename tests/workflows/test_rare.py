@@ -11,7 +11,7 @@ from wavequake.campaign.rare.certificate import estimated
 from wavequake.campaign.rare.splitting import probability
 from wavequake.campaign.statistics.tail import fit_tail, rare_value
 from wavequake.errors import UserError
-from wavequake.mechanics.disturbances.gaussian import gaussian_motions
+from wavequake.mechanics.disturbances.gaussian import NotGaussianError, gaussian_motions
 from wavequake.report.answers.accuracy import plan_accuracy
 from wavequake.report.answers.errors import store_errors
 from wavequake.report.answers.rare import in_unit, rare_answer, rare_notes
@@ -250,6 +250,21 @@ def test_what_is_no_sum_is_refused_before_it_is_drawn_with_each_of_its_numbers()
     with pytest.raises(UserError, match="no sums of Gaussian numbers"):
         gaussian_motions("phases", rows, np.linspace(0.0, 1.0, 5))
     assert len(calls) < 10
+
+
+@pytest.mark.parametrize(
+    ("bent", "said"),
+    [(np.abs, "tail` takes any disturbance"), (np.positive, "draws 131072 numbers for 5 instants, too many")],
+)
+def test_of_very_many_numbers_it_is_said_first_whether_they_are_sums(bent, said):
+    """Fewer instants would not help gusts, whose frequencies are random."""
+
+    def rows(streams, time):
+        drawn = streams("x").standard_normal(2**17)[: len(time) * 600]
+        return bent(drawn).reshape(len(time), 600)
+
+    with pytest.raises(NotGaussianError, match=said):
+        gaussian_motions("many", rows, np.linspace(0.0, 1.0, 5))
 
 
 def test_other_studies_are_refused():

@@ -20,7 +20,7 @@ _LINEAR = 1e-6  # share by which a sum of numbers may miss what is drawn
 
 
 class NotGaussianError(UserError):
-    """The motions of a disturbance are no sums of Gaussian numbers."""
+    """The motions of a disturbance are no sums of Gaussian numbers, or of too many to look at each."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ def gaussian_motions(name: str, rows: Rows, time: Array) -> GaussianMotions:
     Raises
     ------
     NotGaussianError
-        If they are no such sums.
+        If they are no such sums, or of too many numbers.
     UserError
-        If they are too many, or nothing moves.
+        If nothing moves.
     """
     counters: dict[str, Coordinates] = {}
     rows(lambda stream: counters.setdefault(stream, Coordinates()), time)
@@ -68,11 +68,6 @@ def gaussian_motions(name: str, rows: Rows, time: Array) -> GaussianMotions:
     wanted = rows(_streams(streams, everything, trial), time)
     if (wanted == wanted[0]).all():  # constant over the instants
         time, wanted = time[:1], wanted[:1]
-    if total * wanted.size > _MOST_ENTRIES:
-        raise UserError(
-            f"A case of {name!r} draws {total} numbers for {len(time)} instants, too many for rare events; "
-            "take fewer instants."
-        )
     rest = rows(_streams(streams, everything, np.zeros(total)), time)
     scale = np.abs(wanted).max(axis=0)
 
@@ -80,20 +75,31 @@ def gaussian_motions(name: str, rows: Rows, time: Array) -> GaussianMotions:
         if not (np.abs(missed) <= _LINEAR * np.where(scale > 0.0, scale, 1.0)).all():
             raise NotGaussianError(
                 f"The motions of the disturbance {name!r} are no sums of Gaussian numbers (uniform "
-                "amplitudes, or random frequencies and phases), which rare events need."
+                "amplitudes, or random frequencies and phases), which rare events need; `wavequake tail` "
+                "takes any disturbance."
             )
 
     # What is no sum shows it here, before it is drawn with each of its numbers, which may be thousands.
     require_sum(rows(_streams(streams, everything, -trial), time) - rest + wanted - rest)
+    if total * wanted.size > _MOST_ENTRIES:
+        raise _too_many(name, total, len(time))
     columns = np.empty((total, *rest.shape))
     for number, column in enumerate(columns):
         column[...] = rows(_streams(streams, everything[number : number + 1], np.ones(1)), time) - rest
     require_sum(rest + np.tensordot(trial, columns, 1) - wanted)
     moving = np.flatnonzero(columns.any(axis=(1, 2)))
-    if not 0 < len(moving) <= _MOST_NUMBERS:
-        words = "nothing" if not len(moving) else f"by {len(moving)} numbers, more than {_MOST_NUMBERS}"
-        raise UserError(f"The disturbance {name!r} moves {words}: there are no rare events of it.")
+    if not len(moving):
+        raise UserError(f"The disturbance {name!r} moves nothing: there are no rare events of it.")
+    if len(moving) > _MOST_NUMBERS:
+        raise _too_many(name, len(moving), len(time))
     return GaussianMotions(streams, moving, rest, columns[moving])
+
+
+def _too_many(name: str, numbers: int, instants: int) -> NotGaussianError:
+    return NotGaussianError(
+        f"A case of {name!r} draws {numbers} numbers for {instants} instants, too many for rare events; take "
+        "fewer instants, or `wavequake tail`."
+    )
 
 
 def _streams(streams: tuple[tuple[str, int], ...], moving: NDArray[np.int64], numbers: Array) -> Streams:
