@@ -5,8 +5,8 @@ import pytest
 from small_loops import LIGHT, first_case, written
 
 from wavequake.chain.loops.actuators.m2_influence import InfluencedM2
-from wavequake.chain.loops.block import Design
 from wavequake.chain.loops.controllers.state_space import StateSpace
+from wavequake.chain.loops.design import Design, Watch
 from wavequake.chain.loops.sensors.accelerometer import Accelerometers
 from wavequake.chain.loops.sensors.displacement import DisplacementSensors
 from wavequake.control.sampled.channel import RIGID, Timing
@@ -249,7 +249,9 @@ def test_loops_that_are_stable_alone_but_not_together_are_refused(tmp_path):
 
 def test_a_matrix_alone_is_a_controller_without_states():
     given = StateSpace(name="c", d=((-0.1, 0.0), (0.05, -0.2)))
-    asked = Design("c", "s", "a", ("x", "y"), ("p", "q"), np.eye(2), 1.0, RIGID, RIGID, Timing(1, 1, 1, 0))
+    nothing = np.zeros((2, 0))
+    watch = Watch("s", ("x", "y"), np.eye(2), 1.0, RIGID, nothing, nothing)
+    asked = Design("c", "a", (watch,), ("p", "q"), RIGID, Timing(1, 1, 1, 0), None, (), nothing.T)
     regulator = given.design(asked)
     commands = advance(regulator, start(regulator, 1), np.array([[1.0], [2.0]]))[1]
     np.testing.assert_allclose(commands, [[-0.1], [-0.35]], rtol=1e-15)
