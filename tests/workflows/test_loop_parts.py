@@ -119,7 +119,7 @@ def response(dynamics, hertz):
 
 def surface(actuator, commands, x, y):
     states = rest(1, 18, 2, mirror_terms=actuator.terms)
-    actuator.put(states, np.array([commands]))
+    actuator.put(LIGHT, states, np.array([commands]))
     return annular_zernike(x, y, actuator.terms) @ states.mirror_figure[0, 0] * 1e6
 
 

@@ -133,7 +133,7 @@ class Actuator(Section):
         """Return the names of its p channels."""
 
     @abstractmethod
-    def put(self, states: SurfaceStates, positions: Array) -> None:
+    def put(self, light: Light, states: SurfaceStates, positions: Array) -> None:
         """Add positions (batch, p) to the first instants of a telescope's states."""
 
     def own_modes(self) -> OwnModes | None:

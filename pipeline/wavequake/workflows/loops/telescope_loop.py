@@ -168,7 +168,7 @@ def states_of(
     first = 0
     for actuator in one.actuators:
         last = first + len(actuator.channels(bench.optics.light))
-        actuator.put(states, positions[chosen, first:last])
+        actuator.put(bench.optics.light, states, positions[chosen, first:last])
         first = last
     put_all(one.answers, states, positions[chosen, first:])
     return states

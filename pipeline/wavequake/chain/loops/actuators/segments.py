@@ -32,7 +32,7 @@ class SegmentActuators(Actuator):
         """Return the degree of freedom and the segment, one degree of freedom after the other."""
         return tuple(f"{dof}[{name}]" for dof in self.dofs for name in light.layout.names)
 
-    def put(self, states: SurfaceStates, positions: NDArray[np.float64]) -> None:
+    def put(self, light: Light, states: SurfaceStates, positions: NDArray[np.float64]) -> None:
         """Add positions to the motions of the segments."""
         count, segments = len(positions), states.segment_motion.shape[1]
         for index, dof in enumerate(self.segment_dofs):
