@@ -137,6 +137,7 @@ RINGING = {
     "actuator.figure.terms": 15,
     "controller.tilt.vary": {"bandwidth_hz": [15.0]},
     "controller.tilt-lqg.vary": {"latency_frames": [1.0]},
+    "controller.tilt-both.vary": {"latency_frames": [0.5]},
     "controller.figure.vary": {"bandwidth_hz": [15.0]},
     "controller.figure-lqg.vary": {"latency_frames": [0.5]},
 }

@@ -9,6 +9,8 @@ from wavequake.control.linear import frequency_response
 from wavequake.control.sampled.channel import RIGID, Timing, acceleration, first_order, recoil
 from wavequake.control.sampled.filters import lqg
 from wavequake.control.sampled.fusion import Known, Seen, fused, plant_of
+from wavequake.control.sampled.regulator import whole
+from wavequake.control.sampled.run import Actuator, Eye, Loop, run, schedule
 from wavequake.errors import UserError
 
 HERTZ, ZETA, RMS = (6.0, 11.0), (0.03, 0.06), (2.0, 1.5)
@@ -115,3 +117,29 @@ def test_what_cannot_be_designed_is_said(integration, noise, words):
     known = Known(expected.a, expected.g, expected.c[None])
     with pytest.raises(UserError, match=words):
         fused(known, [one], RIGID, Timing(PERIOD, integration * PERIOD, 1, 0.0), (), np.zeros((0, 1)))
+
+
+def test_a_run_with_two_sensors_is_that_of_the_models_by_periods():
+    """Events with a lagging sensor and a quick one, against one matrix per period."""
+    expected, timing = line(9.0, 0.5, 2.0), Timing(PERIOD, PERIOD, 1, 0.0)
+    mode, drives = recoil(14.0, 0.05), np.array([[0.4]])
+    slow, fast = first_order(40.0), RIGID
+    seen = [
+        Seen(expected.c[None], np.eye(1), np.ones((1, 1)), slow, 0.3),
+        Seen(0.5 * expected.c[None], np.array([[0.7]]), np.array([[0.2]]), fast, 0.2),
+    ]
+    known = Known(expected.a, expected.g, expected.c[None])
+    own = fused(known, seen, RIGID, timing, [mode], drives)
+    plant = plant_of(seen, RIGID, timing, [mode], drives)
+    read = np.random.default_rng(5).standard_normal((30, 2, 1))
+    free = Actuator(RIGID, np.array([np.inf]), np.inf, np.array([np.nan]))
+    further = (Eye(np.array([[0.7, 0.2]]), 0.0, fast),)
+    loop = Loop(timing, whole(own), free, np.ones((1, 2)), 0.0, slow, drives, further)
+    looks = (np.arange(1, 31) + 0.5) * PERIOD
+    got = run([loop], schedule([timing], looks), [read], 30, [mode]).positions[:, 0, 0]
+    z, x, commands = np.zeros(len(plant.a)), np.zeros(len(own.a)), []
+    for one in read[..., 0]:
+        y = plant.c @ z + one
+        commands.append(own.c @ x + own.d @ y)
+        x, z = own.a @ x + own.b @ y, plant.a @ z + plant.b @ commands[-1]
+    np.testing.assert_allclose(got, np.ravel(commands), rtol=1e-9, atol=1e-12)

@@ -2,14 +2,16 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from small_loops import LIGHT, first_case, written
 
 from wavequake.chain.loops.actuators.m2_influence import InfluencedM2
-from wavequake.chain.loops.block import Design
+from wavequake.chain.loops.actuators.segments import SegmentActuators
 from wavequake.chain.loops.controllers.state_space import StateSpace
+from wavequake.chain.loops.design import Design, Watch
 from wavequake.chain.loops.sensors.accelerometer import Accelerometers
 from wavequake.chain.loops.sensors.displacement import DisplacementSensors
-from wavequake.control.sampled.channel import RIGID, Timing
+from wavequake.control.sampled.channel import RIGID, Timing, step_over
 from wavequake.control.sampled.regulator import advance, start
 from wavequake.control.sampled.stability import SampledLoop, worst_pole
 from wavequake.errors import UserError
@@ -119,7 +121,7 @@ def response(dynamics, hertz):
 
 def surface(actuator, commands, x, y):
     states = rest(1, 18, 2, mirror_terms=actuator.terms)
-    actuator.put(states, np.array([commands]))
+    actuator.put(LIGHT, states, np.array([commands]))
     return annular_zernike(x, y, actuator.terms) @ states.mirror_figure[0, 0] * 1e6
 
 
@@ -249,8 +251,40 @@ def test_loops_that_are_stable_alone_but_not_together_are_refused(tmp_path):
 
 def test_a_matrix_alone_is_a_controller_without_states():
     given = StateSpace(name="c", d=((-0.1, 0.0), (0.05, -0.2)))
-    asked = Design("c", "s", "a", ("x", "y"), ("p", "q"), np.eye(2), 1.0, RIGID, RIGID, Timing(1, 1, 1, 0))
+    nothing = np.zeros((2, 0))
+    watch = Watch("s", ("x", "y"), np.eye(2), 1.0, RIGID, nothing, nothing)
+    asked = Design("c", "a", (watch,), ("p", "q"), RIGID, Timing(1, 1, 1, 0), None, (), nothing.T)
     regulator = given.design(asked)
     commands = advance(regulator, start(regulator, 1), np.array([[1.0], [2.0]]))[1]
     np.testing.assert_allclose(commands, [[-0.1], [-0.35]], rtol=1e-15)
     assert worst_pole(SampledLoop(asked.timing, RIGID, asked.sees, regulator)).growth < 0
+
+
+def test_a_segment_on_a_spring_moves_as_newton_says():
+    """A step of the command: servo, spring and damper integrated by DOP853."""
+    kg, stiffness, zeta, servo = 150.0, 10e6, 0.02, 20.0
+    one = SegmentActuators(
+        name="a", stiffness_n_um=10.0, segment_kg=kg, damping=zeta, bandwidth_hz=servo
+    ).dynamics()
+    damper = 2 * zeta * np.sqrt(stiffness * kg)
+
+    def rates(_, x):
+        foot, place, speed = x
+        return [2 * np.pi * servo * (1.0 - foot), speed, (stiffness * (foot - place) - damper * speed) / kg]
+
+    for seconds in (0.003, 0.02, 0.3):
+        wanted = solve_ivp(rates, (0, seconds), np.zeros(3), "DOP853", rtol=1e-11, atol=1e-13).y[1, -1]
+        assert one.c @ step_over(one, seconds).gamma == pytest.approx(wanted, rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"stiffness_n_um": 10.0}, "give stiffness_n_um and segment_kg together"),
+        ({"stiffness_n_um": 10.0, "segment_kg": 150.0, "resonance_hz": 40.0}, "leave resonance_hz out"),
+        ({"stiffness_n_um": 10.0, "segment_kg": 150.0, "dofs": ("dz", "rx")}, "that of pistons; set dofs"),
+    ],
+)
+def test_springs_that_do_not_fit_are_said_in_a_sentence(keys, words):
+    with pytest.raises(ValueError, match=words):
+        SegmentActuators(name="a", **keys)

@@ -1,7 +1,6 @@
 """What sensors, actuators and controllers offer, and their registries: one file adds a kind of one."""
 
 from abc import abstractmethod
-from dataclasses import dataclass
 from itertools import product
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
@@ -11,8 +10,9 @@ from pydantic import Field, ValidationError
 
 from wavequake.campaign.schema import Section
 from wavequake.chain.loops.answers import OwnModes
+from wavequake.chain.loops.design import Design
 from wavequake.chain.loops.light import Light
-from wavequake.control.sampled.channel import RIGID, Dynamics, Timing, first_order, in_series, second_order
+from wavequake.control.sampled.channel import RIGID, Dynamics, first_order, second_order
 from wavequake.control.sampled.regulator import Instant, Regulator, Stepped
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.source import AnySource
@@ -21,9 +21,6 @@ from wavequake.registry import Registry
 
 Array = NDArray[np.float64]
 
-# Motions that act less apart than this, as a share of one of them alone, are not told apart.
-_APART = 1e-6
-_ROUNDING = 1e-9
 Varied = Annotated[tuple[float | str, ...], Field(strict=False)]
 _NAMED = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 
@@ -136,7 +133,7 @@ class Actuator(Section):
         """Return the names of its p channels."""
 
     @abstractmethod
-    def put(self, states: SurfaceStates, positions: Array) -> None:
+    def put(self, light: Light, states: SurfaceStates, positions: Array) -> None:
         """Add positions (batch, p) to the first instants of a telescope's states."""
 
     def own_modes(self) -> OwnModes | None:
@@ -152,65 +149,21 @@ class Actuator(Section):
         return RIGID if self.bandwidth_hz is None else first_order(self.bandwidth_hz)
 
 
-@dataclass(frozen=True)
-class Shaken:
-    """Modes of a structure that white forces shake: frequency (Hz), damping ratio, rms in readings (m, K)."""
-
-    hertz: Array
-    zeta: Array
-    seen: Array
-
-
-@dataclass(frozen=True)
-class Design:
-    """What a controller is designed for.
-
-    Attributes
-    ----------
-    controller, sensor, actuator : str
-        Names, for messages.
-    readings, channels : tuple of str
-        Names of the m readings and p channels.
-    sees : ndarray, shape (m, p)
-        Readings per position, as they are believed to be.
-    noise : float
-        Rms of a reading's mean over a period.
-    follows, shows : Dynamics
-        How the actuator follows a command, and a reading what is read.
-    timing : Timing
-    shaken : Shaken or None
-        The structure, where the study has one.
-    """
-
-    controller: str
-    sensor: str
-    actuator: str
-    readings: tuple[str, ...]
-    channels: tuple[str, ...]
-    sees: Array
-    noise: float
-    follows: Dynamics
-    shows: Dynamics
-    timing: Timing
-    shaken: Shaken | None = None
-
-    @property
-    def dynamics(self) -> Dynamics:
-        """From a channel's command to its reading."""
-        return in_series(self.follows, self.shows)
-
-    @property
-    def sees_positions(self) -> bool:
-        """Whether readings show where the actuator stands, as those of accelerometers do not."""
-        return abs(self.dynamics.static_gain - 1.0) < _ROUNDING
-
-
 class Controller(Section):
     """A controller; a study file names it by the default of its field ``model``."""
+
+    # Whether it takes several sensors.
+    fuses: ClassVar[bool] = False
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_./-]*$")
     sensor: str = Field(default="", description="name of its [[sensor]]")
     actuator: str = Field(default="", description="name of its [[actuator]]")
+    also_reads: tuple[str, ...] = Field(
+        default=(),
+        strict=False,
+        description="further sensors, of the same frames, of a controller that takes several; their readings "
+        "come after those of the first",
+    )
     rate_hz: float | None = Field(
         default=None, gt=0, description="commands per second, of the mean of frames; default: every frame"
     )
@@ -267,40 +220,6 @@ class Controller(Section):
         UserError
             If there is none for this sensor and actuator.
         """
-
-
-def decoupling(asked: Design, modes: int | None = None, rates: bool = False) -> Array:
-    """Return positions per reading (p, m): the pseudo-inverse of what the sensor sees, or of its best modes.
-
-    With `rates`, the sensor need not see where things stand: accelerometers do not.
-
-    Raises
-    ------
-    UserError
-        If the sensor does not see a motion of the actuator; names its channel.
-    """
-    sizes = np.linalg.norm(asked.sees, axis=0)
-    where = f"controller.{asked.controller}: the sensor {asked.sensor!r}"
-    if not (rates or asked.sees_positions):
-        raise UserError(f"{where} does not see where things stand; take lqg, lqr, state-space or a function.")
-    if not sizes.all():
-        channel = asked.channels[int(np.flatnonzero(sizes == 0)[0])]
-        raise UserError(f"{where} does not see {channel!r} of the actuator {asked.actuator!r} at all.")
-    left, values, right = np.linalg.svd(asked.sees / sizes, full_matrices=False)
-    count = len(sizes)
-    rank = int((values > _APART * values[0]).sum())
-    if modes is None and rank < count:
-        # Of what is not seen, the channel that takes the largest part.
-        seen = right[:rank]
-        channel = asked.channels[int((1 - (seen**2).sum(axis=0)).argmax())]
-        raise UserError(
-            f"{where} tells {rank} of {count} motions of the actuator {asked.actuator!r} apart, so that "
-            f"{channel!r} is not determined; set modes = {rank}, or take another sensor."
-        )
-    kept = rank if modes is None else modes
-    if kept > rank:
-        raise UserError(f"{where} tells {rank} motions of {asked.actuator!r} apart, not modes = {kept}.")
-    return np.asarray((right[:kept].T / values[:kept]) @ left[:, :kept].T / sizes[:, None])
 
 
 Kind = TypeVar("Kind", bound=type[Section])

@@ -1,6 +1,7 @@
 """What the sensors of a loop see."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,9 @@ class Light:
     bodies_too : bool
         Whether motions of bodies are seen.
     nodes : tuple of str
+    movable : mapping of str to ndarray, shape (6, L, 6)
+        Motions of the L surfaces after M1, as states of a telescope take them, per dx, dy, dz (mm), rx, ry
+        and rz (rad) of each surface or body of surfaces by name.
     """
 
     terms: int
@@ -37,6 +41,7 @@ class Light:
     layout: SegmentLayout
     bodies_too: bool = False
     nodes: tuple[str, ...] = ()
+    movable: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def optical(self) -> int:

@@ -88,6 +88,11 @@ class Loop:
         """All its sensors."""
         return (Eye(self.sees, self.quantum, self.sensor), *self.further)
 
+    @property
+    def readings(self) -> int:
+        """Number of readings of all its sensors."""
+        return sum(len(eye.sees) for eye in self.eyes)
+
 
 @dataclass(frozen=True)
 class Schedule:
@@ -258,8 +263,7 @@ class _Controlled:
 
 def _at_rest(loop: Loop, cases: int) -> _Controlled:
     given = np.zeros((len(loop.actuator.stroke), cases))
-    readings = sum(len(eye.sees) for eye in loop.eyes)
-    return _Controlled(loop, start(loop.regulator, cases), np.zeros((readings, cases)), given)
+    return _Controlled(loop, start(loop.regulator, cases), np.zeros((loop.readings, cases)), given)
 
 
 def _channels(loop: Loop, eye: Eye, integration: float, same: float, cases: int) -> Channels:

@@ -6,14 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wavequake.chain.loops.answers import Answer, answering, drives_of, dynamics_of, names_of, shown_of
-from wavequake.chain.loops.block import Actuator, Controller, Design, Sensor, Shaken, stroke_of, stuck_of
+from wavequake.chain.loops.block import Actuator, Controller, stroke_of, stuck_of
+from wavequake.chain.loops.design import Design, Shaken, Watch
 from wavequake.chain.loops.light import Light
 from wavequake.control.linear import Array
 from wavequake.control.sampled.channel import Timing, in_series
 from wavequake.control.sampled.regulator import Instant, Regulator, Stepped, shape_of
 from wavequake.control.sampled.run import Actuator as Moved
-from wavequake.control.sampled.run import Loop, Schedule, frame_count, run, schedule
-from wavequake.control.sampled.stability import SampledLoop, Worst, worst_pole
+from wavequake.control.sampled.run import Eye, Loop, Schedule, frame_count, run, schedule
+from wavequake.control.sampled.stability import SampledLoop, Sight, Worst, worst_pole
 from wavequake.errors import UserError
 from wavequake.workflows.loops.telescope_light import Optics, drawn, optics_of, seen_of
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
@@ -41,8 +42,8 @@ class Designed:
     sight : ndarray, shape (K, P + modes)
         What sensors see per position of all channels, and of these modes.
     loops : tuple of Loop
-    readings : tuple of ndarray, shape (m, K)
-        Of each loop's sensor, per what is seen.
+    readings : tuple of tuple of ndarray, shape (m, K)
+        Of each loop's sensors, per what is seen.
     instant : ndarray, shape (P, K), or None
         Positions per what is seen, of a controller that acts at once.
     schedules : tuple of Schedule
@@ -54,7 +55,7 @@ class Designed:
     answers: tuple[Answer, ...]
     sight: Array
     loops: tuple[Loop, ...]
-    readings: tuple[Array, ...]
+    readings: tuple[tuple[Array, ...], ...]
     instant: Array | None
     schedules: tuple[Schedule, ...]
 
@@ -129,7 +130,7 @@ def designed(study: TelescopeLoopStudy, optics: Optics, one: Controller) -> Give
     if not one.sensor or not one.actuator:
         return None
     asked = asked_of(study, optics, one)
-    wanted = len(asked.channels), len(asked.readings)
+    wanted = len(asked.channels), asked.read
     try:
         found = one.design(asked)
         shape = wanted if found is None else shape_of(found, wanted[1])
@@ -142,36 +143,45 @@ def designed(study: TelescopeLoopStudy, optics: Optics, one: Controller) -> Give
     if shape != wanted:
         raise UserError(
             f"controller.{one.name} gives {shape[0]} commands of {shape[1]} readings; the actuator "
-            f"{asked.actuator!r} takes {wanted[0]}, the sensor {asked.sensor!r} gives {wanted[1]}."
+            f"{asked.actuator!r} takes {wanted[0]}, its sensors give {wanted[1]}."
         )
     return found
 
 
 def asked_of(study: TelescopeLoopStudy, optics: Optics, one: Controller) -> Design:
-    """Return what a controller with sensor and actuator is designed for."""
-    sensor, actuator = study.part("sensor", one.sensor), study.part("actuator", one.actuator)
-    timing = timing_of(study, one)
+    """Return what a controller with sensors and actuator is designed for."""
+    actuator, structure = study.part("actuator", one.actuator), optics.structure
+    channels, timing = actuator.channels(optics.light), timing_of(study, one)
+    answers = answering(optics.answers, [actuator.name])
+    shown = shown_of(answers, len(optics.light))
+    shaken = np.zeros((len(optics.light), 0))
+    if structure is not None:
+        shaken = optics.answers[0].shown * structure.rms
+    watched = []
+    for sensor in study.sensors(one):
+        readings, noise = sensor.readings(optics.light, nominal=True), sensor.noise_rms()
+        watched.append(
+            Watch(
+                sensor.name,
+                sensor.labels(optics.light),
+                readings @ optics.sights[actuator.name],
+                noise / np.sqrt(timing.frames),
+                sensor.dynamics(),
+                readings @ shaken,
+                readings @ shown,
+            )
+        )
     return Design(
         one.name,
-        sensor.name,
         actuator.name,
-        sensor.labels(optics.light),
-        actuator.channels(optics.light),
-        sensor.readings(optics.light, nominal=True) @ optics.sights[actuator.name],
-        sensor.noise_rms() / np.sqrt(timing.frames),
+        tuple(watched),
+        channels,
         actuator.dynamics(),
-        sensor.dynamics(),
         timing,
-        _shaken(study, optics, sensor),
+        None if structure is None else Shaken(structure.hertz, structure.zeta),
+        dynamics_of(answers),
+        drives_of(answers, actuator.name, len(channels)),
     )
-
-
-def _shaken(study: TelescopeLoopStudy, optics: Optics, sensor: Sensor) -> Shaken | None:
-    """Return the structure as a sensor sees it shaken, as it is believed to be."""
-    if optics.structure is None:
-        return None
-    seen = sensor.readings(optics.light, nominal=True) @ optics.answers[0].shown
-    return Shaken(optics.structure.hertz, optics.structure.zeta, seen * optics.structure.rms)
 
 
 def sampled_loops(
@@ -182,25 +192,28 @@ def sampled_loops(
     for name, found in designs.items():
         if isinstance(found, Regulator):
             one = study.part("controller", name)
-            sensor, actuator = study.part("sensor", one.sensor), study.part("actuator", one.actuator)
+            actuator, sensors = study.part("actuator", one.actuator), study.sensors(one)
             free = np.isnan(stuck_of(actuator, actuator.channels(optics.light)))
             if not free.any():
                 raise UserError(
                     f"controller.{name}: all {len(free)} channels of the actuator {actuator.name!r} are "
                     "stuck; leave one free, or the controller out."
                 )
-            readings = sensor.readings(optics.light)
-            loop = SampledLoop(
-                timing_of(study, one),
-                in_series(actuator.dynamics(), sensor.dynamics()),
-                readings @ optics.sights[actuator.name] * free,
-                found,
-            )
             answers = answering(optics.answers, [actuator.name])
+            shown = shown_of(answers, len(optics.light))
+            sights = []
+            for sensor in sensors:
+                readings = sensor.readings(optics.light)
+                sees = readings @ optics.sights[actuator.name] * free
+                sights.append(
+                    Sight(in_series(actuator.dynamics(), sensor.dynamics()), sees, readings @ shown)
+                )
+            first, *further = sights
+            loop = SampledLoop(timing_of(study, one), first.dynamics, first.sees, found)
             if answers:
                 drives = drives_of(answers, actuator.name, len(free)) * free
-                shown = readings @ shown_of(answers, len(optics.light))
-                loop = replace(loop, structure=dynamics_of(answers), drives=drives, shown=shown)
+                loop = replace(loop, structure=dynamics_of(answers), drives=drives, shown=first.shown)
+            loop = replace(loop, further=tuple(further))
             loops[name] = loop
     return loops
 
@@ -246,7 +259,12 @@ def refuse_unstable_together(study: TelescopeLoopStudy, one: Designed) -> None:
         return
     free = [np.full(loop.actuator.stroke.shape, np.inf) for loop in one.loops]
     loops = [
-        replace(loop, quantum=0.0, actuator=replace(loop.actuator, stroke=most, slew=np.inf))
+        replace(
+            loop,
+            quantum=0.0,
+            further=tuple(replace(eye, quantum=0.0) for eye in loop.further),
+            actuator=replace(loop.actuator, stroke=most, slew=np.inf),
+        )
         for loop, most in zip(one.loops, free, strict=True)
     ]
     slowest = max(loop.timing.period + loop.timing.latency for loop in loops)
@@ -254,7 +272,7 @@ def refuse_unstable_together(study: TelescopeLoopStudy, one: Designed) -> None:
     random = np.random.default_rng(0)
     seen = []
     for loop in loops:
-        kick = random.standard_normal((frame_count(loop.timing, at[-1]), len(loop.sees), 1))
+        kick = random.standard_normal((frame_count(loop.timing, at[-1]), loop.readings, 1))
         kick[len(kick) // 10 :] = 0.0
         seen.append(kick)
     events = schedule([loop.timing for loop in loops], at)
@@ -295,19 +313,24 @@ def _designed(
     answers = answering(optics.answers, [each.name for each in actuators])
     sight = np.hstack([sight, shown_of(answers, len(optics.light))])
     for each, actuator in zip(running, actuators, strict=True):
-        sensor = study.part("sensor", each.sensor)
+        sensors = study.sensors(each)
         timing = timing_of(study, each)
         channels = actuator.channels(optics.light)
         slew = np.inf if actuator.slew is None else actuator.slew * timing.period
         stuck = stuck_of(actuator, channels)
         moved = Moved(actuator.dynamics(), stroke_of(actuator, len(channels)), slew, stuck)
-        readings.append(sensor.readings(optics.light))
+        readings.append(tuple(sensor.readings(optics.light) for sensor in sensors))
         regulator = designs[each.name]
         if not isinstance(regulator, Regulator | Stepped):
             raise UserError(f"controller.{each.name} gives no commands, so that it cannot run beside others.")
         drives = drives_of(answers, actuator.name, len(channels)) * np.isnan(stuck)
-        sees, shows = readings[-1] @ sight, sensor.dynamics()
-        loops.append(Loop(timing, regulator, moved, sees, sensor.quantum, shows, drives))
+        first, *further = (
+            Eye(matrix @ sight, sensor.quantum, sensor.dynamics())
+            for sensor, matrix in zip(sensors, readings[-1], strict=True)
+        )
+        loops.append(
+            Loop(timing, regulator, moved, first.sees, first.quantum, first.sensor, drives, tuple(further))
+        )
     schedules = tuple(schedule([loop.timing for loop in loops], time[1:]) for time in optics.times)
     return Designed(one.name, actuators, answers, sight, tuple(loops), tuple(readings), None, schedules)
 

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -19,9 +20,10 @@ from wavequake.mechanics.disturbances.motion import Motion, generator
 from wavequake.mechanics.disturbances.registry import Disturbance, draw_case, instants_of, parts
 from wavequake.optics.derivatives.central import SIGNS, checked_derivative
 from wavequake.optics.segments import modal
-from wavequake.optics.segments.kinematics import in_optics_frame
+from wavequake.optics.segments.kinematics import carried, in_optics_frame
 from wavequake.optics.segments.modal import ModalModel, layout_of
 from wavequake.optics.segments.states import SurfaceStates, rest
+from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.prepared import prepared
 from wavequake.workflows.exposures.telescope_control import ControlBench, imaged_bench_of, trace
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
@@ -31,6 +33,8 @@ from wavequake.workflows.segments.segment_model import knows, model_of, motion_r
 from wavequake.workflows.segments.segment_study import segment_text
 from wavequake.workflows.segments.vignetting import require_all_rays
 
+# Half width of central differences of rigid motions, mm and rad.
+_SMALL = 1e-6
 # All that may move of segments and of M2, where no actuator does.
 _ALL = SegmentActuators(name="all", dofs=("dz", "rx", "ry"))
 _M2 = RigidM2(name="m2", dofs=("dx", "dy", "dz", "rx", "ry", "rz"))
@@ -147,7 +151,7 @@ def _moved_bodies(control: ControlBench, light: Light, one: Actuator) -> Array:
     """Return motions of segments (nm, nrad) and M2 per position of an actuator, (3 S + 6, p)."""
     p = len(one.channels(light))
     states = states_at_rest(control, p)
-    one.put(states, np.eye(p))
+    one.put(light, states, np.eye(p))
     segments = in_nm_and_nrad(states.segment_motion / np.repeat([MM_PER_M, 1.0], 3))
     return np.hstack([segments, states.surface_motion[:, 0] / UNITS]).T
 
@@ -162,8 +166,25 @@ def _telescope(text: str, dofs: tuple[int, ...]) -> tuple[ControlBench, ModalMod
     require_all_rays(control.bench.stopped, "so that the linear light of loops has no derivatives")
     model = model_of(segment_text(text), "numpy", dofs)
     bench = control.bench
-    light = Light(model.terms, control.prepared.obscuration, bench.system.pupil_outer, bench.layout)
+    light = Light(
+        model.terms,
+        control.prepared.obscuration,
+        bench.system.pupil_outer,
+        bench.layout,
+        movable=_movable(bench.system),
+    )
     return control, model, light
+
+
+def _movable(system: SegmentedTelescope) -> dict[str, Array]:
+    """Return the motions of surfaces (6, L, 6) per motion of each surface after M1, and of each body."""
+    unit, count, found = _SMALL * np.eye(6), len(system.surfaces), dict[str, Array]()
+    single = {one.name: (place,) for place, one in enumerate(system.surfaces)}
+    for name, surfaces in (single | system.bodies).items():
+        slopes = (carried(system, surfaces, unit) - carried(system, surfaces, -unit)) / (2 * _SMALL)
+        found[name] = np.zeros((6, count, 6))
+        found[name][:, surfaces] = slopes
+    return found
 
 
 @prepared(maxsize=8)
@@ -177,7 +198,7 @@ def _sight(text: str, actuator: str, of_modes: bool = False) -> Array:
         return _traced_sight(control, one, len(modes.names), modes.put)
     if one.segment_dofs:
         return _modal_sight(control, model, light, one)
-    return _traced_sight(control, one, len(one.channels(light)), one.put)
+    return _traced_sight(control, one, len(one.channels(light)), partial(one.put, light))
 
 
 def seen_units(control: ControlBench, wavelength_nm: float) -> tuple[float, float]:
@@ -190,7 +211,7 @@ def _modal_sight(control: ControlBench, model: ModalModel, light: Light, one: Ac
     to_mas, to_nm = seen_units(control, control.study.optics.wavelength_nm)
     places, segments = layout_of(model.terms), len(light.layout)
     unit = rest(1, segments, 1)
-    one.put(unit, np.ones((1, len(one.channels(light)))))
+    one.put(light, unit, np.ones((1, len(one.channels(light)))))
     rows = []
     for dof in one.segment_dofs:
         first = model.dofs.index(dof) * segments

@@ -63,16 +63,17 @@ def compute(bench: Bench, table: CaseTable, device: str, clock: Stopwatch) -> It
 
 
 def _readings(bench: Bench, one: Designed, case: CaseDraw, seen: Array) -> list[Array]:
-    """Return the readings (frames, m) of each loop's sensor without the loop, with noise."""
+    """Return the readings (frames, m) of each loop's sensors without the loop, with noise."""
     found = []
     running = bench.study.running(bench.study.part("controller", one.name))
-    for controller, loop, matrix in zip(running, one.loops, one.readings, strict=True):
-        sensor = bench.study.part("sensor", controller.sensor)
+    for controller, loop, matrices in zip(running, one.loops, one.readings, strict=True):
         ends: Array = np.arange(1.0, frame_count(loop.timing, case.time[-1]) + 1) * loop.timing.frame
-        begins = ends - loop.timing.integration
-        clean = _means(case.time, seen, matrix, begins, ends, loop.sensor)
-        random = generator(bench.study.study.seed, f"sensor {sensor.name}", case.realization)
-        found.append(clean + sensor.noise_rms() * random.standard_normal(clean.shape))
+        begins, parts = ends - loop.timing.integration, []
+        for sensor, eye, matrix in zip(bench.study.sensors(controller), loop.eyes, matrices, strict=True):
+            clean = _means(case.time, seen, matrix, begins, ends, eye.sensor)
+            random = generator(bench.study.study.seed, f"sensor {sensor.name}", case.realization)
+            parts.append(clean + sensor.noise_rms() * random.standard_normal(clean.shape))
+        found.append(np.hstack(parts))
     return found
 
 
@@ -167,7 +168,7 @@ def states_of(
     first = 0
     for actuator in one.actuators:
         last = first + len(actuator.channels(bench.optics.light))
-        actuator.put(states, positions[chosen, first:last])
+        actuator.put(bench.optics.light, states, positions[chosen, first:last])
         first = last
     put_all(one.answers, states, positions[chosen, first:])
     return states

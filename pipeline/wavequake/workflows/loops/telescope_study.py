@@ -89,6 +89,7 @@ class TelescopeLoopStudy(SegmentStudy):
             if asked not in known:
                 said = f"names the {kind} {asked!r}" if asked else f"names no {kind}"
                 raise ValueError(f"the controller {one.name!r} {said}; there is {', '.join(known)}")
+        self._sensors_fit(one)
         for name in one.beside:
             other = next((each for each in self.controller if each.name == name), None)
             if other is None or other is one or isinstance(other, Off | Perfect) or other.beside:
@@ -100,6 +101,26 @@ class TelescopeLoopStudy(SegmentStudy):
                 raise ValueError(
                     f"the controllers {one.name!r} and {name!r} move one actuator, {one.actuator!r}; give "
                     "each its own"
+                )
+
+    def _sensors_fit(self, one: Controller) -> None:
+        if one.also_reads and not one.fuses:
+            raise ValueError(
+                f"the controller {one.name!r} takes one sensor; leave also_reads out, or take "
+                "lqg-fusion, state-space or a function"
+            )
+        first, known = self.part("sensor", one.sensor), [each.name for each in self.sensor]
+        for place, name in enumerate(one.also_reads):
+            if name not in known:
+                there = ", ".join(known)
+                raise ValueError(f"the controller {one.name!r} also reads {name!r}; there is {there}")
+            if name in (one.sensor, *one.also_reads[:place]):
+                raise ValueError(f"the controller {one.name!r} reads {name!r} twice")
+            other = self.part("sensor", name)
+            if (other.rate_hz, other.integration) != (first.rate_hz, first.integration):
+                raise ValueError(
+                    f"the sensors {one.sensor!r} and {name!r} of the controller {one.name!r} have different "
+                    "frames; give both one rate_hz and integration"
                 )
 
     def _rates_divide(self, one: Controller) -> None:
@@ -129,6 +150,10 @@ class TelescopeLoopStudy(SegmentStudy):
     def part(self, kind: str, name: str) -> Any:
         """Return the sensor, actuator or controller of a name."""
         return next(one for one in getattr(self, kind) if one.name == name)
+
+    def sensors(self, one: Controller) -> tuple[Sensor, ...]:
+        """Return the sensors of a controller."""
+        return tuple(self.part("sensor", name) for name in (one.sensor, *one.also_reads))
 
     def running(self, one: Controller) -> Sequence[Controller]:
         """Return the controllers that run together under the name of one."""

@@ -109,7 +109,7 @@ class ElasticM2(Actuator):
         except UserError as error:
             raise UserError(f"actuator.{self.name}: {error}") from None
 
-    def put(self, states: SurfaceStates, positions: Array) -> None:
+    def put(self, light: Light, states: SurfaceStates, positions: Array) -> None:
         """Add the surface at rest of positions (batch, p) to the figure of M2."""
         self._bend(states, positions @ self.bending().static)
 

@@ -30,7 +30,7 @@ class DeformableM2(Actuator):
         """Return Z2, Z3, ..."""
         return tuple(f"Z{j}" for j in range(2, self.terms + 1))
 
-    def put(self, states: SurfaceStates, positions: NDArray[np.float64]) -> None:
+    def put(self, light: Light, states: SurfaceStates, positions: NDArray[np.float64]) -> None:
         """Add positions to the figure of M2."""
         assert states.mirror_figure is not None
         states.mirror_figure[: len(positions), 0, 1 : self.terms] += positions * MM_PER_NM

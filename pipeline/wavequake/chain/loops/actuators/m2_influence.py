@@ -78,7 +78,7 @@ class InfluencedM2(Actuator):
         given = _read(self.file_csv)[1]
         return np.pad(given, ((0, 0), (0, self.terms - given.shape[1])))
 
-    def put(self, states: SurfaceStates, positions: Array) -> None:
+    def put(self, light: Light, states: SurfaceStates, positions: Array) -> None:
         """Add positions to the figure of M2."""
         assert states.mirror_figure is not None
         states.mirror_figure[: len(positions), 0, : self.terms] += positions @ self.surfaces() * MM_PER_NM

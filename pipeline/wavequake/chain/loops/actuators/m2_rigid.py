@@ -12,7 +12,7 @@ from wavequake.optics.derivatives.central import DOFS
 from wavequake.optics.segments.states import SurfaceStates
 
 # nm and nrad to mm and rad.
-_UNITS = np.repeat([1e-6, 1e-9], 3)
+UNITS = np.repeat([1e-6, 1e-9], 3)
 
 
 @register
@@ -30,7 +30,7 @@ class RigidM2(Actuator):
         """Return the degrees of freedom."""
         return self.dofs
 
-    def put(self, states: SurfaceStates, positions: NDArray[np.float64]) -> None:
+    def put(self, light: Light, states: SurfaceStates, positions: NDArray[np.float64]) -> None:
         """Add positions to the motion of M2."""
         places = [DOFS.index(one) for one in self.dofs]
-        states.surface_motion[: len(positions), 0, places] += positions * _UNITS[places]
+        states.surface_motion[: len(positions), 0, places] += positions * UNITS[places]

@@ -5,7 +5,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from wavequake.chain.loops.block import Controller, Design, decoupling, register
+from wavequake.chain.loops.block import Controller, register
+from wavequake.chain.loops.design import Design, decoupling
 from wavequake.control.sampled.filters import crossover_gain, integrator
 from wavequake.control.sampled.regulator import Regulator, shared_filter
 from wavequake.errors import UserError

@@ -7,7 +7,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wavequake.campaign.schema import Section
-from wavequake.chain.loops.block import Controller, Design, decoupling, register
+from wavequake.chain.loops.block import Controller, register
+from wavequake.chain.loops.design import Design, decoupling
 from wavequake.control.frames.disturbance import Shaped, joined, line, oscillator
 from wavequake.control.linear import LinearModel
 from wavequake.control.sampled.filters import drift, lqg
@@ -63,14 +64,23 @@ class Expecting(Controller):
             raise ValueError(f"{self.name!r} expects no disturbance; give lines, drift_rms or structure")
         return self
 
-    def expected(self, asked: Design) -> tuple[Shaped, float]:
-        """Return the disturbance and the noise of a reading."""
+    def told(self) -> list[Shaped]:
+        """Return lines and drift."""
         parts = [line(one.hz, one.fwhm_hz, one.rms) for one in self.lines]
-        if self.structure:
-            parts += shaken_lines(asked, self.modes)
-        if self.drift_rms:
-            parts.append(drift(self.drift_hz, self.drift_rms))
-        return joined(parts), asked.noise if self.noise is None else self.noise
+        return [*parts, drift(self.drift_hz, self.drift_rms)] if self.drift_rms else parts
+
+    def noise_of(self, asked: Design) -> float:
+        """Return the noise of a reading of the first sensor, as it is believed to be."""
+        return asked.noise if self.noise is None else self.noise
+
+
+class Filtering(Expecting):
+    """A controller with a filter for every channel."""
+
+    def expected(self, asked: Design) -> tuple[Shaped, float]:
+        """Return the disturbance of a channel and the noise of its reading."""
+        parts = self.told() + (shaken_lines(asked, self.modes) if self.structure else [])
+        return joined(parts), self.noise_of(asked)
 
     @abstractmethod
     def filtered(self, asked: Design) -> LinearModel:
@@ -100,7 +110,7 @@ def shaken_lines(asked: Design, modes: int | None = None) -> list[Shaped]:
     # What of a channel's reading is noise of the sensor, per noise of a reading.
     sizes = np.linalg.norm(channels, axis=1)
     kept = sizes > 0
-    rms = np.sqrt(np.mean((channels[kept] @ asked.shaken.seen / sizes[kept, None]) ** 2, axis=0))
+    rms = np.sqrt(np.mean((channels[kept] @ asked.watched[0].shaken / sizes[kept, None]) ** 2, axis=0))
     seen = rms > _SEEN * rms.max(initial=0.0)
     if not seen.any():
         raise UserError(f"{where}: the sensor {asked.sensor!r} sees no [[mode]] block shaken; set rms_nm.")
@@ -113,7 +123,7 @@ def shaken_lines(asked: Design, modes: int | None = None) -> list[Shaped]:
 
 
 @register
-class Lqg(Expecting):
+class Lqg(Filtering):
     """A Kalman predictor of what is expected; how an actuator follows is known, but not made up for."""
 
     model: Literal["lqg"] = "lqg"

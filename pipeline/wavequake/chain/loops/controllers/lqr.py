@@ -4,14 +4,15 @@ from typing import Literal
 
 from pydantic import Field
 
-from wavequake.chain.loops.block import Design, register
-from wavequake.chain.loops.controllers.lqg import Expecting
+from wavequake.chain.loops.block import register
+from wavequake.chain.loops.controllers.lqg import Filtering
+from wavequake.chain.loops.design import Design
 from wavequake.control.linear import LinearModel
 from wavequake.control.sampled.filters import lqr
 
 
 @register
-class Lqr(Expecting):
+class Lqr(Filtering):
     """The regulator that leaves least at a price of moving the actuator, with a Kalman filter."""
 
     model: Literal["lqr"] = "lqr"

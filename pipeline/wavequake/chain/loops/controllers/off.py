@@ -2,7 +2,8 @@
 
 from typing import Literal
 
-from wavequake.chain.loops.block import Controller, Design, register
+from wavequake.chain.loops.block import Controller, register
+from wavequake.chain.loops.design import Design
 
 
 @register

@@ -4,7 +4,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from wavequake.chain.loops.block import Controller, Design, decoupling, register
+from wavequake.chain.loops.block import Controller, register
+from wavequake.chain.loops.design import Design, decoupling
 from wavequake.control.sampled.placed import placed
 from wavequake.control.sampled.regulator import Regulator, shared_filter
 from wavequake.errors import UserError

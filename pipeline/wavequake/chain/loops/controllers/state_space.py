@@ -1,11 +1,12 @@
 """A controller by its own matrices."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
-from wavequake.chain.loops.block import Controller, Design, decoupling, register
+from wavequake.chain.loops.block import Controller, register
+from wavequake.chain.loops.design import Design, decoupling
 from wavequake.control.linear import LinearModel, linear_model
 from wavequake.control.sampled.regulator import Regulator, shared_filter, whole
 from wavequake.errors import UserError
@@ -19,6 +20,8 @@ class StateSpace(Controller):
 
     Or, with `each`, from one channel's position as its readings say it to its command, the same in all.
     """
+
+    fuses: ClassVar[bool] = True
 
     model: Literal["state-space"] = "state-space"
     a: Matrix = Field(
@@ -45,17 +48,20 @@ class StateSpace(Controller):
         except UserError as error:
             raise UserError(f"controller.{self.name}: {error}") from None
         if self.each:
+            if len(asked.watched) > 1:
+                raise UserError(f"controller.{self.name}.each: a filter for every channel reads one sensor.")
             if model.d.shape != (1, 1):
                 raise UserError(
                     f"controller.{self.name}.each: the matrices lead from {model.d.shape[1]} readings to "
                     f"{model.d.shape[0]} commands; a filter for every channel has one of each."
                 )
             return shared_filter(decoupling(asked, rates=True), model)
-        wanted = (len(asked.channels), len(asked.readings))
+        wanted = (len(asked.channels), asked.read)
         if model.d.shape != wanted:
+            names = " and ".join(one.sensor for one in asked.watched)
             raise UserError(
                 f"controller.{self.name} leads from {model.d.shape[1]} readings to {model.d.shape[0]} "
-                f"commands, but the sensor {asked.sensor!r} has {wanted[1]} and the actuator "
+                f"commands, but the sensor {names!r} has {wanted[1]} and the actuator "
                 f"{asked.actuator!r} {wanted[0]}."
             )
         return whole(model)

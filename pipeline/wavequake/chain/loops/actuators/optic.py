@@ -1,0 +1,52 @@
+"""A hexapod or tip-tilt stage that carries any mirror, lens or detector after M1."""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from wavequake.chain.loops.actuators.m2_rigid import UNITS
+from wavequake.chain.loops.block import Actuator, register
+from wavequake.chain.loops.light import Light
+from wavequake.errors import UserError
+from wavequake.optics.derivatives.central import DOFS
+from wavequake.optics.segments.states import SurfaceStates
+
+
+@register
+class Stage(Actuator):
+    """A surface after M1 or a body of surfaces, such as a lens: translations in nm, rotations in nrad.
+
+    Axes are those of its first surface; a body turns about the middle between its first and last vertex.
+    """
+
+    # Lenses in slow beams do little: 20 um and 20 urad.
+    step = 2e4
+
+    model: Literal["optic"] = "optic"
+    of: str = Field(description="name of the surface or body, as M3, camera lens or image")
+    dofs: tuple[Literal["dx", "dy", "dz", "rx", "ry", "rz"], ...] = Field(
+        default=("dx", "dy"), min_length=1, strict=False, description="of dx, dy, dz, rx, ry, rz"
+    )
+
+    def channels(self, light: Light) -> tuple[str, ...]:
+        """Return the degrees of freedom.
+
+        Raises
+        ------
+        UserError
+            If there is no such surface or body.
+        """
+        if self.of not in light.movable:
+            raise UserError(
+                f"actuator.{self.name}.of: there is no surface or body {self.of!r} after M1; there is "
+                f"{', '.join(light.movable)}."
+            )
+        return self.dofs
+
+    def put(self, light: Light, states: SurfaceStates, positions: NDArray[np.float64]) -> None:
+        """Add positions to the motions of its surfaces."""
+        places = [DOFS.index(one) for one in self.dofs]
+        moved = light.movable[self.of][places] * UNITS[places][:, None, None]
+        states.surface_motion[: len(positions)] += np.tensordot(positions, moved, 1)

@@ -1,0 +1,163 @@
+"""What controllers are designed for: sensors, actuator and timing, and the structure that carries them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavequake.control.sampled.channel import Dynamics, Timing, in_series
+from wavequake.errors import UserError
+
+Array = NDArray[np.float64]
+
+# Motions that act less apart than this, as a share of one of them alone, are not told apart.
+_APART = 1e-6
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Shaken:
+    """Modes of a structure that white forces shake: frequency (Hz) and damping ratio."""
+
+    hertz: Array
+    zeta: Array
+
+
+@dataclass(frozen=True)
+class Watch:
+    """A sensor of a controller.
+
+    Attributes
+    ----------
+    sensor : str
+    readings : tuple of str
+        Names of the m readings.
+    sees : ndarray, shape (m, p)
+        Readings per position, as they are believed to be.
+    noise : float
+        Rms of a reading's mean over a period.
+    shows : Dynamics
+        How a reading follows what is read.
+    shaken : ndarray, shape (m, K)
+        Rms of what white forces do through each mode of the structure.
+    answers : ndarray, shape (m, M)
+        Readings per mode that answers the actuator.
+    """
+
+    sensor: str
+    readings: tuple[str, ...]
+    sees: Array
+    noise: float
+    shows: Dynamics
+    shaken: Array
+    answers: Array
+
+
+@dataclass(frozen=True)
+class Design:
+    """What a controller is designed for.
+
+    Attributes
+    ----------
+    controller, actuator : str
+        Names, for messages.
+    watched : tuple of Watch
+        Its sensors; most controllers have one, and those that have not take readings one sensor after the
+        other. `sensor`, `readings`, `sees`, `noise` and `shows` are those of the first.
+    channels : tuple of str
+        Names of the p channels.
+    follows : Dynamics
+        How the actuator follows a command.
+    timing : Timing
+        Of all sensors.
+    shaken : Shaken or None
+        The structure, where the study has one.
+    answering : tuple of Dynamics
+        Modes that answer the actuator.
+    drives : ndarray, shape (M, p)
+        How positions move along these.
+    """
+
+    controller: str
+    actuator: str
+    watched: tuple[Watch, ...]
+    channels: tuple[str, ...]
+    follows: Dynamics
+    timing: Timing
+    shaken: Shaken | None
+    answering: tuple[Dynamics, ...]
+    drives: Array
+
+    @property
+    def sensor(self) -> str:
+        """Name of the first sensor."""
+        return self.watched[0].sensor
+
+    @property
+    def readings(self) -> tuple[str, ...]:
+        """Names of its readings."""
+        return self.watched[0].readings
+
+    @property
+    def sees(self) -> Array:
+        """Its readings per position, (m, p), as they are believed to be."""
+        return self.watched[0].sees
+
+    @property
+    def noise(self) -> float:
+        """Rms of the mean of one of its readings over a period."""
+        return self.watched[0].noise
+
+    @property
+    def shows(self) -> Dynamics:
+        """How one of its readings follows what is read."""
+        return self.watched[0].shows
+
+    @property
+    def read(self) -> int:
+        """Number of readings of all sensors."""
+        return sum(len(one.readings) for one in self.watched)
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """From a channel's command to its reading."""
+        return in_series(self.follows, self.shows)
+
+    @property
+    def sees_positions(self) -> bool:
+        """Whether readings show where the actuator stands, as those of accelerometers do not."""
+        return abs(self.dynamics.static_gain - 1.0) < _ROUNDING
+
+
+def decoupling(asked: Design, modes: int | None = None, rates: bool = False) -> Array:
+    """Return positions per reading (p, m): the pseudo-inverse of what the sensor sees, or of its best modes.
+
+    With `rates`, the sensor need not see where things stand: accelerometers do not.
+
+    Raises
+    ------
+    UserError
+        If the sensor does not see a motion of the actuator; names its channel.
+    """
+    sizes = np.linalg.norm(asked.sees, axis=0)
+    where = f"controller.{asked.controller}: the sensor {asked.sensor!r}"
+    if not (rates or asked.sees_positions):
+        raise UserError(f"{where} does not see where things stand; take lqg, lqr, state-space or a function.")
+    if not sizes.all():
+        channel = asked.channels[int(np.flatnonzero(sizes == 0)[0])]
+        raise UserError(f"{where} does not see {channel!r} of the actuator {asked.actuator!r} at all.")
+    left, values, right = np.linalg.svd(asked.sees / sizes, full_matrices=False)
+    count = len(sizes)
+    rank = int((values > _APART * values[0]).sum())
+    if modes is None and rank < count:
+        # Of what is not seen, the channel that takes the largest part.
+        seen = right[:rank]
+        channel = asked.channels[int((1 - (seen**2).sum(axis=0)).argmax())]
+        raise UserError(
+            f"{where} tells {rank} of {count} motions of the actuator {asked.actuator!r} apart, so that "
+            f"{channel!r} is not determined; set modes = {rank}, or take another sensor."
+        )
+    kept = rank if modes is None else modes
+    if kept > rank:
+        raise UserError(f"{where} tells {rank} motions of {asked.actuator!r} apart, not modes = {kept}.")
+    return np.asarray((right[:kept].T / values[:kept]) @ left[:, :kept].T / sizes[:, None])
