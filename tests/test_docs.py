@@ -16,6 +16,7 @@ import pytest
 from benchmarks.measured import named_tests
 
 import wavequake as wq
+from wavequake.workflows.run import kind_of
 from wavequake.workflows.study import load_study
 
 ROOT = Path(__file__).parents[1]
@@ -95,10 +96,13 @@ def test_tutorials_run(page, tmp_path, monkeypatch, wavequake):
 
 
 @pytest.mark.parametrize("text", [block for page in PAGES for block in blocks(page, "toml")])
-def test_study_files_load(text, tmp_path):
+def test_study_files_are_what_a_run_takes(text, tmp_path):
     path = tmp_path / "study.toml"
     path.write_text(text)
-    assert load_study(path).cases > 0
+    study = load_study(path)
+    assert study.cases > 0
+    if "[sweep]" not in text:  # every point of which would be prepared
+        kind_of(study).check(study.identity_text())
 
 
 def test_links_lead_somewhere():

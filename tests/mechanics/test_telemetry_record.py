@@ -120,6 +120,16 @@ def huge(time_s, values):
     return time_s, values * np.where(np.arange(values.shape[1]) == 0, 1e200, 1.0)
 
 
+def endless(time_s, values):
+    values[7:9, 0] = -1.7e308, 1.7e308
+    return time_s, values
+
+
+def eternal(time_s, values):
+    time_s[7:9] = -1.7e308, 1.7e308
+    return time_s, values
+
+
 def straight(time_s, values):
     values[:, 0] = 3.0 + 0.1 * time_s
     return time_s, values
@@ -156,6 +166,8 @@ def short(time_s, values):
         (quick, "its time step is 2e-303 s; instants increase evenly, by 1e-09 to 1e+06 s"),
         (slow, "its time step is 2e+297 s"),
         (huge, "which no sensor measures"),
+        (endless, "which no sensor measures"),
+        (eternal, "'time_s' reaches 1.7e+308 s, which no clock shows"),
         (tiny, "which no sensor measures"),
         (short, "it has 100 rows; spectra need at least 512"),
     ],

@@ -188,3 +188,12 @@ def test_kinds_that_are_not_there_are_sentences(tmp_path):
     study = detector(tmp_path, "rms").model_dump(mode="json")
     assert "allow" not in detector(tmp_path, "rms").identity_text()
     assert study["allow"]["kind"] == {"dx": "rms"}
+
+
+def test_a_quantile_that_so_few_cases_do_not_bound_is_told_as_that():
+    study = load_study("euv-allowances", {"optics.rays": 60, "wavefront.zernike_terms": 15})
+    found = allowances(study, "wfe_change", 1e-6, 0.3, cases=100)
+    assert not np.isfinite(found.check.high)
+    said = " ".join(allow_notes(found, "wfe_change.p99.9999", 0.3))
+    assert f"nm (≥ {found.check.low:.4f}: too few cases)" in said
+    assert "inf" not in said

@@ -123,6 +123,8 @@ def test_own_parts_that_fail_cost_a_sentence(tmp_path, swing, wavequake, key, co
         ("from wavequake.workflows.kinds import register\nregister(3)\n", "3 is no study kind"),
         ("x = 1\0\n", "cannot be loaded: "),
         ("import sys\nsys.exit(3)\n", "line 2: SystemExit: 3"),
+        ("raise GeneratorExit('so')\n", "line 1: GeneratorExit: so"),
+        ("class E(Exception):\n def __str__(self): 1 / 0\nraise E\n", "line 3: E: it cannot say what"),
     ],
 )
 def test_plugins_that_cannot_be_loaded_say_where(tmp_path, wavequake, text, words):

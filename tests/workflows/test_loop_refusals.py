@@ -77,6 +77,11 @@ def test_loops_that_cannot_be_are_said_in_a_sentence(block, words, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
+        (
+            {"actuator.tilt.resonance_hz": 1e-300},
+            "resonance_hz: input should be greater than or equal to 0.001",
+        ),
+        ({"sensor.sight.bandwidth_hz": 1e300}, "bandwidth_hz: input should be less than or equal to 1000000"),
         ({"actuator.tilt.stroke": 1.0}, "actuator.tilt is saturated from the start: 'history' asks r"),
         ({"actuator.tilt.stuck": {"rx": 0.0, "ry": 1.0}}, "all 2 channels of the actuator 'tilt' are stuck"),
         ({"sensor.sight.rate_hz": 1e9}, "sensor.sight.rate_hz: input should be less than or equal to 100000"),

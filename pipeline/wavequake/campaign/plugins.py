@@ -82,16 +82,26 @@ def load_text(name: str, text: str) -> Plugin:
     except UserError as error:
         del sys.modules[plugin.module]
         raise UserError(f"The plug-in {name}: {error}") from None
-    except (Exception, SystemExit) as error:  # a script's sys.exit() is no end of ours
+    except KeyboardInterrupt:
+        del sys.modules[plugin.module]
+        raise
+    except BaseException as error:  # a script's sys.exit() is no end of ours
         del sys.modules[plugin.module]
         lines = [one.lineno for one in extract_tb(error.__traceback__) if one.filename == name]
         line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
         where = f", line {line}" if line else ""
         raise UserError(
-            f"The plug-in {name} cannot be loaded{where}: {type(error).__name__}: {error}."
+            f"The plug-in {name} cannot be loaded{where}: {type(error).__name__}: {_words(error)}."
         ) from error
     _loaded[plugin.module] = plugin
     return plugin
+
+
+def _words(error: BaseException) -> str:
+    try:
+        return str(error)
+    except Exception:  # its own fault
+        return "it cannot say what"
 
 
 def load_named(words: Iterable[str]) -> list[str]:

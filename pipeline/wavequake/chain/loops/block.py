@@ -45,7 +45,8 @@ class Sensor(Section):
     quantum: float = Field(default=0.0, ge=0, description="step to which readings are rounded; 0: none")
     bandwidth_hz: float | None = Field(
         default=None,
-        gt=0,
+        ge=1e-3,
+        le=1e6,
         description="of its electronics, of first order; default: no limit",
     )
 
@@ -106,9 +107,11 @@ class Actuator(Section):
 
     name: str = Field(pattern=_NAMED)
     bandwidth_hz: float | None = Field(
-        default=None, gt=0, description="of first order; default: it follows at once"
+        default=None, ge=1e-3, le=1e6, description="of first order; default: it follows at once"
     )
-    resonance_hz: float | None = Field(default=None, gt=0, description="of second order, in place of it")
+    resonance_hz: float | None = Field(
+        default=None, ge=1e-3, le=1e6, description="of second order, in place of it"
+    )
     damping: float = Field(default=0.7, gt=0, le=10, description="damping ratio of the resonance")
     stroke: float | None = Field(default=None, gt=0, description="largest position; default: no limit")
     slew: float | None = Field(

@@ -23,6 +23,7 @@ _ROUNDING = 16.0 * float(np.finfo(float).eps)
 _DRIFT = 1e-4  # of all instants: a clock whose rate changes by 0.08 %, less than the width of a narrow line
 _PILED = 1e-3  # share of samples at an end of the range, and how many of the next value there are at most
 _MORE = 3.0
+_LATEST = 1e305  # s: differences of instants must be numbers
 _LEAST, _MOST = 1e-30, 1e30  # range of a signal in its unit: squares of spectra must be numbers
 
 
@@ -124,6 +125,8 @@ def _require_finite(channels: Sequence[Channel], values: Array) -> None:
 def _step_of(time: Array) -> float:
     if not np.isfinite(time).all():
         raise UserError(f"row {int(np.argmin(np.isfinite(time))) + 1} of 'time_s' is no finite number.")
+    if np.abs(time).max() > _LATEST:
+        raise UserError(f"'time_s' reaches {np.abs(time).max():g} s, which no clock shows.")
     steps = np.diff(time)
     step = float(np.median(steps))
     if not step > 0.0:
@@ -158,10 +161,10 @@ def _require_free(name: str, column: Array) -> None:
     low, high = float(column.min()), float(column.max())
     if low == high:
         raise UserError(f"the column {name!r} is {low:g} throughout; leave it out.")
-    if np.ptp(np.diff(column)) <= _ROUNDING * max(abs(low), abs(high)):
-        raise UserError(f"the column {name!r} is a straight line but for rounding; leave it out.")
     if not _LEAST < high - low < _MOST:
         raise UserError(f"the column {name!r} runs from {low:g} to {high:g}, which no sensor measures.")
+    if np.ptp(np.diff(column)) <= _ROUNDING * max(abs(low), abs(high)):
+        raise UserError(f"the column {name!r} is a straight line but for rounding; leave it out.")
     for end in (low, high):
         at = column == end
         count = int(at.sum())

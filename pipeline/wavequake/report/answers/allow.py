@@ -130,11 +130,12 @@ def allow_notes(found: Allowances, measure: str, limit: float) -> Iterator[str]:
     if np.isfinite(found.factor):
         yield f"What the study has, times {found.factor:.4g}."
     check, unit = found.check, found.unit
+    low = number(check.low, 4)
+    between = f"{low}–{number(check.high, 4)}" if np.isfinite(check.high) else f"≥ {low}: too few cases"
     how = "by the linear model, exactly" if found.exact else "in 4000 draws of the linear model"
     yield (
         f"{measure} is {number(limit, 4)} {unit} {how}; of {found.cases - found.failed} cases that were "
-        f"drawn with these allowances and traced in full {number(check.value, 4)} {unit} "
-        f"({number(check.low, 4)}–{number(check.high, 4)})."
+        f"drawn with these allowances and traced in full {number(check.value, 4)} {unit} ({between})."
     )
     for axis, values in zip(found.axes, found.rms, strict=True):
         idle = np.flatnonzero(np.isinf(values))

@@ -22,7 +22,7 @@ class Accelerometers(OfBodies):
     units: ClassVar[str] = "m/s^2"
 
     model: Literal["accelerometer"] = "accelerometer"
-    resonance_hz: float = Field(default=500.0, gt=0, description="of its proof mass")
+    resonance_hz: float = Field(default=500.0, ge=1e-3, le=1e6, description="of its proof mass")
     damping: float = Field(default=0.7, gt=0, le=10, description="damping ratio of the resonance")
 
     def dynamics(self) -> Dynamics:
