@@ -239,3 +239,9 @@ def test_a_response_that_takes_long_says_so(monkeypatch, capsys):
     monkeypatch.setattr("wavequake.doors.models._LONG", 100)
     wq.respond(mirror, shaker)
     assert f"all {mirror.order} modes of circular mirror are computed, some 1 s" in capsys.readouterr().err
+
+
+def test_every_function_shows_an_example():
+    functions = [name for name in wq.__all__ if callable(getattr(wq, name)) and name.islower()]
+    assert len(functions) > 20
+    assert not [name for name in functions if ">>>" not in (getattr(wq, name).__doc__ or "")]

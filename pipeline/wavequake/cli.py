@@ -1,10 +1,8 @@
 """The command line; `wavequake --help` lists its commands."""
 
 import io
-import itertools
 import shlex
 import sys
-import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, NoReturn
@@ -15,6 +13,7 @@ from rich.table import Table
 from wavequake import __version__
 from wavequake.campaign.plugins import load_named
 from wavequake.commands import firmware, identify, loops, new, pictures, rare, sensitivity, statistics
+from wavequake.commands.ahead import while_it_runs
 from wavequake.commands.options import (
     ClusterOption,
     DashboardOption,
@@ -44,7 +43,6 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-Progress = Callable[[int, int, int], None]
 _PLAN_S = 7.5  # with what is loaded before: ten
 _BEGIN, _RUN, _DECIDE, _SURE, _MEASURED, _PARTS = (
     "Begin: files and pictures",
@@ -186,7 +184,7 @@ def run(
             path,
             on=on,
             workers=workers,
-            progress=progress if part else _while_it_runs(progress, loaded.study.workflow),
+            progress=progress if part else while_it_runs(progress, loaded.study.workflow),
             repair=repair,
             allow_mixed=allow_mixed,
             dashboard=_show_link if dashboard else None,
@@ -215,20 +213,6 @@ def run(
             f"{are(summary.quarantined, 'case')} quarantined; {words} says why.", markup=False, soft_wrap=True
         )
         sys.exit(EXIT_QUARANTINED)
-
-
-def _while_it_runs(progress: Progress, workflow: str) -> Progress:
-    """Return a progress that loads what the report needs once a chunk is done: a second less to wait."""
-    calls = itertools.count()
-
-    def told(done: int, total: int, quarantined: int) -> None:
-        progress(done, total, quarantined)
-        if next(calls) == 1 and done < total:
-            from wavequake.report.campaign import load
-
-            threading.Thread(target=load, args=(workflow,)).start()
-
-    return told
 
 
 def _show_link(link: str) -> None:

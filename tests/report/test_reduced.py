@@ -16,6 +16,7 @@ from wavequake.report.exports.store import export
 from wavequake.report.segments import reduced
 from wavequake.report.segments import report as segment_report
 from wavequake.report.segments.report import is_reduced
+from wavequake.report.written import read_answer
 from wavequake.workflows.study import load_study
 
 KEYS = {
@@ -132,3 +133,16 @@ def test_a_csv_file_has_a_column_per_statistic(store, tmp_path):
     for name in ("rms", "max", "last"):
         column = [float(row[f"wfe_rms_raw_{name} (nm)"]) for row in rows]
         np.testing.assert_array_equal(column, found.sel(statistic=name).to_numpy())
+
+
+def test_a_store_near_a_limit_says_that_it_does_not_tell_how_often(tmp_path, store):
+    keys = {
+        "telescope.name": "tmt-18",
+        "optics.rays_per_segment": 6,
+        "rare.limit": 100.0,
+        "campaign.cases": 3,
+    }
+    wq.run(load_study("tmt-rare", keys), store=tmp_path / "near", on="serial")
+    near, plain = (read_answer(wq.report(path)) for path in (tmp_path / "near", store))
+    assert near.endswith("They are drawn near the limit: how often it is exceeded says wavequake rare.")
+    assert "near the limit" not in plain

@@ -1,6 +1,12 @@
-"""Reports: tables for the terminal, figures, HTML pages, exports.
+"""Write the HTML report of a store into its folder and return the file.
 
-`wavequake.report` is a function for users, too: `wavequake.doors.studies.report`.
+The package of reports (tables for the terminal, figures, HTML pages, exports) can be called, as
+`wavequake.doors.studies.report`, since its name is that of a function for users.
+
+Examples
+--------
+>>> import wavequake as wq
+>>> wq.report("runs/tmt-segments-1a2b3c4d")  # doctest: +SKIP
 """
 
 import sys

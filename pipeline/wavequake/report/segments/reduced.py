@@ -167,6 +167,7 @@ def write_report_of(
     store: Path, dataset: xr.Dataset, target: Path, words: str = "", more: Sequence[Picture] = ()
 ) -> Path:
     """Write the HTML report: the table, distributions over cases, those of the model's error, and more."""
+    near = "log_weight" in dataset.variables
     kept, light, dataset = what_is_kept(dataset), stopped_light(store, dataset), _loaded(dataset)
     found = [one for one in reduced_populations(store, dataset) if len(one.wfe)]
     done = dataset["status"].to_numpy() == DONE
@@ -196,7 +197,7 @@ def write_report_of(
     page = Page(
         answer=" ".join(
             [
-                _answer(found) + sentence(parts),
+                _answer(found, near) + sentence(parts),
                 *([words] if words else []),
                 *([light] if light else []),
                 *certificate(bench_of(read_manifest(store).study).study.optics.modal_tolerance_nm, dataset),
@@ -222,7 +223,8 @@ def write_report_of(
     return write_page(render_page(dataset, page), target)
 
 
-def _answer(found: list[ReducedPopulation]) -> str:
+def _answer(found: list[ReducedPopulation], near: bool = False) -> str:
+    """Say which disturbance costs the most, and what cases drawn `near` a limit do not say."""
     if not found:
         return "No case is done yet."
     worst = max(found, key=lambda one: quantile(one.wfe_raw, 0.95).value)
@@ -233,7 +235,8 @@ def _answer(found: list[ReducedPopulation]) -> str:
         share_of, level = "all", float(worst.wfe_raw.max())
     which = "its only case has" if cases == 1 else f"{share_of} of its {cases} cases have"
     most = "" if cases == 1 else "at most "
-    return f"{lead}: {which} a wavefront error of {most}{number(level)} nm rms on glass."
+    rare = " They are drawn near the limit: how often it is exceeded says wavequake rare." if near else ""
+    return f"{lead}: {which} a wavefront error of {most}{number(level)} nm rms on glass.{rare}"
 
 
 def _row(one: ReducedPopulation) -> dict[str, tuple[str, str]]:
