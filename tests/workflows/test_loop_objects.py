@@ -77,7 +77,7 @@ cases = 1
     for name, other in (("off", "disturbed"), ("elastic-perfect", "elastic")):
         wanted = stored["object_image"].sel(controller=other).to_numpy()
         off = np.abs(found["object_image"][names.index(name)] - wanted).max() / wanted.max()
-        assert off < (1e-6 if name == "off" else 1e-3)
+        assert off < 1e-6
 
 
 def test_an_object_that_is_never_imaged_is_refused():
