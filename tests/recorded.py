@@ -115,7 +115,7 @@ LOOPS = HISTORY | {
     "actuator.mirror.stiffness_n_um": 5000.0,
     "actuator.mirror.thickness_m": 0.3,
     "actuator.mirror.divisions": 4,
-    "actuator.mirror.reduction": "modal12",
+    "actuator.mirror.reduction": "modal11",
     "actuator.mirror.terms": 15,
     "controller.body-perfect.modes": 12,
     "controller.body.modes": 12,

@@ -21,7 +21,7 @@ LOOP = {
     "actuator.mirror.stiffness_n_um": 5000.0,
     "actuator.mirror.thickness_m": 0.3,
     "actuator.mirror.divisions": 4,
-    "actuator.mirror.reduction": "modal12",
+    "actuator.mirror.reduction": "modal11",
     "actuator.mirror.terms": 15,
     "controller.body-perfect.modes": 10,
     "controller.body.modes": 10,

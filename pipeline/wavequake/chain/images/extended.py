@@ -109,6 +109,7 @@ def object_image(
                 f"object.stars reach {reach:g} lambda/D, beyond the frame of {pixels * sampling:g}"
             )
         border = pixels // 2 + 1
+        spread = np.maximum(spread, 0.0)  # images that were moved ring to 1e-10 of their peak below zero
         return cut(star_field_image(np.pad(spread, border), stars[:, :2], stars[:, 2], sampling), pixels)
     picture = object_picture(section, pixels, sampling)
     spread = pixel_means(spread, sampling, sampling)  # what is lit is a square, not a point

@@ -263,6 +263,11 @@ def _shown(
             draw.exposure_panels(panels, shown["x"].to_numpy()),
             "The mean image of the traced instants, four decades.",
         )
+    if "object_image" in shown:
+        seen = shown["object_image"]
+        images = {name: seen.sel(controller=name).to_numpy() for name in names}
+        words = f"case {case} exposes it"
+        yield common.object_picture(disturbance, words, images, seen, shown["x"].to_numpy())
     if has_histories(shown):
         time = shown["time_s"].to_numpy()
         kept = np.isfinite(time)

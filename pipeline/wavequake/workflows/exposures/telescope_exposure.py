@@ -101,7 +101,7 @@ def exposed_case(control: ControlBench, drawn: CaseDraw, device: Device) -> dict
     grid = imaging.pixels, imaging.sampling, control.area, control.diameter
     instants = len(drawn.time)
     found: dict[str, list[Array]] = {}
-    lit = _lit_object(control)
+    lit = lit_object_of(control)
     for controller in CONTROLLERS:
         # All instants at rest are one.
         case = replace(drawn, time=drawn.time[:1]) if controller == STATIC else drawn
@@ -171,7 +171,7 @@ def _images(
         yield local_images(control, opd, wavefront)[:count]
 
 
-def _lit_object(control: ControlBench) -> LitObject | None:
+def lit_object_of(control: ControlBench) -> LitObject | None:
     """Return the object of a study if its light is coherent or partially so."""
     shown, imaging, prepared = control.study.object, control.study.imaging, control.prepared
     if shown is None or shown.light == "incoherent":

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from wavequake.chain.images.extended import check_object
 from wavequake.chain.loops.answers import Answer, answering, drives_of, dynamics_of, names_of, shown_of
 from wavequake.chain.loops.block import Actuator, Controller, stroke_of, stuck_of
 from wavequake.chain.loops.design import Design, Shaken, Watch
@@ -93,6 +94,8 @@ def bench_of(study: TelescopeLoopStudy) -> Bench:
         or a stroke is too short; names the block.
     """
     optics = optics_of(study)
+    if study.object is not None:
+        check_object(study.object, study.imaging.pixels, study.imaging.sampling)
     for index, entry in enumerate(study.disturbance):
         if entry.share:
             drawn(study, optics, index, 0)  # what no case can do is said before a run

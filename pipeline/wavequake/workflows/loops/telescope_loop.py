@@ -16,6 +16,8 @@ from threadpoolctl import threadpool_limits
 from wavequake.campaign.measured import Block, CaseTable, study_kind
 from wavequake.campaign.measures import Axis, Measure
 from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.chain.images.coherent import mean_image
+from wavequake.chain.images.extended import lit_object_words, object_image
 from wavequake.chain.images.shortcuts import frame_coordinates
 from wavequake.chain.loops.answers import dynamics_of, put_all
 from wavequake.control.linear import Array
@@ -28,10 +30,20 @@ from wavequake.imaging.exposures.exposure import encircled_energy_radius
 from wavequake.imaging.exposures.exposure_models import cut, full_exposure
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.kernels.device.tiles import padded
+from wavequake.kernels.trace.train import Traced
 from wavequake.mechanics.disturbances.motion import generator
 from wavequake.mechanics.model import Integers
 from wavequake.optics.segments.states import SurfaceStates
-from wavequake.workflows.exposures.telescope_control import local_images, measured_opd, position, trace
+from wavequake.optics.segments.wavefront import Wavefront
+from wavequake.workflows.exposures.telescope_control import (
+    ControlBench,
+    local_images,
+    measured_opd,
+    position,
+    ray_phase,
+    trace,
+)
+from wavequake.workflows.exposures.telescope_exposure import lit_object_of
 from wavequake.workflows.loops.telescope_bench import Bench, Designed, bench_of
 from wavequake.workflows.loops.telescope_light import drawn, seen_of, seen_units, states_at_rest
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
@@ -152,7 +164,8 @@ def _nothing(bench: Bench) -> dict[str, Array]:
     if not traced:
         return {}
     pixels = bench.study.imaging.pixels
-    shapes = {"traced_wfe_rms": (traced,), "traced_los": (traced, 2), "exposure": (pixels, pixels)}
+    shapes: dict[str, tuple[int, ...]] = {"traced_wfe_rms": (traced,), "traced_los": (traced, 2)}
+    shapes |= dict.fromkeys(["exposure"] + ["object_image"] * (bench.study.object is not None), (pixels,) * 2)
     single = ("light_error_wfe_rms", "light_error_los", "peak", "ee50", "ee80")
     return {name: np.full(shape, np.nan) for name, shape in {**shapes, **dict.fromkeys(single, ())}.items()}
 
@@ -209,7 +222,9 @@ def _traced(
         exposure = cut(canvas, imaging.pixels)
         scale = imaging.sampling, control.area, control.diameter
         ee50, ee80 = encircled_energy_radius(exposure, (0.5, 0.8), *scale)
+        seen = _object(control, canvas, rays, wavefront, traced)
     return {
+        **seen,
         "traced_wfe_rms": rms,
         "traced_los": los,
         "light_error_wfe_rms": np.abs(linear["wfe_rms"][chosen] - rms).max(),
@@ -219,6 +234,21 @@ def _traced(
         "ee50": np.asarray(ee50),
         "ee80": np.asarray(ee80),
     }
+
+
+def _object(
+    control: ControlBench, canvas: Array, rays: Traced, wavefront: Wavefront, traced: int
+) -> dict[str, Array]:
+    """Return the exposed image of the study's object, if there is one."""
+    shown, imaging = control.study.object, control.study.imaging
+    if shown is None:
+        return {}
+    lit = lit_object_of(control)
+    if lit is None:
+        sizes = imaging.pixels, imaging.sampling, control.area, control.diameter
+        return {"object_image": object_image(shown, canvas, *sizes)}
+    phases = ray_phase(control, measured_opd(control, rays), wavefront, control.static.los[:1])
+    return {"object_image": mean_image(lit, [phases[:traced]])}
 
 
 class _Taken:
@@ -267,6 +297,9 @@ def measures(bench: Bench) -> Iterable[Measure]:
     yield Measure("time_s", "s", "time of the instant", ("time",), _Taken("time_s"), coordinate=True)
     for name, units, words, dims in _MEASURES + (_OF_TRACES if bench.study.look.traced else ()):
         yield Measure(name, units, words, ("controller", *dims), _Taken(name))
+    if bench.study.object is not None:
+        words = "exposed image of " + lit_object_words(bench.study.object)
+        yield Measure("object_image", "1", words, ("controller", "y", "x"), _Taken("object_image"))
 
 
 def axes(bench: Bench) -> Mapping[str, Axis]:

@@ -73,6 +73,8 @@ class TelescopeLoopStudy(SegmentStudy):
             raise ValueError("loops need wavefront.method = 'opd' and wavefront.reference = 'chief'")
         if self.store.keep or self.rare is not None:
             raise ValueError("store.keep and rare belong to segment-disturbance; leave them out")
+        if self.object is not None and not self.look.traced:
+            raise ValueError("[object] is imaged at traced instants; look.traced must be 1 or more")
         if self.look.traced > self.fewest_instants:
             raise ValueError(
                 f"look.traced is {self.look.traced}, but there are cases of {self.fewest_instants} instants"

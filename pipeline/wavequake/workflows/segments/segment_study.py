@@ -267,7 +267,7 @@ class SegmentStudy(Study):
         given += ["detector"] * (self.detector is not None)
         if self.object is not None:
             self.object.chosen()
-            given += ["object"] * (self.study.workflow != "telescope-exposure")
+            given += ["object"] * (self.study.workflow not in ("telescope-exposure", "telescope-loop"))
         if given and self.study.workflow != "segment-disturbance":
             raise ValueError(f"{given[0]} belongs to the workflow segment-disturbance")
         if given and not self.imaging.enabled:

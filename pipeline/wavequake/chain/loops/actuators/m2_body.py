@@ -55,22 +55,27 @@ class ElasticM2(Actuator):
         default=4, ge=1, le=20, description="of actuators about one in the middle, 6 k in ring k"
     )
     stiffness_n_um: float = Field(
-        default=10.0, gt=0, le=1e9, description="of an actuator, along x, y and z alike, N/um"
+        default=10.0, ge=1e-9, le=1e9, description="of an actuator, along x, y and z alike, N/um"
     )
-    diameter_m: float = Field(default=3.0244, gt=0, le=100, description="of the disc; default: TMT's M2")
-    thickness_m: float = Field(default=0.04, gt=0, le=10)
+    diameter_m: float = Field(default=3.0244, ge=1e-3, le=100, description="of the disc; default: TMT's M2")
+    thickness_m: float = Field(default=0.04, ge=1e-5, le=10)
     radius_m: float | None = Field(
-        default=None, description="vertex radius of curvature; negative: convex; default: flat"
+        default=None,
+        ge=-1e9,
+        le=1e9,
+        description="vertex radius of curvature; negative: convex; default: flat",
     )
-    young_gpa: float = Field(default=90.3, gt=0, description="of glass ceramic, as the two that follow")
+    young_gpa: float = Field(
+        default=90.3, ge=1e-6, le=1e6, description="of glass ceramic, as the two that follow"
+    )
     poisson: float = Field(default=0.24, gt=-1, lt=0.5)
-    density_kg_m3: float = Field(default=2530.0, gt=0)
+    density_kg_m3: float = Field(default=2530.0, ge=1.0, le=1e6)
     divisions: int = Field(default=6, ge=2, le=20, description="elements along half a radius")
     reduction: str = Field(
         default="modal40",
         description="reduced model whose modes move, by method and order, as modal40",
     )
-    zeta: float = Field(default=0.01, gt=0, lt=1, description="damping ratio of every mode")
+    zeta: float = Field(default=0.01, ge=1e-9, lt=1, description="damping ratio of every mode")
     terms: int = Field(
         default=105, ge=3, le=MOST_TERMS, description="Noll terms by which surfaces are described"
     )

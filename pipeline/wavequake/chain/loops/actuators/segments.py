@@ -28,11 +28,11 @@ class SegmentActuators(Actuator):
     )
     stiffness_n_um: float | None = Field(
         default=None,
-        gt=0,
+        ge=1e-6,
         le=1e9,
         description="of a segment's actuators together, along z, in place of resonance_hz; needs segment_kg",
     )
-    segment_kg: float | None = Field(default=None, gt=0, le=1e9, description="mass that they carry")
+    segment_kg: float | None = Field(default=None, ge=1e-3, le=1e9, description="mass that they carry")
 
     @model_validator(mode="after")
     def _a_spring_carries_a_mass(self) -> "SegmentActuators":
