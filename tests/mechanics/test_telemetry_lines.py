@@ -140,8 +140,8 @@ def held_of_twins(seeds):
 def test_two_lines_one_percent_apart_come_back_as_often_as_their_intervals_say():
     """Of 200 records (`make soak`, four minutes) each of the eight numbers reaches 183.
 
-    So it was in each of five such sets, 1000 records of which 94.6 to 95.8 % held; of a sixth, seeds 0 to 199,
-    one number had 181, as happens in one set of ten where 95 % is exact.
+    So it was in each of five such sets, 1000 records of which 94.6 to 95.8 % held; of a sixth, seeds 0 to
+    199, one number had 181, as happens in one set of ten where 95 % is exact.
     """
     count = int(os.environ.get("TWIN_RECORDS", "25"))
     held = held_of_twins(range(10_000, 10_000 + count))
