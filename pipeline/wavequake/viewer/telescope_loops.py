@@ -67,9 +67,8 @@ def film_of(
 
 def _take(bench: Bench, stage: Stage, one: Designed, index: int, motion: CaseDraw, device: Device) -> Take:
     control = bench.optics.control
-    positions, _, diverged = positions_of(
-        bench, one, index, [motion], [seen_of(bench.study, bench.optics, motion)]
-    )
+    seen = [seen_of(bench.study, bench.optics, motion)]
+    positions, _, diverged = positions_of(bench, one, index, [motion], seen, device)
     if diverged[0]:
         raise UserError(f"Case {motion.realization} of {motion.population.name} diverges under {one.name}.")
     shown = chosen_instants(len(positions[0]), min(MOST_INSTANTS, len(positions[0])))

@@ -5,7 +5,7 @@ the sensors see of the disturbance (means over their frames, with noise) is know
 """
 
 import heapq
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -180,6 +180,7 @@ def run(
     seen: Sequence[Array],
     looks: int,
     structure: Sequence[Dynamics] = (),
+    beyond: Callable[[int, int, Array], Array] | None = None,
 ) -> Outcome:
     """Run loops that begin at rest.
 
@@ -194,6 +195,9 @@ def run(
         Number of instants that are looked at.
     structure : sequence of Dynamics
         How each of its modes answers what moves along it, as `recoil`.
+    beyond : callable, optional
+        Of a loop's place, a frame (from 0) and the mean positions over it (P + K, cases): what its sensors
+        read (m, cases) beside what follows positions linearly.
     """
     cases = seen[0].shape[2]
     same = SAME * min(loop.timing.frame for loop in loops)
@@ -233,7 +237,8 @@ def run(
                     _joined([one.mean() for one in moving[place]], [one.mean() for one in answers[place]])
                     for place in places
                 ]
-                _read(mine, means, seen[index])
+                given = seen[index][mine.frame]
+                _read(mine, means, given + beyond(index, mine.frame, means[0]) if beyond else given)
                 if mine.frame % mine.loop.timing.frames == 0:
                     limited += _command(mine)
                     total += len(mine.given)
@@ -288,7 +293,7 @@ def _read(one: _Controlled, means: list[Array], seen: Array) -> None:
     first = 0
     for eye, moved in zip(one.loop.eyes, means, strict=True):
         last = first + len(eye.sees)
-        reading = seen[one.frame, first:last] + eye.sees @ moved
+        reading = seen[first:last] + eye.sees @ moved
         if eye.quantum:
             reading = eye.quantum * np.round(reading / eye.quantum)
         one.readings[first:last] += reading / one.loop.timing.frames

@@ -47,6 +47,7 @@ from wavequake.workflows.exposures.telescope_exposure import lit_object_of
 from wavequake.workflows.loops.telescope_bench import Bench, Designed, bench_of
 from wavequake.workflows.loops.telescope_light import drawn, seen_of, seen_units, states_at_rest
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
+from wavequake.workflows.loops.traced_light import beyond_linear
 from wavequake.workflows.segments.launches import CaseDraw, slots
 from wavequake.workflows.segments.segment_disturbance import surface_states
 
@@ -106,7 +107,7 @@ def _batch(
     messages: dict[int, str] = {}
     for one in bench.controllers:
         with clock("loop"):
-            positions, limited, diverged = positions_of(bench, one, index, draws, seen)
+            positions, limited, diverged = positions_of(bench, one, index, draws, seen, device)
         series = []
         for row, case in enumerate(draws):
             if diverged[row]:
@@ -130,7 +131,7 @@ def _batch(
 
 
 def positions_of(
-    bench: Bench, one: Designed, index: int, draws: list[CaseDraw], seen: list[Array]
+    bench: Bench, one: Designed, index: int, draws: list[CaseDraw], seen: list[Array], device: Device
 ) -> tuple[list[Array], Array, NDArray[np.bool_]]:
     """Return of each case positions (n, P) at its instants, the share of limited commands, and divergence."""
     count, looks = len(draws), len(draws[0].time) - 1
@@ -146,7 +147,9 @@ def positions_of(
         for column, values in zip(columns, readings, strict=True):
             whole[..., column] = values[place]
         given.append(whole)
-    found = run(one.loops, one.schedules[index], given, looks, dynamics_of(one.answers))
+    traced = bench.study.look.sensors == "traced"
+    beyond = beyond_linear(bench, one, draws, seen, columns, device) if traced else None
+    found = run(one.loops, one.schedules[index], given, looks, dynamics_of(one.answers), beyond)
     positions = [np.ascontiguousarray(found.positions[..., column]) for column in columns]
     return positions, found.limited[columns], found.diverged[columns]
 

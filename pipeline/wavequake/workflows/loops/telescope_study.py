@@ -1,7 +1,7 @@
 """Study files of ``telescope-loop``: the segments of a telescope, what disturbs them, and loops."""
 
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -35,6 +35,10 @@ class LookSection(Section):
         le=4096,
         description="instants of a case that are traced in full, evenly spread: they make the exposure, and "
         "the error of the loop's own linear light is stored",
+    )
+    sensors: Literal["linear", "traced"] = Field(
+        default="linear",
+        description="light that sensors see in the loop; traced: anew in every frame of every case",
     )
 
 

@@ -1,0 +1,92 @@
+"""Light that is traced in the loop: what each frame's readings have beside those of linear light."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from wavequake.chain.loops.answers import put_all
+from wavequake.control.linear import Array
+from wavequake.control.sampled.readings import means
+from wavequake.kernels.device.devices import Device
+from wavequake.kernels.device.tiles import padded
+from wavequake.optics.segments.states import SurfaceStates
+from wavequake.workflows.exposures.telescope_control import trace
+from wavequake.workflows.loops.telescope_bench import Bench, Designed
+from wavequake.workflows.loops.telescope_light import seen_units, states_at_rest
+from wavequake.workflows.segments.launches import CaseDraw
+from wavequake.workflows.segments.segment_disturbance import surface_states
+
+# Farther than this, nm or nrad, nothing is traced: such a loop diverges.
+_FARTHEST = 1e8
+
+
+def beyond_linear(
+    bench: Bench, one: Designed, draws: list[CaseDraw], seen: list[Array], columns: list[int], device: Device
+) -> Callable[[int, int, Array], Array]:
+    """Return what gives the readings of a frame beside those of linear light.
+
+    The telescope is traced once a frame, where everything is on its mean over the frame. What that has more
+    than linear light of the same motion is added to what the sensors of line of sight and wavefront read;
+    NaN where rays are lost.
+
+    Parameters
+    ----------
+    bench, one
+    draws, seen
+        Cases, and what sensors see of their disturbances by linear light.
+    columns : list of int
+        Where each case stands in the loop's arrays. The others are at rest: launches have one shape, and a
+        case the same bits in every batch.
+    device : Device
+
+    Returns
+    -------
+    callable
+        Of a loop, a frame and mean positions over it (P + K, columns): readings (m, columns).
+    """
+    control, optical = bench.optics.control, bench.optics.light.optical
+    to_mas, to_nm = seen_units(control, bench.study.optics.wavelength_nm)
+    sight = one.sight[:optical]
+
+    def beyond(place: int, frame: int, moved: Array) -> Array:
+        timing = one.loops[place].timing
+        end = (frame + 1) * timing.frame
+        span = np.array([end - timing.integration]), np.array([end])
+        states = states_at_rest(control, padded(moved.shape[1]))
+        near = (np.abs(moved) < _FARTHEST).all(axis=0)
+        positions = np.where(near, moved, 0.0).T
+        linear = positions @ sight.T
+        for column, case, values in zip(columns, draws, seen, strict=True):
+            _put_mean(states, column, bench, case, *span)
+            linear[column] += means(case.time, values[:, :optical], *span)[0]
+        first = 0
+        for actuator in one.actuators:
+            last = first + len(actuator.channels(bench.optics.light))
+            actuator.put(bench.optics.light, states, positions[:, first:last])
+            first = last
+        put_all(one.answers, states, positions[:, first:])
+        found = trace(control.prepared, states, device)[1]
+        still = control.static
+        sights = (found.los - still.los[0]) * to_mas, (found.zernike[:, 3:] - still.zernike[0, 3:]) * to_nm
+        more = np.hstack(sights)[: len(linear)] - linear
+        more[(found.lost[: len(linear)] > 0) | ~near] = np.nan
+        return np.vstack([matrix[:, :optical] @ more.T for matrix in one.readings[place]])
+
+    return beyond
+
+
+def _put_mean(
+    states: SurfaceStates, column: int, bench: Bench, case: CaseDraw, begin: Array, end: Array
+) -> None:
+    """Write the mean of a disturbance, which goes in straight lines, over one instant at rest."""
+    first = max(int(np.searchsorted(case.time, begin[0], side="right")) - 1, 0)
+    last = min(int(np.searchsorted(case.time, end[0], side="left")), len(case.time) - 1)
+    near = np.arange(first, last + 1)
+    time = case.time[near]
+    share = means(time, np.eye(len(near)), begin, end)[0]
+    part = replace(case, time=time, motion=case.motion.at(near))
+    moved = surface_states(bench.optics.control.bench, part, 0, len(near))
+    for name in ("segment_motion", "segment_figure", "surface_motion", "field"):
+        values = getattr(moved, name)[: len(near)]
+        getattr(states, name)[column] = np.tensordot(share, values, 1)
