@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from wavequake.errors import UserError
-from wavequake.report.populations import Excluded, excluded, left_out, populations, representatives, summarize
+from wavequake.report.populations import (
+    Excluded,
+    excluded,
+    left_out,
+    nothing_known,
+    populations,
+    representatives,
+    summarize,
+)
 
 
 def test_failed_and_missing_cases_are_counted_and_left_out(campaign):
@@ -55,8 +63,8 @@ def test_summary_of_a_hand_made_population(campaign):
     assert wind.ee80_p50.value == 1.25
     assert wind.peak_p5.value == 0.75
     assert wind.los_jitter.radial == 0.0
-    assert shake.los_jitter.radial == pytest.approx(5.0)
-    assert shake.centroid_jitter.radial == pytest.approx(0.5)
+    assert shake.los_jitter.radial == pytest.approx(5.0 * np.sqrt(2.0))  # of two still cases, N - 1
+    assert shake.centroid_jitter.radial == pytest.approx(0.5 * np.sqrt(2.0))
     assert shake.ee80_p50.value == np.inf
     assert empty.cases == 0
     assert np.isnan(empty.wfe_raw_p50.value)
@@ -99,3 +107,11 @@ def test_what_is_left_out_is_named_wherever_it_stands(campaign, first):
     assert left_out(part) == expected
     assert left_out(part, most=1) == expected[:1]
     assert [one.disturbance for one in left_out(part, "case")] == ["5", "6"]
+
+
+def test_disturbances_of_which_every_case_failed_come_first():
+    assert nothing_known({"wind": 2}) == "Of wind nothing is known: all 2 of its cases failed. "
+    assert nothing_known({"wind": 1, "noise": 0}) == "Of wind nothing is known: its only case failed. "
+    words = "Of wind and noise nothing is known: all 5 of their cases failed. "
+    assert nothing_known({"wind": 2, "noise": 3}) == words
+    assert nothing_known({}) == ""

@@ -128,17 +128,43 @@ def test_case_rms_is_over_instants():
 
 
 def test_jitter_removes_the_mean_of_the_population_only():
-    # Two still cases at +-(3, 4) about (100, -7): still within each case, 5 apart from the common mean.
+    # Two still cases at +-(3, 4) about (100, -7): still within each case, 5 apart from the common mean. The
+    # variance is that of two draws, with N - 1.
     los = np.array([100.0, -7.0]) + np.array([3.0, 4.0]) * np.array([1.0, -1.0])[:, None, None] * np.ones(
         (2, 6, 1)
     )
     found = jitter(los)
-    np.testing.assert_allclose(found.axis, [3.0, 4.0])
-    assert found.radial == pytest.approx(5.0)
+    np.testing.assert_allclose(found.axis, np.sqrt(2.0) * np.array([3.0, 4.0]))
+    assert found.radial == pytest.approx(5.0 * np.sqrt(2.0))
     assert np.isnan(found.standard_error)  # two are equally far from their mean, however much they scatter
     found = jitter(np.concatenate([los, [[[100.0, -7.0]] * 6]]))  # and a third at the mean: 25, 25, 0
-    assert found.radial**2 == pytest.approx(50.0 / 3.0)
+    assert found.radial**2 == pytest.approx(50.0 / 2.0)
     assert found.standard_error == pytest.approx(25.0 / 3.0 / (2.0 * found.radial))
+
+
+@pytest.mark.parametrize("size", [2, 4, 12])
+def test_jitter_of_few_cases_is_not_too_small(size):
+    """The variance of still and of moving cases, whose means differ, is unbiased: 1 and 1 + 1 per axis."""
+    random = np.random.default_rng(9)
+    means = random.normal(size=(4000, size, 1, 2))
+    for los, variance in ((means, 1.0), (means + random.normal(size=(4000, size, 50, 2)), 2.0)):
+        found = np.mean([jitter(one).axis ** 2 for one in los])
+        assert found == pytest.approx(variance, rel=0.03)
+
+
+def test_jitter_of_sets_is_that_of_as_many_draws():
+    """Sets of two opposite cases: the mean of all is known, so that nothing is to be mended."""
+    random = np.random.default_rng(3)
+    half = random.normal(size=(4000, 3, 1, 2))
+    sets = np.repeat(np.arange(3), 2)
+    pairs = np.stack([half, -half], axis=2).reshape(4000, 6, 1, 2)
+    assert np.mean([jitter(one, sets).axis ** 2 for one in pairs]) == pytest.approx(1.0, rel=0.03)
+
+
+def test_a_single_still_case_says_nothing_of_jitter():
+    assert np.isnan(jitter(np.ones((1, 1, 2))).radial)
+    assert np.isnan(jitter(np.ones((1, 7, 2))).radial)
+    assert jitter(np.ones((2, 7, 2))).radial == 0.0
 
 
 def test_jitter_of_a_sine_is_its_amplitude_over_root_two():

@@ -49,3 +49,13 @@ def test_a_limit_leaves_nothing_behind():
     assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
     with time_limit(None):
         assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
+def test_so_few_cases_that_a_disturbance_has_none_are_told():
+    few = load_study("tmt-segments", {"telescope.name": "tmt-18", "campaign.cases": 2})
+    (said,) = [one for one in campaign.notices(few) if "too few" in one]
+    assert said.startswith("note: 2 cases are too few for all disturbances: ")
+    assert said.endswith(" have none; raise campaign.cases.")
+    assert said.count(",") == 1
+    enough = load_study("tmt-segments", {"telescope.name": "tmt-18", "campaign.cases": 4})
+    assert not any("too few" in one for one in campaign.notices(enough))

@@ -1,7 +1,7 @@
 """From a store to the populations of its report: one per disturbance model, without the cases that failed."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -223,6 +223,17 @@ def summarize(population: Population, analytic: tuple[float, str] | None = None)
         peak_least=float(population.peak.min()) if cases else np.nan,
         wfe_raw_most=float(raw.max()) if cases else np.nan,
     )
+
+
+def nothing_known(failed: Mapping[str, int]) -> str:
+    """Say of which disturbances every case failed, by how many: they may be the worst of all."""
+    names = [name for name, cases in failed.items() if cases]
+    if not names:
+        return ""
+    lost = sum(failed.values())
+    all_ = "their" if len(names) > 1 else "its"
+    words = f"all {lost} of {all_} cases" if lost > 1 else "its only case"
+    return f"Of {' and '.join(names)} nothing is known: {words} failed. "
 
 
 def excluded(dataset: xr.Dataset) -> tuple[Excluded, ...]:

@@ -56,7 +56,9 @@ class Jitter:
     radial : float
         sqrt(x^2 + y^2) of `axis`.
     standard_error : float
-        Of `radial`, from the scatter between cases; NaN for fewer than two cases.
+        Of `radial`, from the scatter between cases; NaN for fewer than three cases.
+
+    All are NaN of a single case that stands still.
     """
 
     axis: NDArray[np.float64]
@@ -116,7 +118,7 @@ def jitter(los: NDArray[np.float64], sets: NDArray[np.int64] | None = None) -> J
 
     The mean that is removed is that of the whole population, over its cases *and* instants: what all of them
     share is a pointing offset, while what differs from case to case stays in the jitter, as does everything
-    slower than a case.
+    slower than a case. The variance is that of further cases, unbiased: of still ones that with N - 1.
 
     Parameters
     ----------
@@ -141,14 +143,19 @@ def jitter_of_cases(
         The stratified set that each case belongs to.
     """
     squares = variances + np.square(means - means.mean(axis=0))
-    axis = np.sqrt(squares.mean(axis=0))
+    which = np.arange(len(means)) if sets is None else np.unique(sets, return_inverse=True)[1]
+    count = np.bincount(which)
+    if count.size == 1 and not squares.any():  # one still case says nothing of others
+        return Jitter(np.full(2, np.nan), np.nan, np.nan)
+    spread = squares.mean(axis=0)
+    if count.size > 1:  # what is drawn has another mean than what is found of so few
+        of_mean = np.stack([np.bincount(which, values) / count for values in means.T], axis=1)
+        spread = spread + of_mean.var(axis=0, ddof=1) / count.size
+    axis = np.sqrt(spread)
     radial = float(np.hypot(*axis))
     # First order: the error of sqrt(mean) is that of the mean over twice the root. Cases are the independent
     # draws.
-    per_case = squares.sum(axis=1)
-    if sets is not None:
-        _, which = np.unique(sets, return_inverse=True)
-        per_case = np.bincount(which, per_case) / np.bincount(which)
+    per_case = np.bincount(which, squares.sum(axis=1)) / count
     if per_case.size < 2 or len(means) < 3:  # two cases are equally far from their mean
         return Jitter(axis, radial, np.nan)
     error = per_case.std(ddof=1) / np.sqrt(per_case.size)

@@ -43,6 +43,7 @@ _LONG_S = 2.5  # a pilot of more cases than one takes no longer
 # Engine and store shall take at most 2 % of a chunk; but a chunk is what a crash may cost, and the least that
 # a worker takes on.
 _CHUNK_S = (2.0, 10.0)
+_MOST_LISTED = 10_000  # cases; more leave no disturbance out
 
 
 def kind_of(study: Study) -> StudyKind:
@@ -275,6 +276,7 @@ def plan(study: str | Path | Study, seconds: float | None = None) -> dict[str, s
 def _planned(study: Study, device: Device) -> Iterator[dict[str, str]]:
     """Yield what a plan says, as soon as it is known."""
     workflow, text, cases = kind_of(study), study.identity_text(), study.cases
+    yield {"note": "\n".join([*doubts(study), *_without_cases(study)])}
     workflow.check(text)
     template = stored_template(workflow, text)
     chunk = chunk_of(study)
@@ -332,7 +334,22 @@ def _time_case(fly: Callable[[int], None], whole: int) -> tuple[float, int]:
 def notices(study: Study) -> Iterator[str]:
     """Yield what the user should read before a run, such as size, mass and doubtful units of a model."""
     yield from doubts(study)
+    yield from _without_cases(study)
     yield from kind_of(study).notices(study.identity_text())
+
+
+def _without_cases(study: Study) -> Iterator[str]:
+    """Say which disturbances so few cases leave out."""
+    entries = [one for one in getattr(study, "disturbance", ()) if getattr(one, "share", 0)]
+    if len(entries) < 2 or study.cases > _MOST_LISTED:
+        return
+    table = kind_of(study).case_table(study.identity_text(), 0, study.cases)
+    there = set(table["disturbance"].tolist()) if "disturbance" in table else {one.name for one in entries}
+    lacking = [one.name for one in entries if one.name not in there]
+    if lacking:
+        few = f"{counted(study.cases, 'case')} {'is' if study.cases == 1 else 'are'} too few"
+        has = "has" if len(lacking) == 1 else "have"
+        yield f"note: {few} for all disturbances: {', '.join(lacking)} {has} none; raise campaign.cases."
 
 
 def _chunk_advice(cases: int, chunk: int, each: float) -> str:

@@ -15,7 +15,14 @@ from wavequake.report.exposures.camera import CAMERA, camera_pictures
 from wavequake.report.exposures.tables import object_picture
 from wavequake.report.histories import what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
-from wavequake.report.populations import Population, Summary, excluded, populations, summarize
+from wavequake.report.populations import (
+    Population,
+    Summary,
+    excluded,
+    nothing_known,
+    populations,
+    summarize,
+)
 from wavequake.report.segments.detail import Detail
 from wavequake.report.segments.fields import base_name, of_population
 from wavequake.report.statistics import FEWEST
@@ -165,20 +172,28 @@ def answer(summaries: Iterable[Summary]) -> str:
         return f"No case is done: all {lost} that were computed failed." if lost else "No case is done yet."
     worst = min(known, key=lambda summary: summary.peak_p5.value)
     largest = max(known, key=lambda summary: summary.wfe_raw_p95.value)
-    shaken = max(known, key=lambda summary: summary.los_jitter.radial)
+    scattered = [summary for summary in known if np.isfinite(summary.los_jitter.radial)]
     several = len(known) > 1
-    lead = f"Of {len(known)} disturbances, {worst.name} costs the most" if several else worst.name
-    where = f" most under {shaken.name}," if several else ""
+    failed = nothing_known({one.name: one.quarantined + one.incomplete for one in summaries if not one.cases})
+    which = "the other " if failed else ""
+    lead = f"Of {which}{len(known)} disturbances, {worst.name} costs the most" if several else worst.name
     dim = (
         f"5 % of its {worst.cases} exposures have a peak below {number(worst.peak_p5.value)}"
         if worst.cases >= FEWEST
         else f"{_dimmest(worst.cases)} has a peak of {number(worst.peak_least)}"
     )
     return (
-        f"{lead}: {dim} of the perfect image's, motion of the line of sight included. "
-        f"{_of_wavefront(largest, several)} "
-        f"The line of sight scatters{where} by {number(shaken.los_jitter.radial)} mas rms."
+        f"{failed}{lead}: {dim} of the perfect image's, motion of the line of sight included. "
+        f"{_of_wavefront(largest, several)}{_of_sight(scattered, several)}"
     )
+
+
+def _of_sight(scattered: Sequence[Summary], several: bool) -> str:
+    if not scattered:  # single cases that stand still
+        return ""
+    shaken = max(scattered, key=lambda summary: summary.los_jitter.radial)
+    where = f" most under {shaken.name}," if several else ""
+    return f" The line of sight scatters{where} by {number(shaken.los_jitter.radial)} mas rms."
 
 
 def _dimmest(cases: int) -> str:

@@ -37,10 +37,10 @@ def answer(found: Sequence[SystemPopulation], sums: frozenset[str] = frozenset()
         )
     name, one = max(results, key=lambda result: quantile(result[1].change, 0.95).value)
     value, most = number(_level(one.change, 95)), " most" if len({name for name, _ in results}) > 1 else ""
+    moves = f", where the line of sight moves by {number(one.los.radial)} µm rms"
     return (
         f"{name} changes the wavefront{most}: {_share_of(95, one)} by {_bound(one)}{value} nm rms at field "
-        f"{one.field}, where the line of sight moves by {number(one.los.radial)} µm rms."
-        + _worst_image(results)
+        f"{one.field}{moves if np.isfinite(one.los.radial) else ''}." + _worst_image(results)
     )
 
 

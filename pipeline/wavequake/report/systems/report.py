@@ -11,6 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from wavequake.campaign.contract import DONE
 from wavequake.campaign.store.store import read_manifest
 from wavequake.drawing.periodogram import has_spectrum
 from wavequake.kernels.device.devices import choose_device
@@ -22,7 +23,7 @@ from wavequake.report.answers import budget
 from wavequake.report.certificate import certificate
 from wavequake.report.histories import has_all_instants, what_is_kept
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
-from wavequake.report.populations import frame_of, left_out
+from wavequake.report.populations import frame_of, left_out, nothing_known
 from wavequake.report.reduced_models import model_results, verdict
 from wavequake.report.reduced_models import pictures as model_pictures
 from wavequake.report.statistics import Quantile, quantile
@@ -52,9 +53,9 @@ from wavequake.workflows.systems.system_measure import worst_instant
 Array = NDArray[np.float64]
 
 _SMALL_PRINT = (
-    "At the primary wavelength. WFE, its change from rest and spot: rms of a case over its instants; P50 "
-    "and P95 over cases. LOS: rms of both axes "
-    "about the mean of all cases and instants, ± standard error. Strehl: over all instants; over a million, "
+    "At the primary wavelength, but peak and EE80: exposures are of all wavelengths. WFE, its change from "
+    "rest and spot: rms of a case over its instants; P50 and P95 over cases. LOS: rms of both axes "
+    "about the mean of all cases and instants. Strehl: over all instants; over a million, "
     "evenly spaced, of more. Maréchal: share "
     "of instants with an rms of at most λ/14 about the best-fit plane. Vignetted: the largest number of rays "
     "at any instant that openings stop, of all that are traced."
@@ -98,6 +99,12 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     return table
 
 
+def _failed(found: Sequence[SystemPopulation], dataset: xr.Dataset) -> dict[str, int]:
+    """Return of disturbances without any finished case how many failed."""
+    names, failed = dataset["disturbance"].to_numpy(), dataset["status"].to_numpy() > DONE
+    return {one.name: int((failed & (names == one.name)).sum()) for one in found if not len(one.cases)}
+
+
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
     """Write the HTML report; the worst case of every disturbance is traced again for its spot diagrams."""
     bench = system_bench(read_manifest(store).study)
@@ -111,7 +118,8 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     models = model_results(light, compared.variants) if compared is not None else []
     largest = compared.largest if compared is not None else 0.0
     page = Page(
-        answer=answer(found, _sums(bench))
+        answer=nothing_known(_failed(found, dataset))
+        + answer(found, _sums(bench))
         + verdict(models, largest)
         + uncertain.sentence(parts)
         + "".join(f" {one}" for one in certificate(bench.study.optics.modal_tolerance_nm, dataset)),
