@@ -265,12 +265,14 @@ def describe(bench: SystemBench) -> dict[str, str]:
     """Return first-order data of the system and its wavefronts at rest, for the plan."""
     system, rays = bench.system, bench.study.optics.rays
     errors = [
-        max(one.rms[0] * prepared.wavelength * NM_PER_MM for prepared, one in zip(*pair, strict=True))
+        [one.rms[0] * prepared.wavelength * NM_PER_MM for prepared, one in zip(*pair, strict=True)]
         for pair in zip(bench.prepared, bench.static, strict=True)
     ]
     lines = {
-        f"field {field_name(system, field)}": f"{error:.4g} nm rms at rest" + _missing(bench, field)
-        for field, error in enumerate(errors)
+        f"field {field_name(system, field)}": f"{row[system.primary_wavelength]:.4g} nm rms at rest"
+        + (f", {max(row):.4g} at another wavelength" if max(row) > row[system.primary_wavelength] else "")
+        + _missing(bench, field)
+        for field, row in enumerate(errors)
     }
     return {
         "rays": f"{rays} per field and wavelength"
