@@ -36,7 +36,9 @@ def test_a_plan_answers_in_time(monkeypatch, slow, known, why):
     start = time.monotonic()
     answer = plan(study, seconds=2.0)
     assert time.monotonic() - start < 10.0
-    assert list(answer) == [*known, "estimate"]
+    assert list(answer)[: len(known)] == known
+    assert list(answer)[-1] == "estimate"
+    assert "memory" not in answer
     assert answer["estimate"].startswith(f"not known: {why} still after 2 s; --wait ")
     assert answer["cases"].startswith("60")
 

@@ -288,6 +288,7 @@ def _planned(study: Study, device: Device) -> Iterator[dict[str, str]]:
         "cases": f"{cases} in {counted(-(-cases // chunk), 'chunk')} of {min(cases, chunk)}",
         "store": f"{cases * per_case / 1e6:.1f} MB, {per_case / 1e3:.1f} kB per case",
     }
+    yield workflow.describe(text)
 
     def fly(pilot: int) -> None:
         ids = np.arange(cases - pilot, cases)  # the first ones may be special
@@ -308,7 +309,6 @@ def _planned(study: Study, device: Device) -> Iterator[dict[str, str]]:
         "one chunk": _chunk_advice(cases, chunk, each),
         "estimate": f"{cases * each:.0f} s of one process",
     }
-    yield workflow.describe(text)
 
 
 def _time_case(fly: Callable[[int], None], whole: int) -> tuple[float, int]:
