@@ -67,6 +67,17 @@ def test_every_command_has_a_function_and_every_function_says_what_it_does():
         wq.nothing  # noqa: B018
 
 
+def test_a_plan_takes_cases_and_keys_as_a_run_does(tmp_path):
+    (tmp_path / "tiny.toml").write_text(STUDY)
+    file, loaded = tmp_path / "tiny.toml", wq.load_study(tmp_path / "tiny.toml")
+    for one in (file, str(file), loaded):
+        found = wq.plan(one, cases=7, disturbance__pistons__piston_nm=35.0)
+        assert found["cases"] == "7 in 2 chunks of 4"
+        assert found["pistons"] == "35 nm rms piston per segment"
+    with pytest.raises(UserError, match="wavelengt"):
+        wq.plan(file, optics__wavelengt=3.0)
+
+
 def test_importing_loads_nothing_heavy():
     heavy = "{'numpy', 'xarray', 'matplotlib', 'IPython'}"
     code = f"import sys, wavequake; print(sorted({heavy} & set(sys.modules)))"

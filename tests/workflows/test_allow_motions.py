@@ -182,6 +182,17 @@ def test_a_spectrum_is_allowed_at_a_level_that_has_the_rms(tmp_path):
     assert len(allow_figure(found, "x").axes) == 2
 
 
+@pytest.mark.parametrize("span", [1.0, 1.5, 8.0, 400.0, 1e5])
+def test_every_axis_of_the_figure_has_numbers(tmp_path, span):
+    found = allowances(detector(tmp_path, "floor"), "los_mm[axis=x]", 0.05, 0.01, cases=100)
+    shown = replace(found, rms=1.4e-8 * np.array([[1.0], [span]]))
+    for axes in allow_figure(shown, "x").axes:
+        low, high = axes.get_ylim()
+        inside = [place for place in axes.get_yticks() if low <= place <= high]
+        assert len(inside) >= 2
+        assert all(axes.yaxis.get_major_formatter().format_ticks(inside))
+
+
 def test_kinds_that_are_not_there_are_sentences(tmp_path):
     with pytest.raises(UserError, match="there is no 'noise'; choose one of static, rms, floor"):
         detector(tmp_path, "noise")

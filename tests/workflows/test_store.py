@@ -216,6 +216,9 @@ def test_paths_that_are_no_place_for_a_store(tmp_path):
         open_store(tmp_path / "nowhere")
     with pytest.raises(UserError, match="There is no store at"):
         store_status(tmp_path / "file")
+    (tmp_path / "budgeted" / "budget.zarr").mkdir(parents=True)
+    with pytest.raises(UserError, match=r"has no runs to report, but budget\.zarr .*`wavequake run`"):
+        open_store(tmp_path / "budgeted")
     with pytest.raises(UserError, match=r"at least one case \(campaign.cases is 0\)"):
         new(tmp_path / "s", cases=0)
 

@@ -1,11 +1,11 @@
 """What decides: rare events, allowances, budgets, errors and sharper intervals, in one call each."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wavequake.campaign.schema import Study
 from wavequake.notebook import progress_bar
+from wavequake.workflows.study import chosen_study
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,7 +63,7 @@ def rare(study: str | Path | Study, **keywords: Any) -> "RareAnswer":
     overrides = {key: keywords.pop(key) for key in list(keywords) if "__" in key}
     with progress_bar() as progress:
         keywords.setdefault("progress", progress)
-        return rare_answer(_loaded(study, overrides), **keywords)
+        return rare_answer(chosen_study(study, overrides), **keywords)
 
 
 def allow(
@@ -115,7 +115,7 @@ def allow(
 
     name, probability, value = goal_of(measure, limit)
     with progress_bar() as progress:
-        return allowances(_loaded(study, overrides), name, probability, value, by, of, cases, progress)
+        return allowances(chosen_study(study, overrides), name, probability, value, by, of, cases, progress)
 
 
 def budget(
@@ -156,7 +156,7 @@ def budget(
     """
     from wavequake.workflows.budgets.budget import stored_budget
 
-    loaded = _loaded(study, overrides)
+    loaded = chosen_study(study, overrides)
     with progress_bar() as progress:
         return stored_budget(loaded, loaded.folder(store), cases, of, progress, measure=measure)[0]
 
@@ -244,10 +244,3 @@ def sharpen(store: str | Path, cases: int = 20_000) -> "pd.DataFrame":
             for name, one in row.found.items()
         ]
     )
-
-
-def _loaded(study: str | Path | Study, overrides: Mapping[str, Any]) -> Study:
-    from wavequake.workflows.study import load_study, study_with
-
-    keys = {key.replace("__", "."): value for key, value in overrides.items()}
-    return study_with(study, keys) if isinstance(study, Study) else load_study(study, keys)

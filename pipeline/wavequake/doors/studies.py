@@ -213,10 +213,9 @@ def margins(study: str | Path, **overrides: Any) -> "pd.DataFrame":
     import pandas as pd
 
     from wavequake.workflows.loops.loop_margins import loops_of
-    from wavequake.workflows.study import load_study
+    from wavequake.workflows.study import chosen_study
 
-    changes = {key.replace("__", "."): value for key, value in overrides.items()}
-    found = loops_of(load_study(study, changes))
+    found = loops_of(chosen_study(study, overrides))
     return pd.DataFrame([{**asdict(one), "stable": one.stable} for one in found])
 
 

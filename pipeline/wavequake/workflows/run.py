@@ -30,7 +30,7 @@ from wavequake.prepared import one_thread, preparation_seconds
 from wavequake.registry import own_modules
 from wavequake.words import counted, lasting
 from wavequake.workflows.kinds import compared_labels, find_kind
-from wavequake.workflows.study import load_study, study_with
+from wavequake.workflows.study import chosen_study
 from wavequake.workflows.time_limit import OutOfTimeError, time_limit
 
 if TYPE_CHECKING:
@@ -203,10 +203,7 @@ def run(
     --------
     >>> ds = run("tmt-segments", cases=8, optics__wavelength_nm=1000.0)  # doctest: +SKIP
     """
-    keys = {key.replace("__", "."): value for key, value in overrides.items()}
-    if cases is not None:
-        keys["campaign.cases"] = cases
-    loaded = study_with(study, keys) if isinstance(study, Study) else load_study(study, keys)
+    loaded = chosen_study(study, overrides, cases)
     path = loaded.folder(store)
     part = None if shard is None else shard_of(shard)
     file = None if cluster is None else Path(cluster)
@@ -243,7 +240,9 @@ def _why_serial(study: Study, path: Path, workers: int | None) -> str | None:
     return None
 
 
-def plan(study: str | Path | Study, seconds: float | None = None) -> dict[str, str]:
+def plan(
+    study: str | Path | Study, seconds: float | None = None, *, cases: int | None = None, **overrides: Any
+) -> dict[str, str]:
     """Describe what running `study` would take: a pilot of a few cases gives the time; nothing is stored.
 
     Parameters
@@ -251,13 +250,15 @@ def plan(study: str | Path | Study, seconds: float | None = None) -> dict[str, s
     study : str, Path or Study
     seconds : float, optional
         Say after this time what is known by then. What is prepared and kept on disk is there the next time.
+    cases, **overrides
+        As of `run`, which says what it raises.
 
     Examples
     --------
     >>> plan("tmt-segments")["cases"]  # doctest: +SKIP
     '1000 in 50 chunks of 20'
     """
-    study = study if isinstance(study, Study) else load_study(study)
+    study = chosen_study(study, overrides, cases)
     device = choose_device(study.campaign.device)
     known = {"note": "", "study": f"{study.study.name} ({study.identity()[:12]})", "cases": f"{study.cases}"}
     known["device"] = f"{device.name} ({device.kind})"

@@ -119,6 +119,14 @@ def study_with(study: Study, keys: Mapping[str, Any]) -> Study:
     return swept_study(found, swept) if swept else found
 
 
+def chosen_study(study: str | Path | Study, overrides: Mapping[str, Any], cases: int | None = None) -> Study:
+    """Return a study, loaded where it is not, with keys of Python (`optics__wavelength_nm`) replaced."""
+    keys = {key.replace("__", "."): value for key, value in overrides.items()}
+    if cases is not None:
+        keys["campaign.cases"] = cases
+    return study_with(study, keys) if isinstance(study, Study) else load_study(study, keys)
+
+
 def _of_sweep(pairs: Iterable[tuple[str, Any]]) -> tuple[dict[str, Any], list[tuple[str, Any]]]:
     """Part overrides into those of the sweep, ``sweep.section.key = [...]``, and the others."""
     pairs, head = list(pairs), f"{NAME}."

@@ -12,7 +12,7 @@ from typing import Any
 from wavequake import __version__
 from wavequake.campaign.store.arrays import ENGINE_VARIABLES
 from wavequake.campaign.store.difference import first_difference
-from wavequake.campaign.store.folder import MANIFEST
+from wavequake.campaign.store.folder import BUDGET, MANIFEST, SENSITIVITY
 from wavequake.campaign.store.journal import Chunk, flush
 from wavequake.errors import StoreDamageError, UserError
 
@@ -73,6 +73,12 @@ def read_manifest(path: Path | str) -> Manifest:
     """
     file = Path(path) / MANIFEST
     if not file.is_file():
+        kept = [name for name in (BUDGET, SENSITIVITY) if (Path(path) / name).exists()]
+        if kept:
+            raise UserError(
+                f"{path} has no runs to report, but {' and '.join(kept)} (xarray.open_zarr reads it): "
+                f"`wavequake run` of the same study with --store {path} adds runs."
+            )
         raise UserError(f"There is no store at {path}: a store is a folder with a {MANIFEST}.")
     try:
         entry = json.loads(_text(file))

@@ -10,13 +10,13 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wavequake.campaign.schema import Study
 from wavequake.drawing.style import COLORS, HEIGHT, STYLE, WIDTH, svg_text
+from wavequake.drawing.ticks import number_powers
 from wavequake.errors import UserError
 from wavequake.report.table import number
 from wavequake.workflows.allow import Allowances
@@ -203,8 +203,8 @@ def allow_figure(found: Allowances, measure: str) -> Figure:
             axes.plot(at + beside, values, linestyle="none", markersize=5.0, label=found.axes[row], **style)
             axes.set_ylabel(f"{kind} ({unit} rms)")
         axes.set_yscale("log")
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axes.yaxis.set_minor_formatter(NullFormatter())
+        axes.set_ylim(axes.get_ylim())
+        number_powers(axes.yaxis)
         axes.grid(axis="y", color="#dddddd", linewidth=0.6)
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     panels[0].set_title(f"What every element is allowed: {measure}")
@@ -235,6 +235,9 @@ def _draw_spectra(axes: Axes, found: Allowances, kind: str) -> None:
         label = f"{found.elements[place[1]]} {found.axes[place[0]]}" if index < _FEW else None
         line = {"color": COLORS[index % len(COLORS)], "linestyle": "-" if index < len(COLORS) else "--"}
         axes.loglog(frequency, np.where(density > 0.0, density, np.nan), label=label, **line)
+    axes.set(xlim=axes.get_xlim(), ylim=axes.get_ylim())
+    for axis in (axes.xaxis, axes.yaxis):
+        number_powers(axis)
     axes.set_xlabel("frequency (Hz)")
     axes.set_ylabel(f"{kind} ({unit}/√Hz)")
     axes.grid(color="#dddddd", linewidth=0.6)
