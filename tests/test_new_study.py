@@ -77,6 +77,25 @@ def test_a_model_says_its_sets_and_the_guess_of_its_units(wavequake):
     assert 'units = "mm,t,s,N"' in Path("mm.toml").read_text()
 
 
+def test_a_flat_plate_finds_the_key_that_its_plan_asks_for(wavequake):
+    assert wavequake("new", "plate.sti")[0] == 0
+    code, *said = wavequake("plan", "plate.toml")
+    assert code == 2
+    assert "optics.focal_length_m" in " ".join(map(str, said))
+    text = Path("plate.toml").read_text()
+    assert "# [optics]\n# focal_length_m = " in text
+    study = text.replace("# [optics]", "[optics]").replace("# focal_length_m", "focal_length_m")
+    Path("curved.toml").write_text(study)
+    assert load_study("curved.toml").optics.focal_length_m == 1.0
+
+
+def test_there_is_no_wind_in_space(wavequake):
+    assert wavequake("new", "jwst")[0] == 0
+    assert "wind" not in Path("jwst.toml").read_text()
+    assert wavequake("new", "tmt-18")[0] == 0
+    assert "segment-wind" in Path("tmt-18.toml").read_text()
+
+
 def test_what_is_not_there_is_said(wavequake):
     for words, said in (
         (("new", "nothing"), "nothing called 'nothing'"),

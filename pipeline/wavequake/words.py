@@ -58,8 +58,11 @@ def unsaid(text: str, said: str) -> str:
     >>> unsaid("A is best. Over 3 cases. B is e.g. worst.", "A is best. B is e.g. worst.")
     'Over 3 cases.'
     """
-    known = " ".join(said.split())
-    return " ".join(one for one in _SENTENCES.split(" ".join(text.split())) if one and one not in known)
+    known, words = " ".join(said.split()), " ".join(text.split())
+    if known:
+        words = words.replace(known, "")
+    sentences = (one.strip() for one in _SENTENCES.split(words))
+    return " ".join(one for one in sentences if one and one not in known)
 
 
 def counted(number: int, noun: str) -> str:

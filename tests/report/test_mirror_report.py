@@ -208,6 +208,19 @@ def test_as_many_variants_are_drawn_as_can_be_told_apart():
     assert "rubin36" in {one.variant for one in chosen}
 
 
+def test_the_exposures_that_are_shown_hold_the_variant_that_is_enough(monkeypatch):
+    dataset, seen = made(bound=0.05), []
+    models, _ = mirrors.results_of(dataset)
+    monkeypatch.setattr(
+        mirrors.draw, "exposure_panels", lambda *arguments: seen.append([one.variant for one in arguments[2]])
+    )
+    monkeypatch.setattr(mirrors, "picture", lambda *arguments: arguments)
+    monkeypatch.setattr(mirrors, "has_histories", lambda dataset: False)
+    assert list(mirrors.excitation_pictures(dataset, "m", models[0], models[0].reference))
+    assert seen
+    assert all(models[0].enough.variant in names and len(names) <= 3 for names in seen)
+
+
 def traced(difference=1e-4, sag=1e-6, optics=1e-4, wfe=100.0):
     """A store of mirror-trace with one variant, two excitations and two instants."""
     over_time = ("case", "excitation", "time")

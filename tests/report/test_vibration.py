@@ -153,6 +153,9 @@ def test_what_was_said_is_not_said_again():
     said = "A moves by 0.5 nm.\n It is e.g. bad."
     assert unsaid("A moves by 0.5 nm. Over 3 cases. It is e.g. bad.", said) == "Over 3 cases."
     assert unsaid("All said.", "All said.") == ""
+    two = "wind: A is best. wind, off: B is worst; C, too."  # sentences that begin with a name
+    assert unsaid(f"Over 3 cases. {two}", two) == "Over 3 cases."
+    assert unsaid("Over 3 cases.", "") == "Over 3 cases."
 
 
 def test_reports_link_to_the_viewer_of_what_it_shows():

@@ -113,6 +113,18 @@ def test_a_file_that_is_no_toml_says_where(tmp_path):
         load_study(path)
 
 
+def test_a_matrix_of_finite_elements_says_what_it_is_for(tmp_path):
+    (tmp_path / "plate.sti").write_text("1 1 2.0\n")
+    with pytest.raises(UserError, match=r"stiffness matrix of CalculiX.*`wavequake new .*plate\.sti`"):
+        load_study(tmp_path / "plate.sti")
+
+
+def test_a_title_names_the_first_values_of_a_long_list_whole():
+    study = load_study("mirror-mor", {"reduction.variants": [f"craigb{order}" for order in range(20, 36, 2)]})
+    assert "'craigb20', 'craigb22' and 6 more" in study.study.title
+    assert "..." not in study.study.title
+
+
 def test_a_lens_file_is_no_study(tmp_path):
     path = tmp_path / "lens.zmx"
     path.write_bytes("MODE SEQ\n".encode("utf-16"))

@@ -27,15 +27,18 @@ def margins(
     import sys
 
     from wavequake.report.table import number
+    from wavequake.workflows.loops.controller_names import explain_names
     from wavequake.workflows.loops.loop_margins import loops_of
     from wavequake.workflows.study import load_study
 
-    table = Table(box=None, caption=_SMALL_PRINT, caption_justify="left")
+    loaded = load_study(study, overrides or [])
+    names = explain_names(one.model_dump() for one in getattr(loaded, "controller", ()))
+    table = Table(box=None, caption=f"{_SMALL_PRINT} {names}".rstrip(), caption_justify="left")
     heads = ("loop", "S peak", "gain", "phase (deg)", "delay (ms)", "gain 1 up to (Hz)", "grows (1/s, Hz)")
     for head in heads:
         table.add_column(head, justify="left" if head == "loop" else "right")
     unstable = total = 0
-    for one in loops_of(load_study(study, overrides or [])):
+    for one in loops_of(loaded):
         total += 1
         if one.stable:
             gain = number(one.gain_up) + (f", {number(one.gain_down)}" if one.gain_down > 0 else "")

@@ -160,10 +160,11 @@ def _named(name: str, keys: dict[str, Any]) -> Seen:
             raise UserError(f"{name} is no study, so it has no keys to set, such as {next(iter(keys))!r}.")
         return Seen(optical_system(name))
     if not is_study:
-        known = ", ".join(dict.fromkeys((*system_names(), *TELESCOPES, *bundled_studies())))
+        known = ", ".join(dict.fromkeys((*system_names(), *TELESCOPES)))
         raise UserError(
-            f"There is nothing called {name!r} to draw. Bundled are {known}; of your own: a .zmx lens file, "
-            "or a .toml study, in which a [model] names the files of a finite-element model."
+            f"There is nothing called {name!r} to draw. Bundled systems and telescopes are {known}; "
+            "`wavequake studies` lists studies; of your own: a .zmx lens file, or a .toml study, "
+            "in which a [model] names the files of a finite-element model."
         )
     return _of_study(load_study(name, keys))
 

@@ -170,5 +170,5 @@ def _over(curves: dict[str, NDArray[np.float64]], name: str, label: str) -> Figu
         axes.set_yscale("log")
     axes.set(xlabel=name, ylabel=label, title=f"{label} over {name}")
     if curves.keys() != {""}:
-        axes.legend()
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure

@@ -169,12 +169,23 @@ cases = 100
 """
 
 
+_IN_SPACE = ("jwst",)
+_WIND = """# Gusts on the segments.
+[[disturbance]]
+name = "wind"
+model = "segment-wind"
+mean_speed_m_s = 0.3
+
+"""
+
+
 def _of_telescope(name: str) -> str:
+    wind = "" if name in _IN_SPACE else _WIND
     return f"""# A study of the telescope {name}, begun by `wavequake new`; docs/study.md has all keys.
 [study]
 name = {_quoted(name)}
 workflow = "segment-disturbance"
-title = {_quoted(f"{name}: segments out of place, wind, pointing")}
+title = {_quoted(f"{name}: segments out of place, {'wind, ' if wind else ''}pointing")}
 
 [telescope]
 name = {_quoted(name)}
@@ -185,13 +196,7 @@ name = "alignment"
 model = "static-random"
 piston_nm = 20.0
 
-# Gusts on the segments.
-[[disturbance]]
-name = "wind"
-model = "segment-wind"
-mean_speed_m_s = 0.3
-
-# Motion of the line of sight.
+{wind}# Motion of the line of sight.
 [[disturbance]]
 name = "pointing"
 model = "line-of-sight"
@@ -233,6 +238,10 @@ file = {_quoted(said)}
 units = {_quoted(units)}  # A GUESS by the size of the mesh: check it, as all results depend on it.
 interfaces = {_quoted(chosen["interfaces"])}  # the nodes that carry forces
 surface = {_quoted(chosen["surface"])}  # the nodes of the optical surface
+
+# A flat optical surface has no focus. If yours is, uncomment both lines: which parabola it stands for.
+# [optics]
+# focal_length_m = 1.0
 
 [reduction]
 variants = ["craigb36", "rubin36", "krylov36(150)"]

@@ -54,7 +54,13 @@ def follow_in_title(record: dict[str, Any], keys: Mapping[str, Any]) -> None:
 
 
 def _shown(value: Any) -> str:
-    return value if isinstance(value, str) else str(value)
+    """Return a value as a title has it; of a long list the first ones, whole, and how many more there are."""
+    if not isinstance(value, list | tuple) or len(str(value)) <= _MOST_VALUE:
+        return str(value)
+    few = 1
+    while few < len(value) and len(str(value[: few + 1])) + 9 <= _MOST_VALUE:
+        few += 1
+    return f"{str(value[:few])[1:-1].rstrip(',')} and {len(value) - few} more"
 
 
 def validated(model: type[Study], record: Mapping[str, Any], where: str, keys: Iterable[str] = ()) -> Study:

@@ -68,6 +68,11 @@ def load_study(name: str | Path, overrides: Mapping[str, Any] | Iterable[str] = 
             f"{path} is a lens file, not a study: a study names it as `file` of its [system]; `wavequake "
             "info` and `wavequake sensitivity` take the lens file itself."
         )
+    if path.suffix.lower() == ".sti":
+        raise UserError(
+            f"{path} is a stiffness matrix of CalculiX, part of a finite element model, not a study: "
+            f"`wavequake new {path}` begins a study of that model."
+        )
     try:
         text = read_text(path)
     except UserError as error:

@@ -27,11 +27,12 @@ _HEADERS = (
     *common.SHORTCUT_HEADERS,
 )
 _IMAGES = ("exposure", "exposure_fitted", "exposure_los_only", "exposure_gaussian")
-_SMALL_PRINT = (
+_LEGEND = (
     "Medians over cases; WFE: mean over time of the rms of the fitted Zernike terms j ≥ 4; EE: the frame "
     "where the circle leaves the image, whose half width is given. LOS only and Gaussian are shortcuts for "
-    "the exposure: L2 norm of the difference of unit-energy images; in small print the error of the peak."
+    "the exposure: L2 norm of the difference of unit-energy images."
 )
+_SMALL_PRINT = f"{_LEGEND} In small print the error of the peak."
 _DEFINITIONS = (
     ("static", "The telescope at rest."),
     ("disturbed", "Nothing is done about the disturbance."),
@@ -48,7 +49,8 @@ _DEFINITIONS = (
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
-    return common.terminal_table(_rows(dataset), _HEADERS, 2, answer(dataset) + what_is_kept(dataset))
+    caption = f"{_LEGEND} {answer(dataset)}{what_is_kept(dataset)}"
+    return common.terminal_table(_rows(dataset), _HEADERS, 2, caption)
 
 
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:

@@ -21,17 +21,24 @@ from wavequake.report.loops.frequency import Curve, bode, sensitivities, style
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import frame_of, left_out
 from wavequake.report.table import number, radius
+from wavequake.workflows.loops.controller_names import explain_names
 
 Array = NDArray[np.float64]
 
+_FIGURES = ("m2-figure", "m2-influence")
 _IDEAL = ("off", "perfect")
 # A wavefront that falls by less is not what the controller is for.
 _HELPS = 0.99
 _GREYS = {"off": "#999999", "perfect": "#444444"}
 _MEDIANS = (
-    "Medians over cases of each case's rms over time. Largest: position of the actuator, nrad or nm; light "
-    "error: of the loop's linear light."
+    "Medians over cases of each case's rms over time. WFE: of the fitted Zernike terms j ≥ 4. LOS: distance "
+    "of the line of sight from rest. Largest: position of any channel of the actuator. Limited: commands "
+    "that stroke or slew cut."
 )
+_TRACED = {
+    "peak": "Peak: of the exposure, 1 = perfect image. EE80: radius that holds 80 % of its energy.",
+    "light_error_los": "Light error: of the loop's linear light, of the WFE, from rays traced in full.",
+}
 _SMALL_PRINT = (
     "Medians over cases of each case's rms over time; all controllers of a case share its draw. In small "
     "print the share of what is left without a controller (off). Peak: of the exposure, 1 = perfect image."
@@ -45,7 +52,10 @@ _DEFINITIONS = (
     ("WFE", "Rms of the fitted Zernike terms j ≥ 4, with that at rest."),
     ("LOS", "Distance of the line of sight from rest."),
     ("perfect", "Acts at once on the same instant's reading, without delay, noise, dynamics or limits."),
-    ("largest", "Largest position of any of the actuator's channels, in its unit (nrad or nm)."),
+    (
+        "largest",
+        "Largest position of any of the actuator's channels: nm of shifts and figures, nrad of turns.",
+    ),
     ("limited", "Share of the commands of all channels that stroke or slew cut."),
     (
         "light error",
@@ -143,12 +153,14 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     rows = common.without_what_is_alike(_rows(dataset))
     headers = tuple(rows[0]) if rows else ()
     labels = headers.index("controller") + 1 if rows else 0
-    caption = f"{_MEDIANS} {answer(dataset)}{what_is_kept(dataset)}"
+    legend = [_MEDIANS, *(words for key, words in _TRACED.items() if key in dataset)]
+    legend += [explain_names(controllers_of(dataset).values()), answer(dataset) + what_is_kept(dataset)]
+    caption = " ".join(filter(None, legend))
     return common.terminal_table(rows, headers, labels, caption)
 
 
 def _rows(dataset: xr.Dataset) -> list[dict[str, tuple[str, str]]]:
-    rows, known = [], controllers_of(dataset)
+    rows, known, units = [], controllers_of(dataset), _units_of(dataset)
     for disturbance, cases in common.finished(dataset, "disturbance"):
         found = results(cases)
         off = next((one for one in found if known[one.name]["model"] == "off"), None)
@@ -162,12 +174,25 @@ def _rows(dataset: xr.Dataset) -> list[dict[str, tuple[str, str]]]:
             if "peak" in cases:
                 row["peak"] = number(one.peak), ""
                 row["EE80 (λ/D)"] = radius(one.ee80, frame_of(cases)), ""
-            row["largest"] = number(one.largest), ""
+            unit = units.get(known[one.name]["actuator"], "")
+            row["largest"] = f"{number(one.largest)} {unit}".rstrip(), ""
             row["limited"] = f"{100 * one.limited:.3g} %", ""
             if "light_error_los" in cases:
                 row["light error"] = f"{one.wfe_error:.0e} nm", f"{one.los_error:.0e} mas"
             rows.append(row)
     return rows
+
+
+def _units_of(dataset: xr.Dataset) -> dict[str, str]:
+    """Return the unit of each actuator's positions: of shifts and figures nm, of turns nrad, of both both."""
+    found = {}
+    for one in json.loads(dataset.attrs["study"])["actuator"]:
+        if one.get("dofs"):
+            units = ("nrad" if dof.startswith("r") else "nm" for dof in one["dofs"])
+            found[one["name"]] = " or ".join(dict.fromkeys(units))
+        elif one["model"] in _FIGURES:
+            found[one["name"]] = "nm"
+    return found
 
 
 def _share(value: float, of: float | None) -> str:
@@ -185,7 +210,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     page = Page(
         answer=answer(dataset),
         table=common.without_what_is_alike(_rows(dataset)),
-        small_print=_SMALL_PRINT + what_is_kept(dataset),
+        small_print=f"{_SMALL_PRINT} {explain_names(known.values())}".rstrip() + what_is_kept(dataset),
         overview=overview,
         sections=[one for one in sections if one.figures],
         definitions=list(_DEFINITIONS),

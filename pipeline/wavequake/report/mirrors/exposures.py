@@ -26,12 +26,12 @@ _HEADERS = (
     *("model", "excitation", "variant", "WFE (nm)", "off", "LOS rms (λ/D)", "peak", "EE80 (λ/D)"),
     *("image off", *common.SHORTCUT_HEADERS),
 )
-_SMALL_PRINT = (
+_LEGEND = (
     "WFE: largest rms over time of the Zernike terms j ≥ 4, not scaled; off: largest error of a variant as a "
     "share of it. Image off: L2 norm of the difference of unit-energy images, of the variant from the "
-    "reference. LOS only and Gaussian are shortcuts for the exposure: the same norm, in small print the "
-    "error of the peak."
+    "reference. LOS only and Gaussian are shortcuts for the exposure: the same norm."
 )
+_SMALL_PRINT = f"{_LEGEND} In small print the error of the peak."
 
 _SCALE = (
     "scale",
@@ -43,7 +43,7 @@ _SCALE = (
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
     rows = _rows(dataset)
-    return common.terminal_table(rows, _HEADERS, 3, answer(rows) + what_is_kept(dataset))
+    return common.terminal_table(rows, _HEADERS, 3, f"{_LEGEND} {answer(rows)}{what_is_kept(dataset)}")
 
 
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:

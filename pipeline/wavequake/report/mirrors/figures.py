@@ -17,6 +17,7 @@ from wavequake.drawing.ticks import power_of_ten
 from wavequake.report.figures import COLORS, HEIGHT, LINES, STYLE, WIDTH
 from wavequake.report.mirrors.variants import MEASURES, Criterion, ModelResult, VariantResult, largest
 
+EXPOSED = 3  # variants whose exposures stand beside that of the reference
 # Noll indices whose responses Fig. 4.29 shows: one of each pair that three-fold symmetry makes alike.
 _SHOWN = (2, 4, 5, 7, 9, 11)
 
@@ -220,8 +221,8 @@ def mac_map(dataset: xr.Dataset, one: VariantResult, reference: VariantResult) -
 def exposure_panels(
     dataset: xr.Dataset, excitation: str, shown: Sequence[VariantResult], reference: VariantResult
 ) -> Figure:
-    """Show the exposures of the reference and of some variants with one logarithmic scale (Fig. 4.32b)."""
-    chosen = [reference, *shown][:4]
+    """Show the exposures of the reference and of up to `EXPOSED` variants, one scale (Fig. 4.32b)."""
+    chosen = [reference, *shown]
     figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
     panels = figure.subplots(2, 2, sharex=True, sharey=True, squeeze=False).ravel()
     x = dataset["x"].to_numpy()

@@ -246,9 +246,9 @@ def _figures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
         draw.pseudo_frequencies(shown),
         "The highest frequency sets the time step of explicit simulations: lower is faster.",
     )
-    yield from excitation_pictures(dataset, name, shown, reference)
+    yield from excitation_pictures(dataset, name, model, reference)
     yield from mirror_shapes.pictures(dataset, model)
-    for one in shown[:2]:
+    for one in representatives(model, 2):
         yield picture(
             f"{name}-mac-{one.case}",
             f"MAC of {one.variant}",
@@ -258,9 +258,10 @@ def _figures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
 
 
 def excitation_pictures(
-    dataset: xr.Dataset, name: str, shown: Sequence[VariantResult], reference: VariantResult
+    dataset: xr.Dataset, name: str, model: ModelResult, reference: VariantResult
 ) -> Iterable[Picture]:
-    """Draw what each excitation does: wavefront errors over time, and exposures."""
+    """Draw what each excitation does: wavefront errors over time, and exposures, of what is enough too."""
+    shown, exposed = representatives(model), representatives(model, draw.EXPOSED)
     for excitation in map(str, dataset["excitation"].to_numpy()):
         if has_histories(dataset):
             yield picture(
@@ -273,7 +274,7 @@ def excitation_pictures(
             yield picture(
                 f"{name}-{excitation}-image",
                 f"Exposures, {excitation}",
-                draw.exposure_panels(dataset, excitation, shown, reference),
+                draw.exposure_panels(dataset, excitation, exposed, reference),
                 "What the camera sees after the whole vibration: equal pictures mean that the reduction "
                 "does not matter.",
             )

@@ -32,7 +32,7 @@ def pictures(dataset: xr.Dataset, model: ModelResult) -> Iterable[Picture]:
     """Yield the pictures of one model; none for a store that was made before there were such shapes."""
     if model.reference is None or not model.variants or "mode_figure" not in dataset:
         return
-    reference, shown = model.reference, representatives(model)[: _ROWS - 1]
+    reference, shown = model.reference, representatives(model, _ROWS - 1)
     yield picture(
         f"{model.name}-modes",
         "Elastic modes, and what they do to the light",

@@ -112,7 +112,6 @@ def _telescope_figures(
     if model.reference is None:
         return
     name, reference = model.name.replace(" ", "-"), model.reference
-    shown = representatives(model)
     if has_all_instants(dataset):
         truth = detail(dataset, reference, study_text, device)
         yield picture(
@@ -138,7 +137,7 @@ def _telescope_figures(
             opd_map(off),
             "What the reduction alone does wrong; compare its scale with that of the wavefront.",
         )
-    yield from mirrors.excitation_pictures(dataset, name, shown, reference)
+    yield from mirrors.excitation_pictures(dataset, name, model, reference)
 
 
 def detail(
