@@ -32,6 +32,7 @@ from wavequake.words import counted, lasting
 from wavequake.workflows.kinds import compared_labels, find_kind
 from wavequake.workflows.study import chosen_study
 from wavequake.workflows.time_limit import OutOfTimeError, time_limit
+from wavequake.workflows.without_cases import without_cases
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -43,7 +44,6 @@ _LONG_S = 2.5  # a pilot of more cases than one takes no longer
 # Engine and store shall take at most 2 % of a chunk; but a chunk is what a crash may cost, and the least that
 # a worker takes on.
 _CHUNK_S = (2.0, 10.0)
-_MOST_LISTED = 10_000  # cases; more leave no disturbance out
 
 
 def kind_of(study: Study) -> StudyKind:
@@ -268,16 +268,15 @@ def plan(
                 known |= more
     except OutOfTimeError:
         still = "a case of the pilot runs" if "store" in known else "what all cases share is prepared"
-        known["estimate"] = (
-            f"not known: {still} still after {seconds:.3g} s; --wait (Python: no seconds) waits"
-        )
+        late = f"{still} still after {seconds:.3g} s"
+        known["estimate"] = f"not known: {late}; --wait (Python: no seconds) waits"
     return {name: words for name, words in known.items() if words}
 
 
 def _planned(study: Study, device: Device) -> Iterator[dict[str, str]]:
     """Yield what a plan says, as soon as it is known."""
     workflow, text, cases = kind_of(study), study.identity_text(), study.cases
-    yield {"note": "\n".join([*doubts(study), *_without_cases(study)])}
+    yield {"note": "\n".join([*doubts(study), *without_cases(study)])}
     workflow.check(text)
     template = stored_template(workflow, text)
     chunk = chunk_of(study)
@@ -335,22 +334,8 @@ def _time_case(fly: Callable[[int], None], whole: int) -> tuple[float, int]:
 def notices(study: Study) -> Iterator[str]:
     """Yield what the user should read before a run, such as size, mass and doubtful units of a model."""
     yield from doubts(study)
-    yield from _without_cases(study)
+    yield from without_cases(study)
     yield from kind_of(study).notices(study.identity_text())
-
-
-def _without_cases(study: Study) -> Iterator[str]:
-    """Say which disturbances so few cases leave out."""
-    entries = [one for one in getattr(study, "disturbance", ()) if getattr(one, "share", 0)]
-    if len(entries) < 2 or study.cases > _MOST_LISTED:
-        return
-    table = kind_of(study).case_table(study.identity_text(), 0, study.cases)
-    there = set(table["disturbance"].tolist()) if "disturbance" in table else {one.name for one in entries}
-    lacking = [one.name for one in entries if one.name not in there]
-    if lacking:
-        few = f"{counted(study.cases, 'case')} {'is' if study.cases == 1 else 'are'} too few"
-        has = "has" if len(lacking) == 1 else "have"
-        yield f"note: {few} for all disturbances: {', '.join(lacking)} {has} none; raise campaign.cases."
 
 
 def _chunk_advice(cases: int, chunk: int, each: float) -> str:
