@@ -32,7 +32,8 @@ def margins(
     from wavequake.workflows.study import load_study
 
     loaded = load_study(study, overrides or [])
-    names = explain_names(one.model_dump() for one in getattr(loaded, "controller", ()))
+    blocks = getattr(loaded, "controller", ())  # one section, not blocks with names, in controller-mor
+    names = explain_names(one.model_dump() for one in blocks) if isinstance(blocks, tuple) else ""
     table = Table(box=None, caption=f"{_SMALL_PRINT} {names}".rstrip(), caption_justify="left")
     heads = ("loop", "S peak", "gain", "phase (deg)", "delay (ms)", "gain 1 up to (Hz)", "grows (1/s, Hz)")
     for head in heads:
