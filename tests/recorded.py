@@ -22,6 +22,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from tests.workflows.small_disc import DISC
 
 FOLDER = Path(__file__).parent / "data" / "recorded"
 WHOLE, SAMPLES, SUMS = 96, 24, 8
@@ -111,12 +112,7 @@ LOOPS = HISTORY | {
     "look.traced": 2,
     "wavefront.zernike_terms": 15,
     "actuator.figure.terms": 15,
-    "actuator.mirror.rings": 2,
-    "actuator.mirror.stiffness_n_um": 5000.0,
-    "actuator.mirror.thickness_m": 0.3,
-    "actuator.mirror.divisions": 4,
-    "actuator.mirror.reduction": "modal11",
-    "actuator.mirror.terms": 15,
+    **DISC,
     "controller.body-perfect.modes": 12,
     "controller.body.modes": 12,
     "controller.rigid.vary": {"latency_frames": [0.5, 2.0]},

@@ -3,7 +3,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavequake.errors import UserError
-from wavequake.reduction.names import Variant, parse
+from wavequake.reduction.names import Variant, orders_of, parse
+from wavequake.workflows.study import load_study
 
 positive = st.floats(1e-3, 1e5)
 weights = st.floats(1e-6, 1e6)
@@ -80,3 +81,23 @@ def test_bad_names_are_explained(name, message):
 def test_order_and_name_must_agree():
     with pytest.raises(UserError, match="contradict"):
         parse("craigb36", 18)
+
+
+@pytest.mark.parametrize(
+    ("name", "names"),
+    [
+        ("craigb{18:54:18}", ["craigb18", "craigb36", "craigb54"]),
+        ("krylov{36:80:36}(200)", ["krylov36(200)", "krylov72(200)"]),
+        ("guyan9", ["guyan9"]),
+    ],
+)
+def test_ranges_of_orders(name, names):
+    assert orders_of(name) == names
+
+
+@pytest.mark.parametrize("name", ["craigb{18:9:3}", "craigb{1:9:0}", "craigb{18}", "craigb{1:9999999:1}"])
+def test_impossible_ranges_are_told(name):
+    with pytest.raises(UserError, match="range"):
+        orders_of(name)
+    with pytest.raises(UserError, match="range"):
+        load_study("mirror-mor", {"reduction.variants": [name]})

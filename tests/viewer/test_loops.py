@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.workflows.small_disc import DISC
 
 import wavequake as wq
 from wavequake.control.frames.disturbance import sampled
@@ -17,12 +18,7 @@ LOOP = {
     "optics.rays": 300,
     "wavefront.zernike_terms": 15,
     "actuator.figure.terms": 15,
-    "actuator.mirror.rings": 2,
-    "actuator.mirror.stiffness_n_um": 5000.0,
-    "actuator.mirror.thickness_m": 0.3,
-    "actuator.mirror.divisions": 4,
-    "actuator.mirror.reduction": "modal11",
-    "actuator.mirror.terms": 15,
+    **DISC,
     "controller.body-perfect.modes": 10,
     "controller.body.modes": 10,
     "controller.body.vary": {"latency_frames": [0.5], "bandwidth_hz": [60.0]},

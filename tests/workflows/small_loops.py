@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from tests.workflows.small_disc import DISC
 
 import wavequake as wq
 from wavequake.campaign.stopwatch import Stopwatch
@@ -16,12 +17,7 @@ SMALL = {
     "optics.rays": 300,
     "wavefront.zernike_terms": 15,
     "actuator.figure.terms": 15,
-    "actuator.mirror.rings": 2,
-    "actuator.mirror.stiffness_n_um": 5000.0,
-    "actuator.mirror.thickness_m": 0.3,
-    "actuator.mirror.divisions": 4,
-    "actuator.mirror.reduction": "modal11",
-    "actuator.mirror.terms": 15,
+    **DISC,
     "controller.body-perfect.modes": 12,
     "controller.body.modes": 12,
     "disturbance.history.instants": 50,

@@ -17,7 +17,6 @@ from wavequake.campaign.statistics.judged import populations_of
 from wavequake.campaign.store.grid import unstack
 from wavequake.errors import UserError
 from wavequake.reduction.intermediate import intermediate
-from wavequake.reduction.names import orders_of
 from wavequake.report import plain, sweeps
 from wavequake.report.campaign import report_store
 from wavequake.report.mirrors import swept as variants
@@ -247,26 +246,6 @@ def test_kinds_of_plugins_are_swept(monkeypatch, tmp_path):
         unstack(dataset, "length_m")
     with pytest.raises(UserError, match="'wind' is no label"):
         unstack(dataset, "wind")
-
-
-@pytest.mark.parametrize(
-    ("name", "names"),
-    [
-        ("craigb{18:54:18}", ["craigb18", "craigb36", "craigb54"]),
-        ("krylov{36:80:36}(200)", ["krylov36(200)", "krylov72(200)"]),
-        ("guyan9", ["guyan9"]),
-    ],
-)
-def test_ranges_of_orders(name, names):
-    assert orders_of(name) == names
-
-
-@pytest.mark.parametrize("name", ["craigb{18:9:3}", "craigb{1:9:0}", "craigb{18}", "craigb{1:9999999:1}"])
-def test_impossible_ranges_are_told(name):
-    with pytest.raises(UserError, match="range"):
-        orders_of(name)
-    with pytest.raises(UserError, match="range"):
-        load_study("mirror-mor", {"reduction.variants": [name]})
 
 
 def test_the_answer_of_variants_names_the_smallest_that_is_enough_at_every_point(mirror, tmp_path):
