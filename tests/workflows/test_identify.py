@@ -15,7 +15,7 @@ from wavequake.mechanics.disturbances.element_motion import ElementMotion, draw_
 from wavequake.mechanics.telemetry.line import Line
 from wavequake.mechanics.telemetry.record import record_of
 from wavequake.workflows.identify.explain import MeasuredMode
-from wavequake.workflows.identify.identify import identified
+from wavequake.workflows.identify.identify import doubts, identified
 from wavequake.workflows.identify.study_text import study_text
 from wavequake.workflows.study import load_study
 from wavequake.workflows.systems.system_bench import system_bench
@@ -71,6 +71,7 @@ cases = 16
 device = "numpy"
 """
 STEP = 1 / 64
+FORCE = 'name = "one"\nmodel = "body-force"\nat = ["cell"]\nspectrum = { rms = 0.5 }\n'
 COLUMNS = [f"wavefront.z{term}_nm" for term in (4, 5, 6, 7, 8)] + ["line_of_sight.x_um", "line_of_sight.y_um"]
 NOISE = [0.2] * 5 + [0.02] * 2
 
@@ -231,10 +232,9 @@ def test_commands_identify_run_and_compare(study, shaken, tmp_path, monkeypatch,
 
 def test_a_mode_that_is_off_comes_back_and_replaces_that_of_the_model(tmp_path):
     """The vertical mode of a body on springs (63.7 Hz) at 66 Hz and 1 %, as accelerometers see it."""
-    keys = 'name = "one"\nmodel = "body-force"\nat = ["cell"]\nspectrum = { rms = 0.5 }\n'
     prior = "[structure.uncertain]\nfrequency = 0.05\ndamping = 0.5\n"
     path = tmp_path / "bench.toml"
-    path.write_text("\n".join([OPTICS, RIGID, prior, "[[disturbance]]", keys]))
+    path.write_text("\n".join([OPTICS, RIGID, prior, "[[disturbance]]", FORCE]))
     plant = system_bench(load_study(path).identity_text()).plants["full"]
     vertical = int(np.argmin(np.abs(plant.omega - np.sqrt(4 * 4e5 / 10.0))))
     rows = plant.shapes[plant.outputs["rigid", "cell"], vertical]
@@ -262,6 +262,31 @@ def test_a_mode_that_is_off_comes_back_and_replaces_that_of_the_model(tmp_path):
     assert after.omega[vertical] == pytest.approx(2 * np.pi * frequency, rel=1e-6)
     ratio = 0.5 * after.modal.damping[vertical, vertical] / after.omega[vertical]
     assert ratio == pytest.approx(damping, rel=1e-3)
+
+
+@pytest.mark.parametrize(("rate", "warned"), [(90.0, True), (1000.0, False)])
+def test_a_line_that_a_mode_beyond_half_the_rate_would_be_folded_to_is_doubted(tmp_path, rate, warned):
+    """The vertical mode of a body on springs (63.7 Hz), half the rate being 45 Hz, or 500 Hz."""
+    path = tmp_path / "bench.toml"
+    path.write_text("\n".join([OPTICS, RIGID, "[[disturbance]]", FORCE]))
+    plant = system_bench(load_study(path).identity_text()).plants["full"]
+    natural = np.sqrt(4 * 4e5 / 10.0) / (2 * np.pi)
+    vertical = int(np.argmin(np.abs(plant.omega / (2 * np.pi) - natural)))
+    row = plant.shapes[plant.outputs["rigid", "cell"], vertical]
+    random, count = np.random.default_rng(0), 12_000
+    swing = oscillator_series(random, count, 1 / rate, natural, 0.002)
+    values = np.column_stack([swing * row[2], swing * row[3]]) / np.abs(row[2]) * 2.0
+    noise = 0.05 * random.standard_normal(values.shape)
+    found = identified(record_of(["cell.dz_um", "cell.rx_urad"], 1 / rate, values + noise), load_study(path))
+    said = [line for line in doubts(found) if "folded at" in line]
+    if not warned:
+        assert not said
+        assert [mode.number for mode in found.modes] == [vertical + 1]
+        return
+    (line,) = found.lines
+    assert line.frequency_hz == pytest.approx(abs(natural - rate), rel=1e-3)  # where sampling brings it
+    assert f"may be mode {vertical + 1} of the structure, at {natural:.4g} Hz, folded at 45 Hz" in said[0]
+    assert len(said) == 1
 
 
 def test_two_gaussians_are_weighed_by_their_certainty():

@@ -18,6 +18,8 @@ DOUBT = 0.01  # probability below which a deviation is no chance
 _SAME = 1e-6  # of the largest singular value
 _NEAR = 0.15  # share by which a mode's frequency may be off
 _LIKE = 0.8  # correlation of shapes of a mode and a line
+_FOLDS = 4.0  # times half the sampling frequency: where modes stand that are looked for in folded lines
+_OFF = 0.005  # share by which such a mode may be off, where the study does not say
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,41 @@ def _whitening(line: Line) -> Array:
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     values = np.maximum(values, 1e-9 * values[-1])
     return np.asarray((vectors / np.sqrt(values)).T / scale)
+
+
+@dataclass(frozen=True)
+class FoldedMode:
+    """A mode beyond half the sampling frequency that may be what a line is: number (from 1), Hz, the line."""
+
+    number: int
+    model_hz: float
+    line: Line
+
+
+def folded_modes(
+    lines: Sequence[Line], seen: Seen, nyquist_hz: float, prior: float = np.inf
+) -> tuple[FoldedMode, ...]:
+    """Return modes that sampling would bring to where a line is, with a shape like its own.
+
+    `prior` is the deviation of the logarithms of the model's frequencies; 0.5 % where it is infinite.
+    """
+    if seen.plant is None:
+        return ()
+    natural = seen.plant.omega / (2.0 * np.pi)
+    off = prior if np.isfinite(prior) else _OFF
+    found = []
+    for line in lines:
+        weight, (low, high) = _whitening(line), line.interval[0]
+        target = weight @ line.rms
+        for mode in np.flatnonzero((natural > nyquist_hz) & (natural < _FOLDS * nyquist_hz)).tolist():
+            hz = float(natural[mode])
+            folded = abs(hz - 2.0 * nyquist_hz * round(hz / (2.0 * nyquist_hz)))
+            shape = weight @ seen.at(hz)[1][:, mode]
+            size = float(np.linalg.norm(shape) * np.linalg.norm(target))
+            near = low - off * hz <= folded <= high + off * hz
+            if near and size > 0.0 and (len(target) == 1 or (shape @ target / size) ** 2 > _LIKE):
+                found.append(FoldedMode(mode + 1, hz, line))
+    return tuple(found)
 
 
 def measured_modes(

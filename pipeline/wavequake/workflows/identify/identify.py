@@ -14,7 +14,14 @@ from wavequake.mechanics.telemetry.line import Line
 from wavequake.mechanics.telemetry.lines import find_lines
 from wavequake.mechanics.telemetry.record import Record, read_record
 from wavequake.mechanics.telemetry.spectra import Averaged, welch
-from wavequake.workflows.identify.explain import Explanation, MeasuredMode, explained, measured_modes
+from wavequake.workflows.identify.explain import (
+    Explanation,
+    FoldedMode,
+    MeasuredMode,
+    explained,
+    folded_modes,
+    measured_modes,
+)
 from wavequake.workflows.identify.seen import Seen, rank_of, seen_by, unseen
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.systems.system_study import SystemStudy
@@ -43,6 +50,8 @@ class Identified:
         What moves at each line; None where the signals are those of the line of sight alone, which any motion
         may turn.
     modes : tuple of MeasuredMode
+    folded : tuple of FoldedMode
+        Modes beyond half the sampling frequency that lines may be.
     seen : Seen or None
     dark : tuple of str
         Motions that the signals do not see.
@@ -58,6 +67,7 @@ class Identified:
     floor: Floor
     explanations: tuple[Explanation | None, ...]
     modes: tuple[MeasuredMode, ...]
+    folded: tuple[FoldedMode, ...]
     seen: Seen | None
     dark: tuple[str, ...]
     alike: tuple[tuple[str, ...], ...]
@@ -110,6 +120,7 @@ def identified(record: Record, study: Study) -> Identified:
         floor_of(rest, lines),
         explanations,
         measured_modes(lines, seen, _prior(study)) if seen else (),
+        folded_modes(lines, seen, record.nyquist_hz, _prior(study)[0]) if seen else (),
         seen,
         tuple(dark),
         tuple(alike),
@@ -176,7 +187,7 @@ def floor_patterns(found: Identified) -> list[tuple[dict[str, float], Array, flo
 
 
 def doubts(found: Identified) -> list[str]:
-    """Return what is odd about a record: signals that rise towards half the sampling frequency."""
+    """Return what may be folded: signals that rise towards half the sampling frequency, modes beyond it."""
     frequency, density = found.spectra.frequency, found.spectra.density
     top = frequency > _TOP * found.record.nyquist_hz
     said = []
@@ -188,4 +199,10 @@ def doubts(found: Identified) -> list[str]:
                 f"{_TOP * found.record.nyquist_hz:.4g} Hz; what is beyond {found.record.nyquist_hz:.4g} Hz "
                 "may be folded into it (aliasing), unless a filter took it out."
             )
+    limit = found.record.nyquist_hz
+    said.extend(
+        f"warning: the line at {mode.line.frequency_hz:.4g} Hz may be mode {mode.number} of the structure, "
+        f"at {mode.model_hz:.4g} Hz, folded at {limit:.4g} Hz (aliasing), unless a filter took it out."
+        for mode in found.folded
+    )
     return said
