@@ -107,6 +107,27 @@ def until(condition, seconds=10.0):
     return condition()
 
 
+def leave(dask_worker):
+    dask_worker.loop.add_callback(dask_worker.close_gracefully, restart=False)
+
+
+def test_a_worker_that_leaves_unasked_is_replaced():
+    with local_cluster(2) as client:
+        (first, second) = client.run(os.getpid).values()
+        address = next(iter(client.nthreads()))
+        client.run(leave, workers=[address])
+
+        def pids():
+            with suppress(OSError):  # the connection to the one that left
+                return set(client.run(os.getpid).values())
+            return set()
+
+        assert until(lambda: len(pids()) == 2 and pids() != {first, second}, 20.0)
+        time.sleep(2.5)  # looks
+        assert len(pids() & {first, second}) == 1
+        assert len(client.nthreads()) == len(client.cluster.worker_spec) == 2
+
+
 def pause_between_reports(dask_worker):
     return dask_worker.periodic_callbacks["heartbeat"].callback_time / 1e3
 

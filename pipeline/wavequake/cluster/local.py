@@ -70,6 +70,8 @@ NO_DASHBOARD: dict[str, Any] = {
 # Between two reports of a worker. Few workers report twice a second by default, which costs their scheduler
 # more than all tasks of a campaign; a death shows at once, by the connection.
 _HEARTBEAT_S = 5.0
+_LOOK_S = 1.0  # between two looks whether a worker has left
+_LEFT = ("closing", "closing_gracefully", "closed", "failed")
 
 GUARDED = 'a script that starts processes must do so under `if __name__ == "__main__":`.'
 _GUARD = 'a script that runs campaigns must do so under `if __name__ == "__main__":` or with on="serial".'
@@ -144,6 +146,7 @@ def local_cluster(workers: int | None = None, dashboard: bool = False) -> Iterat
                     )
                     if not dashboard:  # which shows what workers report
                         _calm(cluster.scheduler)
+                    _keep(cluster, workers or CPU_COUNT)
                 except (RuntimeError, AssertionError, OSError) as error:  # a daemon may have no children
                     raise NoWorkersError(f"The worker processes do not start ({error}): {_GUARD}") from None
                 client = Client(cluster, set_as_default=False)
@@ -173,6 +176,27 @@ def _calm(scheduler: Any) -> None:
     for name in ("idle-timeout", "no-workers-timeout"):  # we set no such limits
         if name in scheduler.periodic_callbacks:
             scheduler.loop.add_callback(scheduler.periodic_callbacks[name].stop)
+
+
+def _keep(cluster: Any, workers: int) -> None:
+    """Start workers in place of those that left though nobody asked them to.
+
+    Dask starts workers again that die. One whose connection to the scheduler breaks leaves for good; under
+    Python 3.14 and OpenSSL 3.6 that happens while others connect.
+    """
+    from tornado.ioloop import PeriodicCallback
+
+    def look() -> None:
+        gone = [name for name, nanny in cluster.workers.items() if nanny.status.name in _LEFT]
+        if gone and cluster.status.name == "running":
+            for name in gone:
+                scheduler.loop.add_callback(cluster.workers.pop(name).close)
+            cluster.scale(workers)
+
+    scheduler = cluster.scheduler
+    scheduler.periodic_callbacks["keep-workers"] = looking = PeriodicCallback(look, 1e3 * _LOOK_S)
+    scheduler.loop.add_callback(look)
+    scheduler.loop.add_callback(looking.start)
 
 
 def _stop(client: Any, cluster: Any) -> None:
