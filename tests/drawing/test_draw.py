@@ -16,6 +16,7 @@ from wavequake.drawing.labels import Labels
 from wavequake.drawing.layout import layouts
 from wavequake.drawing.solid import model_scene, segment_skin, system_scene
 from wavequake.drawing.still import viewing
+from wavequake.drawing.style import svg_text
 from wavequake.errors import UserError
 from wavequake.mechanics.mirrors.models import annular_mirror, circular_mirror
 from wavequake.optics.catalog.names import optical_system, system_names
@@ -26,6 +27,14 @@ from wavequake.report.layout_picture import layout_picture
 from wavequake.workflows.study import bundled_studies, load_study
 
 FACTS = Path(__file__).parents[1] / "data" / "tmt_segments.csv"
+
+
+def test_models_of_many_faces_are_drawn_in_dots(monkeypatch):
+    """172,000 vectors made a page of 27 MB."""
+    mirror = circular_mirror()
+    assert svg_text(draw(mirror)).count("<path") > 2 * 100
+    monkeypatch.setattr("wavequake.drawing.model._MANY", 100)
+    assert svg_text(draw(mirror)).count("<path") < 100
 
 
 def test_segments_are_drawn_where_the_published_table_has_them():

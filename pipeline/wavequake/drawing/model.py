@@ -10,6 +10,7 @@ from wavequake.drawing.solid import MOUNT, Scene, model_scene
 from wavequake.drawing.style import STYLE, Drawing
 from wavequake.mechanics.model import Model
 
+_MANY = 4000  # faces beyond which vectors would make pages of tens of megabytes
 _NODE, _SURFACE, _EDGE = "#8a97a3", "#dbe8f3", "#7f9ab0"
 
 
@@ -65,6 +66,8 @@ def _span(model: Model) -> tuple[list[float], list[float]]:
 def _draw(axes: Axes, model: Model, scene: Scene, second: int) -> None:
     skin, plane = scene.skins[0], [0, second]
     faces = [skin.points[face][:, plane] for face in skin.faces]
-    axes.add_collection(PolyCollection(faces, facecolors=_SURFACE, edgecolors=_EDGE, linewidths=0.3))
+    drawn = PolyCollection(faces, facecolors=_SURFACE, edgecolors=_EDGE, linewidths=0.3)
+    drawn.set_rasterized(len(faces) > _MANY)
+    axes.add_collection(drawn)
     axes.plot(*model.nodes[:, plane].T, ".", color=_NODE, markersize=1.2, zorder=2, rasterized=True)
     axes.plot(*scene.dots[:, plane].T, "^", color=MOUNT, markersize=7, zorder=4)
