@@ -19,7 +19,7 @@ from wavequake.report.page import Page, Picture, Section, picture, render_page, 
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number
 from wavequake.words import counted
-from wavequake.workflows.lens.lens_experiment import bench_of, stage_of, study_of
+from wavequake.workflows.lens.lens_bench import bench_of, stage_of, study_of
 
 Array = NDArray[np.float64]
 
@@ -193,9 +193,25 @@ def answer(found: list[Configuration]) -> str:
             f"({draw.median_of(len(one.rows))}), "
             f"FF {number(old, 2)} % and {number(old_late, 2)} %."
         )
+        if own := _best_of_study(one):
+            words.append(own)
         if one.firmware:
             words.append(one.firmware.answer())
     return " ".join(words)
+
+
+def _best_of_study(one: Configuration) -> str:
+    """Say what the best of the study's own loops leaves; "" if it has none."""
+    known = {"uncontrolled", *_REFERENCE, *_NAMES}
+    medians = {
+        name: (float(np.median(one.ranges[:, place])), float(np.median(one.deviations[:, place])))
+        for place, name in enumerate(one.controllers)
+        if name not in known
+    }
+    if not medians:
+        return ""
+    name, (span, late) = min(medians.items(), key=lambda item: sum(item[1]))
+    return f"Of the study's own loops {name} leaves least, {number(span, 2)} % and {number(late, 2)} %."
 
 
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
