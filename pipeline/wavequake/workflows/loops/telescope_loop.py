@@ -105,7 +105,7 @@ def _batch(
             values = _numbers(bench, one, seen[row][1:], positions[row])
             channels = positions[row][:, : one.channels(bench.optics.light)]
             values |= {"limited": limited[row], "largest": np.abs(channels).max(initial=0.0)}
-            if row in messages:
+            if row in messages or not bench.study.look.traces(case.realization):
                 values |= _nothing(bench)
             else:
                 try:

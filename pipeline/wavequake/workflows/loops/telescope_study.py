@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from wavequake.campaign.schema import Section
@@ -22,6 +23,8 @@ from wavequake.chain.loops.structure import CarryingMode
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.segments.segment_study import SegmentStudy
 
+_ROUNDING = 1e-9
+
 
 class LookSection(Section):
     """What is looked at of a run."""
@@ -33,10 +36,22 @@ class LookSection(Section):
         description="instants of a case that are traced in full, evenly spread: they make the exposure, and "
         "the error of the loop's own linear light is stored",
     )
+    share: float = Field(
+        default=1.0,
+        gt=0,
+        le=1,
+        description="share of a disturbance's cases that are traced, evenly spread from the first one on; "
+        "what is traced is missing (NaN) of the others",
+    )
     sensors: Literal["linear", "traced"] = Field(
         default="linear",
         description="light that sensors see in the loop; traced: anew in every frame of every case",
     )
+
+    def traces(self, realization: int) -> bool:
+        """Return whether a realization is traced: a share of any number of them, but for rounding."""
+        before, now = (np.floor(self.share * k + _ROUNDING) for k in (realization - 1, realization))
+        return bool(self.traced) and bool(now > before)
 
 
 class TelescopeLoopStudy(SegmentStudy):
