@@ -7,15 +7,17 @@ from typer.testing import CliRunner
 
 import wavequake as wq
 from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.chain.loops.closing import grows
 from wavequake.cli import app
 from wavequake.control.sampled.readings import means
 from wavequake.control.sampled.stability import Worst
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
-from wavequake.workflows.loops import telescope_loop, telescope_margins
-from wavequake.workflows.loops.telescope_bench import bench_of, designed, grows, sampled_loops
+from wavequake.workflows.loops import sampled_margins, telescope_loop
+from wavequake.workflows.loops.telescope_bench import bench_of, designed, sampled_loops
 from wavequake.workflows.loops.telescope_light import optics_of
 from wavequake.workflows.loops.telescope_margins import loops
+from wavequake.workflows.loops.telescope_study import LookSection
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +107,26 @@ def test_a_case_has_its_bits_alone_in_a_chunk_and_on_workers(dataset, tmp_path):
     for name in ("wfe_rms", "los", "largest", "traced_los", "exposure"):
         assert np.array_equal(alone.result[name][0], workers[name].to_numpy()[4])
         assert np.array_equal(dataset[name].to_numpy(), workers[name].to_numpy()[:2])
+
+
+def test_a_share_of_cases_is_traced_and_missing_of_the_others(dataset):
+    bench = bench_of(small(**{"look.share": 0.5}))
+    (found,) = telescope_loop.compute(bench, table(bench, 2), "auto", Stopwatch())
+    for name, values in found.result.items():
+        of_traces = "traced" in name or name in ("exposure", "peak", "ee50", "ee80") or "light" in name
+        assert np.array_equal(values[0], dataset[name].to_numpy()[0]), name
+        if of_traces:
+            assert np.isnan(values[1]).all(), name
+        else:
+            assert np.array_equal(values[1], dataset[name].to_numpy()[1]), name
+    assert not found.messages
+
+
+@pytest.mark.parametrize("share", [1.0, 0.7, 1 / 3, 0.1, 0.016])
+def test_of_any_number_of_cases_that_share_is_traced(share):
+    traced = np.cumsum([LookSection(share=share).traces(k) for k in range(2000)])
+    assert traced[0] == 1
+    assert np.abs(traced - share * np.arange(1, 2001)).max() < 1.0
 
 
 def test_poles_are_those_of_python_control_and_all_loops_are_stable():
@@ -246,7 +268,7 @@ gain = 0.3
 def test_what_neither_grows_nor_decays_is_stable_to_rounding(off, unstable, monkeypatch):
     """Margins and the check before a run judge alike: an integrator of what nothing sees has a pole of 1."""
     worst = Worst(1.0 + off, off * 1000.0, 0.0, np.ones(1))
-    monkeypatch.setattr(telescope_margins, "worst_pole", lambda loop: worst)
+    monkeypatch.setattr(sampled_margins, "worst_pole", lambda loop: worst)
     assert grows(worst) == unstable
     found = next(iter(loops(small()).values()))().margins()
     assert found.stable != unstable

@@ -126,4 +126,4 @@ def test_noise_of_centroids_is_that_of_drawn_photons():
 
 def test_a_density_of_noise_is_that_of_white_noise_averaged_over_the_frame():
     sensor = WavefrontSensor(name="w", rate_hz=500.0, integration=0.5, noise=3.0, noise_density=0.2)
-    assert sensor.noise_rms() == pytest.approx(np.hypot(3.0, 0.2 * np.sqrt(500.0)))
+    assert sensor.noise_rms(LIGHT) == pytest.approx(np.hypot(3.0, 0.2 * np.sqrt(500.0)))

@@ -36,6 +36,9 @@ CONTROLLERS = ("uncontrolled", "FF", "FI", "FF+FI", "modal", "identified")
 
 # Runs a regulator in a control unit's firmware: codes of its converter (k,) to commands (k,) in m.
 ControlUnit = Callable[[ModalRegulator, NDArray[np.int64]], Array]
+# Runs a controller on the free run of one of some plants: its place, itself, the runs of all of them, to
+# command and position of the stage (k,), m, at the plant's instants.
+Beside = Callable[[int, "Plant", FreeRuns], tuple[Array, Array]]
 
 # Width of the arrays in which benches swing beside each other: constant, so that bits depend on nothing else.
 TILE = 16
@@ -213,15 +216,9 @@ def draw_plant(
         housing_spring=bench.housing_spring * float(scatter[17]),
     )
     poles = tuple(pole * (real if np.imag(pole) == 0 else pair) for pole in stage.poles)
-    return Plant(
-        shaken,
-        replace(stage, poles=poles, gain=stage.gain * float(gain)),
-        phases,
-        (float(blows[0]), float(blows[1])),
-        noise,
-        frame_noise,
-        float(late),
-    )
+    moved = replace(stage, poles=poles, gain=stage.gain * float(gain))
+    struck = float(blows[0]), float(blows[1])
+    return Plant(shaken, moved, phases, struck, noise, frame_noise, float(late))
 
 
 def camera_of(camera: Camera, seed: int) -> CameraError:
@@ -248,6 +245,7 @@ def run_plants(
     output_step: float = 0.002,
     units: Sequence[ControlUnit] = (),
     unit_design: str = "nominal",
+    beside: Sequence[Beside] = (),
 ) -> Runs:
     """Hit each plant twice: one uncontrolled run identifies it, the other one is what controllers face.
 
@@ -271,6 +269,8 @@ def run_plants(
         Run beside the controllers, on the same readings.
     unit_design : str
         The modal regulator that they run: "nominal", or "identified", each plant's own.
+    beside : sequence of Beside
+        Further controllers.
 
     Raises
     ------
@@ -279,7 +279,7 @@ def run_plants(
     """
     width = len(plants)
     padded = [*plants, *[plants[-1]] * (TILE - width)]
-    first, second = (_hit(padded, run, friction, duration) for run in (0, 1))
+    first, second = (_hit(padded, run, friction, duration, bool(beside)) for run in (0, 1))
     phases, noise = np.stack([plant.phases for plant in padded]), np.stack([plant.noise for plant in padded])
     found = tuple(
         _identified(designs, plant, first, row, chain, camera, frame_rate) for row, plant in enumerate(plants)
@@ -298,13 +298,17 @@ def run_plants(
     for unit in units:
         given = np.stack([unit(one, row) for one, row in zip(chosen, sampled[:width], strict=True)])
         commands.append((given, designs.regulator))
-    return _gathered(plants, second, measured, commands, output_step, found, chosen)
+    others = [[one(row, plant, second) for row, plant in enumerate(plants)] for one in beside]
+    return _gathered(plants, second, measured, commands, others, output_step, found, chosen)
 
 
-def _hit(plants: Sequence[Plant], run: int, friction: float, duration: float) -> FreeRuns:
+def _hit(
+    plants: Sequence[Plant], run: int, friction: float, duration: float, keep_lenses: bool = False
+) -> FreeRuns:
     blows = np.array([plant.blows[run] for plant in plants])
     late = np.array([plant.late if run else 0.0 for plant in plants])
-    return swing([plant.bench for plant in plants], blows, friction=friction, duration=duration, late=late)
+    benches, keep = [plant.bench for plant in plants], keep_lenses and run == 1
+    return swing(benches, blows, friction=friction, duration=duration, late=late, keep_lenses=keep)
 
 
 def identify_plant(
@@ -359,6 +363,7 @@ def _gathered(
     runs: FreeRuns,
     measured: Array,
     commands: Sequence[tuple[Array, SampledController | ModalRegulator]],
+    others: Sequence[Sequence[tuple[Array, Array]]],
     output_step: float,
     found: tuple[Identified, ...],
     regulators: tuple[ModalRegulator, ...],
@@ -366,7 +371,7 @@ def _gathered(
     """Move the stage by the commands, and keep what is stored."""
     width, every = len(plants), _every(output_step)
     count = runs.image.shape[1]
-    held = np.zeros((width, 1 + len(commands), count))
+    held = np.zeros((width, 1 + len(commands) + len(others), count))
     stage = np.zeros_like(held)
     for place, (given, one) in enumerate(commands, start=1):
         held[:, place] = np.repeat(quantized_command(given[:width]), _every(one.sample_time), axis=1)[
@@ -376,6 +381,9 @@ def _gathered(
             stage[row, place] = stage_motion(
                 plant.stage, given[row], one.sample_time, one.compute_delay, PLANT_STEP, count
             )
+    for place, each in enumerate(others, start=1 + len(commands)):
+        for row, (command, position) in enumerate(each):
+            held[row, place], stage[row, place] = command, position
     image = remaining_image(runs.image[:width, None], stage)
     kept = slice(None, None, every)
     return Runs(

@@ -69,7 +69,7 @@ class Sensor(Section):
             return np.pad(found, ((0, 0), (0, rest)))
         return np.pad(found, ((0, 0), (light.optical, rest - found.shape[1])))
 
-    def noise_rms(self) -> float:
+    def noise_rms(self, light: Light) -> float:
         """Return the standard deviation of a reading of one frame."""
         exposed = self.integration / self.rate_hz
         return float(np.hypot(self.noise, self.noise_density / np.sqrt(2 * exposed)))

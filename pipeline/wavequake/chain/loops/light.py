@@ -33,6 +33,8 @@ class Light:
     movable : mapping of str to ndarray, shape (6, L, 6)
         Motions of the L surfaces after M1, as states of a telescope take them, per dx, dy, dz (mm), rx, ry
         and rz (rad) of each surface or body of surfaces by name.
+    wavelength_nm : float
+        0: there is none.
     """
 
     terms: int
@@ -42,6 +44,7 @@ class Light:
     bodies_too: bool = False
     nodes: tuple[str, ...] = ()
     movable: Mapping[str, Array] = field(default_factory=dict)
+    wavelength_nm: float = 0.0
 
     @property
     def optical(self) -> int:

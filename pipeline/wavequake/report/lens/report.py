@@ -12,6 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from wavequake.campaign.contract import DONE
+from wavequake.chain.loops.controllers.off import Off
+from wavequake.chain.loops.controllers.perfect import Perfect
 from wavequake.report.histories import has_all_instants, what_is_kept
 from wavequake.report.lens import figures as draw
 from wavequake.report.lens.firmware import Firmware, firmware_of, left_beside, off_exact
@@ -19,7 +21,7 @@ from wavequake.report.page import Page, Picture, Section, picture, render_page, 
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number
 from wavequake.words import counted
-from wavequake.workflows.lens.lens_experiment import bench_of, stage_of, study_of
+from wavequake.workflows.lens.lens_bench import bench_of, stage_of, study_of
 
 Array = NDArray[np.float64]
 
@@ -83,6 +85,8 @@ class Configuration:
     ----------
     springs : str
     controllers : tuple of str
+    own : tuple of str
+        Those of the study itself that act as anything could.
     rows : ndarray of int, shape (c,)
         In the dataset.
     ranges, deviations : ndarray, shape (c, controller)
@@ -96,6 +100,7 @@ class Configuration:
 
     springs: str
     controllers: tuple[str, ...]
+    own: tuple[str, ...]
     rows: NDArray[np.int64]
     ranges: Array
     deviations: Array
@@ -110,8 +115,9 @@ def configurations(dataset: xr.Dataset) -> list[Configuration]:
     springs = np.array([str(one) for one in dataset["springs"].to_numpy()])
     done = dataset["status"].to_numpy() == DONE
     controllers = tuple(str(one) for one in dataset["controller"].to_numpy())
-    found = []
-    for name in study_of(dataset.attrs["study"]).bench.springs:
+    found, study = [], study_of(dataset.attrs["study"])
+    own = tuple(one.name for one in study.loop if not isinstance(one, Off | Perfect))
+    for name in study.bench.springs:
         rows = np.flatnonzero(done & (springs == name))
         ranges, deviations, ranges_mm, deviations_mm = (
             dataset[key].isel(case=rows).to_numpy()
@@ -122,7 +128,7 @@ def configurations(dataset: xr.Dataset) -> list[Configuration]:
         firmware = firmware_of(dataset, rows) if len(rows) else None
         found.append(
             Configuration(
-                name, controllers, rows, ranges, deviations, ranges_mm, deviations_mm, shown, firmware
+                name, controllers, own, rows, ranges, deviations, ranges_mm, deviations_mm, shown, firmware
             )
         )
     return found
@@ -193,9 +199,24 @@ def answer(found: list[Configuration]) -> str:
             f"({draw.median_of(len(one.rows))}), "
             f"FF {number(old, 2)} % and {number(old_late, 2)} %."
         )
+        if own := _best_of_study(one):
+            words.append(own)
         if one.firmware:
             words.append(one.firmware.answer())
     return " ".join(words)
+
+
+def _best_of_study(one: Configuration) -> str:
+    """Say what the best of the study's own loops leaves; "" if it has none."""
+    places = {name: one.controllers.index(name) for name in one.own}
+    if not places:
+        return ""
+    medians = {
+        name: (float(np.median(one.ranges[:, place])), float(np.median(one.deviations[:, place])))
+        for name, place in places.items()
+    }
+    name, (span, late) = min(medians.items(), key=lambda item: sum(item[1]))
+    return f"Of the study's own loops {name} leaves least, {number(span, 2)} % and {number(late, 2)} %."
 
 
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.table import Table
 
+from wavequake.campaign.contract import DONE
 from wavequake.report.exposures import figures as draw
 from wavequake.report.exposures import tables as common
 from wavequake.report.figures import HEIGHT, STYLE, WIDTH
@@ -94,9 +95,10 @@ def results(cases: xr.Dataset) -> list[Result]:
     for index, name in enumerate(map(str, cases["controller"].to_numpy())):
         middle = [float(np.median(one.isel(controller=index))) for one in (wfe, los)]
         for key in known:
-            values = others[key].isel(controller=index).to_numpy() if key in others else np.array([np.nan])
+            values = others[key].isel(controller=index).to_numpy() if key in others else np.zeros(0)
+            values = values[~np.isnan(values)]  # of a share of cases, where not all are traced
             whole = np.max if key.startswith("light") else np.median
-            middle.append(float(whole(values)))
+            middle.append(float(whole(values)) if len(values) else np.nan)
         found.append(Result(name, *middle))
     return found
 
@@ -154,9 +156,19 @@ def table_of(store: Path, dataset: xr.Dataset) -> Table:
     headers = tuple(rows[0]) if rows else ()
     labels = headers.index("controller") + 1 if rows else 0
     legend = [_MEDIANS, *(words for key, words in _TRACED.items() if key in dataset)]
-    legend += [explain_names(controllers_of(dataset).values()), answer(dataset) + what_is_kept(dataset)]
+    legend += [_traced(dataset), explain_names(controllers_of(dataset).values())]
+    legend += [answer(dataset) + what_is_kept(dataset)]
     caption = " ".join(filter(None, legend))
     return common.terminal_table(rows, headers, labels, caption)
+
+
+def _traced(dataset: xr.Dataset) -> str:
+    """Say of how many cases the traced numbers are, where not all are traced."""
+    if "peak" not in dataset:
+        return ""
+    done = dataset["peak"].isel(case=dataset["status"].to_numpy() == DONE, controller=0)
+    count, whole = int(np.isfinite(done).sum()), done.sizes["case"]
+    return "" if count == whole else f"Images and light errors are those of {count} of {whole} cases."
 
 
 def _rows(dataset: xr.Dataset) -> list[dict[str, tuple[str, str]]]:
@@ -210,7 +222,8 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     page = Page(
         answer=answer(dataset),
         table=common.without_what_is_alike(_rows(dataset)),
-        small_print=f"{_SMALL_PRINT} {explain_names(known.values())}".rstrip() + what_is_kept(dataset),
+        small_print=" ".join(filter(None, (_SMALL_PRINT, _traced(dataset), explain_names(known.values()))))
+        + what_is_kept(dataset),
         overview=overview,
         sections=[one for one in sections if one.figures],
         definitions=list(_DEFINITIONS),
@@ -274,6 +287,9 @@ def _shown(
 ) -> Iterator[Picture]:
     """Draw a case in the middle, under nothing, the best controller of each actuator and the perfect ones."""
     order = np.argsort(_case_rms(cases["los"]).isel(controller=0).to_numpy(), kind="stable")
+    if "peak" in cases:  # of those that are traced, where any is
+        traced = np.isfinite(cases["peak"].isel(controller=0).to_numpy())
+        order = order[traced[order]] if traced.any() else order
     shown = cases.isel(case=int(order[(len(order) - 1) // 2])).load()
     names = telling(found, known)
     case = int(shown["case"])

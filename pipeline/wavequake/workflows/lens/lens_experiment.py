@@ -4,15 +4,12 @@ A case is one plant with one configuration of springs. All controllers face the 
 dimension inside the case (Störkle 2018, Chapter 5).
 """
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
-from wavequake.campaign.schema import study_from_identity
-from wavequake.control.bench import Bench, bench_modes, fitted_bench
+from wavequake.control.bench import bench_modes
 from wavequake.control.camera import Camera, CameraError
 from wavequake.control.experiment import (
     CONTROLLERS,
@@ -36,13 +33,15 @@ from wavequake.control.identification import Record, identify
 from wavequake.control.loop import late_deviation, peak_to_peak
 from wavequake.control.regulator import ModalRegulator
 from wavequake.control.sensor import SensorChain
-from wavequake.control.stage import Stage, low_frequency_delay
+from wavequake.control.stage import low_frequency_delay
 from wavequake.errors import UserError
 from wavequake.firmware.gains import gains_of
 from wavequake.firmware.kept import host_image
 from wavequake.firmware.units import FirmwareUnit
 from wavequake.mechanics.disturbances.motion import generator
 from wavequake.prepared import prepared
+from wavequake.workflows.lens.lens_bench import bench_of, stage_of, study_of
+from wavequake.workflows.lens.lens_loops import beside, closed_loops
 from wavequake.workflows.lens.lens_study import LensStudy
 
 Array = NDArray[np.float64]
@@ -51,49 +50,14 @@ MODES = 11
 
 
 def controllers_of(study: LensStudy) -> tuple[str, ...]:
-    """Return the controllers of each case, the firmware's last."""
-    return (*CONTROLLERS, *(f"firmware-{one}" for one in study.firmware.arithmetic))
+    """Return the controllers of each case: the reference's, the firmware's, then those of the study."""
+    firmware = (f"firmware-{one}" for one in study.firmware.arithmetic)
+    return (*CONTROLLERS, *firmware, *(one.name for one in study.loop))
 
 
 def exact_of(study: LensStudy) -> str:
     """Return the controller that the firmware runs in its own arithmetic."""
     return {"nominal": "modal", "identified": "identified"}[study.firmware.design]
-
-
-def study_of(text: str) -> LensStudy:
-    """Rebuild a study from its identity."""
-    study: LensStudy = study_from_identity(LensStudy, text)
-    return study
-
-
-def bench_of(study: LensStudy, springs: str) -> Bench:
-    """Return the nominal bench of a configuration of springs."""
-    section = study.bench
-    given = {
-        "lens_kg": section.lens_kg,
-        "ring_kg": section.ring_kg,
-        "couplings": section.couplings_n_m,
-        "lens_springs": section.lens_springs_n_m,
-        "ring_springs": section.ring_springs_n_m,
-    }
-    changes: dict[str, Array | float] = {
-        name: np.array(values) for name, values in given.items() if values is not None
-    }
-    if section.housing_kg is not None:
-        changes["housing_kg"] = section.housing_kg
-    if section.housing_spring_n_m is not None:
-        changes["housing_spring"] = section.housing_spring_n_m
-    bench = fitted_bench(springs)
-    if "lens_springs" in changes:
-        changes["lens_springs"] = changes["lens_springs"] * bench.lens_springs / fitted_bench().lens_springs
-    return replace(bench, alpha=section.alpha, beta=section.beta, **changes)  # type: ignore[arg-type]
-
-
-def stage_of(study: LensStudy) -> Stage:
-    """Return the stage that the controllers are designed for."""
-    section = study.stage
-    zeros, poles = (tuple(complex(*root) for root in roots) for roots in (section.zeros, section.poles))
-    return Stage(zeros, poles, section.gain, section.delay_ms / 1e3)
 
 
 def errors_of(study: LensStudy) -> Errors:
@@ -169,6 +133,7 @@ def run_cases(study_text: str, springs: str, realizations: list[int]) -> Runs:
             output_step=study.time.step_ms / 1e3,
             units=_units_of(study),
             unit_design=study.firmware.design,
+            beside=beside(study_text, springs, realizations),
         )
 
 
@@ -276,7 +241,7 @@ def _firmware(study: LensStudy, runs: Runs) -> dict[str, NDArray[np.generic]]:
     if not arithmetic:
         return {}
     exact = runs.command[:, [CONTROLLERS.index(exact_of(study))]]
-    off = 1e6 * (runs.command[:, len(CONTROLLERS) :] - exact)
+    off = 1e6 * (runs.command[:, len(CONTROLLERS) :][:, : len(arithmetic)] - exact)
     digests = [[gains_of(one, chain, each).digest for each in arithmetic] for one in runs.regulators]
     return {
         "firmware_hash": np.array([[int(one, 16) for one in row] for row in digests], dtype=np.uint64),
@@ -375,11 +340,12 @@ def describe(study_text: str) -> dict[str, str]:
 def check(study_text: str) -> None:
     """Raise UserError if a nominal design is impossible, or there is no compiler for firmware.
 
-    Modes may be hidden, ode3 unstable, gains out of an arithmetic's range.
+    Modes may be hidden, ode3 or a loop unstable, gains out of an arithmetic's range.
     """
     study = study_of(study_text)
     for springs in study.bench.springs:
         regulator = designs_of(study_text, springs).regulator
+        closed_loops(study_text, springs)
         for arithmetic in study.firmware.arithmetic:
             with host_image(gains_of(regulator, chain_of(study), arithmetic)):
                 pass

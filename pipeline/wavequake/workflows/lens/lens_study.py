@@ -1,16 +1,23 @@
 """Study files of the lens experiment: bench, stage, errors, sensor, controllers."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, get_args
 
 from pydantic import Field, field_validator, model_validator
 
 from wavequake.campaign.schema import CampaignSection, Section, Study
+from wavequake.chain.loops.block import CONTROLLERS, SENSORS, AnyBlock, Controller, Sensor
+from wavequake.chain.loops.closing import check_part, check_rates, check_sensors
+from wavequake.chain.loops.controllers.off import Off
+from wavequake.chain.loops.controllers.perfect import Perfect
+from wavequake.control.experiment import CONTROLLERS as OWN
 
 Six = tuple[float, float, float, float, float, float]
 Five = tuple[float, float, float, float, float]
 Root = Annotated[tuple[float, float], Field(strict=False)]
 Springs = Literal["initial", "changed"]
 Arithmetic = Literal["float", "q31", "q16"]
+# What controllers of the registry move.
+STAGE = "stage"
 
 
 class BenchSection(Section):
@@ -118,6 +125,8 @@ class LensStudy(Study):
     errors: ErrorsSection = ErrorsSection()
     controller: LensControllerSection = LensControllerSection()
     firmware: FirmwareSection = FirmwareSection()
+    sensor: tuple[Annotated[Sensor, AnyBlock(SENSORS)], ...] = Field(default=(), strict=False)
+    loop: tuple[Annotated[Controller, AnyBlock(CONTROLLERS)], ...] = Field(default=(), strict=False)
     time: LensTimeSection = LensTimeSection()
     campaign: LensCampaignSection = LensCampaignSection()
 
@@ -132,3 +141,35 @@ class LensStudy(Study):
         if abs(steps - round(steps)) > 1e-6:
             raise ValueError("duration_s must be a multiple of step_ms")
         return self
+
+    @field_validator("loop")
+    @classmethod
+    def _varied_values_are_controllers(cls, value: tuple[Controller, ...]) -> tuple[Controller, ...]:
+        return tuple(one for each in value for one in each.varied())
+
+    @model_validator(mode="after")
+    def _loops_fit(self) -> Self:
+        own = *OWN, *(f"firmware-{one}" for one in get_args(Arithmetic))
+        for kind, names in (
+            ("sensor", [one.name for one in self.sensor]),
+            ("controller", [*own, *(one.name for one in self.loop)]),
+        ):
+            if twice := next((name for name in names if names.count(name) > 1), None):
+                raise ValueError(f"two {kind}s are called {twice!r}; each needs a name of its own")
+        for one in self.loop:
+            if one.beside:
+                raise ValueError(f"nothing runs beside the controller {one.name!r}: there is one stage")
+            if isinstance(one, Off):
+                continue
+            check_part(one, "sensor", [each.name for each in self.sensor])
+            if one.actuator:
+                check_part(one, "actuator", [STAGE])
+            check_sensors(one, self.sensor)
+            if not isinstance(one, Perfect):
+                check_rates(one, self.sensors(one)[0], [("the bench", self.time.duration_s)])
+        return self
+
+    def sensors(self, one: Controller) -> tuple[Sensor, ...]:
+        """Return the sensors of a controller."""
+        known = {each.name: each for each in self.sensor}
+        return tuple(known[name] for name in (one.sensor, *one.also_reads) if name)

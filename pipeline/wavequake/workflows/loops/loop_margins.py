@@ -18,6 +18,7 @@ _LOOPS = {
     "tip-tilt-vibration": "wavequake.workflows.loops.tip_tilt",
     "telescope-loop": "wavequake.workflows.loops.telescope_margins",
     "segment-control": "wavequake.workflows.loops.segment_control",
+    "lens-experiment": "wavequake.workflows.lens.lens_loops",
 }
 
 

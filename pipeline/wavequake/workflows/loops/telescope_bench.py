@@ -6,13 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wavequake.chain.images.extended import check_object
+from wavequake.chain.loops import closing
 from wavequake.chain.loops.answers import Answer, answering, drives_of, dynamics_of, names_of, shown_of
 from wavequake.chain.loops.block import Actuator, Controller, stroke_of, stuck_of
+from wavequake.chain.loops.closing import Given, grows
 from wavequake.chain.loops.design import Design, Shaken, Watch
 from wavequake.chain.loops.light import Light
 from wavequake.control.linear import Array
 from wavequake.control.sampled.channel import Timing, in_series
-from wavequake.control.sampled.regulator import Instant, Regulator, Stepped, shape_of
+from wavequake.control.sampled.regulator import Instant, Regulator, Stepped
 from wavequake.control.sampled.run import Actuator as Moved
 from wavequake.control.sampled.run import Eye, Loop, Schedule, frame_count, run, schedule
 from wavequake.control.sampled.stability import SampledLoop, Sight, Worst, worst_pole
@@ -20,9 +22,6 @@ from wavequake.errors import UserError
 from wavequake.workflows.loops.telescope_light import Optics, drawn, optics_of, seen_of
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 
-Given = Regulator | Stepped | Instant | None
-# A pole this near to the circle neither grows nor decays within a run.
-_GROWS = 1e-9
 # Motions that are seen less than this share of others ask for nothing.
 _SEEN = 1e-6
 # Periods of the slowest loop for which loops beside each other are watched after a kick.
@@ -116,10 +115,7 @@ def bench_of(study: TelescopeLoopStudy) -> Bench:
 
 def timing_of(study: TelescopeLoopStudy, one: Controller) -> Timing:
     """Return when a controller reads and acts."""
-    sensor = study.part("sensor", one.sensor)
-    frame = 1.0 / sensor.rate_hz
-    frames = round(sensor.rate_hz / (one.rate_hz or sensor.rate_hz))
-    return Timing(frame, sensor.integration * frame, frames, one.latency_frames * frames * frame)
+    return closing.timing_of(one, study.part("sensor", one.sensor))
 
 
 def designed(study: TelescopeLoopStudy, optics: Optics, one: Controller) -> Given:
@@ -132,23 +128,7 @@ def designed(study: TelescopeLoopStudy, optics: Optics, one: Controller) -> Give
     """
     if not one.sensor or not one.actuator:
         return None
-    asked = asked_of(study, optics, one)
-    wanted = len(asked.channels), asked.read
-    try:
-        found = one.design(asked)
-        shape = wanted if found is None else shape_of(found, wanted[1])
-    except UserError:
-        raise
-    except Exception as error:  # what others wrote fails in ways of its own
-        raise UserError(
-            f"controller.{one.name} cannot be designed: {type(error).__name__}: {error}."
-        ) from error
-    if shape != wanted:
-        raise UserError(
-            f"controller.{one.name} gives {shape[0]} commands of {shape[1]} readings; the actuator "
-            f"{asked.actuator!r} takes {wanted[0]}, its sensors give {wanted[1]}."
-        )
-    return found
+    return closing.design(one, asked_of(study, optics, one))
 
 
 def asked_of(study: TelescopeLoopStudy, optics: Optics, one: Controller) -> Design:
@@ -162,7 +142,7 @@ def asked_of(study: TelescopeLoopStudy, optics: Optics, one: Controller) -> Desi
         shaken = optics.answers[0].shown * structure.rms
     watched = []
     for sensor in study.sensors(one):
-        readings, noise = sensor.readings(optics.light, nominal=True), sensor.noise_rms()
+        readings, noise = sensor.readings(optics.light, nominal=True), sensor.noise_rms(optics.light)
         watched.append(
             Watch(
                 sensor.name,
@@ -219,11 +199,6 @@ def sampled_loops(
             loop = replace(loop, further=tuple(further))
             loops[name] = loop
     return loops
-
-
-def grows(pole: Worst) -> bool:
-    """Return whether a loop with this pole is unstable: what neither grows nor decays is off by rounding."""
-    return abs(pole.value) > 1.0 + _GROWS
 
 
 def refuse_unstable(study: TelescopeLoopStudy, name: str, loop: SampledLoop, optics: Optics) -> None:

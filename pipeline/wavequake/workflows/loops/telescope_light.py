@@ -172,6 +172,7 @@ def _telescope(text: str, dofs: tuple[int, ...]) -> tuple[ControlBench, ModalMod
         bench.system.pupil_outer,
         bench.layout,
         movable=_movable(bench.system),
+        wavelength_nm=control.study.optics.wavelength_nm,
     )
     return control, model, light
 

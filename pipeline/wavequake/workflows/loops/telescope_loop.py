@@ -20,10 +20,9 @@ from wavequake.chain.images.coherent import mean_image
 from wavequake.chain.images.extended import lit_object_words, object_image
 from wavequake.chain.images.shortcuts import frame_coordinates
 from wavequake.chain.loops.answers import dynamics_of, put_all
+from wavequake.chain.loops.closing import readings
 from wavequake.control.linear import Array
-from wavequake.control.sampled.channel import Dynamics
-from wavequake.control.sampled.readings import means
-from wavequake.control.sampled.run import frame_count, run
+from wavequake.control.sampled.run import run
 from wavequake.control.sampled.stability import curve
 from wavequake.errors import UserError
 from wavequake.imaging.exposures.exposure import encircled_energy_radius
@@ -31,7 +30,6 @@ from wavequake.imaging.exposures.exposure_models import cut, full_exposure
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.kernels.device.tiles import padded
 from wavequake.kernels.trace.train import Traced
-from wavequake.mechanics.disturbances.motion import generator
 from wavequake.mechanics.model import Integers
 from wavequake.optics.segments.states import SurfaceStates
 from wavequake.optics.segments.wavefront import Wavefront
@@ -77,24 +75,16 @@ def compute(bench: Bench, table: CaseTable, device: str, clock: Stopwatch) -> It
 
 def _readings(bench: Bench, one: Designed, case: CaseDraw, seen: Array) -> list[Array]:
     """Return the readings (frames, m) of each loop's sensors without the loop, with noise."""
-    found = []
-    running = bench.study.running(bench.study.part("controller", one.name))
-    for controller, loop, matrices in zip(running, one.loops, one.readings, strict=True):
-        ends: Array = np.arange(1.0, frame_count(loop.timing, case.time[-1]) + 1) * loop.timing.frame
-        begins, parts = ends - loop.timing.integration, []
-        for sensor, eye, matrix in zip(bench.study.sensors(controller), loop.eyes, matrices, strict=True):
-            clean = _means(case.time, seen, matrix, begins, ends, eye.sensor)
-            random = generator(bench.study.study.seed, f"sensor {sensor.name}", case.realization)
-            parts.append(clean + sensor.noise_rms() * random.standard_normal(clean.shape))
-        found.append(np.hstack(parts))
-    return found
-
-
-def _means(time: Array, seen: Array, matrix: Array, begins: Array, ends: Array, sensor: Dynamics) -> Array:
-    """Return mean readings (frames, m) of what is seen (n, K)."""
-    if not len(sensor):
-        return np.asarray(means(time, seen, begins, ends) @ matrix.T)
-    return means(time, seen @ matrix.T, begins, ends, sensor)
+    study = bench.study
+    return [
+        readings(
+            case.time, seen, loop.timing, study.sensors(controller), matrices, bench.optics.light,
+            study.study.seed, case.realization,
+        )
+        for controller, loop, matrices in zip(
+            study.running(study.part("controller", one.name)), one.loops, one.readings, strict=True
+        )
+    ]  # fmt: skip
 
 
 def _batch(
@@ -115,7 +105,7 @@ def _batch(
             values = _numbers(bench, one, seen[row][1:], positions[row])
             channels = positions[row][:, : one.channels(bench.optics.light)]
             values |= {"limited": limited[row], "largest": np.abs(channels).max(initial=0.0)}
-            if row in messages:
+            if row in messages or not bench.study.look.traces(case.realization):
                 values |= _nothing(bench)
             else:
                 try:
@@ -140,11 +130,11 @@ def positions_of(
     if not one.loops:
         return [np.zeros((looks, 0))] * count, np.zeros(count), np.zeros(count, bool)
     columns = [case.realization % ROWS for case in draws]
-    readings = [_readings(bench, one, case, values) for case, values in zip(draws, seen, strict=True)]
+    read = [_readings(bench, one, case, values) for case, values in zip(draws, seen, strict=True)]
     given = []
     for place in range(len(one.loops)):
-        whole = np.zeros((*readings[0][place].shape, ROWS))
-        for column, values in zip(columns, readings, strict=True):
+        whole = np.zeros((*read[0][place].shape, ROWS))
+        for column, values in zip(columns, read, strict=True):
             whole[..., column] = values[place]
         given.append(whole)
     traced = bench.study.look.sensors == "traced"

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from wavequake.campaign.schema import Section
@@ -15,15 +16,14 @@ from wavequake.chain.loops.block import (
     Controller,
     Sensor,
 )
+from wavequake.chain.loops.closing import check_part, check_rates, check_sensors
 from wavequake.chain.loops.controllers.off import Off
 from wavequake.chain.loops.controllers.perfect import Perfect
 from wavequake.chain.loops.structure import CarryingMode
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.segments.segment_study import SegmentStudy
 
-_WHOLE = 1e-9
-# Frames of a sensor in a case, whose events are kept.
-_FRAMES = 1_000_000
+_ROUNDING = 1e-9
 
 
 class LookSection(Section):
@@ -36,10 +36,22 @@ class LookSection(Section):
         description="instants of a case that are traced in full, evenly spread: they make the exposure, and "
         "the error of the loop's own linear light is stored",
     )
+    share: float = Field(
+        default=1.0,
+        gt=0,
+        le=1,
+        description="share of a disturbance's cases that are traced, evenly spread from the first one on; "
+        "what is traced is missing (NaN) of the others",
+    )
     sensors: Literal["linear", "traced"] = Field(
         default="linear",
         description="light that sensors see in the loop; traced: anew in every frame of every case",
     )
+
+    def traces(self, realization: int) -> bool:
+        """Return whether a realization is traced: a share of any number of them, but for rounding."""
+        before, now = (np.floor(self.share * k + _ROUNDING) for k in (realization - 1, realization))
+        return bool(self.traced) and bool(now > before)
 
 
 class TelescopeLoopStudy(SegmentStudy):
@@ -89,13 +101,8 @@ class TelescopeLoopStudy(SegmentStudy):
         if isinstance(one, Off):
             return
         for kind in ("sensor", "actuator"):
-            known, asked = [part.name for part in getattr(self, kind)], getattr(one, kind)
-            if not known:
-                raise ValueError(f"the controller {one.name!r} needs {kind}s, but there is no [[{kind}]]")
-            if asked not in known:
-                said = f"names the {kind} {asked!r}" if asked else f"names no {kind}"
-                raise ValueError(f"the controller {one.name!r} {said}; there is {', '.join(known)}")
-        self._sensors_fit(one)
+            check_part(one, kind, [part.name for part in getattr(self, kind)])
+        check_sensors(one, self.sensor)
         for name in one.beside:
             other = next((each for each in self.controller if each.name == name), None)
             if other is None or other is one or isinstance(other, Off | Perfect) or other.beside:
@@ -109,49 +116,10 @@ class TelescopeLoopStudy(SegmentStudy):
                     "each its own"
                 )
 
-    def _sensors_fit(self, one: Controller) -> None:
-        if one.also_reads and not one.fuses:
-            raise ValueError(
-                f"the controller {one.name!r} takes one sensor; leave also_reads out, or take "
-                "lqg-fusion, state-space or a function"
-            )
-        first, known = self.part("sensor", one.sensor), [each.name for each in self.sensor]
-        for place, name in enumerate(one.also_reads):
-            if name not in known:
-                there = ", ".join(known)
-                raise ValueError(f"the controller {one.name!r} also reads {name!r}; there is {there}")
-            if name in (one.sensor, *one.also_reads[:place]):
-                raise ValueError(f"the controller {one.name!r} reads {name!r} twice")
-            other = self.part("sensor", name)
-            if (other.rate_hz, other.integration) != (first.rate_hz, first.integration):
-                raise ValueError(
-                    f"the sensors {one.sensor!r} and {name!r} of the controller {one.name!r} have different "
-                    "frames; give both one rate_hz and integration"
-                )
-
     def _rates_divide(self, one: Controller) -> None:
-        if isinstance(one, Off | Perfect):
-            return
-        rate = self.part("sensor", one.sensor).rate_hz
-        frames = rate / (one.rate_hz or rate)
-        if frames < 1 - _WHOLE or abs(frames - round(frames)) > _WHOLE * frames:
-            raise ValueError(
-                f"the controller {one.name!r} gives {one.rate_hz:g} commands per second, but its sensor "
-                f"{one.sensor!r} {rate:g} frames, which is no whole multiple of it"
-            )
-        period = round(frames) / rate
-        for entry in self.disturbance:
-            if entry.share and rate * entry.duration_s > _FRAMES:
-                raise ValueError(
-                    f"the sensor {one.sensor!r} has {rate * entry.duration_s:.3g} frames in a case of "
-                    f"{entry.name!r} ({entry.duration_s:g} s); lower rate_hz, to {_FRAMES:,} or fewer"
-                )
-            if entry.share and (1.0 + one.latency_frames) * period >= entry.duration_s:
-                raise ValueError(
-                    f"the first command of the controller {one.name!r} acts after "
-                    f"{(1.0 + one.latency_frames) * period:g} s, when the cases of {entry.name!r} are over "
-                    f"({entry.duration_s:g} s)"
-                )
+        if not isinstance(one, Off | Perfect):
+            runs = [(repr(entry.name), entry.duration_s) for entry in self.disturbance if entry.share]
+            check_rates(one, self.part("sensor", one.sensor), runs)
 
     def part(self, kind: str, name: str) -> Any:
         """Return the sensor, actuator or controller of a name."""

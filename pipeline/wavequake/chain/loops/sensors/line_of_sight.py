@@ -25,6 +25,6 @@ class LineOfSightSensor(Sensor, Centroids):
         """Return the line of sight of what is seen."""
         return np.eye(2, light.optical)
 
-    def noise_rms(self) -> float:
+    def noise_rms(self, light: Light) -> float:
         """Return that of the sensor and of its photons."""
-        return float(np.hypot(super().noise_rms(), self.centroid_rms()))
+        return float(np.hypot(super().noise_rms(light), self.centroid_rms()))

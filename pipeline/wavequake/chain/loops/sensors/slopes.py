@@ -48,9 +48,9 @@ class SlopeSensor(Sensor, Centroids, Placed):
         ]
         return np.asarray(to_mas * np.vstack(slopes)[:, 1:] @ light.noll)
 
-    def noise_rms(self) -> float:
+    def noise_rms(self, light: Light) -> float:
         """Return that of the sensor and of the photons of one subaperture."""
-        return float(np.hypot(super().noise_rms(), self.centroid_rms()))
+        return float(np.hypot(super().noise_rms(light), self.centroid_rms()))
 
     def _lit(self, light: Light) -> tuple[Array, Array, Array, Array]:
         """Return points x, y (s, q) of the lit subapertures, and their columns and rows (s,)."""

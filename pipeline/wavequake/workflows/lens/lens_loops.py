@@ -1,0 +1,264 @@
+"""Controllers of the registry on the lens bench: its image and lenses are what sensors read, its stage moves.
+
+The stage does not shake the chain, so a loop closes through the image alone: a = a_F + s_5 y (Eq. 5.5).
+Loops are those of telescopes, exact between events; the control unit's converter rounds their commands.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from wavequake.chain.loops import closing
+from wavequake.chain.loops.block import Controller, Sensor
+from wavequake.chain.loops.design import Design, Shaken, Watch
+from wavequake.chain.loops.light import Light
+from wavequake.control.bench import COMPENSATOR, LENSES, SENSITIVITIES, Bench, bench_modes, force_column
+from wavequake.control.experiment import PLANT_STEP, Beside, Plant
+from wavequake.control.hammer import HAMMER
+from wavequake.control.linear import Array, spectral_radius
+from wavequake.control.plant import FreeRuns
+from wavequake.control.regulator import blow_spectrum
+from wavequake.control.sampled.channel import Dynamics, Timing, in_series
+from wavequake.control.sampled.regulator import Instant, Regulator, Stepped, advance, model_of, start
+from wavequake.control.sampled.run import Actuator, Eye, Loop, Schedule, run, schedule
+from wavequake.control.sampled.stability import SampledLoop, Sight, worst_pole
+from wavequake.control.sensor import quantized_command
+from wavequake.control.stage import Stage, stage_model
+from wavequake.errors import UserError
+from wavequake.mechanics.disturbances.layout import SegmentLayout
+from wavequake.prepared import prepared
+from wavequake.workflows.lens.lens_bench import bench_of, stage_of, study_of
+from wavequake.workflows.lens.lens_study import STAGE, LensStudy
+from wavequake.workflows.loops.loop_margins import Makers
+from wavequake.workflows.loops.sampled_margins import sampled_loop
+
+# Of the image and the stage's positions, and of the lenses, per m.
+_UM, _NM = 1e6, 1e9
+_NOTHING = SegmentLayout(
+    (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 1, 2)), np.zeros(0), owner="the lens bench"
+)
+# What sensors see: the image's place along x and y in um, where a telescope's line of sight has mas, and the
+# lenses' in nm.
+LIGHT = Light(
+    3, 0.0, 1.0, _NOTHING, bodies_too=True, nodes=tuple(f"lens-{lens + 1}" for lens in range(LENSES))
+)
+_THERE = [0, 1, *range(len(LIGHT) - LENSES, len(LIGHT))]
+
+
+def _seen(image: Array, lenses: Array, kept: Sequence[int]) -> Array:
+    """Return all that sensors see (n, K) of image motion (n,) and positions of some lenses (n, l), m."""
+    found = np.zeros((len(image), len(LIGHT)))
+    found[:, 0] = _UM * image
+    found[:, np.array(_THERE)[2:][list(kept)]] = _NM * lenses
+    return found
+
+
+# Of 1 um of the stage, which carries lens 5.
+_SIGHT = _seen(np.array([SENSITIVITIES[COMPENSATOR]]), np.ones((1, 1)), [COMPENSATOR]).T / _UM
+
+
+def _modes(bench: Bench) -> tuple[Shaken, Array]:
+    """Return the modes of a bench, and the rms that sensors see of each just after a blow, (K, modes)."""
+    modes = bench_modes(bench)
+    driven = force_column(bench) @ modes.shapes * blow_spectrum(HAMMER, modes.poles)
+    size = np.abs(driven / modes.poles.imag) / np.sqrt(2.0)
+    lenses = modes.shapes[: len(bench.lenses)] * size
+    image = np.array(SENSITIVITIES)[bench.lenses] @ lenses
+    shaken = Shaken(modes.omega / (2 * np.pi), -modes.poles.real / modes.omega)
+    return shaken, _seen(image, lenses.T, bench.lenses).T
+
+
+def _dynamics(stage: Stage) -> Dynamics:
+    """Return how a stage follows, without its pure delay."""
+    model = stage_model(stage)
+    return Dynamics(model.a, model.b[:, 0], model.c[0], float(model.d[0, 0]))
+
+
+@dataclass(frozen=True)
+class Closed:
+    """A controller on the bench.
+
+    Attributes
+    ----------
+    name : str
+    given : Regulator, Stepped, Instant or None
+    timing : Timing
+        With the pure delay of the stage.
+    sensors : tuple of Sensor
+    matrices : tuple of ndarray, shape (m, K)
+        What each reads of all that is seen.
+    gain : float
+        Of the nominal stage, for a constant command.
+    """
+
+    name: str
+    given: closing.Given
+    timing: Timing
+    sensors: tuple[Sensor, ...]
+    matrices: tuple[Array, ...]
+    gain: float
+
+    @property
+    def closes(self) -> bool:
+        """Whether its sensors see what it does: lens 4 does not."""
+        return any((matrix @ _SIGHT).any() for matrix in self.matrices)
+
+
+@prepared(maxsize=8)
+def closed_loops(study_text: str, springs: str) -> tuple[Closed, ...]:
+    """Design the controllers of a study for a configuration of springs.
+
+    Raises
+    ------
+    UserError
+        If one cannot be designed, or its loop with the nominal stage is unstable; names it.
+    """
+    study = study_of(study_text)
+    found = _designed(study, springs)
+    for one in found:
+        if isinstance(one.given, Regulator) and not one.closes:
+            if spectral_radius(model_of(one.given, one.timing.period)) > 1.0:
+                raise UserError(f"loop.{one.name} grows by itself, and its sensors do not see the stage.")
+        elif isinstance(one.given, Regulator):
+            worst = worst_pole(_sampled(one, stage_of(study)))
+            if closing.grows(worst):
+                raise UserError(
+                    f"loop.{one.name} is unstable: {STAGE!r} grows by {worst.growth:.3g} 1/s at "
+                    f"{worst.hertz:.4g} Hz; lower gain or latency (wavequake margins {study.study.name})."
+                )
+    return found
+
+
+def _designed(study: LensStudy, springs: str) -> tuple[Closed, ...]:
+    return tuple(_closed(study, springs, one) for one in study.loop)
+
+
+def _closed(study: LensStudy, springs: str, one: Controller) -> Closed:
+    sensors, stage = study.sensors(one), stage_of(study)
+    if not sensors:
+        return Closed(one.name, None, Timing(1.0, 1.0, 1, 0.0), (), (), stage.gain)
+    plain = closing.timing_of(one, sensors[0])
+    timing = Timing(plain.frame, plain.integration, plain.frames, plain.latency + stage.delay)
+    matrices = tuple(sensor.readings(LIGHT) for sensor in sensors)
+    shaken, seen = _modes(bench_of(study, springs))
+    watched = []
+    for sensor in sensors:
+        reads, noise = sensor.readings(LIGHT, nominal=True), sensor.noise_rms(LIGHT)
+        if not (len(reads) and reads[:, _THERE].any(axis=1).all()):
+            raise UserError(
+                f"sensor.{sensor.name} reads what the lens bench does not have; it has a line of sight and "
+                f"the nodes {LIGHT.nodes[0]} to {LIGHT.nodes[-1]}."
+            )
+        watched.append(
+            Watch(
+                sensor.name,
+                sensor.labels(LIGHT),
+                reads @ _SIGHT * stage.gain,
+                noise / np.sqrt(timing.frames),
+                sensor.dynamics(),
+                reads @ seen,
+                np.zeros((len(reads), 0)),
+            )
+        )
+    # A constant command of 1 moves the stage by its gain; designs take channels of gain 1.
+    follows = _dynamics(replace(stage, gain=1.0))
+    asked = Design(one.name, STAGE, tuple(watched), (STAGE,), follows, timing, shaken, (), np.zeros((0, 1)))
+    return Closed(one.name, closing.design(one, asked), timing, sensors, matrices, stage.gain)
+
+
+def _sampled(one: Closed, stage: Stage) -> SampledLoop:
+    """Return the loop of a linear controller with the nominal stage."""
+    assert isinstance(one.given, Regulator)
+    sights = [
+        Sight(in_series(_dynamics(stage), sensor.dynamics()), matrix @ _SIGHT)
+        for sensor, matrix in zip(one.sensors, one.matrices, strict=True)
+    ]
+    first, *further = sights
+    return SampledLoop(one.timing, first.dynamics, first.sees, one.given, further=tuple(further))
+
+
+def beside(study_text: str, springs: str, realizations: Sequence[int]) -> tuple[Beside, ...]:
+    """Return what runs each controller of a study on plants of these realizations."""
+    seed = study_of(study_text).study.seed
+    return tuple(
+        partial(_follow, one, seed, tuple(realizations)) for one in closed_loops(study_text, springs)
+    )
+
+
+def _follow(
+    one: Closed, seed: int, realizations: Sequence[int], row: int, plant: Plant, runs: FreeRuns
+) -> tuple[Array, Array]:
+    """Return command and position of the stage (k,), m, under a controller on a free run of a plant.
+
+    Raises
+    ------
+    UserError
+        If it diverges.
+    """
+    assert runs.lenses is not None
+    seen = _seen(runs.image[row], runs.lenses[row].T, plant.bench.lenses)
+    still = np.zeros(len(runs.time))
+    if one.given is None:
+        return still, still
+    if isinstance(one.given, Instant):
+        command = -(one.given.decoupling @ np.vstack(one.matrices) @ seen.T)[0] / _UM
+        return command, one.gain * command
+    given = closing.readings(
+        runs.time, seen, one.timing, one.sensors, one.matrices, LIGHT, seed, realizations[row]
+    )
+    commands = list[float]()
+    first, *further = (
+        Eye(matrix @ _SIGHT, sensor.quantum, sensor.dynamics())
+        for matrix, sensor in zip(one.matrices, one.sensors, strict=True)
+    )
+    moved = Actuator(_dynamics(plant.stage), np.full(1, np.inf), np.inf, np.full(1, np.nan))
+    unit = _through_converter(one.given, commands)
+    loop = Loop(one.timing, unit, moved, first.sees, first.quantum, first.sensor, further=tuple(further))
+    found = run([loop], _events(one.timing, len(still)), [given[..., None]], len(still) - 1)
+    if found.diverged[0]:
+        raise UserError(f"It diverges under the controller {one.name!r}.")
+    stage = np.concatenate([[0.0], found.positions[:, 0, 0]]) / _UM
+    periods = np.floor(runs.time / one.timing.period + 1e-9).astype(np.int64)
+    return np.concatenate([[0.0], commands])[np.minimum(periods, len(commands))] / _UM, stage
+
+
+@prepared(maxsize=8)
+def _events(timing: Timing, count: int) -> Schedule:
+    """Return the events of a loop that is looked at where plants are."""
+    return schedule([timing], PLANT_STEP * np.arange(1.0, count))
+
+
+def _through_converter(given: Regulator | Stepped, commands: list[float]) -> Stepped:
+    """Return a controller whose commands, in um, the control unit's converter puts out and a list keeps."""
+    rest = start(given, 1)
+
+    def function(states: Array, readings: Array) -> tuple[Array, Array]:
+        own, wanted = advance(given, states.reshape(rest.shape), readings)
+        put = _UM * quantized_command(wanted / _UM)
+        commands.append(float(put[0, 0]))
+        return own.reshape(-1, 1), put
+
+    return Stepped(rest.size, function)
+
+
+def loops(study: LensStudy) -> Makers:
+    """Return every linear controller of a study, each alone, with the nominal stage.
+
+    Raises
+    ------
+    UserError
+        If there is none.
+    """
+    makers, stage = {}, stage_of(study)
+    for springs in study.bench.springs:
+        for one in _designed(study, springs):
+            if isinstance(one.given, Regulator) and one.closes:
+                name = f"{one.name}, {springs} springs" if len(study.bench.springs) > 1 else one.name
+                makers[name] = partial(sampled_loop, name, _sampled(one, stage))
+    if not makers:
+        raise UserError(
+            f"{study.study.name} has no linear [[loop]] whose sensor sees the stage: there are no margins."
+        )
+    return makers
