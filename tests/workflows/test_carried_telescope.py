@@ -9,6 +9,7 @@ from small_loops import first_case, table, written
 import wavequake as wq
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.loops.controllers.lqg import shaken_lines
+from wavequake.chain.loops.designed import asked_of
 from wavequake.chain.loops.structure import CarryingMode, carrying
 from wavequake.control.frames.disturbance import sampled
 from wavequake.control.python_control import to_control
@@ -16,7 +17,7 @@ from wavequake.control.sampled.stability import controller_model, plant_model, s
 from wavequake.errors import UserError
 from wavequake.optics.segments.catalog import telescope
 from wavequake.workflows.loops import telescope_loop
-from wavequake.workflows.loops.telescope_bench import asked_of, bench_of
+from wavequake.workflows.loops.telescope_bench import bench_of
 from wavequake.workflows.loops.telescope_light import drawn, seen_of
 from wavequake.workflows.loops.telescope_margins import loops
 from wavequake.workflows.segments.bench import layout_of

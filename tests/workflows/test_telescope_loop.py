@@ -8,13 +8,15 @@ from typer.testing import CliRunner
 import wavequake as wq
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.loops.closing import grows
+from wavequake.chain.loops.designed import designed
+from wavequake.chain.loops.judged import sampled_loops
 from wavequake.cli import app
 from wavequake.control.sampled.readings import means
 from wavequake.control.sampled.stability import Worst
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
 from wavequake.workflows.loops import sampled_margins, telescope_loop
-from wavequake.workflows.loops.telescope_bench import bench_of, designed, sampled_loops
+from wavequake.workflows.loops.telescope_bench import bench_of
 from wavequake.workflows.loops.telescope_light import optics_of
 from wavequake.workflows.loops.telescope_margins import loops
 from wavequake.workflows.loops.telescope_study import LookSection

@@ -9,6 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.schema import study_from_identity
 from wavequake.campaign.store.store import Manifest
+from wavequake.chain.loops.designed import Designed
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.mechanics.model import Integers
@@ -21,7 +22,7 @@ from wavequake.viewer.exposures import MOST_INSTANTS, light_of, m2_map, m2_shape
 from wavequake.viewer.film import Array, Stage, Take, map_of, over_pupil, same_reach
 from wavequake.viewer.segments import stage_of_telescope
 from wavequake.workflows.exposures.telescope_control import ControlBench, trace
-from wavequake.workflows.loops.telescope_bench import Bench, Designed, bench_of
+from wavequake.workflows.loops.telescope_bench import Bench, bench_of
 from wavequake.workflows.loops.telescope_light import drawn, seen_of
 from wavequake.workflows.loops.telescope_loop import cases, chosen_instants, positions_of, states_of
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy

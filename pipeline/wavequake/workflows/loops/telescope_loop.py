@@ -21,6 +21,7 @@ from wavequake.chain.images.extended import lit_object_words, object_image
 from wavequake.chain.images.shortcuts import frame_coordinates
 from wavequake.chain.loops.answers import dynamics_of, put_all
 from wavequake.chain.loops.closing import readings
+from wavequake.chain.loops.designed import Designed
 from wavequake.control.linear import Array
 from wavequake.control.sampled.run import run
 from wavequake.control.sampled.stability import curve
@@ -42,7 +43,7 @@ from wavequake.workflows.exposures.telescope_control import (
     trace,
 )
 from wavequake.workflows.exposures.telescope_exposure import lit_object_of
-from wavequake.workflows.loops.telescope_bench import Bench, Designed, bench_of
+from wavequake.workflows.loops.telescope_bench import Bench, bench_of
 from wavequake.workflows.loops.telescope_light import drawn, seen_of, seen_units, states_at_rest
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 from wavequake.workflows.loops.traced_light import beyond_linear

@@ -6,13 +6,14 @@ from dataclasses import replace
 import numpy as np
 
 from wavequake.chain.loops.answers import put_all
+from wavequake.chain.loops.designed import Designed
 from wavequake.control.linear import Array
 from wavequake.control.sampled.readings import means
 from wavequake.kernels.device.devices import Device
 from wavequake.kernels.device.tiles import padded
 from wavequake.optics.segments.states import SurfaceStates
 from wavequake.workflows.exposures.telescope_control import trace
-from wavequake.workflows.loops.telescope_bench import Bench, Designed
+from wavequake.workflows.loops.telescope_bench import Bench
 from wavequake.workflows.loops.telescope_light import seen_units, states_at_rest
 from wavequake.workflows.segments.launches import CaseDraw
 from wavequake.workflows.segments.segment_disturbance import surface_states
