@@ -26,6 +26,7 @@ _BUNDLED = {
     "controller-mor": "wavequake.workflows.loops.controller_mor",
     "tip-tilt-vibration": "wavequake.workflows.loops.tip_tilt",
     "telescope-loop": "wavequake.workflows.loops.telescope_loop",
+    "system-loop": "wavequake.workflows.loops.system_loop",
     "segment-control": "wavequake.workflows.loops.segment_control",
 }
 # Kinds that no study file names: the loader makes such studies.

@@ -139,6 +139,20 @@ class Actuator(Section):
     def put(self, light: Light, states: SurfaceStates, positions: Array) -> None:
         """Add positions (batch, p) to the first instants of a telescope's states."""
 
+    def motion(self, positions: Array) -> dict[str, Array]:
+        """Return motions (n, 6) in m and rad of elements of any system by name, at positions (n, p).
+
+        Raises
+        ------
+        UserError
+            If it moves what only segmented telescopes have.
+        """
+        model = type(self).model_fields["model"].default
+        raise UserError(
+            f"actuator.{self.name}: {model} moves a segmented telescope; here a surface or body is moved by "
+            'model = "optic".'
+        )
+
     def own_modes(self) -> OwnModes | None:
         """Return the modes of what it moves; None: that is stiff, and follows as the channels do."""
         return None

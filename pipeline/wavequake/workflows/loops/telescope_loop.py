@@ -24,7 +24,6 @@ from wavequake.chain.loops.closing import readings
 from wavequake.chain.loops.designed import Designed
 from wavequake.control.linear import Array
 from wavequake.control.sampled.run import run
-from wavequake.control.sampled.stability import curve
 from wavequake.errors import UserError
 from wavequake.imaging.exposures.exposure import encircled_energy_radius
 from wavequake.imaging.exposures.exposure_models import cut, full_exposure
@@ -43,6 +42,7 @@ from wavequake.workflows.exposures.telescope_control import (
     trace,
 )
 from wavequake.workflows.exposures.telescope_exposure import lit_object_of
+from wavequake.workflows.loops.curves import curves, frequencies
 from wavequake.workflows.loops.telescope_bench import Bench, bench_of
 from wavequake.workflows.loops.telescope_light import drawn, seen_of, seen_units, states_at_rest
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
@@ -52,7 +52,6 @@ from wavequake.workflows.segments.segment_disturbance import surface_states
 
 # Cases that are stepped together; products have this many columns whatever is computed, and a case its own.
 ROWS = 16
-_POINTS = 200  # of curves over frequency
 
 
 def cases(study: TelescopeLoopStudy, ids: Integers) -> CaseTable:
@@ -278,14 +277,6 @@ _OF_TRACES = (
 )
 
 
-_CURVES = (
-    ("loop_gain", "1", "size of the loop gain's eigenvalue that is nearest to -1"),
-    ("loop_phase", "deg", "its phase"),
-    ("rejection", "1", "what is left of a motion, |S|, of the eigenvalue that leaves most"),
-    ("passed_noise", "1", "what comes of noise, |T|, of the eigenvalue that passes most"),
-)
-
-
 def measures(bench: Bench) -> Iterable[Measure]:
     """Return what is stored of a case."""
     yield Measure("time_s", "s", "time of the instant", ("time",), _Taken("time_s"), coordinate=True)
@@ -305,7 +296,7 @@ def axes(bench: Bench) -> Mapping[str, Axis]:
         "controller": Axis(names, "what is done about the disturbance"),
         "time": Axis(instants),
         "axis": Axis(["x", "y"], "axis of the image plane"),
-        "frequency": Axis(_shown(bench), "frequency", "Hz"),
+        "frequency": frequencies(study.sensor),
     }
     if not study.look.traced:
         return found
@@ -318,21 +309,8 @@ def fixed(bench: Bench) -> dict[str, Any]:
     """Return the telescope at rest, and linear loops over frequency, each alone."""
     words = {"units": "nm", "long_name": "wavefront error rms of the fitted Zernikes j >= 4 at rest"}
     found: dict[str, Any] = {"static_wfe_rms": ((), np.sqrt(np.sum(bench.optics.still**2)), words)}
-    names = [one.name for one in bench.study.controller]
-    hertz = _shown(bench)
-    curves = np.full((4, len(names), len(hertz)), np.nan)
-    for name, loop in bench.linear.items():
-        gain, rejection, passed = curve(loop, hertz)
-        curves[:, names.index(name)] = np.abs(gain), np.degrees(np.angle(gain)), rejection, passed
-    for (name, units, text), values in zip(_CURVES, curves, strict=True):
-        found[name] = ("controller", "frequency"), values, {"units": units, "long_name": text}
-    return found
-
-
-def _shown(bench: Bench) -> Array:
-    """Return the frequencies of curves, Hz, up to half the rate of the fastest sensor."""
-    high = 0.5 * max((one.rate_hz for one in bench.study.sensor), default=2.0)
-    return np.geomspace(1e-3 * high, high, _POINTS)
+    study = bench.study
+    return found | curves([one.name for one in study.controller], bench.linear, study.sensor)
 
 
 def describe(bench: Bench) -> Mapping[str, str]:

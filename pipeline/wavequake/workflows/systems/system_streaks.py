@@ -9,6 +9,7 @@ from wavequake.chain.images.system import exposed_instants
 from wavequake.kernels.device.devices import NUMPY
 from wavequake.mechanics.disturbances.element_motion import ElementDisturbance, ElementMotion
 from wavequake.mechanics.disturbances.registry import instants_of, parts
+from wavequake.optics.derivatives.central import SensitivityMatrix
 from wavequake.optics.derivatives.sensitivity import default_steps, figure_sensitivity, rigid_sensitivity
 from wavequake.optics.shapes.shapes import ZernikeDeformation
 from wavequake.optics.systems.kinematics import rest_states
@@ -46,9 +47,9 @@ def places_between(bench: SystemBench, shape: tuple[int, ...], drawn: ElementMot
     drawn : ElementMotion
         At all of these times.
     """
-    flat = _flat(bench.system, system_states(bench, drawn))
+    rows = flat(bench.system, system_states(bench, drawn))
     gains = sight_gains(bench.text)
-    sight = np.stack([flat @ gain for gain in gains]).reshape(len(gains), *shape, 2)
+    sight = np.stack([rows @ gain for gain in gains]).reshape(len(gains), *shape, 2)
     return np.asarray(sight - sight[:, :, :1])
 
 
@@ -63,8 +64,8 @@ def places_of_rows(bench: SystemBench, population: ElementDisturbance, drawn: El
         return None
     time = instants_of(study.disturbance, population)
     chosen = exposed_instants(study.imaging, len(time))
-    flat = _flat(bench.system, system_states(bench, drawn))
-    sight = np.stack([around_rows(time, chosen, flat @ gain) for gain in sight_gains(bench.text)])
+    rows = flat(bench.system, system_states(bench, drawn))
+    sight = np.stack([around_rows(time, chosen, rows @ gain) for gain in sight_gains(bench.text)])
     return np.asarray(sight - sight[:, :, :1])
 
 
@@ -78,31 +79,42 @@ def sight_gains(study_text: str) -> tuple[Array, ...]:
 
     At the primary wavelength. Columns are motions of surfaces, their figures and the direction of the light.
     """
+    return tuple(np.ascontiguousarray(one[:, :2]) for one in light_gains(study_text))
+
+
+@prepared(maxsize=2)
+def light_gains(study_text: str) -> tuple[Array, ...]:
+    """Return the same with Noll coefficients after the line of sight, (columns, 2 + J), waves per mm, rad."""
     bench = system_bench(study_text)
     with threadpool_limits(1):  # their number decides the last bits
         return tuple(_gain(bench, row[bench.system.primary_wavelength]) for row in bench.prepared)
 
 
 def _gain(bench: SystemBench, one: PreparedSystem) -> Array:
-    found = [rigid_sensitivity(one, (), NUMPY).los.reshape(-1, 2)]
+    def seen(found: SensitivityMatrix) -> Array:
+        return np.concatenate([found.los, found.zernike], axis=2)
+
+    terms_seen = 2 + one.fit.basis.shape[1]
+    found = [seen(rigid_sensitivity(one, (), NUMPY)).reshape(-1, terms_seen)]
     forms = [(at, surface.deformation) for at, surface in enumerate(bench.system.surfaces)]
     terms = {at: form.terms for at, form in forms if isinstance(form, ZernikeDeformation)}
     figures: dict[int, Array] = {}
     for same in sorted(set(terms.values())):  # together: what each call prepares takes longer than a figure
         surfaces = [at for at in terms if terms[at] == same]
-        figures |= zip(surfaces, figure_sensitivity(one, surfaces, same, NUMPY).los, strict=True)
+        figures |= zip(surfaces, seen(figure_sensitivity(one, surfaces, same, NUMPY)), strict=True)
     found += [figures[at] for at in terms]
     if not np.isfinite(entrance_pupil_center(bench.system)).all():
-        return np.concatenate([*found, np.zeros((2, 2))])  # such light cannot turn
+        return np.concatenate([*found, np.zeros((2, terms_seen))])  # such light cannot turn
     step = default_steps(bench.system).rotation
     states = rest_states(bench.system, 4)
     states.line_of_sight[[0, 1], [0, 0]] = step, -step
     states.line_of_sight[[2, 3], [1, 1]] = step, -step
-    los = measure_system(one, states, NUMPY).los
-    return np.concatenate([*found, (los[0::2] - los[1::2]) / (2.0 * step)])
+    turned = measure_system(one, states, NUMPY)
+    values = np.hstack([turned.los, turned.zernike])
+    return np.concatenate([*found, (values[0::2] - values[1::2]) / (2.0 * step)])
 
 
-def _flat(system: OpticalSystem, states: SystemStates) -> Array:
+def flat(system: OpticalSystem, states: SystemStates) -> Array:
     """Return states as rows (T, columns), as `sight_gains` has them; without heights on grids."""
     count = len(states.surface_motion)
     figures = [

@@ -1,4 +1,4 @@
-"""A hexapod or tip-tilt stage that carries any mirror, lens or detector after M1."""
+"""A hexapod or tip-tilt stage that carries a mirror, lens or detector."""
 
 from typing import Literal
 
@@ -16,9 +16,10 @@ from wavequake.optics.segments.states import SurfaceStates
 
 @register
 class Stage(Actuator):
-    """A surface after M1 or a body of surfaces, such as a lens: translations in nm, rotations in nrad.
+    """A surface or a body of surfaces, such as a lens: translations in nm, rotations in nrad.
 
-    Axes are those of its first surface; a body turns about the middle between its first and last vertex.
+    In segmented telescopes those after M1; a body has the axes of its first surface there, and turns about
+    the middle between its first and last vertex.
     """
 
     # Lenses in slow beams do little: 20 um and 20 urad.
@@ -40,10 +41,16 @@ class Stage(Actuator):
         """
         if self.of not in light.movable:
             raise UserError(
-                f"actuator.{self.name}.of: there is no surface or body {self.of!r} after M1; there is "
+                f"actuator.{self.name}.of: there is no surface or body {self.of!r} to move; there is "
                 f"{', '.join(light.movable)}."
             )
         return self.dofs
+
+    def motion(self, positions: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        """Return the motion of the surface or body."""
+        moved = np.zeros((len(positions), 6))
+        moved[:, [DOFS.index(one) for one in self.dofs]] = 1e-9 * positions
+        return {self.of: moved}
 
     def put(self, light: Light, states: SurfaceStates, positions: NDArray[np.float64]) -> None:
         """Add positions to the motions of its surfaces."""

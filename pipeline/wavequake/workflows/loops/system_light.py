@@ -1,0 +1,205 @@
+"""The system of ``system-loop``: what sensors see of motions, and when a case is looked at."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from wavequake.chain.loops.answers import Answer
+from wavequake.chain.loops.block import Actuator
+from wavequake.chain.loops.designed import Designed
+from wavequake.chain.loops.light import Light
+from wavequake.chain.loops.structure import Carrying
+from wavequake.control.linear import Array
+from wavequake.errors import UserError
+from wavequake.mechanics.disturbances.element_motion import ElementDisturbance, ElementMotion, add_elements
+from wavequake.mechanics.disturbances.layout import NO_SEGMENTS
+from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
+from wavequake.mechanics.disturbances.registry import instants_of, parts
+from wavequake.optics.systems.paraxial import paraxial
+from wavequake.workflows.loops.system_loop_study import SystemLoopStudy
+from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.systems.system_bench import NM_PER_MM, SystemBench, system_states
+from wavequake.workflows.systems.system_disturbance import drawn_with, prepare
+from wavequake.workflows.systems.system_streaks import flat, light_gains, streaked_times
+
+# A straight line between two instants is at most this far, rms, off what is seen of a disturbance.
+_STRAIGHT = 0.01
+_FEWEST, _MOST = 64, 1 << 16  # instants of a case between which lines are straight
+
+
+@dataclass(frozen=True)
+class Times:
+    """When a case of a population is looked at.
+
+    Attributes
+    ----------
+    seen : ndarray, shape (n,)
+        Rising from 0, s, so near each other that what is seen goes straight between them.
+    looks : ndarray of int, shape (l,)
+        Which of them, without 0, are looked at.
+    instants : ndarray of int, shape (t,)
+        Which of the looks are the case's own instants.
+    between : ndarray of int, shape (e, m), or None
+        Which of the looks the line of sight of exposed instants is followed at.
+    given : bool
+        Whether a file gives the motion, at its own instants alone.
+    """
+
+    seen: Array
+    looks: np.ndarray
+    instants: np.ndarray
+    between: np.ndarray | None
+    given: bool
+
+
+@dataclass(frozen=True)
+class SystemOptics:
+    """A system without loops, as the first field point sees it at the primary wavelength.
+
+    Attributes
+    ----------
+    bench : SystemBench
+    light : Light
+        Its line of sight is in mas for an object at infinity, else that of the image in nm.
+    mm : float
+        Image motion, mm, of one unit of line of sight.
+    gain : ndarray, shape (columns, K)
+        What is seen per motion, see `wavequake.workflows.systems.system_streaks.flat`.
+    sights : dict of ndarray, shape (K, p)
+    times : tuple of Times or None
+        Of each population that has cases.
+    """
+
+    bench: SystemBench
+    light: Light
+    mm: float
+    gain: Array
+    sights: Mapping[str, Array]
+    times: tuple[Times | None, ...]
+    structure: Carrying | None = None
+    answers: tuple[Answer, ...] = ()
+
+    @property
+    def still(self) -> Array:
+        """Noll coefficients 4..J at rest, nm."""
+        primary = self.bench.system.primary_wavelength
+        prepared, rest = self.bench.prepared[0][primary], self.bench.static[0][primary]
+        return np.asarray(rest.zernike[0, 3:] * prepared.wavelength * NM_PER_MM)
+
+    def see(self, motion: ElementMotion) -> Array:
+        """Return what sensors see of a motion, (n, K)."""
+        return flat(self.bench.system, system_states(self.bench, motion)) @ self.gain
+
+
+def optics_of(study: SystemLoopStudy) -> SystemOptics:
+    """Prepare the system of a study, and what sensors see per position of each actuator.
+
+    Raises
+    ------
+    UserError
+        If there are no derivatives, an actuator does not fit the system, or what a disturbance does is not
+        linear in what loops know, or too fast.
+    """
+    bench = prepare(study.disturbed)
+    system = bench.system
+    prepared = bench.prepared[0][system.primary_wavelength]
+    first_order = paraxial(system, prepared.wavelength)
+    mm = first_order.focal_length * RAD_PER_MAS if np.isinf(system.object_distance) else 1.0 / NM_PER_MM
+    aperture = prepared.image_index * float(np.abs(np.linalg.det(prepared.cosines))) ** 0.5
+    names = bench.layout.others or ()
+    light = Light(
+        prepared.fit.basis.shape[1],
+        system.pupil.obscuration,
+        # Of the pupil of an instrument in whose sky one unit is 1 mas.
+        aperture * abs(mm) / RAD_PER_MAS,
+        NO_SEGMENTS,
+        movable=dict.fromkeys((one for one in names if names.count(one) == 1), np.zeros((6, 0, 6))),
+        wavelength_nm=prepared.wavelength * NM_PER_MM,
+    )
+    gain = light_gains(bench.text)[0]
+    gain = np.hstack([gain[:, :2] / mm, gain[:, 5:] * (prepared.wavelength * NM_PER_MM)])
+    bare = SystemOptics(bench, light, mm, gain, {}, ())
+    sights = {one.name: _sight(bare, one) for one in study.actuator}
+    times = tuple(_times(study, bare, entry) if entry.share else None for entry in study.disturbance)
+    return SystemOptics(bench, light, mm, gain, sights, times)
+
+
+def _sight(optics: SystemOptics, one: Actuator) -> Array:
+    """Return what is seen per position of an actuator."""
+    unit = np.eye(len(one.channels(optics.light)))
+    return np.ascontiguousarray(optics.see(still(len(unit), one.motion(one.step * unit))).T / one.step)
+
+
+def still(count: int, rigid: dict[str, Array]) -> ElementMotion:
+    """Return a motion of rigid elements, and of nothing else, at so many instants."""
+    return ElementMotion(rigid, {}, np.zeros((count, 2)))
+
+
+def moved(optics: SystemOptics, one: Designed, positions: Array) -> ElementMotion:
+    """Return how the actuators of a controller move elements at positions (n, P) of all their channels."""
+    found, first = still(len(positions), {}), 0
+    for actuator in one.actuators:
+        last = first + len(actuator.channels(optics.light))
+        found = add_elements(found, still(len(positions), actuator.motion(positions[:, first:last])))
+        first = last
+    return found
+
+
+def drawn_at(
+    optics: SystemOptics, population: ElementDisturbance, realization: int, time: Array
+) -> ElementMotion:
+    """Draw a realization at other instants than its own."""
+    return drawn_with(optics.bench, population, realization, FULL, time)
+
+
+def seen_of(optics: SystemOptics, index: int, realization: int) -> Array:
+    """Return what sensors see of a disturbance at the instants `Times.seen`, (n, K)."""
+    population, times = optics.bench.study.disturbance[index], optics.times[index]
+    assert times is not None
+    if not times.given:
+        return optics.see(drawn_at(optics, population, realization, times.seen))
+    rows = optics.see(drawn_with(optics.bench, population, realization, FULL))
+    return rows if len(rows) == len(times.seen) else np.concatenate([rows[:1], rows])
+
+
+def _times(study: SystemLoopStudy, optics: SystemOptics, population: ElementDisturbance) -> Times:
+    """Return when cases of a population are looked at, as its first realization tells."""
+    known = optics.bench.study
+    instants = instants_of(known.disturbance, population)
+    if drawn_with(optics.bench, population, 0, FULL).grid:
+        raise UserError(
+            f"The disturbance {population.name!r} deforms a surface on a grid, which the light of loops "
+            "does not know; give Zernike terms."
+        )
+    if any(part.instants_of_file() is not None for part in parts(known.disturbance, population)):
+        seen = instants if instants[0] == 0.0 else np.concatenate([[0.0], instants])
+        looks = np.arange(len(seen) - len(instants), len(seen))
+        return Times(seen, looks, np.arange(len(instants)), None, True)
+    ways = streaked_times(known, population)
+    wanted = instants if ways is None else np.concatenate([instants, ways.ravel()])
+    at, places = np.unique(wanted, return_inverse=True)
+    between = None if ways is None else places[len(instants) :].reshape(ways.shape)
+    seen = np.union1d(_even(study, optics, population), at)
+    return Times(seen, np.searchsorted(seen, at), places[: len(instants)], between, False)
+
+
+def _even(study: SystemLoopStudy, optics: SystemOptics, population: ElementDisturbance) -> Array:
+    """Return even instants from 0 on between which what is seen of a population goes straight."""
+    duration = population.duration_s
+    rate = max((one.rate_hz for one in study.sensor), default=0.0)
+    count = int(np.clip(np.ceil(2.0 * rate * duration), _FEWEST, _MOST))
+    while True:
+        time = np.linspace(0.0, duration, 2 * count + 1)
+        seen = optics.see(drawn_at(optics, population, 0, time))
+        off = seen[1::2] - 0.5 * (seen[:-1:2] + seen[2::2])
+        # Of the largest among the line of sight, and among coefficients.
+        apart, size = ([np.abs(one[:, :2]).max(), np.abs(one[:, 2:]).max(initial=0.0)] for one in (off, seen))
+        if all(a <= _STRAIGHT * s for a, s in zip(apart, size, strict=True)):
+            return time
+        if count >= _MOST:
+            raise UserError(
+                f"The disturbance {population.name!r} is too fast for its loops: {2 * count} instants in "
+                f"{duration:g} s do not follow it; shorten duration_s, or take lower frequencies."
+            )
+        count *= 2

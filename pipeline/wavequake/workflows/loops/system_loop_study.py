@@ -1,0 +1,35 @@
+"""Study files of ``system-loop``: any optical system, what disturbs it, and loops."""
+
+from pydantic import model_validator
+
+from wavequake.chain.loops.blocks import LoopBlocks
+from wavequake.workflows.systems.system_study import SystemStudy
+
+_OTHERS = ("reduction", "allow", "budget")
+
+
+class SystemLoopStudy(SystemStudy, LoopBlocks):
+    """A validated study file of ``system-loop``."""
+
+    @model_validator(mode="after")
+    def _loops_fit_the_system(self) -> "SystemLoopStudy":
+        for key in _OTHERS:
+            if getattr(self, key) is not None:
+                raise ValueError(f"the section {key} belongs to system-disturbance; leave it out")
+        if self.optics.method != "standard":
+            raise ValueError("loops trace what they leave; optics.method must be 'standard'")
+        self.check_runs(self.disturbance, self.wavefront.method, self.wavefront.reference)
+        for sensor in self.sensor:
+            if sensor.sees != "light":
+                raise ValueError(
+                    f"the sensor {sensor.name!r} reads segments or nodes of telescopes; loops of other "
+                    "systems take sensors of light, as line-of-sight, wavefront, slopes and camera"
+                )
+        return self
+
+    @property
+    def disturbed(self) -> SystemStudy:
+        """The same without loops."""
+        sections = self.model_dump(include=set(SystemStudy.model_fields))
+        sections["study"]["workflow"] = "system-disturbance"
+        return SystemStudy.model_validate(sections, strict=False)
