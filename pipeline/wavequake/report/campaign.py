@@ -40,6 +40,7 @@ _REPORTS = {
     "controller-mor": "loops.controllers",
     "tip-tilt-vibration": "loops.tip_tilt",
     "telescope-loop": "loops.telescope",
+    "system-loop": "loops.telescope",
     "segment-control": "loops.segment_control",
 }
 

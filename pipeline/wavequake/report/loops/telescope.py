@@ -1,4 +1,4 @@
-"""The report of a telescope-loop store: what controllers leave of wavefront, line of sight and image."""
+"""The report of a telescope-loop or system-loop store: what controllers leave of wavefront and image."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -61,7 +61,7 @@ _DEFINITIONS = (
     (
         "light error",
         "Largest difference of the loop's linear light from rays that are traced in full, at the traced "
-        "instants: of the WFE in nm and of the LOS in mas.",
+        "instants: of the WFE, and in small print of the LOS.",
     ),
 )
 
@@ -113,6 +113,22 @@ def _case_rms(values: xr.DataArray) -> xr.DataArray:
     return found
 
 
+def seen_by_loops(dataset: xr.Dataset) -> xr.Dataset:
+    """Return a store as its loops see it: of a ``system-loop`` the first field point, image motion in um."""
+    if "los_mm" not in dataset:
+        return dataset
+    away = dataset["wavelength"].to_numpy() - float(dataset["loop_wavelength_nm"])
+    wavelength = int(np.abs(away).argmin())
+    one = dataset.isel(field=0, wavelength=wavelength)
+    far = {"los": one["los_mm"], "light_error_los": one["light_error_los"]}
+    return one.assign({name: (1e3 * values).assign_attrs(units="um") for name, values in far.items()})
+
+
+def sight_unit(dataset: xr.Dataset) -> str:
+    """Return the unit of a store's line of sight, as reports write it."""
+    return str(dataset["los"].attrs["units"]).replace("um", "µm")
+
+
 def answer(dataset: xr.Dataset) -> str:
     """Say how near the best controller of each actuator comes to the perfect one."""
     known, words = controllers_of(dataset), []
@@ -128,7 +144,7 @@ def answer(dataset: xr.Dataset) -> str:
             best, calm = _best(acting)
             beside = {key: one for key, one in (("off", off), ("perfect", ideal)) if one is not None}
             others = {key: one.los for key, one in beside.items()}
-            parts = [_least("motion of the line of sight", "mas", calm, calm.los, others)]
+            parts = [_least("motion of the line of sight", sight_unit(dataset), calm, calm.los, others)]
             if off is None or best.wfe < _HELPS * off.wfe:
                 others = {key: one.wfe for key, one in beside.items()}
                 parts.insert(0, _least("wavefront error", "nm", best, best.wfe, others))
@@ -152,6 +168,7 @@ def _actuators(known: dict[str, dict[str, Any]]) -> list[str]:
 
 def table_of(store: Path, dataset: xr.Dataset) -> Table:
     """Return the table of a store for the terminal."""
+    dataset = seen_by_loops(dataset)
     rows = common.without_what_is_alike(_rows(dataset))
     headers = tuple(rows[0]) if rows else ()
     labels = headers.index("controller") + 1 if rows else 0
@@ -181,7 +198,7 @@ def _rows(dataset: xr.Dataset) -> list[dict[str, tuple[str, str]]]:
                 "disturbance": (disturbance, ""),
                 "controller": (one.name, ""),
                 "WFE (nm)": (number(one.wfe), _share(one.wfe, off.wfe if off else None)),
-                "LOS (mas)": (number(one.los), _share(one.los, off.los if off else None)),
+                f"LOS ({sight_unit(dataset)})": (number(one.los), _share(one.los, off.los if off else None)),
             }
             if "peak" in cases:
                 row["peak"] = number(one.peak), ""
@@ -190,7 +207,7 @@ def _rows(dataset: xr.Dataset) -> list[dict[str, tuple[str, str]]]:
             row["largest"] = f"{number(one.largest)} {unit}".rstrip(), ""
             row["limited"] = f"{100 * one.limited:.3g} %", ""
             if "light_error_los" in cases:
-                row["light error"] = f"{one.wfe_error:.0e} nm", f"{one.los_error:.0e} mas"
+                row["light error"] = f"{one.wfe_error:.0e} nm", f"{one.los_error:.0e} {sight_unit(dataset)}"
             rows.append(row)
     return rows
 
@@ -213,11 +230,12 @@ def _share(value: float, of: float | None) -> str:
 
 def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str) -> Path:
     """Write the HTML report."""
+    dataset = seen_by_loops(dataset)
     known = controllers_of(dataset)
     sections, overview = [], []
     for disturbance, cases in common.finished(dataset, "disturbance"):
         found = results(cases)
-        overview += [*_scans(disturbance, found, known)]
+        overview += [*_scans(disturbance, found, known, sight_unit(dataset))]
         sections.append(Section(disturbance, [*_shown(disturbance, cases, found, known)]))
     page = Page(
         answer=answer(dataset),
@@ -233,7 +251,9 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     return write_page(render_page(dataset, page), target)
 
 
-def _scans(disturbance: str, found: Sequence[Result], known: dict[str, dict[str, Any]]) -> Iterator[Picture]:
+def _scans(
+    disturbance: str, found: Sequence[Result], known: dict[str, dict[str, Any]], unit: str
+) -> Iterator[Picture]:
     for actuator in _actuators(known):
         mine = [one for one in found if known[one.name]["actuator"] == actuator]
         if any(known[one.name]["model"] not in _IDEAL for one in mine):
@@ -241,7 +261,7 @@ def _scans(disturbance: str, found: Sequence[Result], known: dict[str, dict[str,
             yield picture(
                 f"scan-{disturbance}-{actuator}",
                 f"What controllers of {actuator} leave over their latency, {disturbance}",
-                _scan([*off, *mine], known),
+                _scan([*off, *mine], known, unit),
                 "Each line is a controller with its gain or bandwidth; flat lines are nothing done (off) and "
                 "the perfect correction. Where a line lies above off, the loop does harm.",
             )
@@ -256,8 +276,8 @@ def curve_label(one: dict[str, Any]) -> str:
 
 
 @rc_context(STYLE)
-def _scan(mine: Sequence[Result], known: dict[str, dict[str, Any]]) -> Figure:
-    shown = {"wfe": "wavefront error (nm)", "los": "line of sight (mas)"}
+def _scan(mine: Sequence[Result], known: dict[str, dict[str, Any]], unit: str) -> Figure:
+    shown = {"wfe": "wavefront error (nm)", "los": f"line of sight ({unit})"}
     if min(one.wfe for one in mine) > _HELPS * max(one.wfe for one in mine):
         del shown["wfe"]  # a mirror that only tilts leaves it as it is
     figure = Figure(figsize=(WIDTH, (0.3 + 0.6 * len(shown)) * HEIGHT), layout="constrained")
@@ -314,7 +334,7 @@ def _shown(
         kept = np.isfinite(time)
         tracks = {name: shown["los"].sel(controller=name).to_numpy()[kept] for name in names}
         wfe = {name: shown["wfe_rms"].sel(controller=name).to_numpy()[kept] for name in names}
-        yield from common.history_pictures(disturbance, time[kept] * 1e3, tracks, "mas", wfe)
+        yield from common.history_pictures(disturbance, time[kept] * 1e3, tracks, sight_unit(shown), wfe)
     if curves := _curves(cases, names):
         yield picture(
             f"{disturbance}-bode",
