@@ -121,6 +121,16 @@ LOOPS = HISTORY | {
     "controller.elastic-faint.vary": {"rate_hz": [500.0]},
     "controller.elastic-lqg.vary": {"latency_frames": [1.5]},
 }
+STEADIED = {
+    **{
+        f"disturbance.{name}.{key}": value
+        for name in ("tremor", "drive", "both")
+        for key, value in (("instants", 4), ("duration_s", 0.25))
+    },
+    "optics.rays": 60,
+    "imaging.pixels": 16,
+    "controller.integrator.vary": {"bandwidth_hz": [20.0]},
+}
 RINGING = {
     "disturbance.shaken.instants": 40,
     "disturbance.shaken.duration_s": 0.2,
@@ -214,6 +224,7 @@ RECORDED = {
     "mirror-trace-residual": Small(
         "mirror-trace", TRACED | {"model.shapes": ["circular"], "optics.residual_limit": 0.0}
     ),
+    "image-stabilizer": Small("image-stabilizer", STEADIED, 3),
     "structure-loop": Small("structure-loop", RINGING, 2),
     "telescope-structure": Small("telescope-structure", STRUCTURE, 12),
     "tip-tilt-vibration": Small(

@@ -256,7 +256,8 @@ def _scans(
 ) -> Iterator[Picture]:
     for actuator in _actuators(known):
         mine = [one for one in found if known[one.name]["actuator"] == actuator]
-        if any(known[one.name]["model"] not in _IDEAL for one in mine):
+        acting = [known[one.name] for one in mine if known[one.name]["model"] not in _IDEAL]
+        if len({one["latency_frames"] for one in acting}) > 1:
             off = [one for one in found if known[one.name]["model"] == "off"]
             yield picture(
                 f"scan-{disturbance}-{actuator}",
