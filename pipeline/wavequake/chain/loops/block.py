@@ -1,6 +1,7 @@
 """What sensors, actuators and controllers offer, and their registries: one file adds a kind of one."""
 
 from abc import abstractmethod
+from collections.abc import Iterator
 from itertools import product
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
@@ -227,6 +228,10 @@ class Controller(Section):
                 key, why = error.errors()[0]["loc"][0], error.errors()[0]["msg"]
                 raise ValueError(f"the controller {own['name']!r}: {key}: {why}") from None
         return tuple(found)
+
+    def notices(self, asked: Design) -> Iterator[str]:
+        """Yield what the user should know of its design before a run; by default nothing."""
+        yield from ()
 
     @abstractmethod
     def design(self, asked: Design) -> Regulator | Stepped | Instant | None:
