@@ -27,6 +27,7 @@ def margins(
     import sys
 
     from wavequake.report.table import number
+    from wavequake.words import counted
     from wavequake.workflows.loops.controller_names import explain_names
     from wavequake.workflows.loops.loop_margins import loops_of
     from wavequake.workflows.run import notices
@@ -41,17 +42,19 @@ def margins(
     for head in heads:
         table.add_column(head, justify="left" if head == "loop" else "right")
     unstable = total = 0
-    for one in loops_of(loaded):
-        total += 1
-        if one.stable:
-            gain = number(one.gain_up) + (f", {number(one.gain_down)}" if one.gain_down > 0 else "")
-            values = (one.peak, one.phase_deg, one.delay_ms, one.last_hz)
-            peak, phase, delay, last = map(number, values)
-            table.add_row(escape(one.name), peak, gain, phase, delay, last)
-        else:
-            unstable += 1
-            grows = f"{number(one.growth)}, {number(one.growth_hz)}"
-            table.add_row(escape(one.name), "[red]unstable[/red]", "", "", "", "", grows)
+    with out.status("the study's models") as busy:
+        for one in loops_of(loaded):
+            total += 1
+            busy.update(f"{counted(total, 'loop')} done, {escape(one.name)} the last")
+            if one.stable:
+                gain = number(one.gain_up) + (f", {number(one.gain_down)}" if one.gain_down > 0 else "")
+                values = (one.peak, one.phase_deg, one.delay_ms, one.last_hz)
+                peak, phase, delay, last = map(number, values)
+                table.add_row(escape(one.name), peak, gain, phase, delay, last)
+            else:
+                unstable += 1
+                grows = f"{number(one.growth)}, {number(one.growth_hz)}"
+                table.add_row(escape(one.name), "[red]unstable[/red]", "", "", "", "", grows)
     out.print(table)
     for line in notices(loaded):
         out.print(line, markup=False, soft_wrap=True)
