@@ -31,8 +31,7 @@ from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.prepared import prepared
 from wavequake.workflows.lens.lens_bench import bench_of, stage_of, study_of
 from wavequake.workflows.lens.lens_study import STAGE, LensStudy
-from wavequake.workflows.loops.loop_margins import Makers
-from wavequake.workflows.loops.sampled_margins import sampled_loop
+from wavequake.workflows.loops.loop_margins import Makers, sampled_loop
 
 # Of the image and the stage's positions, and of the lenses, per m.
 _UM, _NM = 1e6, 1e9
