@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from small_loops import LIGHT, written
 
+from wavequake.chain.loops.light import RayLight
 from wavequake.chain.loops.sensors.camera import Camera
 from wavequake.errors import UserError
 from wavequake.imaging.engines.choice import point_spread, prepare_psf
@@ -138,26 +139,66 @@ actuator = "tilt"
     assert pixel == pytest.approx(2.0, rel=1e-4)  # wavelengths / diameter
     draw = drawn(bench.study, bench.optics, 0, 0)
     seen = seen_of(bench.study, bench.optics, draw)
-    camera = bench.study.part("sensor", "camera").readings(bench.optics.light)
-    found, told = {}, {}
+    camera = bench.study.part("sensor", "camera")
+    reads = camera.readings(bench.optics.light)
+    found, told, by_rays = {}, {}, {}
     for name in ("seen", "rigid-perfect"):
         one = next(each for each in bench.controllers if each.name == name)
         positions = positions_of(bench, one, 0, [draw], [seen], choose_device("numpy"))[0][0]
         states = states_of(bench, one, draw, positions, chosen)
         rays, wavefront = trace(control.prepared, states, choose_device("numpy"))
         phase = ray_phase(control, measured_opd(control, rays), wavefront, control.static.los[:1])
-        across = control.basis.pixels
-        frames = np.asarray(images_of_rays(control.basis, phase[: len(chosen)], wavefront.device))
+        across, entry = control.basis.pixels, control.prepared.rays
+        # To the middle of the window, half a point to the left of an image's origin.
+        to_middle = -0.5 * 0.25 / control.diameter * (entry.x + entry.y)
+        frames = np.asarray(images_of_rays(control.basis, phase[: len(chosen)] + to_middle, wavefront.device))
         window = slice(across // 2 - 32, across // 2 + 32)
         frames = frames.reshape(-1, across, across)[:, window, window]
         at = (np.arange(8) - 3.5) * 9.1428
         pixels = frames.reshape(-1, 8, 8, 8, 8).sum(axis=(2, 4))
         total = pixels.sum(axis=(1, 2))[:, None]
+        light = RayLight(entry.x, entry.y, control.prepared.weight, phase)
+        by_rays[name] = camera.of_rays(bench.optics.light, light)[:, : len(chosen)].T
         found[name] = np.stack([pixels.sum(axis=1) @ at, pixels.sum(axis=2) @ at], axis=1) / total
-        told[name] = (camera @ (seen[1:][chosen] + positions[chosen] @ one.sight.T).T).T
+        told[name] = (reads @ (seen[1:][chosen] + positions[chosen] @ one.sight.T).T).T
     apart = found["rigid-perfect"] - found["seen"]
     predicted = told["rigid-perfect"] - told["seen"]
     size = np.abs(predicted).max()
     assert np.abs(told["seen"]).max() < 1e-9 * size
     np.testing.assert_allclose(apart, predicted, atol=0.12 * size)
     assert (np.ptp(found["seen"], axis=0) < 0.6 * np.ptp(found["rigid-perfect"], axis=0)).all()
+    for name, values in by_rays.items():
+        # The images have points a quarter of wavelength / diameter apart, the camera its nodes.
+        np.testing.assert_allclose(values, found[name], atol=0.03 * size)
+
+
+SHORT = {"disturbance.history.duration_s": 0.02, "look.traced": 0}
+
+
+def test_where_sensors_see_rays_a_camera_does_not_know_the_linear_light(tmp_path):
+    """Sensitivities, what is seen and what it reads of it are 10 % too small: positions are the same."""
+    more = """
+[[sensor]]
+name = "camera"
+model = "camera"
+
+[[controller]]
+name = "seen"
+model = "integrator"
+sensor = "camera"
+actuator = "tilt"
+gain = 0.3
+"""
+    study = written(tmp_path, more, {"look.sensors": "traced", "disturbance.history.instants": 10, **SHORT})
+    bench = bench_of(study)
+    right = next(one for one in bench.controllers if one.name == "seen")
+    draws = [drawn(study, bench.optics, 0, 0)]
+    seen = [seen_of(study, bench.optics, draws[0])]
+    dimmed = tuple(tuple(0.9 * matrix for matrix in each) for each in right.readings)
+    loops = tuple(replace(loop, sees=0.81 * loop.sees) for loop in right.loops)
+    wrong = replace(right, sight=0.9 * right.sight, loops=loops, readings=dimmed)
+    numpy = choose_device("numpy")
+    expected = positions_of(bench, right, 0, draws, seen, numpy)[0][0]
+    found = positions_of(bench, wrong, 0, draws, [0.9 * seen[0]], numpy)[0][0]
+    assert np.ptp(expected) > 0.1
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())

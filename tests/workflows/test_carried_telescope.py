@@ -1,5 +1,6 @@
 """A telescope on an elastic structure in loops of a study file: traced rays, oscillators, bad input."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,6 @@ from small_loops import first_case, table, written
 
 import wavequake as wq
 from wavequake.campaign.stopwatch import Stopwatch
-from wavequake.chain.loops.controllers.lqg import shaken_lines
 from wavequake.chain.loops.designed import asked_of
 from wavequake.chain.loops.structure import CarryingMode, carrying
 from wavequake.control.frames.disturbance import sampled
@@ -20,6 +20,7 @@ from wavequake.workflows.loops import telescope_loop
 from wavequake.workflows.loops.telescope_bench import bench_of
 from wavequake.workflows.loops.telescope_light import drawn, seen_of
 from wavequake.workflows.loops.telescope_margins import loops
+from wavequake.workflows.run import notices
 from wavequake.workflows.segments.bench import layout_of
 
 LAYOUT = layout_of(telescope("tmt-18"))
@@ -259,6 +260,31 @@ SHAKEN |= {"disturbance.history.high_hz": 4.0, "disturbance.history.low_hz": 1.0
 SHAKEN |= {"disturbance.history.peak_nm": 1e-6}
 
 
+def test_modes_that_a_controller_is_to_expect_but_hardly_sees_are_said(tmp_path):
+    """M2 along the axis moves no line of sight; what is not shaken is not asked for."""
+    more = """
+[[mode]]
+name = "breathing"
+hz = 6.0
+zeta = 0.1
+m2 = { dz = 1.0 }
+rms_nm = 50.0
+[[mode]]
+name = "quiet"
+hz = 7.0
+zeta = 0.1
+m2 = { dz = 1.0 }
+"""
+    study = written(tmp_path, ONE_MODE + more, SHAKEN)
+    (line,) = notices(study)
+    assert re.fullmatch(
+        r"controller\.knows\.structure: the sensor 'eye' sees the mode 'breathing' \(6 Hz\) \de-\d+ of what "
+        r"it sees most; it is not expected\.",
+        line,
+    )
+    assert not list(notices(written(tmp_path, ONE_MODE, SHAKEN)))
+
+
 def test_what_loops_leave_of_a_shaken_structure_is_the_integral_over_its_spectrum(tmp_path):
     """Time average of the residual: S_d (1 - sinc^2 (1 - |S|^2)) + N of the noise, in closed form."""
     study = written(tmp_path, ONE_MODE, SHAKEN)
@@ -286,8 +312,9 @@ def test_what_loops_leave_of_a_shaken_structure_is_the_integral_over_its_spectru
         assert abs(found[name][0] - wanted) < 3 * found[name][1]
     assert found["knows"][0] < 0.75 * found["sum"][0]
     # The size that the structure gives is that of the mode in the sensor's unit; x and y share it.
-    lines = shaken_lines(asked_of(study, bench.optics, study.part("controller", "knows")))
-    size = np.sqrt(sampled(lines[0], 0.01).variance)
+    knows = study.part("controller", "knows")
+    known, _ = knows.expected(asked_of(study, bench.optics, knows))
+    size = np.sqrt(sampled(known, 0.01).variance)
     assert size == pytest.approx(np.sqrt(open_square / 2), rel=1e-6)
 
 

@@ -131,8 +131,8 @@ def test_an_unstable_loop_ends_margins_with_3_and_has_none():
         (
             "mirror-mor",
             None,
-            "mirror-mor has no loops; controller-mor, tip-tilt-vibration, telescope-loop and segment-control "
-            "have.",
+            "mirror-mor has no loops; controller-mor, tip-tilt-vibration, telescope-loop, system-loop, "
+            "segment-control and lens-experiment have.",
         ),
         ("tip-tilt-vibration", "pid", "has no loop 'pid'; it has integrator, 100 Hz; lqg, 100 Hz;"),
     ],

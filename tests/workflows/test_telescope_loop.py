@@ -15,7 +15,7 @@ from wavequake.control.sampled.readings import means
 from wavequake.control.sampled.stability import Worst
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
-from wavequake.workflows.loops import sampled_margins, telescope_loop
+from wavequake.workflows.loops import loop_margins, telescope_loop
 from wavequake.workflows.loops.telescope_bench import bench_of
 from wavequake.workflows.loops.telescope_light import optics_of
 from wavequake.workflows.loops.telescope_margins import loops
@@ -270,7 +270,7 @@ gain = 0.3
 def test_what_neither_grows_nor_decays_is_stable_to_rounding(off, unstable, monkeypatch):
     """Margins and the check before a run judge alike: an integrator of what nothing sees has a pole of 1."""
     worst = Worst(1.0 + off, off * 1000.0, 0.0, np.ones(1))
-    monkeypatch.setattr(sampled_margins, "worst_pole", lambda loop: worst)
+    monkeypatch.setattr(loop_margins, "worst_pole", lambda loop: worst)
     assert grows(worst) == unstable
     found = next(iter(loops(small()).values()))().margins()
     assert found.stable != unstable

@@ -27,30 +27,37 @@ def margins(
     import sys
 
     from wavequake.report.table import number
+    from wavequake.words import counted
     from wavequake.workflows.loops.controller_names import explain_names
     from wavequake.workflows.loops.loop_margins import loops_of
+    from wavequake.workflows.run import notices
     from wavequake.workflows.study import load_study
 
     loaded = load_study(study, overrides or [])
-    blocks = getattr(loaded, "controller", ())  # one section, not blocks with names, in controller-mor
+    # In controller-mor a section, not blocks with names; on the lens bench they are called loop.
+    blocks = getattr(loaded, "loop", None) or getattr(loaded, "controller", ())
     names = explain_names(one.model_dump() for one in blocks) if isinstance(blocks, tuple) else ""
     table = Table(box=None, caption=f"{_SMALL_PRINT} {names}".rstrip(), caption_justify="left")
     heads = ("loop", "S peak", "gain", "phase (deg)", "delay (ms)", "gain 1 up to (Hz)", "grows (1/s, Hz)")
     for head in heads:
         table.add_column(head, justify="left" if head == "loop" else "right")
     unstable = total = 0
-    for one in loops_of(loaded):
-        total += 1
-        if one.stable:
-            gain = number(one.gain_up) + (f", {number(one.gain_down)}" if one.gain_down > 0 else "")
-            values = (one.peak, one.phase_deg, one.delay_ms, one.last_hz)
-            peak, phase, delay, last = map(number, values)
-            table.add_row(escape(one.name), peak, gain, phase, delay, last)
-        else:
-            unstable += 1
-            grows = f"{number(one.growth)}, {number(one.growth_hz)}"
-            table.add_row(escape(one.name), "[red]unstable[/red]", "", "", "", "", grows)
+    with out.status("the study's models") as busy:
+        for one in loops_of(loaded):
+            total += 1
+            busy.update(f"{counted(total, 'loop')} done, {escape(one.name)} the last")
+            if one.stable:
+                gain = number(one.gain_up) + (f", {number(one.gain_down)}" if one.gain_down > 0 else "")
+                values = (one.peak, one.phase_deg, one.delay_ms, one.last_hz)
+                peak, phase, delay, last = map(number, values)
+                table.add_row(escape(one.name), peak, gain, phase, delay, last)
+            else:
+                unstable += 1
+                grows = f"{number(one.growth)}, {number(one.growth_hz)}"
+                table.add_row(escape(one.name), "[red]unstable[/red]", "", "", "", "", grows)
     out.print(table)
+    for line in notices(loaded):
+        out.print(line, markup=False, soft_wrap=True)
     if unstable:
         out.print(f"{unstable} of {total} loops are unstable: no margins, and what they leave is no result.")
         sys.exit(EXIT_QUARANTINED)

@@ -1,6 +1,7 @@
 """What sensors, actuators and controllers offer, and their registries: one file adds a kind of one."""
 
 from abc import abstractmethod
+from collections.abc import Iterator
 from itertools import product
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
@@ -11,7 +12,7 @@ from pydantic import Field, ValidationError
 from wavequake.campaign.schema import Section
 from wavequake.chain.loops.answers import OwnModes
 from wavequake.chain.loops.design import Design
-from wavequake.chain.loops.light import Light
+from wavequake.chain.loops.light import Light, RayLight
 from wavequake.control.sampled.channel import RIGID, Dynamics, first_order, second_order
 from wavequake.control.sampled.regulator import Instant, Regulator, Stepped
 from wavequake.errors import UserError
@@ -68,6 +69,10 @@ class Sensor(Section):
         if self.sees == "light":
             return np.pad(found, ((0, 0), (0, rest)))
         return np.pad(found, ((0, 0), (light.optical, rest - found.shape[1])))
+
+    def of_rays(self, light: Light, rays: RayLight) -> Array | None:
+        """Return readings (m, batch) of rays; by default None: those of line of sight and coefficients do."""
+        return None
 
     def noise_rms(self, light: Light) -> float:
         """Return the standard deviation of a reading of one frame."""
@@ -227,6 +232,10 @@ class Controller(Section):
                 key, why = error.errors()[0]["loc"][0], error.errors()[0]["msg"]
                 raise ValueError(f"the controller {own['name']!r}: {key}: {why}") from None
         return tuple(found)
+
+    def notices(self, asked: Design) -> Iterator[str]:
+        """Yield what the user should know of its design before a run; by default nothing."""
+        yield from ()
 
     @abstractmethod
     def design(self, asked: Design) -> Regulator | Stepped | Instant | None:

@@ -17,8 +17,9 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Shaken:
-    """Modes of a structure that white forces shake: frequency (Hz) and damping ratio."""
+    """Modes of a structure that white forces shake: name, frequency (Hz) and damping ratio."""
 
+    names: tuple[str, ...]
     hertz: Array
     zeta: Array
 

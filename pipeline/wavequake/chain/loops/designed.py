@@ -1,6 +1,6 @@
 """Controllers of a study as they run: designed, with actuators, what sensors see of them, and events."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -105,9 +105,12 @@ def asked_of(study: LoopBlocks, optics: Sighted, one: Controller) -> Design:
     channels, timing = actuator.channels(optics.light), timing_of(study, one)
     answers = answering(optics.answers, [actuator.name])
     shown = shown_of(answers, len(optics.light))
-    shaken = np.zeros((len(optics.light), 0))
+    shaken, modes = np.zeros((len(optics.light), 0)), None
     if structure is not None:
-        shaken = optics.answers[0].shown * structure.rms
+        kept = np.flatnonzero(structure.rms)
+        shaken = optics.answers[0].shown[:, kept] * structure.rms[kept]
+        names = tuple(structure.names[k] for k in kept)
+        modes = Shaken(names, structure.hertz[kept], structure.zeta[kept])
     watched = []
     for sensor in study.sensors(one):
         readings, noise = sensor.readings(optics.light, nominal=True), sensor.noise_rms(optics.light)
@@ -129,10 +132,17 @@ def asked_of(study: LoopBlocks, optics: Sighted, one: Controller) -> Design:
         channels,
         actuator.dynamics(),
         timing,
-        None if structure is None else Shaken(structure.hertz, structure.zeta),
+        modes,
         dynamics_of(answers),
         drives_of(answers, actuator.name, len(channels)),
     )
+
+
+def design_notices(study: LoopBlocks, optics: Sighted) -> Iterator[str]:
+    """Yield what controllers leave out in their designs."""
+    for one in study.controller:
+        if one.sensor and one.actuator:
+            yield from one.notices(asked_of(study, optics, one))
 
 
 def assembled(

@@ -13,6 +13,26 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class RayLight:
+    """Light at the pupil by rays, of a batch of instants.
+
+    Attributes
+    ----------
+    x, y : ndarray, shape (N,)
+        Where rays enter the pupil, mm.
+    weight : ndarray, shape (N,)
+        Share of the light.
+    phase : ndarray, shape (batch, N)
+        In waves, about the line of sight at rest; it rises to where the image goes.
+    """
+
+    x: Array
+    y: Array
+    weight: Array
+    phase: Array
+
+
+@dataclass(frozen=True)
 class Light:
     """What sensors see: the line of sight x, y in mas and Noll coefficients 4..J of the wavefront in nm.
 

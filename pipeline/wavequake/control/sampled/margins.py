@@ -14,6 +14,9 @@ Complex = NDArray[np.complex128]
 
 # Factors of the gain that are tried, up and down; beyond them a margin does not matter.
 _FACTORS = np.geomspace(1.0, 1e3, 150)
+# Eigenvalues within this factor and 45 degrees of -1 may be -1 between two frequencies; where none is, one of
+# so many factors is tried.
+_NEAR, _BETWEEN = 1.25, 8
 _ROUNDING = 1e-9
 _POINTS = 1500
 # Eigenvalues whose crossings are followed, and frequencies at which singular values are taken.
@@ -49,12 +52,26 @@ def gain_margins(gain: LoopGain, hertz: Array, radius: Callable[[float], float])
     return Margins(
         peak,
         2 * np.pi * where,
-        first_unstable(radius, _FACTORS, np.inf),
-        first_unstable(radius, 1 / _FACTORS, 0.0),
+        first_unstable(radius, _worth_trying(loci, _FACTORS), np.inf),
+        first_unstable(radius, _worth_trying(loci, 1 / _FACTORS), 0.0),
         float(np.minimum(late, 2 * np.pi - late).min(initial=np.pi)),
         float((late / (2 * np.pi * at)).min(initial=np.inf)),
         2 * np.pi * float(hertz[above[-1]]) if len(above) else 0.0,
     )
+
+
+def _worth_trying(loci: Complex, factors: Array) -> Array:
+    """Return the factors of the gain at which an eigenvalue of the loop gain may be -1, and some between.
+
+    A pole crosses the unit circle where it is, so that elsewhere nothing becomes unstable, and the poles of
+    large loops take long.
+    """
+    near = loci[(loci.real < 0) & (np.abs(loci.imag) < -loci.real)]
+    sizes = np.sort(np.abs(near))
+    first, last = (np.searchsorted(sizes, share / factors) for share in (1 / _NEAR, _NEAR))
+    kept = last > first
+    kept[::_BETWEEN] = True
+    return factors[kept]
 
 
 def _peak(gain: LoopGain, hertz: Array, loci: Complex) -> tuple[float, float]:

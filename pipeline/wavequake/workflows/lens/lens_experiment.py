@@ -4,6 +4,8 @@ A case is one plant with one configuration of springs. All controllers face the 
 dimension inside the case (Störkle 2018, Chapter 5).
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
@@ -41,7 +43,7 @@ from wavequake.firmware.units import FirmwareUnit
 from wavequake.mechanics.disturbances.motion import generator
 from wavequake.prepared import prepared
 from wavequake.workflows.lens.lens_bench import bench_of, stage_of, study_of
-from wavequake.workflows.lens.lens_loops import beside, closed_loops
+from wavequake.workflows.lens.lens_loops import asked_of, beside, closed_loops
 from wavequake.workflows.lens.lens_study import LensStudy
 
 Array = NDArray[np.float64]
@@ -351,4 +353,15 @@ def check(study_text: str) -> None:
                 pass
 
 
-KIND = StudyKind("lens-experiment", template, case_table, compute, describe, check=check, model=LensStudy)
+def notices(study_text: str) -> Iterator[str]:
+    """Yield what controllers of the registry leave out in their designs."""
+    study = study_of(study_text)
+    for springs in study.bench.springs:
+        for one in study.loop:
+            if study.sensors(one):
+                yield from one.notices(asked_of(study, springs, one))
+
+
+KIND = StudyKind(
+    "lens-experiment", template, case_table, compute, describe, check=check, notices=notices, model=LensStudy
+)

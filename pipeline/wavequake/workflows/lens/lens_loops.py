@@ -31,8 +31,7 @@ from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.prepared import prepared
 from wavequake.workflows.lens.lens_bench import bench_of, stage_of, study_of
 from wavequake.workflows.lens.lens_study import STAGE, LensStudy
-from wavequake.workflows.loops.loop_margins import Makers
-from wavequake.workflows.loops.sampled_margins import sampled_loop
+from wavequake.workflows.loops.loop_margins import Makers, sampled_loop
 
 # Of the image and the stage's positions, and of the lenses, per m.
 _UM, _NM = 1e6, 1e9
@@ -66,7 +65,8 @@ def _modes(bench: Bench) -> tuple[Shaken, Array]:
     size = np.abs(driven / modes.poles.imag) / np.sqrt(2.0)
     lenses = modes.shapes[: len(bench.lenses)] * size
     image = np.array(SENSITIVITIES)[bench.lenses] @ lenses
-    shaken = Shaken(modes.omega / (2 * np.pi), -modes.poles.real / modes.omega)
+    names = tuple(f"mode {k + 1}" for k in range(len(modes.omega)))
+    shaken = Shaken(names, modes.omega / (2 * np.pi), -modes.poles.real / modes.omega)
     return shaken, _seen(image, lenses.T, bench.lenses).T
 
 
@@ -139,9 +139,15 @@ def _closed(study: LensStudy, springs: str, one: Controller) -> Closed:
     sensors, stage = study.sensors(one), stage_of(study)
     if not sensors:
         return Closed(one.name, None, Timing(1.0, 1.0, 1, 0.0), (), (), stage.gain)
+    asked, matrices = asked_of(study, springs, one), tuple(sensor.readings(LIGHT) for sensor in sensors)
+    return Closed(one.name, closing.design(one, asked), asked.timing, sensors, matrices, stage.gain)
+
+
+def asked_of(study: LensStudy, springs: str, one: Controller) -> Design:
+    """Return what a controller with sensors is designed for on the nominal bench."""
+    sensors, stage = study.sensors(one), stage_of(study)
     plain = closing.timing_of(one, sensors[0])
     timing = Timing(plain.frame, plain.integration, plain.frames, plain.latency + stage.delay)
-    matrices = tuple(sensor.readings(LIGHT) for sensor in sensors)
     shaken, seen = _modes(bench_of(study, springs))
     watched = []
     for sensor in sensors:
@@ -164,8 +170,7 @@ def _closed(study: LensStudy, springs: str, one: Controller) -> Closed:
         )
     # A constant command of 1 moves the stage by its gain; designs take channels of gain 1.
     follows = _dynamics(replace(stage, gain=1.0))
-    asked = Design(one.name, STAGE, tuple(watched), (STAGE,), follows, timing, shaken, (), np.zeros((0, 1)))
-    return Closed(one.name, closing.design(one, asked), timing, sensors, matrices, stage.gain)
+    return Design(one.name, STAGE, tuple(watched), (STAGE,), follows, timing, shaken, (), np.zeros((0, 1)))
 
 
 def _sampled(one: Closed, stage: Stage) -> SampledLoop:

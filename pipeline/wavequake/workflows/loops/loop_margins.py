@@ -2,14 +2,23 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 
 import numpy as np
 
 from wavequake.campaign.schema import Study
+from wavequake.chain.loops.closing import grows
 from wavequake.control.linear import LinearModel
 from wavequake.control.robustness.feedback import Loop, closed_poles
 from wavequake.control.robustness.margins import Margins, grid, margins
+from wavequake.control.sampled.stability import (
+    SampledLoop,
+    controller_model,
+    plant_model,
+    sampled_margins,
+    worst_pole,
+)
 from wavequake.errors import UserError
 
 # Modules with loops(study), which returns Makers.
@@ -98,6 +107,18 @@ def converted(
         1e3 * found.delay * time_unit,
         found.last_omega / time_unit / (2 * np.pi),
     )
+
+
+def sampled_loop(name: str, loop: SampledLoop) -> StudyLoop:
+    """Return a loop of this name with its parts."""
+    return StudyLoop(plant_model(loop), controller_model(loop), partial(_sampled_margins, name, loop))
+
+
+def _sampled_margins(name: str, loop: SampledLoop) -> LoopMargins:
+    worst = worst_pole(loop)
+    if grows(worst):
+        return LoopMargins(name, worst.growth, worst.hertz)
+    return converted(name, worst.growth, worst.hertz, sampled_margins(loop))
 
 
 def makers_of(study: Study) -> Makers:

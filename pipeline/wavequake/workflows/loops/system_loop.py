@@ -32,8 +32,7 @@ from wavequake.control.sampled.stability import SampledLoop
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.element_motion import ElementMotion, add_elements
 from wavequake.workflows.loops.curves import curves, frequencies
-from wavequake.workflows.loops.loop_margins import Makers
-from wavequake.workflows.loops.sampled_margins import sampled_loop
+from wavequake.workflows.loops.loop_margins import Makers, sampled_loop
 from wavequake.workflows.loops.system_light import SystemOptics, drawn_at, moved, optics_of, seen_of
 from wavequake.workflows.loops.system_loop_study import SystemLoopStudy
 from wavequake.workflows.mirrors.mirror_study import FULL

@@ -21,7 +21,7 @@ from wavequake.chain.images.extended import lit_object_words, object_image
 from wavequake.chain.images.shortcuts import frame_coordinates
 from wavequake.chain.loops.answers import dynamics_of, put_all
 from wavequake.chain.loops.closing import readings
-from wavequake.chain.loops.designed import Designed
+from wavequake.chain.loops.designed import Designed, design_notices
 from wavequake.control.linear import Array
 from wavequake.control.sampled.run import run
 from wavequake.errors import UserError
@@ -44,7 +44,7 @@ from wavequake.workflows.exposures.telescope_control import (
 from wavequake.workflows.exposures.telescope_exposure import lit_object_of
 from wavequake.workflows.loops.curves import curves, frequencies
 from wavequake.workflows.loops.telescope_bench import Bench, bench_of
-from wavequake.workflows.loops.telescope_light import drawn, seen_of, seen_units, states_at_rest
+from wavequake.workflows.loops.telescope_light import drawn, optics_of, seen_of, seen_units, states_at_rest
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 from wavequake.workflows.loops.traced_light import beyond_linear
 from wavequake.workflows.segments.launches import CaseDraw, slots
@@ -313,6 +313,11 @@ def fixed(bench: Bench) -> dict[str, Any]:
     return found | curves([one.name for one in study.controller], bench.linear, study.sensor)
 
 
+def notices(study: TelescopeLoopStudy) -> Iterator[str]:
+    """Yield what controllers leave out in their designs."""
+    yield from design_notices(study, optics_of(study))
+
+
 def describe(bench: Bench) -> Mapping[str, str]:
     """Return rays and channels, for the plan."""
     channels = {name: len(one.channels(bench.optics.light)) for name, one in _actuators(bench).items()}
@@ -334,4 +339,5 @@ KIND = study_kind(
     axes=axes,
     fixed=fixed,
     describe=describe,
+    notices=notices,
 )

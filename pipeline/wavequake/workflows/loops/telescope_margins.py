@@ -4,8 +4,7 @@ from functools import partial
 
 from wavequake.chain.loops.designed import designed
 from wavequake.chain.loops.judged import sampled_loops
-from wavequake.workflows.loops.loop_margins import Makers
-from wavequake.workflows.loops.sampled_margins import sampled_loop
+from wavequake.workflows.loops.loop_margins import Makers, sampled_loop
 from wavequake.workflows.loops.telescope_light import optics_of
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 

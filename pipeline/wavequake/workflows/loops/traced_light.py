@@ -7,12 +7,15 @@ import numpy as np
 
 from wavequake.chain.loops.answers import put_all
 from wavequake.chain.loops.designed import Designed
+from wavequake.chain.loops.light import RayLight
 from wavequake.control.linear import Array
 from wavequake.control.sampled.readings import means
 from wavequake.kernels.device.devices import Device
 from wavequake.kernels.device.tiles import padded
+from wavequake.kernels.trace.train import Traced
 from wavequake.optics.segments.states import SurfaceStates
-from wavequake.workflows.exposures.telescope_control import trace
+from wavequake.optics.segments.wavefront import Wavefront
+from wavequake.workflows.exposures.telescope_control import ControlBench, measured_opd, ray_phase, trace
 from wavequake.workflows.loops.telescope_bench import Bench
 from wavequake.workflows.loops.telescope_light import seen_units, states_at_rest
 from wavequake.workflows.segments.launches import CaseDraw
@@ -28,8 +31,8 @@ def beyond_linear(
     """Return what gives the readings of a frame beside those of linear light.
 
     The telescope is traced once a frame, where everything is on its mean over the frame. What that has more
-    than linear light of the same motion is added to what the sensors of line of sight and wavefront read;
-    NaN where rays are lost.
+    than linear light of the same motion is added to what sensors read: cameras of the image that rays make,
+    others of line of sight and wavefront; NaN where rays are lost.
 
     Parameters
     ----------
@@ -49,6 +52,11 @@ def beyond_linear(
     control, optical = bench.optics.control, bench.optics.light.optical
     to_mas, to_nm = seen_units(control, bench.study.optics.wavelength_nm)
     sight = one.sight[:optical]
+    still = control.static
+    running = bench.study.running(bench.study.part("controller", one.name))
+    sensors = [bench.study.sensors(each) for each in running]
+    rest = _rays(control, *trace(control.prepared, states_at_rest(control, padded(1)), device), 1)
+    dark = [[sensor.of_rays(bench.optics.light, rest) for sensor in each] for each in sensors]
 
     def beyond(place: int, frame: int, moved: Array) -> Array:
         timing = one.loops[place].timing
@@ -67,14 +75,28 @@ def beyond_linear(
             actuator.put(bench.optics.light, states, positions[:, first:last])
             first = last
         put_all(one.answers, states, positions[:, first:])
-        found = trace(control.prepared, states, device)[1]
-        still = control.static
+        traced, found = trace(control.prepared, states, device)
         sights = (found.los - still.los[0]) * to_mas, (found.zernike[:, 3:] - still.zernike[0, 3:]) * to_nm
         more = np.hstack(sights)[: len(linear)] - linear
-        more[(found.lost[: len(linear)] > 0) | ~near] = np.nan
-        return np.vstack([matrix[:, :optical] @ more.T for matrix in one.readings[place]])
+        readings = []
+        for sensor, matrix, at_rest in zip(sensors[place], one.readings[place], dark[place], strict=True):
+            if at_rest is None:
+                readings.append(matrix[:, :optical] @ more.T)
+                continue
+            seen_by_rays = sensor.of_rays(bench.optics.light, _rays(control, traced, found, len(linear)))
+            readings.append(seen_by_rays - at_rest - matrix[:, :optical] @ linear.T)
+        given = np.vstack(readings)
+        given[:, (found.lost[: len(linear)] > 0) | ~near] = np.nan
+        return given
 
     return beyond
+
+
+def _rays(control: ControlBench, traced: Traced, wavefront: Wavefront, count: int) -> RayLight:
+    """Return the light of the first instants of a batch."""
+    phase = ray_phase(control, measured_opd(control, traced), wavefront, control.static.los[:1])
+    rays = control.prepared.rays
+    return RayLight(rays.x, rays.y, control.prepared.weight, phase[:count])
 
 
 def _put_mean(

@@ -1,9 +1,11 @@
 """LQG with a model of the vibration."""
 
 from abc import abstractmethod
+from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from wavequake.campaign.schema import Section
@@ -15,6 +17,7 @@ from wavequake.control.sampled.filters import drift, lqg
 from wavequake.control.sampled.regulator import Regulator, shared_filter
 from wavequake.errors import UserError
 
+Array = NDArray[np.float64]
 # Narrower lines, as a share of their frequency, are lost in rounding.
 _SHARPEST = 1e-4
 # Modes that are seen less than this share of the largest one are not expected.
@@ -69,6 +72,27 @@ class Expecting(Controller):
         parts = [line(one.hz, one.fwhm_hz, one.rms) for one in self.lines]
         return [*parts, drift(self.drift_hz, self.drift_rms)] if self.drift_rms else parts
 
+    def notices(self, asked: Design) -> Iterator[str]:
+        """Yield which modes of the structure it leaves out, as its sensors hardly see them."""
+        if not self.structure or asked.shaken is None:
+            return
+        sizes = self.sizes(asked)
+        most = sizes.max(initial=0.0)
+        names = " and ".join(repr(one.sensor) for one in (asked.watched if self.fuses else asked.watched[:1]))
+        for k in np.flatnonzero(~self.expects(sizes)):
+            mode = f"{asked.shaken.names[k]!r} ({asked.shaken.hertz[k]:.4g} Hz)"
+            how = f"{sizes[k] / most:.0e} of what it sees most" if sizes[k] else "not at all"
+            where = f"controller.{self.name}.structure"
+            yield f"{where}: the sensor {names} sees the mode {mode} {how}; it is not expected."
+
+    @abstractmethod
+    def sizes(self, asked: Design) -> Array:
+        """Return how much is seen of each mode of the structure that is shaken, (K,)."""
+
+    def expects(self, sizes: Array) -> NDArray[np.bool_]:
+        """Return of which modes that much is enough."""
+        return sizes > _SEEN * sizes.max(initial=0.0)
+
     def noise_of(self, asked: Design) -> float:
         """Return the noise of a reading of the first sensor, as it is believed to be."""
         return asked.noise if self.noise is None else self.noise
@@ -77,9 +101,42 @@ class Expecting(Controller):
 class Filtering(Expecting):
     """A controller with a filter for every channel."""
 
+    def sizes(self, asked: Design) -> Array:
+        """Return the rms of each mode as channels see it on average, in the sensor's unit."""
+        channels = decoupling(asked, self.modes, rates=True)
+        # What of a channel's reading is noise of the sensor, per noise of a reading.
+        sizes = np.linalg.norm(channels, axis=1)
+        kept = sizes > 0
+        seen = channels[kept] @ asked.watched[0].shaken / sizes[kept, None]
+        return np.asarray(np.sqrt(np.mean(seen**2, axis=0)))
+
+    def _shaken(self, asked: Design) -> list[Shaped]:
+        """Return the modes of the structure as channels see them.
+
+        Raises
+        ------
+        UserError
+            If there is no structure, or no channel sees any of its modes shaken.
+        """
+        where = f"controller.{self.name}.structure"
+        if asked.shaken is None:
+            raise UserError(f"{where}: there is no [[mode]] block.")
+        rms = self.sizes(asked)
+        seen = self.expects(rms)
+        if not seen.any():
+            raise UserError(
+                f"{where}: the sensor {asked.sensor!r} sees no [[mode]] block shaken; set rms_nm."
+            )
+        return [
+            oscillator(hertz, 4 * np.pi * zeta * hertz, size)
+            for hertz, zeta, size in zip(
+                asked.shaken.hertz[seen], asked.shaken.zeta[seen], rms[seen], strict=True
+            )
+        ]
+
     def expected(self, asked: Design) -> tuple[Shaped, float]:
         """Return the disturbance of a channel and the noise of its reading."""
-        parts = self.told() + (shaken_lines(asked, self.modes) if self.structure else [])
+        parts = self.told() + (self._shaken(asked) if self.structure else [])
         return joined(parts), self.noise_of(asked)
 
     @abstractmethod
@@ -93,33 +150,6 @@ class Filtering(Expecting):
         except UserError as error:
             raise UserError(f"controller.{self.name}: {error}") from None
         return shared_filter(decoupling(asked, self.modes, rates=True), model)
-
-
-def shaken_lines(asked: Design, modes: int | None = None) -> list[Shaped]:
-    """Return the modes of the structure as channels see them on average, in the sensor's unit.
-
-    Raises
-    ------
-    UserError
-        If there is no structure, or no channel sees any of its modes shaken.
-    """
-    where = f"controller.{asked.controller}.structure"
-    if asked.shaken is None:
-        raise UserError(f"{where}: there is no [[mode]] block.")
-    channels = decoupling(asked, modes, rates=True)
-    # What of a channel's reading is noise of the sensor, per noise of a reading.
-    sizes = np.linalg.norm(channels, axis=1)
-    kept = sizes > 0
-    rms = np.sqrt(np.mean((channels[kept] @ asked.watched[0].shaken / sizes[kept, None]) ** 2, axis=0))
-    seen = rms > _SEEN * rms.max(initial=0.0)
-    if not seen.any():
-        raise UserError(f"{where}: the sensor {asked.sensor!r} sees no [[mode]] block shaken; set rms_nm.")
-    return [
-        oscillator(hertz, 4 * np.pi * zeta * hertz, size)
-        for hertz, zeta, size in zip(
-            asked.shaken.hertz[seen], asked.shaken.zeta[seen], rms[seen], strict=True
-        )
-    ]
 
 
 @register

@@ -3,6 +3,7 @@
 from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from wavequake.chain.loops.block import register
@@ -52,6 +53,15 @@ class LqgFusion(Expecting):
         except UserError as error:
             raise UserError(f"controller.{self.name}: {error}") from None
 
+    def sizes(self, asked: Design) -> Array:
+        """Return the rms of each mode in the reading that shows most of it, per the reading's noise."""
+        shown = [np.abs(one.shaken) / (one.noise or 1.0) for one in asked.watched]
+        return np.asarray(np.vstack(shown).max(axis=0))
+
+    def expects(self, sizes: Array) -> NDArray[np.bool_]:
+        """Return of which modes that much is enough: all that any sensor sees."""
+        return sizes > 0
+
     def _told(self, asked: Design, sizes: Array) -> list[tuple[Shaped, list[Array]]]:
         """Return lines and drift of every channel in its unit, and how each sensor sees them."""
         unit = np.eye(len(sizes)) * sizes
@@ -67,10 +77,10 @@ class LqgFusion(Expecting):
         if asked.shaken is None:
             raise UserError(f"{where}: there is no [[mode]] block.")
         found = []
-        for k, (hertz, zeta) in enumerate(zip(asked.shaken.hertz, asked.shaken.zeta, strict=True)):
+        for k in np.flatnonzero(self.expects(self.sizes(asked))):
+            hertz, zeta = float(asked.shaken.hertz[k]), float(asked.shaken.zeta[k])
             columns = [watch.shaken[:, [k]] for watch in asked.watched]
-            if any(column.any() for column in columns):
-                found.append((oscillator(float(hertz), float(4 * np.pi * zeta * hertz), 1.0), columns))
+            found.append((oscillator(hertz, 4 * np.pi * zeta * hertz, 1.0), columns))
         if not found:
             raise UserError(f"{where}: no sensor sees a [[mode]] block shaken; set rms_nm.")
         return found

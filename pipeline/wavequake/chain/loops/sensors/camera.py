@@ -1,7 +1,8 @@
 """A camera on a guide star: the centre of gravity of the image on its pixels, as far as its window reaches.
 
 Unlike the line of sight, the centroid of an image moves with coma and all else that is odd over the pupil,
-and a window of pixels loses what is beyond it. It is linear in small aberrations of a perfect image.
+and a window of pixels loses what is beyond it. It is linear in small aberrations of a perfect image; where
+sensors see rays, it is that of the image which they make.
 """
 
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from wavequake.chain.loops.block import Sensor, register
-from wavequake.chain.loops.light import Light
+from wavequake.chain.loops.light import Light, RayLight
 from wavequake.errors import UserError
 from wavequake.imaging.pupils.pupil_function import annular_pupil
 from wavequake.mechanics.disturbances.motion import RAD_PER_MAS
@@ -73,6 +74,19 @@ class Camera(Sensor):
         """
         return self._window(light).reads @ light.noll
 
+    def of_rays(self, light: Light, rays: RayLight) -> Array:
+        """Return the centroids of images that rays make, (2, batch)."""
+        nodes = _nodes(self.pixel_mas, self.pixels, self._points(light))
+        turn = 2 * np.pi / (light.wavelength_nm * 1e-6) * RAD_PER_MAS
+        along_x, along_y = (np.exp(-1j * turn * np.outer(one, nodes.at)) for one in (rays.x, rays.y))
+        found = np.empty((2, len(rays.phase)))
+        for k, phase in enumerate(rays.phase):
+            field = along_y.T @ ((rays.weight * np.exp(2j * np.pi * phase))[:, None] * along_x)
+            image = nodes.width[:, None] * (field.real**2 + field.imag**2) * nodes.width
+            found[:, k] = image.sum(axis=0) @ nodes.where, image.sum(axis=1) @ nodes.where
+            found[:, k] /= image.sum()
+        return found
+
     def noise_rms(self, light: Light) -> float:
         """Return that of the sensor, of photons and of pixels: sqrt(s² / N + (r / N)² sum of x²)."""
         own = super().noise_rms(light)
@@ -90,9 +104,9 @@ class Camera(Sensor):
                 f"sensor.{self.name}: nothing here has a wavelength, so that a camera has no image; take "
                 "line-of-sight."
             )
-        points = self.pixels * _points(self.pixel_mas, light)
-        if points > _MOST:
-            most = self.pixel_mas * _MOST / points
+        points = self._points(light)
+        if self.pixels * points > _MOST:
+            most = self.pixel_mas * _MOST / (self.pixels * points)
             raise UserError(
                 f"sensor.{self.name}: {self.pixels} pixels of {self.pixel_mas:g} mas are too many for images "
                 f"that fine; take pixel_mas = {most:.2g} or less, or fewer pixels."
@@ -104,18 +118,33 @@ class Camera(Sensor):
             light.wavelength_nm,
             self.pixel_mas,
             self.pixels,
-            points // self.pixels,
+            points,
         )
+
+    def _points(self, light: Light) -> int:
+        """Return the nodes along one side of a pixel."""
+        airy = light.wavelength_nm * 1e-6 / (2 * light.radius_mm) / RAD_PER_MAS
+        return int(np.ceil(_PER_AIRY * self.pixel_mas / airy)) + _MORE
+
+
+@dataclass(frozen=True)
+class _Nodes:
+    """Nodes along one side of a window: places, widths, and middles of their pixels, mas."""
+
+    at: Array
+    width: Array
+    where: Array
+
+
+def _nodes(pixel_mas: float, pixels: int, points: int) -> _Nodes:
+    nodes, shares = np.polynomial.legendre.leggauss(points)
+    middles = _places(pixels, pixel_mas)
+    at = (middles[:, None] + 0.5 * pixel_mas * nodes).ravel()
+    return _Nodes(at, np.tile(0.5 * pixel_mas * shares, pixels), np.repeat(middles, points))
 
 
 def _places(pixels: int, pixel_mas: float) -> Array:
     return (np.arange(pixels) - (pixels - 1) / 2) * pixel_mas
-
-
-def _points(pixel_mas: float, light: Light) -> int:
-    """Return the points of the image along one side of a pixel."""
-    airy = light.wavelength_nm * 1e-6 / (2 * light.radius_mm) / RAD_PER_MAS
-    return int(np.ceil(_PER_AIRY * pixel_mas / airy)) + _MORE
 
 
 @prepared(maxsize=8)
@@ -137,15 +166,12 @@ def _window(
     turn = 2 * np.pi / (wavelength_nm * 1e-6) * radius_mm * RAD_PER_MAS
     half = 0.5 * pixels * pixel_mas
     pupil = annular_pupil(max(_CELLS, int(np.ceil(turn * half))), obscuration)
-    nodes, shares = np.polynomial.legendre.leggauss(points)
-    middles = _places(pixels, pixel_mas)
-    at = (middles[:, None] + 0.5 * pixel_mas * nodes).ravel()
-    width = np.tile(0.5 * pixel_mas * shares, pixels)
-    kernel = np.exp(1j * turn * np.outer(pupil.axis, at))
+    nodes = _nodes(pixel_mas, pixels, points)
+    width, where = nodes.width, nodes.where
+    kernel = np.exp(1j * turn * np.outer(pupil.axis, nodes.at))
     field = kernel.T @ pupil.amplitude @ kernel
     light = width[:, None] * (field.real**2 + field.imag**2) * width
     total = light.sum()
-    where = np.repeat(middles, points)
     basis = annular_zernike(pupil.x, pupil.y, terms, obscuration)[:, 1:]
     rows = []
     for along_y, along_x in ((width, width * where), (width * where, width)):
