@@ -2,11 +2,13 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.kernels.device.tiles import TILE, padded
+from wavequake.mechanics.disturbances.population import Population
 from wavequake.mechanics.disturbances.registry import Disturbance, Motion
 from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.optics.segments.wavefront import Wavefront
@@ -16,6 +18,8 @@ Array = NDArray[np.float64]
 
 # Tiles per launch: about 40 MB per output array at 9000 rays, however many and long the cases are.
 _LAUNCH_TILES = 32
+
+Kind = TypeVar("Kind", bound=Population)
 
 
 def slots(shares: Sequence[int], cases: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -110,3 +114,9 @@ def lost_segment(system: SegmentedTelescope, drawn: CaseDraw, wavefront: Wavefro
         f"segment {system.segments.names[segment]} lost all its rays at instant {instant} "
         f"(t = {drawn.time[instant]:.4g} s): its motion takes its glass out of the beam"
     )
+
+
+def slot(populations: tuple[Kind, ...], case: int) -> tuple[Kind, int]:
+    """Return the population and realization of a case, see `case_pattern.slots`."""
+    which, realization = slots([population.share for population in populations], np.array([case]))
+    return populations[which[0]], int(realization[0])

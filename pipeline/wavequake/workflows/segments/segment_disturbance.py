@@ -8,7 +8,6 @@ instants' point spread functions make the case's exposure (`imaging`).
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +22,13 @@ from wavequake.chain.uncertain import shared_models
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import padded
-from wavequake.mechanics.disturbances.population import Population
+from wavequake.mechanics.disturbances.plant_source import PlantSource
 from wavequake.mechanics.disturbances.registry import (
     Disturbance,
     analytic_rms,
     draw_case,
     instants_of,
+    parts,
 )
 from wavequake.mechanics.disturbances.sources import edge_sensors
 from wavequake.optics.segments.kinematics import carried, in_optics_frame
@@ -36,6 +36,7 @@ from wavequake.optics.segments.prepared import chief_rays, trace_states
 from wavequake.optics.segments.states import SurfaceStates, rest
 from wavequake.optics.segments.wavefront import Wavefront, analyse
 from wavequake.optics.wavefronts.quality import meets_marechal, meets_rayleigh
+from wavequake.workflows.bodies.plants import standing
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.segments.bench import (
     MAS_PER_RAD,
@@ -78,15 +79,6 @@ from wavequake.workflows.segments.segment_template import (
 from wavequake.workflows.segments.vignetting import require_all_rays
 
 Array = NDArray[np.float64]
-
-
-Kind = TypeVar("Kind", bound=Population)
-
-
-def slot(populations: tuple[Kind, ...], case: int) -> tuple[Kind, int]:
-    """Return the population and realization of a case, see `case_pattern.slots`."""
-    which, realization = slots([population.share for population in populations], np.array([case]))
-    return populations[which[0]], int(realization[0])
 
 
 def draw(bench: Bench, case: int) -> CaseDraw:
@@ -319,7 +311,8 @@ def describe(study_text: str) -> dict[str, str]:
     units = {"mas": "mas rms line of sight", "nm": "nm rms piston per segment"}
     known = {entry.name: analytic_rms(entry, bench.layout) for entry in bench.study.disturbance}
     rays = f"{len(bench.prepared.weight)} on {len(bench.system.segments)} segments"
-    return {"rays": rays, **sampling_plan(study_text).words()} | {
+    bodies = standing(bench.bodies.plants)
+    return {"rays": rays, **bodies, **sampling_plan(study_text).words()} | {
         name: f"{value[0]:.3g} {units[value[1]]}" for name, value in known.items() if value
     }
 
@@ -358,9 +351,11 @@ def check(study_text: str) -> None:
     if bench.study.optics.method == "modal":
         require_all_rays(bench.stopped, "so that the modal model has no derivatives (optics.method)")
         model_of(study_text, choose_device("auto").name)
-    if monolithic(bench.system):  # where every draw is quick
-        for population in bench.study.disturbance:
-            draw_case(bench.study.disturbance, population, bench.layout, bench.study.study.seed, 0)
+    populations = bench.study.disturbance
+    for population in populations:  # where a draw is quick, or may act on what there is not
+        of_bodies = any(isinstance(part, PlantSource) for part in parts(populations, population))
+        if of_bodies or monolithic(bench.system):
+            draw_case(populations, population, bench.layout, bench.study.study.seed, 0)
 
 
 def notices(study_text: str) -> Iterator[str]:

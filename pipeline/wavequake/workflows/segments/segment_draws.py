@@ -24,6 +24,7 @@ from wavequake.mechanics.disturbances.source import TOGETHER, Source
 from wavequake.mechanics.disturbances.streams import Streams
 from wavequake.mechanics.disturbances.supports import Supports
 from wavequake.prepared import prepared
+from wavequake.workflows.bodies.uncertain import uncertain_plant
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.segments.bench import Bench, bench_of
 from wavequake.workflows.segments.segment_rare import rare_cases
@@ -67,19 +68,31 @@ def draw_realizations(
     bench: Bench, population: Disturbance, realizations: Sequence[int], model: str = FULL
 ) -> Iterator[Motion]:
     """Draw realizations in the order given, ascending: neighbors together, to the bit as each alone."""
-    study, plant = bench.study, bench.plants.get(model)
+    study, segment = bench.study, bench.plants.get(model, bench.layout.segment)
     for _, neighbors in groupby(realizations, lambda realization: realization // TOGETHER):
         group = list(neighbors)
-        layouts = [_with(bench.layout, _supports(study, realization), plant) for realization in group]
+        layouts = [
+            _with(bench.layout, _supports(study, realization), segment, _bodies(bench, realization, model))
+            for realization in group
+        ]
         streams = [_streams(bench, realization) for realization in group]
         yield from draw_cases(study.disturbance, population, layouts, study.study.seed, group, streams)
 
 
-def _with(layout: SegmentLayout, supports: Supports | None, plant: Plant | None) -> SegmentLayout:
+def _bodies(bench: Bench, realization: int, model: str) -> Plant | None:
+    """Return the bodies that a realization has with one of the models that the study compares."""
+    study, plants = bench.study, bench.bodies.plants
+    known = model if model in plants else FULL
+    return uncertain_plant(plants, study.structure, study.study.seed, realization, known)
+
+
+def _with(
+    layout: SegmentLayout, supports: Supports | None, segment: Plant | None, plant: Plant | None
+) -> SegmentLayout:
     """Return a layout on supports, with bodies; the same one, whose digest is known, if there are none."""
-    if supports is None and plant is None:
+    if supports is None and segment is None and plant is None:
         return layout
-    return replace(layout, supports=supports, plant=plant)
+    return replace(layout, supports=supports, segment=segment, plant=plant)
 
 
 def _supports(study: SegmentStudy, realization: int) -> Supports | None:

@@ -36,6 +36,8 @@ from wavequake.optics.systems.file import build
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.prepared import prepared
 from wavequake.words import counted
+from wavequake.workflows.bodies.plants import standing
+from wavequake.workflows.bodies.uncertain import uncertain_plant
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.segments.segment_modal import MODAL, TRACED
 from wavequake.workflows.systems.system_bench import (
@@ -54,7 +56,6 @@ from wavequake.workflows.systems.system_measures import axes, fixed, measures
 from wavequake.workflows.systems.system_modal import certificate, model_of, routes
 from wavequake.workflows.systems.system_streaks import places_between, places_of_rows, streaked_times
 from wavequake.workflows.systems.system_study import SystemStudy
-from wavequake.workflows.systems.system_uncertain import uncertain_plant
 from wavequake.workflows.systems.system_variants import errors_of, slot_of
 
 Array = NDArray[np.float64]
@@ -83,7 +84,7 @@ def drawn_with(
     comes beside that of the elements.
     """
     study, streams = bench.study, sampling_plan(bench.text).of(realization)
-    plant = uncertain_plant(bench, realization, model)
+    plant = uncertain_plant(bench.plants, study.structure, study.study.seed, realization, model)
     if plant is not None and watched is not None:
         plant = watched(plant)
     layout = replace(bench.layout, plant=plant)
@@ -280,7 +281,7 @@ def describe(bench: SystemBench) -> dict[str, str]:
         **sampling_plan(bench.text).words(),
         **_modal(bench),
         **lines,
-        **_structure(bench),
+        **standing(bench.plants),
         **{f"nodes of {name}": one.words for name, one in bench.layout.moved.items()},
         "system": system.info(),
     }
@@ -294,19 +295,6 @@ def _modal(bench: SystemBench) -> dict[str, str]:
     count = int(model_of(bench.text, device.name).columns.moving.sum())
     return {
         "light": f"by the modal model of {counted(count, 'motion')}; a sample of the cases is traced, too"
-    }
-
-
-def _structure(bench: SystemBench) -> dict[str, str]:
-    """Say what stands where, and its lowest frequencies."""
-    return {
-        f"bodies, {name} models" if len(bench.plants) > 1 else "bodies": (
-            f"{counted(len(plant.omega), 'mode')} "
-            f"{'on the ground' if plant.grounded else 'floating in space'}, the lowest at "
-            + ", ".join(f"{one / (2.0 * np.pi):.4g}" for one in plant.omega[:6])
-            + " Hz"
-        )
-        for name, plant in bench.plants.items()
     }
 
 

@@ -19,15 +19,16 @@ from wavequake.mechanics.disturbances.registry import parts, with_own_axes
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.systems.file import SystemSection, embed_file
 from wavequake.workflows.asked_sections import AllowSection, BudgetSection
-from wavequake.workflows.mirrors.mirror_study import FULL
-from wavequake.workflows.segments.segment_study import require_path_lengths
-from wavequake.workflows.systems.body_files import read_body_files
-from wavequake.workflows.systems.body_sections import (
+from wavequake.workflows.bodies.files import read_body_files
+from wavequake.workflows.bodies.sections import (
+    NO_MASS,
     BodySection,
     ComparedModelsSection,
     LinkSection,
     StructureSection,
 )
+from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.segments.segment_study import require_path_lengths
 
 _OF_MASSES = ("link", "structure", "reduction")
 WITHOUT_IMAGES = {"imaging": None, "object": None, "detector": None}
@@ -176,10 +177,7 @@ class SystemStudy(Study):
     def _links_join_bodies(self) -> "SystemStudy":
         given = [key for key in _OF_MASSES if key in self.model_fields_set and getattr(self, key)]
         if given and not any(body.kind for body in self.body):
-            raise ValueError(
-                f"the section {given[0]} is of bodies with mass, but there are none; give a [[body]] a "
-                "mirror, imported, rigid, beams, matrices or modes"
-            )
+            raise ValueError(f"the section {given[0]} is of {NO_MASS}")
         return self
 
     @model_validator(mode="after")
