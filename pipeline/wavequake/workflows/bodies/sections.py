@@ -206,7 +206,8 @@ class BodySection(Section):
     surfaces: tuple[str, ...] = Field(
         default=(),
         strict=False,
-        description="names; the first one's axes at rest are those of the body, and it has the body's figure",
+        description="names, of segmented telescopes patterns, too (M1: all segments); "
+        "the first one's axes at rest are those of the body, and it has the body's figure",
     )
     about_mm: Point | None = Field(
         default=None,

@@ -287,7 +287,7 @@ class SegmentStudy(Study):
                 "section segment, or a [[body]] that is a mirror or imported"
             )
         if self.segment is not None and self.segment.reduced != FULL:
-            raise ValueError("reduction compares models with the full one: leave segment.reduced out")
+            raise ValueError("reduction compares models with the full one: choose it without segment.reduced")
         if self.campaign.sampling != "random":
             raise ValueError("reduction draws every case at random; leave campaign.sampling out")
 
@@ -303,8 +303,9 @@ class SegmentStudy(Study):
         if self.link and not massive:
             raise ValueError(f"the section link is of {NO_MASS}")
         structure = self.structure
-        if structure is not None and not massive and structure.model_fields_set - {"uncertain"}:
-            raise ValueError(f"structure.{min(structure.model_fields_set - {'uncertain'})} is of {NO_MASS}")
+        if structure is not None and not massive and structure.model_fields_set != {"uncertain"}:
+            key = min(structure.model_fields_set - {"uncertain"}, default="")
+            raise ValueError(f"{f'structure.{key}' if key else 'the section structure'} is of {NO_MASS}")
 
     def _models_can_be_drawn(self, uncertain: UncertainSupports) -> None:
         if self.study.workflow != "segment-disturbance":
