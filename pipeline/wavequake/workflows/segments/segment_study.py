@@ -92,7 +92,13 @@ class ImagingSection(SharedImagingSection):
         default=None, strict=False, description="light of each color; default: the same of all"
     )
 
-    _new: ClassVar = (*SharedImagingSection._new, "wavelengths_nm", "weights")
+    engine: Literal["auto", "segments", "rays"] = Field(
+        default="auto",
+        description="exact images of segments that are planes of phase, or sums over rays; auto: rays where "
+        "segments or mirrors bend, mirrors stop light or M1 has no edges",
+    )
+
+    _new: ClassVar = (*SharedImagingSection._new, "wavelengths_nm", "weights", "engine")
 
     @model_validator(mode="after")
     def _colors_have_light(self) -> "ImagingSection":
@@ -259,7 +265,7 @@ class SegmentStudy(Study):
                 )
 
     def _camera_has_images(self) -> None:
-        given = [f"imaging.{key}" for key in self.imaging._new if getattr(self.imaging, key)]
+        given = [f"imaging.{key}" for key in self.imaging.asked]
         given += ["detector"] * (self.detector is not None)
         if self.object is not None:
             self.object.chosen()
