@@ -193,7 +193,7 @@ def test_the_engine_can_be_set_and_stands_in_the_store(study_of):
     assert 1e-9 < np.abs(images["rays"] - images["auto"]).max() < 3e-3
     assert study_of().identity_text() == study_of(imaging__engine="auto").identity_text()
     study = study_of(imaging__engine="segments", disturbance__alignment__figure_nm={"5": 1.0})
-    with pytest.raises(UserError, match="'segments' is not exact here, as segments bend; take 'rays'"):
+    with pytest.raises(UserError, match="'segments' has no exact images, as segments bend; take 'rays'"):
         KIND.check(study.identity_text())
 
 

@@ -33,6 +33,23 @@ from wavequake.workflows.systems.system_bench import system_bench
 from wavequake.workflows.systems.system_disturbance import draw as draw_system
 from wavequake.workflows.systems.system_disturbance import sampling_plan as system_plan
 
+STAND = """
+[[body]]
+name = "stand"
+surfaces = ["CARRIED"]
+[body.rigid]
+mass_kg = 1.0
+inertia_kg_m2 = [1e-3, 1e-3, 1e-3]
+[[link]]
+name = "feet"
+kind = "springs"
+joins = [["stand", "ground.a"], ["stand", "ground.b"], ["stand", "ground.c"]]
+stiffness_n_m = 1e5
+[structure.ground_mm]
+a = [50.0, 0.0, 0.0]
+b = [-50.0, 0.0, 0.0]
+c = [0.0, 50.0, 0.0]
+"""
 SEGMENTS = """
 [study]
 name = "creaking"
@@ -50,6 +67,7 @@ enabled = false
 [wavefront]
 zernike_terms = 11
 """
+SEGMENTS += STAND.replace("CARRIED", "M3")
 SYSTEM = """
 [study]
 name = "creaking"
@@ -66,22 +84,8 @@ zernike_terms = 11
 name = "double-gauss"
 fields_deg = [[0.0, 0.0]]
 wavelengths_nm = [587.6]
-[[body]]
-name = "stand"
-surfaces = ["surface 10"]
-[body.rigid]
-mass_kg = 1.0
-inertia_kg_m2 = [1e-3, 1e-3, 1e-3]
-[[link]]
-name = "feet"
-kind = "springs"
-joins = [["stand", "ground.a"], ["stand", "ground.b"], ["stand", "ground.c"]]
-stiffness_n_m = 1e5
-[structure.ground_mm]
-a = [50.0, 0.0, 0.0]
-b = [-50.0, 0.0, 0.0]
-c = [0.0, 50.0, 0.0]
 """
+SYSTEM += STAND.replace("CARRIED", "surface 10")
 HISTORY = "time_s,NAME.dz_um,NAME.rx_urad,line_of_sight.x_mas\n0.0,0.0,0.0,0.0\n0.1,1.0,2.0,3.0\n"
 # Keys of an example of each, for elements called NAME.
 GIVEN = '[[disturbance]]\nname = "given"\nmodel = "surface-history"\nfile = "given.csv"'
