@@ -259,7 +259,7 @@ def test_what_needs_no_images_does_without_a_camera(study_of):
         ({"optics__wavelengths_nm": [800.0, 800.0]}, "names a wavelength twice"),
         ({"optics__wavelengths_nm": [800.0], "imaging__wavelengths_nm": [800.0]}, "choose one"),
         (
-            {"optics__wavelengths_nm": [800.0], "optics__method": "modal", "imaging__enabled": False},
+            {"optics__wavelengths_nm": [800.0], "optics__light": "modal", "imaging__enabled": False},
             "give one optics.wavelength_nm",
         ),
         ({"optics__wavelengths_nm": [1000.0, 300.0]}, "imaging.sampling must be at most 0.15 for 300 nm"),

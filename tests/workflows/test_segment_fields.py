@@ -110,7 +110,7 @@ def test_a_store_has_the_field_points_and_its_report_a_row_for_each(folder):
     ("overrides", "words"),
     [
         (("optics.fields_arcmin=[[0,0],[0,0]]",), "names a field point twice"),
-        ((both(*FIELDS), "optics.method=modal", "imaging.enabled=false"), "give one optics.field_arcmin"),
+        ((both(*FIELDS), "optics.light=modal", "imaging.enabled=false"), "give one optics.field_arcmin"),
         ((both(*FIELDS), "optics.field_arcmin=[0,1]"), "choose one"),
         (("optics.fields_arcmin=[]",), "fields_arcmin"),
     ],

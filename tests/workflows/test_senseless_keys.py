@@ -128,7 +128,7 @@ def test_surfaces_that_cannot_be(tmp_path, keys, words):
         ({"name": "gmt", "model": "edge-sensor-noise"}, "leave the sensors out, or take another telescope"),
         ({"optics": "fields_arcmin = [[500.0, 0.0]]"}, "bring optics.fields_arcmin nearer"),
         ({"optics": "field_arcmin = [500.0, 0.0]"}, "bring optics.field_arcmin nearer"),
-        ({"optics": "method = 'modal'"}, "set imaging.enabled = false"),
+        ({"optics": "light = 'modal'"}, "set imaging.enabled = false"),
         ({"more": "[segment]\nthickness_m = 0.05"}, "add such a disturbance"),
         ({"more": "[system]\nname = 'euv'"}, "the key 'system' is unknown"),
         ({"more": "[[body]]\nname = 'b'"}, "'b' has neither surfaces nor one of"),

@@ -279,7 +279,7 @@ def test_chosen_segments_move_as_they_do_among_all(tmp_path):
     np.testing.assert_array_equal(part[:, chosen], whole[:, chosen])
     assert not part[:, ~chosen].any()
     assert "segments" not in everyone.identity_text().split('"disturbance"')[1].split("]")[0]
-    modal = {"optics.method": "modal", "imaging.enabled": False}
+    modal = {"optics.light": "modal", "imaging.enabled": False}
     swings = entry("common-history", 'piston_nm = 10.0\nsegments = ["6"]')
     full, fast = (
         compute_segments(one.identity_text(), np.arange(2), "numpy")

@@ -155,7 +155,7 @@ def _put(states: SurfaceStates, place: int, bench: Bench, drawn: CaseDraw, part:
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
     """Compute the numbers of `cases` over their instants, by full traces or by the modal model."""
-    if bench_of(study_text).study.optics.method == "modal":
+    if bench_of(study_text).study.optics.light == "modal":
         return modal_cases(study_text, cases, device_name, trace_cases)
     found = trace_cases(study_text, cases, device_name)
     if bench_of(study_text).study.rare is None:
@@ -325,7 +325,7 @@ def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
     bench = bench_of(study_text)
     populations, segments = bench.study.disturbance, len(bench.system.segments)
     shares = sum(entry.share for entry in populations)
-    if bench.study.optics.method == "modal":
+    if bench.study.optics.light == "modal":
         instants = cases * sum(entry.share * entry.instants for entry in populations) / shares
         return dict.fromkeys(("draw", "modal"), (instants * segments, "segment-instants"))
     instants = cases * sum(entry.share * padded(entry.instants) for entry in populations) / shares
@@ -348,8 +348,8 @@ def check(study_text: str) -> None:
         require_pixels(camera_of(bench))
         if (shown := bench.study.object) is not None:
             check_object(shown, bench.study.imaging.pixels, bench.study.imaging.sampling)
-    if bench.study.optics.method == "modal":
-        require_all_rays(bench.stopped, "so that the modal model has no derivatives (optics.method)")
+    if bench.study.optics.light == "modal":
+        require_all_rays(bench.stopped, "so that the modal model has no derivatives (optics.light)")
         model_of(study_text, choose_device("auto").name)
     populations = bench.study.disturbance
     for population in populations:  # where a draw is quick, or may act on what there is not

@@ -205,7 +205,7 @@ class SegmentStudy(Study):
             raise ValueError(
                 "the section segment belongs to model = 'segment-shaking'; add such a disturbance"
             )
-        modal = self.optics.method == "modal"
+        modal = self.optics.light == "modal"
         if self.study.workflow == "segment-disturbance":
             whole_sets(self.campaign, [entry.share for entry in self.disturbance])
         elif self.campaign.sampling != "random":
@@ -214,15 +214,15 @@ class SegmentStudy(Study):
             )
         if self.study.workflow != "segment-disturbance" and (modal or not self.imaging.enabled):
             raise ValueError(
-                "optics.method = 'modal' and imaging.enabled = false belong to the workflow "
+                "optics.light = 'modal' and imaging.enabled = false belong to the workflow "
                 "segment-disturbance"
             )
         if modal and self.imaging.enabled:
-            raise ValueError("optics.method = 'modal' makes no images; set imaging.enabled = false")
+            raise ValueError("optics.light = 'modal' makes no images; set imaging.enabled = false")
         self._places_can_be_several()
         if modal and (wavefront.method != "opd" or wavefront.reference != "chief"):
             raise ValueError(
-                "optics.method = 'modal' needs wavefront.method = 'opd' and wavefront.reference = 'chief'"
+                "optics.light = 'modal' needs wavefront.method = 'opd' and wavefront.reference = 'chief'"
             )
         self._camera_has_images()
         if self.reduction is not None:
@@ -243,10 +243,10 @@ class SegmentStudy(Study):
         for one, several in self.optics.alternatives:
             if getattr(self.optics, several) is None:
                 continue
-            if self.study.workflow != "segment-disturbance" or self.optics.method == "modal":
+            if self.study.workflow != "segment-disturbance" or self.optics.light == "modal":
                 raise ValueError(
-                    f"optics.{several} belongs to the workflow segment-disturbance, with optics.method = "
-                    f"'standard'; give one optics.{one}"
+                    f"optics.{several} belongs to the workflow segment-disturbance, with optics.light = "
+                    f"'traced'; give one optics.{one}"
                 )
             if self.rare is not None:
                 raise ValueError(f"rare needs one of them: give optics.{one}, not {several}")
@@ -282,9 +282,9 @@ class SegmentStudy(Study):
             )
 
     def _models_can_be_compared(self) -> None:
-        if self.study.workflow != "segment-disturbance" or self.optics.method == "modal" or self.rare:
+        if self.study.workflow != "segment-disturbance" or self.optics.light == "modal" or self.rare:
             raise ValueError(
-                "reduction belongs to the workflow segment-disturbance, with optics.method = 'standard' and "
+                "reduction belongs to the workflow segment-disturbance, with optics.light = 'traced' and "
                 "without rare"
             )
         if not (self.segment or any(one.mirror or one.imported for one in self.body)):
@@ -327,10 +327,8 @@ class SegmentStudy(Study):
         require_independent_sets(uncertain, self.campaign.sampling)
 
     def _rare_cases_can_be_drawn(self) -> None:
-        if self.study.workflow != "segment-disturbance" or self.optics.method == "modal":
-            raise ValueError(
-                "rare belongs to the workflow segment-disturbance, with optics.method = 'standard'"
-            )
+        if self.study.workflow != "segment-disturbance" or self.optics.light == "modal":
+            raise ValueError("rare belongs to the workflow segment-disturbance, with optics.light = 'traced'")
         if self.campaign.sampling != "random" or self.campaign.until is not None:
             raise ValueError("rare draws cases near a limit; leave campaign.sampling and campaign.until out")
         if sum(entry.share > 0 for entry in self.disturbance) != 1:

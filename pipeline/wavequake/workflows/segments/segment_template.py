@@ -42,7 +42,7 @@ def computed(study_text: str) -> dict[str, Variable]:
     variables, study = traced(study_text), bench_of(study_text).study
     if study.rare is not None:
         return variables | _weights()
-    if study.optics.method == "standard":
+    if study.optics.light == "traced":
         return variables
     return {name: one for name, one in variables.items() if name not in TRACED_ONLY} | _modal()
 

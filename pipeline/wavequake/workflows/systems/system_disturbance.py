@@ -128,7 +128,7 @@ def prepare(study: SystemStudy) -> SystemBench:
     """Return what all cases of a study share; raises as `system_bench`, and where disturbances do not fit."""
     bench = system_bench(study.identity_text())
     sampling_plan(bench.text)
-    if study.optics.method == "modal":
+    if study.optics.light == "modal":
         model_of(bench.text, choose_device(study.campaign.device).name)
     for population in study.disturbance:
         drawn = draw_elements(study.disturbance, population, study.study.seed, 0, layout=bench.layout)
@@ -186,7 +186,7 @@ def _seen_cases(
     The model's errors are measured and returned of `cases` alone.
     """
     study, device, imager = bench.study, choose_device(device_name), imager_on(bench.text, device_name)
-    if study.optics.method == "standard":
+    if study.optics.light == "traced":
         return measured_cases(bench, motions, device, clock, imager, away)
     model = model_of(bench.text, device_name)
     bounds = np.array([model.bound(drawn) for _, drawn in motions])
@@ -289,7 +289,7 @@ def describe(bench: SystemBench) -> dict[str, str]:
 
 def _modal(bench: SystemBench) -> dict[str, str]:
     """Say what the modal model knows, if the study takes it."""
-    if bench.study.optics.method == "standard":
+    if bench.study.optics.light == "traced":
         return {}
     device = choose_device(bench.study.campaign.device)  # by its name, as `compute` asks for it
     count = int(model_of(bench.text, device.name).columns.moving.sum())
@@ -335,7 +335,7 @@ def work(bench: SystemBench, cases: int) -> dict[str, tuple[float, str]]:
     populations, rays = bench.study.disturbance, bench.study.optics.rays
     instants = sum(one.share * one.instants for one in populations) / sum(one.share for one in populations)
     beams = len(bench.prepared) * len(bench.prepared[0])
-    if bench.study.optics.method == "modal":
+    if bench.study.optics.light == "modal":
         return {"modal": (cases * instants * beams, "wavefronts")}
     return {"trace": (cases * instants * beams * rays * len(bench.system.surfaces), "ray-surfaces")}
 

@@ -10,7 +10,7 @@ from wavequake.chain.images.camera import DetectorSection
 from wavequake.chain.images.extended import ObjectSection, check_object
 from wavequake.chain.images.picture import embed_picture
 from wavequake.chain.images.system import SystemImagingSection
-from wavequake.chain.modal_options import ModalSample, ModalTolerance
+from wavequake.chain.modal_options import Light, ModalSample, ModalTolerance, with_light, with_method
 from wavequake.chain.sampling import SampledCampaignSection, whole_sets
 from wavequake.chain.sources import read_source_files
 from wavequake.chain.uncertain import require_independent_sets
@@ -39,8 +39,8 @@ class SystemOpticsSection(Section):
     """Rays per field point and wavelength, spread evenly over the pupil."""
 
     rays: int = Field(default=500, ge=10, le=1_000_000)
-    method: Literal["standard", "modal"] = Field(
-        default="standard",
+    light: Light = Field(
+        default="traced",
         description="trace every instant, or take wavefronts and images from derivatives that are traced "
         "once (modal: many cases of small motions)",
     )
@@ -50,9 +50,14 @@ class SystemOpticsSection(Section):
     @model_serializer(mode="wrap")
     def _traced_studies_say_nothing_of_it(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
         record: dict[str, Any] = write(self)
-        if self.method == "standard":
+        if self.light == "traced":
             record = {key: value for key, value in record.items() if key == "rays"}
-        return record
+        return with_method(record)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _method_is_light(cls, given: Any) -> Any:
+        return with_light(given)
 
 
 class SystemWavefrontSection(Section):
@@ -157,11 +162,11 @@ class SystemStudy(Study):
 
     @model_validator(mode="after")
     def _modal_light_is_of_path_lengths(self) -> "SystemStudy":
-        if self.optics.method == "modal" and (
+        if self.optics.light == "modal" and (
             self.wavefront.method != "opd" or self.wavefront.reference != "chief"
         ):
             raise ValueError(
-                "optics.method = 'modal' needs wavefront.method = 'opd' and wavefront.reference = 'chief'"
+                "optics.light = 'modal' needs wavefront.method = 'opd' and wavefront.reference = 'chief'"
             )
         return self
 
