@@ -15,8 +15,9 @@ from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.rare import rare_study
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.images import summed_images
+from wavequake.workflows.segments.launches import surface_states
 from wavequake.workflows.segments.segment_control import modal_numbers
-from wavequake.workflows.segments.segment_disturbance import draw, surface_states
+from wavequake.workflows.segments.segment_disturbance import draw
 from wavequake.workflows.study import load_study
 
 KIND = find_kind("segment-disturbance")

@@ -1,5 +1,6 @@
 """Bodies that carry segments and mirrors, against closed forms, a dense solution and the other spine."""
 
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
 from wavequake.workflows.bodies.uncertain import uncertain_plant
 from wavequake.workflows.segments.bench import bench_of
-from wavequake.workflows.segments.segment_disturbance import KIND, draw
+from wavequake.workflows.segments.segment_disturbance import KIND, draw, trace_draws
 from wavequake.workflows.study import load_study
 from wavequake.workflows.systems.system_bench import system_bench
 from wavequake.workflows.systems.system_disturbance import KIND as SYSTEM
@@ -382,6 +383,29 @@ def test_a_body_is_moved_by_name_as_what_it_carries(tmp_path):
     np.testing.assert_allclose(m3[:, :3] @ rotation.T, shift, atol=1e-18)
     np.testing.assert_allclose(m3[:, 3:] @ rotation.T, m2[:, 3:], atol=1e-18)
     assert np.abs(m2[:, 3]).max() > 0
+
+
+def test_few_instants_of_a_shaken_body_leave_the_streak_of_many(tmp_path):
+    """M1's cell tilts by some lambda/D: 6 instants are followed between each other, 240 hardly need it."""
+    images = STUDY.replace("enabled = false", "pixels = 48").replace(
+        "rays_per_segment = 6", "rays_per_segment = 18"
+    )
+    found, texts, cases = {}, {}, {}
+    for instants in (6, 240):
+        line = "lines = [{ frequency_hz = 5.0, amplitude = { rx_urad = 0.02, ry_urad = 0.01 } }]"
+        how = shaken(f'model = "base-motion"\n{line}', instants)
+        text = texts[instants] = text_of(tmp_path, images, CELL, how)
+        found[instants] = numbers(text)
+        drawn = cases[instants] = draw(bench_of(text), 0)
+        sight = np.deg2rad(found[instants]["los"][0] / 3.6e6)
+        assert np.abs(sight).max() > 3e-8
+        np.testing.assert_allclose(drawn.way[:, 0], sight, atol=1e-5 * np.abs(sight).max())
+    few, many = found[6]["exposure"][0], found[240]["exposure"][0]
+    assert many.max() < 0.5
+    assert np.abs(few - many).max() < 0.01 * many.max()
+    alone = replace(cases[6], way=None)
+    dots = trace_draws(texts[6], [alone], "numpy").arrays["exposure"][0]
+    assert np.abs(dots - many).max() > 0.05 * many.max()
 
 
 FLOOR = floor("dx_um = 1.0")

@@ -83,7 +83,7 @@ def _draw_several(
 
 def _of_moving(source: Source, motion: Motion, layout: SegmentLayout) -> Motion:
     """Return a motion of those segments alone that the source moves."""
-    motion = _on_segments(_with_carried(motion, layout), layout)
+    motion = on_elements(motion, layout)
     moving = source.moving(layout) if isinstance(source, SegmentSource) else None
     if moving is None:
         return motion
@@ -92,6 +92,11 @@ def _of_moving(source: Source, motion: Motion, layout: SegmentLayout) -> Motion:
         segment_motion=np.where(moving[:, None], motion.segment_motion, 0.0),
         segment_figure=np.where(moving[:, None], motion.segment_figure, 0.0),
     )
+
+
+def on_elements(motion: Motion, layout: SegmentLayout) -> Motion:
+    """Return a motion in which bodies move what they carry, and segments named alone stand among all."""
+    return _on_segments(_with_carried(motion, layout), layout)
 
 
 def _with_carried(motion: Motion, layout: SegmentLayout) -> Motion:

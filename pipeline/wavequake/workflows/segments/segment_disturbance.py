@@ -31,16 +31,13 @@ from wavequake.mechanics.disturbances.registry import (
     parts,
 )
 from wavequake.mechanics.disturbances.sources import edge_sensors
-from wavequake.optics.segments.kinematics import carried, in_optics_frame
 from wavequake.optics.segments.prepared import chief_rays, trace_states
-from wavequake.optics.segments.states import SurfaceStates, rest
 from wavequake.optics.segments.wavefront import Wavefront, analyse
 from wavequake.optics.wavefronts.quality import meets_marechal, meets_rayleigh
 from wavequake.workflows.bodies.plants import standing
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.segments.bench import (
     MAS_PER_RAD,
-    MM_PER_M,
     Bench,
     bench_of,
     benches_of,
@@ -60,7 +57,9 @@ from wavequake.workflows.segments.launches import (
     Piece,
     launches,
     lost_segment,
+    put_states,
     slots,
+    states_at_rest,
     traced_instants,
 )
 from wavequake.workflows.segments.segment_draws import draw_realizations, sampling_plan, way_between
@@ -109,48 +108,8 @@ def _drawn_with(
     for realization, motion in zip(realizations, motions, strict=True):
         way = None
         if bench.study.imaging.enabled:
-            way = way_between(bench, population, realization, time, motion)
+            way = way_between(bench, population, realization, time, motion, model)
         yield CaseDraw(population, realization, time, motion, way, model)
-
-
-def surface_states(bench: Bench, drawn: CaseDraw, first: int, last: int) -> SurfaceStates:
-    """Convert instants first <= i < last from SI to the optics (mm), padded with rest to whole tiles."""
-    states = _at_rest(bench, padded(last - first))
-    _put(states, 0, bench, drawn, slice(first, last))
-    return states
-
-
-def _at_rest(bench: Bench, batch: int) -> SurfaceStates:
-    system = bench.system
-    states = rest(batch, len(system.segments), len(system.surfaces), bench.figure_terms, bench.mirror_terms)
-    states.field[:] = bench.field
-    return states
-
-
-def _put(states: SurfaceStates, place: int, bench: Bench, drawn: CaseDraw, part: slice) -> None:
-    """Write some instants of a case over instants at rest, from `place` on."""
-    motion, here = drawn.motion, slice(place, place + part.stop - part.start)
-    segments = states.segment_motion[here]
-    segments[:] = motion.segment_motion[part]
-    segments[..., :3] *= MM_PER_M
-    figure = motion.segment_figure
-    states.segment_figure[here, :, : figure.shape[-1]] = (
-        figure[part] if figure.ndim > 2 else figure
-    ) * MM_PER_M
-    states.surface_motion[here, 0, 3:5] = motion.m2[part] @ bench.m2_tilt.T
-    for index, surface in enumerate(bench.system.surfaces):
-        if surface.name in motion.rigid:
-            own = motion.rigid[surface.name][part] * np.repeat([MM_PER_M, 1.0], 3)
-            states.surface_motion[here, index] += in_optics_frame(own, surface.rotation)
-        bent = motion.figure.get(surface.name)
-        if bent is not None and states.mirror_figure is not None:
-            shape = bent[part] if bent.ndim > 1 else bent
-            states.mirror_figure[here, index, : bent.shape[-1]] += shape * MM_PER_M
-    for name, surfaces in bench.system.bodies.items():
-        if name in motion.rigid:
-            own = motion.rigid[name][part] * np.repeat([MM_PER_M, 1.0], 3)
-            states.surface_motion[here, surfaces] += carried(bench.system, surfaces, own)
-    states.field[here] += motion.mount[part]
 
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
@@ -223,9 +182,9 @@ def _trace_place(bench: Bench, draws: list[CaseDraw], device_name: str, clock: S
     gathered: dict[int, Gathered] = {}
     for launch in launches(draws, instants):
         with clock("draw"):
-            states = _at_rest(bench, padded(max(piece.here.stop for piece in launch)))
+            states = states_at_rest(bench, padded(max(piece.here.stop for piece in launch)))
             for piece in launch:
-                _put(states, piece.place, bench, draws[piece.row], slice(piece.first, piece.last))
+                put_states(states, piece.place, bench, draws[piece.row], slice(piece.first, piece.last))
         with clock("trace"):
             rays = trace_states(bench.prepared, states, device)
         with clock("wavefront"):
