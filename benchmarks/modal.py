@@ -79,7 +79,7 @@ def main(cases: int = 100_000) -> None:
             study = SegmentStudy.model_validate({**million.model_dump(mode="json"), "disturbance": [entry]})
             study = study_with(study, {"optics.modal_sample": 0.0})
             modal, _ = seconds_of(study, 1024, count, device)
-            standard = study_with(study, {"optics.method": "standard"})
+            standard = study_with(study, {"optics.light": "traced"})
             full, _ = seconds_of(standard, 1024, min(count, 64), device)
             full *= count / min(count, 64)
             print(

@@ -12,7 +12,17 @@ from rich.table import Table
 
 from wavequake import __version__
 from wavequake.campaign.plugins import load_named
-from wavequake.commands import firmware, identify, loops, new, pictures, rare, sensitivity, statistics
+from wavequake.commands import (
+    firmware,
+    identify,
+    loops,
+    new,
+    pictures,
+    rare,
+    reports,
+    sensitivity,
+    statistics,
+)
 from wavequake.commands.ahead import while_it_runs
 from wavequake.commands.options import (
     ClusterOption,
@@ -33,10 +43,9 @@ from wavequake.terminal import (
     interrupted,
     live_progress,
     out,
-    print_in_blocks,
     print_pairs,
 )
-from wavequake.words import are, counted, unsaid
+from wavequake.words import are, counted
 
 app = typer.Typer(
     help="What does vibration do to the image, and which model, mirror or controller is good enough?",
@@ -54,7 +63,7 @@ _BEGIN, _RUN, _DECIDE, _SURE, _MEASURED, _PARTS = (
 )
 _PANELS: dict[str, list[Callable[..., None]]] = {
     _BEGIN: [new.new, new.migrate, pictures.info, pictures.draw],
-    _RUN: [pictures.view],
+    _RUN: [reports.report, pictures.view],
     _DECIDE: [statistics.budget, sensitivity.sensitivity, loops.margins, rare.rare, rare.allow],
     _SURE: [statistics.errors, statistics.sharpen, statistics.tail],
     _MEASURED: [identify.identify, identify.compare],
@@ -204,7 +213,7 @@ def run(
         words = shlex.join(["wavequake", "report", str(path)])
         out.print(f"Shard {part} is complete; once all are: {words}", markup=False, soft_wrap=True)
     else:
-        _write_report(path, fresh=summary.computed > 0)
+        reports.write_report(path, fresh=summary.computed > 0)
     if profile:
         print_pairs(profile_of(path))
     if summary.quarantined:
@@ -278,27 +287,6 @@ def verify(store: StoreArgument) -> None:
         out.print(line, markup=False, soft_wrap=True)
     if not report.ok:
         sys.exit(EXIT_DAMAGED)
-
-
-@app.command(rich_help_panel=_RUN)
-def report(
-    store: StoreArgument,
-    animate: Annotated[
-        int | None, typer.Option(min=0, help="Write a moving picture of this case (and no report).")
-    ] = None,
-    controller: Annotated[
-        str | None,
-        typer.Option("--controller", "--of", help="What of the case: a controller, excitation or mode."),
-    ] = None,
-    format: Annotated[str | None, typer.Option(help="Of the animation: gif, or mp4 (by ffmpeg).")] = None,
-) -> None:
-    """Print the table of a store and write its HTML report."""
-    if animate is None and (controller or format):
-        raise UserError("--controller and --format belong to an animation; say --animate CASE, too.")
-    if animate is None:
-        _write_report(store, fresh=True)
-        return
-    pictures.animate(store, animate, controller, format or "gif")
 
 
 @app.command(rich_help_panel=_RUN)
@@ -380,20 +368,3 @@ def rerun_case(
         out.print(line, markup=False, soft_wrap=True)
     if found.differing:
         sys.exit(EXIT_DAMAGED)
-
-
-def _write_report(store: Path, fresh: bool) -> None:
-    from wavequake.report.campaign import is_current, report_path, report_store, summary_table
-    from wavequake.report.written import read_answer
-
-    if fresh or not is_current(store):
-        table, path = report_store(store)
-    else:
-        table, path = summary_table(store), report_path(store)
-    answer = read_answer(path)
-    if table.caption:
-        table.caption = unsaid(str(table.caption), answer) or None
-    print_in_blocks(table)
-    if answer:
-        out.print(answer, markup=False, style="bold", highlight=False)
-    out.print(f"Report: {path.resolve()}", markup=False, soft_wrap=True)

@@ -15,8 +15,9 @@ from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.rare import rare_study
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.images import summed_images
+from wavequake.workflows.segments.launches import surface_states
 from wavequake.workflows.segments.segment_control import modal_numbers
-from wavequake.workflows.segments.segment_disturbance import draw, surface_states
+from wavequake.workflows.segments.segment_disturbance import draw
 from wavequake.workflows.study import load_study
 
 KIND = find_kind("segment-disturbance")
@@ -182,6 +183,21 @@ def test_a_color_alone_is_the_study_at_that_wavelength(study_of):
     np.testing.assert_array_equal(colored["wfe_rms"], single["wfe_rms"])
 
 
+def test_the_engine_can_be_set_and_stands_in_the_store(study_of):
+    """Sums over many rays are near the exact images, and not they."""
+    images = {}
+    for engine, said in (("auto", "segments"), ("segments", "segments"), ("rays", "rays")):
+        text = study_of(imaging__engine=engine, optics__rays_per_segment=72).identity_text()
+        assert KIND.template(text).per_case["exposure"].attrs["engine"] == said
+        images[engine] = KIND.compute(text, np.arange(1), "numpy").arrays["exposure"][0]
+    np.testing.assert_array_equal(images["segments"], images["auto"])
+    assert 1e-9 < np.abs(images["rays"] - images["auto"]).max() < 3e-3
+    assert study_of().identity_text() == study_of(imaging__engine="auto").identity_text()
+    study = study_of(imaging__engine="segments", disturbance__alignment__figure_nm={"5": 1.0})
+    with pytest.raises(UserError, match="'segments' has no exact images, as segments bend; take 'rays'"):
+        KIND.check(study.identity_text())
+
+
 def test_planes_behind_the_image_are_those_of_a_moved_image(study_of):
     """The detector is moved along the light and traced, its wavefront imaged by the same rays."""
     behind = 1500.0
@@ -244,7 +260,7 @@ def test_what_needs_no_images_does_without_a_camera(study_of):
         ({"optics__wavelengths_nm": [800.0, 800.0]}, "names a wavelength twice"),
         ({"optics__wavelengths_nm": [800.0], "imaging__wavelengths_nm": [800.0]}, "choose one"),
         (
-            {"optics__wavelengths_nm": [800.0], "optics__method": "modal", "imaging__enabled": False},
+            {"optics__wavelengths_nm": [800.0], "optics__light": "modal", "imaging__enabled": False},
             "give one optics.wavelength_nm",
         ),
         ({"optics__wavelengths_nm": [1000.0, 300.0]}, "imaging.sampling must be at most 0.15 for 300 nm"),

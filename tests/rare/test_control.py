@@ -137,7 +137,7 @@ def test_what_cannot_be_sharpened_is_a_sentence(stores, tmp_path, wavequake):
     wq.run(study, cases=16, store=tmp_path / "even", on="serial", campaign__sampling="sobol")
     with pytest.raises(UserError, match="are stratified, or share models"):
         sharpen(tmp_path / "even", 1000)
-    modal = study_with(study, {"optics.method": "modal"})
+    modal = study_with(study, {"optics.light": "modal"})
     wq.run(modal, cases=30, store=tmp_path / "modal", on="serial")
     code, _, err = wavequake("sharpen", tmp_path / "modal", "--cases", 1000)
     assert code == 2

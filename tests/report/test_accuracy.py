@@ -34,13 +34,13 @@ def test_rays_are_those_that_the_rule_needs(study):
     assert rms[int(words) - 5] > 1e-4
     assert f"optics.rays={words}" in said["proposal"]
     assert said["proposal"].startswith("wavequake run q.toml optics.rays=")
-    assert said["linearisation"] == "optics.method=modal suffices (0 %)"
+    assert said["linearisation"] == "optics.light=modal suffices (0 %)"
 
 
 def test_light_and_cases_are_proposed_where_they_err(study):
     said = plan_accuracy(study, 1e-3, "tilt")
     assert said["linearisation"].startswith("the modal model errs by 0.")
-    assert "optics.method=standard" in said["proposal"]
+    assert "optics.light=traced" in said["proposal"]
     assert said["rays"] == "optics.rays=4 suffices (0 %)"
     assert "campaign.cases=" in said["proposal"]
     enough = plan_accuracy(study, 0.3, "tilt")

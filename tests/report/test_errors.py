@@ -127,7 +127,7 @@ def test_the_modal_model_errs_by_what_full_traces_say(tmp_path):
     dataset = wq.run(load_study("tmt-million", keys), store=tmp_path / "s", on="serial")
     found = store_errors(tmp_path / "s", 4)
     ids = spread_ids(dataset["status"].to_numpy() == 1, 4)
-    study = load_study("tmt-million", {**keys, "optics.method": "standard"})
+    study = load_study("tmt-million", {**keys, "optics.light": "traced"})
     full = wq.run(study, store=tmp_path / "t", on="serial")
     apart = [
         np.sqrt((one.wfe_rms_raw.isel(case=ids) ** 2).mean("time"))

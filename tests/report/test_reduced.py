@@ -97,7 +97,7 @@ def test_errors_above_the_tolerance_are_not_passed_over(tmp_path, monkeypatch):
 
 
 def test_full_traces_without_images_need_no_certificate(tmp_path):
-    store = made(tmp_path / "standard", optics__method="standard", store__reduce="none")
+    store = made(tmp_path / "traced", optics__light="traced", store__reduce="none")
     text = printed(store)
     assert "Modal" not in text
     raw = wq.open_store(store)["wfe_rms_raw"].to_numpy()

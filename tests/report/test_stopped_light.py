@@ -184,7 +184,7 @@ def test_figured_segments_of_such_a_telescope_have_images(tmp_path):
             "; the others do not determine 11 Zernike terms",
         ),
         (
-            {"optics.method": "modal", "imaging.enabled": False},
+            {"optics.light": "modal", "imaging.enabled": False},
             ", so that the modal model has no derivatives",
         ),
     ],

@@ -11,7 +11,7 @@ from wavequake.workflows.kinds import register
 
 class QuadratureOptics(Section):
     rays: int = Field(default=10, ge=1)
-    method: str = "modal"
+    light: str = "modal"
 
 
 class QuadratureStudy(Study):
@@ -33,7 +33,7 @@ def compute(study, table, device, clock):
     return Block(
         {
             "mean": np.exp(np.outer(a, x)).mean(axis=1),
-            "tilt": np.sin(angle) if optics.method == "standard" else angle,
+            "tilt": np.sin(angle) if optics.light == "traced" else angle,
         }
     )
 

@@ -63,7 +63,7 @@ def test_what_a_study_has_grown_by_the_factor_meets_the_limit(study, tmp_path):
     sizes = {"piston_nm": 20.0, "tip_nrad": 5.0, "tilt_nrad": 5.0}
     keys = {f"disturbance.aligned.{key}": found.factor * value for key, value in sizes.items()}
     keys["disturbance.aligned.figure_nm"] = {"4": found.factor * 5.0}
-    grown = study_with(study, {**keys, "optics.method": "modal", "optics.modal_sample": 0.0})
+    grown = study_with(study, {**keys, "optics.light": "modal", "optics.modal_sample": 0.0})
     values = wq.run(grown, cases=2000, store=tmp_path / "s").wfe_rms.isel(time=0)
     above = int((values > 60.0).sum())
     assert binom.ppf(1e-3, 2000, 0.05) <= above <= binom.isf(1e-3, 2000, 0.05)

@@ -105,7 +105,7 @@ def test_a_plane_window_that_shifts_does_nothing(camera):
 
 def test_the_modal_model_knows_segments_before_lenses(camera, tmp_path):
     text = CAMERA[: CAMERA.index("[[disturbance]]")]
-    text = text.replace("wavelengths_nm = [550.0, 560.0]", 'method = "modal"')
+    text = text.replace("wavelengths_nm = [550.0, 560.0]", 'light = "modal"')
     text = text.replace("[imaging]\npixels", "[imaging]\nenabled = false\npixels")
     text += (
         '[[disturbance]]\nname = "pistons"\nmodel = "static-random"\npiston_nm = 30.0\ntilt_nrad = 100.0\n'

@@ -139,8 +139,8 @@ def test_a_store_unstacks_to_models_and_its_report_judges_them(study_of, tmp_pat
         ({"reduction__variants": ["guyan9"], "segment__reduced": "craigb18"}, "without segment.reduced"),
         ({"reduction__variants": ["guyan9"], "campaign__sampling": "sobol"}, "at random"),
         (
-            {"reduction__variants": ["guyan9"], "optics__method": "modal", "imaging__enabled": False},
-            "optics.method = 'standard'",
+            {"reduction__variants": ["guyan9"], "optics__light": "modal", "imaging__enabled": False},
+            "optics.light = 'traced'",
         ),
     ],
 )

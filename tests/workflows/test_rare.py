@@ -84,7 +84,7 @@ def study(tmp_path_factory):
 def share_beyond(study, name, measure, limit, cases, folder):
     """Return how many cases of an ordinary campaign by the modal model exceed a limit."""
     keys = {f"disturbance.{entry.name}.share": int(entry.name == name) for entry in study.disturbance}
-    ordinary = study_with(study, {**keys, "optics.method": "modal", "optics.modal_sample": 0.0})
+    ordinary = study_with(study, {**keys, "optics.light": "modal", "optics.modal_sample": 0.0})
     values = wq.run(ordinary, cases=cases, store=folder)[measure.partition("[")[0]]
     if measure == "zernike[noll=5]":
         values = values.sel(noll=5)

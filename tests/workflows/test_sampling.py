@@ -107,10 +107,10 @@ def test_coordinates_become_the_numbers_that_generators_give():
 
 
 @pytest.mark.parametrize("method", ["latin-hypercube", "sobol"])
-@pytest.mark.parametrize("optics", ["standard", "modal"])
+@pytest.mark.parametrize("optics", ["traced", "modal"])
 def test_a_case_depends_on_study_and_id_alone(tmp_path, method, optics):
     keys = {**SMALL, "campaign.sampling": method, "campaign.cases": 40, "campaign.replicates": 2}
-    keys |= {"optics.method": optics, "store.chunk_cases": 7}
+    keys |= {"optics.light": optics, "store.chunk_cases": 7}
     study = load_study("tmt-segments", keys)
     store = tmp_path / "shards"
     for shard in ("1/2", "0/2"):

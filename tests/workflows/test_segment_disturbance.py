@@ -15,6 +15,7 @@ from wavequake.workflows.segments import launches
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.images import energy_scale, image_axis
+from wavequake.workflows.segments.launches import slot
 from wavequake.workflows.study import load_study, study_with
 
 OPENCL = [device.name for device in list_devices() if device.kind != "numpy"]
@@ -48,7 +49,7 @@ def rows(text, name, count=12):
 
 
 def test_the_pattern_of_populations_is_stable_and_pairs_realizations(study):
-    slots = [workflow.slot(study.disturbance, case) for case in range(60)]
+    slots = [slot(study.disturbance, case) for case in range(60)]
     names = [population.name for population, _ in slots]
     assert names[:6] == ["pistons", "pistons", "mount", "m2", "figure", "both"]
     for name in set(names):
@@ -60,7 +61,7 @@ def test_the_pattern_of_populations_is_stable_and_pairs_realizations(study):
 def test_every_case_is_done_and_finite_over_its_own_instants(study, chunk):
     assert (chunk.status == DONE).all()
     for case in range(12):
-        population, _ = workflow.slot(study.disturbance, case)
+        population, _ = slot(study.disturbance, case)
         for name in ("wfe_rms", "wfe_rms_raw", "strehl", "los", "zernike", "time_s"):
             values = chunk.arrays[name][case]
             assert np.isfinite(values[: population.instants]).all()

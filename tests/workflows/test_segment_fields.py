@@ -15,6 +15,7 @@ from wavequake.workflows.rare import rare_study
 from wavequake.workflows.run import run_study
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of, benches_of
+from wavequake.workflows.segments.launches import slot
 from wavequake.workflows.segments.segment_study import without_images
 from wavequake.workflows.segments.segment_template import OF_ALL_PLACES, of_one_place, place_axis
 from wavequake.workflows.study import load_study, study_with
@@ -45,9 +46,7 @@ def test_each_field_point_has_the_bits_of_a_study_of_its_own(folder):
         text = loaded(folder, f"optics.field_arcmin={list(field)}").identity_text()
         # M2 is tilted by what moves the line of sight of the first field point: one motion for all.
         steered = [
-            row
-            for row in CASES
-            if place == 0 or workflow.slot(bench_of(text).study.disturbance, row)[0].name != "m2"
+            row for row in CASES if place == 0 or slot(bench_of(text).study.disturbance, row)[0].name != "m2"
         ]
         alone = workflow.compute(text, CASES, "numpy")
         for name, one in of_one_place(text).items():
@@ -111,7 +110,7 @@ def test_a_store_has_the_field_points_and_its_report_a_row_for_each(folder):
     ("overrides", "words"),
     [
         (("optics.fields_arcmin=[[0,0],[0,0]]",), "names a field point twice"),
-        ((both(*FIELDS), "optics.method=modal", "imaging.enabled=false"), "give one optics.field_arcmin"),
+        ((both(*FIELDS), "optics.light=modal", "imaging.enabled=false"), "give one optics.field_arcmin"),
         ((both(*FIELDS), "optics.field_arcmin=[0,1]"), "choose one"),
         (("optics.fields_arcmin=[]",), "fields_arcmin"),
     ],

@@ -31,7 +31,7 @@ seed = 7
 name = "tmt-18"
 gap_mm = 20.0
 [optics]
-method = "modal"
+light = "modal"
 rays_per_segment = 6
 modal_sample = 0.02
 [wavefront]
@@ -94,7 +94,7 @@ def names(study, count):
 
 def test_modal_numbers_are_those_of_full_traces(study):
     """Pistons to rounding, small tilts and figures to the second order that is left out."""
-    modal, standard = computed(study, range(14)), computed(study, range(14), optics__method="standard")
+    modal, standard = computed(study, range(14)), computed(study, range(14), optics__light="traced")
     assert (modal.status == DONE).all()
     assert (modal.arrays["traced"] == CERTIFIED).all()
     for name in (*SERIES, "segment_piston_rms"):
@@ -111,7 +111,7 @@ def test_modal_numbers_are_those_of_full_traces(study):
 
 
 def test_stored_errors_are_the_differences_to_full_traces(study):
-    modal, standard = computed(study, range(14)), computed(study, range(14), optics__method="standard")
+    modal, standard = computed(study, range(14)), computed(study, range(14), optics__light="traced")
     for name in SERIES:
         error = np.abs(modal.arrays[name] - standard.arrays[name])
         if name in ("los", "centroid"):
@@ -128,7 +128,7 @@ def test_cases_beyond_the_range_are_traced_in_full(study):
     cases = np.flatnonzero(names(study, 14) == "aligned")
     modal, standard = (
         computed(study, range(14), **far),
-        computed(study, cases, optics__method="standard", **far),
+        computed(study, cases, optics__light="traced", **far),
     )
     assert (modal.arrays["traced"][cases] == TRACED).all()
     assert (modal.arrays["modal_bound"][cases] > 0.1).all()
@@ -207,10 +207,10 @@ def test_sampled_cases_are_the_first_hundred_and_a_random_share():
     assert sampled(3, cases, 0.0).sum() == 100
 
 
-@pytest.mark.parametrize("method", ["standard", "modal"])
+@pytest.mark.parametrize("method", ["traced", "modal"])
 def test_summaries_are_the_statistics_of_the_arrays(study, method):
-    whole = computed(study, range(14), optics__method=method).arrays
-    short = computed(study, range(14), optics__method=method, store__reduce="summary").arrays
+    whole = computed(study, range(14), optics__light=method).arrays
+    short = computed(study, range(14), optics__light=method, store__reduce="summary").arrays
     assert not any(name in short for name in ("time_s", "zernike"))
     order = {name: k for k, name in enumerate(STATISTICS)}
     for row in range(14):
@@ -234,6 +234,24 @@ def test_summaries_are_the_statistics_of_the_arrays(study, method):
     np.testing.assert_array_equal(short["marechal"], whole["marechal"])
 
 
+def test_files_and_stores_that_call_light_the_method_are_read(study, tmp_path):
+    """Their identity is that of now, so that their stores go on; of both keys the later one counts."""
+    path = tmp_path / "small.toml"
+    path.write_text(STUDY.replace('light = "modal"', 'method = "modal"'))
+    before = load_study(path)
+    assert before.optics.light == "modal"
+    assert before.identity_text() == study.identity_text()
+    assert '"method":"modal"' in study.identity_text()
+    for keys, light in (
+        ({"optics.light": "traced"}, "traced"),
+        ({"optics.method": "standard"}, "traced"),
+        ({"optics.method": "standard", "optics.light": "modal"}, "modal"),
+    ):
+        assert load_study(path, keys).optics.light == light
+    with pytest.raises(UserError, match=r"optics\.light: input should be 'traced' or 'modal'"):
+        load_study(path, {"optics.light": "standard"})
+
+
 def test_every_other_instant_is_kept(study):
     whole = computed(study, range(7)).arrays
     short = computed(study, range(7), store__every=2).arrays
@@ -243,10 +261,8 @@ def test_every_other_instant_is_kept(study):
 
 def test_without_images_the_other_numbers_stay(study):
     only = study.model_copy(update={"disturbance": study.disturbance[:1]})
-    with_images = computed(
-        only, range(2), imaging__enabled=True, imaging__pixels=16, optics__method="standard"
-    )
-    without = computed(only, range(2), optics__method="standard")
+    with_images = computed(only, range(2), imaging__enabled=True, imaging__pixels=16, optics__light="traced")
+    without = computed(only, range(2), optics__light="traced")
     assert with_images.arrays.keys() - without.arrays.keys() == {"exposure", "peak", "ee50", "ee80"}
     for name, values in without.arrays.items():
         np.testing.assert_array_equal(values, with_images.arrays[name])
@@ -288,7 +304,7 @@ def test_exposures_do_not_sum_modes(study):
 
 def test_nothing_moves_but_the_mount(study):
     only = study.model_copy(update={"disturbance": study.disturbance[3:4]})
-    modal, standard = computed(only, range(2)), computed(only, range(2), optics__method="standard")
+    modal, standard = computed(only, range(2)), computed(only, range(2), optics__light="traced")
     np.testing.assert_allclose(modal.arrays["los"], standard.arrays["los"], rtol=0, atol=1e-4)
     assert np.abs(standard.arrays["los"]).max() > 0.1
 

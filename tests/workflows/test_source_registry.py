@@ -33,6 +33,23 @@ from wavequake.workflows.systems.system_bench import system_bench
 from wavequake.workflows.systems.system_disturbance import draw as draw_system
 from wavequake.workflows.systems.system_disturbance import sampling_plan as system_plan
 
+STAND = """
+[[body]]
+name = "stand"
+surfaces = ["CARRIED"]
+[body.rigid]
+mass_kg = 1.0
+inertia_kg_m2 = [1e-3, 1e-3, 1e-3]
+[[link]]
+name = "feet"
+kind = "springs"
+joins = [["stand", "ground.a"], ["stand", "ground.b"], ["stand", "ground.c"]]
+stiffness_n_m = 1e5
+[structure.ground_mm]
+a = [50.0, 0.0, 0.0]
+b = [-50.0, 0.0, 0.0]
+c = [0.0, 50.0, 0.0]
+"""
 SEGMENTS = """
 [study]
 name = "creaking"
@@ -50,6 +67,7 @@ enabled = false
 [wavefront]
 zernike_terms = 11
 """
+SEGMENTS += STAND.replace("CARRIED", "M3")
 SYSTEM = """
 [study]
 name = "creaking"
@@ -66,22 +84,8 @@ zernike_terms = 11
 name = "double-gauss"
 fields_deg = [[0.0, 0.0]]
 wavelengths_nm = [587.6]
-[[body]]
-name = "stand"
-surfaces = ["surface 10"]
-[body.rigid]
-mass_kg = 1.0
-inertia_kg_m2 = [1e-3, 1e-3, 1e-3]
-[[link]]
-name = "feet"
-kind = "springs"
-joins = [["stand", "ground.a"], ["stand", "ground.b"], ["stand", "ground.c"]]
-stiffness_n_m = 1e5
-[structure.ground_mm]
-a = [50.0, 0.0, 0.0]
-b = [-50.0, 0.0, 0.0]
-c = [0.0, 50.0, 0.0]
 """
+SYSTEM += STAND.replace("CARRIED", "surface 10")
 HISTORY = "time_s,NAME.dz_um,NAME.rx_urad,line_of_sight.x_mas\n0.0,0.0,0.0,0.0\n0.1,1.0,2.0,3.0\n"
 # Keys of an example of each, for elements called NAME.
 GIVEN = '[[disturbance]]\nname = "given"\nmodel = "surface-history"\nfile = "given.csv"'
@@ -275,7 +279,7 @@ def test_chosen_segments_move_as_they_do_among_all(tmp_path):
     np.testing.assert_array_equal(part[:, chosen], whole[:, chosen])
     assert not part[:, ~chosen].any()
     assert "segments" not in everyone.identity_text().split('"disturbance"')[1].split("]")[0]
-    modal = {"optics.method": "modal", "imaging.enabled": False}
+    modal = {"optics.light": "modal", "imaging.enabled": False}
     swings = entry("common-history", 'piston_nm = 10.0\nsegments = ["6"]')
     full, fast = (
         compute_segments(one.identity_text(), np.arange(2), "numpy")

@@ -88,6 +88,26 @@ def test_thin_mirrors_are_soft(mirror):
     assert 2.5 < thick < 4.0  # 4 of a thin plate; shear softens a thick one
 
 
+def test_stores_open_as_grids_over_method_order_and_swept_keys(mirror):
+    """An order is a number of each case; a grid with gaps has its texts there, too."""
+    folder, dataset = mirror
+    grid = wq.open_store(folder, unstack=("method", "order", "thickness_m", "damping_beta"))
+    assert set(grid.dims) == set(grid.dims) & set(grid.coords)
+    assert grid["order"].to_numpy()[:2].tolist() == [18.0, 36.0]
+    at = {"method": "craigb", "order": 36.0, "thickness_m": 0.04, "damping_beta": 5e-6}
+    labels = ("variant", "thickness_m", "damping_beta")
+    row = [tuple(one) for one in zip(*(dataset[name].to_numpy().tolist() for name in labels), strict=True)]
+    place = row.index(("craigb36", 0.04, 5e-6))
+    np.testing.assert_array_equal(grid["eps_opt"].sel(at), dataset["eps_opt"][place])
+    assert grid["message"].sel(at).item() == ""
+    assert np.isnan(grid["eps_opt"].sel({**at, "method": "full"})).all()
+    whole = wq.open_store(folder, unstack=True)
+    assert whole.sizes == unstack(dataset).sizes
+    for labels, words in (("wind", "'wind' is no label"), (["order"], "Several cases have the same order")):
+        with pytest.raises(UserError, match=words):
+            wq.open_store(folder, unstack=labels)
+
+
 def test_commands_take_stores_of_sweeps(mirror, wavequake):
     folder, _ = mirror
     for words in (("report", folder), ("status", folder), ("verify", folder), ("rerun", folder, "--case", 7)):

@@ -46,7 +46,7 @@ instants = 5
 lines = [{{ frequency_hz = 20.0, amplitude = {{ dx_um = {um}, ry_urad = {urad} }} }}]
 [optics]
 rays = 100
-method = "modal"
+light = "modal"
 [wavefront]
 zernike_terms = 11
 """
@@ -236,7 +236,7 @@ of = ["surface 4"]
 rms = {{ dx_um = {um}, dy_um = {um} }}
 [optics]
 rays = 50
-method = "modal"
+light = "modal"
 """
 
 
@@ -269,4 +269,4 @@ def test_studies_that_trace_keep_the_identity_that_they_had(study_of):
 
 
 def standard(study):
-    return study.model_copy(update={"optics": study.optics.model_copy(update={"method": "standard"})})
+    return study.model_copy(update={"optics": study.optics.model_copy(update={"light": "traced"})})

@@ -12,9 +12,9 @@ from wavequake.errors import UserError
 from wavequake.mechanics.assembly.answers import Shaking, steady
 from wavequake.mechanics.assembly.plant import FLOOR
 from wavequake.mechanics.assembly.uncertain import Measured, Spread, corrected, drawn
+from wavequake.workflows.bodies.uncertain import uncertain_plant
 from wavequake.workflows.systems.system_bench import system_bench
 from wavequake.workflows.systems.system_disturbance import KIND, draw
-from wavequake.workflows.systems.system_uncertain import uncertain_plant
 
 OWN_HZ = np.sqrt(4 * 4e5 / 10.0) / (2.0 * np.pi)  # 63.7, along z, of 10 kg on springs; damping 2 %
 NOISE = shaken('model = "body-force"\nat = ["cell"]\nspectrum = { rms = 0.5, low_hz = 5.0, high_hz = 800.0 }')
@@ -132,7 +132,8 @@ def test_the_variance_is_parted_as_in_the_closed_form_of_an_oscillator():
 def test_cases_share_models_by_twos_and_models_do_not_touch_the_draws(tmp_path):
     study = study_of(tmp_path, OPTICS, RIGID, uncertain("frequency = 0.05"), NOISE, campaign__cases=6)
     bench = system_bench(study.identity_text())
-    omegas = [uncertain_plant(bench, realization, "full").omega for realization in range(4)]
+    of = bench.plants, bench.study.structure, bench.study.study.seed
+    omegas = [uncertain_plant(*of, realization, "full").omega for realization in range(4)]
     np.testing.assert_array_equal(omegas[0], omegas[1])
     assert not np.allclose(omegas[0], omegas[2])
     table = KIND.case_table(study.identity_text(), 0, 6)

@@ -56,7 +56,7 @@ def certificate(tolerance_nm: float, dataset: xr.Dataset) -> list[str]:
         if wrong:
             words.append(
                 f"WARNING: the error of {wrong} of {len(raw)} traced cases is above the tolerance; use "
-                "optics.method = 'standard', or a smaller optics.modal_tolerance_nm."
+                "optics.light = 'traced', or a smaller optics.modal_tolerance_nm."
             )
     return words
 

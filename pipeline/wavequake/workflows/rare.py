@@ -17,7 +17,7 @@ TRACES = 2000
 FEWEST = 50
 # What a certificate needs no images and no series for.
 _PLAIN: dict[str, Any] = {
-    "optics.method": "standard",
+    "optics.light": "traced",
     "campaign.sampling": "random",
     "campaign.until": None,
     "store.images": "double",

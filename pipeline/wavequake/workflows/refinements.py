@@ -58,8 +58,8 @@ def refinements(study: Study) -> Iterator[Refinement]:
         more = min(2 * count, MOST_TERMS)  # type: ignore[operator]
         key = f"{home}.zernike_terms"
         yield Refinement(TERMS, key, (count, more), tuple({key: one, **finer} for one in (count, more)))  # type: ignore[arg-type]
-    if getattr(optics, "method", None) == "modal":
-        yield Refinement(LINEAR, "optics.method", (1.0, 2.0), ({}, {"optics.method": "standard"}))
+    if getattr(optics, "light", None) == "modal":
+        yield Refinement(LINEAR, "optics.light", (1.0, 2.0), ({}, {"optics.light": "traced"}))
     if models := _models(study):
         yield _order(models)
 

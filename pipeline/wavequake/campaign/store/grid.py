@@ -2,6 +2,8 @@
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from wavequake.errors import UserError
 
 if TYPE_CHECKING:
@@ -16,13 +18,15 @@ def unstack(dataset: "xr.Dataset", *labels: str) -> "xr.Dataset":
     dataset : xarray.Dataset
         Of :func:`wavequake.open_store`.
     labels : str, optional
-        Labels of cases (coordinates along ``case``) that become dimensions; together they name every case
-        once. By default the last ones, swept keys first, that do and of which none can be left out.
+        Labels of cases (coordinates along ``case``), or numbers that each case has one of, such as ``order``,
+        that become dimensions; together they name every case once. By default the last labels, swept keys
+        first, that do and of which none can be left out.
 
     Returns
     -------
     xarray.Dataset
-        What no case is at stays NaN. Labels that are no dimension are variables.
+        What no case is at stays NaN. Labels that are no dimension are variables. Every dimension has a
+        coordinate, from 0 where the store has none.
 
     Raises
     ------
@@ -35,21 +39,24 @@ def unstack(dataset: "xr.Dataset", *labels: str) -> "xr.Dataset":
     >>> grid.eps_opt.sel(variant="craigb36").plot(x="thickness_m")  # doctest: +SKIP
     """
     known = [str(name) for name in dataset.coords if dataset[name].dims == ("case",) and name != "case"]
+    numbers = [name for name in labels if name in dataset.data_vars and dataset[name].dims == ("case",)]
     for name in labels:
-        if name not in known:
+        if name not in (*known, *numbers):
             raise UserError(f"{name!r} is no label of cases; there are {', '.join(known)}.")
+    dataset = dataset.set_coords(numbers)
     chosen = list(labels) or _needed(dataset, known)
     if len(_rows(dataset, chosen)) < dataset.sizes["case"]:
         raise UserError(
             f"Several cases have the same {' and '.join(chosen)}; give more labels of {', '.join(known)}."
         )
-    dataset = dataset.assign_coords(  # indices of pandas take no texts of variable length
-        {name: ("case", dataset[name].to_numpy().astype(object)) for name in chosen if _text(dataset[name])}
-    )
+    texts = [name for name in dataset.variables if dataset[name].dims == ("case",) and _text(dataset[name])]
+    # Indices of pandas take no texts of variable length, nor do gaps of the grid.
+    dataset = dataset.assign({name: ("case", dataset[name].to_numpy().astype(object)) for name in texts})
     others = [name for name in known if name not in chosen]
     labelled = dataset.drop_vars("case", errors="ignore").reset_coords(others)
     grid: xr.Dataset = labelled.set_index(case=chosen).unstack("case")
-    return grid
+    bare = {name: np.arange(size) for name, size in grid.sizes.items() if name not in grid.coords}
+    return grid.assign_coords(bare)
 
 
 def _needed(dataset: "xr.Dataset", known: list[str]) -> list[str]:

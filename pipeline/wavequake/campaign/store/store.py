@@ -6,7 +6,7 @@ creates and extends a store, under a lock; workers write whole chunks.
 """
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -26,6 +26,7 @@ from wavequake.campaign.store.folder import SENSITIVITY as SENSITIVITY
 from wavequake.campaign.store.folder import SHARDS as SHARDS
 from wavequake.campaign.store.folder import refuse_foreign as refuse_foreign
 from wavequake.campaign.store.folder import write_errors_explained as write_errors_explained
+from wavequake.campaign.store.grid import unstack as grid
 from wavequake.campaign.store.journal import Chunk, Journal, Record
 from wavequake.campaign.store.layout import labels_of, metadata_digest, write_layout
 from wavequake.campaign.store.manifest import SCHEMA, why_too_many, write_manifest
@@ -137,16 +138,23 @@ def extend_store(path: Path | str, workflow: StudyKind, cases: int) -> Manifest:
     return extended
 
 
-def open_store(path: Path | str) -> "xr.Dataset":
+def open_store(path: Path | str, unstack: bool | str | Sequence[str] = False) -> "xr.Dataset":
     """Open a store as a labelled lazy dataset, one Dask chunk per K cases.
 
     Cases that are not computed yet have ``status`` 0 and NaN; quarantined ones (2 and above) say why in
     ``message``.
 
+    Parameters
+    ----------
+    path : path or str
+    unstack : bool, str or sequence of str
+        Labels that become dimensions in the place of ``case``, as of :func:`wavequake.unstack`; True: those
+        that tell the cases apart.
+
     Raises
     ------
     UserError
-        If there is no store at `path`.
+        If there is no store at `path`, or as :func:`wavequake.unstack`.
     StoreDamageError
         If its metadata is damaged.
 
@@ -154,11 +162,16 @@ def open_store(path: Path | str) -> "xr.Dataset":
     --------
     >>> ds = open_store("runs/tmt-segments-1a2b3c4d")                      # doctest: +SKIP
     >>> ds.wfe_rms.where(ds.status == 1).groupby("disturbance").median()   # doctest: +SKIP
+    >>> open_store("runs/thickness", unstack=("method", "order", "thickness_m"))  # doctest: +SKIP
     """
     manifest, dataset = _labelled(path)
     # Labels, status and messages stay out of Dask: they are small, and selecting by them needs their values.
     lazy = {name: dataset[name].variable.chunk(case=manifest.chunk) for name in _numbers(manifest)}
-    return dataset.assign(lazy)
+    dataset = dataset.assign(lazy)
+    if not unstack:
+        return dataset
+    labels = () if unstack is True else (unstack,) if isinstance(unstack, str) else unstack
+    return grid(dataset, *labels)
 
 
 def open_for_report(path: Path | str) -> "xr.Dataset":

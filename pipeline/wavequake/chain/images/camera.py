@@ -45,7 +45,13 @@ class SharedImagingSection(Section):
         self, handler: SerializerFunctionWrapHandler
     ) -> dict[str, Any]:
         record: dict[str, Any] = handler(self)
-        return {key: value for key, value in record.items() if key not in self._new or getattr(self, key)}
+        return {key: value for key, value in record.items() if key not in self._new or key in self.asked}
+
+    @property
+    def asked(self) -> list[str]:
+        """Keys of what images may have besides that are not as they are without them."""
+        fields = type(self).model_fields
+        return [key for key in self._new if getattr(self, key) != fields[key].default]
 
 
 class DetectorSection(Section):

@@ -38,6 +38,21 @@ class Moved:
 
 
 @dataclass(frozen=True, eq=False)
+class Carried:
+    """Elements that move with a body, or with a node of it.
+
+    Attributes
+    ----------
+    names : tuple of str, length E
+    follows : ndarray, shape (E, 6, 6)
+        Their motions, m and rad in their own frames, per unit of that of what carries them.
+    """
+
+    names: tuple[str, ...]
+    follows: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
 class SegmentLayout:
     """Segments in sky orientation (z to the sky), lengths in m; hashed by content, so that caches find it.
 
@@ -58,6 +73,10 @@ class SegmentLayout:
         Whose elements they are, for messages.
     plant : Plant or None
         The bodies with mass that carry some of them.
+    carried : mapping of str to Carried
+        What moves with bodies, and with nodes of theirs, by the names of these.
+    segment : Plant or None
+        What stands for every segment, where they are elastic.
     moved : mapping of str to Moved
         Of disturbances that are fitted to the surfaces of a system, by their names.
     supports : Supports or None
@@ -72,6 +91,8 @@ class SegmentLayout:
     others: tuple[str, ...] | None = ()
     owner: str = "the telescope"
     plant: Plant | None = None
+    carried: Mapping[str, Carried] = field(default_factory=dict)
+    segment: Plant | None = None
     moved: Mapping[str, Moved] = field(default_factory=dict)
     supports: Supports | None = None
 

@@ -12,7 +12,7 @@ from wavequake.mechanics.assembly.answers import moved
 from wavequake.mechanics.assembly.plant import Plant
 from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.motion import Motion, still
-from wavequake.mechanics.disturbances.source import Optics, Randoms, Source
+from wavequake.mechanics.disturbances.source import Randoms, Source
 from wavequake.mechanics.disturbances.spectra import (
     Bands,
     Spectrum,
@@ -36,7 +36,6 @@ _APART = 1e-6  # relative distance below which two edges are one
 class PlantSource(Source):
     """A source that acts on the bodies of a study."""
 
-    fits: ClassVar[tuple[Optics, ...]] = ("surfaces",)
     stratified: ClassVar[bool] = False
 
     @abstractmethod

@@ -16,6 +16,7 @@ from wavequake.mechanics.disturbances.motion import (
     generator,
     line_of_sight_rms_mas,
     piston_rms_nm,
+    summed,
 )
 from wavequake.mechanics.disturbances.population import Population, time_axis
 from wavequake.mechanics.disturbances.source import AnySource, Randoms, SegmentSource, Source, require_length
@@ -82,7 +83,7 @@ def _draw_several(
 
 def _of_moving(source: Source, motion: Motion, layout: SegmentLayout) -> Motion:
     """Return a motion of those segments alone that the source moves."""
-    motion = _on_segments(motion, layout)
+    motion = on_elements(motion, layout)
     moving = source.moving(layout) if isinstance(source, SegmentSource) else None
     if moving is None:
         return motion
@@ -91,6 +92,24 @@ def _of_moving(source: Source, motion: Motion, layout: SegmentLayout) -> Motion:
         segment_motion=np.where(moving[:, None], motion.segment_motion, 0.0),
         segment_figure=np.where(moving[:, None], motion.segment_figure, 0.0),
     )
+
+
+def on_elements(motion: Motion, layout: SegmentLayout) -> Motion:
+    """Return a motion in which bodies move what they carry, and segments named alone stand among all."""
+    return _on_segments(_with_carried(motion, layout), layout)
+
+
+def _with_carried(motion: Motion, layout: SegmentLayout) -> Motion:
+    """Return a motion in which bodies move what they carry."""
+    bodies = [name for name in motion.rigid if name in layout.carried]
+    if not bodies:
+        return motion
+    rigid = {name: values for name, values in motion.rigid.items() if name not in bodies}
+    for name in bodies:
+        carried = layout.carried[name]
+        moved = np.einsum("eij,nj->eni", carried.follows, motion.rigid[name])
+        rigid = summed([rigid, dict(zip(carried.names, moved, strict=True))])
+    return replace(motion, rigid=rigid)
 
 
 def _on_segments(motion: Motion, layout: SegmentLayout) -> Motion:
@@ -103,15 +122,16 @@ def _on_segments(motion: Motion, layout: SegmentLayout) -> Motion:
     if not (rigid or bent):
         return motion
     moved, figure = motion.segment_motion.copy(), motion.segment_figure
+    place = {name: index for index, name in enumerate(layout.names)}
     for name, values in rigid.items():
-        moved[:, layout.names.index(name)] += values
+        moved[:, place[name]] += values
     if bent:
         terms = max(figure.shape[-1], *(values.shape[-1] for values in bent.values()))
         over_time = (len(moved),) * any(values.ndim > 1 for values in bent.values())
         total = np.zeros((*over_time, len(layout), terms))
         total[..., : figure.shape[-1]] += figure
         for name, values in bent.items():
-            total[..., layout.names.index(name), : values.shape[-1]] += values
+            total[..., place[name], : values.shape[-1]] += values
         figure = total
     return replace(
         motion,

@@ -83,7 +83,7 @@ def modal_light(prepared: PreparedSystem, device: Device, motions: Motions) -> M
     arrives = _arrive(opd)
     opd[:, ~arrives] = np.nan
     scale = FAINT / wavelength * np.where(motions.turns, paraxial(prepared.system).stop_radius, _MM_PER_M)
-    remedy = "choose optics.method = 'standard'"
+    remedy = "choose optics.light = 'traced'"
     around = opd[1:].reshape(4, count, -1).swapaxes(1, 2)
     slope = checked_derivative(around, motions.steps, "the path lengths", remedy, 0, motions.turns, scale).T
     waves = np.concatenate([opd[:1], slope])
@@ -187,7 +187,7 @@ def _slopes(values: Array, steps: Array) -> Array:
 
 def _normed(weight: Array, arrives: NDArray[np.bool_]) -> Array:
     if not arrives.any():
-        raise UserError("no ray arrives where it has derivatives; choose optics.method = 'standard'")
+        raise UserError("no ray arrives where it has derivatives; choose optics.light = 'traced'")
     return np.asarray(weight[arrives] / weight[arrives].sum())
 
 

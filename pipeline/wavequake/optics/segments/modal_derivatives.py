@@ -69,7 +69,7 @@ def _modal_model(
     opd, x, y, chief = (
         np.concatenate(part, axis=-1) for part in _traced(prepared, device, field, dofs, singles * steps)
     )
-    still, remedy = opd[:, 0], "take other optics.rays, or optics.method = 'standard'"
+    still, remedy = opd[:, 0], "take other optics.rays, or optics.light = 'traced'"
     twice = 2.0 * singles[1:] * steps
     far = np.concatenate(_traced(prepared, device, field, dofs, twice, whole=False)[0], axis=-1)
     fourfold = np.stack([opd[:, 1::2], opd[:, 2::2], far[:, 0::2], far[:, 1::2]])
@@ -135,7 +135,7 @@ def _traced(
         if whole and lost.any():
             raise UserError(
                 f"{int(lost.any(axis=0).sum())} rays are lost at rest or within {_TRANSLATION} mm of it, so "
-                "that there are no derivatives: take other optics.rays, or optics.method = 'standard'."
+                "that there are no derivatives: take other optics.rays, or optics.light = 'traced'."
             )
         opd, x, y = (from_tiles(values)[:count].T for values in (traced.opd, traced.x, traced.y))
         parts[0].append(opd / prepared.wavelength)

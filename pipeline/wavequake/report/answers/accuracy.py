@@ -160,12 +160,12 @@ def _refined(
     if one.origin == REDUCTION:
         return _of_models(one, worst, accuracy)
     given = one.steps[one.base].get(one.key, "")
-    setting = f"{one.key}={given}" if given != "" else "optics.method=modal"
+    setting = f"{one.key}={given}" if given != "" else "optics.light=modal"
     if now <= accuracy:
         return Proposal(one.origin, f"{setting} suffices ({_percent(now)})", {})
     if one.origin == LINEAR:
-        words = f"the modal model errs by {_percent(now)}: optics.method=standard"
-        return Proposal(one.origin, words, {"optics.method": "standard"})
+        words = f"the modal model errs by {_percent(now)}: optics.light=traced"
+        return Proposal(one.origin, words, {"optics.light": "traced"})
     if one.origin != RAYS or not settled or not orders or one.key != "optics.rays":
         good = [count for count, share in zip(one.counts, worst, strict=True) if share <= accuracy]
         best = int(good[0]) if good and settled else int(one.counts[-1])

@@ -37,7 +37,7 @@ _AT_ONCE = 64  # draws that are in memory together
 
 
 _TRACED = {
-    "optics.method": "standard",
+    "optics.light": "traced",
     "store.reduce": "none",
     "store.every": 1,
     "store.keep": [],

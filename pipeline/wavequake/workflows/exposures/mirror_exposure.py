@@ -253,7 +253,9 @@ def template(study_text: str) -> Template:
             {"units": "1", "long_name": "exposure with defocus added; 1 = peak of the perfect image"},
         ),
         "exposure_static": Variable(
-            ("y", "x"), (pixels, pixels), {"units": "1", "long_name": "image at rest; 1 = its peak"}
+            ("y", "x"),
+            (pixels, pixels),
+            {"units": "1", "long_name": "image at rest; 1 = its peak", "engine": "matrix"},
         ),
         **(object_at_rest(study.object, pixels) if study.object else {}),
         "resolution_mm": Variable(

@@ -52,8 +52,8 @@ from wavequake.workflows.exposures.telescope_control import (
 )
 from wavequake.workflows.segments import segment_disturbance
 from wavequake.workflows.segments.bench import MAS_PER_RAD
-from wavequake.workflows.segments.launches import CaseDraw
-from wavequake.workflows.segments.segment_disturbance import draw, surface_states
+from wavequake.workflows.segments.launches import CaseDraw, surface_states
+from wavequake.workflows.segments.segment_disturbance import draw
 from wavequake.workflows.segments.segment_study import segment_text
 
 Array = NDArray[np.float64]

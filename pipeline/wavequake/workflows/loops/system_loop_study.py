@@ -16,8 +16,8 @@ class SystemLoopStudy(SystemStudy, LoopBlocks):
         for key in _OTHERS:
             if getattr(self, key) is not None:
                 raise ValueError(f"the section {key} belongs to system-disturbance; leave it out")
-        if self.optics.method != "standard":
-            raise ValueError("loops trace what they leave; optics.method must be 'standard'")
+        if self.optics.light != "traced":
+            raise ValueError("loops trace what they leave; optics.light must be 'traced'")
         self.check_runs(self.disturbance, self.wavefront.method, self.wavefront.reference)
         for sensor in self.sensor:
             if sensor.sees != "light":

@@ -47,8 +47,7 @@ from wavequake.workflows.loops.telescope_bench import Bench, bench_of
 from wavequake.workflows.loops.telescope_light import drawn, optics_of, seen_of, seen_units, states_at_rest
 from wavequake.workflows.loops.telescope_study import TelescopeLoopStudy
 from wavequake.workflows.loops.traced_light import beyond_linear
-from wavequake.workflows.segments.launches import CaseDraw, slots
-from wavequake.workflows.segments.segment_disturbance import surface_states
+from wavequake.workflows.segments.launches import CaseDraw, slots, surface_states
 
 # Cases that are stepped together; products have this many columns whatever is computed, and a case its own.
 ROWS = 16

@@ -18,8 +18,7 @@ from wavequake.optics.segments.wavefront import Wavefront
 from wavequake.workflows.exposures.telescope_control import ControlBench, measured_opd, ray_phase, trace
 from wavequake.workflows.loops.telescope_bench import Bench
 from wavequake.workflows.loops.telescope_light import seen_units, states_at_rest
-from wavequake.workflows.segments.launches import CaseDraw
-from wavequake.workflows.segments.segment_disturbance import surface_states
+from wavequake.workflows.segments.launches import CaseDraw, surface_states
 
 # Farther than this, nm or nrad, nothing is traced: such a loop diverges.
 _FARTHEST = 1e8

@@ -31,8 +31,9 @@ from wavequake.optics.shapes.corner_table import distorted
 from wavequake.optics.wavefronts.fits import tells_apart
 from wavequake.optics.wavefronts.sphere_fit import reference_fit
 from wavequake.prepared import prepared
+from wavequake.workflows.bodies.segments import CarryingBodies, carrying_bodies
+from wavequake.workflows.bodies.telescope import elastic_segments, masses_of, with_bodies
 from wavequake.workflows.mirrors.mirror_study import FULL
-from wavequake.workflows.mirrors.segment_body import segment_plant
 from wavequake.workflows.segments.segment_study import SegmentStudy
 from wavequake.workflows.segments.vignetting import Stopped, refuse_dark_segment, stopped_at_rest
 
@@ -51,7 +52,8 @@ class Bench:
     what of its light does not arrive, ``field`` (2,) the field point in rad. ``figure_terms`` and
     ``mirror_terms`` are those of the figures of segments and of mirrors after M1. ``place`` is that of the
     field point, times the number of wavelengths, plus that of the wavelength in the study.
-    ``plants`` are elastic segments by the models that are compared, the full one first.
+    ``plants`` are elastic segments by the models that are compared, the full one first; ``bodies`` are those
+    of mass that carry segments and mirrors.
     """
 
     text: str
@@ -66,6 +68,7 @@ class Bench:
     figure_terms: int
     field: NDArray[np.float64]
     plants: Mapping[str, Plant]
+    bodies: CarryingBodies
     mirror_terms: int = 0
     place: int = 0
 
@@ -158,9 +161,10 @@ def _prepared(study_text: str) -> Bench:
     system = replace(build_telescope(study), wavelength=wavelength)
     _require_m2(study, system)
     _require_mirrors_for_colors(study, system)
-    plants = _elastic_segments(study, system)
-    layout = replace(layout_of(system), plant=plants.get(FULL))
-    _require_elements(study, layout, tuple(system.bodies))
+    plants = elastic_segments(study, system)
+    bodies = carrying_bodies(masses_of(study), system)
+    layout = with_bodies(replace(layout_of(system), segment=plants.get(FULL)), study, bodies)
+    _require_elements(study, layout, (*system.bodies, *(one.name for one in study.body)))
     rays = build_rays(study, system)
     terms, mirror_terms = deformed_terms(study, layout)
     prepared = prepare(
@@ -182,6 +186,7 @@ def _prepared(study_text: str) -> Bench:
         terms,
         at,
         plants,
+        bodies,
         mirror_terms,
     )
 
@@ -288,20 +293,6 @@ def layout_of(system: SegmentedTelescope) -> SegmentLayout:
         others=(*system.bodies, *(surface.name for surface in system.surfaces)),
         owner=f"the telescope {system.name}",
     )
-
-
-def _elastic_segments(study: SegmentStudy, system: SegmentedTelescope) -> dict[str, Plant]:
-    """Return what stands for every segment of a study, by the models that it compares, if they are elastic.
-
-    Without a comparison the model that the study takes is called full.
-    """
-    section = study.segment
-    if section is None:
-        return {}
-    found = {FULL: segment_plant(section, system)}
-    for name in study.compared[1:]:
-        found[name] = segment_plant(section.model_copy(update={"reduced": name}), system)
-    return found
 
 
 def _require_m2(study: SegmentStudy, system: SegmentedTelescope) -> None:

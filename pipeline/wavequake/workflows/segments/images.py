@@ -50,10 +50,21 @@ def by_rays(bench: Bench) -> bool:
     """Return whether all images are sums over rays.
 
     Those of mirrors without edges, of figured segments or mirrors, and of telescopes that stop light at rest
-    are. Segments that are planes of phase over all their glass have exact images.
+    are. Segments that are planes of phase over all their glass have exact images, unless the study asks for
+    sums.
     """
-    figures = bench.figure_terms + bench.mirror_terms
-    return monolithic(bench.system) or figures > 0 or bench.stopped.vignetted > 0
+    return bench.study.imaging.engine == "rays" or bool(_why_rays(bench))
+
+
+def _why_rays(bench: Bench) -> str:
+    """Say why images of segments as planes of phase would not be exact; nothing if they are."""
+    found = {
+        "M1 is of one piece": monolithic(bench.system),
+        "segments bend": bench.figure_terms > 0,
+        "mirrors after M1 bend": bench.mirror_terms > 0,
+        "mirrors stop light at rest": bench.stopped.vignetted > 0,
+    }
+    return next((why for why, there in found.items() if there), "")
 
 
 def lit_coherently(bench: Bench) -> bool:
@@ -67,6 +78,10 @@ def refuse_what_cannot_be_imaged(bench: Bench) -> None:
 
     Segments of plane phase must not be too steep for exact images, also where stopped light asks for sums.
     """
+    if bench.study.imaging.engine == "segments" and (why := _why_rays(bench)):
+        raise UserError(
+            f"{_at(bench)}imaging.engine = 'segments' has no exact images, as {why}; take 'rays'."
+        )
     summed = by_rays(bench) or bench.study.imaging.focus_um or lit_coherently(bench)
     if summed and bench.stopped.otherwise:
         raise UserError(

@@ -2,20 +2,27 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.kernels.device.tiles import TILE, padded
+from wavequake.mechanics.disturbances.population import Population
 from wavequake.mechanics.disturbances.registry import Disturbance, Motion
+from wavequake.optics.segments.kinematics import carried, in_optics_frame
+from wavequake.optics.segments.states import SurfaceStates, rest
 from wavequake.optics.segments.telescope import SegmentedTelescope
 from wavequake.optics.segments.wavefront import Wavefront
 from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.segments.bench import MM_PER_M, Bench
 
 Array = NDArray[np.float64]
 
 # Tiles per launch: about 40 MB per output array at 9000 rays, however many and long the cases are.
 _LAUNCH_TILES = 32
+
+Kind = TypeVar("Kind", bound=Population)
 
 
 def slots(shares: Sequence[int], cases: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -110,3 +117,50 @@ def lost_segment(system: SegmentedTelescope, drawn: CaseDraw, wavefront: Wavefro
         f"segment {system.segments.names[segment]} lost all its rays at instant {instant} "
         f"(t = {drawn.time[instant]:.4g} s): its motion takes its glass out of the beam"
     )
+
+
+def slot(populations: tuple[Kind, ...], case: int) -> tuple[Kind, int]:
+    """Return the population and realization of a case, see `case_pattern.slots`."""
+    which, realization = slots([population.share for population in populations], np.array([case]))
+    return populations[which[0]], int(realization[0])
+
+
+def surface_states(bench: Bench, drawn: CaseDraw, first: int, last: int) -> SurfaceStates:
+    """Convert instants first <= i < last from SI to the optics (mm), padded with rest to whole tiles."""
+    states = states_at_rest(bench, padded(last - first))
+    put_states(states, 0, bench, drawn, slice(first, last))
+    return states
+
+
+def states_at_rest(bench: Bench, batch: int) -> SurfaceStates:
+    """Return a batch of instants at which nothing moves, in the light of the bench's field point."""
+    system = bench.system
+    states = rest(batch, len(system.segments), len(system.surfaces), bench.figure_terms, bench.mirror_terms)
+    states.field[:] = bench.field
+    return states
+
+
+def put_states(states: SurfaceStates, place: int, bench: Bench, drawn: CaseDraw, part: slice) -> None:
+    """Write some instants of a case over instants at rest, from `place` on."""
+    motion, here = drawn.motion, slice(place, place + part.stop - part.start)
+    segments = states.segment_motion[here]
+    segments[:] = motion.segment_motion[part]
+    segments[..., :3] *= MM_PER_M
+    figure = motion.segment_figure
+    states.segment_figure[here, :, : figure.shape[-1]] = (
+        figure[part] if figure.ndim > 2 else figure
+    ) * MM_PER_M
+    states.surface_motion[here, 0, 3:5] = motion.m2[part] @ bench.m2_tilt.T
+    for index, surface in enumerate(bench.system.surfaces):
+        if surface.name in motion.rigid:
+            own = motion.rigid[surface.name][part] * np.repeat([MM_PER_M, 1.0], 3)
+            states.surface_motion[here, index] += in_optics_frame(own, surface.rotation)
+        bent = motion.figure.get(surface.name)
+        if bent is not None and states.mirror_figure is not None:
+            shape = bent[part] if bent.ndim > 1 else bent
+            states.mirror_figure[here, index, : bent.shape[-1]] += shape * MM_PER_M
+    for name, surfaces in bench.system.bodies.items():
+        if name in motion.rigid:
+            own = motion.rigid[name][part] * np.repeat([MM_PER_M, 1.0], 3)
+            states.surface_motion[here, surfaces] += carried(bench.system, surfaces, own)
+    states.field[here] += motion.mount[part]

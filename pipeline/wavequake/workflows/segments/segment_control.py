@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 MEASURES = ("wfe_rms_raw", "wfe_rms", "los", "centroid")
 _ANY = 1e9  # nm: a partner need not be good, only the same for all cases
 _MODAL = {
-    "optics.method": "modal",
+    "optics.light": "modal",
     "optics.modal_tolerance_nm": _ANY,
     "optics.modal_sample": 0.0,
     "store.images": "double",
@@ -40,7 +40,7 @@ def modal_numbers(study: SegmentStudy, cases: NDArray[np.int64], device: str) ->
             "The modal model is a partner of traced segment-disturbance studies, not of "
             f"{study.study.workflow}."
         )
-    if study.optics.method == "modal":
+    if study.optics.light == "modal":
         raise UserError("This study is by the modal model already: take more cases.")
     study.require_one_place("The modal model is")
     if study.rare is not None:

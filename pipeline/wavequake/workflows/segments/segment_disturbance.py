@@ -8,7 +8,6 @@ instants' point spread functions make the case's exposure (`imaging`).
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,23 +22,22 @@ from wavequake.chain.uncertain import shared_models
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import padded
-from wavequake.mechanics.disturbances.population import Population
+from wavequake.mechanics.disturbances.plant_source import PlantSource
 from wavequake.mechanics.disturbances.registry import (
     Disturbance,
     analytic_rms,
     draw_case,
     instants_of,
+    parts,
 )
 from wavequake.mechanics.disturbances.sources import edge_sensors
-from wavequake.optics.segments.kinematics import carried, in_optics_frame
 from wavequake.optics.segments.prepared import chief_rays, trace_states
-from wavequake.optics.segments.states import SurfaceStates, rest
 from wavequake.optics.segments.wavefront import Wavefront, analyse
 from wavequake.optics.wavefronts.quality import meets_marechal, meets_rayleigh
+from wavequake.workflows.bodies.plants import standing
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.segments.bench import (
     MAS_PER_RAD,
-    MM_PER_M,
     Bench,
     bench_of,
     benches_of,
@@ -59,7 +57,9 @@ from wavequake.workflows.segments.launches import (
     Piece,
     launches,
     lost_segment,
+    put_states,
     slots,
+    states_at_rest,
     traced_instants,
 )
 from wavequake.workflows.segments.segment_draws import draw_realizations, sampling_plan, way_between
@@ -78,15 +78,6 @@ from wavequake.workflows.segments.segment_template import (
 from wavequake.workflows.segments.vignetting import require_all_rays
 
 Array = NDArray[np.float64]
-
-
-Kind = TypeVar("Kind", bound=Population)
-
-
-def slot(populations: tuple[Kind, ...], case: int) -> tuple[Kind, int]:
-    """Return the population and realization of a case, see `case_pattern.slots`."""
-    which, realization = slots([population.share for population in populations], np.array([case]))
-    return populations[which[0]], int(realization[0])
 
 
 def draw(bench: Bench, case: int) -> CaseDraw:
@@ -117,53 +108,13 @@ def _drawn_with(
     for realization, motion in zip(realizations, motions, strict=True):
         way = None
         if bench.study.imaging.enabled:
-            way = way_between(bench, population, realization, time, motion)
+            way = way_between(bench, population, realization, time, motion, model)
         yield CaseDraw(population, realization, time, motion, way, model)
-
-
-def surface_states(bench: Bench, drawn: CaseDraw, first: int, last: int) -> SurfaceStates:
-    """Convert instants first <= i < last from SI to the optics (mm), padded with rest to whole tiles."""
-    states = _at_rest(bench, padded(last - first))
-    _put(states, 0, bench, drawn, slice(first, last))
-    return states
-
-
-def _at_rest(bench: Bench, batch: int) -> SurfaceStates:
-    system = bench.system
-    states = rest(batch, len(system.segments), len(system.surfaces), bench.figure_terms, bench.mirror_terms)
-    states.field[:] = bench.field
-    return states
-
-
-def _put(states: SurfaceStates, place: int, bench: Bench, drawn: CaseDraw, part: slice) -> None:
-    """Write some instants of a case over instants at rest, from `place` on."""
-    motion, here = drawn.motion, slice(place, place + part.stop - part.start)
-    segments = states.segment_motion[here]
-    segments[:] = motion.segment_motion[part]
-    segments[..., :3] *= MM_PER_M
-    figure = motion.segment_figure
-    states.segment_figure[here, :, : figure.shape[-1]] = (
-        figure[part] if figure.ndim > 2 else figure
-    ) * MM_PER_M
-    states.surface_motion[here, 0, 3:5] = motion.m2[part] @ bench.m2_tilt.T
-    for index, surface in enumerate(bench.system.surfaces):
-        if surface.name in motion.rigid:
-            own = motion.rigid[surface.name][part] * np.repeat([MM_PER_M, 1.0], 3)
-            states.surface_motion[here, index] += in_optics_frame(own, surface.rotation)
-        bent = motion.figure.get(surface.name)
-        if bent is not None and states.mirror_figure is not None:
-            shape = bent[part] if bent.ndim > 1 else bent
-            states.mirror_figure[here, index, : bent.shape[-1]] += shape * MM_PER_M
-    for name, surfaces in bench.system.bodies.items():
-        if name in motion.rigid:
-            own = motion.rigid[name][part] * np.repeat([MM_PER_M, 1.0], 3)
-            states.surface_motion[here, surfaces] += carried(bench.system, surfaces, own)
-    states.field[here] += motion.mount[part]
 
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
     """Compute the numbers of `cases` over their instants, by full traces or by the modal model."""
-    if bench_of(study_text).study.optics.method == "modal":
+    if bench_of(study_text).study.optics.light == "modal":
         return modal_cases(study_text, cases, device_name, trace_cases)
     found = trace_cases(study_text, cases, device_name)
     if bench_of(study_text).study.rare is None:
@@ -231,9 +182,9 @@ def _trace_place(bench: Bench, draws: list[CaseDraw], device_name: str, clock: S
     gathered: dict[int, Gathered] = {}
     for launch in launches(draws, instants):
         with clock("draw"):
-            states = _at_rest(bench, padded(max(piece.here.stop for piece in launch)))
+            states = states_at_rest(bench, padded(max(piece.here.stop for piece in launch)))
             for piece in launch:
-                _put(states, piece.place, bench, draws[piece.row], slice(piece.first, piece.last))
+                put_states(states, piece.place, bench, draws[piece.row], slice(piece.first, piece.last))
         with clock("trace"):
             rays = trace_states(bench.prepared, states, device)
         with clock("wavefront"):
@@ -319,7 +270,8 @@ def describe(study_text: str) -> dict[str, str]:
     units = {"mas": "mas rms line of sight", "nm": "nm rms piston per segment"}
     known = {entry.name: analytic_rms(entry, bench.layout) for entry in bench.study.disturbance}
     rays = f"{len(bench.prepared.weight)} on {len(bench.system.segments)} segments"
-    return {"rays": rays, **sampling_plan(study_text).words()} | {
+    bodies = standing(bench.bodies.plants)
+    return {"rays": rays, **bodies, **sampling_plan(study_text).words()} | {
         name: f"{value[0]:.3g} {units[value[1]]}" for name, value in known.items() if value
     }
 
@@ -332,7 +284,7 @@ def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
     bench = bench_of(study_text)
     populations, segments = bench.study.disturbance, len(bench.system.segments)
     shares = sum(entry.share for entry in populations)
-    if bench.study.optics.method == "modal":
+    if bench.study.optics.light == "modal":
         instants = cases * sum(entry.share * entry.instants for entry in populations) / shares
         return dict.fromkeys(("draw", "modal"), (instants * segments, "segment-instants"))
     instants = cases * sum(entry.share * padded(entry.instants) for entry in populations) / shares
@@ -355,12 +307,14 @@ def check(study_text: str) -> None:
         require_pixels(camera_of(bench))
         if (shown := bench.study.object) is not None:
             check_object(shown, bench.study.imaging.pixels, bench.study.imaging.sampling)
-    if bench.study.optics.method == "modal":
-        require_all_rays(bench.stopped, "so that the modal model has no derivatives (optics.method)")
+    if bench.study.optics.light == "modal":
+        require_all_rays(bench.stopped, "so that the modal model has no derivatives (optics.light)")
         model_of(study_text, choose_device("auto").name)
-    if monolithic(bench.system):  # where every draw is quick
-        for population in bench.study.disturbance:
-            draw_case(bench.study.disturbance, population, bench.layout, bench.study.study.seed, 0)
+    populations = bench.study.disturbance
+    for population in populations:  # where a draw is quick, or may act on what there is not
+        of_bodies = any(isinstance(part, PlantSource) for part in parts(populations, population))
+        if of_bodies or monolithic(bench.system):
+            draw_case(populations, population, bench.layout, bench.study.study.seed, 0)
 
 
 def notices(study_text: str) -> Iterator[str]:

@@ -7,7 +7,7 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.chain.images.streak import around_rows, times_between
+from wavequake.chain.images.streak import around_rows, leaves_dots, times_between
 from wavequake.chain.sampling import Plan, plan_of
 from wavequake.chain.uncertain import STREAM
 from wavequake.mechanics.assembly.plant import Plant
@@ -24,6 +24,8 @@ from wavequake.mechanics.disturbances.source import TOGETHER, Source
 from wavequake.mechanics.disturbances.streams import Streams
 from wavequake.mechanics.disturbances.supports import Supports
 from wavequake.prepared import prepared
+from wavequake.workflows.bodies.sight import bodies_sight
+from wavequake.workflows.bodies.uncertain import uncertain_plant
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.segments.bench import Bench, bench_of
 from wavequake.workflows.segments.segment_rare import rare_cases
@@ -67,19 +69,31 @@ def draw_realizations(
     bench: Bench, population: Disturbance, realizations: Sequence[int], model: str = FULL
 ) -> Iterator[Motion]:
     """Draw realizations in the order given, ascending: neighbors together, to the bit as each alone."""
-    study, plant = bench.study, bench.plants.get(model)
+    study, segment = bench.study, bench.plants.get(model, bench.layout.segment)
     for _, neighbors in groupby(realizations, lambda realization: realization // TOGETHER):
         group = list(neighbors)
-        layouts = [_with(bench.layout, _supports(study, realization), plant) for realization in group]
+        layouts = [
+            _with(bench.layout, _supports(study, realization), segment, _bodies(bench, realization, model))
+            for realization in group
+        ]
         streams = [_streams(bench, realization) for realization in group]
         yield from draw_cases(study.disturbance, population, layouts, study.study.seed, group, streams)
 
 
-def _with(layout: SegmentLayout, supports: Supports | None, plant: Plant | None) -> SegmentLayout:
+def _bodies(bench: Bench, realization: int, model: str) -> Plant | None:
+    """Return the bodies that a realization has with one of the models that the study compares."""
+    study, plants = bench.study, bench.bodies.plants
+    known = model if model in plants else FULL
+    return uncertain_plant(plants, study.structure, study.study.seed, realization, known)
+
+
+def _with(
+    layout: SegmentLayout, supports: Supports | None, segment: Plant | None, plant: Plant | None
+) -> SegmentLayout:
     """Return a layout on supports, with bodies; the same one, whose digest is known, if there are none."""
-    if supports is None and plant is None:
+    if supports is None and segment is None and plant is None:
         return layout
-    return replace(layout, supports=supports, plant=plant)
+    return replace(layout, supports=supports, segment=segment, plant=plant)
 
 
 def _supports(study: SegmentStudy, realization: int) -> Supports | None:
@@ -92,12 +106,33 @@ def _supports(study: SegmentStudy, realization: int) -> Supports | None:
 
 
 def way_between(
-    bench: Bench, population: Disturbance, realization: int, time: Array, motion: Motion
+    bench: Bench, population: Disturbance, realization: int, time: Array, motion: Motion, model: str = FULL
 ) -> Array | None:
     """Return the line of sight from each instant of a realization back to the one before, (n, m, 2) in rad.
 
-    Only as far as it moves by itself; None if it does not. Of histories from files it is linear between rows.
+    As far as it moves by itself or with bodies; None if it does not. Of histories from files it is linear
+    between rows.
     """
+    own = _own_way(bench, population, realization, time, motion)
+    if (plant := _bodies(bench, realization, model)) is None:
+        return own
+    at = times_between(time, population.duration_s)
+    streams = _streams(bench, realization)
+    sight = bodies_sight(bench, plant, population, realization, streams, at[:, ::-1].ravel())
+    if sight is None:
+        return own
+    way = sight.reshape(*at.shape, 2)[:, ::-1]
+    if not leaves_dots((way - way[:, :1]) * (2.0 * bench.system.pupil_outer / bench.unit_mm)):
+        return own
+    if own is not None and own.shape != way.shape:  # of rows of a file, each with its own place first
+        return own
+    return way if own is None else own + way
+
+
+def _own_way(
+    bench: Bench, population: Disturbance, realization: int, time: Array, motion: Motion
+) -> Array | None:
+    """Return the way of the line of sight where sources move it alone; as `way_between`."""
     at = times_between(time, population.duration_s)
     sight = _sight_at(bench, population, realization, at[:, ::-1].ravel())  # evenly spaced, ascending
     way = None if sight is None else sight.reshape(*at.shape, 2)[:, ::-1]

@@ -19,7 +19,7 @@ from wavequake.chain.images.extended import ObjectSection
 from wavequake.chain.images.picture import embed_picture
 from wavequake.chain.sampling import SampledCampaignSection, whole_sets
 from wavequake.chain.sources import read_source_files
-from wavequake.chain.uncertain import UncertainModes, require_independent_sets
+from wavequake.chain.uncertain import require_independent_sets
 from wavequake.errors import UserError
 from wavequake.mechanics.disturbances.registry import Combine, Disturbance, with_own_axes
 from wavequake.mechanics.disturbances.sources.base_motion import SegmentShaking
@@ -27,7 +27,14 @@ from wavequake.mechanics.disturbances.sources.segment_wind import SegmentWind
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.shapes.polygon_table import read_polygons
 from wavequake.workflows.asked_sections import AllowSection, BudgetSection
-from wavequake.workflows.mirrors.compared_models import ComparedSection
+from wavequake.workflows.bodies.files import read_body_files
+from wavequake.workflows.bodies.sections import NO_MASS, BodySection, LinkSection
+from wavequake.workflows.bodies.segment_sections import (
+    ComparedSegmentsSection,
+    SegmentStructureSection,
+    UncertainSupports,
+    without_bodies,
+)
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.mirrors.segment_section import ElasticSegmentSection
 from wavequake.workflows.segments.telescope_section import PLACES, OpticsSection, TelescopeSection
@@ -85,7 +92,13 @@ class ImagingSection(SharedImagingSection):
         default=None, strict=False, description="light of each color; default: the same of all"
     )
 
-    _new: ClassVar = (*SharedImagingSection._new, "wavelengths_nm", "weights")
+    engine: Literal["auto", "segments", "rays"] = Field(
+        default="auto",
+        description="exact images of segments that are planes of phase, or sums over rays; auto: rays where "
+        "segments or mirrors bend, mirrors stop light or M1 has no edges",
+    )
+
+    _new: ClassVar = (*SharedImagingSection._new, "wavelengths_nm", "weights", "engine")
 
     @model_validator(mode="after")
     def _colors_have_light(self) -> "ImagingSection":
@@ -116,20 +129,6 @@ class RareSection(Section):
         return self
 
 
-class UncertainSupports(UncertainModes):
-    """What is not known of the segments' supports: every model that is drawn has others."""
-
-    supports: Literal["alike", "apart"] = Field(
-        default="alike", description="off by the same at all segments, or at each by itself"
-    )
-
-
-class SegmentStructureSection(Section):
-    """The supports of the segments, on which segment-wind pushes."""
-
-    uncertain: UncertainSupports
-
-
 class SegmentStoreSection(StoreSection):
     """Where the results go, and what of them is kept."""
 
@@ -147,6 +146,8 @@ class SegmentStudy(Study):
     campaign: SampledCampaignSection = SampledCampaignSection()
     telescope: TelescopeSection
     segment: ElasticSegmentSection | None = None
+    body: tuple[BodySection, ...] = Field(default=(), strict=False)
+    link: tuple[LinkSection, ...] = Field(default=(), strict=False)
     disturbance: tuple[Disturbance, ...] = Field(min_length=1, strict=False)
     optics: OpticsSection = OpticsSection()
     wavefront: WavefrontSection = WavefrontSection()
@@ -158,7 +159,7 @@ class SegmentStudy(Study):
     object: ObjectSection | None = None
     budget: BudgetSection | None = None
     structure: SegmentStructureSection | None = None
-    reduction: ComparedSection | None = None
+    reduction: ComparedSegmentsSection | None = None
 
     asked: ClassVar[frozenset[str]] = frozenset({"allow", "budget"})
 
@@ -170,7 +171,7 @@ class SegmentStudy(Study):
         for key in absent:
             if getattr(self, key) is None:
                 record.pop(key, None)
-        return record
+        return record if self.body else without_bodies(record)
 
     @field_validator("disturbance")
     @classmethod
@@ -204,7 +205,7 @@ class SegmentStudy(Study):
             raise ValueError(
                 "the section segment belongs to model = 'segment-shaking'; add such a disturbance"
             )
-        modal = self.optics.method == "modal"
+        modal = self.optics.light == "modal"
         if self.study.workflow == "segment-disturbance":
             whole_sets(self.campaign, [entry.share for entry in self.disturbance])
         elif self.campaign.sampling != "random":
@@ -213,21 +214,22 @@ class SegmentStudy(Study):
             )
         if self.study.workflow != "segment-disturbance" and (modal or not self.imaging.enabled):
             raise ValueError(
-                "optics.method = 'modal' and imaging.enabled = false belong to the workflow "
+                "optics.light = 'modal' and imaging.enabled = false belong to the workflow "
                 "segment-disturbance"
             )
         if modal and self.imaging.enabled:
-            raise ValueError("optics.method = 'modal' makes no images; set imaging.enabled = false")
+            raise ValueError("optics.light = 'modal' makes no images; set imaging.enabled = false")
         self._places_can_be_several()
         if modal and (wavefront.method != "opd" or wavefront.reference != "chief"):
             raise ValueError(
-                "optics.method = 'modal' needs wavefront.method = 'opd' and wavefront.reference = 'chief'"
+                "optics.light = 'modal' needs wavefront.method = 'opd' and wavefront.reference = 'chief'"
             )
         self._camera_has_images()
         if self.reduction is not None:
             self._models_can_be_compared()
-        if self.structure is not None:
-            self._supports_are_shaken(self.structure.uncertain)
+        self._bodies_fit()
+        if self.structure is not None and self.structure.uncertain is not None:
+            self._models_can_be_drawn(self.structure.uncertain)
         if self.rare is not None:
             self._rare_cases_can_be_drawn()
         for name in sorted(self.asked):
@@ -241,10 +243,10 @@ class SegmentStudy(Study):
         for one, several in self.optics.alternatives:
             if getattr(self.optics, several) is None:
                 continue
-            if self.study.workflow != "segment-disturbance" or self.optics.method == "modal":
+            if self.study.workflow != "segment-disturbance" or self.optics.light == "modal":
                 raise ValueError(
-                    f"optics.{several} belongs to the workflow segment-disturbance, with optics.method = "
-                    f"'standard'; give one optics.{one}"
+                    f"optics.{several} belongs to the workflow segment-disturbance, with optics.light = "
+                    f"'traced'; give one optics.{one}"
                 )
             if self.rare is not None:
                 raise ValueError(f"rare needs one of them: give optics.{one}, not {several}")
@@ -263,7 +265,7 @@ class SegmentStudy(Study):
                 )
 
     def _camera_has_images(self) -> None:
-        given = [f"imaging.{key}" for key in self.imaging._new if getattr(self.imaging, key)]
+        given = [f"imaging.{key}" for key in self.imaging.asked]
         given += ["detector"] * (self.detector is not None)
         if self.object is not None:
             self.object.chosen()
@@ -280,16 +282,18 @@ class SegmentStudy(Study):
             )
 
     def _models_can_be_compared(self) -> None:
-        if self.study.workflow != "segment-disturbance" or self.optics.method == "modal" or self.rare:
+        if self.study.workflow != "segment-disturbance" or self.optics.light == "modal" or self.rare:
             raise ValueError(
-                "reduction belongs to the workflow segment-disturbance, with optics.method = 'standard' and "
+                "reduction belongs to the workflow segment-disturbance, with optics.light = 'traced' and "
                 "without rare"
             )
-        if self.segment is None or self.segment.reduced != FULL:
+        if not (self.segment or any(one.mirror or one.imported for one in self.body)):
             raise ValueError(
-                "reduction compares models of elastic segments with the full one: add the section segment, "
-                "without segment.reduced"
+                "reduction compares models of elastic segments and bodies with the full ones: add the "
+                "section segment, or a [[body]] that is a mirror or imported"
             )
+        if self.segment is not None and self.segment.reduced != FULL:
+            raise ValueError("reduction compares models with the full one: choose it without segment.reduced")
         if self.campaign.sampling != "random":
             raise ValueError("reduction draws every case at random; leave campaign.sampling out")
 
@@ -298,21 +302,33 @@ class SegmentStudy(Study):
         """Models of the segments that are compared, the full one first; a draw is a case with each."""
         return (FULL, *self.reduction.variants) if self.reduction is not None else (FULL,)
 
-    def _supports_are_shaken(self, uncertain: UncertainSupports) -> None:
+    def _bodies_fit(self) -> None:
+        if self.body and self.study.workflow not in ("segment-disturbance", "telescope-exposure"):
+            raise ValueError("body belongs to the workflows segment-disturbance and telescope-exposure")
+        massive = any(one.kind for one in self.body)
+        if self.link and not massive:
+            raise ValueError(f"the section link is of {NO_MASS}")
+        structure = self.structure
+        if structure is not None and not massive and structure.model_fields_set != {"uncertain"}:
+            key = min(structure.model_fields_set - {"uncertain"}, default="")
+            raise ValueError(f"{f'structure.{key}' if key else 'the section structure'} is of {NO_MASS}")
+
+    def _models_can_be_drawn(self, uncertain: UncertainSupports) -> None:
         if self.study.workflow != "segment-disturbance":
-            raise ValueError("structure belongs to the workflow segment-disturbance")
-        if not any(isinstance(entry, SegmentWind) for entry in self.disturbance):
+            raise ValueError("structure.uncertain belongs to the workflow segment-disturbance")
+        massive = any(one.kind for one in self.body)
+        if not massive and not any(isinstance(entry, SegmentWind) for entry in self.disturbance):
             raise ValueError(
                 "structure.uncertain is of the segments' supports, on which segment-wind pushes; this study "
                 "has no such disturbance"
             )
+        if not massive and uncertain.shapes:
+            raise ValueError(f"structure.uncertain.shapes is of {NO_MASS}")
         require_independent_sets(uncertain, self.campaign.sampling)
 
     def _rare_cases_can_be_drawn(self) -> None:
-        if self.study.workflow != "segment-disturbance" or self.optics.method == "modal":
-            raise ValueError(
-                "rare belongs to the workflow segment-disturbance, with optics.method = 'standard'"
-            )
+        if self.study.workflow != "segment-disturbance" or self.optics.light == "modal":
+            raise ValueError("rare belongs to the workflow segment-disturbance, with optics.light = 'traced'")
         if self.campaign.sampling != "random" or self.campaign.until is not None:
             raise ValueError("rare draws cases near a limit; leave campaign.sampling and campaign.until out")
         if sum(entry.share > 0 for entry in self.disturbance) != 1:
@@ -348,6 +364,7 @@ class SegmentStudy(Study):
         if isinstance(telescope, dict) and isinstance(telescope.get("corners"), str):
             telescope["corners_csv"] = text_of(base / telescope["corners"], "telescope.corners")
         read_source_files(record, base)
+        read_body_files(record, base)
         embed_picture(record, base)
 
 

@@ -14,7 +14,7 @@ from wavequake.chain.images.extended import lit_object_words
 from wavequake.prepared import prepared
 from wavequake.workflows.segments.bench import Bench, bench_of, benches_of, field_names, in_basis
 from wavequake.workflows.segments.exposures import object_at_rest
-from wavequake.workflows.segments.images import camera_of, image_axis
+from wavequake.workflows.segments.images import by_rays, camera_of, image_axis
 from wavequake.workflows.segments.judged_models import error_variables
 from wavequake.workflows.segments.segment_study import SegmentStudy
 
@@ -42,7 +42,7 @@ def computed(study_text: str) -> dict[str, Variable]:
     variables, study = traced(study_text), bench_of(study_text).study
     if study.rare is not None:
         return variables | _weights()
-    if study.optics.method == "standard":
+    if study.optics.light == "traced":
         return variables
     return {name: one for name, one in variables.items() if name not in TRACED_ONLY} | _modal()
 
@@ -234,6 +234,7 @@ def _variables(bench: Bench) -> dict[str, Variable]:
             (pixels, pixels),
             "1",
             "mean of the instants' point spread functions; 1 = peak of the perfect one",
+            engine="rays" if by_rays(bench) else "segments",
         ),
     }
     if study.imaging.focus_um:

@@ -5,7 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from wavequake.campaign.schema import Section
-from wavequake.chain.modal_options import ModalSample, ModalTolerance
+from wavequake.chain.modal_options import Light, ModalSample, ModalTolerance, with_light, with_method
 from wavequake.kernels.trace.status import MOST_SURFACES
 from wavequake.optics.sections import Pair
 
@@ -142,8 +142,8 @@ class OpticsSection(Section):
         description="several wavelengths at once, in place of wavelength_nm: numbers get the dimension "
         "wavelength; lambda/D is that of the first one",
     )
-    method: Literal["standard", "modal"] = Field(
-        default="standard",
+    light: Light = Field(
+        default="traced",
         description="of segment-disturbance: trace every instant, or take wavefronts from derivatives that "
         "are traced once (modal: for up to millions of cases of small motions; no images)",
     )
@@ -182,4 +182,9 @@ class OpticsSection(Section):
         record: dict[str, Any] = handler(self)
         for one, several in self.alternatives:
             record.pop(several if getattr(self, several) is None else one, None)
-        return record
+        return with_method(record)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _method_is_light(cls, given: Any) -> Any:
+        return with_light(given)

@@ -42,8 +42,14 @@ from wavequake.optics.wavefronts.wavefront import (
     with_slopes,
 )
 from wavequake.prepared import prepared
+from wavequake.workflows.bodies.plants import (
+    Masses,
+    compared_bodies,
+    deforming_terms,
+    elastic_names,
+    plants_of,
+)
 from wavequake.workflows.mirrors.mirror_study import FULL
-from wavequake.workflows.systems.system_plant import deforming_terms, plants_of
 from wavequake.workflows.systems.system_study import SystemStudy
 
 Array = NDArray[np.float64]
@@ -119,7 +125,15 @@ def plants_of_text(study_text: str) -> dict[str, Plant]:
         bodies = [
             rigid_body(system, one.name, one.surfaces, one.about_mm) for one in study.body if one.surfaces
         ]
-        return plants_of(study, deformable(system, deforming_terms(study, system)), bodies)
+        return plants_of(masses_of(study), deformable(system, deforming_terms(study.body, system)), bodies)
+
+
+def masses_of(study: SystemStudy) -> Masses:
+    """Return what a study says of its bodies with mass; UserError if it compares models of none."""
+    reduced = (
+        () if study.reduction is None else compared_bodies(study.reduction.of, elastic_names(study.body))
+    )
+    return Masses(study.study.name, study.body, study.link, study.structure, study.compared, reduced)
 
 
 def _imager(

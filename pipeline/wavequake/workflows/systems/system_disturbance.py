@@ -36,6 +36,8 @@ from wavequake.optics.systems.file import build
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.prepared import prepared
 from wavequake.words import counted
+from wavequake.workflows.bodies.plants import standing
+from wavequake.workflows.bodies.uncertain import uncertain_plant
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.segments.segment_modal import MODAL, TRACED
 from wavequake.workflows.systems.system_bench import (
@@ -54,7 +56,6 @@ from wavequake.workflows.systems.system_measures import axes, fixed, measures
 from wavequake.workflows.systems.system_modal import certificate, model_of, routes
 from wavequake.workflows.systems.system_streaks import places_between, places_of_rows, streaked_times
 from wavequake.workflows.systems.system_study import SystemStudy
-from wavequake.workflows.systems.system_uncertain import uncertain_plant
 from wavequake.workflows.systems.system_variants import errors_of, slot_of
 
 Array = NDArray[np.float64]
@@ -83,7 +84,7 @@ def drawn_with(
     comes beside that of the elements.
     """
     study, streams = bench.study, sampling_plan(bench.text).of(realization)
-    plant = uncertain_plant(bench, realization, model)
+    plant = uncertain_plant(bench.plants, study.structure, study.study.seed, realization, model)
     if plant is not None and watched is not None:
         plant = watched(plant)
     layout = replace(bench.layout, plant=plant)
@@ -127,7 +128,7 @@ def prepare(study: SystemStudy) -> SystemBench:
     """Return what all cases of a study share; raises as `system_bench`, and where disturbances do not fit."""
     bench = system_bench(study.identity_text())
     sampling_plan(bench.text)
-    if study.optics.method == "modal":
+    if study.optics.light == "modal":
         model_of(bench.text, choose_device(study.campaign.device).name)
     for population in study.disturbance:
         drawn = draw_elements(study.disturbance, population, study.study.seed, 0, layout=bench.layout)
@@ -185,7 +186,7 @@ def _seen_cases(
     The model's errors are measured and returned of `cases` alone.
     """
     study, device, imager = bench.study, choose_device(device_name), imager_on(bench.text, device_name)
-    if study.optics.method == "standard":
+    if study.optics.light == "traced":
         return measured_cases(bench, motions, device, clock, imager, away)
     model = model_of(bench.text, device_name)
     bounds = np.array([model.bound(drawn) for _, drawn in motions])
@@ -280,7 +281,7 @@ def describe(bench: SystemBench) -> dict[str, str]:
         **sampling_plan(bench.text).words(),
         **_modal(bench),
         **lines,
-        **_structure(bench),
+        **standing(bench.plants),
         **{f"nodes of {name}": one.words for name, one in bench.layout.moved.items()},
         "system": system.info(),
     }
@@ -288,25 +289,12 @@ def describe(bench: SystemBench) -> dict[str, str]:
 
 def _modal(bench: SystemBench) -> dict[str, str]:
     """Say what the modal model knows, if the study takes it."""
-    if bench.study.optics.method == "standard":
+    if bench.study.optics.light == "traced":
         return {}
     device = choose_device(bench.study.campaign.device)  # by its name, as `compute` asks for it
     count = int(model_of(bench.text, device.name).columns.moving.sum())
     return {
         "light": f"by the modal model of {counted(count, 'motion')}; a sample of the cases is traced, too"
-    }
-
-
-def _structure(bench: SystemBench) -> dict[str, str]:
-    """Say what stands where, and its lowest frequencies."""
-    return {
-        f"bodies, {name} models" if len(bench.plants) > 1 else "bodies": (
-            f"{counted(len(plant.omega), 'mode')} "
-            f"{'on the ground' if plant.grounded else 'floating in space'}, the lowest at "
-            + ", ".join(f"{one / (2.0 * np.pi):.4g}" for one in plant.omega[:6])
-            + " Hz"
-        )
-        for name, plant in bench.plants.items()
     }
 
 
@@ -347,7 +335,7 @@ def work(bench: SystemBench, cases: int) -> dict[str, tuple[float, str]]:
     populations, rays = bench.study.disturbance, bench.study.optics.rays
     instants = sum(one.share * one.instants for one in populations) / sum(one.share for one in populations)
     beams = len(bench.prepared) * len(bench.prepared[0])
-    if bench.study.optics.method == "modal":
+    if bench.study.optics.light == "modal":
         return {"modal": (cases * instants * beams, "wavefronts")}
     return {"trace": (cases * instants * beams * rays * len(bench.system.surfaces), "ray-surfaces")}
 

@@ -31,7 +31,7 @@ _SPHERES = {"chief": "the chief ray", "fitted": "the best-fit sphere"}
 
 def measures(study: SystemStudy, over_annulus: Mapping[str, str]) -> Iterator[Measure]:
     """Yield the measures of a study; `over_annulus` says over what its polynomials are orthogonal."""
-    if study.optics.method == "standard":
+    if study.optics.light == "traced":
         yield from _traced_measures(study, over_annulus)
         return
     yield from (one for one in _traced_measures(study, over_annulus) if one.name not in TRACED_ONLY)

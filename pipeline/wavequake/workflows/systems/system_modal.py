@@ -144,13 +144,13 @@ def model_of(study_text: str, device_name: str) -> SystemModel:
         if drawn.grid:
             raise UserError(
                 f"The disturbance {population.name!r} deforms {next(iter(drawn.grid))!r} on a grid, but "
-                "optics.method = 'modal' knows rigid motions and Zernike terms alone; choose 'standard'."
+                "optics.light = 'modal' knows rigid motions and Zernike terms alone; choose 'traced'."
             )
         columns.moving[:] |= columns.row(drawn).any(axis=0)
     if not columns.moving.any():
         raise UserError(
-            "No disturbance moves anything, so that optics.method = 'modal' has no motion to take "
-            "derivatives of; give one that is not 0, or choose 'standard'."
+            "No disturbance moves anything, so that optics.light = 'modal' has no motion to take "
+            "derivatives of; give one that is not 0, or choose 'traced'."
         )
     motions = _motions(bench, columns)
     primary = bench.system.primary_wavelength

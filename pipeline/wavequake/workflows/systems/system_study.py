@@ -10,7 +10,7 @@ from wavequake.chain.images.camera import DetectorSection
 from wavequake.chain.images.extended import ObjectSection, check_object
 from wavequake.chain.images.picture import embed_picture
 from wavequake.chain.images.system import SystemImagingSection
-from wavequake.chain.modal_options import ModalSample, ModalTolerance
+from wavequake.chain.modal_options import Light, ModalSample, ModalTolerance, with_light, with_method
 from wavequake.chain.sampling import SampledCampaignSection, whole_sets
 from wavequake.chain.sources import read_source_files
 from wavequake.chain.uncertain import require_independent_sets
@@ -19,15 +19,16 @@ from wavequake.mechanics.disturbances.registry import parts, with_own_axes
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.optics.systems.file import SystemSection, embed_file
 from wavequake.workflows.asked_sections import AllowSection, BudgetSection
-from wavequake.workflows.mirrors.mirror_study import FULL
-from wavequake.workflows.segments.segment_study import require_path_lengths
-from wavequake.workflows.systems.body_files import read_body_files
-from wavequake.workflows.systems.body_sections import (
+from wavequake.workflows.bodies.files import read_body_files
+from wavequake.workflows.bodies.sections import (
+    NO_MASS,
     BodySection,
     ComparedModelsSection,
     LinkSection,
     StructureSection,
 )
+from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.segments.segment_study import require_path_lengths
 
 _OF_MASSES = ("link", "structure", "reduction")
 WITHOUT_IMAGES = {"imaging": None, "object": None, "detector": None}
@@ -38,8 +39,8 @@ class SystemOpticsSection(Section):
     """Rays per field point and wavelength, spread evenly over the pupil."""
 
     rays: int = Field(default=500, ge=10, le=1_000_000)
-    method: Literal["standard", "modal"] = Field(
-        default="standard",
+    light: Light = Field(
+        default="traced",
         description="trace every instant, or take wavefronts and images from derivatives that are traced "
         "once (modal: many cases of small motions)",
     )
@@ -49,9 +50,14 @@ class SystemOpticsSection(Section):
     @model_serializer(mode="wrap")
     def _traced_studies_say_nothing_of_it(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
         record: dict[str, Any] = write(self)
-        if self.method == "standard":
+        if self.light == "traced":
             record = {key: value for key, value in record.items() if key == "rays"}
-        return record
+        return with_method(record)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _method_is_light(cls, given: Any) -> Any:
+        return with_light(given)
 
 
 class SystemWavefrontSection(Section):
@@ -156,11 +162,11 @@ class SystemStudy(Study):
 
     @model_validator(mode="after")
     def _modal_light_is_of_path_lengths(self) -> "SystemStudy":
-        if self.optics.method == "modal" and (
+        if self.optics.light == "modal" and (
             self.wavefront.method != "opd" or self.wavefront.reference != "chief"
         ):
             raise ValueError(
-                "optics.method = 'modal' needs wavefront.method = 'opd' and wavefront.reference = 'chief'"
+                "optics.light = 'modal' needs wavefront.method = 'opd' and wavefront.reference = 'chief'"
             )
         return self
 
@@ -176,10 +182,7 @@ class SystemStudy(Study):
     def _links_join_bodies(self) -> "SystemStudy":
         given = [key for key in _OF_MASSES if key in self.model_fields_set and getattr(self, key)]
         if given and not any(body.kind for body in self.body):
-            raise ValueError(
-                f"the section {given[0]} is of bodies with mass, but there are none; give a [[body]] a "
-                "mirror, imported, rigid, beams, matrices or modes"
-            )
+            raise ValueError(f"the section {given[0]} is of {NO_MASS}")
         return self
 
     @model_validator(mode="after")

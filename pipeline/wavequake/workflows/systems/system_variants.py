@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from wavequake.mechanics.disturbances.element_motion import ElementDisturbance
 from wavequake.workflows.mirrors.compared_models import model_errors, rms_of
-from wavequake.workflows.segments.segment_disturbance import slot
+from wavequake.workflows.segments.launches import slot
 from wavequake.workflows.systems.system_study import SystemStudy
 
 Array = NDArray[np.float64]

@@ -142,12 +142,12 @@ class SegmentShaking(SegmentSource):
         return dict.fromkeys(layout.names, part.stop - part.start)
 
     def _plant(self, layout: SegmentLayout) -> Plant:
-        if layout.plant is None:
+        if layout.segment is None:
             raise UserError(
                 f"The disturbance {self.name!r} shakes elastic segments, of which this study says nothing; "
                 "add the section [segment]."
             )
-        return layout.plant
+        return layout.segment
 
 
 def below(layout: SegmentLayout, moved: Complex) -> Complex:

@@ -19,6 +19,7 @@ Vector = Annotated[tuple[float, float, float], Field(strict=False)]
 Points = dict[str, Point]
 Positive = Annotated[float, Field(gt=0, le=1e15)]
 Ratios = Annotated[tuple[float, ...], Field(strict=False)]
+Held = str | Annotated[tuple[str, ...], Field(min_length=3, strict=False)]
 Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _-]*$")]
 
 
@@ -133,8 +134,9 @@ class BeamsBodySection(SolidSection):
     wall_mm: float = Field(gt=0, description="of the tubes")
     masses_kg: dict[str, Positive] = Field(default={}, description="at nodes, beside the tubes")
     pieces: int = Field(default=2, ge=1, le=20, description="elements along a member")
-    carries: dict[str, str] = Field(
-        default={}, description="surfaces that move with a node: { image = 'focus' }"
+    carries: dict[str, Held] = Field(
+        default={},
+        description="surfaces that move with a node, or as three or more move: { image = 'focus' }",
     )
 
 
@@ -143,7 +145,9 @@ class ArraysBodySection(Section):
 
     file: str | None = Field(default=None, exclude=True, description="the .npz file")
     file_npz: str = Field(description="that file in base64")
-    carries: dict[str, str] = Field(default={}, description="surfaces that move with a node")
+    carries: dict[str, Held] = Field(
+        default={}, description="surfaces that move with a node, or as three or more move"
+    )
 
 
 class MatricesBodySection(ArraysBodySection):
@@ -188,6 +192,10 @@ class ModesBodySection(ArraysBodySection):
     off_mm: float = Field(default=0.01, gt=0, description="how far nodes on that surface may lie from it")
 
 
+NO_MASS = (
+    "bodies with mass, but there are none; give a [[body]] a mirror, imported, rigid, beams, matrices or "
+    "modes"
+)
 _KINDS = ("mirror", "imported", "rigid", "beams", "matrices", "modes")
 
 
@@ -198,7 +206,8 @@ class BodySection(Section):
     surfaces: tuple[str, ...] = Field(
         default=(),
         strict=False,
-        description="names; the first one's axes at rest are those of the body, and it has the body's figure",
+        description="names, of segmented telescopes patterns, too (M1: all segments); "
+        "the first one's axes at rest are those of the body, and it has the body's figure",
     )
     about_mm: Point | None = Field(
         default=None,
@@ -218,7 +227,7 @@ class BodySection(Section):
         return next((kind for kind in _KINDS if getattr(self, kind) is not None), None)
 
     @property
-    def carries(self) -> dict[str, str]:
+    def carries(self) -> dict[str, Held]:
         """Surfaces that move with a node of it."""
         return dict(getattr(getattr(self, self.kind or "name"), "carries", {}))
 

@@ -8,8 +8,8 @@ from wavequake.campaign.schema import base64_of
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.model import ImportedModel
 from wavequake.mechanics.nodal.modes import modes_of
+from wavequake.workflows.bodies.sections import ImportedBodySection
 from wavequake.workflows.mirrors.model_store import keep_imported
-from wavequake.workflows.systems.body_sections import ImportedBodySection
 
 
 def read_body_files(record: dict[str, Any], base: Path) -> None:

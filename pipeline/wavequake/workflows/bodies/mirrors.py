@@ -8,7 +8,7 @@ from wavequake.mechanics.mirrors.models import AnnularMirror, CircularMirror
 from wavequake.mechanics.model import RayleighDamping
 from wavequake.optics.shapes.shapes import ZernikeDeformation
 from wavequake.optics.systems.system import OpticalSystem
-from wavequake.workflows.systems.body_sections import MirrorBodySection, SolidSection
+from wavequake.workflows.bodies.sections import MirrorBodySection, SolidSection
 
 MM_PER_M = 1e3
 _MOUNTS = 0.645  # of the radius: near where three points hold a thin disc with the least sag
