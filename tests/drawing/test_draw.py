@@ -18,7 +18,7 @@ from wavequake.drawing.solid import model_scene, segment_skin, system_scene
 from wavequake.drawing.still import viewing
 from wavequake.drawing.style import svg_text
 from wavequake.errors import UserError
-from wavequake.mechanics.mirrors.models import annular_mirror, circular_mirror
+from wavequake.mechanics.mirrors.models import AnnularMirror, annular_mirror, circular_mirror
 from wavequake.optics.catalog.names import optical_system, system_names
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.parent import parent_system
@@ -59,8 +59,9 @@ def test_segments_are_drawn_where_the_published_table_has_them():
         assert np.hypot(*(names[name] - middle)) < 0.05
 
 
-def test_mounts_and_optical_surface_of_a_mirror_are_where_its_parameters_say():
-    scene = model_scene(annular_mirror())
+@pytest.mark.parametrize(("around", "rings"), [(48, 6), (18, 2), (12, 2), (96, 2)])
+def test_mounts_and_optical_surface_of_a_mirror_are_where_its_parameters_say(around, rings):
+    scene = model_scene(annular_mirror(AnnularMirror(around=around, rings=rings)))
     angle = np.arctan2(scene.dots[:, 1], scene.dots[:, 0])
     np.testing.assert_allclose(np.hypot(scene.dots[:, 0], scene.dots[:, 1]), 0.333, atol=1e-12)
     np.testing.assert_allclose(np.sort(np.degrees(angle) % 360.0), [0.0, 120.0, 240.0], atol=1e-9)
@@ -68,7 +69,9 @@ def test_mounts_and_optical_surface_of_a_mirror_are_where_its_parameters_say():
     corners = skin.points[skin.faces]
     sides = corners[:, 1:, :2] - corners[:, :1, :2]
     area = np.abs(np.linalg.det(sides)).sum() / 2.0
-    assert area == pytest.approx(np.pi * (0.5**2 - 0.2**2), rel=3e-3)  # the hole stays open
+    sides = 2 * around  # of both rims, which have a node in the middle of each element
+    polygon = sides / 2 * np.sin(2 * np.pi / sides) * (0.5**2 - 0.2**2)
+    assert area == pytest.approx(polygon, rel=1e-12)  # the hole stays open, and nothing else does
     np.testing.assert_allclose(
         skin.points[:, 2], (skin.points[:, 0] ** 2 + skin.points[:, 1] ** 2) / (4 * 1.7), atol=1e-9
     )
