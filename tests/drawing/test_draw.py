@@ -199,6 +199,53 @@ def test_names_and_numbers_of_an_axis_stand_within_the_figure():
     assert label.x0 > 0.0
 
 
+def _written(axes):
+    """Return the names in axes and the boxes that they cover."""
+    return {text.get_text(): text.get_window_extent() for text in axes.texts}
+
+
+def test_small_lenses_are_drawn_once_more_by_themselves_to_scale():
+    figure = draw("hsc")
+    figure.draw_without_rendering()
+    whole, lenses = figure.axes
+    assert set(_written(whole)) == {"M1 (stop)", "image"}
+    # In that order along z; two elements of the dispersion corrector have one name.
+    named = {text.get_text(): text.get_position()[0] for text in lenses.texts}
+    assert sorted(named, key=named.get)[:3] == ["image", "window", "filter"]
+    assert set(named) >= {"G1", "G2", "G3", "G4", "G5", "ADC"}
+    assert (lenses.get_aspect(), whole.get_aspect()) == (1.0, 1.0)
+    assert np.ptp(lenses.get_xlim()) < 0.25 * 1e3 * np.ptp(whole.get_xlim())
+    assert "M1 (stop)" not in _written(draw("sdss").axes[1])  # whose halves stand above and below
+
+
+def test_a_thin_system_is_drawn_once_more_with_its_heights_stretched():
+    figure = draw("six-lens")
+    figure.draw_without_rendering()
+    _, stretched = figure.axes
+    assert stretched.get_title(loc="left") == "The same, heights stretched 20 times"
+    box = stretched.get_window_extent()
+    scales = np.array([box.width, box.height]) / [np.ptp(stretched.get_xlim()), np.ptp(stretched.get_ylim())]
+    assert scales[1] / scales[0] == pytest.approx(20.0)
+    (layout,) = layouts(optical_system("six-lens"))
+    heights = np.concatenate([points[:, 1] for _, points in layout.rays])
+    low, high = stretched.get_ylim()
+    assert low < heights.min() < heights.max() < high
+    assert np.ptp(heights) > 0.4 * (high - low)
+    assert set(_written(stretched)) == {"object", "L1", "L2", "L3", "stop", "L4", "L5", "L6", "image"}
+    assert len(draw("double-gauss").axes) == 1
+
+
+@pytest.mark.parametrize("solid", [False, True])
+@pytest.mark.parametrize("name", ["hsc", "decam", "elt", "euv", "rubin", "six-lens", "tmt"])
+def test_names_cover_no_other_names(name, solid):
+    figure = draw(name, solid=solid)
+    figure.draw_without_rendering()
+    named = [list(_written(axes).values()) for axes in figure.axes]
+    assert any(named)
+    for boxes in named:
+        assert not any(one.overlaps(other) for k, one in enumerate(boxes) for other in boxes[:k])
+
+
 def test_the_section_of_a_telescope_has_mirror_and_rays_where_glass_is():
     """GMT: the circles of 8.365 m about 0 and 8.71 m along x; no ray lands in the gaps between them."""
     segmented = telescope("gmt")

@@ -174,4 +174,3 @@ def model_scene(model: Model) -> Scene:
         model.nodes[model.interfaces],
         np.array([0.0, 0.0, 1.0]),
     )
-

@@ -22,9 +22,9 @@ _JUMP = 180.0
 # Between two frequencies a locus is an arc of such pieces; one that turns by more is not known in between.
 _PIECE, _KNOWN = np.radians(4.0), np.radians(60.0)
 NYQUIST = (
-    "The nearer to the cross at -1, the nearer to instability. Marks on the real axis are gain margins, those "
-    "on the unit circle phase margins. A curve has a gap where it turns by more than 60 degrees between two "
-    "frequencies that were computed."
+    "The nearer to the cross at -1, the nearer to instability. Marks on the real axis are gain margins, "
+    "those on the unit circle phase margins. A curve has a gap where it turns by more than 60 degrees "
+    "between two frequencies that were computed."
 )
 
 

@@ -135,7 +135,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     page = Page(
         answer=answer(dataset, loops),
         table=[row_of(one) for one in loops],
-        small_print="The rms over time of the line of sight along one axis; ± is a standard error of the runs.",
+        small_print="The rms over time of the line of sight along one axis; ± is a standard error of runs.",
         overview=[
             picture(
                 "rates",
