@@ -129,10 +129,10 @@ def test_lost_rays_and_rays_in_gaps_are_left_out(detail):
 
 
 def test_names_too_small_to_be_read_are_left_to_pointing(detail):
-    small = replace(detail, segment_names=tuple(f"segment {k}" for k in range(7)))
+    small = replace(detail, segment_names=tuple(f"a segment of a name that is long {k}" for k in range(7)))
     svg = inline_svg(figures.segment_map(small), "a")
-    assert ">segment 3</text>" not in svg
-    assert "<title>segment 3: 60.0 nm</title>" in svg
+    assert ">a segment of a name that is long 3</text>" not in svg
+    assert "<title>a segment of a name that is long 3: 60.0 nm</title>" in svg
 
 
 def test_a_page_gives_a_drawing_with_small_text_more_pixels():
