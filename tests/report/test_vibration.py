@@ -71,8 +71,13 @@ def test_what_hardly_changes_is_drawn_as_still_and_spectra_span_a_decade():
     time = np.arange(32.0)
     ripple = np.random.default_rng(0).standard_normal(32)
     still, moving = (
-        histories_and_spectra(time, {"WFE": ("nm", {"x": 54.75 + size * ripple})}) for size in (1e-4, 10.0)
+        histories_and_spectra(
+            time, {"WFE": ("nm", {"x": 54.75 + size * ripple}), "LOS": ("mas", {"x": ripple})}
+        )
+        for size in (1e-4, 10.0)
     )
+    heights = [axes.get_position().height for axes in still.axes]
+    assert np.ptp(heights) < 1e-9
     low, high = still.axes[0].get_ylim()
     assert high - low == pytest.approx(0.01 * 54.75, rel=1e-3)
     assert "e1" not in svg_text(still)  # no number is to be added to those of the axis

@@ -57,9 +57,9 @@ def histories_and_spectra(time: Array, series: Mapping[str, tuple[str, Mapping[s
         most = _STILL * max((float(np.abs(values).max()) for values in curves.values()), default=0.0)
         left.set_ylim(_widened(left.get_ylim(), most))
         if right.get_xscale() == "log":
-            low, high = right.get_ylim()
-            low, high = _widened((np.log10(low), np.log10(high)), 1.0)
-            right.set_ylim(10.0**low, 10.0**high)
+            first, last = map(float, np.log10(right.get_ylim()))
+            first, last = _widened((first, last), 1.0)
+            right.set_ylim(10.0**first, 10.0**last)
             for axis in (right.xaxis, right.yaxis):
                 number_powers(axis)
         for axes in (left, right):
