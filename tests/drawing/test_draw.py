@@ -13,8 +13,8 @@ from matplotlib.collections import PolyCollection
 from wavequake.drawing.aperture import on_glass
 from wavequake.drawing.draw import described_study, draw, look
 from wavequake.drawing.labels import Labels
-from wavequake.drawing.layout import layouts
-from wavequake.drawing.solid import model_scene, segment_skin, system_scene
+from wavequake.drawing.layout import layouts, stretching
+from wavequake.drawing.solid import model_scene, segment_skin, stretched, system_scene
 from wavequake.drawing.still import viewing
 from wavequake.drawing.style import svg_text
 from wavequake.errors import UserError
@@ -233,6 +233,20 @@ def test_a_thin_system_is_drawn_once_more_with_its_heights_stretched():
     assert np.ptp(heights) > 0.4 * (high - low)
     assert set(_written(stretched)) == {"object", "L1", "L2", "L3", "stop", "L4", "L5", "L6", "image"}
     assert len(draw("double-gauss").axes) == 1
+
+
+def test_a_thin_system_is_stretched_across_its_axis_in_space():
+    scene = system_scene(optical_system("six-lens"))
+    wide, times = stretched(scene)
+    assert times == 20.0
+    for one, other in zip(scene.skins, wide.skins, strict=True):
+        np.testing.assert_allclose(other.points, one.points * [20.0, 20.0, 1.0])
+    assert draw("six-lens", solid=True).axes[0].get_title(loc="left").endswith("20 times as wide as it is")
+    _, times = stretched(system_scene(optical_system("euv")))
+    assert (times, draw("euv", solid=True).axes[0].get_title(loc="left")) == (1.0, "euv")
+    assert [stretching(share) for share in (0.0, 0.5, 0.12, 0.119, 0.06, 0.0154, 1e-3)] == [
+        1.0, 1.0, 1.0, 2.0, 5.0, 10.0, 200.0,
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("solid", [False, True])

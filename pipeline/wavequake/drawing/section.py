@@ -15,7 +15,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
-from wavequake.drawing.layout import Layout, Part, layouts
+from wavequake.drawing.layout import Layout, Part, layouts, stretching
 from wavequake.drawing.light import field_names
 from wavequake.drawing.style import COLORS, LINES, STYLE, Drawing, as_name
 from wavequake.optics.systems.system import OpticalSystem
@@ -30,7 +30,6 @@ _BORDER = 0.06
 _FIRST = ("mirror", "stop", "image", "object", "glass", "surface")  # whose names are written first
 _SMALL = 0.25  # of the drawing: lenses that are smaller get one of their own
 _FILLS = 0.9  # of a drawing's height: what is higher has its name on it
-_THIN, _TALL = 0.12, 0.3  # of its width: light that is lower gets a drawing with heights up to the second
 HALO = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.6}
 _AROUND = ((0, 1), (0, -1), (1, 0), (-1, 0), (0, 2), (0, -2), (1, 1), (-1, 1), (1, -1), (-1, -1))
 
@@ -86,8 +85,7 @@ def _panels(layout: Layout) -> Iterator[_Panel]:
         one for part in layout.parts if part.kind == "glass" for one in part.lines
     ]
     low, high = _bounds(light)
-    if (share := (high - low)[1] / np.ptp(whole[:, 0])) < _THIN:
-        times = _rounded(_TALL / share)
+    if (times := stretching(float((high - low)[1] / np.ptp(whole[:, 0])))) > 1.0:
         border = 0.25 * (high - low)[1]
         box = np.array([[whole[0, 0], low[1] - border], [whole[1, 0], high[1] + border]])
         yield _Panel(layout, box, f"The same, heights stretched {times:g} times", times)
@@ -111,12 +109,6 @@ def _lenses(layout: Layout) -> Array | None:
 def _bounds(lines: Sequence[Array]) -> tuple[Array, Array]:
     points = np.concatenate(lines)
     return points.min(axis=0), points.max(axis=0)
-
-
-def _rounded(value: float) -> float:
-    """Return the largest of 1, 2, 5, 10, 20 ... that is no larger."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value))
 
 
 def _figure(system: OpticalSystem, found: Sequence[Layout], width: float) -> Drawing:

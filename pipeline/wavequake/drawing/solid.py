@@ -1,11 +1,11 @@
 """Bodies in space: faces, lines and names, which a still or the viewer draws. Lengths in one unit."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.drawing.layout import Layout, layouts
+from wavequake.drawing.layout import Layout, layouts, stretching
 from wavequake.drawing.light import all_ways, beginnings
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.areas import mesh_points
@@ -173,4 +173,21 @@ def model_scene(model: Model) -> Scene:
         tuple((f"mount {number}", model.nodes[node]) for number, node in enumerate(model.interfaces, 1)),
         model.nodes[model.interfaces],
         np.array([0.0, 0.0, 1.0]),
+    )
+
+
+def stretched(scene: Scene) -> tuple[Scene, float]:
+    """Return the scene of a thin system stretched across z, and how many times; others as they are."""
+    everything = np.concatenate([*(skin.points for skin in scene.skins), *(line for _, line in scene.lines)])
+    x, y, z = np.ptp(everything, axis=0)
+    times = stretching(max(x, y) / z) if z else 1.0
+    across = np.array([times, times, 1.0])
+    return (
+        replace(
+            scene,
+            skins=tuple(replace(skin, points=across * skin.points) for skin in scene.skins),
+            lines=tuple((field, across * line) for field, line in scene.lines),
+            labels=tuple((name, across * place) for name, place in scene.labels),
+        ),
+        times,
     )
