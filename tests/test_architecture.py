@@ -45,7 +45,7 @@ ALLOWED = {
     "cli": BASE
     | PHYSICS
     | {"campaign", "chain", "commands", "kernels", "workflows", "report", "cluster", "terminal"},
-    "__main__": {"cli"},
+    "__main__": {"cli", "terminal"},
 }
 # The package's front door imports lazily, for users; provenance may ask it for the version.
 FRONT_DOOR = "__init__"

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import wavequake as wq
-from wavequake import cli
+from wavequake import terminal
+from wavequake.commands import stores
 from wavequake.kernels.device import devices
 
 STUDY = """
@@ -60,6 +61,10 @@ def test_run_repeat_extend_status_verify_report(wavequake, tiny, tmp_path):
     code, out, _ = run_tiny(wavequake, tiny, store, "campaign.cases=6")
     assert code == 0
     assert "nothing was computed" in out
+    assert "The store holds" not in out
+    code, out, _ = run_tiny(wavequake, tiny, store, "campaign.cases=4")
+    assert code == 0
+    assert "The store holds 6 cases: table and report are of all, not of 4 alone." in out
 
     code, out, _ = run_tiny(wavequake, tiny, store, "campaign.cases=9")
     assert code == 0
@@ -89,7 +94,7 @@ def test_damage_is_named_and_mended(wavequake, tiny, done):
     )
     shard.write_bytes(b"")
     code, out, _ = wavequake("verify", store)
-    assert code == cli.EXIT_DAMAGED
+    assert code == terminal.EXIT_DAMAGED
     assert "zernike" in out
     assert run_tiny(wavequake, tiny, store, "campaign.cases=8")[0] == 0
     assert wavequake("verify", store)[0] == 0
@@ -97,7 +102,7 @@ def test_damage_is_named_and_mended(wavequake, tiny, done):
     flipped = bytearray(shard.read_bytes())
     flipped[len(flipped) // 2] ^= 1
     shard.write_bytes(flipped)
-    assert wavequake("verify", store)[0] == cli.EXIT_DAMAGED
+    assert wavequake("verify", store)[0] == terminal.EXIT_DAMAGED
     assert run_tiny(wavequake, tiny, store, "campaign.cases=8", "--repair")[0] == 0
     assert wavequake("verify", store)[0] == 0
     np.testing.assert_array_equal(wq.open_store(store)["zernike"].values, before)
@@ -110,7 +115,7 @@ def test_a_flipped_bit_is_named_by_the_report(wavequake, tiny, done):
     shard.write_bytes(content)
     for words in (["report", done], ["run", tiny, "campaign.cases=4", "--store", done, "--on", "serial"]):
         code, _, err = wavequake(*words)
-        assert code == cli.EXIT_DAMAGED
+        assert code == terminal.EXIT_DAMAGED
         assert "strehl, cases 0 to 3" in err
 
 
@@ -153,7 +158,7 @@ def test_studies_devices_and_version(wavequake):
 def test_bad_input_is_one_sentence_and_exit_code_2(wavequake, tiny, tmp_path, monkeypatch, words, sentence):
     monkeypatch.chdir(tmp_path)
     code, _, err = wavequake(*[str(tiny) if word == "TINY" else word for word in words])
-    assert code == cli.EXIT_BAD_INPUT
+    assert code == terminal.EXIT_BAD_INPUT
     assert sentence in err
     assert "Traceback" not in err
     assert len(err.strip().splitlines()) == 1
@@ -172,14 +177,14 @@ def test_debug_shows_the_traceback_wherever_it_stands(wavequake, place):
     words = ["run", "no-such-study"]
     words.insert(place, "--debug")
     code, _, err = wavequake(*words)
-    assert code == cli.EXIT_BAD_INPUT
+    assert code == terminal.EXIT_BAD_INPUT
     assert "Traceback" in err
 
 
 def test_a_store_of_another_study_is_refused_and_left_alone(wavequake, tiny, done):
     manifest = (done / "manifest.json").read_bytes()
     code, _, err = run_tiny(wavequake, tiny, done, "campaign.cases=4", "study.seed=5")
-    assert code == cli.EXIT_BAD_INPUT
+    assert code == terminal.EXIT_BAD_INPUT
     assert "seed" in err
     assert (done / "manifest.json").read_bytes() == manifest
 
@@ -187,7 +192,7 @@ def test_a_store_of_another_study_is_refused_and_left_alone(wavequake, tiny, don
 def test_a_store_that_cannot_be_written_says_so(wavequake, tiny, tmp_path):
     (tmp_path / "file").write_text("not a folder")
     code, _, err = run_tiny(wavequake, tiny, tmp_path / "file" / "store", "campaign.cases=2")
-    assert code == cli.EXIT_BAD_INPUT
+    assert code == terminal.EXIT_BAD_INPUT
     assert "file" in err
 
 
@@ -196,7 +201,7 @@ def test_quarantined_cases_end_with_exit_code_3_and_their_reason(wavequake, tiny
     code, out, err = run_tiny(
         wavequake, tiny, store, "campaign.cases=3", "disturbance.pistons.in_plane_um=4e6"
     )
-    assert code == cli.EXIT_QUARANTINED
+    assert code == terminal.EXIT_QUARANTINED
     assert "3 cases are quarantined" in err
     code, out, _ = wavequake("status", store)
     assert "lost all its rays" in out
@@ -215,7 +220,7 @@ def test_a_report_that_was_cut_off_is_written_by_the_next_run(wavequake, tiny, t
     report = tmp_path / "store" / "report.html"
     before = report.read_bytes()
     with monkeypatch.context() as patch:
-        patch.setattr(cli, "_write_report", lambda store, fresh: None)
+        patch.setattr(stores, "write_report", lambda store, fresh: None)
         run_tiny(wavequake, tiny, tmp_path / "store", "campaign.cases=6")
     assert report.read_bytes() == before
     assert run_tiny(wavequake, tiny, tmp_path / "store", "campaign.cases=6")[0] == 0
@@ -232,7 +237,7 @@ def test_a_store_is_reported_where_its_device_is_missing(wavequake, done, monkey
 def test_without_opencl_the_user_learns_what_to_install(wavequake, tiny, tmp_path, monkeypatch):
     monkeypatch.setattr(devices, "_found", lambda: ())
     code, _, err = run_tiny(wavequake, tiny, tmp_path / "store", "campaign.cases=2")
-    assert code == cli.EXIT_BAD_INPUT
+    assert code == terminal.EXIT_BAD_INPUT
     assert "pip install pocl-binary-distribution" in err
     assert "campaign.device=numpy" in err
     code, out, _ = run_tiny(wavequake, tiny, tmp_path / "store", "campaign.cases=2", "campaign.device=numpy")

@@ -34,7 +34,15 @@ def main() -> None:
             raise
         print("Interrupted before anything was begun; to start: the same command again.", file=sys.stderr)
         sys.exit(130)
-    command_line(came)
+    try:
+        command_line(came)
+    except KeyboardInterrupt:  # while the command was ending
+        from wavequake.terminal import interrupted
+
+        interrupted()
+    finally:  # nothing is left to be kept: Ctrl-C ends what libraries still do, and needs no words
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_DFL)
 
 
 if __name__ == "__main__":

@@ -12,17 +12,7 @@ from rich.table import Table
 
 from wavequake import __version__
 from wavequake.campaign.plugins import load_named
-from wavequake.commands import (
-    firmware,
-    identify,
-    loops,
-    new,
-    pictures,
-    rare,
-    reports,
-    sensitivity,
-    statistics,
-)
+from wavequake.commands import firmware, identify, loops, new, pictures, rare, sensitivity, statistics, stores
 from wavequake.commands.ahead import while_it_runs
 from wavequake.commands.options import (
     ClusterOption,
@@ -53,33 +43,12 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 _PLAN_S = 7.5  # with what is loaded before: ten
-_BEGIN, _RUN, _DECIDE, _SURE, _MEASURED, _PARTS = (
-    "Begin: files and pictures",
-    "Run, watch, keep",
-    "Decide: what costs, how stable, how rare, how still",
-    "How sure the numbers of a store are",
-    "Measurements and other stores",
-    "Machines",
-)
-_PANELS: dict[str, list[Callable[..., None]]] = {
-    _BEGIN: [new.new, new.migrate, pictures.info, pictures.draw],
-    _RUN: [reports.report, pictures.view],
-    _DECIDE: [statistics.budget, sensitivity.sensitivity, loops.margins, rare.rare, rare.allow],
-    _SURE: [statistics.errors, statistics.sharpen, statistics.tail],
-    _MEASURED: [identify.identify, identify.compare],
-    _PARTS: [sensitivity.devices],
-}
-for _panel, _commands in _PANELS.items():
-    for _command in _commands:
-        app.command(rich_help_panel=_panel)(_command)
-app.add_typer(firmware.app, name="firmware", rich_help_panel=_PARTS)
 StudyArgument = Annotated[
     str,
     typer.Argument(
         help="Name of a bundled study or path of a .toml file.", autocompletion=pictures.complete_study
     ),
 ]
-StoreArgument = Annotated[Path, typer.Argument(help="Folder of the store.")]
 OverridesArgument = Annotated[
     list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="e.g. campaign.cases=40")
 ]
@@ -147,7 +116,6 @@ def _global(
     """Take the options that every command shares."""
 
 
-@app.command(rich_help_panel=_RUN)
 def run(
     study: StudyArgument,
     overrides: OverridesArgument = None,
@@ -173,8 +141,9 @@ def run(
     from wavequake.campaign.engine.driver import begin_workers
     from wavequake.campaign.engine.driver_lock import shard_of
     from wavequake.campaign.engine.recheck import share_of
+    from wavequake.campaign.store.store import read_manifest
+    from wavequake.workflows.profile import profile as profile_of
     from wavequake.workflows.run import kind_of, notices, run_study
-    from wavequake.workflows.run import profile as profile_of
     from wavequake.workflows.study import load_study
 
     part = None if shard is None else shard_of(shard)
@@ -196,24 +165,27 @@ def run(
             progress=progress if part else while_it_runs(progress, loaded.study.workflow),
             repair=repair,
             allow_mixed=allow_mixed,
-            dashboard=_show_link if dashboard else None,
+            dashboard=stores.show_link if dashboard else None,
             shard=part,
             cluster=cluster,
             recheck=share,
         )
     if summary.computed:
         rate = summary.computed / max(summary.seconds, 1e-9)
-        spent = f"{summary.seconds:.1f} s ({rate:.1f} cases/s); {summary.done_before} done before."
+        again = f", {summary.again} of them again, whose chunk was not full" if summary.again else ""
+        spent = f"{summary.seconds:.1f} s ({rate:.1f} cases/s){again}; {summary.done_before} done before."
         out.print(f"{counted(summary.computed, 'case')} computed in {spent}")
     else:
         out.print(f"All done already ({counted(summary.done_before, 'case')}); nothing was computed.")
+    if (held := read_manifest(path).cases) > loaded.cases and loaded.campaign.until is None:
+        out.print(f"The store holds {held} cases: table and report are of all, not of {loaded.cases} alone.")
     for line in (*summary.goal, *summary.rechecked):
         out.print(line, markup=False, soft_wrap=True)
     if part:
         words = shlex.join(["wavequake", "report", str(path)])
         out.print(f"Shard {part} is complete; once all are: {words}", markup=False, soft_wrap=True)
     else:
-        reports.write_report(path, fresh=summary.computed > 0)
+        stores.write_report(path, fresh=summary.computed > 0)
     if profile:
         print_pairs(profile_of(path))
     if summary.quarantined:
@@ -224,11 +196,6 @@ def run(
         sys.exit(EXIT_QUARANTINED)
 
 
-def _show_link(link: str) -> None:
-    out.print(f"Dashboard: {link}", markup=False, soft_wrap=True)
-
-
-@app.command(rich_help_panel=_RUN)
 def plan(
     study: StudyArgument,
     overrides: OverridesArgument = None,
@@ -255,7 +222,6 @@ def plan(
         print_pairs(plan_accuracy(loaded, wanted, measure, [study, *(overrides or [])]))
 
 
-@app.command(rich_help_panel=_BEGIN)
 def studies() -> None:
     """List the bundled studies."""
     from wavequake.workflows.study import bundled_titles
@@ -268,103 +234,33 @@ def studies() -> None:
     out.print(table)
 
 
-@app.command(rich_help_panel=_RUN)
-def status(store: StoreArgument) -> None:
-    """Say what of a store is done, quarantined (and why) and still to do."""
-    from wavequake.campaign.store.status import store_status
-
-    for line in store_status(store).lines():
-        out.print(line, markup=False, soft_wrap=True)
-
-
-@app.command(rich_help_panel=_RUN)
-def verify(store: StoreArgument) -> None:
-    """Read every stored number again and compare it with the journal's digests (exit code 4 if damaged)."""
-    from wavequake.campaign.store.verify import verify_store
-
-    report = verify_store(store)
-    for line in report.lines():
-        out.print(line, markup=False, soft_wrap=True)
-    if not report.ok:
-        sys.exit(EXIT_DAMAGED)
-
-
-@app.command(rich_help_panel=_RUN)
-def export(
-    store: StoreArgument,
-    file: Annotated[
-        Path,
-        typer.Argument(
-            help="FILE.nc or FILE.fits (every array), FILE.csv (one row per case), FILE.zmx (one case)."
-        ),
+_BEGIN, _RUN, _DECIDE, _SURE, _MEASURED, _PARTS = (
+    "Begin: files and pictures",
+    "Run, watch, keep",
+    "Decide: what costs, how stable, how rare, how still",
+    "How sure the numbers of a store are",
+    "Measurements and other stores",
+    "Machines",
+)
+_PANELS: dict[str, list[Callable[..., None]]] = {
+    _BEGIN: [studies, new.new, new.migrate, pictures.info, pictures.draw],
+    _RUN: [
+        run,
+        plan,
+        stores.status,
+        stores.report,
+        pictures.view,
+        stores.export,
+        stores.verify,
+        stores.retry,
+        stores.rerun,
     ],
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE.")] = False,
-    case: Annotated[int | None, typer.Option(help="Case of FILE.zmx.")] = None,
-    instant: Annotated[int, typer.Option(help="Instant of that case, counted from 0.")] = 0,
-) -> None:
-    """Write a store to one NetCDF, FITS or CSV file, or a disturbed system to a lens file."""
-    if file.suffix.lower() == ".zmx":
-        from wavequake.report.exports.lens_file import export_case
-
-        if case is None:
-            raise UserError("A lens file holds one case of the store; say --case ID, too.")
-        out.print(
-            f"Written: {export_case(store, file, case, instant, overwrite)}", markup=False, soft_wrap=True
-        )
-        return
-    from wavequake.report.campaign import export_store
-
-    out.print(f"Written: {export_store(store, file, overwrite)}", markup=False, soft_wrap=True)
-
-
-@app.command(rich_help_panel=_RUN)
-def retry(
-    store: StoreArgument,
-    statuses: Annotated[
-        str, typer.Option("--status", help="Which failed cases, by name or number of their status.")
-    ] = "raised,crashed,timed_out,diverged",
-    on: OnOption = "local",
-    cluster: ClusterOption = None,
-    workers: WorkersOption = None,
-    dashboard: DashboardOption = False,
-) -> None:
-    """Compute quarantined cases of a store again, with the others of their chunks."""
-    from wavequake.campaign.engine import rerun
-    from wavequake.campaign.store.store import read_manifest
-    from wavequake.workflows.kinds import find_kind
-
-    wanted, workflow = rerun.statuses(statuses), find_kind(read_manifest(store).workflow)
-    with live_progress() as progress:
-        summary = rerun.retry_store(
-            workflow,
-            store,
-            wanted,
-            on=on,
-            workers=workers,
-            progress=progress,
-            cluster=cluster,
-            dashboard=_show_link if dashboard else None,
-        )
-    words = f"{are(summary.quarantined, 'case')} quarantined now."
-    out.print(f"{counted(summary.chunks, 'chunk')} computed again; {words}")
-    if summary.quarantined:
-        sys.exit(EXIT_QUARANTINED)
-
-
-@app.command("rerun", rich_help_panel=_RUN)
-def rerun_case(
-    store: StoreArgument,
-    case: Annotated[int, typer.Option("--case", min=0, help="Id of the case.")],
-    file: Annotated[
-        Path | None, typer.Option("--file", help="Where its numbers go (.nc; default: STORE/case-ID.nc).")
-    ] = None,
-) -> None:
-    """Compute one case again in full detail and compare its bits with the store (exit code 4 if others)."""
-    from wavequake.report.exports.rerun import rerun_stored
-
-    found = rerun_stored(store, case, file)
-    out.print(found.table())
-    for line in found.lines():
-        out.print(line, markup=False, soft_wrap=True)
-    if found.differing:
-        sys.exit(EXIT_DAMAGED)
+    _DECIDE: [statistics.budget, sensitivity.sensitivity, loops.margins, rare.rare, rare.allow],
+    _SURE: [statistics.errors, statistics.sharpen, statistics.tail],
+    _MEASURED: [identify.identify, identify.compare],
+    _PARTS: [sensitivity.devices],
+}
+for _panel, _commands in _PANELS.items():
+    for _command in _commands:
+        app.command(rich_help_panel=_panel)(_command)
+app.add_typer(firmware.app, name="firmware", rich_help_panel=_PARTS)

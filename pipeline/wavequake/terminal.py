@@ -23,6 +23,7 @@ from wavequake.words import counted, plain, printable
 EXIT_BAD_INPUT, EXIT_QUARANTINED, EXIT_DAMAGED, EXIT_INTERRUPTED = 2, 3, 4, 130
 
 
+_TOGETHER = 0.5  # of the time of the first chunk
 _LABEL = 24  # characters of labels in wide tables, where their words allow it
 
 
@@ -194,17 +195,25 @@ def progress_words(done: int, total: int, rate: float, quarantined: int) -> str:
 
 
 class _Rate:
-    """Cases per second since the first call."""
+    """Cases per second, once chunks have come for a while without the time that workers took to start."""
 
     def __init__(self) -> None:
         self._start: tuple[float, int] | None = None
+        self._first: tuple[float, int] | None = None
+        self._until = 0.0
 
     def __call__(self, done: int) -> float:
         now = time.monotonic()
         if self._start is None:
             self._start = (now, done)
-        elapsed = now - self._start[0]
-        return (done - self._start[1]) / elapsed if elapsed > 0 else 0.0
+        since, before = self._start
+        if done > before and (self._first is None or now < self._until):
+            # Workers that began together bring their first chunks one soon after the other.
+            self._until = self._until or now + _TOGETHER * (now - since)
+            self._first = (now, done)
+        elif self._first is not None and done > self._first[1]:
+            since, before = self._first
+        return (done - before) / (now - since) if now > since else 0.0
 
 
 def rate_words(rate: float) -> str:

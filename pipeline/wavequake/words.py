@@ -2,7 +2,7 @@
 
 import re
 
-MOST = 600  # characters of a message
+MOST = 1000  # characters of a message: more than any of our own
 
 # What terminals obey instead of showing it, what turns the direction of text, and what no file can hold:
 # control characters but line feed and tab, bidirectional marks, separators of lines, halves of characters,
@@ -26,17 +26,23 @@ def printable(text: str) -> str:
 
 
 def shortened(text: str, most: int = MOST) -> str:
-    """Return a text of at most `most` characters; of a longer one the middle is left out.
+    """Return a text of at most `most` characters; of a longer one words of the middle are left out.
 
     Examples
     --------
-    >>> shortened("what is wrong, in many words, and what would be right", 30)
-    'what is wrong,  ... d be right'
+    >>> shortened("what is wrong, in many words, and what would be right", 40)
+    'what is wrong, ... would be right'
     """
     if len(text) <= most:
         return text
-    tail = most // 3
-    return f"{text[: most - tail - 5]} ... {text[-tail:]}"
+    last = most // 2
+    first = most - last - 5
+    head, tail = text[:first], text[-last:]
+    if not text[first].isspace() and head.rfind(" ") > first // 2:
+        head = head[: head.rfind(" ")]
+    if not text[-last - 1].isspace() and 0 <= tail.find(" ") < last // 2:
+        tail = tail[tail.find(" ") + 1 :]
+    return f"{head} ... {tail}"
 
 
 def plain(message: object) -> str:

@@ -13,12 +13,12 @@ from matplotlib.collections import PolyCollection
 from wavequake.drawing.aperture import on_glass
 from wavequake.drawing.draw import described_study, draw, look
 from wavequake.drawing.labels import Labels
-from wavequake.drawing.layout import layouts
-from wavequake.drawing.solid import model_scene, segment_skin, system_scene
+from wavequake.drawing.layout import layouts, stretching
+from wavequake.drawing.solid import model_scene, segment_skin, stretched, system_scene
 from wavequake.drawing.still import viewing
 from wavequake.drawing.style import svg_text
 from wavequake.errors import UserError
-from wavequake.mechanics.mirrors.models import annular_mirror, circular_mirror
+from wavequake.mechanics.mirrors.models import AnnularMirror, annular_mirror, circular_mirror
 from wavequake.optics.catalog.names import optical_system, system_names
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.parent import parent_system
@@ -59,8 +59,9 @@ def test_segments_are_drawn_where_the_published_table_has_them():
         assert np.hypot(*(names[name] - middle)) < 0.05
 
 
-def test_mounts_and_optical_surface_of_a_mirror_are_where_its_parameters_say():
-    scene = model_scene(annular_mirror())
+@pytest.mark.parametrize(("around", "rings"), [(48, 6), (18, 2), (12, 2), (96, 2)])
+def test_mounts_and_optical_surface_of_a_mirror_are_where_its_parameters_say(around, rings):
+    scene = model_scene(annular_mirror(AnnularMirror(around=around, rings=rings)))
     angle = np.arctan2(scene.dots[:, 1], scene.dots[:, 0])
     np.testing.assert_allclose(np.hypot(scene.dots[:, 0], scene.dots[:, 1]), 0.333, atol=1e-12)
     np.testing.assert_allclose(np.sort(np.degrees(angle) % 360.0), [0.0, 120.0, 240.0], atol=1e-9)
@@ -68,7 +69,9 @@ def test_mounts_and_optical_surface_of_a_mirror_are_where_its_parameters_say():
     corners = skin.points[skin.faces]
     sides = corners[:, 1:, :2] - corners[:, :1, :2]
     area = np.abs(np.linalg.det(sides)).sum() / 2.0
-    assert area == pytest.approx(np.pi * (0.5**2 - 0.2**2), rel=3e-3)  # the hole stays open
+    sides = 2 * around  # of both rims, which have a node in the middle of each element
+    polygon = sides / 2 * np.sin(2 * np.pi / sides) * (0.5**2 - 0.2**2)
+    assert area == pytest.approx(polygon, rel=1e-12)  # the hole stays open, and nothing else does
     np.testing.assert_allclose(
         skin.points[:, 2], (skin.points[:, 0] ** 2 + skin.points[:, 1] ** 2) / (4 * 1.7), atol=1e-9
     )
@@ -194,6 +197,67 @@ def test_names_and_numbers_of_an_axis_stand_within_the_figure():
     label = figure.axes[0].yaxis.label.get_window_extent()
     assert figure.axes[0].get_ylabel() == "y (mm)"
     assert label.x0 > 0.0
+
+
+def _written(axes):
+    """Return the names in axes and the boxes that they cover."""
+    return {text.get_text(): text.get_window_extent() for text in axes.texts}
+
+
+def test_small_lenses_are_drawn_once_more_by_themselves_to_scale():
+    figure = draw("hsc")
+    figure.draw_without_rendering()
+    whole, lenses = figure.axes
+    assert set(_written(whole)) == {"M1 (stop)", "image"}
+    # In that order along z; two elements of the dispersion corrector have one name.
+    named = {text.get_text(): text.get_position()[0] for text in lenses.texts}
+    assert sorted(named, key=named.get)[:3] == ["image", "window", "filter"]
+    assert set(named) >= {"G1", "G2", "G3", "G4", "G5", "ADC"}
+    assert (lenses.get_aspect(), whole.get_aspect()) == (1.0, 1.0)
+    assert np.ptp(lenses.get_xlim()) < 0.25 * 1e3 * np.ptp(whole.get_xlim())
+    assert "M1 (stop)" not in _written(draw("sdss").axes[1])  # whose halves stand above and below
+
+
+def test_a_thin_system_is_drawn_once_more_with_its_heights_stretched():
+    figure = draw("six-lens")
+    figure.draw_without_rendering()
+    _, stretched = figure.axes
+    assert stretched.get_title(loc="left") == "The same, heights stretched 20 times"
+    box = stretched.get_window_extent()
+    scales = np.array([box.width, box.height]) / [np.ptp(stretched.get_xlim()), np.ptp(stretched.get_ylim())]
+    assert scales[1] / scales[0] == pytest.approx(20.0)
+    (layout,) = layouts(optical_system("six-lens"))
+    heights = np.concatenate([points[:, 1] for _, points in layout.rays])
+    low, high = stretched.get_ylim()
+    assert low < heights.min() < heights.max() < high
+    assert np.ptp(heights) > 0.4 * (high - low)
+    assert set(_written(stretched)) == {"object", "L1", "L2", "L3", "stop", "L4", "L5", "L6", "image"}
+    assert len(draw("double-gauss").axes) == 1
+
+
+def test_a_thin_system_is_stretched_across_its_axis_in_space():
+    scene = system_scene(optical_system("six-lens"))
+    wide, times = stretched(scene)
+    assert times == 20.0
+    for one, other in zip(scene.skins, wide.skins, strict=True):
+        np.testing.assert_allclose(other.points, one.points * [20.0, 20.0, 1.0])
+    assert draw("six-lens", solid=True).axes[0].get_title(loc="left").endswith("20 times as wide as it is")
+    _, times = stretched(system_scene(optical_system("euv")))
+    assert (times, draw("euv", solid=True).axes[0].get_title(loc="left")) == (1.0, "euv")
+    assert [stretching(share) for share in (0.0, 0.5, 0.12, 0.119, 0.06, 0.0154, 1e-3)] == [
+        1.0, 1.0, 1.0, 2.0, 5.0, 10.0, 200.0,
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("solid", [False, True])
+@pytest.mark.parametrize("name", ["hsc", "decam", "elt", "euv", "rubin", "six-lens", "tmt"])
+def test_names_cover_no_other_names(name, solid):
+    figure = draw(name, solid=solid)
+    figure.draw_without_rendering()
+    named = [list(_written(axes).values()) for axes in figure.axes]
+    assert any(named)
+    for boxes in named:
+        assert not any(one.overlaps(other) for k, one in enumerate(boxes) for other in boxes[:k])
 
 
 def test_the_section_of_a_telescope_has_mirror_and_rays_where_glass_is():

@@ -6,11 +6,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from markupsafe import Markup
 from matplotlib.collections import PolyCollection
 from matplotlib.image import imread
 
 from wavequake.report import figures
-from wavequake.report.page import inline_svg
+from wavequake.report.page import Picture, inline_svg
 from wavequake.report.populations import populations
 from wavequake.report.segments.detail import Bent
 
@@ -125,6 +126,21 @@ def test_lost_rays_and_rays_in_gaps_are_left_out(detail):
     assert damaged.glass.sum() == 40
     assert np.abs(damaged.flat_opd).max() < 1000.0
     assert pixels(figures.opd_map(damaged)).size
+
+
+def test_names_too_small_to_be_read_are_left_to_pointing(detail):
+    small = replace(detail, segment_names=tuple(f"a segment of a name that is long {k}" for k in range(7)))
+    svg = inline_svg(figures.segment_map(small), "a")
+    assert ">a segment of a name that is long 3</text>" not in svg
+    assert "<title>a segment of a name that is long 3: 60.0 nm</title>" in svg
+
+
+def test_a_page_gives_a_drawing_with_small_text_more_pixels():
+    def drawn(size):
+        return Picture("a", "a", Markup(f'<svg viewBox="0 0 700 1"><text style="font-size: {size}px;">'))
+
+    assert [drawn(size).points for size in (9.0, 7.0, 5.6, 3.5)] == [700, 700, 875, 1028]
+    assert all(drawn(size).wide for size in (9.0, 3.5))
 
 
 def test_segments_at_rest_are_said_to_be_at_rest(detail):

@@ -1,13 +1,16 @@
 """The table's text: digits, intervals, units, and what does not exist."""
 
 import io
+import json
 
 import numpy as np
 import pytest
+import xarray as xr
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from wavequake.report.loops import telescope
 from wavequake.report.populations import populations, summarize
 from wavequake.report.statistics import Quantile
 from wavequake.report.table import interval, number, rows, share, terminal_table
@@ -108,3 +111,15 @@ def test_wide_tables_become_blocks_that_hold_every_number(width):
         assert said.count(name) == len(blocks)
         assert all(said.count(cell) == 1 for cell in cells)
     assert all(said.count(header) == 1 for header in headers)
+
+
+def test_largest_positions_have_the_unit_of_every_kind_of_actuator():
+    actuators = [
+        {"name": "a", "model": "m2-rigid", "dofs": ["dx", "rx"]},
+        {"name": "b", "model": "m2-figure"},
+        {"name": "c", "model": "m2-influence"},
+        {"name": "d", "model": "m2-body"},
+        {"name": "e", "model": "segments", "dofs": ["dz"]},
+    ]
+    dataset = xr.Dataset(attrs={"study": json.dumps({"actuator": actuators})})
+    assert telescope._units_of(dataset) == {"a": "nm or nrad", "b": "nm", "c": "nm", "d": "nm", "e": "nm"}

@@ -67,6 +67,26 @@ def test_numbers_of_logarithmic_axes_are_plain_text(limits, words):
     assert axes.xaxis.get_major_formatter().format_ticks(ticks) == words
 
 
+def test_what_hardly_changes_is_drawn_as_still_and_spectra_span_a_decade():
+    time = np.arange(32.0)
+    ripple = np.random.default_rng(0).standard_normal(32)
+    still, moving = (
+        histories_and_spectra(
+            time, {"WFE": ("nm", {"x": 54.75 + size * ripple}), "LOS": ("mas", {"x": ripple})}
+        )
+        for size in (1e-4, 10.0)
+    )
+    heights = [axes.get_position().height for axes in still.axes]
+    assert np.ptp(heights) < 1e-9
+    low, high = still.axes[0].get_ylim()
+    assert high - low == pytest.approx(0.01 * 54.75, rel=1e-3)
+    assert "e1" not in svg_text(still)  # no number is to be added to those of the axis
+    low, high = still.axes[1].get_ylim()
+    assert high >= 9.99 * low
+    low, high = moving.axes[0].get_ylim()
+    assert high - low < 1.2 * 10.0 * np.ptp(ripple)
+
+
 def test_spectra_say_their_powers_without_formulas():
     time = np.arange(32.0)
     curve = 1e-6 * np.random.default_rng(0).standard_normal(32)

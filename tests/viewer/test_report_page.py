@@ -13,9 +13,10 @@ pytestmark = pytest.mark.skipif(PROGRAM is None, reason=MISSING)
 SMALLEST = """Math.min(...[...document.querySelectorAll('body *')]
   .filter(e => e.closest('svg') === null && e.textContent.trim())
   .map(e => parseFloat(getComputedStyle(e).fontSize)))"""
-# Drawings have text of 7 points or more: as many pixels per point as this make 9 pixels of it.
-SCALE = """Math.min(...[...document.querySelectorAll('figure svg')]
-  .map(e => e.getBoundingClientRect().width / e.viewBox.baseVal.width))"""
+DRAWN = """Math.min(...[...document.querySelectorAll('figure svg text')].map(e => {
+  const svg = e.ownerSVGElement, pixels = svg.getBoundingClientRect().width / svg.viewBox.baseVal.width;
+  return pixels * parseFloat(getComputedStyle(e).fontSize);
+}).filter(size => size > 0))"""
 HIDDEN = """[...document.querySelectorAll('table, figure svg')].filter(e =>
   e.getBoundingClientRect().right > innerWidth && !e.closest('.wide, figure a')).length"""
 UNHINTED = """[...document.querySelectorAll('figure')].filter(e => {
@@ -67,7 +68,7 @@ def browser(tmp_path_factory):
 
 
 SEEN = f"""({{
-  width: document.documentElement.scrollWidth, smallest: {SMALLEST}, scale: {SCALE}, hidden: {HIDDEN},
+  width: document.documentElement.scrollWidth, smallest: {SMALLEST}, drawn: {DRAWN}, hidden: {HIDDEN},
   unhinted: {UNHINTED}, empty: {EMPTY}, unexplained: {UNEXPLAINED}, lost: {LOST},
   contents: document.querySelectorAll('nav a').length,
   answer: document.querySelector('.answer').textContent,
@@ -81,7 +82,7 @@ def fits_and_explains(browser, report):
         seen = browser.ask(SEEN)
         assert seen["width"] <= width
         assert seen["smallest"] >= 9.0
-        assert seen["scale"] >= 9.0 / 7.0
+        assert seen["drawn"] >= 8.99
         assert (seen["hidden"], seen["empty"], seen["unexplained"], seen["lost"]) == (0, [], [], 0)
         assert seen["unhinted"] == []
         assert seen["contents"] > 3

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from wavequake import cli
 from wavequake.campaign.store.store import open_store
+from wavequake.commands import stores
 from wavequake.mechanics.importers import import_model
 from wavequake.workflows.mirrors import model_store
 
@@ -88,7 +89,7 @@ def not_a_number(model):
 @pytest.mark.parametrize("damage", [massless_node, rank_deficient_mass])
 def test_singular_masses_are_harmless_where_the_stiffness_holds(damage, plate, tmp_path, monkeypatch, capsys):
     """The reduced model is as exact as of a plate without the damage."""
-    monkeypatch.setattr(cli, "_write_report", lambda *_, **__: None)
+    monkeypatch.setattr(stores, "write_report", lambda *_, **__: None)
     model = {name: values.copy() for name, values in plate.items()}
     damage(model)
     np.savez("plate.npz", **model)
@@ -103,7 +104,7 @@ def test_singular_masses_are_harmless_where_the_stiffness_holds(damage, plate, t
 
 def test_an_expansion_point_on_a_resonance_is_no_error(plate, tmp_path, monkeypatch):
     """It is moved by a millihertz; the variant comes out as exact near its point as elsewhere."""
-    monkeypatch.setattr(cli, "_write_report", lambda *_, **__: None)
+    monkeypatch.setattr(stores, "write_report", lambda *_, **__: None)
     np.savez("plate.npz", **plate)
     squared = scipy.linalg.eigh(plate["stiffness"], plate["mass"], eigvals_only=True)
     resonance = float(np.sqrt(squared[6])) / (2 * np.pi)

@@ -273,6 +273,19 @@ def test_a_command_that_is_interrupted_says_how_to_resume(tmp_path, on, sent):
     assert verify_store(tmp_path / "s").damaged == ()
 
 
+def test_an_interruption_after_the_command_shows_no_traceback():
+    script = (
+        "import atexit, signal, sys, wavequake.cli as cli\n"
+        "from wavequake.__main__ import main\n"
+        "cli.app = lambda words: sys.exit(0)\n"
+        "atexit.register(signal.raise_signal, signal.SIGINT)\n"
+        "sys.argv = ['wavequake', 'plan', 'x']\n"
+        "main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")
+
+
 def test_what_libraries_make_of_an_interruption_is_not_shown():
     script = (
         "import signal, sys, wavequake.cli as cli\n"

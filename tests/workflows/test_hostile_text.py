@@ -43,14 +43,45 @@ def test_a_shortened_text_keeps_both_ends(text, most):
     short = shortened(text, most)
     assert len(short) <= most or short == text
     assert (short == text) == (len(text) <= most)
-    assert text.startswith(short[: most // 2])
-    assert text.endswith(short[-(most // 4) :])
+    if short == text:
+        return
+    cuts = (place for place in range(len(short)) if short.startswith(" ... ", place))
+    assert any(
+        text.startswith(short[:place])
+        and text.endswith(short[place + 5 :])
+        and min(place, len(short) - place - 5) >= most // 6
+        for place in cuts
+    )
+
+
+def test_a_shortened_text_keeps_whole_words_of_both_ends():
+    words = " ".join(f"word{number}" for number in range(300))
+    first, last = plain(words).split(" ... ")
+    assert {*first.split(), *last.split()} <= set(words.split())
+    assert len(plain(words)) > MOST - 20
 
 
 def test_text_that_is_fine_stays_as_it_is():
     fine = "Größe 3 µm, ±70 nm → 53 %\n\tstraße 望遠鏡 \u05d0\u05d1"
     assert printable(fine) == fine
     assert printable(HOSTILE) == SHOWN
+
+
+def test_the_time_that_is_left_does_not_count_the_start(monkeypatch):
+    """Two workers start for 30 s, then each does 10 cases in 5 s: 4 cases a second."""
+    now = [0.0]
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: now[0])
+    rate = terminal._Rate()
+    assert rate(100) == 0.0
+    said = {}
+    for number in range(12):
+        for worker in (0.0, 0.3):
+            now[0] = 35.0 + 5.0 * number + worker
+            said[now[0]] = rate(100 + 20 * number + (20 if worker else 10))
+    assert said[35.0] == pytest.approx(10 / 35.0)  # nothing better is known
+    late = [words for time, words in said.items() if time > 60.0]
+    assert late == pytest.approx([4.0] * len(late), rel=0.2)
+    assert late[-1] == pytest.approx(4.0, rel=0.02)
 
 
 @pytest.mark.parametrize("tabled", [False, True])

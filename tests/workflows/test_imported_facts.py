@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from wavequake import cli
+from wavequake.commands import stores
 from wavequake.mechanics.importers import import_model
 from wavequake.mechanics.mirrors.models import CircularMirror, circular_mirror
 from wavequake.reduction.intermediate import intermediate
@@ -127,7 +128,7 @@ def test_a_run_in_wrong_units_warns_before_it_starts(tmp_path, monkeypatch, caps
     ]
     run = ["run", "mirror-trace", *words, "--on", "serial", "--store", str(tmp_path / "s")]
     monkeypatch.setattr(sys, "argv", ["wavequake", *run])
-    monkeypatch.setattr(cli, "_write_report", lambda *_, **__: None)
+    monkeypatch.setattr(stores, "write_report", lambda *_, **__: None)
     with pytest.raises(SystemExit):
         cli.main()
     said = capsys.readouterr().out

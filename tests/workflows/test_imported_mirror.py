@@ -8,6 +8,7 @@ import pytest
 
 from wavequake import cli
 from wavequake.campaign.store.store import open_store
+from wavequake.commands import stores
 from wavequake.errors import UserError
 from wavequake.workflows.mirrors import model_store
 from wavequake.workflows.mirrors.mirror_trace import compute
@@ -44,7 +45,7 @@ def test_a_file_named_on_the_command_line_lies_in_the_current_folder(tmp_path, m
     monkeypatch.chdir(DATA)
     words = ["run", "mirror-mor", *_words(PLATE), "--on", "serial", "--store", str(tmp_path / "s")]
     monkeypatch.setattr(sys, "argv", ["wavequake", *words])
-    monkeypatch.setattr(cli, "_write_report", lambda *_, **__: None)
+    monkeypatch.setattr(stores, "write_report", lambda *_, **__: None)
     with pytest.raises(SystemExit) as end:
         cli.main()
     assert not end.value.code

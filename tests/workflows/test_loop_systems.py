@@ -10,7 +10,7 @@ import wavequake as wq
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.cli import app
 from wavequake.errors import UserError
-from wavequake.report.loops.frequency import Curve
+from wavequake.report.loops.frequency import Curve, arcs
 from wavequake.workflows.loops import controller_bench, controller_mor, tip_tilt
 
 SEGMENT = {
@@ -110,6 +110,25 @@ def test_marks_lie_on_the_curve_where_it_is_critical():
     ((point, found),) = Curve("one", x, gain[:, None], x, x, np.inf, phase).critical()
     assert found == pytest.approx(where, rel=1e-3)
     assert abs(point - 2 / (1j * where * (1 + 1j * where / 3))) < 1e-9
+
+
+def test_a_nyquist_curve_is_drawn_as_arcs_and_has_gaps_where_it_is_not_known():
+    """A delay has the gain 1 everywhere: chords between frequencies would come nearer to 0."""
+    turned = np.exp(-1j * np.radians([0.0, 40.0, 90.0, 170.0, 175.0, 176.0]))
+    drawn = arcs(turned)
+    np.testing.assert_allclose(np.abs(drawn[np.isfinite(drawn)]), 1.0, rtol=1e-14)
+    assert np.isin(turned.round(12), drawn.round(12)).all()
+    gaps = np.isnan(drawn)
+    assert gaps.any()
+    before, after = np.flatnonzero(gaps)[[0, -1]] + [-1, 1]
+    np.testing.assert_allclose(drawn[[before, after]], turned[2:4], rtol=1e-12)  # 80 degrees
+    assert gaps.sum() == after - before - 1  # and nowhere else
+    angles = -np.degrees(np.angle(drawn[~gaps]))
+    assert (np.diff(angles) > 0).all()
+    assert np.diff(angles)[np.diff(angles) < 60].max() < 4.0 + 1e-9
+    spiral = np.array([1.0 + 0j, 3.0j * np.exp(-0.7j)])
+    assert np.allclose(np.diff(np.abs(arcs(spiral))), 2.0 / (len(arcs(spiral)) - 1))
+    assert len(arcs(np.array([1j, np.nan, 1.0]))) == 3
 
 
 def test_an_unstable_loop_ends_margins_with_3_and_has_none():

@@ -13,6 +13,7 @@ import wavequake as wq
 from wavequake import cli
 from wavequake.campaign.store.store import open_store
 from wavequake.cli import app
+from wavequake.commands import stores
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.reduction.reduce import reduce
 from wavequake.report.answers.comparison import compare
@@ -258,7 +259,7 @@ def _run(tmp_path, keys):
 
 def test_variants_that_do_not_suit_are_quarantined_with_the_reason(tmp_path, monkeypatch):
     """Six rigid motions and three bending modes do not strain the mounts within their plane."""
-    monkeypatch.setattr(cli, "_write_report", lambda *_, **__: None)
+    monkeypatch.setattr(stores, "write_report", lambda *_, **__: None)
     variants = ["modal9", "craigb18"]
     result = _run(tmp_path, MOR | {"reduction.variants": variants})
     assert result.exit_code == 3

@@ -160,7 +160,7 @@ def test_manifest_says_what_the_store_is(tmp_path):
 
 
 def test_an_extension_keeps_earlier_cases_and_adds_labels(tmp_path):
-    toy.run(tmp_path / "s", cases=43)
+    assert toy.run(tmp_path / "s", cases=43).again == 0
     before = open_store(tmp_path / "s").load()
     extend_store(tmp_path / "s", toy.TOY, 80)
     after = open_store(tmp_path / "s").load()
@@ -171,6 +171,9 @@ def test_an_extension_keeps_earlier_cases_and_adds_labels(tmp_path):
     assert (after.status[43:] == 0).all()
     assert np.isnan(after.zernike[43:]).all()
     assert extend_store(tmp_path / "s", toy.TOY, 20).cases == 80
+    done = toy.run(tmp_path / "s", cases=80)
+    assert (done.done_before, done.computed, done.again) == (40, 40, 3)  # those of the chunk of 40 to 49
+    assert toy.run(tmp_path / "s", cases=80).again == 0
 
 
 def test_an_interrupted_extension_is_completed_by_the_next(tmp_path, monkeypatch):

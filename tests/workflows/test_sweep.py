@@ -356,6 +356,25 @@ def test_the_answer_compares_like_with_like_and_leaves_failures_out():
     )
 
 
+def test_the_answer_says_what_comes_of_a_key_and_not_what_it_sets():
+    size = np.repeat([10.0, 40.0], 3)
+    dataset = xr.Dataset({"status": ("case", np.full(6, DONE, np.int8))}, coords={"peak_nm": ("case", size)})
+    found = [
+        plain.Row("wfe_rms", "", "nm", 2.0 * size),
+        plain.Row("strehl", "", "", 1.0 - size / 60.0),
+        plain.Row("segment_piston_rms", "", "nm", size**2),
+    ]
+    assert sweeps._words(dataset, found, "peak_nm", ["peak_nm"]) == (
+        "With peak_nm, wfe_rms changes most: its median is 20.0 nm at 10 and 80.0 nm at 40."
+    )
+    found[1] = plain.Row("strehl", "", "", 1.0 - size / 41.0)
+    assert sweeps._words(dataset, found, "peak_nm", ["peak_nm"]) == (
+        "With peak_nm, strehl changes most: its median is 0.0244 at 40 and 0.756 at 10; that of wfe_rms is "
+        "20.0 nm at 10 and 80.0 nm at 40."
+    )
+    assert sweeps._words(dataset, found[2:], "peak_nm", ["peak_nm"]) == "Nothing changes with peak_nm."
+
+
 def test_damping_shares_one_intermediate_model_over_all_points(tmp_path, monkeypatch):
     """Its basis does not depend on damping: it is built once, and each point answers with its own damping."""
     built = []

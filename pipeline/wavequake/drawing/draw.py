@@ -11,7 +11,7 @@ from wavequake.campaign.schema import Study
 from wavequake.drawing.aperture import telescope_figure
 from wavequake.drawing.model import model_figure
 from wavequake.drawing.section import section_figure
-from wavequake.drawing.solid import Scene, model_scene, system_scene
+from wavequake.drawing.solid import Scene, model_scene, stretched, system_scene
 from wavequake.drawing.still import still_figure
 from wavequake.drawing.style import Drawing
 from wavequake.errors import UserError
@@ -90,7 +90,14 @@ def draw(
 
 def scene_of(seen: Seen) -> Scene:
     """Return what is seen in three dimensions; of several models the first."""
-    return model_scene(seen.models[0]) if seen.models else system_scene(_system(seen), seen.telescope)
+    if seen.models:
+        return model_scene(seen.models[0])
+    scene, times = stretched(system_scene(_system(seen), seen.telescope))
+    return (
+        scene
+        if times == 1.0
+        else replace(scene, name=f"{scene.name}, drawn {times:g} times as wide as it is")
+    )
 
 
 def _system(seen: Seen) -> OpticalSystem:

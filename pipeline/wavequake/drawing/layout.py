@@ -27,6 +27,7 @@ _ON_AXIS = 1e-9  # of the length: rounding
 _THICK = 0.014  # of the drawing: a mirror's body
 _TICK = 0.035  # of the drawing: each tick of the stop
 _SHORTEST = 0.03  # of the drawing: an image plane that is smaller is drawn as large
+_THIN, _TALL = 0.12, 0.3  # of its length: what is lower is stretched up to the second
 _OPTICAL = 1.01  # index from which on a medium is drawn as glass
 
 
@@ -368,3 +369,11 @@ def _lens_name(front: Surface, back: Surface, medium: str) -> str:
     one, other = front.name.split(), back.name.split()
     shared = [a for a, b in zip(one, other, strict=False) if a == b]
     return " ".join(shared) if shared and shared != ["surface"] else medium
+
+
+def stretching(share: float) -> float:
+    """Return how many times to stretch what is so high, of its length: 1, 2, 5, 10, 20 ..."""
+    if not 0.0 < share < _THIN:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(_TALL / share))
+    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= _TALL / share))

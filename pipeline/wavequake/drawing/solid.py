@@ -1,13 +1,14 @@
 """Bodies in space: faces, lines and names, which a still or the viewer draws. Lengths in one unit."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.drawing.layout import Layout, layouts
+from wavequake.drawing.layout import Layout, layouts, stretching
 from wavequake.drawing.light import all_ways, beginnings
 from wavequake.errors import UserError
+from wavequake.mechanics.importers.areas import mesh_points
 from wavequake.mechanics.model import Model
 from wavequake.optics.segments.layout import is_monolithic
 from wavequake.optics.segments.parent import parent_system
@@ -155,20 +156,15 @@ def model_scene(model: Model) -> Scene:
     UserError
         If the optical surface has fewer than three nodes, or they lie on a line as seen along z.
     """
-    from scipy.spatial import Delaunay, QhullError
-
     points = model.nodes[model.surface_nodes]
     middle = points.mean(axis=0)
     axes = np.linalg.svd(points - middle, full_matrices=False)[2] if len(points) > 2 else np.eye(3)
-    flat = (points - middle) @ axes[:2].T
-    try:
-        faces = np.asarray(Delaunay(flat).simplices, dtype=np.int64)
-    except (QhullError, ValueError):
+    if not len(faces := mesh_points((points - middle) @ axes[:2].T)):
         raise UserError(
             f"the optical surface of the model {model.name} has {len(points)} nodes that span no area; it "
             "needs at least three that do"
-        ) from None
-    skin = Skin("optical surface", points, _inside(flat, faces), _GLASS)
+        )
+    skin = Skin("optical surface", points, faces, _GLASS)
     return Scene(
         model.name,
         "m",
@@ -180,8 +176,18 @@ def model_scene(model: Model) -> Scene:
     )
 
 
-def _inside(flat: Array, faces: Integers) -> Integers:
-    """Return the triangles that do not bridge a hole: their sides are not much longer than those of most."""
-    sides = np.linalg.norm(flat[faces] - flat[np.roll(faces, -1, axis=1)], axis=2).max(axis=1)
-    kept: Integers = faces[sides <= 3.0 * np.median(sides)]
-    return kept
+def stretched(scene: Scene) -> tuple[Scene, float]:
+    """Return the scene of a thin system stretched across z, and how many times; others as they are."""
+    everything = np.concatenate([*(skin.points for skin in scene.skins), *(line for _, line in scene.lines)])
+    x, y, z = np.ptp(everything, axis=0)
+    times = stretching(max(x, y) / z) if z else 1.0
+    across = np.array([times, times, 1.0])
+    return (
+        replace(
+            scene,
+            skins=tuple(replace(skin, points=across * skin.points) for skin in scene.skins),
+            lines=tuple((field, across * line) for field, line in scene.lines),
+            labels=tuple((name, across * place) for name, place in scene.labels),
+        ),
+        times,
+    )

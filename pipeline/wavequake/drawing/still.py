@@ -4,11 +4,12 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from wavequake.drawing.section import HALO
 from wavequake.drawing.solid import MOUNT, Scene
-from wavequake.drawing.style import COLORS, STYLE, Drawing
+from wavequake.drawing.style import COLORS, STYLE, Drawing, as_name
 
 Array = NDArray[np.float64]
 
@@ -65,9 +66,6 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
     )
     if len(scene.dots):
         axes.plot(*(scene.dots @ eye[:2].T).T, "o", color=MOUNT, markersize=5)
-    for name, point in scene.labels:
-        x, y = eye[:2] @ point
-        axes.annotate(name, (x, y), (0, 7), textcoords="offset points", ha="center", bbox=HALO)
     everything = np.concatenate([*polygons, *lines])
     low, high = everything.min(axis=0), everything.max(axis=0)
     border = 0.04 * (high - low).max()
@@ -75,3 +73,13 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
         xlim=(low[0] - border, high[0] + border), ylim=(low[1] - border, high[1] + border), aspect="equal"
     )
     axes.set_axis_off()
+    axes.apply_aspect()
+    taken = list[Bbox]()
+    for name, point in scene.labels:
+        place = (float(eye[0] @ point), float(eye[1] @ point))
+        text = axes.annotate(as_name(name), place, (0, 7), textcoords="offset points", ha="center", bbox=HALO)
+        covered = text.get_window_extent()
+        if any(covered.overlaps(other) for other in taken):
+            text.remove()
+        else:
+            taken.append(covered)

@@ -37,6 +37,7 @@ from wavequake.report.table import number
 _GRID, _DIVERGING = "#dddddd", "RdBu_r"
 Quantity = Literal["wfe", "strehl"]
 _MAP_PIXELS = 400
+_READABLE = 7.0  # points
 _ROUNDING = 1e-9  # mas: what differs by less stands still
 
 
@@ -257,13 +258,15 @@ def _draw_segments(figure: Figure, axes: Axes, detail: Detail, numbers: bool = T
 
 
 def _number_segments(figure: Figure, axes: Axes, detail: Detail, dark: NDArray[np.bool_]) -> None:
-    """Write each segment's name as large as the smallest segment allows."""
+    """Write each segment's name as large as the smallest segment allows, or none that nobody could read."""
     inches = (
         axes.get_position().width * figure.get_size_inches()[0] / (axes.get_xlim()[1] - axes.get_xlim()[0])
     )
     width = np.ptp(detail.corners[..., 0], axis=1).min() * 1e-3 * inches * 72
     letters = max(len(name) for name in detail.segment_names)
     size = min(9.0, 0.8 * width / (0.65 * letters))
+    if size < _READABLE:
+        return
     colors = ["white" if on_dark else "#333333" for on_dark in dark]
     axes.add_artist(Labels(detail.segment_names, detail.centers[:, :2] * 1e-3, colors, size))
 

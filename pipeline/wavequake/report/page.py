@@ -22,6 +22,8 @@ from wavequake.words import printable
 LISTED = 200
 KNOWN_ERRORS = "known_errors"  # of the encoding of a store's dataset: what adds its errors to a page
 _WIDE = 1.2 * 72.0 * WIDTH  # points
+_TEXT = 7.0  # points: the smallest text that is drawn where there is room
+_PAGE = 1028.0  # points of the widest pages
 _PHONE = 350  # pixels of the narrowest pages
 # Kinds whose stores the viewer shows; a test compares them with the viewer's own.
 VIEWED = frozenset(
@@ -45,15 +47,25 @@ class Picture:
     how: str = ""
 
     @property
-    def points(self) -> int:
-        """Width of the drawing; as many pixels show its text of 9 points at 9 pixels."""
+    def width(self) -> float:
+        """Width of the drawing, points."""
         found = re.search(r'viewBox="0 0 ([\d.]+)', self.svg)
-        return round(float(found[1])) if found else 0
+        return float(found[1]) if found else 0.0
+
+    @property
+    def points(self) -> int:
+        """Width at which its smallest text has 7 points, of which 1.3 times as many pixels make 9.
+
+        Not more than a page is wide.
+        """
+        sizes = [float(one) for one in re.findall(r'<text style="font-size: ([\d.]+)px', self.svg)]
+        larger = self.width * max(1.0, _TEXT / min(sizes, default=_TEXT))
+        return round(max(self.width, min(_PAGE, larger)))
 
     @property
     def wide(self) -> bool:
         """Whether it needs the whole width of the page."""
-        return self.points > _WIDE
+        return self.width > _WIDE
 
     @property
     def scrolls(self) -> bool:

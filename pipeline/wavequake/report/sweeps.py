@@ -27,6 +27,7 @@ from wavequake.workflows.sweep import SweepStudy, label_names, template
 _MOST_LINES, _MOST_ENTRIES, _MOST_COLUMNS, _MOST_PICTURES = 8, 4, 6, 12
 # Kinds whose cases are variants of one model, over which no median means anything.
 _OF_VARIANTS = ("mirror-mor", "segment-mor")
+_SET = ("segment_piston_rms",)  # what a study moves, not what comes of it
 _NAMELESS = ("realization", "seed", "replicate")
 _HOW = (
     "Points are medians over the cases of a value; where there are more than eight kinds of cases, the line "
@@ -87,23 +88,32 @@ def rows(store: Path, dataset: xr.Dataset) -> list[plain.Row]:
 
 
 def _words(dataset: xr.Dataset, found: list[plain.Row], name: str, swept: Sequence[str]) -> str:
-    """Say of which cases what number changes most with a key, where all of them are done."""
+    """Say what number of which cases changes most with a key, and how the first; where all cases are done."""
     values, status = dataset[name].to_numpy().astype(np.float64), dataset["status"].to_numpy()
-    best, words = 1.0, f"Nothing changes with {name}."
     kinds = _kinds(dataset, name, swept)
+    results = [row for row in found if row.name not in _SET]
+    changes = list[tuple[float, str, str]]()  # how much, what, from which median to which
     for kind, mine in kinds.items():
         whole = [one for one in np.unique(values) if (status[mine & (values == one)] == DONE).all()]
-        for row in found:
+        for row in results:
             medians = np.array([np.median(row.values[mine & (values == one)]) for one in whole])
-            if len(whole) < 2 or not (medians > 0.0).all() or medians.max() / medians.min() <= best:
+            if len(whole) < 2 or not (medians > 0.0).all() or not medians.max() > medians.min():
                 continue
-            best = medians.max() / medians.min()
             low, high = medians.argmin(), medians.argmax()
             of, unit = f" of {kind}" if len(kinds) > 1 else "", f" {row.units}" if row.units else ""
-            words = (
-                f"With {name}, {row.name}{of} changes most: its median is {number(medians[low])}{unit} at "
-                f"{whole[low]:g} and {number(medians[high])}{unit} at {whole[high]:g}."
+            span = (
+                f"{number(medians[low])}{unit} at {whole[low]:g} and {number(medians[high])}{unit} at "
+                f"{whole[high]:g}"
             )
+            changes.append((medians.max() / medians.min(), f"{row.name}{of}", span))
+    words = f"Nothing changes with {name}."
+    if changes:
+        _, most, span = max(changes)
+        words = f"With {name}, {most} changes most: its median is {span}"
+        first = [one for one in changes if one[1].split(" of ")[0] == results[0].name]
+        if first and (leading := max(first))[1] != most:
+            words += f"; that of {leading[1]} is {leading[2]}"
+        words += "."
     if failed := int(np.count_nonzero(status > DONE)):
         words += f" {counted(failed, 'case')} failed; values at which some did are left out of this."
     return words

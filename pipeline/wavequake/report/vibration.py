@@ -15,6 +15,7 @@ from wavequake.drawing.ticks import draw_ticks_at_once, in_inches, number_powers
 Array = NDArray[np.float64]
 
 _NOTHING = 1e-24  # of the largest power: what rounding leaves
+_STILL = 0.01  # of the largest value: what changes by less is drawn as still as it is
 
 
 @rc_context(STYLE)
@@ -53,9 +54,21 @@ def histories_and_spectra(time: Array, series: Mapping[str, tuple[str, Mapping[s
             axes.set_title(title, pad=14.0)  # above what numbers of an axis are to be multiplied by
         if len(curves) > 1:
             left.legend()
+        most = _STILL * max((float(np.abs(values).max()) for values in curves.values()), default=0.0)
+        left.set_ylim(_widened(left.get_ylim(), most))
         if right.get_xscale() == "log":
+            first, last = map(float, np.log10(right.get_ylim()))
+            first, last = _widened((first, last), 1.0)
+            right.set_ylim(10.0**first, 10.0**last)
             for axis in (right.xaxis, right.yaxis):
                 number_powers(axis)
         for axes in (left, right):
             draw_ticks_at_once(axes)
     return figure
+
+
+def _widened(limits: tuple[float, float], span: float) -> tuple[float, float]:
+    """Return limits about the same middle that are so far apart or farther."""
+    low, high = limits
+    more = max(0.0, span - (high - low)) / 2.0
+    return low - more, high + more

@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from wavequake.campaign.store.store import Manifest
 from wavequake.control.bench import COMPENSATOR, SENSITIVITIES, Bench, bench_modes, fitted_bench
 from wavequake.control.plant import swing
-from wavequake.drawing.solid import system_scene
+from wavequake.drawing.solid import stretched, system_scene
 from wavequake.optics.catalog.names import optical_system
 from wavequake.viewer.chosen import some_cases
 from wavequake.viewer.film import Array, Stage, Take, stage_of
@@ -27,13 +27,17 @@ def film_of(
     dataset: xr.Dataset, manifest: Manifest, chosen: Sequence[int], tell: Callable[[str], None]
 ) -> tuple[tuple[Stage, ...], tuple[Take, ...]]:
     """Return the objective, and of each case what the lenses do after the blow, and their modes."""
-    stage = stage_of(system_scene(optical_system("six-lens")))
+    scene, times = stretched(system_scene(optical_system("six-lens")))
+    stage, drawn = stage_of(scene), f"The objective is drawn {times:g} times as wide as it is."
     takes_of = _of_search if manifest.workflow == lens_passive.KIND.name else _of_plant
     takes = list[Take]()
     with threadpool_limits(1):
         for case in list(chosen) or some_cases(dataset, list(range(dataset.sizes["case"])), _MOST_CASES):
             label, found = takes_of(manifest.study, stage, dataset.sel(case=case), case)
-            takes += [replace(take, label=f"{label}: {take.label}", case=case) for take in found]
+            takes += [
+                replace(take, label=f"{label}: {take.label}", note=f"{take.note} {drawn}", case=case)
+                for take in found
+            ]
             tell(label)
     return (stage,), tuple(takes)
 

@@ -38,7 +38,8 @@ class CampaignSummary:
     """What a run did: cases done before, computed now, quarantined in all, chunks computed, times in s.
 
     ``goal`` says in words how well what `campaign.until` asks for is known, ``rechecked``
-    what came of computing chunks again.
+    what came of computing chunks again, and ``again`` how many cases were computed that an earlier run had
+    done: those of a chunk that was not full.
     """
 
     done_before: int
@@ -50,6 +51,7 @@ class CampaignSummary:
     write_seconds: float
     goal: tuple[str, ...] = ()
     rechecked: tuple[str, ...] = ()
+    again: int = 0
 
     def followed_by(self, later: "CampaignSummary") -> "CampaignSummary":
         """Return what both runs did together."""
@@ -62,6 +64,7 @@ class CampaignSummary:
             self.compute_seconds + later.compute_seconds,
             self.write_seconds + later.write_seconds,
             rechecked=later.rechecked,
+            again=self.again + later.again,
         )
 
 
@@ -168,6 +171,8 @@ def run_campaign(
         todo = todo_of(wanted, records, recompute | verify.lost_chunks(path, manifest, records))
         tally = _Tally(wanted, {p: records[p] for p in wanted if p not in todo}, progress)
         done_before, chunks = tally.done, len(todo)
+        full = dict(todo)
+        again = sum(last - first for first, last in journal.records if last < full.get(first, last))
         check = Check(path, manifest, wanted, recheck)
         told: tuple[str, ...] = ()
         if todo or recheck:
@@ -198,6 +203,7 @@ def run_campaign(
         tally.compute_s,
         tally.write_s,
         rechecked=told,
+        again=again,
     )
 
 

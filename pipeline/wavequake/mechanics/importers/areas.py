@@ -48,9 +48,7 @@ POWERS: dict[int, tuple[tuple[int, int], ...]] = {
     6: _LINEAR + _QUADRATIC,
     8: (*_LINEAR, *_QUADRATIC, (2, 1), (1, 2)),
 }
-WIDE = 4.0
-"""Triangles between bare nodes whose circumscribed circle has so many median radii span a hole (the alpha
-shape of Edelsbrunner, Kirkpatrick and Seidel 1983)."""
+_WIDE, _SPARSE = 2.5, 3.0
 
 
 def area_shares(mesh: MeshFile, nodes: Integers) -> Array:
@@ -122,25 +120,51 @@ def _shape_functions(count: int) -> tuple[Array, Array, Array]:
     return u**i * v**j @ combine, np.stack([along_x @ combine, along_y @ combine], axis=2), weight
 
 
-def _triangle_shares(points: Array, source: str) -> Array:
-    """Return a third of the area of each node's triangles; holes stay open."""
+def mesh_points(plane: Array) -> Integers:
+    """Return triangles between points of a plane, shape (n, 2); holes stay open.
+
+    A triangle spans a hole where its circumscribed circle is larger than 2.5 times the median of all (the
+    alpha shape of Edelsbrunner, Kirkpatrick and Seidel 1983) and, since meshes may be graded, than thrice the
+    distances from its corners to their nearest neighbors.
+
+    Returns
+    -------
+    ndarray of int, shape (m, 3)
+        None if there are fewer than three points, or all lie on a line.
+    """
     from scipy.spatial import Delaunay, QhullError  # slow to import, and few models have no elements
 
-    centered = points - points.mean(axis=0)
-    plane = centered @ np.linalg.svd(centered, full_matrices=False)[2][:2].T if len(points) > 2 else None
     try:
-        triangles = Delaunay(plane).simplices if plane is not None else np.zeros((0, 3), dtype=np.int64)
-    except QhullError:
-        triangles = np.zeros((0, 3), dtype=np.int64)
-    if plane is None or not len(triangles):
+        found = np.asarray(Delaunay(plane).simplices, dtype=np.int64)
+    except (QhullError, ValueError):
+        return np.zeros((0, 3), dtype=np.int64)
+    sides = np.linalg.norm(plane[found] - np.roll(plane[found], 1, axis=1), axis=2)
+    with np.errstate(divide="ignore"):
+        radii = sides.prod(axis=1) / (4.0 * _triangle_areas(plane[found]))
+    nearest = np.full(len(plane), np.inf)
+    for first, second in ((0, 2), (1, 0), (2, 1)):
+        for end in (first, second):
+            np.minimum.at(nearest, found[:, end], sides[:, first])
+    spans = (radii > _WIDE * np.median(radii)) & (radii > _SPARSE * nearest[found].max(axis=1))
+    kept: Integers = found[~spans]
+    return kept
+
+
+def _triangle_areas(corners: Array) -> Array:
+    """Return the areas of triangles, shape (m, 3, 2)."""
+    (x, y), (u, v) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    return np.asarray(np.abs(x * v - y * u) / 2.0)
+
+
+def _triangle_shares(points: Array, source: str) -> Array:
+    """Return a third of the area of each node's triangles."""
+    centered = points - points.mean(axis=0)
+    plane = centered @ np.linalg.svd(centered, full_matrices=False)[2][:2].T if len(points) > 2 else centered
+    if not len(triangles := mesh_points(plane)):
         raise UserError(
             f"the {len(points)} optical nodes of {source} span no surface: at least three, not on one line"
         )
-    sides = plane[triangles] - np.roll(plane[triangles], 1, axis=1)
-    areas = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]) / 2.0
-    with np.errstate(divide="ignore"):
-        radii = np.linalg.norm(sides, axis=2).prod(axis=1) / (4.0 * areas)
-    areas[radii > WIDE * np.median(radii)] = 0.0
+    areas = _triangle_areas(plane[triangles])
     shares = np.bincount(triangles.ravel(), np.repeat(areas / 3.0, 3), minlength=len(points))
     if (shares <= 0.0).any():  # a node on a sliver: it keeps a little, so that no weight vanishes
         shares = np.maximum(shares, 1e-3 * shares.mean())

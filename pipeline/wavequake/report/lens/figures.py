@@ -114,9 +114,10 @@ def _estimate(estimator: KalmanFilter, sensor: Array, step: float) -> Array:
     return simulate(bogacki_shampine(model, step), np.column_stack([sensor, force]))[:, 0]
 
 
-def _figure() -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(1.4 * WIDTH, HEIGHT))
-    return figure, figure.add_axes((0.09, 0.15, 0.89, 0.75))  # automatic layouts are slow
+def _figure(width: float = WIDTH) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(width, HEIGHT))
+    left = 0.7 / width
+    return figure, figure.add_axes((left, 0.15, 0.98 - left, 0.75))  # automatic layouts are slow
 
 
 def _lines(
@@ -226,9 +227,9 @@ def stage_history(case: Shown, nominal: Nominal, controller: str) -> Figure:
 @rc_context(STYLE)
 def sensor(case: Shown) -> Figure:
     """Show lens 4, and by how much the control unit's reading is off."""
-    figure = Figure(figsize=(1.4 * WIDTH, HEIGHT))
-    lower = figure.add_axes((0.09, 0.15, 0.89, 0.35))
-    upper = figure.add_axes((0.09, 0.57, 0.89, 0.38), sharex=lower)
+    figure = Figure(figsize=(WIDTH, HEIGHT))
+    lower = figure.add_axes((0.13, 0.15, 0.85, 0.35))
+    upper = figure.add_axes((0.13, 0.57, 0.85, 0.38), sharex=lower)
     _lines(upper, case.time, {"lens 4": case.lens, "as read": case.sensor}, (0.0, 2.0))
     upper.set_xlabel("")
     upper.set_ylabel("position (mm)")
@@ -242,7 +243,7 @@ def sensor(case: Shown) -> Figure:
 @rc_context(STYLE)
 def bars(ranges: Array, deviations: Array, springs: str, names: Sequence[str]) -> Figure:
     """Show range and standard deviation of all controllers, points per plant, evenly in rank (Fig. 5.33)."""
-    figure, axes = _figure()
+    figure, axes = _figure(1.4 * WIDTH)
     places = np.arange(len(names))
     for number, (values, label) in enumerate(
         ((ranges, "range"), (deviations, "standard deviation, t > 1 s"))

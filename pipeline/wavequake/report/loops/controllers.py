@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wavequake.report.loops import figures as draw
-from wavequake.report.loops.frequency import Curve, bode, nyquist, sensitivities
+from wavequake.report.loops.frequency import NYQUIST, Curve, bode, nyquist, sensitivities
 from wavequake.report.loops.outcomes import Level, Outcome, answer, certificate, levels_of, spilled
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
@@ -176,8 +176,7 @@ def _over_frequency(dataset: xr.Dataset, level: Level, place: int) -> Iterator[P
         f"nyquist-{place}",
         "Loop gain in the complex plane",
         nyquist(shown),
-        "The nearer to the cross at -1, the nearer to instability. Marks on the real axis are gain margins, "
-        "those on the unit circle phase margins.",
+        NYQUIST,
     )
     yield picture(
         f"sensitivity-{place}",

@@ -16,7 +16,7 @@ from wavequake.report.loops.outcomes import Level
 
 _STABLE, _UNSTABLE, _GROUND = COLORS[0], COLORS[1], "#999999"
 _MODES = 14
-_POINTS, _LETTER, _LINE = 72.0, 3.8, 8.0  # per inch; of the names' letters
+_POINTS, _LETTER, _LINE = 72.0, 4.1, 8.5  # per inch; of the names' letters
 
 
 def _panels(rows: int, height: float = HEIGHT) -> tuple[Figure, list[Axes]]:
@@ -42,7 +42,7 @@ def _names(axes: Axes, points: Sequence[tuple[str, float, float]]) -> None:
             for there, other, long in taken
         ):
             taken.append((left, base, width))
-            axes.annotate(name, (x, y), (3, 3), textcoords="offset points", fontsize=6.5, color="#444444")
+            axes.annotate(name, (x, y), (3, 3), textcoords="offset points", fontsize=7, color="#444444")
 
 
 @rc_context(STYLE)

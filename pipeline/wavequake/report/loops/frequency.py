@@ -19,6 +19,13 @@ Array = NDArray[np.float64]
 _GREY, _FLOOR, _REACH = "#444444", 1e-4, 2.5
 # A phase that jumps by more is one that comes in again at the other side.
 _JUMP = 180.0
+# Between two frequencies a locus is an arc of such pieces; one that turns by more is not known in between.
+_PIECE, _KNOWN = np.radians(4.0), np.radians(60.0)
+NYQUIST = (
+    "The nearer to the cross at -1, the nearer to instability. Marks on the real axis are gain margins, "
+    "those on the unit circle phase margins. A curve has a gap where it turns by more than 60 degrees "
+    "between two frequencies that were computed."
+)
 
 
 @dataclass(frozen=True)
@@ -109,6 +116,20 @@ def bode(curves: Sequence[Curve]) -> Figure:
     return figure
 
 
+def arcs(locus: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return a locus (f,) as it is drawn: arcs about 0 between its points, NaN where it turns too far."""
+    turns = np.angle(locus[1:] * locus[:-1].conj())
+    pieces = np.maximum(np.ceil(np.abs(np.nan_to_num(turns)) / _PIECE), 1.0).astype(int)
+    first = np.repeat(np.arange(len(turns)), pieces)
+    share = (np.arange(len(first)) - np.repeat(np.cumsum(pieces) - pieces, pieces)) / pieces[first]
+    size = np.abs(locus)
+    drawn = (size[:-1][first] + share * np.diff(size)[first]) * np.exp(
+        1j * (np.angle(locus)[first] + share * turns[first])
+    )
+    drawn[(np.abs(turns[first]) > _KNOWN) & (share > 0.0)] = np.nan
+    return np.append(drawn, locus[-1:])
+
+
 @rc_context(STYLE)
 def nyquist(curves: Sequence[Curve]) -> Figure:
     """Draw loop gains in the complex plane about -1, with margins and the circle of the highest peak."""
@@ -116,7 +137,7 @@ def nyquist(curves: Sequence[Curve]) -> Figure:
     axes = figure.add_subplot()
     axes.add_patch(Circle((0, 0), 1.0, facecolor="none", edgecolor="#999999", linewidth=0.8))
     for place, one in enumerate(curves):
-        for column, values in enumerate(one.gain.T):
+        for column, values in enumerate(map(arcs, one.gain.T)):
             axes.plot(values.real, values.imag, label=one.label if column == 0 else None, **style(place))
         for point, _ in one.critical():
             axes.plot(point.real, point.imag, "o", color=COLORS[place % len(COLORS)], markersize=4.5)

@@ -26,7 +26,7 @@ from wavequake.workflows.loops.controller_names import explain_names
 
 Array = NDArray[np.float64]
 
-_FIGURES = ("m2-figure", "m2-influence")
+_FIGURES = ("m2-figure", "m2-influence", "m2-body")
 _IDEAL = ("off", "perfect")
 # A wavefront that falls by less is not what the controller is for.
 _HELPS = 0.99

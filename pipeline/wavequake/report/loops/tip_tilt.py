@@ -14,7 +14,7 @@ from rich.table import Table
 
 from wavequake.campaign.contract import DONE
 from wavequake.report.figures import COLORS, HEIGHT, STYLE, WIDTH
-from wavequake.report.loops.frequency import Curve, bode, logarithmic, nyquist, sensitivities, style
+from wavequake.report.loops.frequency import NYQUIST, Curve, bode, logarithmic, nyquist, sensitivities, style
 from wavequake.report.page import Page, Picture, Section, picture, render_page, write_page
 from wavequake.report.populations import left_out
 from wavequake.report.table import MISSING, number
@@ -135,7 +135,7 @@ def write_report_of(store: Path, dataset: xr.Dataset, target: Path, device: str)
     page = Page(
         answer=answer(dataset, loops),
         table=[row_of(one) for one in loops],
-        small_print="The rms over time of the line of sight along one axis.",
+        small_print="The rms over time of the line of sight along one axis; ± is a standard error of runs.",
         overview=[
             picture(
                 "rates",
@@ -172,8 +172,7 @@ def _over_frequency(dataset: xr.Dataset, rate: float, loops: Sequence[Loop]) -> 
             f"nyquist-{rate:g}",
             "Loop gain in the complex plane",
             nyquist(curves),
-            "The nearer to the cross at -1, the nearer to instability. Marks on the real axis are gain "
-            "margins, those on the unit circle phase margins.",
+            NYQUIST,
         ),
         picture(
             f"rejection-{rate:g}",

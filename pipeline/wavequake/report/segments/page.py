@@ -30,8 +30,9 @@ from wavequake.report.table import number, rows
 from wavequake.report.vibration import histories_and_spectra
 
 _SMALL_PRINT = (
-    "Small print below a number: its 95 % confidence interval (≤, ≥: too few cases for both bounds); ± is a "
-    "standard error. “the frame”: the circle leaves the image, whose half width is given."
+    "Small print below a number: its 95 % confidence interval (≤, ≥: too few cases for both bounds); ± is "
+    "the standard error of the number above it. “the frame”: the circle leaves the image, whose half width "
+    "is given."
 )
 # Term, variable of the store whose own long_name opens the definition, and how the report uses it.
 _DEFINITIONS = (
@@ -253,7 +254,8 @@ def _section(place: int, population: Population, details: Sequence[Detail], data
                 f"{id_}-m1",
                 f"Displacement of each segment {of}",
                 figures.segment_map(detail),
-                "Red segments are nearer to the light, blue ones further; white is at rest.",
+                "Red segments are nearer to the light, blue ones further; white is at rest. Pointing at one "
+                "tells its name and value.",
             ),
             *_bent(detail, of, id_),
             picture(

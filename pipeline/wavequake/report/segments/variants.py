@@ -118,7 +118,8 @@ def _telescope_figures(
             f"{name}-segments",
             "Motion of the segments at the worst instant",
             segment_map(truth),
-            "Red segments are nearer to the light, blue ones further.",
+            "Red segments are nearer to the light, blue ones further. Pointing at one tells its name and "
+            "value.",
         )
         yield picture(
             f"{name}-wavefront",

@@ -60,7 +60,10 @@ _SMALL_PRINT = (
     "of instants with an rms of at most λ/14 about the best-fit plane. Vignetted: the largest number of rays "
     "at any instant that openings stop, of all that are traced."
 )
-_INTERVALS = " Small print below a number: its 95 % confidence interval; ± is a standard error."
+_INTERVALS = (
+    " Small print below a number: its 95 % confidence interval; ± is the standard error of the number above "
+    "it."
+)
 _DEFINITIONS = (
     ("WFE", "Root of the sum of squares of the Noll Zernike coefficients j ≥ 4: piston and tilt removed."),
     ("WFE change", "The same of the coefficients less those at rest: what the disturbance adds."),
