@@ -215,7 +215,7 @@ def test_a_report_that_was_cut_off_is_written_by_the_next_run(wavequake, tiny, t
     report = tmp_path / "store" / "report.html"
     before = report.read_bytes()
     with monkeypatch.context() as patch:
-        patch.setattr(cli, "_write_report", lambda store, fresh: None)
+        patch.setattr(cli.reports, "write_report", lambda store, fresh: None)
         run_tiny(wavequake, tiny, tmp_path / "store", "campaign.cases=6")
     assert report.read_bytes() == before
     assert run_tiny(wavequake, tiny, tmp_path / "store", "campaign.cases=6")[0] == 0

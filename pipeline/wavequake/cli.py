@@ -12,7 +12,17 @@ from rich.table import Table
 
 from wavequake import __version__
 from wavequake.campaign.plugins import load_named
-from wavequake.commands import firmware, identify, loops, new, pictures, rare, sensitivity, statistics
+from wavequake.commands import (
+    firmware,
+    identify,
+    loops,
+    new,
+    pictures,
+    rare,
+    reports,
+    sensitivity,
+    statistics,
+)
 from wavequake.commands.ahead import while_it_runs
 from wavequake.commands.options import (
     ClusterOption,
@@ -33,10 +43,9 @@ from wavequake.terminal import (
     interrupted,
     live_progress,
     out,
-    print_in_blocks,
     print_pairs,
 )
-from wavequake.words import are, counted, unsaid
+from wavequake.words import are, counted
 
 app = typer.Typer(
     help="What does vibration do to the image, and which model, mirror or controller is good enough?",
@@ -164,8 +173,8 @@ def run(
     from wavequake.campaign.engine.driver import begin_workers
     from wavequake.campaign.engine.driver_lock import shard_of
     from wavequake.campaign.engine.recheck import share_of
-    from wavequake.workflows.run import kind_of, notices, run_study
-    from wavequake.workflows.run import profile as profile_of
+    from wavequake.workflows.profile import profile as profile_of
+    from wavequake.workflows.run import finished_study, kind_of, notices, run_study
     from wavequake.workflows.study import load_study
 
     part = None if shard is None else shard_of(shard)
@@ -175,23 +184,25 @@ def run(
     out.print(
         f"{loaded.study.name}  {counted(loaded.cases, 'case')}  ->  {path}", markup=False, soft_wrap=True
     )
-    begin_workers(kind_of(loaded), path, on)
-    for line in notices(loaded):
-        out.print(line, markup=False, soft_wrap=True)
-    with live_progress() as progress:
-        summary = run_study(
-            loaded,
-            path,
-            on=on,
-            workers=workers,
-            progress=progress if part else while_it_runs(progress, loaded.study.workflow),
-            repair=repair,
-            allow_mixed=allow_mixed,
-            dashboard=_show_link if dashboard else None,
-            shard=part,
-            cluster=cluster,
-            recheck=share,
-        )
+    summary = None if part or repair or share else finished_study(loaded, path)
+    if summary is None:
+        begin_workers(kind_of(loaded), path, on)
+        for line in notices(loaded):
+            out.print(line, markup=False, soft_wrap=True)
+        with live_progress() as progress:
+            summary = run_study(
+                loaded,
+                path,
+                on=on,
+                workers=workers,
+                progress=progress if part else while_it_runs(progress, loaded.study.workflow),
+                repair=repair,
+                allow_mixed=allow_mixed,
+                dashboard=_show_link if dashboard else None,
+                shard=part,
+                cluster=cluster,
+                recheck=share,
+            )
     if summary.computed:
         rate = summary.computed / max(summary.seconds, 1e-9)
         spent = f"{summary.seconds:.1f} s ({rate:.1f} cases/s); {summary.done_before} done before."
@@ -204,7 +215,7 @@ def run(
         words = shlex.join(["wavequake", "report", str(path)])
         out.print(f"Shard {part} is complete; once all are: {words}", markup=False, soft_wrap=True)
     else:
-        _write_report(path, fresh=summary.computed > 0)
+        reports.write_report(path, fresh=summary.computed > 0)
     if profile:
         print_pairs(profile_of(path))
     if summary.quarantined:
@@ -296,7 +307,7 @@ def report(
     if animate is None and (controller or format):
         raise UserError("--controller and --format belong to an animation; say --animate CASE, too.")
     if animate is None:
-        _write_report(store, fresh=True)
+        reports.write_report(store, fresh=True)
         return
     pictures.animate(store, animate, controller, format or "gif")
 
@@ -380,20 +391,3 @@ def rerun_case(
         out.print(line, markup=False, soft_wrap=True)
     if found.differing:
         sys.exit(EXIT_DAMAGED)
-
-
-def _write_report(store: Path, fresh: bool) -> None:
-    from wavequake.report.campaign import is_current, report_path, report_store, summary_table
-    from wavequake.report.written import read_answer
-
-    if fresh or not is_current(store):
-        table, path = report_store(store)
-    else:
-        table, path = summary_table(store), report_path(store)
-    answer = read_answer(path)
-    if table.caption:
-        table.caption = unsaid(str(table.caption), answer) or None
-    print_in_blocks(table)
-    if answer:
-        out.print(answer, markup=False, style="bold", highlight=False)
-    out.print(f"Report: {path.resolve()}", markup=False, soft_wrap=True)

@@ -18,7 +18,6 @@ from wavequake.campaign.store.store import (
     open_store,
     read_manifest,
 )
-from wavequake.campaign.store.verify import verify_store
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.report.exports.store import export, target_of
@@ -81,6 +80,8 @@ def _damage_named(store: Path) -> Iterator[None]:
     try:
         yield
     except (ValueError, UserError):
+        from wavequake.campaign.store.verify import verify_store
+
         for damage in verify_store(store).damaged:
             raise StoreDamageError(f"{damage}; wavequake verify lists all that is damaged.") from None
         raise

@@ -14,15 +14,13 @@ import numpy as np
 
 from wavequake.campaign.contract import StudyKind
 from wavequake.campaign.engine.chunk_size import default_chunk, stored_bytes
-from wavequake.campaign.engine.driver import CampaignSummary, begin_workers, run_campaign
+from wavequake.campaign.engine.driver import CampaignSummary, begin_workers, finished, run_campaign
 from wavequake.campaign.engine.driver_lock import Shard, shard_of
 from wavequake.campaign.engine.scripts import script_hidden
 from wavequake.campaign.schema import Study
 from wavequake.campaign.statistics.until import Goal, described, goal_of, is_met, looks, quantiles_of
-from wavequake.campaign.stopwatch import CPU
-from wavequake.campaign.store.journal import read_journal
 from wavequake.campaign.store.retention import stored_template
-from wavequake.campaign.store.store import JOURNAL, MANIFEST, done_records, open_store, read_manifest
+from wavequake.campaign.store.store import MANIFEST, open_store, read_manifest
 from wavequake.chain.doubts import doubts
 from wavequake.errors import NoWorkersError, UserError
 from wavequake.kernels.device.devices import Device, choose_device
@@ -49,6 +47,13 @@ _CHUNK_S = (2.0, 10.0)
 def kind_of(study: Study) -> StudyKind:
     """Return the study kind that a study asks for."""
     return find_kind(study.study.workflow)
+
+
+def finished_study(study: Study, path: Path) -> CampaignSummary | None:
+    """Return the summary of a run that finds its store complete; None where there is something to do."""
+    if study.campaign.until is not None:
+        return None
+    return finished(kind_of(study), study.identity_text(), path, study.cases, study.campaign.device)
 
 
 def run_study(
@@ -206,6 +211,8 @@ def run(
     loaded = chosen_study(study, overrides, cases)
     path = loaded.folder(store)
     part = None if shard is None else shard_of(shard)
+    if part is None and finished_study(loaded, path) is not None:
+        return open_store(path)
     file = None if cluster is None else Path(cluster)
     how = {"shard": part, "cluster": file, "allow_mixed": allow_mixed, "progress": progress}
     if on is not None:
@@ -351,50 +358,3 @@ def _chunk_advice(cases: int, chunk: int, each: float) -> str:
 
 def _peak_memory_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
-def profile(path: Path | str) -> dict[str, str]:
-    """Say where the time of a store's chunks went, from its journal.
-
-    That is the share of each kind of work by the clock and its processor time, rates, the time and launches
-    of every OpenCL kernel by the device's clock, and what was copied to and from a device that has memory of
-    its own.
-
-    Raises
-    ------
-    UserError
-        If there is no store at `path`.
-    """
-    manifest = read_manifest(path)
-    records = done_records(manifest, read_journal(Path(path) / JOURNAL))
-    seconds: dict[str, float] = {}
-    for record in records.values():
-        for name, value in record.timings.items():
-            seconds[name] = seconds.get(name, 0.0) + value
-    total = seconds.pop("compute_s", 0.0) + seconds.get("write_s", 0.0)
-    if not total:
-        return {"profile": "nothing was computed yet"}
-    seconds["write"] = seconds.pop("write_s", 0.0)
-    cpu, kernels, launches, copied = (
-        {name.removeprefix(kind): seconds.pop(name) for name in sorted(seconds) if name.startswith(kind)}
-        for kind in (CPU, "kernel ", "launches ", "bytes ")
-    )
-    seconds["rest"] = total - sum(seconds.values())
-    lines = {
-        name: f"{value:8.2f} s  {value / total:6.1%}" + (f"  {cpu[name]:8.2f} s CPU" if name in cpu else "")
-        for name, value in seconds.items()
-    }
-    work = find_kind(manifest.workflow).work(manifest.study, sum(last - first for first, last in records))
-    rates = {
-        f"{name} rate": f"{count / seconds[name] / 1e6:8.1f} M {unit}/s"
-        for name, (count, unit) in work.items()
-        if seconds.get(name)  # a store of an earlier version may lack it
-    }
-    ran = {
-        f"kernel {name}": f"{value:8.2f} s  {value / total:6.1%}  {launches[name]:.0f} x "
-        f"{1e3 * value / launches[name]:.3g} ms"
-        for name, value in sorted(kernels.items(), key=lambda item: -item[1])
-    }
-    moved = {f"copied {way}": f"{1e-6 * count:8.1f} MB" for way, count in copied.items()}
-    spent = f"  100.0%  {cpu['chunks']:8.2f} s CPU" if "chunks" in cpu else ""
-    return {**lines, "all chunks": f"{total:8.2f} s{spent}", **rates, **ran, **moved}
