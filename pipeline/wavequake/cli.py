@@ -172,7 +172,7 @@ def run(
     """Run a study, or what of it is not done yet, and write its report. Safe to repeat and to interrupt."""
     from wavequake.campaign.engine.driver import begin_workers
     from wavequake.campaign.engine.driver_lock import shard_of
-    from wavequake.campaign.engine.recheck import share_of
+    from wavequake.campaign.engine.plan import share_of
     from wavequake.workflows.profile import profile as profile_of
     from wavequake.workflows.run import finished_study, kind_of, notices, run_study
     from wavequake.workflows.study import load_study

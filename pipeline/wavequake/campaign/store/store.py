@@ -120,6 +120,8 @@ def extend_store(path: Path | str, workflow: StudyKind, cases: int) -> Manifest:
     extended = replace(manifest, cases=max(cases, manifest.cases))
     if too_many := why_too_many(extended.cases, extended.chunk):
         raise UserError(f"{path}: {too_many}.")
+    with write_errors_explained(path):
+        (path / JOURNAL).mkdir(exist_ok=True)
     if extended == manifest and has_room(path / DATA, manifest):
         return manifest
     from wavequake.campaign.store import arrays  # zarr is slow to load
@@ -127,7 +129,6 @@ def extend_store(path: Path | str, workflow: StudyKind, cases: int) -> Manifest:
     labels = labels_of(workflow, manifest.study, manifest.cases, extended.cases)
     group = arrays.open_group(path / DATA)
     with write_errors_explained(path):
-        (path / JOURNAL).mkdir(exist_ok=True)
         for name in (*manifest.variables, *labels):
             array = arrays.array_of(group, name)
             if array.shape[0] != extended.cases:
