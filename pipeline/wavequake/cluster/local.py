@@ -41,12 +41,14 @@ _UNSEEN = {
     "distributed.worker.multiprocessing-method": "forkserver",
 }
 # What every worker imports: no thread runs afterwards, and OpenCL is not spoken to, so that it may be forked.
+# SciPy's transforms load its special functions, a tenth of a second, when images are made.
 _IMPORTED = (
     "wavequake.cluster.garbage",
     "distributed.nanny",
     NO_HTTP,
     "wavequake.cluster.output",
     "pyopencl",
+    "scipy.fft",
 )
 
 # A task takes seconds: slow clocks save idle CPU time, and as no result stays in memory, nobody has to manage
