@@ -10,12 +10,15 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
+from wavequake.kernels.trace.status import OK
 from wavequake.mechanics.assembly.plant import Plant
 from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.registry import parts
 from wavequake.mechanics.disturbances.source import SegmentSource
+from wavequake.optics.derivatives.central import checked_derivative
 from wavequake.optics.polynomials.transforms import known_transformed
 from wavequake.optics.rays.pupils import PupilRays, on_glass, segment_rays, sunflower
+from wavequake.optics.segments.at_rest import STEP, at_rest
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.layout import areas, is_monolithic
 from wavequake.optics.segments.prepared import PreparedTrace, prepare
@@ -23,13 +26,13 @@ from wavequake.optics.segments.slopes import slope_fit
 from wavequake.optics.segments.telescope import FirstOrder, SegmentedTelescope, first_order, footprints
 from wavequake.optics.segments.wavefront import Wavefront
 from wavequake.optics.shapes.corner_table import distorted
+from wavequake.optics.wavefronts.fits import tells_apart
 from wavequake.optics.wavefronts.sphere_fit import reference_fit
 from wavequake.prepared import prepared
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.mirrors.segment_body import segment_plant
-from wavequake.workflows.segments.at_rest import at_rest
 from wavequake.workflows.segments.segment_study import SegmentStudy
-from wavequake.workflows.segments.vignetting import Stopped
+from wavequake.workflows.segments.vignetting import Stopped, refuse_dark_segment, stopped_at_rest
 
 MM_PER_M = 1e3
 MAS_PER_RAD = 180.0 / np.pi * 3600.0 * 1e3
@@ -112,7 +115,7 @@ def _beside(first: Bench, place: int) -> Bench:
     field = np.array(optics.points_arcmin[point]) * _ARCMIN
     light = _in_color(first, optics.colors_nm[color] * 1e-6)
     system, prepared = light.system, _at_field(light, first.study, field)
-    static, stopped, _ = at_rest(first.study, prepared, field, first.figure_terms, first.mirror_terms)
+    static, stopped, _ = _reference(first.study, prepared, field, first.figure_terms, first.mirror_terms)
     own = replace(first, system=system, prepared=prepared, static=static, stopped=stopped, field=field)
     return replace(own, place=place, first_order=first_order(system))
 
@@ -163,7 +166,7 @@ def _prepared(study_text: str) -> Bench:
     )
     at = np.array(study.optics.points_arcmin[0]) * _ARCMIN
     prepared = _at_field(prepared, study, at)
-    static, stopped, tilt = at_rest(study, prepared, at, terms, mirror_terms)
+    static, stopped, tilt = _reference(study, prepared, at, terms, mirror_terms)
     return Bench(
         study_text,
         study,
@@ -345,3 +348,27 @@ def _require_elements(study: SegmentStudy, layout: SegmentLayout, bodies: tuple[
                     f"The disturbance {part.name!r} deforms {grid!r} of {layout.owner} on a grid; its "
                     "segments and mirrors deform by Noll coefficients (.zN_nm)."
                 )
+
+
+def _reference(
+    study: SegmentStudy, prepared: PreparedTrace, field: NDArray[np.float64], terms: int, mirror_terms: int
+) -> tuple[Wavefront, Stopped, NDArray[np.float64]]:
+    """Measure the reference configuration, its lost light, and M2's rotations for 1 rad of line of sight.
+
+    Without a mirror after M1 the rotations are zero.
+    """
+    sections = study.telescope, study.optics, study.wavefront
+    known_by = tuple(section.model_dump_json() for section in sections)
+    wavefront, status = at_rest(prepared, known_by, field, terms, mirror_terms)
+    refuse_dark_segment(prepared, status, wavefront.lost_segments[0])
+    stopped = stopped_at_rest(prepared, status)
+    if stopped.words() and not tells_apart(prepared.zernike, status == OK):
+        raise UserError(
+            f"{stopped.words()}; the others do not determine {prepared.zernike.basis.shape[1]} "
+            "Zernike terms: take fewer wavefront.zernike_terms, or a larger semi_diameter_mm."
+        )
+    if not prepared.system.surfaces[0].reflects:
+        return wavefront, stopped, np.zeros((2, 2))
+    los = wavefront.los[1:9].reshape(4, 2, 2)
+    per_tilt = checked_derivative(los, STEP, "M2's tilt", "take other optics.rays").T
+    return wavefront, stopped, np.asarray(np.linalg.inv(per_tilt / prepared.focal_length), dtype=np.float64)
