@@ -19,6 +19,7 @@ from numpy.typing import DTypeLike, NDArray
 from wavequake.files import folder
 from wavequake.kernels.device.devices import POCL, Device, opencl_handle
 from wavequake.kernels.device.launches import count_bytes, count_launch, device_seconds
+from wavequake.kernels.device.pocl_processor import known_processor
 from wavequake.kernels.device.pocl_source import for_pocl, has_wide_vectors
 from wavequake.kernels.device.resident import Resident, exclusive, settled
 from wavequake.prepared import count_preparation
@@ -285,7 +286,7 @@ def _from_binary(device: Device, text: str, options: list[str]) -> Any:
         return _Binary(np.frombuffer(found[0], np.uint8))
 
     handle = opencl_handle(device)
-    driver = handle.name, handle.version, handle.driver_version
+    driver = handle.name, handle.version, handle.driver_version, known_processor()
     content = kept(_Binary, binary, text, options, driver).content.tobytes()
     return cl.Program(_context(device), [handle], [content]).build(options)
 
