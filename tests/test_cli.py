@@ -4,14 +4,18 @@ import json
 import shlex
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import wavequake as wq
 from wavequake import terminal
+from wavequake.campaign.store.manifest import read_manifest, write_manifest
 from wavequake.commands import stores
 from wavequake.kernels.device import devices
+from wavequake.workflows.run import finished_study
+from wavequake.workflows.study import load_study
 
 STUDY = """
 [study]
@@ -58,10 +62,11 @@ def test_run_repeat_extend_status_verify_report(wavequake, tiny, tmp_path):
     assert (store / "report.html").stat().st_size > 10_000
     first = wq.open_store(store).load()
 
-    code, out, _ = run_tiny(wavequake, tiny, store, "campaign.cases=6")
+    code, again, _ = run_tiny(wavequake, tiny, store, "campaign.cases=6")
     assert code == 0
-    assert "nothing was computed" in out
-    assert "The store holds" not in out
+    assert "nothing was computed" in again
+    assert "The store holds" not in again
+    assert again[again.index("disturbance") :] == out[out.index("disturbance") :]
     code, out, _ = run_tiny(wavequake, tiny, store, "campaign.cases=4")
     assert code == 0
     assert "The store holds 6 cases: table and report are of all, not of 4 alone." in out
@@ -81,6 +86,40 @@ def test_run_repeat_extend_status_verify_report(wavequake, tiny, tmp_path):
     code, out, _ = wavequake("report", store)
     assert code == 0
     assert "report.html" in out
+
+
+def test_a_complete_store_is_shown_without_what_makes_one(wavequake, tiny, tmp_path):
+    """Neither what reads or draws its numbers nor a device: its second run is a matter of a second."""
+    heavy = ["dask", "distributed", "matplotlib", "pandas", "pyopencl", "xarray", "zarr"]
+    words = ["run", str(tiny), "campaign.cases=6", "--store", str(tmp_path / "s"), "--on", "serial"]
+    code = (
+        f"import sys; sys.argv[1:] = {words}; from wavequake import cli\ntry: cli.main()\n"
+        f"finally: print([one for one in {heavy} if one in sys.modules], file=sys.stderr)"
+    )
+    assert wavequake(*words)[0] == 0
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "nothing was computed" in told.stdout
+    assert told.stderr.strip() == "[]"
+    assert wavequake("status", tmp_path / "s")[0] == 0
+
+
+@pytest.mark.parametrize("way", ["a file is missing", "another device", "another version", "more cases"])
+def test_a_store_that_is_not_complete_is_looked_at_closely(tiny, done, way):
+    device = "numpy" if way == "another device" else "auto"
+    study = load_study(tiny, {"campaign.cases": 5 if way == "more cases" else 4, "campaign.device": device})
+    if way == "a file is missing":
+        (done / "data.zarr" / "wfe_rms" / "c.0.0").unlink()
+    if way == "another version":
+        manifest = read_manifest(done)
+        write_manifest(done, replace(manifest, provenance={**manifest.provenance, "wavequake": "0.1"}))
+    assert finished_study(study, done) is None
+
+
+def test_a_complete_store_is_known_as_such(tiny, done):
+    found = finished_study(load_study(tiny, {"campaign.cases": 4}), done)
+    assert (found.done_before, found.computed, found.quarantined) == (4, 0, 0)
+    first = finished_study(load_study(tiny, {"campaign.cases": 2}), done)
+    assert first.done_before == 4  # the chunk that they are in
 
 
 def test_damage_is_named_and_mended(wavequake, tiny, done):

@@ -140,10 +140,10 @@ def run(
     """Run a study, or what of it is not done yet, and write its report. Safe to repeat and to interrupt."""
     from wavequake.campaign.engine.driver import begin_workers
     from wavequake.campaign.engine.driver_lock import shard_of
-    from wavequake.campaign.engine.recheck import share_of
-    from wavequake.campaign.store.store import read_manifest
+    from wavequake.campaign.engine.plan import share_of
+    from wavequake.campaign.store.manifest import read_manifest
     from wavequake.workflows.profile import profile as profile_of
-    from wavequake.workflows.run import kind_of, notices, run_study
+    from wavequake.workflows.run import finished_study, kind_of, notices, run_study
     from wavequake.workflows.study import load_study
 
     part = None if shard is None else shard_of(shard)
@@ -153,23 +153,25 @@ def run(
     out.print(
         f"{loaded.study.name}  {counted(loaded.cases, 'case')}  ->  {path}", markup=False, soft_wrap=True
     )
-    begin_workers(kind_of(loaded), path, on)
-    for line in notices(loaded):
-        out.print(line, markup=False, soft_wrap=True)
-    with live_progress() as progress:
-        summary = run_study(
-            loaded,
-            path,
-            on=on,
-            workers=workers,
-            progress=progress if part else while_it_runs(progress, loaded.study.workflow),
-            repair=repair,
-            allow_mixed=allow_mixed,
-            dashboard=stores.show_link if dashboard else None,
-            shard=part,
-            cluster=cluster,
-            recheck=share,
-        )
+    summary = None if part or repair or share else finished_study(loaded, path)
+    if summary is None:
+        begin_workers(kind_of(loaded), path, on)
+        for line in notices(loaded):
+            out.print(line, markup=False, soft_wrap=True)
+        with live_progress() as progress:
+            summary = run_study(
+                loaded,
+                path,
+                on=on,
+                workers=workers,
+                progress=progress if part else while_it_runs(progress, loaded.study.workflow),
+                repair=repair,
+                allow_mixed=allow_mixed,
+                dashboard=stores.show_link if dashboard else None,
+                shard=part,
+                cluster=cluster,
+                recheck=share,
+            )
     if summary.computed:
         rate = summary.computed / max(summary.seconds, 1e-9)
         again = f", {summary.again} of them again, whose chunk was not full" if summary.again else ""

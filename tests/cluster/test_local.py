@@ -80,7 +80,11 @@ def test_interrupts_wait_until_they_may_come():
         ("campaign.engine.driver", ["dask"]),
         # SciPy loads these when they are first used, which few studies do; each takes half a second.
         ("workflows.run", ["dask", "matplotlib", "scipy.signal", "scipy.special", "scipy.stats"]),
-        ("workflows.segments.segment_disturbance", ["scipy.optimize", "scipy.spatial", "scipy.special"]),
+        (
+            "workflows.segments.segment_disturbance",
+            ["pandas", "scipy.optimize", "scipy.spatial", "scipy.special", "zarr"],
+        ),
+        ("campaign.store.status", ["numcodecs", "xarray", "zarr"]),
         ("report.campaign", ["matplotlib"]),
         ("report.segments.report", ["matplotlib"]),  # whose table a complete store shows again
         (

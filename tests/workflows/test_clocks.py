@@ -10,13 +10,14 @@ from pathlib import Path
 
 import pytest
 import toy
+from rich.table import Table
 
 from wavequake.campaign.store.journal import read_journal
 from wavequake.campaign.store.status import store_status
 from wavequake.campaign.store.verify import verify_store
 from wavequake.cluster.certificate import make_certificate
 from wavequake.report import campaign
-from wavequake.report.campaign import is_current
+from wavequake.report.written import is_current
 
 CENTURY = 100 * 365 * 86400
 
@@ -87,7 +88,7 @@ def test_a_report_is_as_new_as_what_it_shows_whatever_the_clock_says(tmp_path, m
     path = tmp_path / "s"
 
     class Plain:
-        table_of = staticmethod(lambda store, dataset: None)
+        table_of = staticmethod(lambda store, dataset: Table())
 
         @staticmethod
         def write_report_of(store, dataset, target, device):

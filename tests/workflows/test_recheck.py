@@ -7,7 +7,8 @@ import toy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavequake.campaign.engine.recheck import Answer, drawn, share_of, to_redo, wrong_process
+from wavequake.campaign.engine.plan import share_of
+from wavequake.campaign.engine.recheck import Answer, drawn, to_redo, wrong_process
 from wavequake.campaign.store.journal import Record, append, read_journal
 from wavequake.campaign.store.verify import verify_store
 from wavequake.errors import StoreDamageError, UserError

@@ -41,7 +41,15 @@ _UNSEEN = {
     "distributed.worker.multiprocessing-method": "forkserver",
 }
 # What every worker imports: no thread runs afterwards, and OpenCL is not spoken to, so that it may be forked.
-_IMPORTED = ("distributed.nanny", NO_HTTP, "wavequake.cluster.output", "pyopencl")
+# SciPy's transforms load its special functions, a tenth of a second, when images are made.
+_IMPORTED = (
+    "wavequake.cluster.garbage",
+    "distributed.nanny",
+    NO_HTTP,
+    "wavequake.cluster.output",
+    "pyopencl",
+    "scipy.fft",
+)
 
 # A task takes seconds: slow clocks save idle CPU time, and as no result stays in memory, nobody has to manage
 # it. A worker holds no task but the one it runs, so that its death is blamed on no other.

@@ -166,13 +166,19 @@ def rerun(
 
 def write_report(store: Path, fresh: bool) -> None:
     """Print the table and the answer of a store, and write its report where that is older or asked for."""
-    from wavequake.report.campaign import is_current, report_path, report_store, summary_table
-    from wavequake.report.written import read_answer
+    from wavequake.report.written import is_current, read_answer, read_table, report_path
 
+    path = report_path(store)
     if fresh or not is_current(store):
+        from wavequake.report.campaign import report_store
+
         table, path = report_store(store)
+    elif (read := read_table(path)) is not None:
+        table = read
     else:
-        table, path = summary_table(store), report_path(store)
+        from wavequake.report.campaign import summary_table
+
+        table = summary_table(store)
     answer = read_answer(path)
     if table.caption:
         table.caption = unsaid(str(table.caption), answer) or None

@@ -11,17 +11,15 @@ from rich.table import Table
 from wavequake.campaign.store.layout import refuse_older
 from wavequake.campaign.store.store import (
     ERRORS,
-    JOURNAL,
-    REPORT,
     Manifest,
     open_for_report,
     open_store,
     read_manifest,
 )
-from wavequake.campaign.store.verify import verify_store
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.report.exports.store import export, target_of
+from wavequake.report.written import as_comment, report_path, seal
 from wavequake.workflows.kinds import find_kind
 
 # Modules with table_of(store, dataset) and write_report_of(store, dataset, target, device), imported when a
@@ -57,31 +55,14 @@ def load(workflow: str) -> None:
         import_module("wavequake.report.page")
 
 
-def report_path(store: Path) -> Path:
-    """Return where the report of a store is."""
-    return Path(store) / REPORT
-
-
-def is_current(store: Path) -> bool:
-    """Return whether the report shows everything that the journal records, which only grows."""
-    try:
-        return report_path(store).read_bytes().endswith(_seal(store))
-    except FileNotFoundError:
-        return False
-
-
-def _seal(store: Path) -> bytes:
-    """Return the last line of a report: how much journal it shows. Times of files would trust clocks."""
-    size = sum(file.stat().st_size for file in (Path(store) / JOURNAL).glob("*.jsonl"))
-    return b"\n<!-- of %d bytes of journal -->\n" % size
-
-
 @contextmanager
 def _damage_named(store: Path) -> Iterator[None]:
     """Where the numbers of a store cannot be read, check it and raise StoreDamageError with the damage."""
     try:
         yield
     except (ValueError, UserError):
+        from wavequake.campaign.store.verify import verify_store
+
         for damage in verify_store(store).damaged:
             raise StoreDamageError(f"{damage}; wavequake verify lists all that is damaged.") from None
         raise
@@ -106,7 +87,7 @@ def report_store(store: Path) -> tuple[Table, Path]:
     StoreDamageError
         If its numbers cannot be read; names the first array that is damaged.
     """
-    seal = _seal(store)
+    shows = seal(store)
     dataset, manifest = open_for_report(store), read_manifest(store)
     refuse_older(store, manifest, find_kind)
     report = _report_of(manifest.workflow)
@@ -119,7 +100,7 @@ def report_store(store: Path) -> tuple[Table, Path]:
         path = report.write_report_of(store, dataset, report_path(store), device_at_hand(manifest))
         table = report.table_of(store, dataset)
     with suppress(OSError), path.open("ab") as file:  # without it, the report is written again
-        file.write(seal)
+        file.write(as_comment(table) + shows)
     return table, path
 
 

@@ -27,7 +27,7 @@ from wavequake.drawing.style import LINES as LINES
 from wavequake.drawing.style import STYLE as STYLE
 from wavequake.drawing.style import WIDTH as WIDTH
 from wavequake.drawing.style import as_name, hover
-from wavequake.drawing.ticks import draw_ticks_at_once, in_inches, power_of_ten
+from wavequake.drawing.ticks import draw_ticks_at_once, in_inches, number_powers, power_of_ten
 from wavequake.report.populations import Population
 from wavequake.report.segments.detail import Bent, Detail
 from wavequake.report.segments.raster import fill_segments
@@ -347,7 +347,9 @@ def _draw_distributions(
     if quantity == "wfe":
         lowest = min((float(values.min()) for values in samples), default=0.0)
         highest = max((float(values.max()) for values in samples), default=1.0)
-        axes.set_xscale("log" if lowest > 0 and highest > 20 * lowest else "linear")
+        if lowest > 0 and highest > 20 * lowest:
+            axes.set_xscale("log")
+            number_powers(axes.xaxis)
         axes.set_xlabel("WFE rms on glass of a case (nm)")
         axes.set_title("Wavefront error over cases, 95 % band\n(number of cases in brackets)")
     else:

@@ -35,6 +35,7 @@ VIEWED = frozenset(
 )  # fmt: skip
 OF_A_RECORD = "line"  # kind of a page that is of no store and has no cases
 _LONGEST = 100_000  # characters of a file of a study
+_OUTLINE, _FURTHER_DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(?<=\.\d\d)\d+")
 
 
 @dataclass(frozen=True)
@@ -169,7 +170,7 @@ def inline_svg(figure: Figure, salt: str) -> str:
     text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
     # Groups are numbered alike in each figure and never referred to; outlines need no more than 0.01 points.
     text = re.sub(r'<g id="[^"]*"', "<g", text)
-    text = re.sub(r' d="[^"]*"', lambda outline: re.sub(r"(\.\d\d)\d+", r"\1", outline[0]), text)
+    text = _OUTLINE.sub(lambda outline: _FURTHER_DIGITS.sub("", outline[0]), text)
     text = re.sub(r' transform="rotate\(-0 [^"]*\)"', "", text)
     return re.sub(r"\n\s*", "\n", text)
 

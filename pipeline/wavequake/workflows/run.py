@@ -14,7 +14,7 @@ import numpy as np
 
 from wavequake.campaign.contract import StudyKind
 from wavequake.campaign.engine.chunk_size import default_chunk, stored_bytes
-from wavequake.campaign.engine.driver import CampaignSummary, begin_workers, run_campaign
+from wavequake.campaign.engine.driver import CampaignSummary, begin_workers, finished, run_campaign
 from wavequake.campaign.engine.driver_lock import Shard, shard_of
 from wavequake.campaign.engine.scripts import script_hidden
 from wavequake.campaign.schema import Study
@@ -47,6 +47,13 @@ _CHUNK_S = (2.0, 10.0)
 def kind_of(study: Study) -> StudyKind:
     """Return the study kind that a study asks for."""
     return find_kind(study.study.workflow)
+
+
+def finished_study(study: Study, path: Path) -> CampaignSummary | None:
+    """Return the summary of a run that finds its store complete; None where there is something to do."""
+    if study.campaign.until is not None:
+        return None
+    return finished(kind_of(study), study.identity_text(), path, study.cases, study.campaign.device)
 
 
 def run_study(
@@ -204,6 +211,8 @@ def run(
     loaded = chosen_study(study, overrides, cases)
     path = loaded.folder(store)
     part = None if shard is None else shard_of(shard)
+    if part is None and finished_study(loaded, path) is not None:
+        return open_store(path)
     file = None if cluster is None else Path(cluster)
     how = {"shard": part, "cluster": file, "allow_mixed": allow_mixed, "progress": progress}
     if on is not None:

@@ -5,32 +5,29 @@ are a few scalars, and after any crash the next run computes the plan minus the 
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
-from logging import Logger
 from pathlib import Path
 
+from wavequake import __version__
 from wavequake.campaign import provenance
 from wavequake.campaign.contract import StudyKind
-from wavequake.campaign.engine.chunks import Job, Outcome
 from wavequake.campaign.engine.driver_lock import Shard, driver_lock, others_at_work, this_process
-from wavequake.campaign.engine.isolation import NoProcessError, compute_isolated, renewed
 from wavequake.campaign.engine.plan import pieces_of, todo_of
-from wavequake.campaign.engine.recheck import Check
 from wavequake.campaign.engine.runlog import run_log
-from wavequake.campaign.engine.series import in_series, left_open, unmark
-from wavequake.campaign.engine.stream import limit_of, stream
-from wavequake.campaign.store import fence, layout, store, verify
+from wavequake.campaign.engine.tally import Progress, Tally
+from wavequake.campaign.store import fence, layout, store
 from wavequake.campaign.store import manifest as manifests
-from wavequake.campaign.store.journal import Chunk, Record, read_journal, scan_journal
+from wavequake.campaign.store.journal import Chunk, read_journal, scan_journal
 from wavequake.campaign.store.store import Manifest
 from wavequake.cluster.local import leave_if_imported_by_a_worker, prepare_workers
-from wavequake.cluster.places import Opener, elsewhere, place_of
+from wavequake.cluster.places import elsewhere, place_of
 from wavequake.errors import StoreDamageError, UserError
 from wavequake.kernels.device.devices import choose_device
 
-Progress = Callable[[int, int, int], None]
+# What workers run: a store that is complete needs none of it, nor what it loads.
+_TASKS = "wavequake.campaign.engine.chunks"
 
 
 @dataclass(frozen=True)
@@ -71,7 +68,30 @@ class CampaignSummary:
 def begin_workers(workflow: StudyKind, path: Path, on: str) -> None:
     """Have workers of this machine load, if there is no store at `path` yet; do not wait for that."""
     if on == "local" and not (path / store.MANIFEST).exists():
-        prepare_workers(Job.__module__, workflow.compute.__module__)
+        prepare_workers(_TASKS, workflow.compute.__module__)
+
+
+def finished(workflow: StudyKind, study: str, path: Path, cases: int, device: str) -> CampaignSummary | None:
+    """Return the summary of a run that finds nothing to do; None where a run shall look more closely.
+
+    That is where this version made a store of the study, with the device that is asked for if it is asked for
+    by name, every chunk is recorded, and no file of it is missing. Then nothing is written, no device used,
+    and the study not checked again: it has succeeded.
+    """
+    start = time.perf_counter()
+    if not (path / store.MANIFEST).exists():
+        return None
+    manifest = store.read_manifest(path)
+    ours = (manifest.workflow, manifest.study) == (workflow.name, study) and cases <= manifest.cases
+    made_here = manifest.provenance.get("wavequake") == __version__ and device in ("auto", manifest.device)
+    if not (ours and made_here) or layout.lost_layout(path, manifest):
+        return None
+    records = store.done_records(manifest, read_journal(path / store.JOURNAL))
+    wanted = pieces_of(manifest.plan(), cases, manifest.chunk, None)
+    if todo_of(wanted, records, layout.lost_chunks(path, manifest, records)):
+        return None
+    done, lost = sum(last - first for first, last in wanted), sum(records[one].quarantined for one in wanted)
+    return CampaignSummary(done, 0, lost, 0, time.perf_counter() - start, 0.0, 0.0)
 
 
 def run_campaign(
@@ -166,16 +186,21 @@ def run_campaign(
         wanted = [p for p in ours if p in recompute or not retry]
         journal = (scan_journal if repair else read_journal)(path / store.JOURNAL)
         if repair:
+            from wavequake.campaign.store import verify
+
             recompute = recompute | verify.examined(path, manifest, journal).chunks
         records = store.done_records(manifest, journal)
-        todo = todo_of(wanted, records, recompute | verify.lost_chunks(path, manifest, records))
-        tally = _Tally(wanted, {p: records[p] for p in wanted if p not in todo}, progress)
+        todo = todo_of(wanted, records, recompute | layout.lost_chunks(path, manifest, records))
+        tally = Tally(wanted, {p: records[p] for p in wanted if p not in todo}, progress)
         done_before, chunks = tally.done, len(todo)
         full = dict(todo)
         again = sum(last - first for first, last in journal.records if last < full.get(first, last))
-        check = Check(path, manifest, wanted, recheck)
         told: tuple[str, ...] = ()
         if todo or recheck:
+            from wavequake.campaign.engine.chunks import Job
+            from wavequake.campaign.engine.compute import compute
+            from wavequake.campaign.engine.recheck import Check
+
             if not allow_mixed:
                 manifests.refuse_mixed(path, manifest, provenance.code())
             code = provenance.code() if elsewhere(on) and not allow_mixed else ""
@@ -186,7 +211,8 @@ def run_campaign(
                 tally.log.info("%s on %s; on=%s, device %s", provenance.code(), this_process(), on, device)
                 tally.log.info("%d cases wanted, %d done before", tally.total, tally.done)
                 processes = workers or (1 if (on, kind) == ("local", "gpu") else None)
-                told = _compute(job, todo, place, processes, tally, timeout_s, dashboard, check)
+                check = Check(path, manifest, wanted, recheck)
+                told = compute(job, todo, place, processes, tally, timeout_s, dashboard, check)
         records = store.done_records(manifest, read_journal(path / store.JOURNAL))
         lacking = todo_of(wanted, records, frozenset())
     if lacking:
@@ -212,35 +238,6 @@ def _latest_epoch(path: Path) -> int:
     if fence.read_fence(path) is not None:
         return 0
     return max((record.epoch for record in scan_journal(path / store.JOURNAL).records.values()), default=0)
-
-
-class _Tally:
-    """Counts of a run, told to the caller's progress and to the log after each chunk."""
-
-    def __init__(
-        self, wanted: list[Chunk], before: Mapping[Chunk, Record], progress: Progress | None
-    ) -> None:
-        self.total = sum(last - first for first, last in wanted)
-        self.done = sum(last - first for first, last in before)
-        self.quarantined = sum(record.quarantined for record in before.values())
-        self.chunk_seconds = [record.timings.get("compute_s", 0.0) for record in before.values()]
-        self.compute_s = self.write_s = 0.0
-        self.log = Logger("nothing yet")
-        self._progress = progress or (lambda done, total, quarantined: None)
-        self._progress(self.done, self.total, self.quarantined)
-
-    def add(self, outcome: Outcome) -> None:
-        first, last = outcome.chunk
-        self.done += last - first
-        self.quarantined += outcome.quarantined
-        self.compute_s += outcome.compute_s
-        self.write_s += outcome.write_s
-        self.chunk_seconds.append(outcome.compute_s)
-        self.log.info(
-            "cases %d to %d: computed in %.3f s, written in %.3f s, %d quarantined",
-            *(first, last - 1, outcome.compute_s, outcome.write_s, outcome.quarantined),
-        )
-        self._progress(self.done, self.total, self.quarantined)
 
 
 def _prepared(
@@ -289,50 +286,3 @@ def _sweep(path: Path) -> None:
     """Remove the unfinished files of writers that were killed; nobody else may be writing."""
     for name in (path / store.DATA).rglob("*.partial"):
         name.unlink(missing_ok=True)
-
-
-def _compute(
-    job: Job,
-    todo: list[Chunk],
-    place: Opener | None,
-    workers: int | None,
-    tally: _Tally,
-    timeout_s: float | None,
-    dashboard: Callable[[str], None] | None,
-    check: Check,
-) -> tuple[str, ...]:
-    """Compute chunks, and then a share of all again; return what came of that, in words."""
-
-    def limit() -> float:
-        return limit_of(timeout_s, tally.chunk_seconds)
-
-    if place is None:
-        path = Path(job.path)
-        died = left_open(path, todo)
-        for piece in died:
-            tally.log.warning(
-                "the run before died in cases %d to %d: each is tried alone", piece[0], piece[1] - 1
-            )
-        rest = [piece for piece in todo if piece not in died]
-        suspects = in_series(job, rest, tally.add, limit, tally.log)
-        for piece in died:
-            try:
-                tally.add(compute_isolated(job, *piece, limit()))
-            except NoProcessError:  # most likely it was killed, and no case is guilty
-                suspects += in_series(job, [piece], tally.add, limit, tally.log)
-            unmark(path, piece)
-    else:
-        with place(
-            workers and min(workers, max(2 if check.share else 1, len(todo))), dashboard is not None
-        ) as client:
-            if dashboard is not None:
-                dashboard(client.dashboard_link)
-            suspects = stream(client, job, todo, tally.add, limit, tally.log) if todo else []
-            told, job = check(job, client, limit, tally.log)
-    if suspects:  # a worker that was given up may go on: what it writes now would not be what is recorded
-        job = renewed(job)
-    for piece in suspects:
-        tally.add(compute_isolated(job, *piece, limit()))
-    if place is None:
-        told, job = check(job, None, limit, tally.log)
-    return told

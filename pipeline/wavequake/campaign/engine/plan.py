@@ -1,11 +1,28 @@
 """What is computed next: the decisions of a run, apart from the workers and the disk that carry them out."""
 
+import re
 from collections import deque
 from collections.abc import Collection, Iterable, Sequence
 from collections.abc import Set as AbstractSet
 
 from wavequake.campaign.engine.driver_lock import Shard
 from wavequake.campaign.store.journal import Chunk
+from wavequake.errors import UserError
+
+
+def share_of(text: str) -> float:
+    """Read a share such as ``1%`` or ``0.01``.
+
+    Raises
+    ------
+    UserError
+        If the text is no share from 0 to 1.
+    """
+    match = re.fullmatch(r"(\d{1,9}(?:\.\d{0,9})?|\.\d{1,9})\s*(%?)", text.strip())
+    share = float(match[1]) / (100 if match[2] else 1) if match else -1.0
+    if not 0 <= share <= 1:
+        raise UserError(f"--recheck {text!r} is no share: write 1% or 0.01, from 0 to 100%.")
+    return share
 
 
 def pieces_of(plan: Sequence[Chunk], cases: int, chunk: int, shard: Shard | None) -> list[Chunk]:

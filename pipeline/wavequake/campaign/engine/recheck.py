@@ -5,7 +5,6 @@ driver's machine says which of them is wrong; all chunks of that one are compute
 """
 
 import os
-import re
 import socket
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +20,7 @@ from wavequake.campaign.store.arrays import digests_of
 from wavequake.campaign.store.journal import Chunk, Record, differences, read_journal
 from wavequake.campaign.store.manifest import Manifest
 from wavequake.campaign.store.store import JOURNAL, done_records
-from wavequake.errors import StoreDamageError, UserError
+from wavequake.errors import StoreDamageError
 from wavequake.words import counted
 
 if TYPE_CHECKING:
@@ -39,21 +38,6 @@ class Answer:
     chunk: Chunk
     digests: Mapping[str, str]
     process: Process
-
-
-def share_of(text: str) -> float:
-    """Read a share such as ``1%`` or ``0.01``.
-
-    Raises
-    ------
-    UserError
-        If the text is no share from 0 to 1.
-    """
-    match = re.fullmatch(r"(\d{1,9}(?:\.\d{0,9})?|\.\d{1,9})\s*(%?)", text.strip())
-    share = float(match[1]) / (100 if match[2] else 1) if match else -1.0
-    if not 0 <= share <= 1:
-        raise UserError(f"--recheck {text!r} is no share: write 1% or 0.01, from 0 to 100%.")
-    return share
 
 
 def drawn(pieces: Sequence[Chunk], share: float, seed: str) -> list[Chunk]:

@@ -26,7 +26,7 @@ from zarr.core.sync import sync
 from zarr.errors import ZarrUserWarning
 from zarr.storage import LocalStore
 
-from wavequake.campaign.contract import STATUS_MEANINGS, ChunkResult, Variable
+from wavequake.campaign.contract import ChunkResult, Variable
 from wavequake.campaign.store.journal import Chunk, digest, flush
 from wavequake.errors import StoreDamageError
 
@@ -35,16 +35,6 @@ Array = zarr.Array[Any]
 _LABELS_PER_FILE = 65536  # cases per file of the coordinates, which the driver alone writes
 _EVEN = (ZstdCodec(level=1),)  # labels count on or repeat, and fill a file of a small store with nothing
 _PLAIN_BYTES, _INNER_BYTES = 2**24, 2**20  # a larger piece is a shard of inner chunks of about this size
-
-_STATUS = {
-    "long_name": "how the case ended; its numbers are valid where this is 1",
-    "flag_values": list(range(6)),
-    "flag_meanings": STATUS_MEANINGS,
-}
-ENGINE_VARIABLES = {
-    "message": Variable((), (), {"long_name": "why the case has no valid numbers"}, dtype="str"),
-    "status": Variable((), (), cast(Mapping[str, str], _STATUS), dtype="int8"),
-}
 
 
 class DurableStore(LocalStore):

@@ -70,6 +70,11 @@ class Record:
         return self.counts[TODO] > 0
 
     @property
+    def has_messages(self) -> bool:
+        """Whether a case says why it has no valid numbers."""
+        return any(text for _, text in self.failures.values())
+
+    @property
     def quarantined(self) -> int:
         """Number of cases that have no valid numbers."""
         return sum(self.counts[2:])

@@ -5,6 +5,7 @@ import shutil
 import uuid
 from collections import Counter
 from collections.abc import Callable, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from hashlib import blake2b
 from math import prod
@@ -16,12 +17,12 @@ from numpy.typing import NDArray
 
 from wavequake import __version__
 from wavequake.campaign.contract import StudyKind, Template
-from wavequake.campaign.store import arrays
+from wavequake.campaign.store.engine_variables import ENGINE_VARIABLES, MESSAGE
 from wavequake.campaign.store.folder import DATA, write_errors_explained
-from wavequake.campaign.store.journal import flush
+from wavequake.campaign.store.journal import Chunk, Record, flush
 from wavequake.campaign.store.manifest import MOST_CASES, Manifest, write_manifest
 from wavequake.campaign.store.retention import stored_template
-from wavequake.errors import UserError
+from wavequake.errors import StoreDamageError, UserError
 
 _MOST_LABELS = 2**33  # numbers of an array that is no case's
 
@@ -41,11 +42,13 @@ def refuse_older(path: Path, manifest: Manifest, kind_of: Callable[[str], StudyK
 
 def write_layout(folder: Path, manifest: Manifest, workflow: StudyKind) -> None:
     """Write everything of the zarr folder that no chunk writes: metadata, labels, fixed arrays."""
+    from wavequake.campaign.store import arrays  # zarr is slow to load, and only this needs it
+
     template = stored_template(workflow, manifest.study)
     labels = labels_of(workflow, manifest.study, 0, manifest.cases)
     _refuse_two_of_a_name(template, labels)
     group = arrays.create_group(folder, _attributes(manifest, template, tuple(labels)))
-    for name, variable in {**template.per_case, **arrays.ENGINE_VARIABLES}.items():
+    for name, variable in {**template.per_case, **ENGINE_VARIABLES}.items():
         arrays.create_per_case(group, name, variable, manifest.cases, manifest.chunk)
     for name, (dims, values, attrs) in template.fixed.items():
         arrays.create_fixed(group, name, dims, np.asarray(values), attrs)
@@ -56,7 +59,7 @@ def write_layout(folder: Path, manifest: Manifest, workflow: StudyKind) -> None:
 
 def _refuse_two_of_a_name(template: Template, labels: Mapping[str, NDArray[Any]]) -> None:
     """Raise UserError if two arrays had the same name, or two of their dimensions sizes that differ."""
-    names = Counter([*template.per_case, *arrays.ENGINE_VARIABLES, *template.fixed, *labels])
+    names = Counter([*template.per_case, *ENGINE_VARIABLES, *template.fixed, *labels])
     if twice := [name for name, count in names.items() if count > 1]:
         raise UserError(f"The store would have two arrays called {twice[0]!r}; each needs a name of its own.")
     sizes = {"case": len(labels["case"])}
@@ -135,6 +138,48 @@ def _consolidated(folder: Path) -> dict[str, dict[str, Any]]:
         return dict(_metadata(folder)["consolidated_metadata"]["metadata"])
     except (KeyError, TypeError, ValueError):
         return {}
+
+
+def has_room(data: Path, manifest: Manifest) -> bool:
+    """Return whether every array and every label has a row for each of a store's cases, and no more."""
+    entries = _consolidated(data)
+    per_case = {name for name, one in entries.items() if (one.get("dimension_names") or [])[:1] == ["case"]}
+    sizes = {entries[name]["shape"][0] for name in per_case}
+    return per_case >= {*manifest.variables} and sizes == {manifest.cases}
+
+
+def lost_chunks(path: Path, manifest: Manifest, records: Mapping[Chunk, Record]) -> AbstractSet[Chunk]:
+    """Return the finished chunks whose files are missing or empty, as they may be after a loss of power.
+
+    Reading them would give NaN without any error. This looks at names and sizes only, by the metadata;
+    :func:`wavequake.campaign.store.verify.verify_store` reads.
+
+    Raises
+    ------
+    StoreDamageError
+        If the metadata is damaged.
+    """
+    if not records:
+        return frozenset()
+    data, lost = path / DATA, set()
+    entries = _consolidated(data)
+    try:
+        grids = {
+            name: entries[name]["chunk_grid"]["configuration"]["chunk_shape"] for name in manifest.variables
+        }
+        for chunk, record in records.items():
+            written = manifest.variables if record.has_messages else [one for one in grids if one != MESSAGE]
+            files = (data / name / _piece(record.first, grids[name]) for name in written)
+            if any(not file.is_file() or not file.stat().st_size for file in files):
+                lost.add(chunk)
+    except (KeyError, TypeError, IndexError, ZeroDivisionError) as error:
+        raise StoreDamageError(f"{data / 'zarr.json'} is damaged: {error}.") from None
+    return lost
+
+
+def _piece(first: int, sizes: list[int]) -> str:
+    """Return the name of the file of an array that holds the cases from `first`."""
+    return ".".join(["c", str(first // sizes[0]), *["0"] * (len(sizes) - 1)])
 
 
 def mend_layout(path: Path, manifest: Manifest, workflow: StudyKind) -> list[str]:

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from wavequake import __version__
-from wavequake.campaign.store.arrays import ENGINE_VARIABLES
 from wavequake.campaign.store.difference import first_difference
+from wavequake.campaign.store.engine_variables import ENGINE_VARIABLES
 from wavequake.campaign.store.folder import BUDGET, MANIFEST, SENSITIVITY
 from wavequake.campaign.store.journal import Chunk, flush
 from wavequake.errors import StoreDamageError, UserError

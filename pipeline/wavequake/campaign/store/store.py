@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wavequake.campaign.contract import StudyKind
-from wavequake.campaign.store import arrays
+from wavequake.campaign.store.engine_variables import ENGINE_VARIABLES
 from wavequake.campaign.store.folder import BUDGET as BUDGET
 from wavequake.campaign.store.folder import DATA as DATA
 from wavequake.campaign.store.folder import ERRORS as ERRORS
@@ -28,7 +28,7 @@ from wavequake.campaign.store.folder import refuse_foreign as refuse_foreign
 from wavequake.campaign.store.folder import write_errors_explained as write_errors_explained
 from wavequake.campaign.store.grid import unstack as grid
 from wavequake.campaign.store.journal import Chunk, Journal, Record
-from wavequake.campaign.store.layout import labels_of, metadata_digest, write_layout
+from wavequake.campaign.store.layout import has_room, labels_of, metadata_digest, write_layout
 from wavequake.campaign.store.manifest import SCHEMA, why_too_many, write_manifest
 from wavequake.campaign.store.manifest import Manifest as Manifest
 from wavequake.campaign.store.manifest import read_manifest as read_manifest
@@ -90,7 +90,7 @@ def create_store(
         identity,
         cases,
         chunk,
-        (*stored_template(workflow, study).per_case, *arrays.ENGINE_VARIABLES),
+        (*stored_template(workflow, study).per_case, *ENGINE_VARIABLES),
         chosen.name,
         chosen.kind,
         dict(provenance),
@@ -121,10 +121,15 @@ def extend_store(path: Path | str, workflow: StudyKind, cases: int) -> Manifest:
     extended = replace(manifest, cases=max(cases, manifest.cases))
     if too_many := why_too_many(extended.cases, extended.chunk):
         raise UserError(f"{path}: {too_many}.")
+    with write_errors_explained(path):
+        (path / JOURNAL).mkdir(exist_ok=True)
+    if extended == manifest and has_room(path / DATA, manifest):
+        return manifest
+    from wavequake.campaign.store import arrays  # zarr is slow to load
+
     labels = labels_of(workflow, manifest.study, manifest.cases, extended.cases)
     group = arrays.open_group(path / DATA)
     with write_errors_explained(path):
-        (path / JOURNAL).mkdir(exist_ok=True)
         for name in (*manifest.variables, *labels):
             array = arrays.array_of(group, name)
             if array.shape[0] != extended.cases:
@@ -188,6 +193,8 @@ def _labelled(path: Path | str) -> "tuple[Manifest, xr.Dataset]":
     """Return the arrays of a store, none of them read, in the order of its manifest."""
     import xarray as xr
 
+    from wavequake.campaign.store import arrays
+
     if not isinstance(path, str | Path):
         raise UserError(f"The store is {path!r}; it must be the path of a folder, as text.")
     path = Path(path)
@@ -202,7 +209,7 @@ def _labelled(path: Path | str) -> "tuple[Manifest, xr.Dataset]":
 
 
 def _numbers(manifest: Manifest) -> list[str]:
-    return [name for name in manifest.variables if name not in arrays.ENGINE_VARIABLES]
+    return [name for name in manifest.variables if name not in ENGINE_VARIABLES]
 
 
 def done_records(manifest: Manifest, journal: Journal) -> dict[Chunk, Record]:

@@ -1,7 +1,7 @@
 """Check a store against its journal: read every array of every finished chunk and compare its digest."""
 
 import os
-from collections.abc import Collection, Mapping, Set
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 import zarr
 
-from wavequake.campaign.store.arrays import Array, DurableStore, array_of, chunk_file, open_group
+from wavequake.campaign.store.arrays import Array, DurableStore, chunk_file
+from wavequake.campaign.store.engine_variables import MESSAGE
 from wavequake.campaign.store.journal import Chunk, Journal, Record, digest, read_journal
 from wavequake.campaign.store.layout import lost_layout
 from wavequake.campaign.store.store import DATA, JOURNAL, Manifest, done_records, read_manifest
 from wavequake.words import counted
 
-# A chunk without failed cases has no file for its messages.
-_OPTIONAL = "message"
 _LARGEST = 2**36  # bytes of labels and other arrays that are read whole
 
 
@@ -178,20 +177,7 @@ def _in_words(error: Exception) -> str:
 
 
 def _lost(path: Path, array: Array, record: Record) -> bool:
-    if array.basename == _OPTIONAL and not any(text for _, text in record.failures.values()):
+    if array.basename == MESSAGE and not record.has_messages:
         return False
     file = chunk_file(path / DATA, array, record.first)
     return not file.is_file() or file.stat().st_size == 0
-
-
-def lost_chunks(path: Path, manifest: Manifest, records: Mapping[Chunk, Record]) -> Set[Chunk]:
-    """Return the finished chunks whose files are missing or empty, as they may be after a loss of power.
-
-    Reading them would give NaN without any error. This looks at names and sizes only; :func:`verify_store`
-    reads.
-    """
-    if not records:
-        return frozenset()
-    group = open_group(path / DATA, read_only=True)
-    arrays = [array_of(group, name) for name in manifest.variables]
-    return {chunk for chunk, record in records.items() if any(_lost(path, array, record) for array in arrays)}

@@ -7,6 +7,7 @@ the pixels' replicas. The kernel used falls from 1 to 0 as an error function in 
 weights die out within 2 wavelengths / diameter; pixels so count exactly, not as little squares.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wavequake.errors import UserError
 from wavequake.prepared import prepared
+from wavequake.tables import kept
 
 Real = NDArray[np.float64]
 
@@ -294,9 +296,18 @@ def _spread(distance: Real, images: Real, bins: int) -> Real:
     return np.asarray(total.reshape(len(images), -1)[:, :bins])
 
 
+@dataclass(frozen=True)
+class _Table:
+    weights: Real
+
+
 @prepared(maxsize=8)
 def _table(sampling: float, radii: tuple[float, ...], disc: bool) -> Real:
     """Weights (R, T) of a pixel by its distance: Hankel transforms of disc (or circle) times kernel."""
+    return kept(_Table, _weights, sampling, radii, disc).weights
+
+
+def _weights(sampling: float, radii: tuple[float, ...], disc: bool) -> _Table:
     r = np.asarray(radii)
     distance = np.arange(int((r.max() + _WING) / _STEP)) * _STEP
     middle = min(0.5 / sampling, 2.0)
@@ -307,4 +318,4 @@ def _table(sampling: float, radii: tuple[float, ...], disc: bool) -> Real:
     kernel = 2.0 * np.pi * weight * 0.5 * scipy.special.erfc((u - middle) / (np.sqrt(2.0) * width))
     phase = 2.0 * np.pi * np.outer(r, u)
     source = r[:, None] * scipy.special.j1(phase) if disc else u * scipy.special.j0(phase)
-    return np.asarray((source * kernel) @ scipy.special.j0(2.0 * np.pi * np.outer(u, distance)))
+    return _Table(np.asarray((source * kernel) @ scipy.special.j0(2.0 * np.pi * np.outer(u, distance))))

@@ -8,6 +8,7 @@ import time
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import accumulate
 from typing import Any, cast
@@ -18,9 +19,11 @@ from numpy.typing import DTypeLike, NDArray
 from wavequake.files import folder
 from wavequake.kernels.device.devices import POCL, Device, opencl_handle
 from wavequake.kernels.device.launches import count_bytes, count_launch, device_seconds
+from wavequake.kernels.device.pocl_processor import known_processor
 from wavequake.kernels.device.pocl_source import for_pocl, has_wide_vectors
 from wavequake.kernels.device.resident import Resident, exclusive, settled
 from wavequake.prepared import count_preparation
+from wavequake.tables import kept
 
 # Rays, or groups of them, in a work-group. One size for all launches: PoCL compiles a kernel for each size.
 _GROUP_RAYS = {"cpu": 125, "gpu": 8}
@@ -241,7 +244,7 @@ def _kernel(
     text: str | None,
     types: tuple[np.dtype[Any] | None, ...],
 ) -> Any:
-    """Build a kernel; binaries are cached on disk, so only the first process waits for the compiler.
+    """Build a kernel; binaries are kept on disk, so only the first process waits for the compiler.
 
     PyOpenCL that is told of the scalars' types sets arguments thirty times as fast.
     """
@@ -250,17 +253,48 @@ def _kernel(
     # -w: a CPU without 512-bit vectors warns of each function that takes lanes, though all are inlined.
     options = ["-cl-std=CL1.2", "-w", *(f"-D{key}={value}" for key, value in constants)]
     text = source(f"{name}.cl") if text is None else text
-    if device.platform == POCL and device.kind == "cpu":
-        text = for_pocl(text, has_wide_vectors())
+    on_pocl = device.platform == POCL and device.kind == "cpu"
+    text = for_pocl(text, has_wide_vectors()) if on_pocl else text
     with warnings.catch_warnings():  # compilers that have nothing to warn of say that all is well
         warnings.simplefilter("ignore", cl.CompilerWarning)
         try:
-            program = cl.Program(_context(device), text).build(options)
-        except Exception:  # the cache holds what this driver does not take: another version's or processor's
+            made = _from_binary if on_pocl else _from_source
+            program = made(device, text, options)
+        except Exception:  # a cache holds what this driver does not take: another version's or processor's
             program = cl.Program(_context(device), text).build(options, cache_dir=False)
     kernel = cl.Kernel(program, name)
     kernel.set_scalar_arg_dtypes(types)
     return kernel
+
+
+@dataclass(frozen=True)
+class _Binary:
+    """A program as PoCL writes it, with the kernels that are compiled by then."""
+
+    content: NDArray[np.uint8]
+
+
+def _from_binary(device: Device, text: str, options: list[str]) -> Any:
+    """Build a program from the binary that an earlier process has kept: PoCL parses all of another.
+
+    A fifth of the time; where its own cache lacks the kernels, they are put back there.
+    """
+    import pyopencl as cl
+
+    def binary(*known_by: object) -> _Binary:
+        found = _from_source(device, text, options).get_info(cl.program_info.BINARIES)
+        return _Binary(np.frombuffer(found[0], np.uint8))
+
+    handle = opencl_handle(device)
+    driver = handle.name, handle.version, handle.driver_version, known_processor()
+    content = kept(_Binary, binary, text, options, driver).content.tobytes()
+    return cl.Program(_context(device), [handle], [content]).build(options)
+
+
+def _from_source(device: Device, text: str, options: list[str]) -> Any:
+    import pyopencl as cl
+
+    return cl.Program(_context(device), text).build(options)
 
 
 def source(name: str) -> str:

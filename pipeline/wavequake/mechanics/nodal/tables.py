@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from wavequake import user_files
 from wavequake.errors import UserError
@@ -37,11 +36,7 @@ def read_csv(path: Path) -> Written:
     given = table[:, names.index(key)] if key else np.zeros(len(table))
     kind: Kind = "time" if key == "time_s" else "case"
     values, step = np.unique(given, return_inverse=True)
-    labels = (
-        whole(table[:, names.index("node")], path.name)
-        if "node" in names
-        else pd.factorize(pd.MultiIndex.from_arrays(list(points.T)))[0] + 1
-    )
+    labels = whole(table[:, names.index("node")], path.name) if "node" in names else _numbered(points)
     parts = np.split(np.argsort(step, kind="stable"), np.cumsum(np.bincount(step))[:-1])
     chosen = parts[0]
     steps = []
@@ -49,6 +44,13 @@ def read_csv(path: Path) -> Written:
         case = int(value) if key == "case" else number + 1
         steps.append(Step(kind, case, value if key == "time_s" else 0.0, labels[rows], moved[rows]))
     return Written(path.name, tuple(steps), labels[chosen], points[chosen], 1.0)
+
+
+def _numbered(points: Array) -> Integers:
+    """Return numbers from 1 for places in the order in which they come; equal ones have the same."""
+    import pandas as pd  # which is slow to load
+
+    return np.asarray(pd.factorize(pd.MultiIndex.from_arrays(list(points.T)))[0] + 1, dtype=np.int64)
 
 
 def _table(path: Path) -> tuple[list[str], Array]:

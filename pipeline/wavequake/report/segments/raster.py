@@ -1,11 +1,14 @@
 """Fill the glass of a segmented aperture with values that are known at rays only."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import scipy  # its parts load when first used
 from numpy.typing import NDArray
+
+from wavequake.tables import kept
 
 Array = NDArray[np.float64]
 
@@ -40,39 +43,57 @@ def fill_segments(
         Along each side. Pixels up to 1.5 of them outside the glass are filled too: clip the picture to the
         polygons.
     """
-    points_of = [one.astype(np.float64).tobytes() for one in (corners, centers, rays)]
-    inside, points, owner, nearest = _nearest_rays(
-        *points_of, segment.astype(np.int64).tobytes(), corners.shape, (reach, pixels)
-    )
+    arrays = [one.astype(np.float64).tobytes() for one in (corners, centers, rays)]
+    found = _nearest(*arrays, segment.astype(np.int64).tobytes(), corners.shape, reach, pixels)
+    points, owner = _points(found.inside, reach, pixels), found.owner
     smooth, left = _fit(rays, values, segment, centers)
-    filled = smooth(points, owner) + left[nearest]
+    filled = smooth(points, owner) + left[found.ray]
     picture = np.full(pixels * pixels, np.nan)
-    picture[inside] = np.where(nearest >= 0, filled, np.nan)
+    picture[found.inside] = np.where(found.ray >= 0, filled, np.nan)
     return picture.reshape(pixels, pixels)
 
 
+@dataclass(frozen=True)
+class _Nearest:
+    """Pixels on glass, and of each of them its segment and the nearest ray of that: -1 for none."""
+
+    inside: NDArray[np.int32]
+    owner: NDArray[np.int32]
+    ray: NDArray[np.int32]
+
+
 @lru_cache(maxsize=1)
-def _nearest_rays(
+def _nearest(
     corner_bytes: bytes,
     center_bytes: bytes,
     ray_bytes: bytes,
     segment_bytes: bytes,
     shape: tuple[int, int, int],
-    grid: tuple[float, int],
-) -> tuple[NDArray[np.intp], Array, NDArray[np.intp], NDArray[np.intp]]:
-    """Return the pixels on glass, their points, their segments and the nearest ray of each: -1 for none.
+    reach: float,
+    pixels: int,
+) -> _Nearest:
+    """Return what all maps of an aperture share: those of a report, and on disk those of later reports.
 
-    The bytes of float64 and int64 arrays, and the shape of the corners, as the maps of a report differ in
-    their values only.
+    The bytes of float64 and int64 arrays, and the shape of the corners.
     """
     corners, centers = np.frombuffer(corner_bytes).reshape(shape), np.frombuffer(center_bytes).reshape(-1, 2)
     rays, segment = np.frombuffer(ray_bytes).reshape(-1, 2), np.frombuffer(segment_bytes, np.int64)
-    reach, pixels = grid
+    return kept(_Nearest, _nearest_rays, corners, centers, rays, segment, reach, pixels)
+
+
+def _points(inside: NDArray[np.int32], reach: float, pixels: int) -> Array:
+    """Return the points of pixels that are counted by rows."""
     along = ((np.arange(pixels) + 0.5) / pixels * 2.0 - 1.0) * reach
-    points = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
-    owner = segment_at(points, corners, centers, margin=3.0 * reach / pixels)
-    inside = np.flatnonzero(owner >= 0)
-    points, owner = points[inside], owner[inside]
+    return np.stack([along[inside % pixels], along[inside // pixels]], axis=-1)
+
+
+def _nearest_rays(
+    corners: Array, centers: Array, rays: Array, segment: NDArray[np.int64], reach: float, pixels: int
+) -> _Nearest:
+    every = np.arange(pixels * pixels, dtype=np.int32)
+    owner = segment_at(_points(every, reach, pixels), corners, centers, margin=3.0 * reach / pixels)
+    inside = every[owner >= 0]
+    points, owner = _points(inside, reach, pixels), owner[inside]
     best, nearest = np.full(len(points), np.inf), np.full(len(points), -1)
     # A step per ray of a segment, each over all pixels: far cheaper than a search tree per segment.
     for ray in _rays_of_segments(segment, len(corners)).T[:, owner]:
@@ -81,7 +102,7 @@ def _nearest_rays(
         )
         closer = distance < best
         best[closer], nearest[closer] = distance[closer], ray[closer]
-    return inside, points, owner, nearest
+    return _Nearest(inside, owner.astype(np.int32), nearest.astype(np.int32))
 
 
 def segment_at(points: Array, corners: Array, centers: Array, margin: float) -> NDArray[np.intp]:
@@ -108,7 +129,7 @@ def segment_at(points: Array, corners: Array, centers: Array, margin: float) -> 
 
 def _fit(
     rays: Array, values: Array, segment: NDArray[np.integer], centers: Array
-) -> tuple[Callable[[Array, NDArray[np.intp]], Array], Array]:
+) -> tuple[Callable[[Array, NDArray[np.integer]], Array], Array]:
     """Return a polynomial per segment, of points and their segments, and what it leaves at the rays.
 
     Of second degree for segments with twice as many rays as it has terms, else of first; of least norm where

@@ -10,23 +10,21 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.schema import study_from_identity
 from wavequake.errors import UserError
-from wavequake.kernels.device.devices import choose_device
-from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.status import OK
 from wavequake.mechanics.assembly.plant import Plant
 from wavequake.mechanics.disturbances.layout import SegmentLayout
 from wavequake.mechanics.disturbances.registry import parts
 from wavequake.mechanics.disturbances.source import SegmentSource
-from wavequake.optics.derivatives.central import SIGNS, checked_derivative
+from wavequake.optics.derivatives.central import checked_derivative
 from wavequake.optics.polynomials.transforms import known_transformed
 from wavequake.optics.rays.pupils import PupilRays, on_glass, segment_rays, sunflower
+from wavequake.optics.segments.at_rest import STEP, at_rest
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.layout import areas, is_monolithic
-from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, prepare, trace_states
+from wavequake.optics.segments.prepared import PreparedTrace, prepare
 from wavequake.optics.segments.slopes import slope_fit
-from wavequake.optics.segments.states import rest
 from wavequake.optics.segments.telescope import FirstOrder, SegmentedTelescope, first_order, footprints
-from wavequake.optics.segments.wavefront import Wavefront, analyse
+from wavequake.optics.segments.wavefront import Wavefront
 from wavequake.optics.shapes.corner_table import distorted
 from wavequake.optics.wavefronts.fits import tells_apart
 from wavequake.optics.wavefronts.sphere_fit import reference_fit
@@ -120,7 +118,7 @@ def _beside(first: Bench, place: int) -> Bench:
     field = np.array(optics.points_arcmin[point]) * _ARCMIN
     light = _in_color(first, optics.colors_nm[color] * 1e-6)
     system, prepared = light.system, _at_field(light, first.study, field)
-    static, stopped, _ = _reference(system, prepared, field, first.figure_terms, first.mirror_terms)
+    static, stopped, _ = _reference(first.study, prepared, field, first.figure_terms, first.mirror_terms)
     own = replace(first, system=system, prepared=prepared, static=static, stopped=stopped, field=field)
     return replace(own, place=place, first_order=first_order(system))
 
@@ -172,7 +170,7 @@ def _prepared(study_text: str) -> Bench:
     )
     at = np.array(study.optics.points_arcmin[0]) * _ARCMIN
     prepared = _at_field(prepared, study, at)
-    static, stopped, tilt = _reference(system, prepared, at, terms, mirror_terms)
+    static, stopped, tilt = _reference(study, prepared, at, terms, mirror_terms)
     return Bench(
         study_text,
         study,
@@ -344,26 +342,15 @@ def _require_elements(study: SegmentStudy, layout: SegmentLayout, bodies: tuple[
 
 
 def _reference(
-    system: SegmentedTelescope,
-    prepared: PreparedTrace,
-    field: NDArray[np.float64],
-    terms: int,
-    mirror_terms: int,
+    study: SegmentStudy, prepared: PreparedTrace, field: NDArray[np.float64], terms: int, mirror_terms: int
 ) -> tuple[Wavefront, Stopped, NDArray[np.float64]]:
     """Measure the reference configuration, its lost light, and M2's rotations for 1 rad of line of sight.
 
-    Without a mirror after M1 the rotations are zero. Both come from NumPy whatever the study's device, so
-    that they are the same on every worker.
+    Without a mirror after M1 the rotations are zero.
     """
-    step = 1e-6
-    still = rest(TILE, len(system.segments), len(system.surfaces), terms, mirror_terms)
-    motion = still.surface_motion.copy()
-    for place, axis in enumerate((3, 4)):
-        motion[1 + place : 9 : 2, 0, axis] = SIGNS * step
-    states = replace(still, surface_motion=motion, field=still.field + field)
-    traced = trace_states(prepared, states, choose_device("numpy"))
-    wavefront = analyse(prepared, traced, chief_rays(prepared, states))
-    status = np.asarray(traced.status[0, :, 0])
+    sections = study.telescope, study.optics, study.wavefront
+    known_by = tuple(section.model_dump_json() for section in sections)
+    wavefront, status = at_rest(prepared, known_by, field, terms, mirror_terms)
     refuse_dark_segment(prepared, status, wavefront.lost_segments[0])
     stopped = stopped_at_rest(prepared, status)
     if stopped.words() and not tells_apart(prepared.zernike, status == OK):
@@ -371,8 +358,8 @@ def _reference(
             f"{stopped.words()}; the others do not determine {prepared.zernike.basis.shape[1]} "
             "Zernike terms: take fewer wavefront.zernike_terms, or a larger semi_diameter_mm."
         )
-    if not system.surfaces[0].reflects:
+    if not prepared.system.surfaces[0].reflects:
         return wavefront, stopped, np.zeros((2, 2))
     los = wavefront.los[1:9].reshape(4, 2, 2)
-    per_tilt = checked_derivative(los, step, "M2's tilt", "take other optics.rays").T
+    per_tilt = checked_derivative(los, STEP, "M2's tilt", "take other optics.rays").T
     return wavefront, stopped, np.asarray(np.linalg.inv(per_tilt / prepared.focal_length), dtype=np.float64)
