@@ -2,8 +2,8 @@
 
 A paraxial ray (height y, reduced slope n u) follows the axis ray, which enters along the z axis through the
 origin and goes on through every surface as if it met it at its vertex, where it is reflected and refracted;
-what it turns is straightened, and the power of a surface that is tilted or slightly decentered counts as if it
-stood upright and centered.
+what it turns is straightened, and the power of a surface that is tilted or slightly decentered counts as if
+it stood upright and centered.
 Distances count along the light: a mirror does not change their sign.
 """
 
