@@ -4,8 +4,11 @@ from collections.abc import Iterator
 
 from wavequake.campaign.schema import Study
 from wavequake.chain.doubts import doubts
+from wavequake.words import counted
+from wavequake.workflows.kinds import find_kind
 from wavequake.workflows.out_of_focus import out_of_focus
-from wavequake.workflows.without_cases import without_cases
+
+_MOST_LISTED = 10_000  # cases; more leave no disturbance out
 
 
 def early_notices(study: Study) -> Iterator[str]:
@@ -13,3 +16,17 @@ def early_notices(study: Study) -> Iterator[str]:
     yield from doubts(study)
     yield from without_cases(study)
     yield from out_of_focus(study)
+
+
+def without_cases(study: Study) -> Iterator[str]:
+    """Say which disturbances so few cases leave out."""
+    entries = [one for one in getattr(study, "disturbance", ()) if getattr(one, "share", 0)]
+    if len(entries) < 2 or study.cases > _MOST_LISTED:
+        return
+    table = find_kind(study.study.workflow).case_table(study.identity_text(), 0, study.cases)
+    there = set(table["disturbance"].tolist()) if "disturbance" in table else {one.name for one in entries}
+    lacking = [one.name for one in entries if one.name not in there]
+    if lacking:
+        few = f"{counted(study.cases, 'case')} {'is' if study.cases == 1 else 'are'} too few"
+        has = "has" if len(lacking) == 1 else "have"
+        yield f"note: {few} for all disturbances: {', '.join(lacking)} {has} none; raise campaign.cases."

@@ -331,15 +331,14 @@ def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
     By the modal model, it is the number of segments at an instant instead.
     """
     bench = bench_of(study_text)
-    populations = bench.study.disturbance
-    shares = sum(entry.share for entry in populations)
+    populations, shares = bench.study.disturbance, sum(entry.share for entry in bench.study.disturbance)
     if bench.study.optics.method == "modal":
         instants = cases * sum(entry.share * entry.instants for entry in populations) / shares
         return dict.fromkeys(("draw", "modal"), (instants * len(bench.system.segments), "segment-instants"))
     instants = cases * sum(entry.share * padded(entry.instants) for entry in populations) / shares
-    places = len(bench.study.optics.points_arcmin) * len(bench.study.optics.colors_nm)
-    rays = instants * len(bench.prepared.weight) * places
-    return {"trace": (rays * (1 + len(bench.system.surfaces)), "ray-surfaces")}
+    optics, surfaces = bench.study.optics, 1 + len(bench.system.surfaces)
+    rays = len(bench.prepared.weight) * len(optics.points_arcmin) * len(optics.colors_nm)
+    return {"trace": (instants * rays * surfaces, "ray-surfaces")}
 
 
 def check(study_text: str) -> None:
