@@ -14,6 +14,7 @@ from wavequake.optics.rays.aiming import pupil_rays
 from wavequake.optics.rays.packing import bundle_rotation, moving, pack
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.optics.systems.kinematics import rest_states
+from wavequake.report.exports.displacements import displacements, export_displacements
 from wavequake.report.exports.lens_file import export_case
 from wavequake.workflows.systems.system_bench import at_instant, system_bench, system_states
 from wavequake.workflows.systems.system_disturbance import draw
@@ -131,3 +132,47 @@ def traced(system, wavelength, light, states):
     found = trace_sequence_numpy(pack(system, wavelength), light, moving(system, states), True)
     assert (found.status == OK).all()
     return found.x, found.y, found.path
+
+
+def test_the_displacements_of_a_case_are_read_back_as_its_motion_and_figure(tmp_path):
+    """By the fit to nodes, which knows nothing of how they were made."""
+    (tmp_path / "study.toml").write_text(STUDY)
+    store = tmp_path / "store"
+    wq.run(tmp_path / "study.toml", store=store, cases=1, optics__rays=200, wavefront__zernike_terms=28)
+    bench = system_bench(read_manifest(store).study)
+    case = system_states(bench, draw(bench, 0)[1])
+    written = export_displacements(store, tmp_path / "case.txt", 0, 3)
+    files = {path.name: path for path in tmp_path.glob("case-*.txt")}
+    assert set(files) == {"case-1-front.txt", "case-2-back.txt", "case-3-stop.txt", "case-4-image.txt"}
+    assert all(str(path) in written for path in files.values())
+    head = STUDY.partition("[[disturbance]]")[0]
+    for index, name in enumerate(("front", "back")):
+        keys = f'surface = "{name}"\nfile = "case-{index + 1}-{name}.txt"\nunit = "mm"\nterms = 15\n'
+        text = f'{head}[[disturbance]]\nname = "nodes"\nmodel = "nodal-displacements"\n{keys}'
+        (tmp_path / "again.toml").write_text(text)
+        again = system_bench(wq.load_study(tmp_path / "again.toml").identity_text())
+        states = system_states(again, draw(again, 0)[1])
+        found, expected = states.surface_motion[0, index], case.surface_motion[3, index]
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
+        if name == "front":
+            figure = case.deformations[index][3][:15]
+            assert np.abs(figure).max() > 1e-5
+            np.testing.assert_allclose(states.deformations[index][0][3:15], figure[3:], rtol=0, atol=1e-11)
+    with pytest.raises(UserError, match="exists already"):
+        export_displacements(store, tmp_path / "case.txt", 0, 3)
+    with pytest.raises(UserError, match="no instant 9999"):
+        export_displacements(store, tmp_path / "new.txt", 0, 9999)
+
+
+def test_displacements_are_of_points_on_the_surface_that_turn_about_its_vertex():
+    system = wq.load_system("double-gauss")
+    states = rest_states(system, 1)
+    assert not list(displacements(system, states, 0))
+    states.surface_motion[0, 2] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.1]  # about its own axis
+    ((index, table),) = displacements(system, states, 0)
+    x, y, z, dx, dy, dz = table.T
+    assert index == 2
+    np.testing.assert_allclose(z, system.surfaces[2].shape.sag(x, y)[0], atol=1e-12)
+    np.testing.assert_allclose(x + dx, x * np.cos(0.1) - y * np.sin(0.1), atol=1e-12)
+    np.testing.assert_allclose(y + dy, x * np.sin(0.1) + y * np.cos(0.1), atol=1e-12)
+    np.testing.assert_allclose(dz, 0.0, atol=1e-12)

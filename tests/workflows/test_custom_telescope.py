@@ -1,5 +1,8 @@
 """Telescopes of one's own: mirrors from files, edges that vignette, one glass instead of segments."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from small_telescope import STUDY
@@ -7,8 +10,13 @@ from small_telescope import STUDY
 from wavequake.campaign.contract import DONE
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import list_devices
+from wavequake.optics.catalog.names import optical_system, system_names
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.shapes.polygons import edge_lines
+from wavequake.optics.systems.file import SystemSection
+from wavequake.optics.zemax.export import zmx_text
+from wavequake.workflows.early_notices import early_notices
+from wavequake.workflows.out_of_focus import out_of_focus, waves_of_defocus
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.study import load_study, study_with
@@ -172,10 +180,56 @@ def test_rays_that_are_too_few_for_a_figure_are_named(tmp_path, rays, term, reme
 
 def test_an_image_off_the_focus_is_told_with_its_place(newton, tmp_path):
     (tmp_path / "newton.toml").write_text(
-        CUSTOM.replace("distance_mm = 5000.0 },\n]", "distance_mm = 5500.0 },\n]").replace(
+        CUSTOM.replace("distance_mm = 5000.0 },\n]", "distance_mm = 5050.0 },\n]").replace(
             "figure_nm", "# figure_nm"
         )
     )
-    words = r"image stands 500 mm beyond the paraxial focus, which is 5000 mm behind fold; mend a distance_mm"
+    words = r"image stands 50 mm beyond the paraxial focus, which is 5000 mm behind fold; mend a distance_mm"
     with pytest.raises(UserError, match=words):
         workflow.check(load_study(tmp_path / "newton.toml").identity_text())
+
+
+def with_image(study, distance):
+    fold, image = (surface.model_dump() for surface in study.telescope.surfaces)
+    return study_with(study, {"telescope.surfaces": [fold, image | {"distance_mm": distance}]})
+
+
+def test_a_telescope_far_from_focus_is_refused_before_anything_is_prepared(newton, monkeypatch):
+    monkeypatch.setattr(workflow, "bench_of", lambda text: pytest.fail("it prepared the rays"))
+    words = (
+        r"by 4\d\d waves rms.: image stands 500 mm beyond the paraxial focus, which is 5000 mm behind fold"
+    )
+    with pytest.raises(UserError, match=words):
+        workflow.check(with_image(newton, 5500.0).identity_text())
+
+
+def test_a_plan_notes_how_far_from_focus_the_image_stands(newton):
+    study = with_image(newton, 5050.0)
+    (said,) = out_of_focus(study)
+    assert "image stands 50 mm beyond the paraxial focus, which is 5000 mm behind fold, a defocus of" in said
+    assert said in early_notices(study)
+    assert not list(out_of_focus(newton))
+
+
+def test_waves_of_defocus_are_the_rms_of_the_ways_to_another_plane():
+    """A plane wave d behind the focus is d (1 - cos) early, over a pupil of equal areas in the sine."""
+    sine = 0.05 * np.sqrt((np.arange(10_000) + 0.5) / 10_000)
+    ways = 50.0 * (1.0 - np.sqrt(1.0 - sine**2))
+    assert waves_of_defocus(50.0, 0.05, 550e-6) == pytest.approx(np.std(ways) / 550e-6, rel=2e-3)
+
+
+@pytest.mark.parametrize(("back", "said"), [(0.0, ""), (5.0, "mm beyond"), (-5.0, "mm before")])
+def test_a_system_far_from_focus_is_noted_as_well(back, said):
+    system = optical_system("double-gauss")
+    *others, image = system.surfaces
+    moved = replace(
+        system, surfaces=(*others, replace(image, position=image.position + np.array([0.0, 0.0, back])))
+    )
+    section = SystemSection(file="lens.zmx", file_text=zmx_text(moved))
+    found = list(out_of_focus(SimpleNamespace(system=section)))
+    assert [said in one for one in found] == [True] * bool(back)
+
+
+@pytest.mark.parametrize("name", system_names())
+def test_no_bundled_system_is_called_out_of_focus(name):
+    assert not list(out_of_focus(SimpleNamespace(system=SystemSection(name=name))))

@@ -90,22 +90,23 @@ def export(
     file: Annotated[
         Path,
         typer.Argument(
-            help="FILE.nc or FILE.fits (every array), FILE.csv (one row per case), FILE.zmx (one case)."
+            help="FILE.nc or FILE.fits (every array), FILE.csv (one row per case), FILE.zmx (one case), "
+            "FILE.txt (displacements in one case, a file for each surface)."
         ),
     ],
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE.")] = False,
-    case: Annotated[int | None, typer.Option(help="Case of FILE.zmx.")] = None,
+    case: Annotated[int | None, typer.Option(help="Case of FILE.zmx or FILE.txt.")] = None,
     instant: Annotated[int, typer.Option(help="Instant of that case, counted from 0.")] = 0,
 ) -> None:
-    """Write a store to one NetCDF, FITS or CSV file, or a disturbed system to a lens file."""
-    if file.suffix.lower() == ".zmx":
+    """Write a store to one NetCDF, FITS or CSV file, or one case to a lens file or displacements."""
+    if file.suffix.lower() in (".zmx", ".txt"):
+        from wavequake.report.exports.displacements import export_displacements
         from wavequake.report.exports.lens_file import export_case
 
         if case is None:
-            raise UserError("A lens file holds one case of the store; say --case ID, too.")
-        out.print(
-            f"Written: {export_case(store, file, case, instant, overwrite)}", markup=False, soft_wrap=True
-        )
+            raise UserError(f"A {file.suffix} file holds one case of the store; say --case ID, too.")
+        write = export_case if file.suffix.lower() == ".zmx" else export_displacements
+        out.print(f"Written: {write(store, file, case, instant, overwrite)}", markup=False, soft_wrap=True)
         return
     from wavequake.report.campaign import export_store
 

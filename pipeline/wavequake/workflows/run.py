@@ -21,16 +21,15 @@ from wavequake.campaign.schema import Study
 from wavequake.campaign.statistics.until import Goal, described, goal_of, is_met, looks, quantiles_of
 from wavequake.campaign.store.retention import stored_template
 from wavequake.campaign.store.store import MANIFEST, open_store, read_manifest
-from wavequake.chain.doubts import doubts
 from wavequake.errors import NoWorkersError, UserError
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.prepared import one_thread, preparation_seconds
 from wavequake.registry import own_modules
 from wavequake.words import counted, lasting
+from wavequake.workflows.early_notices import early_notices
 from wavequake.workflows.kinds import compared_labels, find_kind
 from wavequake.workflows.study import chosen_study
 from wavequake.workflows.time_limit import OutOfTimeError, time_limit
-from wavequake.workflows.without_cases import without_cases
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -283,7 +282,7 @@ def plan(
 def _planned(study: Study, device: Device) -> Iterator[dict[str, str]]:
     """Yield what a plan says, as soon as it is known."""
     workflow, text, cases = kind_of(study), study.identity_text(), study.cases
-    yield {"note": "\n".join([*doubts(study), *without_cases(study)])}
+    yield {"note": "\n".join(early_notices(study))}
     workflow.check(text)
     template = stored_template(workflow, text)
     chunk = chunk_of(study)
@@ -340,8 +339,7 @@ def _time_case(fly: Callable[[int], None], whole: int) -> tuple[float, int]:
 
 def notices(study: Study) -> Iterator[str]:
     """Yield what the user should read before a run, such as size, mass and doubtful units of a model."""
-    yield from doubts(study)
-    yield from without_cases(study)
+    yield from early_notices(study)
     yield from kind_of(study).notices(study.identity_text())
 
 

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 _STEEPEST = 1e9  # curvature at a vertex, 1/mm: products of larger ones overflow
 _DECENTERED = 0.05  # largest slope of a surface where the axis ray meets it that counts as centered
 _GRAZING = 1e-6  # smallest cosine of incidence of the axis ray
+_OBLIQUE = 1e-12  # largest angle of incidence, rad, that is rounding
 _STEPS, _CLOSE = 50, 1e-14  # of Newton's iteration; its last step over the way
 
 
@@ -91,11 +92,12 @@ def follow_axis(system: OpticalSystem, wavelength: float) -> Iterator[AxisStep]:
         elif surface.action == "reflect":
             power = -2.0 * index * curvature * sense
             direction = direction - 2.0 * cosine * normal
+        slopes = (0.0, 0.0)
         if surface.phase is not None:
             more, slopes = axis_effect(surface.phase, wavelength)
             power += more
-            if any(slopes):
-                direction = _diffracted(system, surface, direction, slopes, after)
+        if any(slopes) or (after != index and incidence > _OBLIQUE):
+            direction = _bent(system, surface, direction, slopes, index, after)
         yield AxisStep(way, transfer, index, power, incidence, direction)
         index = after
 
@@ -111,10 +113,9 @@ def off_axis(system: OpticalSystem) -> list[Array]:
         cosine = float(direction @ normal)
         point = point + float(normal @ (surface.position - point)) / cosine * direction
         offsets.append((surface.position - point) @ frame[:, :2])
-        bent = surface.phase is not None and any(axis_effect(surface.phase, 1.0)[1])
         if surface.action == "reflect":
             frame = frame - 2.0 * np.outer(normal, normal @ frame)
-        if bent or steps[number].beside:
+        if np.abs(steps[number].direction - frame[:, 2]).max() > _OBLIQUE:
             frame = _turned_to(frame, steps[number].direction)
     return offsets
 
@@ -196,22 +197,29 @@ def _turned_to(frame: Array, direction: Array) -> Array:
     return np.asarray(turn @ frame)
 
 
-def _diffracted(
-    system: OpticalSystem, surface: Surface, direction: Array, slopes: tuple[float, float], index: float
+def _bent(
+    system: OpticalSystem,
+    surface: Surface,
+    direction: Array,
+    slopes: tuple[float, float],
+    before: float,
+    after: float,
 ) -> Array:
-    """Return the direction of the axis ray behind a grating, to which it adds a path of the given slopes."""
+    """Return the direction of the axis ray behind a vertex, by its refraction and the slopes of a grating."""
     normal = surface.rotation[:, 2]
-    vector = index * direction + surface.rotation[:, :2] @ np.array(slopes)
+    vector = before * direction + surface.rotation[:, :2] @ np.array(slopes)
     with np.errstate(over="ignore", invalid="ignore"):  # of slopes beyond any grating
         along = float(normal @ vector)
-        square = float(np.float64(index) ** 2 - vector @ vector + np.square(along))
+        square = float(np.float64(after) ** 2 - vector @ vector + np.square(along))
     if not square > 0.0:
         raise UserError(
-            f"the order of the axis ray of {system.name} leaves {surface.name} at no real angle; choose "
+            f"the axis ray of {system.name} is totally reflected at {surface.name}; turn the surface"
+            if not any(slopes)
+            else f"the order of the axis ray of {system.name} leaves {surface.name} at no real angle; choose "
             "another order or fewer grooves"
         )
     across = float(np.copysign(np.sqrt(square), normal @ direction))
-    return np.asarray((vector + (across - along) * normal) / index)
+    return np.asarray((vector + (across - along) * normal) / after)
 
 
 def _through_gradient(

@@ -1,8 +1,9 @@
 """First-order optics of any sequential system: focal length, principal planes, pupils, magnification.
 
 A paraxial ray (height y, reduced slope n u) follows the axis ray, which enters along the z axis through the
-origin and goes on through every surface as if it met it at its vertex; folds are straightened, and a surface
-with power that is tilted or slightly decentered counts as if it stood upright and centered.
+origin and goes on through every surface as if it met it at its vertex, where it is reflected and refracted;
+what it turns is straightened, and the power of a surface that is tilted or slightly decentered counts as if
+it stood upright and centered.
 Distances count along the light: a mirror does not change their sign.
 """
 

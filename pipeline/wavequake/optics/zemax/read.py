@@ -30,8 +30,8 @@ from wavequake.optics.zemax.header import environment_of, left_aside, require_su
 from wavequake.optics.zemax.lens_file import LensFile, Problems, parsed, scale_of
 from wavequake.optics.zemax.media import GlassShelf, medium_after
 from wavequake.optics.zemax.phases import phase
-from wavequake.optics.zemax.rows import Row, as_number, fail
-from wavequake.optics.zemax.surfaces import coordinate_break, image_break, opening, shape
+from wavequake.optics.zemax.rows import OPENINGS, Row, as_number, fail
+from wavequake.optics.zemax.surfaces import coordinate_break, opening, own_breaks, shape
 
 
 def read_zmx(
@@ -72,6 +72,8 @@ def system_of(
     """Return the system that the lines of a lens file describe; raises as `read_zmx`."""
     file = with_configuration(file, configuration)
     where, problems = file.where, Problems()
+    with problems.collected():
+        file = _from_the_object(file)
     catalogues = file.first("GCAT")
     shelf = GlassShelf(glasses or {}, tuple(catalogues.words) if catalogues else ())
     with problems.collected():
@@ -176,7 +178,7 @@ def _prescription(
     for row in file.rows[1:]:
         last = row is file.rows[-1]
         with problems.collected():
-            row.require_supported(image=last)
+            row.require_supported()
         thickness = 0.0
         with problems.collected():
             thickness = 0.0 if last else _finite_thickness(row, scale)
@@ -185,11 +187,13 @@ def _prescription(
         if row.type == "COORDBRK":
             with problems.collected():
                 _require_plain_break(row, last)
+                _require_upright(row)
                 rows.append(coordinate_break(row, scale, thickness))
             continue
-        if last and (line := row.one("SCBD")) is not None:
-            with problems.collected():
-                rows.append(image_break(line, scale))
+        before, after = None, None
+        with problems.collected():
+            before, after = own_breaks(row, scale)
+            after = None if last else after
         one = SurfaceRow(row.label, Conic(), thickness)
         with problems.collected():
             action, medium = medium_after(row, medium, scale, shelf)
@@ -199,7 +203,9 @@ def _prescription(
             one = replace(one, shape=shape(row, scale), phase=phase(row, scale))
         with problems.collected():
             one = replace(one, opening=opening(row, scale))
-        rows.append(one)
+        if after is not None:
+            one, after = replace(one, thickness=0.0), replace(after, thickness=thickness)
+        rows.extend(part for part in (before, one, after) if part is not None)
         count += 1
     if len(stops) != 1:
         places = ", ".join(row.label for _, row in stops) or "none"
@@ -208,6 +214,27 @@ def _prescription(
         )
         return rows, 0
     return rows, stops[0][0]
+
+
+def _from_the_object(file: LensFile) -> LensFile:
+    """Return the file without the planes that stand on its object and do nothing.
+
+    Spectrographs have them: the slit as the object, and once more as the first surface.
+    """
+    first, *others = file.rows
+    while len(others) > 2 and _thickness(first, 1.0) == 0.0 and _does_nothing(others[0]):
+        line = others[0].one("DISZ") or first.line
+        first, others = replace(first, lines=first.lines | {"DISZ": [line]}), others[1:]
+    return replace(file, rows=(first, *others))
+
+
+def _does_nothing(row: Row) -> bool:
+    curvature = row.one("CURV")
+    return (
+        row.type == "STANDARD"
+        and not (curvature and as_number(curvature, 0))
+        and not {"STOP", "GLAS", "SCBD", "PARM", *OPENINGS} & set(row.lines)
+    )
 
 
 def _finite_thickness(row: Row, scale: float) -> float:
@@ -224,6 +251,14 @@ def _require_plain_break(row: Row, last: bool) -> None:
         fail(row.line, "the last surface is the image: it cannot be a coordinate break")
 
 
+def _require_upright(row: Row) -> None:
+    if own_breaks(row, 1.0) != (None, None):
+        fail(
+            row.lines["SCBD"][0],
+            f"{row.label} has a tilt or decenter of its own, which is not supported there",
+        )
+
+
 def _object_medium(row: Row, shelf: GlassShelf) -> Medium:
     """Return the medium before the first surface; the object must be a plane without any property."""
     curvature = row.one("CURV")
@@ -231,6 +266,7 @@ def _object_medium(row: Row, shelf: GlassShelf) -> Medium:
         curvature and as_number(curvature, 0) and not math.isinf(_thickness(row, 1.0))
     ):
         fail(curvature or row.line, "the object is no plane; move the curvature to a surface of its own")
+    _require_upright(row)
     action, medium = medium_after(row, AIR, 1.0, shelf)
     if action == "reflect" or isinstance(medium, GradientIndex):
         fail(row.line, "the object cannot be a mirror")

@@ -17,11 +17,10 @@ _HARMLESS = (
     *("HIDE", "MIRR", "SLAB", "POPS", "COAT", "MEMA", "OEMA", "FIMP", "EDGE", "TCED"),
     *("MAZH", "PZUP", "PPAR", "PKUP", "VDSZ", "VPAR", "VCON"),
 )
-_KNOWN = frozenset((*OF_SURFACES, *_HARMLESS, *OPENINGS))
-_MOVES_LIGHT = {  # unless all numbers after the first are zero
-    "SCBD": "a tilt or decenter of its own",
-    **dict.fromkeys(("SQOB", "ELAP", "ELOB", "UDAP", "UDOB", "UDAD"), "an aperture of another form"),
-}
+_KNOWN = frozenset((*OF_SURFACES, *_HARMLESS, *OPENINGS, "SCBD"))
+_MOVES_LIGHT = dict.fromkeys(  # unless all numbers after the first are zero
+    ("SQOB", "ELAP", "ELOB", "UDAP", "UDOB", "UDAD"), "an aperture of another form"
+)
 
 
 @dataclass(frozen=True)
@@ -73,15 +72,9 @@ class Row:
         known = (*_KNOWN, *_MOVES_LIGHT, *_HEIGHTS)
         return [lines[0] for keyword, lines in self.lines.items() if keyword not in known]
 
-    def require_supported(self, image: bool = False) -> None:
-        """Refuse a property that changes the path of light and is not supported; an `image` may be tilted."""
+    def require_supported(self) -> None:
+        """Refuse a property that changes the path of light and is not supported."""
         for keyword, what in _MOVES_LIGHT.items():
-            if (
-                keyword == "SCBD"
-                and image
-                and all(one.words[:3] == ["1", "0", "0"] for one in self.lines.get(keyword, []))
-            ):
-                continue
             for line in self.lines.get(keyword, []):
                 if any(word.strip("+-0.eE") for word in line.words[1:]):
                     fail(line, f"{self.label} has {what}, which is not supported")

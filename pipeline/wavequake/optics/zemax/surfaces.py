@@ -16,9 +16,9 @@ from wavequake.optics.zemax.grids import grid_sag
 from wavequake.optics.zemax.phases import MAX_EVEN_TERMS, PHASES, phase_base
 from wavequake.optics.zemax.rows import (
     OPENINGS,
-    Line,
     Row,
     as_count,
+    as_integer,
     as_number,
     fail,
     numbered,
@@ -179,21 +179,46 @@ def coordinate_break(row: Row, scale: float, thickness: float) -> Break:
     numbers.
     """
     given = row.table("PARM")
-    shift = (given.get(1, 0.0) * scale, given.get(2, 0.0) * scale, 0.0)
-    angles = np.deg2rad([given.get(3, 0.0), given.get(4, 0.0), given.get(5, 0.0)])
-    if not given.get(6, 0.0):
+    return _break([given.get(k, 0.0) for k in range(1, 6)], bool(given.get(6, 0.0)), scale, thickness)
+
+
+def _break(numbers: Sequence[float], tilt_first: bool, scale: float, thickness: float = 0.0) -> Break:
+    shift = (numbers[0] * scale, numbers[1] * scale, 0.0)
+    angles = np.deg2rad(numbers[2:5])
+    if not tilt_first:
         return Break(shift, (float(angles[0]), float(angles[1]), float(angles[2])), False, thickness)
     return Break(shift, cardan_angles(cardan(-angles).T), True, thickness)
 
 
-def image_break(line: Line, scale: float) -> Break:
-    """Return the tilt and decenter of an image surface by SCBD: x, y, and the angles, after three flags.
+def own_breaks(row: Row, scale: float) -> tuple[Break | None, Break | None]:
+    """Return the coordinate breaks before and after a surface that is tilted or decentered itself (SCBD).
 
-    1 0 0 are those of a tilt before the surface, decentered first; what comes after the image is nothing.
+    A line holds which of both it is (1, 2), its order, whose numbers it takes (0 its own, 1 those before this
+    surface, 2 their reverse), and these numbers: x, y and the angles, as of a coordinate break.
     """
-    x, y, *angles = (as_number(line, place) for place in range(3, 8))
-    alpha, beta, gamma = (math.radians(angle) for angle in angles)
-    return Break((x * scale, y * scale, 0.0), (alpha, beta, gamma))
+    given: dict[int, tuple[int, int, list[float]]] = {}
+    for line in row.lines.get("SCBD", []):
+        which, order, taken = (as_integer(line, place) for place in range(3))
+        numbers = [as_number(line, place) for place in range(3, 8)]
+        if which not in (1, 2) or which in given or order not in (0, 1):
+            fail(
+                line,
+                f"{row.label} needs one tilt before it (1) and one after it (2) at most, of order 0 or 1",
+            )
+        given[which] = (order, taken, numbers)
+        first = given.get(1, (0, 0, [0.0] * 5))
+        expected = {
+            0: (order, numbers),
+            1: (first[0], first[2]),
+            2: (1 - first[0], [-value for value in first[2]]),
+        }
+        if taken not in (expected if which == 2 else (0,)) or (order, numbers) != expected[taken]:
+            fail(line, f"{row.label} takes its tilt from another surface, which is not supported")
+    before, after = (
+        _break(numbers, order == 1, scale) if any(numbers) else None
+        for order, _, numbers in (given.get(which, (0, 0, [0.0] * 5)) for which in (1, 2))
+    )
+    return before, after
 
 
 def cardan_angles(rotation: np.ndarray) -> tuple[float, float, float]:

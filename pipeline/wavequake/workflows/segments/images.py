@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from wavequake.optics.polynomials.zernike import noll_to_nm
 from wavequake.optics.segments.wavefront import Wavefront
 from wavequake.prepared import prepared
 from wavequake.tables import kept
+from wavequake.workflows.out_of_focus import place_of_image, waves_of_defocus
 from wavequake.workflows.segments.bench import Bench, bench_at, bench_of, monolithic
 
 Array = NDArray[np.float64]
@@ -102,14 +102,10 @@ def refuse_what_cannot_be_imaged(bench: Bench) -> None:
 def _remedy(bench: Bench) -> str:
     """Say what to do about a wavefront error at rest: that of the image's place if it explains half of it."""
     optics, (*_, last, image) = bench.first_order, ("M1", *(one.name for one in bench.system.surfaces))
-    waves = abs(optics.defocus) * optics.numerical_aperture**2 / (4.0 * sqrt(3.0)) / bench.prepared.wavelength
+    waves = waves_of_defocus(optics.defocus, optics.numerical_aperture, bench.prepared.wavelength)
     if waves < 0.5 * bench.static.rms_raw[0]:
         return f"bring {_field_key(bench)} nearer the axis, or mend the prescription"
-    side = "beyond" if optics.defocus > 0.0 else "before"
-    return (
-        f"{image} stands {abs(optics.defocus):.6g} mm {side} the paraxial focus, which is "
-        f"{optics.back_focus:.8g} mm behind {last}; mend a distance_mm or a radius"
-    )
+    return f"{place_of_image(image, last, optics.defocus, optics.back_focus)}; mend a distance_mm or a radius"
 
 
 def _field_key(bench: Bench) -> str:

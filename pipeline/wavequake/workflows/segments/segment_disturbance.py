@@ -36,6 +36,7 @@ from wavequake.optics.segments.wavefront import Wavefront, analyse
 from wavequake.optics.wavefronts.quality import meets_marechal, meets_rayleigh
 from wavequake.workflows.bodies.plants import standing
 from wavequake.workflows.mirrors.mirror_study import FULL
+from wavequake.workflows.out_of_focus import require_focus
 from wavequake.workflows.segments.bench import (
     MAS_PER_RAD,
     Bench,
@@ -282,19 +283,19 @@ def work(study_text: str, cases: int) -> dict[str, tuple[float, str]]:
     By the modal model, it is the number of segments at an instant instead.
     """
     bench = bench_of(study_text)
-    populations, segments = bench.study.disturbance, len(bench.system.segments)
-    shares = sum(entry.share for entry in populations)
+    populations, shares = bench.study.disturbance, sum(entry.share for entry in bench.study.disturbance)
     if bench.study.optics.light == "modal":
         instants = cases * sum(entry.share * entry.instants for entry in populations) / shares
-        return dict.fromkeys(("draw", "modal"), (instants * segments, "segment-instants"))
+        return dict.fromkeys(("draw", "modal"), (instants * len(bench.system.segments), "segment-instants"))
     instants = cases * sum(entry.share * padded(entry.instants) for entry in populations) / shares
-    per_instant = len(bench.prepared.weight) * (1 + len(bench.system.surfaces))
-    places = len(bench.study.optics.points_arcmin) * len(bench.study.optics.colors_nm)
-    return {"trace": (instants * per_instant * places, "ray-surfaces")}
+    optics, surfaces = bench.study.optics, 1 + len(bench.system.surfaces)
+    rays = len(bench.prepared.weight) * len(optics.points_arcmin) * len(optics.colors_nm)
+    return {"trace": (instants * rays * surfaces, "ray-surfaces")}
 
 
 def check(study_text: str) -> None:
     """Raise UserError if the telescope at rest has no image, or a disturbance does not fit its mirror."""
+    require_focus(study_from_identity(SegmentStudy, study_text))  # soon; all else takes a while
     bench = bench_of(study_text)
     if any(isinstance(entry, edge_sensors.EdgeSensorNoise) for entry in bench.study.disturbance):
         edge_sensors.shared_edges(bench.layout)  # says that there are none

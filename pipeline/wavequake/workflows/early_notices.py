@@ -1,12 +1,21 @@
-"""Disturbances of a study that get no case, as there are too few."""
+"""What can be said of a study before anything of it is prepared."""
 
 from collections.abc import Iterator
 
 from wavequake.campaign.schema import Study
+from wavequake.chain.doubts import doubts
 from wavequake.words import counted
 from wavequake.workflows.kinds import find_kind
+from wavequake.workflows.out_of_focus import out_of_focus
 
 _MOST_LISTED = 10_000  # cases; more leave no disturbance out
+
+
+def early_notices(study: Study) -> Iterator[str]:
+    """Yield sentences on doubtful units, disturbances without a case, and optics that are out of focus."""
+    yield from doubts(study)
+    yield from without_cases(study)
+    yield from out_of_focus(study)
 
 
 def without_cases(study: Study) -> Iterator[str]:
