@@ -64,6 +64,7 @@ def _designed(
 ) -> Designed:
     from wavequake.errors import UserError
     from wavequake.workflows.lens import lens_experiment as lens
+    from wavequake.workflows.lens.lens_bench import bench_of
     from wavequake.workflows.lens.lens_study import LensStudy
     from wavequake.workflows.study import load_study
 
@@ -90,12 +91,12 @@ def _designed(
             regulator, drawn.bench, drawn.stage, chain, friction, strength, drawn.phases, drawn.late
         )
     if file is not None:
-        return Designed(_linear(file), lens.bench_of(loaded, springs), None, chain, friction)
+        return Designed(_linear(file), bench_of(loaded, springs), None, chain, friction)
     designs = lens.designs_of(loaded.identity_text(), springs)
     regulator = designs.regulator
     if record:
         regulator = lens.regulator_of_record(loaded, springs, _read(record))
-    bench, late = lens.bench_of(loaded, springs), lens.settings_of(loaded).trigger_late
+    bench, late = bench_of(loaded, springs), lens.settings_of(loaded).trigger_late
     return Designed(regulator, bench, designs.stage, chain, friction, late=late)
 
 

@@ -15,6 +15,7 @@ from wavequake.optics.catalog.names import optical_system
 from wavequake.viewer.chosen import some_cases
 from wavequake.viewer.film import Array, Stage, Take, stage_of
 from wavequake.workflows.lens import lens_experiment, lens_passive
+from wavequake.workflows.lens.lens_bench import study_of
 
 _MOST_INSTANTS = 400
 _MOST_CASES = 2
@@ -44,7 +45,7 @@ def film_of(
 
 def _of_plant(text: str, stage: Stage, stored: xr.Dataset, case: int) -> tuple[str, list[Take]]:
     """Return a plant of lens-experiment: its lenses swing alike under all controllers, lens 5 does not."""
-    study = lens_experiment.study_of(text)
+    study = study_of(text)
     springs, realization = lens_experiment.case_of(study, case)
     plant = lens_experiment.plant_of(study, springs, realization)
     friction = lens_experiment.errors_of(study).friction

@@ -21,6 +21,7 @@ from wavequake.report.segments.report import detail
 from wavequake.workflows.exposures.telescope_control import CONTROLLERS, control_bench_of, measured_opd
 from wavequake.workflows.exposures.telescope_exposure import case_blocks, scaled_draw
 from wavequake.workflows.lens import lens_experiment as lens
+from wavequake.workflows.lens.lens_bench import study_of
 from wavequake.workflows.mirrors import mirror_trace as mirror
 from wavequake.workflows.mirrors.mirror_base import driven
 from wavequake.workflows.mirrors.mirror_bench import bench_of, cases_of, time_of, trace_study_of, variant_of
@@ -193,7 +194,7 @@ def _of_exposure(study: str, case: int, device_name: str) -> xr.Dataset:
 
 def _of_plant(study: str, case: int, device: str) -> xr.Dataset:
     """Return the plant that was drawn, and the noise of its readings."""
-    record = lens.study_of(study)
+    record = study_of(study)
     plant = lens.plant_of(record, *lens.case_of(record, case))
     bench, stage = plant.bench, plant.stage
 

@@ -79,11 +79,11 @@ def beyond_linear(
         more = np.hstack(sights)[: len(linear)] - linear
         readings = []
         for sensor, matrix, at_rest in zip(sensors[place], one.readings[place], dark[place], strict=True):
-            if at_rest is None:
+            exact = sensor.of_rays(bench.optics.light, _rays(control, traced, found, len(linear)))
+            if exact is None or at_rest is None:
                 readings.append(matrix[:, :optical] @ more.T)
-                continue
-            seen_by_rays = sensor.of_rays(bench.optics.light, _rays(control, traced, found, len(linear)))
-            readings.append(seen_by_rays - at_rest - matrix[:, :optical] @ linear.T)
+            else:
+                readings.append(exact - at_rest - matrix[:, :optical] @ linear.T)
         given = np.vstack(readings)
         given[:, (found.lost[: len(linear)] > 0) | ~near] = np.nan
         return given

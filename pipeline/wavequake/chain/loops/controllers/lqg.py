@@ -91,7 +91,7 @@ class Expecting(Controller):
 
     def expects(self, sizes: Array) -> NDArray[np.bool_]:
         """Return of which modes that much is enough."""
-        return sizes > _SEEN * sizes.max(initial=0.0)
+        return np.asarray(sizes > _SEEN * sizes.max(initial=0.0))
 
     def noise_of(self, asked: Design) -> float:
         """Return the noise of a reading of the first sensor, as it is believed to be."""

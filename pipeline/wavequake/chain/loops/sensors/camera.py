@@ -144,7 +144,7 @@ def _nodes(pixel_mas: float, pixels: int, points: int) -> _Nodes:
 
 
 def _places(pixels: int, pixel_mas: float) -> Array:
-    return (np.arange(pixels) - (pixels - 1) / 2) * pixel_mas
+    return np.asarray((np.arange(pixels) - (pixels - 1) / 2) * pixel_mas)
 
 
 @prepared(maxsize=8)
