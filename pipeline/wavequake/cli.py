@@ -142,7 +142,7 @@ def run(
     from wavequake.campaign.engine.driver_lock import shard_of
     from wavequake.campaign.engine.plan import share_of
     from wavequake.campaign.store.manifest import read_manifest
-    from wavequake.workflows.profile import profile as profile_of
+    from wavequake.report.answers.profile import profile as profile_of
     from wavequake.workflows.run import finished_study, kind_of, notices, run_study
     from wavequake.workflows.study import load_study
 

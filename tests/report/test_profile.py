@@ -8,7 +8,7 @@ import pytest
 import wavequake as wq
 from wavequake.kernels.device import devices
 from wavequake.kernels.device.devices import Device, list_devices, opencl_handle
-from wavequake.workflows.profile import profile
+from wavequake.report.answers.profile import profile
 
 SMALL = {"optics.rays": 40, "store.chunk_cases": 2}
 
