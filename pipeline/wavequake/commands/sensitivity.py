@@ -41,7 +41,7 @@ def sensitivity(
     loaded = sensitivity_study(study, overrides or [])
     path = store or Path(loaded.store.path or loaded.default_store())
     found, kept = stored_sensitivity(loaded, path, figure_terms, mirror_terms)
-    words_of = of_system if loaded.study.workflow == "system-disturbance" else of_segments
+    words_of = of_system if loaded.study.workflow.startswith("system-") else of_segments
     for table in words_of.tables(found):
         out.print(table)
     for line in words_of.explanations(found):

@@ -99,12 +99,13 @@ def stored_sensitivity(
     StoreDamageError
         If what is there cannot be read.
     """
-    if study.study.workflow == "system-disturbance":
+    if study.study.workflow in ("system-disturbance", "system-loop"):
         # Another kind of studies; and the first of these builds on this module.
         from wavequake.workflows.systems.system_sensitivity import stored_system_sensitivity
         from wavequake.workflows.systems.system_study import SystemStudy
 
         assert isinstance(study, SystemStudy)
+        study = study.disturbed
         return stored_system_sensitivity(study, path, figure_terms, mirror_terms)
     text = _telescope_text(study)
     require_own_store(study, path)
@@ -137,7 +138,8 @@ def _telescope_text(study: Study) -> str:
         return segment_text(study.identity_text())
     raise UserError(
         f"The workflow {study.study.workflow} of {study.study.name} has no sensitivities; "
-        "segment-disturbance, segment-mor, telescope-exposure, telescope-loop and system-disturbance have."
+        "segment-disturbance, segment-mor, telescope-exposure, telescope-loop, system-disturbance and "
+        "system-loop have."
     )
 
 

@@ -29,6 +29,7 @@ from wavequake.chain.loops.judged import (
 from wavequake.control.linear import Array
 from wavequake.control.sampled.run import run
 from wavequake.control.sampled.stability import SampledLoop
+from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.element_motion import ElementMotion, add_elements
 from wavequake.workflows.loops.curves import curves, frequencies
@@ -130,6 +131,26 @@ def _case(bench: Bench, case: int, device_name: str, clock: Stopwatch) -> tuple[
         numbers.append(values | _linear(optics, values, linear) | {"limited": limited, "largest": largest})
     time = numbers[0].pop("time_s")
     return {name: np.stack([one[name] for one in numbers]) for name in numbers[0]} | {"time_s": time}, ""
+
+
+def motion_left(bench: Bench, one: Designed, case: int) -> ElementMotion:
+    """Return how the elements of a case move under a controller, at its instants.
+
+    Raises
+    ------
+    UserError
+        If it diverges.
+    """
+    optics = bench.optics
+    population, realization, _ = slot_of(optics.bench.study, case)
+    index = optics.bench.study.disturbance.index(population)
+    times = optics.times[index]
+    assert times is not None
+    positions, _, diverged = _positions(bench, one, index, seen_of(optics, index, realization), realization)
+    if diverged:
+        raise UserError(f"Case {case} diverges under the controller {one.name!r}.")
+    shaken = system_disturbance.drawn_with(optics.bench, population, realization, FULL)
+    return add_elements(shaken, moved(optics, one, positions[times.instants]))
 
 
 def _positions(

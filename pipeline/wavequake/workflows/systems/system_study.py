@@ -205,6 +205,11 @@ class SystemStudy(Study):
         return all(part.instants_of_file() is not None or not part.random for part in sources)
 
     @property
+    def disturbed(self) -> "SystemStudy":
+        """The study of the system and its disturbances alone."""
+        return self
+
+    @property
     def compared(self) -> tuple[str, ...]:
         """Models of elastic bodies that are compared, the full one first; a draw is a case with each."""
         return (FULL, *self.reduction.variants) if self.reduction is not None else (FULL,)
