@@ -12,7 +12,7 @@ from wavequake.viewer.view import film_of
 from wavequake.workflows.loops.tip_tilt import shaped
 from wavequake.workflows.study import bundled_studies
 
-LOOP = {
+ADAPTIVE = {
     "campaign.cases": 2,
     "disturbance.history.instants": 12,
     "look.traced": 12,
@@ -34,7 +34,7 @@ def film(folder, study, keys, cases=()):
 
 
 def test_loops_move_m2_and_the_light_as_the_store_says(tmp_path):
-    stored, found = film(tmp_path, "tmt-ao", LOOP, [1])
+    stored, found = film(tmp_path, "tmt-ao", ADAPTIVE, [1])
     names = [take.of for take in found.takes]
     assert names[:4] == ["off", "rigid-perfect", "elastic-perfect", "body-perfect"]
     assert len(names) == 7  # and the best one of each actuator
