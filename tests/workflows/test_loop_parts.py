@@ -249,6 +249,14 @@ def test_loops_that_are_stable_alone_but_not_together_are_refused(tmp_path):
     assert bench_of(written(tmp_path, BESIDE.format(gain=0.2))).controllers[-1].name == "two"
 
 
+def test_a_stuck_channel_does_not_make_slow_loops_unstable_together(tmp_path):
+    """What stands where it is stuck is made up for by 200 periods of a larger motion, which is no growth."""
+    turned = BESIDE.format(gain=0.005).replace('["dx", "dy"]', '["rx", "ry"]\nstuck = { ry = 1e6 }')
+    moved = '[[actuator]]\nname = "moved"\nmodel = "m2-rigid"\ndofs = ["dx", "dy"]\n'
+    study = written(tmp_path, moved + turned.replace('actuator = "tilt"', 'actuator = "moved"'))
+    assert bench_of(study).controllers[-1].name == "two"
+
+
 def test_a_matrix_alone_is_a_controller_without_states():
     given = StateSpace(name="c", d=((-0.1, 0.0), (0.05, -0.2)))
     nothing = np.zeros((2, 0))

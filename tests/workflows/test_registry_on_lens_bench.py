@@ -263,6 +263,20 @@ def test_loops_that_cannot_be_are_refused_when_a_study_is_read(tmp_path, text, w
         study_of(tmp_path, text)
 
 
+@pytest.mark.parametrize(("pole", "stable"), [(0.9, True), (1.1, False)])
+def test_what_nothing_feeds_back_is_judged_by_itself(tmp_path, pole, stable):
+    more = f"a = [[{pole}]]\nb = [[1.0]]\nc = [[1e-3]]"
+    text = CAMERA + LOOP.format(name="ahead", model="state-space", late=1, more=more)
+    study = study_of(tmp_path, text.replace('sensor = "camera"', 'sensor = "lens"'))
+    if stable:
+        KIND.check(study.identity_text())
+        (found,) = loops_of(study)
+        assert (found.stable, found.gain_up, found.peak) == (True, np.inf, 1.0)
+    else:
+        with pytest.raises(UserError, match=r"loop\.ahead is unstable: 'stage' grows by 19\.1 1/s at 0 Hz"):
+            KIND.check(study.identity_text())
+
+
 @pytest.mark.parametrize(
     ("sensor", "words"),
     [

@@ -94,7 +94,8 @@ def refuse_unstable_together(study: LoopBlocks, one: Designed) -> None:
             loop,
             quantum=0.0,
             further=tuple(replace(eye, quantum=0.0) for eye in loop.further),
-            actuator=replace(loop.actuator, stroke=most, slew=np.inf),
+            # What is stuck stands where the loops are at rest: only what they do to each other counts.
+            actuator=replace(loop.actuator, stroke=most, slew=np.inf, stuck=0.0 * loop.actuator.stuck),
         )
         for loop, most in zip(one.loops, free, strict=True)
     ]

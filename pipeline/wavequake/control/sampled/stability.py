@@ -167,10 +167,10 @@ def _closed(loop: SampledLoop, parts: Parts | None) -> _Closed:
 
 
 def _parts(loop: SampledLoop) -> Parts | None:
-    """Return what is alike of a loop whose channels share a filter; None if they do not."""
-    if loop.further or not loop.regulator.shared:
-        return None
+    """Return what is alike of a loop whose channels share a filter; None if they do not, or see nothing."""
     shown, drives = loop.modes()
+    if loop.further or not loop.regulator.shared or not (loop.sees.any() or drives.any()):
+        return None
     through = loop.regulator.decoupling
     if not loop.structure:
         return apart(through @ loop.sees, through @ shown, drives)
