@@ -9,11 +9,13 @@ import pytest
 
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import NUMPY
+from wavequake.mechanics.disturbances.streams import own_streams
 from wavequake.optics.rays.pupils import sunflower
 from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.parent import parent_system
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.wavefronts.wavefront import measure_system, prepare_system
+from wavequake.workflows.bodies.sight import bodies_sight
 from wavequake.workflows.bodies.uncertain import uncertain_plant
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.segment_disturbance import KIND, draw, trace_draws
@@ -313,6 +315,11 @@ def test_segments_on_three_nodes_follow_a_dense_solution(tmp_path):
         wanted = np.concatenate([axes.T @ there, -axes.T @ turn])
         found = drawn.motion.segment_motion[:, index]
         np.testing.assert_allclose(found, np.outer(phase, wanted).real, rtol=1e-8, atol=1e-18)
+    plant, population = bench.bodies.plants["full"], bench.study.disturbance[0]
+    assert len(plant.shapes) == 36 > len(plant.omega)  # so that light is traced by modes, not by outputs
+    sight = bodies_sight(bench, plant, "full", population, 0, own_streams, drawn.time)
+    seen = np.deg2rad(numbers(bench.text)["los"][0] / 3.6e6)
+    np.testing.assert_allclose(sight, seen, atol=1e-4 * np.abs(seen).max())
     still = [bench.layout.names.index(name) for name in bench.layout.names if name not in set("12345")]
     assert not drawn.motion.segment_motion[:, still].any()
 

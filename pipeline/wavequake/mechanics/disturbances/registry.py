@@ -16,7 +16,6 @@ from wavequake.mechanics.disturbances.motion import (
     generator,
     line_of_sight_rms_mas,
     piston_rms_nm,
-    summed,
 )
 from wavequake.mechanics.disturbances.population import Population, time_axis
 from wavequake.mechanics.disturbances.source import AnySource, Randoms, SegmentSource, Source, require_length
@@ -108,7 +107,8 @@ def _with_carried(motion: Motion, layout: SegmentLayout) -> Motion:
     for name in bodies:
         carried = layout.carried[name]
         moved = np.einsum("eij,nj->eni", carried.follows, motion.rigid[name])
-        rigid = summed([rigid, dict(zip(carried.names, moved, strict=True))])
+        for element, values in zip(carried.names, moved, strict=True):
+            rigid[element] = rigid[element] + values if element in rigid else values
     return replace(motion, rigid=rigid)
 
 

@@ -3,8 +3,11 @@
 It is linear in what bodies do: images at the instants are exact, and the way between them is followed.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import orth
 from threadpoolctl import threadpool_limits
 
 from wavequake.kernels.device.devices import NUMPY
@@ -18,7 +21,6 @@ from wavequake.mechanics.disturbances.streams import Streams
 from wavequake.optics.segments.prepared import chief_rays, trace_states
 from wavequake.optics.segments.wavefront import analyse
 from wavequake.prepared import prepared
-from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.segments.bench import Bench, bench_of
 from wavequake.workflows.segments.launches import CaseDraw, surface_states
 
@@ -29,31 +31,45 @@ _ROWS = 256  # of which the motions are traced at once
 
 
 def bodies_sight(
-    bench: Bench, plant: Plant, population: Disturbance, realization: int, streams: Streams, time: Array
+    bench: Bench,
+    plant: Plant,
+    model: str,
+    population: Disturbance,
+    realization: int,
+    streams: Streams,
+    time: Array,
 ) -> Array | None:
     """Return where bodies move the line of sight (n, 2) to at any instants, rad on the sky; None: nowhere.
 
-    With the numbers that the realization has at its own instants.
+    With the numbers that the realization has at its own instants, and the `model` of bodies that `plant` is,
+    or is drawn from.
     """
     study = bench.study
-    found = None
-    for part in parts(study.disturbance, population):
-        if isinstance(part, PlantSource):
-            random = randoms_of(part, len(bench.layout), study.study.seed, realization, streams)(part.name)
-            own = part.answer(plant, time, random) @ _per_output(bench.text).T
-            found = own if found is None else found + own
+    acting = [one for one in parts(study.disturbance, population) if isinstance(one, PlantSource)]
+    if not acting:
+        return None
+    rows = _per_output(bench.text, model)
+    seen = replace(plant, shapes=rows @ plant.shapes, carried=rows @ plant.carried)
+    found = np.zeros((len(time), 2))
+    for part in acting:
+        random = randoms_of(part, len(bench.layout), study.study.seed, realization, streams)(part.name)
+        found += part.answer(seen, time, random)
     return found
 
 
-@prepared(maxsize=2)
-def _per_output(study_text: str) -> Array:
-    """Return the line of sight (2, m), rad, per m or rad of what bodies do."""
+@prepared(maxsize=8)
+def _per_output(study_text: str, model: str) -> Array:
+    """Return the line of sight (2, m), rad, per m or rad of what bodies do, as far as their modes do it."""
     bench = bench_of(study_text)
-    plant = bench.bodies.plants[FULL]
-    steps = _STEP * np.eye(len(plant.shapes))
+    plant = bench.bodies.plants[model]
     with threadpool_limits(1):
+        able = np.hstack([plant.shapes, plant.carried])
+        sizes = np.linalg.norm(able, axis=0)
+        able = able[:, sizes > 0.0] / sizes[sizes > 0.0]
+        basis = np.eye(len(able)) if len(able) <= able.shape[1] else orth(able)
+        steps = _STEP * basis.T
         found = [_seen(bench, plant, steps[first : first + _ROWS]) for first in range(0, len(steps), _ROWS)]
-    return np.concatenate(found).T / _STEP
+    return np.asarray(np.concatenate(found).T / _STEP @ basis.T)
 
 
 def _seen(bench: Bench, plant: Plant, values: Array) -> Array:

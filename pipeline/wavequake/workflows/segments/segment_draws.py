@@ -118,7 +118,8 @@ def way_between(
         return own
     at = times_between(time, population.duration_s)
     streams = _streams(bench, realization)
-    sight = bodies_sight(bench, plant, population, realization, streams, at[:, ::-1].ravel())
+    known = model if model in bench.bodies.plants else FULL
+    sight = bodies_sight(bench, plant, known, population, realization, streams, at[:, ::-1].ravel())
     if sight is None:
         return own
     way = sight.reshape(*at.shape, 2)[:, ::-1]
