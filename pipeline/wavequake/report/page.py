@@ -30,7 +30,7 @@ VIEWED = frozenset(
     {
         "segment-disturbance", "system-disturbance", "telescope-exposure", "mirror-mor", "mirror-exposure",
         "mirror-trace", "segment-mor", "lens-experiment", "lens-passive", "controller-mor", "telescope-loop",
-        "tip-tilt-vibration", "segment-control", "sweep",
+        "system-loop", "tip-tilt-vibration", "segment-control", "sweep",
     }
 )  # fmt: skip
 OF_A_RECORD = "line"  # kind of a page that is of no store and has no cases

@@ -1,6 +1,7 @@
 """Surfaces of an optical system that shift and turn, with what the store says of the light."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -9,6 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.store.store import Manifest
 from wavequake.drawing.solid import system_scene
+from wavequake.mechanics.disturbances.element_motion import ElementMotion
 from wavequake.optics.polynomials.zernike import annular_zernike
 from wavequake.optics.shapes.shapes import ZernikeDeformation
 from wavequake.optics.systems.system import SystemStates
@@ -30,7 +32,7 @@ def film_of(
 ) -> tuple[tuple[Stage, ...], tuple[Take, ...]]:
     """Return the system, and the chosen cases or those that change the wavefront most."""
     bench = system_bench(manifest.study)
-    stage, surfaces = _stage(bench)
+    stage, surfaces = stage_of_system(bench)
     plant = bench.plants.get(FULL)
     members = members_of(bench.study, plant) if plant else []
     nodes = nodes_of(members)
@@ -49,7 +51,7 @@ def _worst(dataset: xr.Dataset) -> list[int]:
     return worst_cases(dataset, change.max([dim for dim in change.dims if dim != "case"]).to_numpy())
 
 
-def _stage(bench: SystemBench) -> tuple[Stage, list[int]]:
+def stage_of_system(bench: SystemBench) -> tuple[Stage, list[int]]:
     """Return the system with a body for every surface that is drawn, and which surface each one is."""
     whole = stage_of(system_scene(bench.system))
     names, surfaces = [surface.name for surface in bench.system.surfaces], list[int]()
@@ -94,7 +96,21 @@ def _take(
 ) -> Take:
     population, realization, model = slot_of(bench.study, case)
     drawn = drawn_with(bench, population, realization, model, watched=partial(watching, nodes=nodes))
-    states, stored = system_states(bench, drawn), dataset.sel(case=case)
+    label = f"{population.name}, case {case}" + (f", {model}" if bench.study.reduction else "")
+    return replace(take_of(bench, drawn, dataset.sel(case=case), label, stage, surfaces, nodes), case=case)
+
+
+def take_of(
+    bench: SystemBench,
+    drawn: ElementMotion,
+    stored: xr.Dataset,
+    label: str,
+    stage: Stage,
+    surfaces: list[int],
+    nodes: Sequence[str] = (),
+) -> Take:
+    """Return how elements move, and what a store says of the light of that case."""
+    states = system_states(bench, drawn)
     motion = states.surface_motion[:, surfaces].copy()
     motion[..., :3] /= MM_PER_M
     still = np.zeros((len(motion), 6))
@@ -109,13 +125,12 @@ def _take(
     )
     notes += ["Of the image the first field point is shown."]
     return Take(
-        f"{population.name}, case {case}" + (f", {model}" if bench.study.reduction else ""),
+        label,
         time[: len(motion) : step],
         note=" ".join(notes),
         poses=motion[::step],
         shapes=shapes if weights.any() else None,
         weights=weights[::step] if weights.any() else None,
-        case=case,
         series={
             words: (str(stored[name].attrs.get("units", "")), _history(stored[name], len(motion))[::step])
             for words, name in _SERIES

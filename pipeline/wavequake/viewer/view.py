@@ -23,6 +23,7 @@ from wavequake.viewer import (
     segments,
     sights,
     sweeps,
+    system_loops,
     systems,
     telescope_loops,
 )
@@ -48,6 +49,7 @@ _MAKERS: Mapping[str, sweeps.Maker] = {
     "controller-mor": loops.film_of,
     "segment-control": segment_controls.film_of,
     "telescope-loop": telescope_loops.film_of,
+    "system-loop": system_loops.film_of,
     "tip-tilt-vibration": sights.film_of,
 }
 

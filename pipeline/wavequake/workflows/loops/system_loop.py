@@ -111,7 +111,7 @@ def _case(bench: Bench, case: int, device_name: str, clock: Stopwatch) -> tuple[
     motions, away, own = [], [], []
     for one in bench.controllers:
         with clock("loop"):
-            positions, limited, diverged = _positions(bench, one, index, disturbance, realization)
+            positions, limited, diverged = positions_of(bench, one, index, disturbance, realization)
         if diverged:
             return {}, f"it diverges under the controller {one.name!r}"
         left = add_elements(shaken, moved(optics, one, positions[times.instants]))
@@ -132,7 +132,7 @@ def _case(bench: Bench, case: int, device_name: str, clock: Stopwatch) -> tuple[
     return {name: np.stack([one[name] for one in numbers]) for name in numbers[0]} | {"time_s": time}, ""
 
 
-def _positions(
+def positions_of(
     bench: Bench, one: Designed, index: int, disturbance: Array, realization: int
 ) -> tuple[Array, Array, bool]:
     """Return positions (l, P) at the looks of a case, the share of limited commands, and divergence."""
