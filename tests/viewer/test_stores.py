@@ -248,7 +248,7 @@ def test_surfaces_deform_as_the_trace_deforms_them(tmp_path):
     bench = system_bench(read_manifest(tmp_path / "store").study)
     case = int(stored.case[stored.disturbance == "heating"][0])
     states = system_states(bench, draw(bench, case)[1])
-    stage, surfaces = systems._stage(bench)
+    stage, surfaces = systems.stage_of_system(bench)
     rng = np.random.default_rng(1)
     given = tuple(None if one is None else rng.normal(size=(2, one.shape[1])) for one in states.deformations)
     assert any(one is not None for one in given)
