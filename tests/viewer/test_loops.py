@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from tests.workflows.small_disc import DISC
-from tests.workflows.small_system import INTEGRATOR, LOOP, PERFECT, SHAKEN, SYSTEM
 
 import wavequake as wq
 from wavequake.control.frames.disturbance import sampled
@@ -118,17 +117,3 @@ def test_a_structure_rides_on_a_floor_that_moves_slowly(tmp_path):
         assert off.max() < 1e-2  # the ends of legs at mirrors, which have no rotation there, are thin
         assert (np.abs(size) <= 1e-6 * np.array([3.0, 1.0, 1e-3, 1e-3, 1.0, 2.0]) * 1.001).all()
     assert np.abs(moved).max() > 1e-7
-
-
-def test_a_mirror_that_steers_moves_as_far_as_its_loop_says(tmp_path):
-    path = tmp_path / "steered.toml"
-    head = '[study]\nname = "steered"\nworkflow = "system-loop"\n'
-    path.write_text("\n".join([head, SYSTEM, SHAKEN, LOOP, INTEGRATOR, PERFECT]))
-    stored, found = film(tmp_path, path, {}, [1])
-    assert [take.of for take in found.takes] == ["off", "integrator", "perfect"]
-    m2 = found.stages[0].names.index("M2")
-    assert not found.takes[0].poses[:, m2].any()
-    for take in found.takes:
-        one = stored.sel(case=1, controller=take.of).isel(field=0, wavelength=0)
-        np.testing.assert_allclose(take.series["line of sight"][1], one.los_mm, rtol=0, atol=1e-15)
-        assert 1e9 * np.abs(take.poses[:, m2]).max() == pytest.approx(float(one.largest), rel=1e-9)

@@ -181,6 +181,43 @@ def test_a_reduced_segment_shakes_the_telescope(tmp_path):
     assert first <= second * (1.0 + 1e-6) < 1.01 * first  # Rayleigh and Ritz: from above
 
 
+STABILIZER = {
+    "campaign.cases": 1,
+    "campaign.device": "numpy",
+    "optics.rays": 60,
+    "imaging.pixels": 16,
+    "system.fields_deg": [[0.0, 0.0]],
+}
+
+
+def test_a_lens_moves_against_the_image_under_every_controller(tmp_path):
+    """The system is round: the perfect shift is one and the same multiple of the image motion in x and y."""
+    stored, found = film(tmp_path, "image-stabilizer", STABILIZER)
+    takes = {take.of: take for take in found.takes}
+    assert set(takes) == {"off", "perfect", "lqg"}
+    (stage,) = found.stages
+    off, perfect = takes["off"], takes["perfect"]
+    assert not off.poses.any()  # the light shakes, and no element
+    assert "No surface moves" in off.note
+    moving = [
+        name for name, poses in zip(stage.names, np.moveaxis(perfect.poses, 1, 0), strict=True) if poses.any()
+    ]
+    rear = next(body for body in wq.load_study("image-stabilizer").body if body.name == "rear").surfaces
+    assert moving == list(rear)
+    shift = perfect.poses[:, stage.names.index(rear[0]), :2]
+    np.testing.assert_array_equal(shift, perfect.poses[:, stage.names.index(rear[-1]), :2])
+    image = off.series["line of sight"][1]
+    factor = np.vdot(image, shift) / np.vdot(image, image)
+    assert abs(factor) > 1e-4  # m per mm
+    np.testing.assert_allclose(shift, factor * image, atol=2e-3 * np.abs(shift).max())
+    mm = stored["los_mm"].isel(case=0, field=0, wavelength=1)
+    for number, name in enumerate(map(str, stored["controller"].to_numpy())):
+        if name in takes:
+            first = stored["los_mm"].isel(case=0, field=0, wavelength=0, controller=number)
+            np.testing.assert_allclose(takes[name].series["line of sight"][1], first)
+    assert np.abs(mm.sel(controller=stored["controller"] == "perfect")).max() < 1e-3 * np.abs(mm).max()
+
+
 def test_lenses_swing_as_the_store_says(tmp_path):
     keys = {"time.duration_s": 2.0, "time.step_ms": 20.0, "campaign.cases": 1}
     stored, found = film(tmp_path, "lens-experiment", keys)

@@ -1,6 +1,7 @@
 """Any optical system in closed loop: its surfaces move under the controllers that tell most."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import xarray as xr
 from threadpoolctl import threadpool_limits
@@ -37,6 +38,13 @@ def film_of(
                 label = f"{name}, case {case}: {one.name}"
                 stored = dataset.sel(case=case, controller=one.name)
                 left = motion_left(bench, one, case)
-                takes.append(take_of(system, stored, left, label, stage, surfaces, of=one.name))
+                take = take_of(system, stored, left, label, stage, surfaces, of=one.name)
+                takes.append(replace(take, note=f"{_does(known[one.name])} {take.note}"))
                 tell(label)
     return (stage,), tuple(takes)
+
+
+def _does(controller: Mapping[str, object]) -> str:
+    words = {"off": "Nothing is done about the disturbance.", "perfect": "Acts at once and without error."}
+    model = str(controller["model"])
+    return words.get(model, f"{model}: reads {controller['sensor']}, moves {controller['actuator']}.")
