@@ -39,7 +39,6 @@ LIBRARIES = {
     "run again": _STUDY,
     "report": f"{_NUMBERS}, scipy.special, jinja2, matplotlib.figure, matplotlib.backends.backend_svg",
     "status": f"{_WORDS}, pydantic, numpy",
-    "studies": _WORDS,
     "sensitivity": _NUMBERS,
 }
 _DEVICES = "[one.get_devices() for one in pyopencl.get_platforms()]"
