@@ -28,6 +28,7 @@ DEMANDS = {
     "status": ((0.5, 0.3), None),
     "studies": ((0.5, 0.3), None),
     "--version": ((0.5, 0.3), None),
+    "tab completion": ((0.5, 0.3), None),
     "sensitivity": ((1.5, 1.0), None),
     "sensitivity, no kernel built": ((5.0, 4.0), None),
 }
@@ -70,6 +71,9 @@ def measure(folder: Path) -> dict[str, tuple[float, float]]:
         "sensitivity": ("sensitivity", "tmt-thesis", "--store", str(folder / "warm")),
     }
     found = {name: tuple(spent(wavequake(*words))) for name, words in commands.items()}
+    asked = {"_WAVEQUAKE_COMPLETE": "complete_bash", "COMP_WORDS": "wavequake run tmt", "COMP_CWORD": "2"}
+    script = str(Path(sys.executable).with_name("wavequake"))
+    found["tab completion"] = tuple(spent([script, "run"], os.environ | asked))
     found |= {_alone(name): tuple(spent(loading(needed))) for name, needed in LIBRARIES.items()}
     cold = os.environ | {"POCL_CACHE_DIR": str(folder / "kernels"), "XDG_CACHE_HOME": str(folder / "cache")}
     words = wavequake("sensitivity", "tmt-thesis", "--store", str(folder / "cold"))
