@@ -1,7 +1,9 @@
 """What commands of the main job take: processor time of all processes, and wall time; medians.
 
 ``python -m benchmarks.main_job [ROUNDS]``; kernels and tables are built before, in a round that does not
-count. Wall times mean something on a machine that does nothing else.
+count. Wall times mean something on a machine that does nothing else. Of each command that is an answer rather
+than a computation stands beside what an interpreter takes that loads the libraries it cannot do without, and
+asks OpenCL for its devices where the command computes on one: no code of ours can be below that.
 """
 
 import os
@@ -26,15 +28,33 @@ DEMANDS = {
     "status": ((0.5, 0.3), None),
     "studies": ((0.5, 0.3), None),
     "--version": ((0.5, 0.3), None),
+    "tab completion": ((0.5, 0.3), None),
     "sensitivity": ((1.5, 1.0), None),
     "sensitivity, no kernel built": ((5.0, 4.0), None),
 }
 FIRST = (3.0, 1.5)
+_WORDS = "typer, rich.table, rich.progress"
+_STUDY = f"{_WORDS}, pydantic, numpy, scipy.sparse, scipy.linalg"
+_NUMBERS = f"{_STUDY}, xarray, zarr, pyopencl"
+LIBRARIES = {
+    "run again": _STUDY,
+    "report": f"{_NUMBERS}, scipy.special, jinja2, matplotlib.figure, matplotlib.backends.backend_svg",
+    "status": f"{_WORDS}, pydantic, numpy",
+    "sensitivity": _NUMBERS,
+}
+_DEVICES = "[one.get_devices() for one in pyopencl.get_platforms()]"
 
 
 def wavequake(*words: str) -> list[str]:
     """Return the command line that runs this installation."""
     return [sys.executable, "-m", "wavequake", *words]
+
+
+def loading(libraries: str) -> list[str]:
+    """Return the command line that loads libraries as we do: garbage is looked for seldom."""
+    devices = _DEVICES if "pyopencl" in libraries else ""
+    code = f"import gc; gc.set_threshold(50_000); import {libraries}; {devices}; gc.freeze()"
+    return [sys.executable, "-c", code.replace("; ;", ";")]
 
 
 def measure(folder: Path) -> dict[str, tuple[float, float]]:
@@ -51,6 +71,10 @@ def measure(folder: Path) -> dict[str, tuple[float, float]]:
         "sensitivity": ("sensitivity", "tmt-thesis", "--store", str(folder / "warm")),
     }
     found = {name: tuple(spent(wavequake(*words))) for name, words in commands.items()}
+    asked = {"_WAVEQUAKE_COMPLETE": "complete_bash", "COMP_WORDS": "wavequake run tmt", "COMP_CWORD": "2"}
+    script = str(Path(sys.executable).with_name("wavequake"))
+    found["tab completion"] = tuple(spent([script, "run"], os.environ | asked))
+    found |= {_alone(name): tuple(spent(loading(needed))) for name, needed in LIBRARIES.items()}
     cold = os.environ | {"POCL_CACHE_DIR": str(folder / "kernels"), "XDG_CACHE_HOME": str(folder / "cache")}
     words = wavequake("sensitivity", "tmt-thesis", "--store", str(folder / "cold"))
     found["sensitivity, no kernel built"] = tuple(spent(words, cold))
@@ -58,6 +82,10 @@ def measure(folder: Path) -> dict[str, tuple[float, float]]:
     command = wavequake("run", STUDY, "campaign.cases=4", "store.chunk_cases=1", "--store", str(few))
     found["first case"] = (0.0, until(command, lambda: any(journal.glob("*.jsonl")), folder))
     return found  # type: ignore[return-value]
+
+
+def _alone(name: str) -> str:
+    return f"{name}: its libraries alone"
 
 
 def main(rounds: int = 5) -> None:
@@ -74,6 +102,9 @@ def main(rounds: int = 5) -> None:
         rows.append(Row(f"{name}, CPU", cpu, *processor, least=False, unit="s"))
         if clock:
             rows.append(Row(f"{name}, wall", wall, *clock, least=False, unit="s"))
+        if name in LIBRARIES:
+            least = median(value for value, _ in found[_alone(name)])
+            rows.append(Row(f"{_alone(name)}, CPU", least, *processor, least=False, unit="s"))
     first = median(wall for _, wall in found["first case"])
     rows.append(Row("first case done, wall", first, *FIRST, least=False, unit="s"))
     Console(width=120).print(verdict(rows))

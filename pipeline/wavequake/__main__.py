@@ -47,6 +47,7 @@ def main() -> None:
     finally:  # nothing is left to be kept: Ctrl-C ends what libraries still do, and needs no words
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.SIG_DFL)
+        gc.freeze()  # else Python looks for garbage in all that ends with it: up to half a second
 
 
 if __name__ == "__main__":

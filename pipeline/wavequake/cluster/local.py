@@ -41,7 +41,7 @@ _UNSEEN = {
     "distributed.worker.multiprocessing-method": "forkserver",
 }
 # What every worker imports: no thread runs afterwards, and OpenCL is not spoken to, so that it may be forked.
-# SciPy's transforms load its special functions, a tenth of a second, when images are made.
+# SciPy's transforms load its special functions, its graphs all solvers: a tenth of a second of most studies.
 _IMPORTED = (
     "wavequake.cluster.garbage",
     "distributed.nanny",
@@ -49,6 +49,7 @@ _IMPORTED = (
     "wavequake.cluster.output",
     "pyopencl",
     "scipy.fft",
+    "scipy.sparse.csgraph",
 )
 
 # A task takes seconds: slow clocks save idle CPU time, and as no result stays in memory, nobody has to manage

@@ -12,6 +12,7 @@ import numpy as np
 from wavequake.campaign.store import arrays
 from wavequake.campaign.store.folder import write_errors_explained
 from wavequake.campaign.store.journal import digest, flush
+from wavequake.campaign.store.spared import spare_dask
 from wavequake.errors import StoreDamageError, UserError
 
 if TYPE_CHECKING:
@@ -29,6 +30,8 @@ def labelled(
     xarray would ask whether each is one of Dask's, and load those to know them: a quarter of a second.
     """
     import xarray as xr
+
+    spare_dask()
 
     def plain(given: Mapping[str, Labelled]) -> dict[str, xr.Variable]:
         return {
