@@ -16,10 +16,10 @@ from wavequake.optics.shapes.polygons import edge_lines
 from wavequake.optics.systems.file import SystemSection
 from wavequake.optics.zemax.export import zmx_text
 from wavequake.workflows.early_notices import early_notices
-from wavequake.workflows.out_of_focus import out_of_focus, waves_of_defocus
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.study import load_study, study_with
+from wavequake.workflows.systems.out_of_focus import out_of_focus, waves_of_defocus
 
 DEVICE = list_devices()[0].name
 

@@ -22,8 +22,8 @@ from wavequake.optics.polynomials.zernike import noll_to_nm
 from wavequake.optics.segments.wavefront import Wavefront
 from wavequake.prepared import prepared
 from wavequake.tables import kept
-from wavequake.workflows.out_of_focus import place_of_image, waves_of_defocus
 from wavequake.workflows.segments.bench import Bench, bench_at, bench_of, monolithic
+from wavequake.workflows.systems.out_of_focus import place_of_image, waves_of_defocus
 
 Array = NDArray[np.float64]
 
