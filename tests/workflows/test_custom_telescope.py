@@ -203,6 +203,13 @@ def test_a_telescope_far_from_focus_is_refused_before_anything_is_prepared(newto
         workflow.check(with_image(newton, 5500.0).identity_text())
 
 
+def test_a_wrong_conic_is_told_from_a_wrong_distance(newton, tmp_path):
+    (tmp_path / "newton.toml").write_text(CUSTOM.replace("figure_nm", "# figure_nm"))
+    study = study_with(load_study(tmp_path / "newton.toml"), {"telescope.primary_conic": 100.0})
+    with pytest.raises(UserError, match=r"rms.: light along the axis has no common focus; mend a conic"):
+        workflow.check(study.identity_text())
+
+
 def test_a_plan_notes_how_far_from_focus_the_image_stands(newton):
     study = with_image(newton, 5050.0)
     (said,) = out_of_focus(study)

@@ -113,8 +113,8 @@ def elt() -> SegmentedTelescope:
     """Return ESO's Extremely Large Telescope: 798 segments, five mirrors, f = 684.0 m.
 
     Published (ESO) are 798 hexagons of about 1.4 m with gaps of 4 mm, a mirror 39.15 m across at f/0.88, a
-    convex M2 of f/1.1 and 4.2 m, a concave M3 of f/2.6, flat M4 and M5, f = 684 m (3.316 mm/arcsec). The radii
-    of M2 and M3 are those of a public Zemax model as well (Anche et al. 2023, A&A 672, A121). That of M1,
+    convex M2 of f/1.1 and 4.2 m, a concave M3 of f/2.6, flat M4 and M5, f = 684 m (3.316 mm/arcsec). Radii
+    of M2 and M3 are those of a public Zemax model, too (Anche et al. 2023, A&A 672, A121); that of M1,
     spacings and aspheres are not published: `note` says what is assumed. At best focus the axis has 17 nm
     rms; the image is curved, concave to the light.
     """
