@@ -317,6 +317,23 @@ def test_a_decentered_aperture_is_about_its_center():
         assert on_glass(opening_regions(opening), x, y).tolist() == passed
 
 
+def test_an_elliptic_aperture_is_a_polygon_of_its_area():
+    system = read("  STOP\n  ELAP 2 3 0\n  OBDC 0.5 0\n  DISZ 1")
+    opening = system.surfaces[0].opening
+    corners = np.array(opening.corners)
+    x, y = corners.T
+    area = 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
+    assert area == pytest.approx(np.pi * 2.0 * 3.0, rel=1e-12)
+    np.testing.assert_allclose((x / 2.0) ** 2 + (y / 3.0) ** 2, 1.0, atol=1.5e-3)
+    assert opening.center == (0.5, 0.0)
+    assert "Elliptic apertures are polygons of 72 corners and the same area here: surface 1." in system.note
+    place = np.array([0.5 + 1.99, 0.5 + 2.01, 0.5, 0.5, 0.5 - 1.99]), np.array([0.0, 0.0, 2.99, 3.01, 0.0])
+    inside = on_glass(opening_regions(opening), *place)
+    np.testing.assert_array_equal(inside, [True, False, True, False, True])
+    with pytest.raises(UserError, match="elliptic aperture of 0 and 3 mm; both must be positive"):
+        read("  STOP\n  ELAP 0 3 0\n  DISZ 1")
+
+
 def test_spider_arms_reach_outwards_at_equal_angles():
     opening = read(STOP + "\n  SPID 2 3 0").surfaces[0].opening
     blocked = [

@@ -12,14 +12,15 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.devices import list_devices
 from wavequake.optics.catalog.names import optical_system, system_names
 from wavequake.optics.polynomials.zernike import annular_zernike
+from wavequake.optics.segments.telescope import rim_aberration
 from wavequake.optics.shapes.polygons import edge_lines
 from wavequake.optics.systems.file import SystemSection
 from wavequake.optics.zemax.export import zmx_text
 from wavequake.workflows.early_notices import early_notices
-from wavequake.workflows.out_of_focus import out_of_focus, waves_of_defocus
 from wavequake.workflows.segments import segment_disturbance as workflow
-from wavequake.workflows.segments.bench import bench_of
+from wavequake.workflows.segments.bench import bench_of, build_telescope
 from wavequake.workflows.study import load_study, study_with
+from wavequake.workflows.systems.out_of_focus import out_of_focus, waves_of_defocus
 
 DEVICE = list_devices()[0].name
 
@@ -203,10 +204,36 @@ def test_a_telescope_far_from_focus_is_refused_before_anything_is_prepared(newto
         workflow.check(with_image(newton, 5500.0).identity_text())
 
 
+def test_a_wrong_conic_is_told_from_a_wrong_distance(newton, monkeypatch, tmp_path):
+    (tmp_path / "newton.toml").write_text(CUSTOM.replace("figure_nm", "# figure_nm"))
+    still = load_study(tmp_path / "newton.toml")
+    for conic, early in ((100.0, True), (20.0, False)):
+        study = study_with(still, {"telescope.primary_conic": conic})
+        words = (
+            r"waves rms.: axial rays of M1's rim meet image .* beside those of its center; mend a conic"
+            if early
+            else r"waves rms.: light along the axis has no common focus; mend a conic"
+        )
+        with pytest.raises(UserError, match=words):
+            workflow.check(study.identity_text())
+
+
+def test_a_sphere_has_the_aberration_of_the_textbook(newton):
+    """The rim passes the paraxial focus a^3 / (2 R^2) beside the axis; the rms is 0.298 a^4 / (4 R^3)."""
+    study = study_with(newton, {"telescope.primary_conic": 0.0})
+    system = build_telescope(study)
+    a, radius = system.pupil_outer, 20000.0
+    assert rim_aberration(system) == pytest.approx(a**3 / (2.0 * radius**2), rel=3e-3)
+    (said,) = out_of_focus(study_with(newton, {"telescope.primary_conic": 9.0}))
+    rms = 2.0 / (3.0 * np.sqrt(5.0)) * 10.0 * a**4 / (4.0 * radius**3) / 550e-6
+    assert f"({rms:.2g}" in said or f"({rms:.3g} waves rms)" in said
+
+
 def test_a_plan_notes_how_far_from_focus_the_image_stands(newton):
     study = with_image(newton, 5050.0)
     (said,) = out_of_focus(study)
-    assert "image stands 50 mm beyond the paraxial focus, which is 5000 mm behind fold, a defocus of" in said
+    assert "image stands 50 mm beyond the paraxial focus, which is 5000 mm behind fold; mend a dist" in said
+    assert said.endswith("(44 waves rms).")
     assert said in early_notices(study)
     assert not list(out_of_focus(newton))
 

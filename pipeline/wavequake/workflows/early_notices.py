@@ -6,7 +6,7 @@ from wavequake.campaign.schema import Study
 from wavequake.chain.doubts import doubts
 from wavequake.words import counted
 from wavequake.workflows.kinds import find_kind
-from wavequake.workflows.out_of_focus import out_of_focus
+from wavequake.workflows.systems.out_of_focus import out_of_focus
 
 _MOST_LISTED = 10_000  # cases; more leave no disturbance out
 

@@ -113,9 +113,10 @@ def elt() -> SegmentedTelescope:
     """Return ESO's Extremely Large Telescope: 798 segments, five mirrors, f = 684.0 m.
 
     Published (ESO) are 798 hexagons of about 1.4 m with gaps of 4 mm, a mirror 39.15 m across at f/0.88, a
-    convex M2 of f/1.1 and 4.2 m, a concave M3 of f/2.6, flat M4 and M5, f = 684 m (3.316 mm/arcsec). Radii,
-    spacings and aspheres are not: `note` says what is assumed. At best focus the axis has 17 nm rms; the
-    image is curved, concave to the light.
+    convex M2 of f/1.1 and 4.2 m, a concave M3 of f/2.6, flat M4 and M5, f = 684 m (3.316 mm/arcsec). Radii
+    of M2 and M3 are those of a public Zemax model, too (Anche et al. 2023, A&A 672, A121); that of M1,
+    spacings and aspheres are not published: `note` says what is assumed. At best focus the axis has 17 nm
+    rms; the image is curved, concave to the light.
     """
     radius, conic = -68900.0, -0.99614283
     rows = [
@@ -127,8 +128,9 @@ def elt() -> SegmentedTelescope:
     ]
     segments = elt_segments(39146.34, 4.0, radius, conic)
     note = (
-        "Published are the segments, the focal ratios of M1, M2 and M3 and the focal length; assumed are "
-        "radii that follow from them, equal spacings that give f = 684 m, and conics that make the telescope "
+        "Published are the segments, the focal ratios of M1, M2 and M3, the focal length, and radii of M2 "
+        "and M3 (a Zemax model of Anche et al. 2023, whose M1 has 69 m and whose f is 646.8 m); assumed are "
+        "a radius of M1 that follows, equal spacings that give f = 684 m, and conics that make the telescope "
         "free of spherical aberration, coma and astigmatism; M4 and M5 fold as drawn by ESO, at 7.75 and "
         "37.25 degrees."
     )

@@ -277,6 +277,18 @@ def _final_direction(system: SegmentedTelescope, y: float) -> Array:
     return direction[:, 0]
 
 
+def rim_aberration(system: SegmentedTelescope) -> float:
+    """Return how far apart the axial rays of the pupil's rim and center meet the image plane, mm."""
+    start = np.array([[0.0, 0.0], [system.pupil_outer, 0.0], [system.stop_z, system.stop_z]])
+    *_, (hit, direction) = _axial_rays(system, start)
+    *others, image = system.surfaces
+    point = others[-1].position[:, None] + others[-1].rotation @ hit if others else hit
+    normal = image.rotation[:, 2]
+    way = normal @ (image.position[:, None] - point) / (normal @ direction)
+    ends = point + way * direction
+    return float(np.linalg.norm(ends[:, 0] - ends[:, 1]))
+
+
 def _axial_rays(system: SegmentedTelescope, position: Array) -> Iterator[tuple[Array, Array]]:
     """Yield where axial rays (3, n) meet M1 and all after it but the image, and their directions then.
 

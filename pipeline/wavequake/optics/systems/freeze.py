@@ -98,5 +98,5 @@ def _deformed(surface: Surface, numbers: Array) -> Shape:
             return replace(shape, coefficients=tuple(total.tolist()))
     raise UserError(
         f"The surface {surface.name} is a {type(shape).__name__} that deforms; no shape holds both (conics "
-        "that deform by Zernike polynomials or on a grid are known)."
+        "that deform by Zernike polynomials or on a grid are known). Displacements, FILE.txt, hold all."
     )

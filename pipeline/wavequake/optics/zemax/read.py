@@ -165,6 +165,8 @@ def _notes(file: LensFile, configuration: int | None) -> list[str]:
     if rings:
         names = ", ".join(dict.fromkeys(rings))
         found.append(f"Ring-shaped obscurations stop here all light beyond their inner radius: {names}.")
+    if ellipses := ", ".join(dict.fromkeys(row.label for row in file.rows if row.one("ELAP"))):
+        found.append(f"Elliptic apertures are polygons of 72 corners and the same area here: {ellipses}.")
     return [one for one in found if one]
 
 

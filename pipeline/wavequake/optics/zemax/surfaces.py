@@ -29,6 +29,7 @@ from wavequake.optics.zemax.rows import (
 MAX_TERMS = {"XPOLYNOM": 230, "SZERNSAG": 231, "FZERNSAG": 37}  # both lists end with degree 20
 
 _FRINGE_TERMS = 36
+_CORNERS = 72  # of the polygon that stands for an ellipse
 _ASPHERE = range(1, 9)  # parameters of rho^2 to rho^16 beside Zernike polynomials
 
 _Builder = Callable[[Row, float, float, float], Shape]
@@ -156,6 +157,13 @@ def opening(row: Row, scale: float) -> Opening | None:
     low, high = as_number(line, 0) * scale, as_number(line, 1) * scale
     if line.keyword == "SQAP":
         return Opening(corners=((-low, -high), (low, -high), (low, high), (-low, high)), center=center)
+    if line.keyword == "ELAP":
+        if not (low > 0.0 and high > 0.0):
+            fail(
+                line,
+                f"{row.label} has an elliptic aperture of {low:g} and {high:g} mm; both must be positive",
+            )
+        return Opening(corners=ellipse(low, high), center=center)
     if not 0 <= low < high:
         fail(
             line,
@@ -165,6 +173,14 @@ def opening(row: Row, scale: float) -> Opening | None:
         # A ring that is dark from `low` on: what passes outside of it, if anything, is stopped, too.
         return Opening(outer=low, center=center) if low else Opening(inner=high, center=center)
     return Opening(outer=high, inner=low, center=center)
+
+
+def ellipse(low: float, high: float) -> tuple[tuple[float, float], ...]:
+    """Return the corners of a polygon of the area of an ellipse of these half-axes, to 6e-4 of them."""
+    angle = 2.0 * math.pi * np.arange(_CORNERS) / _CORNERS
+    grown = math.sqrt(2.0 * math.pi / _CORNERS / math.sin(2.0 * math.pi / _CORNERS))
+    x, y = grown * low * np.cos(angle), grown * high * np.sin(angle)
+    return tuple(zip(x.tolist(), y.tolist(), strict=True))
 
 
 def spider(width: float, count: int) -> tuple[tuple[float, float], ...]:

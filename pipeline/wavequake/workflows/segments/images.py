@@ -22,8 +22,8 @@ from wavequake.optics.polynomials.zernike import noll_to_nm
 from wavequake.optics.segments.wavefront import Wavefront
 from wavequake.prepared import prepared
 from wavequake.tables import kept
-from wavequake.workflows.out_of_focus import place_of_image, waves_of_defocus
 from wavequake.workflows.segments.bench import Bench, bench_at, bench_of, monolithic
+from wavequake.workflows.systems.out_of_focus import place_of_image, waves_of_defocus
 
 Array = NDArray[np.float64]
 
@@ -103,6 +103,8 @@ def _remedy(bench: Bench) -> str:
     """Say what to do about a wavefront error at rest: that of the image's place if it explains half of it."""
     optics, (*_, last, image) = bench.first_order, ("M1", *(one.name for one in bench.system.surfaces))
     waves = waves_of_defocus(optics.defocus, optics.numerical_aperture, bench.prepared.wavelength)
+    if waves < 0.5 * bench.static.rms_raw[0] and not np.any(bench.field):
+        return "light along the axis has no common focus; mend a conic"
     if waves < 0.5 * bench.static.rms_raw[0]:
         return f"bring {_field_key(bench)} nearer the axis, or mend the prescription"
     return f"{place_of_image(image, last, optics.defocus, optics.back_focus)}; mend a distance_mm or a radius"

@@ -36,7 +36,6 @@ from wavequake.optics.segments.wavefront import Wavefront, analyse
 from wavequake.optics.wavefronts.quality import meets_marechal, meets_rayleigh
 from wavequake.workflows.bodies.plants import standing
 from wavequake.workflows.mirrors.mirror_study import FULL
-from wavequake.workflows.out_of_focus import require_focus
 from wavequake.workflows.segments.bench import (
     MAS_PER_RAD,
     Bench,
@@ -77,6 +76,7 @@ from wavequake.workflows.segments.segment_template import (
     template,
 )
 from wavequake.workflows.segments.vignetting import require_all_rays
+from wavequake.workflows.systems.out_of_focus import require_focus
 
 Array = NDArray[np.float64]
 

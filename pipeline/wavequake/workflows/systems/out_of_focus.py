@@ -1,4 +1,4 @@
-"""Optics whose image lies far from their focus: first-order optics say so before anything is prepared."""
+"""Optics whose image lies far from their focus: first-order optics and a ray say so before anything else."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,6 +11,9 @@ from wavequake.errors import UserError
 if TYPE_CHECKING:
     from wavequake.workflows.segments.segment_study import SegmentStudy
 
+_SPHERICAL = 1.0 / (
+    6.0 * sqrt(5.0)
+)  # rms at the paraxial focus over the rim's transverse aberration times NA
 _FAR, _IMAGELESS = 10.0, 100.0  # waves rms: of no design, and of none whose segments have an image
 
 
@@ -18,7 +21,7 @@ def out_of_focus(study: Study) -> Iterator[str]:
     """Yield a sentence if the image of a study's telescope or system is far from its paraxial focus."""
     waves, words = _defocus(study)
     if waves > _FAR:
-        yield f"warning: {words}, a defocus of {waves:.3g} waves rms; mend a distance_mm or a radius."
+        yield f"warning: {words} ({waves:.3g} waves rms)."
 
 
 def require_focus(study: "SegmentStudy") -> None:
@@ -31,8 +34,7 @@ def require_focus(study: "SegmentStudy") -> None:
     waves, words = _defocus(study)
     if waves > _IMAGELESS:
         raise UserError(
-            f"The telescope at rest is too far from focus for an image (by {waves:.3g} waves rms): {words}; "
-            "mend a distance_mm or a radius."
+            f"The telescope at rest is too far from focus for an image (by {waves:.3g} waves rms): {words}."
         )
 
 
@@ -49,16 +51,20 @@ def _defocus(study: Any) -> tuple[float, str]:
 
 
 def _of_telescope(study: Any) -> tuple[float, str]:
-    from wavequake.optics.segments.telescope import first_order
+    from wavequake.optics.segments.telescope import first_order, rim_aberration
     from wavequake.workflows.segments.bench import build_telescope
 
     system = build_telescope(study)
     if hasattr(study, "optics"):
         system = replace(system, wavelength=study.optics.wavelength_nm * 1e-6)
     optics, (*_, last, image) = first_order(system), ("M1", *(one.name for one in system.surfaces))
+    waves = waves_of_defocus(optics.defocus, optics.numerical_aperture, system.wavelength)
+    if waves > _FAR:
+        return waves, place_of_image(image, last, optics.defocus, optics.back_focus)
+    beside = rim_aberration(system)
     return (
-        waves_of_defocus(optics.defocus, optics.numerical_aperture, system.wavelength),
-        place_of_image(image, last, optics.defocus, optics.back_focus),
+        _SPHERICAL * beside * optics.numerical_aperture / system.wavelength,
+        f"axial rays of M1's rim meet {image} {beside:.3g} mm beside those of its center; mend a conic",
     )
 
 
@@ -83,9 +89,9 @@ def waves_of_defocus(defocus: float, aperture: float, wavelength: float) -> floa
 
 
 def place_of_image(image: str, last: str, defocus: float, back_focus: float) -> str:
-    """Say where an image plane stands, by distances in mm along the light."""
+    """Say where an image plane stands, by distances in mm along the light, and what may be wrong."""
     side = "beyond" if defocus > 0.0 else "before"
     return (
         f"{image} stands {abs(defocus):.6g} mm {side} the paraxial focus, which is {back_focus:.8g} mm "
-        f"behind {last}"
+        f"behind {last}; mend a distance_mm or a radius"
     )
