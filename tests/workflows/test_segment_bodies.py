@@ -415,6 +415,19 @@ def test_few_instants_of_a_shaken_body_leave_the_streak_of_many(tmp_path):
     assert np.abs(dots - many).max() > 0.05 * many.max()
 
 
+def test_a_case_has_the_bits_alone_that_it_has_among_others(tmp_path):
+    """With models and draws of its own, images and their streaks."""
+    images = STUDY.replace("enabled = false", "pixels = 16").replace("segment = 6", "segment = 18")
+    noise = shaken('model = "base-motion"\nspectrum = { rms = 1e-4, low_hz = 5.0, high_hz = 60.0 }', 5)
+    uncertain = "[structure.uncertain]\nfrequency = 0.05\nshapes = 0.1\n"
+    text = text_of(tmp_path, images, CELL, TOP, SPIDER, uncertain, noise, campaign__cases=4)
+    together = KIND.compute(text, np.arange(4), "numpy").arrays
+    alone = KIND.compute(text, np.array([2]), "numpy").arrays
+    assert np.abs(together["exposure"][2] - together["exposure"][0]).max() > 1e-3
+    for name, values in alone.items():
+        np.testing.assert_array_equal(together[name][2], values[0], err_msg=name)
+
+
 FLOOR = floor("dx_um = 1.0")
 PUMP = shaken('model = "body-force"\nat = ["top.a"]\nlines = [{ frequency_hz = 9.0, force_n = 1.0 }]')
 FEET = CELL[CELL.index("[[link]]") :]
