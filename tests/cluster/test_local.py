@@ -1,3 +1,4 @@
+import gc
 import os
 import signal
 import subprocess
@@ -134,6 +135,12 @@ def test_workers_take_their_time_between_reports():
     with local_cluster(1) as client:
         assert until(lambda: min(client.run(pause_between_reports).values()) >= 5.0)
         assert client.cluster.scheduler.extensions["amm"].running is False
+
+
+def test_workers_look_for_garbage_seldom_and_never_in_what_they_share():
+    with local_cluster(1) as client:
+        assert min(client.run(gc.get_freeze_count).values()) > 50_000
+        assert min(client.run(gc.get_threshold).values())[0] == 50_000
 
 
 def place_in_the_tree(names):
