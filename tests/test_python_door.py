@@ -256,3 +256,14 @@ def test_every_function_shows_an_example():
     functions = [name for name in wq.__all__ if callable(getattr(wq, name)) and name.islower()]
     assert len(functions) > 20
     assert not [name for name in functions if ">>>" not in (getattr(wq, name).__doc__ or "")]
+
+
+def test_a_title_of_ones_own_stands_beside_no_legend():
+    names = xr.DataArray(["alignment", "edge-sensors", "wind", "wind-shake"] * 3, dims="case")
+    values = xr.DataArray(np.arange(12.0), dims="case", name="peak", coords={"disturbance": names})
+    axes = wq.plot.distribution(values)
+    axes.set_title("Peak of the exposure, 1 = perfect image")
+    axes.figure.draw_without_rendering()
+    legend = axes.get_legend().get_window_extent()
+    for text in (axes.title, axes.xaxis.label, *axes.get_xticklabels()):
+        assert not legend.overlaps(text.get_window_extent())

@@ -283,7 +283,9 @@ def distribution(
             axes.step(steps, share[: len(steps)], where="post", color=color, label=label_of)
         axes.set(xlabel=_label(values), ylabel=f"share of cases {side}", ylim=(0.0, 1.0))
         if label:
-            axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)  # steps may be anywhere inside
+            axes.legend(
+                loc="upper left", bbox_to_anchor=(0.0, -0.16), ncols=3
+            )  # steps may be anywhere inside
     return axes
 
 
