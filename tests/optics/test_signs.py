@@ -19,6 +19,7 @@ from wavequake.mechanics.disturbances.motion import still
 from wavequake.optics.segments.prepared import trace_states
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
+from wavequake.workflows.segments.launches import surface_states
 from wavequake.workflows.segments.segment_study import SegmentStudy as Study
 
 OPENCL = [device.name for device in list_devices() if device.kind != "numpy"]
@@ -61,7 +62,7 @@ def computed(case_study, motion, monkeypatch):
 
 
 def traced(bench, case_study, motion, device):
-    states = workflow.surface_states(bench, drawn(case_study, motion), 0, len(motion.mount))
+    states = surface_states(bench, drawn(case_study, motion), 0, len(motion.mount))
     return trace_states(bench.prepared, states, choose_device(device))
 
 

@@ -82,9 +82,32 @@ LOOPS = {
 }
 LENS = {"time.duration_s": 2.0, "time.step_ms": 20.0, "bench.springs": ["initial"]}
 SEGMENTS = {"segments.disturbed": ["one"], "reduction.variants": ["modal12"], "excitation.sine.name": "hum"}
+STEERED = (
+    SYSTEM.replace("system-disturbance", "system-loop")
+    + """
+[[sensor]]
+name = "image"
+model = "line-of-sight"
+rate_hz = 500.0
+[[actuator]]
+name = "steer"
+model = "optic"
+of = "mirror"
+dofs = ["rx", "ry"]
+[[controller]]
+name = "off"
+model = "off"
+[[controller]]
+name = "loop"
+model = "integrator"
+sensor = "image"
+actuator = "steer"
+"""
+)
 # Study, changed keys, cases.
 SMALL = {
     "system-disturbance": (SYSTEM, {}, 5),
+    "system-loop": (STEERED, {}, 5),
     "segment-disturbance": (small_telescope.STUDY, {"imaging.enabled": False}, 7),
     "telescope-exposure": (EXPOSED, TELESCOPE, 3),
     "telescope-loop": ("tmt-ao", LOOPS, 3),

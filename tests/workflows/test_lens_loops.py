@@ -102,6 +102,6 @@ def test_a_loop_by_the_lens_holds_the_line_of_sight(bench):
 
 
 def test_a_stage_under_nothing_is_said_in_a_sentence(tmp_path):
-    words = "actuator.stage.of: there is no surface or body 'lense' after M1; there is M2, .*cryostat, lens"
+    words = "actuator.stage.of: there is no surface or body 'lense' to move; there is M2, .*cryostat, lens"
     with pytest.raises(UserError, match=words):
         bench_of(studied(tmp_path, 'of = "lens"', 'of = "lense"'))

@@ -94,7 +94,7 @@ def test_summaries_are_the_statistics_of_the_histories(small, name):
 
 
 @pytest.mark.parametrize(
-    "name", ["system-disturbance", "lens-experiment", "telescope-exposure", "telescope-loop"]
+    "name", ["system-disturbance", "system-loop", "lens-experiment", "telescope-exposure", "telescope-loop"]
 )
 def test_each_case_alone_has_the_bits_that_it_has_in_a_chunk(small, name, tmp_path):
     study_of, dataset = small

@@ -15,7 +15,7 @@ from wavequake.workflows.segments import launches
 from wavequake.workflows.segments import segment_disturbance as workflow
 from wavequake.workflows.segments.bench import bench_of
 from wavequake.workflows.segments.images import energy_scale, image_axis
-from wavequake.workflows.segments.launches import slot
+from wavequake.workflows.segments.launches import slot, surface_states
 from wavequake.workflows.study import load_study, study_with
 
 OPENCL = [device.name for device in list_devices() if device.kind != "numpy"]
@@ -171,7 +171,7 @@ def test_verdicts_are_those_of_the_stored_peak_to_valley_and_of_the_opds_themsel
         instants = np.count_nonzero(np.isfinite(arrays["time_s"][case]))
         assert arrays["rayleigh"][case] == np.count_nonzero(meets) / instants
     for case in (0, 1):
-        states = workflow.surface_states(bench, workflow.draw(bench, case), 0, 3)
+        states = surface_states(bench, workflow.draw(bench, case), 0, 3)
         opd = trace_states(bench.prepared, states, choose_device("numpy")).opd[0, :, :3]
         root = np.sqrt(weight)[:, None]
         left = opd - design @ np.linalg.lstsq(root * design, root * opd, rcond=None)[0]
@@ -228,7 +228,7 @@ def test_circular_coefficients_are_those_of_a_direct_fit_of_circular_polynomials
     row = rows(text, "figure")[0]
     found = workflow.compute(circular.identity_text(), np.array([row]), DEVICE).arrays
     bench = bench_of(text)
-    states = workflow.surface_states(bench, workflow.draw(bench, int(row)), 0, 1)
+    states = surface_states(bench, workflow.draw(bench, int(row)), 0, 1)
     opd = trace_states(bench.prepared, states, choose_device("numpy")).opd[0, :, 0]
     rays, root = bench.prepared.rays, np.sqrt(bench.prepared.weight)
     outer = bench.system.pupil_outer

@@ -27,10 +27,11 @@ def film_of(
     bench = bench_of(study_from_identity(SystemLoopStudy, manifest.study))
     system, known, seen = bench.optics.bench, controllers_of(dataset), seen_by_loops(dataset)
     stage, surfaces = stage_of_system(system)
-    away = (seen["los"].isel(controller=0) ** 2).sum("axis")
+    away = seen["los"].isel(controller=0) ** 2
+    away = away.mean([dim for dim in away.dims if dim != "case"])
     takes = list[Take]()
     with threadpool_limits(1):
-        for case in list(chosen) or worst_cases(dataset, away.mean("time").to_numpy()):
+        for case in list(chosen) or worst_cases(dataset, away.to_numpy()):
             name = str(dataset["disturbance"].sel(case=case).item())
             alike = seen.isel(case=(dataset["disturbance"] == name).to_numpy())
             names = telling(results(alike.isel(case=(alike["status"] == DONE).to_numpy())), known)
