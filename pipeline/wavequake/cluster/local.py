@@ -80,6 +80,8 @@ NO_DASHBOARD: dict[str, Any] = {
 # more than all tasks of a campaign; a death shows at once, by the connection.
 _HEARTBEAT_S = 5.0
 _LOOK_S = 1.0  # between two looks whether a worker has left
+# By the ssl of Python 3.14 with OpenSSL 3.6 (CPython 148594); elsewhere Dask restarts workers undisturbed.
+CONNECTIONS_BREAK = sys.version_info >= (3, 14)
 _LEFT = ("closing", "closing_gracefully", "closed", "failed")
 
 GUARDED = 'a script that starts processes must do so under `if __name__ == "__main__":`.'
@@ -155,7 +157,8 @@ def local_cluster(workers: int | None = None, dashboard: bool = False) -> Iterat
                     )
                     if not dashboard:  # which shows what workers report
                         _calm(cluster.scheduler)
-                    _keep(cluster, workers or CPU_COUNT)
+                    if CONNECTIONS_BREAK:
+                        _keep(cluster, workers or CPU_COUNT)
                 except (RuntimeError, AssertionError, OSError) as error:  # a daemon may have no children
                     raise NoWorkersError(f"The worker processes do not start ({error}): {_GUARD}") from None
                 client = Client(cluster, set_as_default=False)
