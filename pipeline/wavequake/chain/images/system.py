@@ -30,7 +30,8 @@ from wavequake.imaging.pupils.nyquist import samples_for
 from wavequake.imaging.pupils.pupil_function import PupilGrid, apodized
 from wavequake.kernels.device.devices import NUMPY, Device
 from wavequake.optics.polynomials.zernike import annular_zernike
-from wavequake.optics.wavefronts.wavefront import PreparedSystem, SystemWavefront
+from wavequake.optics.wavefronts.record import Wavefront
+from wavequake.optics.wavefronts.wavefront import PreparedSystem
 
 Array = NDArray[np.float64]
 
@@ -140,7 +141,7 @@ class SystemImager:
 def prepare_images(
     section: SystemImagingSection,
     prepared: Sequence[Sequence[PreparedSystem]],
-    static: Sequence[Sequence[SystemWavefront]],
+    static: Sequence[Sequence[Wavefront]],
     lit: Mapping[tuple[int, int], NDArray[np.bool_]],
     shown: ObjectSection | None = None,
     detector: DetectorSection | None = None,
@@ -235,7 +236,7 @@ def _field_imager(
     )
 
 
-def _require_samples(imager: SystemImager, field: int, static: Sequence[SystemWavefront]) -> None:
+def _require_samples(imager: SystemImager, field: int, static: Sequence[Wavefront]) -> None:
     section = imager.section
     for index, wavefront in enumerate(static):
         one = imager.imagers[field][index]
@@ -266,7 +267,7 @@ def exposed_instants(section: SystemImagingSection, instants: int) -> NDArray[np
 
 
 def expose(
-    imager: SystemImager, field: int, wavefronts: Sequence[SystemWavefront], away_mm: Array | None = None
+    imager: SystemImager, field: int, wavefronts: Sequence[Wavefront], away_mm: Array | None = None
 ) -> dict[str, Array]:
     """Return exposure, its peak and radii, of a field over the instants of its wavefronts.
 
@@ -274,7 +275,7 @@ def expose(
     ----------
     imager : SystemImager
     field : int
-    wavefronts : sequence of SystemWavefront
+    wavefronts : sequence of Wavefront
         By wavelength, of T instants each.
     away_mm : ndarray, shape (exposed instants, m, 2), optional
         Where the line of sight is besides, from where each exposed instant has it: what is exposed there
@@ -315,7 +316,7 @@ def expose(
 def _exposed(
     imager: SystemImager,
     field: int,
-    wavefronts: Sequence[SystemWavefront],
+    wavefronts: Sequence[Wavefront],
     chosen: NDArray[np.intp],
     plane: int | None,
     away: Array | None,
@@ -362,7 +363,7 @@ def _seen_object(
     imager: SystemImager,
     field: int,
     canvas: Array,
-    wavefront: SystemWavefront,
+    wavefront: Wavefront,
     chosen: NDArray[np.intp],
     away: Array | None,
 ) -> Array:

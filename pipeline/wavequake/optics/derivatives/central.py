@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wavequake.errors import UserError
+from wavequake.optics.wavefronts.record import Wavefront
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -104,6 +105,24 @@ class Differences(NamedTuple):
         return Differences(zernike[:count], los[:count], centroid[:count], rms_raw[:count], intact[:count])
 
 
+def differences(found: Wavefront, rms_raw: Array, same: NDArray[np.bool_]) -> Differences:
+    """Return those of pairs of instants; `same` (2 K,) says which instants lose the rays lost at rest."""
+    zernike, los, centroid = (
+        values[0::2] - values[1::2] for values in (found.zernike, found.los, found.centroid)
+    )
+    return Differences(zernike, los, centroid, rms_raw, same[0::2] & same[1::2])
+
+
+def weighted_rms(weight: Array, values: Array) -> Array:
+    """Return the rms (K,) of values (K, N) of rays of weights (N,) about their means; NaN do not count."""
+    kept = np.isfinite(values)
+    shares = np.where(kept, weight, 0.0)
+    total = np.maximum(shares.sum(axis=1), np.finfo(float).tiny)
+    values = np.where(kept, values, 0.0)
+    values = values - (np.sum(shares * values, axis=1) / total)[:, None]
+    return np.asarray(np.sqrt(np.sum(shares * values**2, axis=1) / total), dtype=np.float64)
+
+
 # Moves elements (K,) in degrees of freedom (K,) by plus and minus sizes (K,), and returns the differences.
 Pairs = Callable[[Indices, Indices, Array], Differences]
 
@@ -173,6 +192,11 @@ def _derivatives(pairs: Pairs, at_once: int, elements: int, sizes: Array) -> Dif
 def central(values: Array, step: ArrayLike) -> Array:
     """Return (f(+h) - f(-h)) / (2 h) of values (2 or more, ...), of which the first two are these."""
     return np.asarray((values[0] - values[1]) / (2.0 * np.asarray(step)), dtype=np.float64)
+
+
+def gradient(values: Array, step: float) -> Array:
+    """Return derivatives (..., 2) by x and y of values (4, ...) at a step along +x, -x, +y and -y."""
+    return np.stack([central(values[:2], step), central(values[2:], step)], axis=-1)
 
 
 def checked_derivative(

@@ -18,8 +18,9 @@ from wavequake.optics.derivatives.central import FAINT, SIGNS, central, checked_
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import SystemStates
 from wavequake.optics.wavefronts.fits import fit_instants
+from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.optics.wavefronts.sight import line_of_sight
-from wavequake.optics.wavefronts.wavefront import PreparedSystem, SystemWavefront, trace_system
+from wavequake.optics.wavefronts.wavefront import PreparedSystem, trace_system
 
 Array = NDArray[np.float64]
 Move = Callable[[Array], SystemStates]
@@ -128,7 +129,7 @@ def curvatures(prepared: PreparedSystem, device: Device, motions: Motions) -> Ar
     return found
 
 
-def wavefronts(light: ModalLight, motions: Array) -> SystemWavefront:
+def wavefronts(light: ModalLight, motions: Array) -> Wavefront:
     """Return the wavefronts of motions (T, D); peak to valley and Strehl ratio, which it does not know, NaN.
 
     The bits of a batch depend on the others in it: give the instants of a case together, and no more.
@@ -138,9 +139,8 @@ def wavefronts(light: ModalLight, motions: Array) -> SystemWavefront:
     zernike, chief, los, centroid = np.split(found, [-6, -4, -2], axis=1)
     raw, flat, spot = (np.linalg.norm(whole @ root.T, axis=1) for root in (light.raw, light.flat, light.spot))
     unknown, none = np.full(len(motions), np.nan), np.zeros(len(motions), np.int64)
-    return SystemWavefront(
+    return Wavefront(
         zernike=zernike,
-        rms=np.sqrt(np.sum(zernike[:, 3:] ** 2, axis=1)),
         rms_raw=raw,
         rms_flat=flat,
         pv=unknown,

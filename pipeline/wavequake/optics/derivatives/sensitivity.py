@@ -21,7 +21,9 @@ from wavequake.optics.derivatives.central import (
     Indices,
     SensitivityMatrix,
     Steps,
+    differences,
     sensitivity_matrix,
+    weighted_rms,
 )
 from wavequake.optics.shapes.shapes import ZernikeDeformation
 from wavequake.optics.systems.bodies import Body, with_bodies
@@ -194,16 +196,6 @@ def _differences(
 ) -> Differences:
     """Return the differences of pairs of instants."""
     opd = traced[0]
-    found = analyse_system(prepared, *traced)
-    change = opd[0::2] - opd[1::2]
-    kept = np.isfinite(change)
-    weight = np.where(kept, prepared.fit.weight, 0.0)
-    total = np.maximum(weight.sum(axis=1), np.finfo(float).tiny)
-    change = np.where(kept, change, 0.0)
-    change = change - (np.sum(weight * change, axis=1) / total)[:, None]
-    rms = np.sqrt(np.sum(weight * change**2, axis=1) / total)
     same = (np.isfinite(opd) == ~lost).all(axis=1)
-    zernike, los, centroid = (
-        values[0::2] - values[1::2] for values in (found.zernike, found.los, found.centroid)
-    )
-    return Differences(zernike, los, centroid, rms, same[0::2] & same[1::2])
+    rms = weighted_rms(prepared.fit.weight, opd[0::2] - opd[1::2])
+    return differences(analyse_system(prepared, *traced), rms, same)

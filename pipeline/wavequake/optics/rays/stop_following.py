@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from wavequake.kernels.trace.sequence import Moving, Rays, Sequence
 from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.optics.derivatives.central import gradient
 from wavequake.optics.rays.packing import moving
 from wavequake.optics.segments.kinematics import cardan
 from wavequake.optics.systems.kinematics import rest_states
@@ -38,7 +39,7 @@ def steering(system: OpticalSystem, sequence: Sequence, chief: Rays) -> Array:
     trials = np.array([[step, 0.0], [-step, 0.0], [0.0, step], [0.0, -step]])
     light = _moved(moving(system, rest_states(system, 4)), chief, trials, far)
     ends = _meet(sequence, chief, light, system.stop)
-    slopes = np.stack([ends[0] - ends[1], ends[2] - ends[3]], axis=1) / (2.0 * step)
+    slopes = gradient(ends, step)
     if not (np.isfinite(slopes).all() and np.linalg.det(slopes) != 0.0):
         return np.full((2, 2), np.nan)
     return np.asarray(np.linalg.inv(slopes), dtype=np.float64)

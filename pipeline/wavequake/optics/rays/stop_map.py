@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from wavequake.kernels.trace.sequence import Moving, Rays, Sequence
 from wavequake.kernels.trace.sequential_numpy import trace_sequence_numpy
+from wavequake.optics.derivatives.central import gradient
 
 Array = NDArray[np.float64]
 
@@ -64,12 +65,12 @@ class Aim:
         steps = np.array([[0.0, 1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0, -1.0]]) * self.difference
         probes = (numbers[:, None, :] + steps[:, :, None]).reshape(2, -1)
         met = self.meet(probes).reshape(2, 5, -1)
-        slopes = np.stack([met[:, 1] - met[:, 2], met[:, 3] - met[:, 4]], axis=1) / (2.0 * self.difference)
+        slopes = gradient(np.moveaxis(met[:, 1:], 1, 0), self.difference)
         for axis in (0, 1):
             for probe, side in ((1, self.difference), (2, -self.difference)):
                 at_edge = (met[:, 2 * axis + probe] - met[:, 0]) / side
-                slopes[:, axis] = np.where(np.isnan(slopes[:, axis]), at_edge, slopes[:, axis])
-        return met[:, 0], np.moveaxis(slopes, -1, 0)
+                slopes[..., axis] = np.where(np.isnan(slopes[..., axis]), at_edge, slopes[..., axis])
+        return met[:, 0], slopes.transpose(1, 0, 2)
 
 
 def newton(aim: Aim, numbers: Array, target: Array, safe: Array | None = None) -> Array:

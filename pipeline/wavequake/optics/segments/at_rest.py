@@ -1,6 +1,7 @@
 """A telescope at rest and with M2 turned a little: traced by the first process, and kept for the others."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import make_dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,8 @@ from wavequake.kernels.device.tiles import TILE
 from wavequake.optics.derivatives.central import SIGNS
 from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, trace_states
 from wavequake.optics.segments.states import rest
-from wavequake.optics.segments.wavefront import Wavefront, analyse
+from wavequake.optics.segments.wavefront import analyse
+from wavequake.optics.wavefronts.record import ARRAYS, Wavefront
 from wavequake.tables import kept
 
 Array = NDArray[np.float64]
@@ -19,28 +21,7 @@ STEP = 1e-6
 """By which M2 turns, rad."""
 
 
-@dataclass(frozen=True)
-class _Traced:
-    """A wavefront without its device, and the status of each ray at rest (N,)."""
-
-    zernike: Array
-    rms: Array
-    rms_raw: Array
-    rms_flat: Array
-    pv: Array
-    chief: Array
-    los: Array
-    centroid: Array
-    spot_rms: Array
-    strehl: Array
-    segment_phase: Array
-    lost: NDArray[np.int64]
-    vignetted: NDArray[np.int64]
-    lost_segments: NDArray[np.bool_]
-    status: NDArray[np.int8]
-
-
-_PARTS = [one.name for one in fields(_Traced) if one.name != "status"]
+_Traced = make_dataclass("_Traced", [*ARRAYS, "status"], frozen=True)
 
 
 def at_rest(
@@ -67,14 +48,14 @@ def at_rest(
     ndarray of int
     """
 
-    def reference(*known_by: object) -> _Traced:
+    def reference(*known_by: object) -> Any:
         return _traced(prepared, field, terms, mirror_terms)
 
     found = kept(_Traced, reference, *known_by, prepared.wavelength, field, terms, mirror_terms)
-    return Wavefront(**{name: getattr(found, name) for name in _PARTS}), found.status
+    return Wavefront(**{name: getattr(found, name) for name in ARRAYS}), found.status
 
 
-def _traced(prepared: PreparedTrace, field: Array, terms: int, mirror_terms: int) -> _Traced:
+def _traced(prepared: PreparedTrace, field: Array, terms: int, mirror_terms: int) -> Any:
     system = prepared.system
     still = rest(TILE, len(system.segments), len(system.surfaces), terms, mirror_terms)
     motion = still.surface_motion.copy()
@@ -83,5 +64,5 @@ def _traced(prepared: PreparedTrace, field: Array, terms: int, mirror_terms: int
     states = replace(still, surface_motion=motion, field=still.field + field)
     traced = trace_states(prepared, states, choose_device("numpy"))
     wavefront = analyse(prepared, traced, chief_rays(prepared, states))
-    parts = {name: getattr(wavefront, name) for name in _PARTS}
+    parts = {name: getattr(wavefront, name) for name in ARRAYS}
     return _Traced(**parts, status=np.asarray(traced.status[0, :, 0]))

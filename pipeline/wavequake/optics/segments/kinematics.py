@@ -193,10 +193,7 @@ def in_optics_frame(motion: Array, rotation: Array) -> Array:
     if (rotation == np.eye(3)).all():
         return motion
     turned = rotation @ cardan(motion[:, 3:]) @ rotation.T
-    alpha = np.arctan2(-turned[:, 1, 2], turned[:, 2, 2])
-    beta = np.arctan2(turned[:, 0, 2], np.hypot(turned[:, 0, 0], turned[:, 0, 1]))
-    gamma = np.arctan2(-turned[:, 0, 1], turned[:, 0, 0])
-    return np.column_stack([motion[:, :3] @ rotation.T, alpha, beta, gamma])
+    return np.hstack([motion[:, :3] @ rotation.T, cardan_angles(turned)])
 
 
 def carried(system: SegmentedTelescope, surfaces: Sequence[int], motion: Array) -> NDArray[np.float64]:

@@ -23,7 +23,9 @@ from wavequake.optics.derivatives.central import (
     Indices,
     SensitivityMatrix,
     Steps,
+    differences,
     sensitivity_matrix,
+    weighted_rms,
 )
 from wavequake.optics.segments.kinematics import carried_segments
 from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, trace_states
@@ -180,21 +182,6 @@ def _pair_differences(
     """Trace a batch of pairs of instants."""
     traced = trace_states(prepared, states, device)
     wavefront = analyse(prepared, traced, chief_rays(prepared, states), device)
-    change = [tile[:, 0::2] - tile[:, 1::2] for tile in traced.opd]
-    rms = np.concatenate([_weighted_rms(prepared.weight, one) for one in change]) / prepared.wavelength
-    intact = (wavefront.lost[0::2] == lost) & (wavefront.lost[1::2] == lost)
-    zernike, los, centroid = (
-        values[0::2] - values[1::2] for values in (wavefront.zernike, wavefront.los, wavefront.centroid)
-    )
-    return Differences(zernike, los, centroid, rms, intact)
-
-
-def _weighted_rms(weight: Array, values: Array) -> Array:
-    """Return the rms (K,) of values (N, K) about their means; rays that are NaN do not count."""
-    kept = np.isfinite(values)
-    shares = weight[:, None] * kept
-    total = np.maximum(shares.sum(axis=0), np.finfo(float).tiny)
-    values = np.where(kept, values, 0.0)
-    values = values - np.sum(shares * values, axis=0) / total
-    rms: Array = np.sqrt(np.sum(shares * values**2, axis=0) / total)
-    return rms
+    change = [(tile[:, 0::2] - tile[:, 1::2]).T for tile in traced.opd]
+    rms = np.concatenate([weighted_rms(prepared.weight, one) for one in change]) / prepared.wavelength
+    return differences(wavefront, rms, wavefront.lost == lost)

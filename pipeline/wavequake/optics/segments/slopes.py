@@ -29,13 +29,14 @@ from wavequake.kernels.device.devices import NUMPY
 from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.segmented import Traced, trace_segmented
 from wavequake.kernels.trace.status import OK
+from wavequake.optics.derivatives.central import gradient
 from wavequake.optics.polynomials.zernike import annular_zernike_gradient
 from wavequake.optics.segments.aspheres import figures_at_rest
 from wavequake.optics.segments.kinematics import cardan, field_directions, surface_poses
 from wavequake.optics.segments.prepared import PreparedTrace, chief_rays
 from wavequake.optics.segments.states import SurfaceStates, rest
 from wavequake.optics.segments.telescope import surface_transforms
-from wavequake.optics.wavefronts.fits import MORE_SEGMENT_RAYS, Fit, refit, weighted_fit
+from wavequake.optics.wavefronts.fits import MORE_SEGMENT_RAYS, Fit, fit_tile, weighted_fit
 
 Array = NDArray[np.float64]
 
@@ -83,10 +84,10 @@ def slope_fit(
     states.field[:] = field
     states.surface_motion[:] = 0.0 if motion is None else motion
     distance, derivatives, _ = sphere_points(prepared, states)
-    _, *gradient = annular_zernike_gradient(
+    _, *by = annular_zernike_gradient(
         prepared.rays.x / outer, prepared.rays.y / outer, terms, prepared.obscuration
     )
-    slopes = np.stack(gradient, axis=1) / outer  # (N, 2, J), per mm of pupil
+    slopes = np.stack(by, axis=1) / outer  # (N, 2, J), per mm of pupil
     scale = -prepared.wavelength * distance
     return offset_fit(slopes, derivatives, scale, prepared.weight, MORE_SEGMENT_RAYS)
 
@@ -136,14 +137,14 @@ def sphere_points(prepared: PreparedTrace, states: SurfaceStates) -> tuple[Array
     squared = np.sum(along**2, axis=0) + before**2
     path = to_sphere(image, along, squared, radius)
     sphere = image + path * along
-    derivatives = np.stack([sphere[..., 1] - sphere[..., 2], sphere[..., 3] - sphere[..., 4]]) / (2.0 * step)
+    derivatives = gradient(np.moveaxis(sphere[..., 1:], -1, 0), step)
     if not np.isfinite(sphere).all():
         lost = np.count_nonzero(~np.isfinite(sphere).all(axis=(0, 2)))
         raise UserError(
             f"{lost} of {image.shape[1]} rays do not reach the image of {prepared.system.name} from the "
             f"field {tuple(states.field[0].tolist())} rad, so it has no slopes; choose a smaller field"
         )
-    return path[:, 0] * np.sqrt(squared[:, 0]), derivatives.transpose(2, 0, 1), sphere[..., 0].T
+    return path[:, 0] * np.sqrt(squared[:, 0]), derivatives.transpose(1, 2, 0), sphere[..., 0].T
 
 
 def to_sphere(image: Array, along: Array, squared: Array | float, radius: float) -> Array:
@@ -222,23 +223,11 @@ def wavefront_from_slopes(fit: Fit, traced: Traced, chief: Array) -> Array:
         Annular Noll coefficients in waves with the sign of the OPD. The first one, piston, is NaN: slopes do
         not know it. All are NaN for an instant whose remaining rays do not determine them.
     """
-    parts = [
-        coefficients_of_tile(fit, x - center[0], y - center[1], status == OK)
-        for x, y, center, status in zip(traced.x, traced.y, chief, traced.status, strict=True)
-    ]
-    return np.concatenate(parts)
-
-
-def coefficients_of_tile(fit: Fit, x: Array, y: Array, ok: NDArray[np.bool_]) -> Array:
-    """Return the coefficients (16, J) of one tile of offsets (N, 16) of which `ok` (N, 16) are known."""
-    offsets = np.concatenate([x, y])
-    coefficients = np.full((TILE, len(fit.matrix) + 1), np.nan)
-    if ok.all():
-        coefficients[:, 1:] = (fit.matrix @ offsets).T
-        return coefficients
-    kept = np.concatenate([ok, ok])
-    offsets = np.where(kept, offsets, 0.0)
-    coefficients[:, 1:] = (fit.matrix @ offsets).T
-    for lane in np.flatnonzero(~ok.all(axis=0)):
-        coefficients[lane, 1:] = refit(fit, kept[:, lane], offsets[:, lane])
+    coefficients = np.full((TILE * len(chief), len(fit.matrix) + 1), np.nan)
+    coefficients[:, 1:] = np.concatenate(
+        [
+            fit_tile(fit, np.concatenate([x - center[0], y - center[1]]), np.tile(status == OK, (2, 1))).T
+            for x, y, center, status in zip(traced.x, traced.y, chief, traced.status, strict=True)
+        ]
+    )
     return coefficients

@@ -7,8 +7,6 @@ happens here and nowhere else.
 A lost ray is data: an instant that has one is fitted without it and says so in ``lost``.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,64 +20,12 @@ from wavequake.kernels.trace.train import vignetted
 from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, trace_states
 from wavequake.optics.segments.slopes import wavefront_from_slopes
 from wavequake.optics.segments.states import SurfaceStates
-from wavequake.optics.wavefronts.fits import Fit, refit, segment_planes
+from wavequake.optics.wavefronts.fits import fit_tile, segment_planes
+from wavequake.optics.wavefronts.record import Wavefront
 
 Array = NDArray[np.float64]
 
 _TILES = 16  # that are reduced at a time: their waves take memory beside the traced rays
-
-
-@dataclass(frozen=True)
-class Wavefront:
-    """The wavefront of a batch of instants.
-
-    Attributes
-    ----------
-    zernike : ndarray, shape (batch, J)
-        Annular Noll coefficients in waves, total (not relative to the reference configuration). The first
-        one is NaN if they come from slopes.
-    rms : ndarray, shape (batch,)
-        Root of the sum of squares from j = 4 on (Störkle 2018, Eq. 3.40), waves.
-    rms_raw : ndarray, shape (batch,)
-        Weighted rms over the rays on glass, piston removed, waves.
-    rms_flat, pv : ndarray, shape (batch,)
-        Weighted rms and peak to valley over the rays on glass about the best-fit plane, waves.
-    chief, los, centroid : ndarray, shape (batch, 2)
-        Image point of the virtual chief ray; line of sight by Eq. 3.39 with annular tilt; weighted mean of
-        the rays' image points (the true geometric centroid); mm.
-    spot_rms : ndarray, shape (batch,)
-        Weighted rms distance of the rays' image points from their centroid, mm.
-    strehl : ndarray, shape (batch,)
-        Squared modulus of the mean of exp(2 pi i OPD) about the best-fit plane: the intensity in the
-        plane's direction.
-    segment_phase : ndarray, shape (batch, S, 3)
-        Of the OPD about the chief ray: piston at each segment's center in waves and slopes in x and y in
-        waves/mm; NaN for a lost segment.
-    lost : ndarray of int, shape (batch,)
-        Number of lost rays; all numbers above are those of the remaining rays.
-    vignetted : ndarray of int, shape (batch,)
-        Those of them that pass by a mirror after M1, beyond its edge.
-    lost_segments : ndarray of bool, shape (batch, S)
-        Segments whose remaining rays do not determine a plane: mostly, that lost all their rays.
-    device : Device
-        Where it was measured, and where images of it are made.
-    """
-
-    zernike: Array
-    rms: Array
-    rms_raw: Array
-    rms_flat: Array
-    pv: Array
-    chief: Array
-    los: Array
-    centroid: Array
-    spot_rms: Array
-    strehl: Array
-    segment_phase: Array
-    lost: NDArray[np.int64]
-    vignetted: NDArray[np.int64]
-    lost_segments: NDArray[np.bool_]
-    device: Device = NUMPY
 
 
 def los_eq339(
@@ -156,7 +102,6 @@ def analyse(prepared: PreparedTrace, traced: Traced, chief: Array, device: Devic
     factor = float(np.copysign(1.0 / np.sqrt(1.0 + prepared.obscuration**2), prepared.focal_length))
     return Wavefront(
         zernike=zernike,
-        rms=np.sqrt(np.sum(np.ascontiguousarray(zernike[:, 3:].T) ** 2, axis=0)),
         rms_raw=moments["rms_raw"],
         rms_flat=moments["rms_flat"],
         pv=moments["pv"],
@@ -181,28 +126,19 @@ def _fit_tile(
     Return Zernike coefficients, phases of segments, lost segments and shift of the sphere's center with the
     16 instants first, and the plane's slopes (2, 16).
     """
-    complete, segments = bool(ok.all()), len(prepared.system.segments)
-    known = waves if complete else np.where(ok, waves, 0.0)
-    incomplete = () if complete else np.flatnonzero(~ok.all(axis=0))
-
-    def fitted(fit: Fit) -> Array:
-        coefficients = fit.matrix @ known
-        for lane in incomplete:
-            coefficients[:, lane] = refit(fit, ok[:, lane], known[:, lane])
-        return coefficients
-
+    complete, segments = ok.all(axis=0), len(prepared.system.segments)
+    known = waves if complete.all() else np.where(ok, waves, 0.0)
     phase = (prepared.segment_fit @ known).reshape(segments, 3, TILE)
     lost_segments = np.zeros((TILE, segments), dtype=np.bool_)
-    for lane in incomplete:
+    for lane in np.flatnonzero(~complete):
         phase[..., lane], lost_segments[lane] = _refit_segments(prepared, ok[:, lane], known[:, lane])
     shift = np.zeros((2, TILE))
     if prepared.sphere is not None:
-        tilt = fitted(prepared.sphere)[1:3]
+        tilt = fit_tile(prepared.sphere, waves, ok)[1:3]
         waves -= prepared.sphere.basis[:, 1:3] @ tilt
-        known = waves if complete else np.where(ok, waves, 0.0)
         shift = tilt * (prepared.wavelength / prepared.numerical_aperture)
-    zernike, plane = fitted(prepared.zernike).T, fitted(prepared.plane)[1:3]
-    return zernike, phase.transpose(2, 0, 1), lost_segments, shift.T, plane
+    zernike, plane = (fit_tile(fit, waves, ok) for fit in (prepared.zernike, prepared.plane))
+    return zernike.T, phase.transpose(2, 0, 1), lost_segments, shift.T, plane[1:3]
 
 
 def _refit_segments(

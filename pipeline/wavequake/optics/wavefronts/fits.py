@@ -195,6 +195,16 @@ def fit_instants(fit: Fit, values: Array, device: Device = NUMPY) -> Array:
     return coefficients
 
 
+def fit_tile(fit: Fit, values: Array, ok: Mask) -> Array:
+    """Return coefficients (J, n) of values (N, n), of which `ok` (N, n) are known: of instants in tiles."""
+    complete = ok.all(axis=0)
+    known = values if complete.all() else np.where(ok, values, 0.0)
+    coefficients: Array = fit.matrix @ known
+    for lane in np.flatnonzero(~complete):
+        coefficients[:, lane] = refit(fit, ok[:, lane], known[:, lane])
+    return coefficients
+
+
 def segment_planes(
     x: Array, y: Array, weight: Array, segment: NDArray[np.int64], centers: Array
 ) -> tuple[Array, Mask]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from wavequake.kernels.sums.ray_sums_numpy import times_instants
 from wavequake.kernels.trace.sequence import TracedRays
+from wavequake.optics.derivatives.central import gradient
 from wavequake.optics.polynomials.zernike import annular_zernike_gradient
 from wavequake.optics.segments.slopes import SHIFTS, STEP, offset_fit, to_sphere
 from wavequake.optics.wavefronts.fits import MORE_RAYS, Fit, fit_instants
@@ -101,17 +102,16 @@ def system_slopes(
         If the rays do not determine the coefficients.
     """
     terms = fit.basis.shape[1]
-    _, *gradient = annular_zernike_gradient(pupil[:, 0], pupil[:, 1], terms, obscuration)
-    apart = np.stack([points[..., 1] - points[..., 2], points[..., 3] - points[..., 4]]) / (2.0 * STEP)
-    derivatives = apart.transpose(2, 0, 1)
+    _, *by = annular_zernike_gradient(pupil[:, 0], pupil[:, 1], terms, obscuration)
+    derivatives = gradient(np.moveaxis(points[..., 1:], -1, 0), STEP).transpose(1, 2, 0)
     known = np.isfinite(points[0]).all(axis=1)
     derivatives = np.where(known[:, None, None], derivatives, np.eye(2))
     scale = np.where(known, -wavelength * distance, 0.0)
     weight = np.where(known, fit.weight, 0.0)
     return SystemSlopes(
-        fit=offset_fit(np.stack(gradient, axis=1), derivatives, scale, weight, MORE_RAYS),
+        fit=offset_fit(np.stack(by, axis=1), derivatives, scale, weight, MORE_RAYS),
         pupil=fit,
-        gradient=np.stack(gradient),
+        gradient=np.stack(by),
         radius=radius,
         distance=np.where(known, distance, np.nan),
         points=points[..., 0],

@@ -33,6 +33,7 @@ from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.paraxial import paraxial
 from wavequake.optics.systems.system import OpticalSystem, SystemStates, wavelength_of
 from wavequake.optics.wavefronts.fits import MORE_RAYS, Fit, fit_instants, pupil_fit
+from wavequake.optics.wavefronts.record import Wavefront, joined
 from wavequake.optics.wavefronts.reference_sphere import sphere_radius
 from wavequake.optics.wavefronts.sight import line_of_sight
 from wavequake.optics.wavefronts.slopes import (
@@ -99,44 +100,6 @@ class PreparedSystem:
     surface: NDArray[np.int8]
     slopes: SystemSlopes | None = None
     sphere: Fit | None = None
-
-
-@dataclass(frozen=True)
-class SystemWavefront:
-    """Numbers of T wavefronts.
-
-    Attributes
-    ----------
-    zernike : ndarray, shape (T, J)
-        Noll coefficients, waves. The first one is NaN if they come from slopes.
-    rms, rms_raw : ndarray, shape (T,)
-        Rms of the terms j >= 4, and rms over the rays without piston; waves.
-    rms_flat, pv : ndarray, shape (T,)
-        Rms and peak to valley over the rays about the best-fit plane, waves.
-    chief, los, centroid : ndarray, shape (T, 2)
-        Image point of the chief ray, of the best-fit plane (Störkle 2018, Eq. 3.39) and of the rays' center;
-        mm in the frame of the image.
-    spot_rms : ndarray, shape (T,)
-        Rms distance of the rays' image points from their center, mm.
-    strehl : ndarray, shape (T,)
-        Squared modulus of the mean of exp(2 pi i OPD) about the best-fit plane: the intensity in the plane's
-        direction, relative to that of a perfect wavefront.
-    lost, vignetted : ndarray of int, shape (T,)
-        Rays that do not arrive, and those of them that an opening stops.
-    """
-
-    zernike: Array
-    rms: Array
-    rms_raw: Array
-    rms_flat: Array
-    pv: Array
-    chief: Array
-    los: Array
-    centroid: Array
-    spot_rms: Array
-    strehl: Array
-    lost: NDArray[np.int64]
-    vignetted: NDArray[np.int64]
 
 
 def prepare_system(
@@ -206,7 +169,7 @@ def prepare_system(
 def with_slopes(prepared: PreparedSystem) -> PreparedSystem:
     """Return the same with coefficients from ray slopes (Störkle 2018, Eq. 4.13-4.20), not path lengths.
 
-    Their piston is NaN. Line of sight and `SystemWavefront.rms` follow the coefficients; all else remains
+    Their piston is NaN. Line of sight and `Wavefront.rms` follow the coefficients; all else remains
     that of path lengths. Both methods agree to 4e-7 waves as far as the polynomials describe the wavefront.
 
     Raises
@@ -232,7 +195,7 @@ def with_fitted_sphere(prepared: PreparedSystem) -> PreparedSystem:
     """Return the same with OPDs about the sphere that fits the wavefront best (Störkle 2018, section 3.3.3).
 
     The line from the pupil's center to the sphere's replaces the chief ray: what was tilt is in its image
-    point. `SystemWavefront.chief` remains where the chief ray arrives.
+    point. `Wavefront.chief` remains where the chief ray arrives.
 
     Raises
     ------
@@ -340,7 +303,7 @@ def _outputs(prepared: PreparedSystem) -> tuple[str, ...]:
     return OUTPUTS if prepared.slopes is not None else OUTPUTS[:3]  # directions take a tenth of the time
 
 
-def measure_system(prepared: PreparedSystem, states: SystemStates, device: Device) -> SystemWavefront:
+def measure_system(prepared: PreparedSystem, states: SystemStates, device: Device) -> Wavefront:
     """Trace a batch of instants and reduce it to its wavefronts, those of one launch at a time.
 
     Raises
@@ -351,12 +314,12 @@ def measure_system(prepared: PreparedSystem, states: SystemStates, device: Devic
     light = incoming_light(prepared, states, device)
     lights = [part for _, part in launches_of(prepared.rays, light, _outputs(prepared))]
     found = [analyse_system(prepared, *traced, device) for traced in trace_lights(prepared, lights, device)]
-    return SystemWavefront(*map(np.concatenate, zip(*(vars(one).values() for one in found), strict=True)))
+    return joined(found)
 
 
 def analyse_system(
     prepared: PreparedSystem, opd: Array, traced: TracedRays, chief: Array, device: Device = NUMPY
-) -> SystemWavefront:
+) -> Wavefront:
     """Reduce what `trace_system` returns to the numbers of its wavefronts."""
     point, weight = chief, prepared.fit.weight
     if prepared.sphere is not None:
@@ -368,9 +331,8 @@ def analyse_system(
     found = ray_moments(opd, traced.x, traced.y, weight, slopes, zernike[:, 1:3], device)
     if prepared.slopes is not None:
         zernike = slope_coefficients(prepared.slopes, traced, chief)
-    return SystemWavefront(
+    return Wavefront(
         zernike=zernike,
-        rms=np.sqrt(np.sum(zernike[:, 3:] ** 2, axis=1)),
         rms_raw=found.rms_raw,
         rms_flat=found.rms_flat,
         pv=found.pv,
@@ -381,4 +343,5 @@ def analyse_system(
         strehl=found.strehl,
         lost=weight.size - found.arrived,
         vignetted=count_status(traced.status, VIGNETTED) + np.count_nonzero(prepared.status == VIGNETTED),
+        device=device,
     )

@@ -20,7 +20,8 @@ from wavequake.kernels.trace.train import Traced
 from wavequake.optics.derivatives.central import SIGNS, checked_derivative
 from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, prepare, trace_states
 from wavequake.optics.segments.states import SurfaceStates, rest
-from wavequake.optics.segments.wavefront import Wavefront, analyse
+from wavequake.optics.segments.wavefront import analyse
+from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.prepared import prepared
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.segments.bench import Bench, bench_of, monolithic

@@ -32,7 +32,7 @@ from wavequake.kernels.device.tiles import TILE
 from wavequake.kernels.trace.train import Traced
 from wavequake.mechanics.disturbances.motion import scaled
 from wavequake.optics.segments.states import SurfaceStates
-from wavequake.optics.segments.wavefront import Wavefront
+from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.workflows.exposures.exposure_study import TelescopeExposureStudy
 from wavequake.workflows.exposures.telescope_control import (
     CONTROLLERS,

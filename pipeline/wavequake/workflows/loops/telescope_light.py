@@ -18,7 +18,7 @@ from wavequake.kernels.device.devices import choose_device
 from wavequake.kernels.device.tiles import TILE, padded
 from wavequake.mechanics.disturbances.motion import Motion, generator
 from wavequake.mechanics.disturbances.registry import Disturbance, draw_case, instants_of, parts
-from wavequake.optics.derivatives.central import SIGNS, checked_derivative
+from wavequake.optics.derivatives.central import SIGNS, central, checked_derivative
 from wavequake.optics.segments import modal
 from wavequake.optics.segments.kinematics import carried, in_optics_frame
 from wavequake.optics.segments.modal import ModalModel, layout_of
@@ -182,7 +182,7 @@ def _movable(system: SegmentedTelescope) -> dict[str, Array]:
     unit, count, found = _SMALL * np.eye(6), len(system.surfaces), dict[str, Array]()
     single = {one.name: (place,) for place, one in enumerate(system.surfaces)}
     for name, surfaces in (single | system.bodies).items():
-        slopes = (carried(system, surfaces, unit) - carried(system, surfaces, -unit)) / (2 * _SMALL)
+        slopes = central(np.stack([carried(system, surfaces, one) for one in (unit, -unit)]), _SMALL)
         found[name] = np.zeros((6, count, 6))
         found[name][:, surfaces] = slopes
     return found

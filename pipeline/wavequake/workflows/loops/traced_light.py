@@ -14,7 +14,7 @@ from wavequake.kernels.device.devices import Device
 from wavequake.kernels.device.tiles import padded
 from wavequake.kernels.trace.train import Traced
 from wavequake.optics.segments.states import SurfaceStates
-from wavequake.optics.segments.wavefront import Wavefront
+from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.workflows.exposures.telescope_control import ControlBench, measured_opd, ray_phase, trace
 from wavequake.workflows.loops.telescope_bench import Bench
 from wavequake.workflows.loops.telescope_light import seen_units, states_at_rest

@@ -24,9 +24,9 @@ from wavequake.optics.segments.layout import areas, is_monolithic
 from wavequake.optics.segments.prepared import PreparedTrace, prepare
 from wavequake.optics.segments.slopes import slope_fit
 from wavequake.optics.segments.telescope import FirstOrder, SegmentedTelescope, first_order, footprints
-from wavequake.optics.segments.wavefront import Wavefront
 from wavequake.optics.shapes.corner_table import distorted
 from wavequake.optics.wavefronts.fits import tells_apart
+from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.optics.wavefronts.sphere_fit import reference_fit
 from wavequake.prepared import prepared
 from wavequake.workflows.bodies.segments import CarryingBodies, carrying_bodies

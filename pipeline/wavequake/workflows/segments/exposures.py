@@ -22,7 +22,8 @@ from wavequake.kernels.trace.train import Traced
 from wavequake.mechanics.disturbances.registry import parts
 from wavequake.optics.segments.prepared import chief_rays, trace_states
 from wavequake.optics.segments.states import rest
-from wavequake.optics.segments.wavefront import Wavefront, analyse
+from wavequake.optics.segments.wavefront import analyse
+from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.prepared import prepared
 from wavequake.workflows.segments.bench import MAS_PER_RAD, Bench, bench_at
 from wavequake.workflows.segments.images import (

@@ -19,7 +19,7 @@ from wavequake.kernels.device.devices import NUMPY, Device
 from wavequake.kernels.device.tiles import TILE, from_tiles
 from wavequake.kernels.trace.train import Traced, vignetted
 from wavequake.optics.polynomials.zernike import noll_to_nm
-from wavequake.optics.segments.wavefront import Wavefront
+from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.prepared import prepared
 from wavequake.tables import kept
 from wavequake.workflows.segments.bench import Bench, bench_at, bench_of, monolithic

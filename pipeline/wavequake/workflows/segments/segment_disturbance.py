@@ -32,8 +32,9 @@ from wavequake.mechanics.disturbances.registry import (
 )
 from wavequake.mechanics.disturbances.sources import edge_sensors
 from wavequake.optics.segments.prepared import chief_rays, trace_states
-from wavequake.optics.segments.wavefront import Wavefront, analyse
+from wavequake.optics.segments.wavefront import analyse
 from wavequake.optics.wavefronts.quality import meets_marechal, meets_rayleigh
+from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.workflows.bodies.plants import standing
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.segments.bench import (

@@ -20,7 +20,8 @@ from wavequake.kernels.trace.train import Traced
 from wavequake.mechanics.model import ReducedModel
 from wavequake.optics.segments.prepared import PreparedTrace, chief_rays, trace_states
 from wavequake.optics.segments.states import SurfaceStates
-from wavequake.optics.segments.wavefront import Wavefront, analyse
+from wavequake.optics.segments.wavefront import analyse
+from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.prepared import prepared
 from wavequake.reduction.metrics import eps_mor, frobenius, pseudo_frequencies, receptance
 from wavequake.reduction.names import parse

@@ -32,9 +32,9 @@ from wavequake.optics.systems.bodies import (
 from wavequake.optics.systems.file import build
 from wavequake.optics.systems.kinematics import rest_states
 from wavequake.optics.systems.system import OpticalSystem, SystemStates
+from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.optics.wavefronts.wavefront import (
     PreparedSystem,
-    SystemWavefront,
     incoming_light,
     measure_system,
     prepare_system,
@@ -74,7 +74,7 @@ class SystemBench:
     layout: SegmentLayout
     bodies: tuple[Body, ...]
     prepared: tuple[tuple[PreparedSystem, ...], ...]
-    static: tuple[tuple[SystemWavefront, ...], ...]
+    static: tuple[tuple[Wavefront, ...], ...]
     imager: SystemImager | None = None
     plants: Mapping[str, Plant] = field(default_factory=dict)
 
@@ -139,7 +139,7 @@ def masses_of(study: SystemStudy) -> Masses:
 def _imager(
     study: SystemStudy,
     prepared: tuple[tuple[PreparedSystem, ...], ...],
-    static: tuple[tuple[SystemWavefront, ...], ...],
+    static: tuple[tuple[Wavefront, ...], ...],
     rest: SystemStates,
 ) -> SystemImager | None:
     """Return what makes the exposures of a study, if any; light that is stopped at rest is dark in them."""
@@ -289,7 +289,7 @@ def light_of(prepared: PreparedSystem) -> str:
     return f"field {field} at {prepared.wavelength * NM_PER_MM:.6g} nm"
 
 
-def _require_light(prepared: PreparedSystem, wavefront: SystemWavefront, rest: SystemStates) -> None:
+def _require_light(prepared: PreparedSystem, wavefront: Wavefront, rest: SystemStates) -> None:
     """Raise UserError if too little light arrives at rest."""
     trouble = failure(prepared, wavefront, rest)
     if trouble:
@@ -300,9 +300,7 @@ def _require_light(prepared: PreparedSystem, wavefront: SystemWavefront, rest: S
         )
 
 
-def failure(
-    prepared: PreparedSystem, wavefront: SystemWavefront, states: SystemStates
-) -> tuple[int, str] | None:
+def failure(prepared: PreparedSystem, wavefront: Wavefront, states: SystemStates) -> tuple[int, str] | None:
     """Return the first instant that has no wavefront, and why; None if all have one."""
     known = np.isfinite(wavefront.zernike[:, 1:]).all(axis=1)  # slopes do not know piston
     bad = ~(np.isfinite(wavefront.chief).all(axis=1) & known)

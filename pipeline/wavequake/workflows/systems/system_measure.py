@@ -1,7 +1,6 @@
 """What a system-disturbance study measures of a case: the numbers of its wavefronts at all instants."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +16,9 @@ from wavequake.mechanics.disturbances.element_motion import ElementMotion
 from wavequake.optics.polynomials.transforms import known_transformed
 from wavequake.optics.rays.packing import moving
 from wavequake.optics.wavefronts.quality import meets_marechal, meets_rayleigh
+from wavequake.optics.wavefronts.record import Wavefront, joined
 from wavequake.optics.wavefronts.wavefront import (
     PreparedSystem,
-    SystemWavefront,
     analyse_system,
     incoming_lights,
     trace_lights,
@@ -28,10 +27,10 @@ from wavequake.workflows.systems.system_bench import NM_PER_MM, SystemBench, fai
 
 Array = NDArray[np.float64]
 
-See = Callable[[int, int, ElementMotion], SystemWavefront]
+See = Callable[[int, int, ElementMotion], Wavefront]
 """From field, wavelength and motion to the wavefronts of a case."""
 # Of each case at a field and wavelength, and the instant that has no wavefront and why, if any.
-_Light = Callable[[int, int], Iterator[tuple[SystemWavefront, tuple[int, str] | None]]]
+_Light = Callable[[int, int], Iterator[tuple[Wavefront, tuple[int, str] | None]]]
 
 # Rays of all instants that are traced together; of each there are a dozen numbers.
 _RAYS = 1 << 22
@@ -64,7 +63,7 @@ def measured_cases(
     messages = [""] * len(motions)
     images: list[dict[str, list[Array]]] = [{} for _ in motions]
     for field, (row, still) in enumerate(zip(bench.prepared, bench.static, strict=True)):
-        seen: list[list[SystemWavefront]] = [[] for _ in motions]
+        seen: list[list[Wavefront]] = [[] for _ in motions]
         for wavelength, (prepared, rest) in enumerate(zip(row, still, strict=True)):
             for case, (wavefront, trouble) in enumerate(light(field, wavelength)):
                 if trouble:
@@ -107,7 +106,7 @@ def _traced(
     states = [system_states(bench, drawn) for _, drawn in motions]
     lights = [moving(bench.system, one, device=device) for one in states]
 
-    def light(field: int, wavelength: int) -> Iterator[tuple[SystemWavefront, tuple[int, str] | None]]:
+    def light(field: int, wavelength: int) -> Iterator[tuple[Wavefront, tuple[int, str] | None]]:
         prepared = bench.prepared[field][wavelength]
         with clock("aim"):
             incoming = incoming_lights(prepared, states, lights)
@@ -120,7 +119,7 @@ def _traced(
                     traced = next(traces)
                 with clock("wavefront"):
                     parts.append(analyse_system(prepared, *traced, device))
-            wavefront = _joined(parts)
+            wavefront = joined(parts)
             yield wavefront, failure(prepared, wavefront, state)
 
     return light
@@ -131,7 +130,7 @@ def _seen(
 ) -> _Light:
     """Return what sees several cases without rays."""
 
-    def light(field: int, wavelength: int) -> Iterator[tuple[SystemWavefront, None]]:
+    def light(field: int, wavelength: int) -> Iterator[tuple[Wavefront, None]]:
         for _, drawn in motions:
             with clock("modal"):
                 found = see(field, wavelength, drawn)
@@ -146,14 +145,6 @@ def _pieces(prepared: PreparedSystem, light: Moving) -> list[Moving]:
     if count <= most:
         return [light]
     return [moving_part(light, slice(first, first + most)) for first in range(0, count, most)]
-
-
-def _joined(parts: list[SystemWavefront]) -> SystemWavefront:
-    """Return the wavefronts of the pieces of a case, one after the other."""
-    if len(parts) == 1:
-        return parts[0]
-    names = [one.name for one in fields(SystemWavefront)]
-    return SystemWavefront(**{name: np.concatenate([getattr(one, name) for one in parts]) for name in names})
 
 
 def worst_instant(bench: SystemBench, time: Array, drawn: ElementMotion, device: Device) -> int:
@@ -175,7 +166,7 @@ def shaped(bench: SystemBench, values: list[Array]) -> Array:
 
 
 def wavefront_numbers(
-    prepared: PreparedSystem, wavefront: SystemWavefront, rest: SystemWavefront, basis: str
+    prepared: PreparedSystem, wavefront: Wavefront, rest: Wavefront, basis: str
 ) -> dict[str, Array]:
     """Return what is stored of the wavefronts of a case, in the store's units; `rest` is the one at rest."""
     to_nm = prepared.wavelength * NM_PER_MM

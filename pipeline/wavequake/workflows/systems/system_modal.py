@@ -26,7 +26,7 @@ from wavequake.optics.derivatives.modal_light import (
 from wavequake.optics.derivatives.sensitivity import default_steps
 from wavequake.optics.shapes.shapes import ZernikeDeformation
 from wavequake.optics.systems.system import SystemStates
-from wavequake.optics.wavefronts.wavefront import SystemWavefront
+from wavequake.optics.wavefronts.record import Wavefront
 from wavequake.prepared import prepared
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.segments.segment_modal import CERTIFIED, MODAL, TRACED, sampled
@@ -98,7 +98,7 @@ class SystemModel:
     columns: Columns
     lights: tuple[tuple[ModalLight, ...], ...]
     curvature: tuple[Array, ...]
-    static: tuple[tuple[SystemWavefront, ...], ...]
+    static: tuple[tuple[Wavefront, ...], ...]
 
     def known(self, drawn: ElementMotion) -> bool:
         """Return whether the model knows all that moves."""
@@ -115,7 +115,7 @@ class SystemModel:
         moved = self.moved(drawn)
         return max(error_bound(curvature, moved) for curvature in self.curvature)
 
-    def see(self, field: int, wavelength: int, drawn: ElementMotion) -> SystemWavefront:
+    def see(self, field: int, wavelength: int, drawn: ElementMotion) -> Wavefront:
         """Return the wavefronts of a case, in the light that arrives at rest."""
         found, rest = (
             wavefronts(self.lights[field][wavelength], self.moved(drawn)),

@@ -9,7 +9,7 @@ from wavequake.chain.images.system import exposed_instants
 from wavequake.kernels.device.devices import NUMPY
 from wavequake.mechanics.disturbances.element_motion import ElementDisturbance, ElementMotion
 from wavequake.mechanics.disturbances.registry import instants_of, parts
-from wavequake.optics.derivatives.central import SensitivityMatrix
+from wavequake.optics.derivatives.central import SensitivityMatrix, gradient
 from wavequake.optics.derivatives.sensitivity import default_steps, figure_sensitivity, rigid_sensitivity
 from wavequake.optics.shapes.shapes import ZernikeDeformation
 from wavequake.optics.systems.kinematics import rest_states
@@ -111,7 +111,7 @@ def _gain(bench: SystemBench, one: PreparedSystem) -> Array:
     states.line_of_sight[[2, 3], [1, 1]] = step, -step
     turned = measure_system(one, states, NUMPY)
     values = np.hstack([turned.los, turned.zernike])
-    return np.concatenate([*found, (values[0::2] - values[1::2]) / (2.0 * step)])
+    return np.concatenate([*found, gradient(values, step).T])
 
 
 def flat(system: OpticalSystem, states: SystemStates) -> Array:
