@@ -83,10 +83,10 @@ def batoid_tracer(
         primary = batoid.Sum([primary, figure])
     items = [batoid.Mirror(primary, name="M1")]
     for surface in system.surfaces:
-        flat = np.isinf(surface.radius)
-        shape = batoid.Plane() if flat else batoid.Quadric(surface.radius, surface.conic)
+        flat = np.isinf(surface.shape.radius)
+        shape = batoid.Plane() if flat else batoid.Quadric(surface.shape.radius, surface.shape.conic)
         place = batoid.CoordSys(np.array(surface.position), np.array(surface.rotation))
-        kind = batoid.Mirror if surface.reflects else batoid.Detector
+        kind = batoid.Mirror if surface.action == "reflect" else batoid.Detector
         items.append(kind(shape, name=surface.name, coordSys=place))
     optic = batoid.CompoundOptic(items, name=system.name)
     x, y = arguments["ray_x"], arguments["ray_y"]

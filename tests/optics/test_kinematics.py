@@ -9,7 +9,9 @@ from wavequake.errors import UserError
 from wavequake.kernels.device.tiles import TILE, from_tiles
 from wavequake.optics.segments.kinematics import cardan, field_directions, segment_poses, surface_poses
 from wavequake.optics.segments.layout import Segments
-from wavequake.optics.segments.telescope import ConicSurface, SegmentedTelescope
+from wavequake.optics.segments.telescope import SegmentedTelescope
+from wavequake.optics.shapes.shapes import Conic
+from wavequake.optics.systems.system import Surface
 
 FLIP = np.diag([1.0, 1.0, -1.0])
 angles = st.floats(-3.0, 3.0)
@@ -32,7 +34,7 @@ def some_system():
     vertices = np.array([[0.0, 0.0, -27093.75], [0.0, 0.0, -3500.0], [-20000.0, 0.0, -3500.0]])
     frames = zip(["M2", "M3", "image"], [-6227.68, np.inf, np.inf], vertices, [0, 45, 90], strict=True)
     surfaces = tuple(
-        ConicSurface(name, radius, 0.0, p, turned(angle), name != "image")
+        Surface(name, Conic(radius), p, turned(angle), "pass" if name == "image" else "reflect")
         for name, radius, p, angle in frames
     )
     return SegmentedTelescope("test", some_segments(), -60e3, -1.0, surfaces, -1874.97, 1512.2, 15000.0)

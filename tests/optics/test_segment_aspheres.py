@@ -18,6 +18,7 @@ from wavequake.optics.segments.slopes import slope_fit
 from wavequake.optics.segments.states import rest
 from wavequake.optics.segments.telescope import first_order, footprints
 from wavequake.optics.segments.wavefront import analyse
+from wavequake.optics.shapes.shapes import Conic, EvenAsphere
 from wavequake.optics.systems.kinematics import rest_states
 
 WAVELENGTH = 550e-6
@@ -27,9 +28,12 @@ DEVICES = [device.name for device in list_devices()]
 EVEN = (0.0, 1.2e-15, -3e-22, 5e-29)
 
 
-def tmt18(**m2):
+def tmt18(even=(), radius=None, conic=None):
     system = telescope("tmt-18", gap=20.0)
-    return replace(system, surfaces=(replace(system.surfaces[0], **m2), *system.surfaces[1:]))
+    m2 = system.surfaces[0]
+    numbers = m2.shape.radius if radius is None else radius, m2.shape.conic if conic is None else conic
+    shape = EvenAsphere(*numbers, even) if even else Conic(*numbers)
+    return replace(system, surfaces=(replace(m2, shape=shape), *system.surfaces[1:]))
 
 
 def prepared_of(system, **terms):
@@ -52,7 +56,7 @@ def moved(prepared, mirror_terms=0):
 @pytest.mark.parametrize("device", DEVICES)
 def test_a_plane_with_a_square_term_is_a_paraboloid(device):
     conic = tmt18(conic=-1.0)
-    radius = conic.surfaces[0].radius
+    radius = conic.surfaces[0].shape.radius
     even = tmt18(radius=np.inf, conic=0.0, even=(0.5 / radius,))
     for name, value in vars(first_order(conic)).items():
         assert vars(first_order(even))[name] == pytest.approx(value, rel=1e-11, abs=1e-7)

@@ -35,7 +35,7 @@ def tmt18(*behind, image=500.0):
     system = telescope("tmt-18", gap=20.0)
     m2 = system.surfaces[0]
     rows = [
-        Row("M2", m2.radius, m2.conic, 27093.75),
+        Row("M2", m2.shape.radius, m2.shape.conic, 27093.75),
         Row("M3", np.inf, 0.0, 23593.75, tilt=np.pi / 4.0),
         *behind,
         Row("image", np.inf, 0.0, image),
@@ -168,7 +168,7 @@ def test_footprints_are_where_the_rim_of_the_pupil_arrives():
     azimuth = 2.0 * np.pi * np.arange(64) / 64
     rim = PupilRays(*(whole.pupil_outer * np.array([np.cos(azimuth), np.sin(azimuth)])), *np.ones((2, 64)))
     for plane in (3, 7):  # the window's back, and the fold
-        end = replace(whole.surfaces[plane], reflects=False, glass=None)
+        end = replace(whole.surfaces[plane], action="pass")
         cut = replace(whole, surfaces=(*whole.surfaces[:plane], end))
         traced = traced_in_sequence(cut, rim, (0.0, 0.0), whole.wavelength)
         radius = np.hypot(traced.x, traced.y).max()
@@ -196,9 +196,7 @@ def test_a_field_lens_moves_the_exit_pupil_and_leaves_the_wavefront(device, radi
 
 def test_bodies_carry_their_surfaces_as_those_of_the_parent_do():
     whole = corrector()
-    doublet = [replace(one, body="doublet") for one in whole.surfaces[4:7]]
-    system = replace(whole, surfaces=(*whole.surfaces[:4], *doublet, *whole.surfaces[7:]))
-    assert system.bodies == {"doublet": (4, 5, 6)}
+    system, doublet = replace(whole, bodies={"doublet": (4, 5, 6)}), whole.surfaces[4:7]
     own = np.random.default_rng(1).normal(size=(16, 6)) * ([0.1] * 3 + [1e-3] * 3)
     parent = parent_system(system)
     body = rigid_body(parent, "doublet", [one.name for one in doublet])
@@ -225,7 +223,7 @@ def test_sentences_of_glass(tmp_path):
     def build(rows):
         return telescope("custom", polygons=polygons, primary_radius=-10000.0, surfaces=rows)
 
-    assert build(surfaces(glass="SCHOTT:N-BK7")).surfaces[1].glass.catalogue == "SCHOTT"
+    assert build(surfaces(glass="SCHOTT:N-BK7")).surfaces[1].medium.catalogue == "SCHOTT"
     for keys, sentence in (
         ({"glass": "N-BK8"}, "The surface 'lens': .*N-BK8"),
         ({"glass": -1.5}, "glass = -1.5; it must be the name of a glass, a positive index"),
@@ -234,6 +232,8 @@ def test_sentences_of_glass(tmp_path):
         with pytest.raises(UserError, match=sentence):
             build(surfaces(**keys))
     rows = surfaces(glass="N-BK7")
+    lens = [row | {"body": "lens 1"} for row in rows[1:3]]
+    assert build([rows[0], *lens, rows[3]]).bodies == {"lens 1": (1, 2)}
     with pytest.raises(UserError, match=r'meets the image in N-BK7, behind .lens.; .* glass = "air"'):
         build([rows[0], rows[1], rows[3]])
     with pytest.raises(UserError, match=r"is the image plane; it must have .* no glass"):

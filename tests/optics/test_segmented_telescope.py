@@ -86,7 +86,7 @@ def test_relative_shifts_of_table_4_2():
     turn = m3.rotation.T @ image.rotation
     np.testing.assert_allclose(turn, m3.rotation, rtol=0, atol=1e-15)  # another 45 degrees
     np.testing.assert_allclose(image.rotation[:, 2], [1.0, 0.0, 0.0], rtol=0, atol=1e-15)
-    assert [m2.reflects, m3.reflects, image.reflects] == [True, True, False]
+    assert [m2.action, m3.action, image.action] == ["reflect", "reflect", "pass"]
 
 
 @given(st.lists(st.tuples(st.floats(1.0, 1e4), st.floats(-0.6, 0.6)), min_size=1, max_size=4))

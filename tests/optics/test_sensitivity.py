@@ -15,8 +15,8 @@ from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.prepared import prepare
 from wavequake.optics.segments.sensitivity import sensitivities
 from wavequake.optics.segments.states import rest
-from wavequake.optics.segments.telescope import ConicSurface
 from wavequake.optics.segments.wavefront import measure
+from wavequake.optics.systems.system import Surface
 from wavequake.optics.wavefronts.sphere_fit import reference_fit
 
 DATA = Path(__file__).parents[1] / "data"
@@ -98,7 +98,7 @@ def test_the_printed_tilt_matrix_of_m2(of_thesis):
 
 def test_m2_about_its_center_of_curvature_leaves_the_chief_ray(thesis, of_thesis):
     """R rx about the center of curvature at (0, 0, R) is rx about the vertex and a shift by R along y."""
-    m2, radius = of_thesis.surfaces, thesis.system.surfaces[0].radius
+    m2, radius = of_thesis.surfaces, thesis.system.surfaces[0].shape.radius
     for turn, shift in (
         (m2_column(m2, RX), radius * m2_column(m2, DY)),
         (m2_column(m2, RY), -radius * m2_column(m2, DX)),
@@ -253,7 +253,7 @@ def test_two_steps_agree(of_thesis, of_tmt18):
 def test_nothing_but_rounding_is_no_disagreement():
     """Without a second mirror no turn of a surface changes anything: zeros agree, and so do the segments."""
     cassegrain = telescope("tmt-thesis")
-    image = ConicSurface("image", np.inf, 0.0, np.array([0.0, 0.0, -3e4]), np.eye(3), reflects=False)
+    image = Surface("image", position=np.array([0.0, 0.0, -3e4]))
     system = replace(cassegrain, surfaces=(image,))
     prepared = prepare(
         system, on_glass(system, sunflower(system.pupil_inner, system.pupil_outer, 300)), WAVELENGTH, 11

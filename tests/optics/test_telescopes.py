@@ -31,8 +31,8 @@ def axial_rays(system: SegmentedTelescope, heights):
         edges=half_planes(system.segments),
         figure_frames=np.zeros((len(system.segments), 4)),
         figure_degree=-1,
-        surface_curvatures=np.array([1.0 / surface.radius for surface in system.surfaces]),
-        surface_conics=np.array([surface.conic for surface in system.surfaces]),
+        surface_curvatures=np.array([1.0 / surface.shape.radius for surface in system.surfaces]),
+        surface_conics=np.array([surface.shape.conic for surface in system.surfaces]),
         sphere_radius=first_order(system).exit_pupil_distance,
     )
     poses = np.repeat(surface_transforms(system)[None, :, :, None], TILE, axis=3)
@@ -56,7 +56,7 @@ def test_the_equivalent_of_the_jwst_is_exactly_stigmatic():
     optics = first_order(system)
     assert optics.focal_length == pytest.approx(131400.0, rel=1e-13)
     assert optics.defocus == pytest.approx(0.0, abs=1e-7)
-    assert system.surfaces[0].radius == -1778.913
+    assert system.surfaces[0].shape.radius == -1778.913
     assert 7000.0 < -system.surfaces[0].position[2] < 7200.0
     paths = axial_rays(system, np.linspace(0.0, system.pupil_outer, 9))[:, 2]  # Fermat: all alike
     np.testing.assert_allclose(paths, paths[0], rtol=0, atol=1e-9)
@@ -64,11 +64,11 @@ def test_the_equivalent_of_the_jwst_is_exactly_stigmatic():
 
 def test_prescriptions_of_the_tmt():
     official, table_4_2 = telescope("tmt"), telescope("tmt-thesis")
-    assert (official.primary_conic, official.surfaces[0].radius) == (-1.00095348, -6227.67857)
-    assert (table_4_2.primary_conic, table_4_2.surfaces[0].radius) == (-1.0009535, -6227.68)
+    assert (official.primary_conic, official.surfaces[0].shape.radius) == (-1.00095348, -6227.67857)
+    assert (table_4_2.primary_conic, table_4_2.surfaces[0].shape.radius) == (-1.0009535, -6227.68)
     for system in (official, table_4_2, telescope("tmt-18")):
         assert system.primary_radius == -60000.0
-        assert system.surfaces[0].conic == -1.31822813
+        assert system.surfaces[0].shape.conic == -1.31822813
         assert system.stop_z == pytest.approx(-1874.9721, abs=1e-4)
     assert (official.pupil_inner, official.pupil_outer) == (1512.2, 15000.0)
     assert [len(telescope(name).segments) for name in NAMES] == [492, 18, 1, 18]

@@ -64,7 +64,7 @@ def test_four_lines_of_sight_of_m2(thesis, device):
 def test_m2_about_its_center_of_curvature_leaves_the_chief_ray(thesis):
     step = 1e-6
     states = states_of(thesis)
-    center = np.array([0.0, 0.0, thesis.system.surfaces[0].radius])
+    center = np.array([0.0, 0.0, thesis.system.surfaces[0].shape.radius])
     for instant, angle in enumerate((step, -step)):
         turn = Rotation.from_euler("x", angle).as_matrix()
         states.surface_motion[instant, 0] = *(center - turn @ center), angle, 0, 0

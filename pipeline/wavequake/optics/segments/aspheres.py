@@ -23,14 +23,14 @@ def asphere_polynomials(system: SegmentedTelescope) -> Array | None:
         Coefficients in mm of u^n, u^(n-1) v, ..., v^n for n = 0, 1, ... to the highest power there is, with u
         and v in units of the mirrors' footprints.
     """
-    mirrors = system.surfaces[:-1]
-    degree = 2 * max((len(mirror.even) for mirror in mirrors), default=0)
+    mirrors = [surface.shape.packed().even for surface in system.surfaces[:-1]]
+    degree = 2 * max(map(len, mirrors), default=0)
     if not degree:
         return None
     radii = footprints(system)
     found = np.zeros((len(mirrors), (degree + 1) * (degree + 2) // 2))
-    for row, mirror, radius in zip(found, mirrors, radii, strict=True):
-        for half, coefficient in enumerate(mirror.even, start=1):
+    for row, even, radius in zip(found, mirrors, radii, strict=True):
+        for half, coefficient in enumerate(even, start=1):
             first = half * (2 * half + 1)  # of the terms of degree 2 half
             row[first : first + 2 * half + 1 : 2] = [
                 coefficient * radius ** (2 * half) * comb(half, place) for place in range(half + 1)

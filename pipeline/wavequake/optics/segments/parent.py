@@ -1,12 +1,9 @@
 """The monolithic parent of a segmented telescope as a general optical system."""
 
-from math import isfinite
-
 import numpy as np
 
-from wavequake.optics.media.glasses import AIR
 from wavequake.optics.segments.telescope import SegmentedTelescope
-from wavequake.optics.shapes.shapes import Conic, EvenAsphere, Opening
+from wavequake.optics.shapes.shapes import Conic, Opening
 from wavequake.optics.systems.system import OpticalSystem, Pupil, Surface
 
 
@@ -26,23 +23,9 @@ def parent_system(telescope: SegmentedTelescope, wavelength: float | None = None
     annulus = Opening(outer, inner)
     stop = Surface("stop", position=np.array([0.0, 0.0, telescope.stop_z]), opening=annulus)
     primary = Surface("M1", Conic(telescope.primary_radius, telescope.primary_conic), action="reflect")
-    others = [
-        Surface(
-            surface.name,
-            EvenAsphere(surface.radius, surface.conic, surface.even)
-            if surface.even
-            else Conic(surface.radius, surface.conic),
-            surface.position,
-            surface.rotation,
-            "reflect" if surface.reflects else "refract" if surface.glass else "pass",
-            surface.glass or AIR,
-            opening=Opening(surface.semi_diameter) if isfinite(surface.semi_diameter) else None,
-        )
-        for surface in telescope.surfaces
-    ]
     return OpticalSystem(
         name=telescope.name,
-        surfaces=(stop, primary, *others),
+        surfaces=(stop, primary, *telescope.surfaces),
         stop=0,
         pupil=Pupil("entrance_diameter", 2.0 * outer, inner / outer),
         wavelengths=np.array([wavelength or telescope.wavelength]),

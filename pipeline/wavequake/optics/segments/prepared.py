@@ -21,7 +21,7 @@ from wavequake.optics.segments.figures import figure_frames, segment_radii
 from wavequake.optics.segments.kinematics import field_directions, segment_poses, surface_poses
 from wavequake.optics.segments.layout import candidates, edges_of
 from wavequake.optics.segments.states import SurfaceStates, rest
-from wavequake.optics.segments.telescope import SegmentedTelescope, first_order, footprints
+from wavequake.optics.segments.telescope import SegmentedTelescope, first_order, footprints, semi_diameters
 from wavequake.optics.shapes.basis import ZernikeBasis, zernike_basis
 from wavequake.optics.wavefronts.fits import (
     MORE_SEGMENT_RAYS,
@@ -187,21 +187,22 @@ def _train(
     system: SegmentedTelescope, figure: ZernikeBasis, mirror: ZernikeBasis, sphere_radius: float
 ) -> SegmentedTrain:
     """Pack the parts of a system that do not move."""
+    indices = system.indices
     return SegmentedTrain(
         primary_curvature=1.0 / system.primary_radius,
         primary_conic=system.primary_conic,
         edges=edges_of(system.segments),
         figure_frames=figure_frames(system),
         figure_degree=figure.degree,
-        surface_curvatures=np.array([1.0 / surface.radius for surface in system.surfaces]),
-        surface_conics=np.array([surface.conic for surface in system.surfaces]),
+        surface_curvatures=np.array([1.0 / surface.shape.radius for surface in system.surfaces]),
+        surface_conics=np.array([surface.shape.conic for surface in system.surfaces]),
         sphere_radius=sphere_radius,
-        semi_diameters=np.array([surface.semi_diameter for surface in system.surfaces]),
+        semi_diameters=semi_diameters(system.surfaces),
         mirror_degree=mirror.degree,
         mirror_radii=footprints(system) if mirror.degree >= 0 else None,
         figure_basis=figure.basis,
         mirror_basis=mirror.basis,
-        indices=system.indices if any(surface.glass for surface in system.surfaces) else None,
+        indices=None if np.isnan(indices).all() else indices,
     )
 
 

@@ -1,17 +1,19 @@
 """Segmented telescopes: a segmented (or monolithic) primary mirror followed by mirrors and lenses."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from math import hypot
+from dataclasses import dataclass, field
+from math import hypot, isfinite
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.errors import UserError
-from wavequake.kernels.trace.surfaces import conic_path, conic_sag, conic_slopes, even_sag_and_slopes
-from wavequake.optics.media.glasses import Medium, refractive_index
+from wavequake.kernels.trace.surfaces import conic_path, conic_sag
+from wavequake.optics.media.glasses import AIR, Medium, refractive_index
 from wavequake.optics.segments.layout import Segments
 from wavequake.optics.shapes.polygons import distance_from_origin
+from wavequake.optics.shapes.shapes import Conic, EvenAsphere, Opening, Shape
+from wavequake.optics.systems.system import Surface
 from wavequake.words import counted
 
 Array = NDArray[np.float64]
@@ -20,51 +22,30 @@ _AXIS = np.array([0.0, 0.0, 1.0])
 _NEWTON_STEPS = 20
 
 
-@dataclass(frozen=True)
-class ConicSurface:
-    """One rotationally symmetric surface in the optics frame of M1 (z along the incoming light, mm).
-
-    ``radius`` is infinite for a plane and positive if the center of curvature lies on the surface's +z side.
-    ``position`` (3,) is the vertex, ``rotation`` (3, 3) turns the surface's frame into the optics frame. A
-    surface with ``glass`` refracts light into it, the image plane does nothing, all others reflect. Light
-    that meets a surface farther than ``semi_diameter`` from its vertex is vignetted. ``even`` are
-    coefficients of rho^2, rho^4, ... in mm^-1, mm^-3, ... that add to the conic. Surfaces of one ``body``,
-    such as the faces of a lens, can move together.
-    """
-
-    name: str
-    radius: float
-    conic: float
-    position: NDArray[np.float64]
-    rotation: NDArray[np.float64]
-    reflects: bool = True
-    semi_diameter: float = float("inf")
-    even: tuple[float, ...] = ()
-    glass: Medium | None = None
-    body: str = ""
-
-
 @dataclass(frozen=True, repr=False)
 class SegmentedTelescope:
     """A telescope in a reference configuration; lengths in mm.
 
     ``primary_radius``/``primary_conic`` describe the parent surface of M1 (vertex at the origin),
-    ``segments`` its glass, ``surfaces`` M2, M3, ... and last the image plane. ``pupil_inner``/``pupil_outer``
+    ``segments`` its glass, ``surfaces`` M2, M3, ... and last the image plane, conics and even aspheres with
+    round edges, in the optics frame of M1 (z along the incoming light). ``pupil_inner``/``pupil_outer``
     are the radii of the annulus that normalizes the Zernike polynomials; ``stop_z`` is the plane in which
     rays start (that of M1's rim). ``note`` says which of its numbers are assumed or approximate.
-    ``wavelength`` (mm) is that of the light that its lenses refract.
+    ``wavelength`` (mm) is that of the light that its lenses refract. ``bodies`` are surfaces, counted from
+    M2, that can move together, such as the faces of a lens.
     """
 
     name: str
     segments: Segments
     primary_radius: float
     primary_conic: float
-    surfaces: tuple[ConicSurface, ...]
+    surfaces: tuple[Surface, ...]
     stop_z: float
     pupil_inner: float
     pupil_outer: float
     note: str = ""
     wavelength: float = 550e-6
+    bodies: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
     @property
     def indices(self) -> Array:
@@ -75,19 +56,11 @@ class SegmentedTelescope:
         UserError
             If a glass has no index at the wavelength.
         """
-        glasses = [surface.glass for surface in self.surfaces]
-        return np.array(
-            [np.nan if one is None else refractive_index(one, self.wavelength) for one in glasses]
-        )
-
-    @property
-    def bodies(self) -> dict[str, tuple[int, ...]]:
-        """Surfaces, counted from M2, of each body."""
-        names = dict.fromkeys(surface.body for surface in self.surfaces if surface.body)
-        return {
-            name: tuple(index for index, surface in enumerate(self.surfaces) if surface.body == name)
-            for name in names
-        }
+        index = [
+            refractive_index(one.medium, self.wavelength) if one.action == "refract" else np.nan  # type: ignore[arg-type]
+            for one in self.surfaces
+        ]
+        return np.array(index)
 
     def __repr__(self) -> str:
         count = counted(len(self.segments), "segment")
@@ -100,9 +73,11 @@ class Row:
 
     ``distance`` is the way of the light from the previous surface, mm. ``tilt`` turns a mirror about its y
     axis, rad; what follows turns by twice as much, so that it stands on the folded beam (a lens turns alone).
-    Light beyond
-    ``semi_diameter`` (mm, from the vertex in the surface's x and y) is vignetted. ``even``, ``glass`` and
-    ``body`` are those of a `ConicSurface`.
+    ``radius`` is infinite for a plane and positive if the center of curvature lies on the surface's +z side;
+    ``even`` are coefficients of rho^2, rho^4, ... in mm^-1, mm^-3, ... that add to the conic. Light beyond
+    ``semi_diameter`` (mm, from the vertex in the surface's x and y) is vignetted. A surface with ``glass``
+    refracts light into it, the image plane does nothing, all others reflect. Surfaces of one ``body`` can
+    move together.
     """
 
     name: str
@@ -142,7 +117,12 @@ class FirstOrder:
     numerical_aperture: float
 
 
-def sequential_surfaces(rows: Iterable[Row]) -> tuple[ConicSurface, ...]:
+def semi_diameters(surfaces: Iterable[Surface]) -> Array:
+    """Return how far from its vertex each surface takes light, mm; infinite without an edge."""
+    return np.array([np.inf if one.opening is None else one.opening.outer for one in surfaces])
+
+
+def sequential_surfaces(rows: Iterable[Row]) -> tuple[Surface, ...]:
     """Place the surfaces after M1 one by one along the beam; the last one is the image plane.
 
     The light meets M2 against the z axis of M1 and turns round at each mirror, not at lenses. Surfaces keep
@@ -156,13 +136,14 @@ def sequential_surfaces(rows: Iterable[Row]) -> tuple[ConicSurface, ...]:
         half_turn = _about_y(row.tilt)
         rotation = frame @ half_turn
         surfaces.append(
-            ConicSurface(
-                *(row.name, row.radius, row.conic, position, rotation),
-                reflects=row.glass is None and row is not prescription[-1],
-                semi_diameter=row.semi_diameter,
-                even=row.even,
-                glass=row.glass,
-                body=row.body,
+            Surface(
+                row.name,
+                EvenAsphere(row.radius, row.conic, row.even) if row.even else Conic(row.radius, row.conic),
+                position,
+                rotation,
+                "refract" if row.glass else "pass" if row is prescription[-1] else "reflect",
+                row.glass or AIR,
+                Opening(row.semi_diameter) if isfinite(row.semi_diameter) else None,
             )
         )
         if row.glass is None:
@@ -177,8 +158,14 @@ def around_its_glass(
     inner = float(distance_from_origin(segments.corners).min())
     outer = max(hypot(x, y) for x, y in segments.corners.reshape(-1, 2))
     stop_z = float(conic_sag(outer, 0.0, 1.0 / radius, conic))
+    rows, bodies = list(rows), dict[str, tuple[int, ...]]()
+    for index, row in enumerate(rows):
+        if row.body:
+            bodies[row.body] = (*bodies.get(row.body, ()), index)
     surfaces = sequential_surfaces(rows)
-    return SegmentedTelescope(name, segments, radius, conic, surfaces, stop_z, inner, outer, note)
+    return SegmentedTelescope(
+        name, segments, radius, conic, surfaces, stop_z, inner, outer, note, bodies=bodies
+    )
 
 
 def _about_y(angle: float) -> Array:
@@ -248,11 +235,12 @@ def _unfolded(system: SegmentedTelescope) -> Iterator[tuple[float, float]]:
     for surface, index in zip(system.surfaces, system.indices, strict=True):
         normal = surface.rotation[:, 2]
         way = float(direction @ (surface.position - position)) / before
-        bend = (1.0 / surface.radius + 2.0 * sum(surface.even[:1])) * float(np.sign(direction @ normal))
-        if surface.reflects:
+        shape = surface.shape
+        bend = (1.0 / shape.radius + shape.added_curvature()) * float(np.sign(direction @ normal))
+        if surface.action == "reflect":
             yield way, -2.0 * before * bend
             direction = direction - 2.0 * (direction @ normal) * normal
-        elif surface.glass is None:
+        elif surface.action == "pass":
             yield way, 0.0
         else:
             yield way, (index - before) * bend
@@ -295,16 +283,16 @@ def _axial_rays(system: SegmentedTelescope, position: Array) -> Iterator[tuple[A
     Points are in the frame of the surface, directions in that of the optics.
     """
     direction = np.broadcast_to(_AXIS[:, None], position.shape)
-    primary = ConicSurface("M1", system.primary_radius, system.primary_conic, np.zeros(3), np.eye(3))
+    primary = Surface("M1", Conic(system.primary_radius, system.primary_conic), action="reflect")
     before = 1.0
     surfaces = (primary, *system.surfaces[:-1])
     for surface, index in zip(surfaces, (np.nan, *system.indices[:-1]), strict=True):
         frame = surface.rotation
         local, along = frame.T @ (position - surface.position[:, None]), frame.T @ direction
-        hit, slope_x, slope_y = _met(surface, local, along)
+        hit, slope_x, slope_y = _met(surface.shape, local, along)
         normal = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)])
         square, incident = np.sum(normal**2, axis=0), np.sum(along * normal, axis=0)
-        if surface.glass is None:
+        if surface.action == "reflect":
             along = along - 2.0 * incident / square * normal
         else:
             tangent = before / index * (along - incident / square * normal)
@@ -314,19 +302,14 @@ def _axial_rays(system: SegmentedTelescope, position: Array) -> Iterator[tuple[A
         yield hit, direction
 
 
-def _met(surface: ConicSurface, position: Array, direction: Array) -> tuple[Array, Array, Array]:
+def _met(shape: Shape, position: Array, direction: Array) -> tuple[Array, Array, Array]:
     """Return where rays (3, ...) meet a surface in its frame, and its slopes there; NaN for a miss."""
-    curvature, conic = 1.0 / surface.radius, surface.conic
-    hit = position + conic_path(position, direction, curvature, conic) * direction
-    for _ in range(_NEWTON_STEPS * bool(surface.even)):
-        more, *slopes = even_sag_and_slopes(hit[0], hit[1], surface.even)
-        bare = conic_slopes(hit[0], hit[1], curvature, conic)
-        rise = direction[2] - (bare[0] + slopes[0]) * direction[0] - (bare[1] + slopes[1]) * direction[1]
-        short = conic_sag(hit[0], hit[1], curvature, conic) + more - hit[2]
-        hit = hit + short / rise * direction
-    slope_x, slope_y = conic_slopes(hit[0], hit[1], curvature, conic)
-    _, more_x, more_y = even_sag_and_slopes(hit[0], hit[1], surface.even)
-    return hit, slope_x + more_x, slope_y + more_y
+    hit = position + conic_path(position, direction, 1.0 / shape.radius, shape.conic) * direction
+    for _ in range(_NEWTON_STEPS * (not isinstance(shape, Conic))):
+        sag, slope_x, slope_y = shape.sag(hit[0], hit[1])
+        rise = direction[2] - slope_x * direction[0] - slope_y * direction[1]
+        hit = hit + (sag - hit[2]) / rise * direction
+    return hit, *shape.sag(hit[0], hit[1])[1:]
 
 
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")

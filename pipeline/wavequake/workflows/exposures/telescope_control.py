@@ -111,7 +111,7 @@ def imaged_bench_of(study_text: str) -> ControlBench:
         study = study_from_identity(TelescopeExposureStudy, study_text)
         bench = bench_of(segment_text(study_text))
         system, old = bench.system, bench.prepared
-        if len(system.surfaces) < 2 or not system.surfaces[0].reflects:
+        if len(system.surfaces) < 2 or system.surfaces[0].action != "reflect":
             raise UserError(f"the telescope {system.name} has no mirror M2 that could correct its image")
         prepared = prepare(
             system,

@@ -23,7 +23,13 @@ from wavequake.optics.segments.catalog import telescope
 from wavequake.optics.segments.layout import areas, is_monolithic
 from wavequake.optics.segments.prepared import PreparedTrace, prepare
 from wavequake.optics.segments.slopes import slope_fit
-from wavequake.optics.segments.telescope import FirstOrder, SegmentedTelescope, first_order, footprints
+from wavequake.optics.segments.telescope import (
+    FirstOrder,
+    SegmentedTelescope,
+    first_order,
+    footprints,
+    semi_diameters,
+)
 from wavequake.optics.shapes.corner_table import distorted
 from wavequake.optics.wavefronts.fits import tells_apart
 from wavequake.optics.wavefronts.record import Wavefront
@@ -133,7 +139,7 @@ def _in_color(first: Bench, wavelength: float) -> PreparedTrace:
 
 def has_lenses(system: SegmentedTelescope) -> bool:
     """Return whether light is refracted after M1."""
-    return any(surface.glass for surface in system.surfaces)
+    return any(surface.action == "refract" for surface in system.surfaces)
 
 
 @prepared(maxsize=2)
@@ -194,7 +200,7 @@ def _at_field(prepared: PreparedTrace, study: SegmentStudy, field: NDArray[np.fl
     at = (float(field[0]), float(field[1]))
     edges = None  # looking at them takes a tenth of the trace
     if not _beam_clears_mirrors(prepared, field):
-        edges = np.array([surface.semi_diameter for surface in prepared.system.surfaces])
+        edges = semi_diameters(prepared.system.surfaces)
     prepared = replace(
         prepared, train=replace(prepared.train, semi_diameters=edges), slopes=None, sphere=None
     )
@@ -212,7 +218,7 @@ def _beam_clears_mirrors(prepared: PreparedTrace, field: NDArray[np.float64]) ->
     From the axial footprint and, generously, four times the way of light from the field point.
     """
     system, rays = prepared.system, prepared.rays
-    edges = np.array([mirror.semi_diameter for mirror in system.surfaces[:-1]])
+    edges = semi_diameters(system.surfaces[:-1])
     places = np.array([np.zeros(3), *(surface.position for surface in system.surfaces)])
     way = np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
     reach = max(1.0, np.hypot(rays.x, rays.y).max() / system.pupil_outer)  # glass beyond the pupil's annulus
@@ -295,7 +301,7 @@ def layout_of(system: SegmentedTelescope) -> SegmentLayout:
 
 def _require_m2(study: SegmentStudy, system: SegmentedTelescope) -> None:
     for population in study.disturbance:
-        if getattr(population, "act", "") == "m2" and not system.surfaces[0].reflects:
+        if getattr(population, "act", "") == "m2" and system.surfaces[0].action != "reflect":
             raise UserError(
                 f"The disturbance {population.name!r} tilts M2, but the telescope {system.name} has no "
                 "mirror after the primary one; choose act = 'mount'."
@@ -358,7 +364,7 @@ def _reference(
             f"{stopped.words()}; the others do not determine {prepared.zernike.basis.shape[1]} "
             "Zernike terms: take fewer wavefront.zernike_terms, or a larger semi_diameter_mm."
         )
-    if not prepared.system.surfaces[0].reflects:
+    if prepared.system.surfaces[0].action != "reflect":
         return wavefront, stopped, np.zeros((2, 2))
     los = wavefront.los[1:9].reshape(4, 2, 2)
     per_tilt = checked_derivative(los, STEP, "M2's tilt", "take other optics.rays").T

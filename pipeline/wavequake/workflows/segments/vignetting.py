@@ -113,9 +113,9 @@ def _where(system: SegmentedTelescope, own: Codes) -> str:
     if not 0 <= end < len(system.surfaces) - 1:
         return f"{count} pass beside the glass or the image; check telescope and optics.field_arcmin"
     mirror = system.surfaces[end]
-    if np.isinf(mirror.semi_diameter):
+    if mirror.opening is None:
         return f"{count} miss {mirror.name}; check its radius, conic and distance, and optics.field_arcmin"
     return (
-        f"{mirror.name}, whose semi-diameter is {mirror.semi_diameter:g} mm, stops {count}; "
+        f"{mirror.name}, whose semi-diameter is {mirror.opening.outer:g} mm, stops {count}; "
         "give it a larger semi_diameter_mm, or bring optics.field_arcmin nearer the axis"
     )
