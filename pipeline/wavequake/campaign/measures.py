@@ -6,6 +6,7 @@ made of them (`wavequake.campaign.measured`) writes nothing else down about its 
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -59,6 +60,11 @@ class Measure:
     measured: bool = False
     unknown: int = 0
     attrs: Mapping[str, str] = field(default_factory=dict)
+
+
+def stored(name: str, units: str, long_name: str, dims: tuple[str, ...] = (), **more: Any) -> Measure:
+    """Return the measure that is found under its name in what a kind computes; `more` as in `Measure`."""
+    return Measure(name, units, long_name, dims, itemgetter(name), **more)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ import numpy as np
 from wavequake.campaign import provenance
 from wavequake.campaign.contract import DIVERGED, DONE, RAISED, ChunkResult, StudyKind, Template
 from wavequake.campaign.engine.commit import commit
+from wavequake.campaign.one_by_one import unknown_arrays
 from wavequake.campaign.stopwatch import CPU
 from wavequake.campaign.store import fence, journal
 from wavequake.campaign.store.arrays import Array, array_of, chunk_file, open_group, write_chunk
@@ -228,11 +229,7 @@ def _judged(result: ChunkResult, template: Template) -> ChunkResult:
 
 def failed(template: Template, code: int, message: str) -> ChunkResult:
     """Return the place of one case without numbers."""
-    blank = {}
-    for name, variable in template.per_case.items():
-        dtype = np.dtype(variable.dtype)
-        blank[name] = np.full((1, *variable.shape), np.nan if dtype.kind in "fc" else 0, dtype=dtype)
-    return ChunkResult(blank, np.array([code], dtype=np.int8), (message,))
+    return ChunkResult(unknown_arrays(template.per_case, 1), np.array([code], dtype=np.int8), (message,))
 
 
 def joined(parts: Sequence[ChunkResult]) -> ChunkResult:

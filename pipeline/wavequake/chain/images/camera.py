@@ -161,6 +161,12 @@ def camera_measures(
         yield Measure("snr", "1", words, over, itemgetter("snr"))
 
 
+def frame_axes(pixels: int, sampling: float) -> dict[str, Axis]:
+    """Return the dimensions of a frame, by the middles of its pixels."""
+    along = (np.arange(pixels) - pixels // 2) * sampling
+    return {name: Axis(along, f"image {name}", "lambda/D") for name in ("y", "x")}
+
+
 def camera_axes(camera: Camera) -> dict[str, Axis]:
     """Return the dimensions of a detector's pixels."""
     if camera.detector is None:

@@ -7,7 +7,6 @@ import scipy
 from numpy.typing import NDArray
 from pydantic import Field
 
-from wavequake.campaign.contract import Variable
 from wavequake.campaign.schema import Section
 from wavequake.chain.images.picture import in_frame, picture_of
 from wavequake.errors import UserError
@@ -124,18 +123,6 @@ def check_object(section: ObjectSection, pixels: int, sampling: float) -> None:
         object_image(section, np.zeros((pixels, pixels)), pixels, sampling, 1.0, 1.0)
     else:
         object_picture(section, pixels, sampling)
-
-
-def object_variable(shown: ObjectSection, dim: str, count: int, pixels: int) -> dict[str, Variable]:
-    """Describe the images of an object for each of `count` entries of the dimension `dim`."""
-    attrs = {"units": "1", "long_name": "exposed image of " + lit_object_words(shown)}
-    return {"object_image": Variable((dim, "y", "x"), (count, pixels, pixels), attrs)}
-
-
-def object_at_rest(shown: ObjectSection, pixels: int) -> dict[str, Variable]:
-    """Describe the image of an object while nothing moves."""
-    attrs = {"units": "1", "long_name": "image at rest of " + lit_object_words(shown)}
-    return {"object_static": Variable(("y", "x"), (pixels, pixels), attrs)}
 
 
 def lit_object_words(shown: ObjectSection) -> str:

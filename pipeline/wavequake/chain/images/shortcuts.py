@@ -1,12 +1,13 @@
 """What every exposure workflow stores of a moving image: the full exposure, two shortcuts, their errors."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavequake.campaign.contract import Variable
-from wavequake.chain.images.extended import ObjectSection, object_image, object_variable
+from wavequake.campaign.measures import Axis, Measure, stored
+from wavequake.chain.images.camera import frame_axes
+from wavequake.chain.images.extended import ObjectSection, lit_object_words, object_image
 from wavequake.imaging.exposures.exposure import encircled_energy_radius
 from wavequake.imaging.exposures.exposure_models import (
     cut,
@@ -36,7 +37,7 @@ def exposed(
     diameter: float,
     shown: ObjectSection | None = None,
 ) -> dict[str, Array]:
-    """Expose local images (instants, n, n) in full and by the shortcuts; returns `exposure_variables`.
+    """Expose local images (instants, n, n) in full and by the shortcuts; returns `exposure_measures`.
 
     ``static`` (n, n) is the local image at rest and ``los`` (instants, 2) the line of sight in lambda/D; area
     and diameter of the pupil set the scale of encircled energies. ``shown`` is an object to image, too.
@@ -61,61 +62,34 @@ def exposed(
     }
 
 
-def exposure_variables(
-    dim: str, count: int, pixels: int, shown: ObjectSection | None = None
-) -> dict[str, Variable]:
-    """Describe what `exposed` returns for each of `count` entries of the dimension `dim`."""
+def exposure_measures(dim: str, shown: ObjectSection | None = None) -> Iterator[Measure]:
+    """Yield what `exposed` returns for each entry of the dimension `dim`."""
+    frame, kinds = (dim, "y", "x"), (dim, "shortcut")
+    if shown:
+        yield stored("object_image", "1", "exposed image of " + lit_object_words(shown), frame)
+    words = "mean of every instant's own image at its line of sight; 1 = peak of the perfect one"
+    yield stored("exposure", "1", words, frame)
+    words = "image at rest convolved with the line of sight's trajectory (Störkle 2018, Eq. 3.80)"
+    yield stored("exposure_los_only", "1", words, frame)
+    words = "image at rest blurred by a Gaussian of the trajectory's mean and covariance"
+    yield stored("exposure_gaussian", "1", words, frame)
+    yield stored("peak", "1", "largest irradiance of the exposure; 1 = peak of the perfect image", (dim,))
+    for share in (50, 80):
+        words = f"radius of {share} % encircled energy of the exposure"
+        yield stored(f"ee{share}", "lambda/D", f"{words}; inf beyond the frame", (dim,))
+    words = "L2 norm of the difference of the shortcut's and the full image, of unit energy each"
+    yield stored("image_error", "1", words, kinds)
+    yield stored("peak_error", "1", "shortcut's largest irradiance over the full exposure's, minus 1", kinds)
+    for share in (50, 80):
+        words = f"shortcut's minus the full exposure's radius of {share} % encircled energy"
+        yield stored(f"ee{share}_error", "lambda/D", f"{words}; NaN beyond the frame", kinds)
 
-    def variable(dims: tuple[str, ...], shape: tuple[int, ...], units: str, long_name: str) -> Variable:
-        return Variable((dim, *dims), (count, *shape), {"units": units, "long_name": long_name})
 
-    frame, kinds = (("y", "x"), (pixels, pixels)), (("shortcut",), (len(SHORTCUTS),))
-    radius = "radius of {} % encircled energy of the exposure; inf beyond the frame"
-    off = "shortcut's minus the full exposure's radius of {} % encircled energy; NaN beyond the frame"
+def exposure_axes(pixels: int, sampling: float) -> dict[str, Axis]:
+    """Return the dimensions y, x, axis, shortcut and focus."""
     return {
-        **(object_variable(shown, dim, count, pixels) if shown else {}),
-        "exposure": variable(
-            *frame, "1", "mean of every instant's own image at its line of sight; 1 = peak of the perfect one"
-        ),
-        "exposure_los_only": variable(
-            *frame,
-            "1",
-            "image at rest convolved with the line of sight's trajectory (Störkle 2018, Eq. 3.80)",
-        ),
-        "exposure_gaussian": variable(
-            *frame, "1", "image at rest blurred by a Gaussian of the trajectory's mean and covariance"
-        ),
-        "peak": variable((), (), "1", "largest irradiance of the exposure; 1 = peak of the perfect image"),
-        "ee50": variable((), (), "lambda/D", radius.format(50)),
-        "ee80": variable((), (), "lambda/D", radius.format(80)),
-        "image_error": variable(
-            *kinds, "1", "L2 norm of the difference of the shortcut's and the full image, of unit energy each"
-        ),
-        "peak_error": variable(
-            *kinds, "1", "shortcut's largest irradiance over the full exposure's, minus 1"
-        ),
-        "ee50_error": variable(*kinds, "lambda/D", off.format(50)),
-        "ee80_error": variable(*kinds, "lambda/D", off.format(80)),
-    }
-
-
-def frame_coordinates(
-    pixels: int, sampling: float
-) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]]:
-    """Return the coordinates y, x, axis, shortcut and focus."""
-    along = (np.arange(pixels) - pixels // 2) * sampling
-    return {
-        "y": (("y",), along, {"units": "lambda/D", "long_name": "image y"}),
-        "x": (("x",), along, {"units": "lambda/D", "long_name": "image x"}),
-        "axis": (("axis",), np.array(["x", "y"], dtype=object), {"long_name": "axis of the image plane"}),
-        "focus": (
-            ("focus",),
-            np.array(FOCUS),
-            {"units": "1", "long_name": "Noll coefficient c_4 added to the wavefront, in waves"},
-        ),
-        "shortcut": (
-            ("shortcut",),
-            np.array(SHORTCUTS, dtype=object),
-            {"long_name": "how the exposure is approximated"},
-        ),
+        **frame_axes(pixels, sampling),
+        "axis": Axis(["x", "y"], "axis of the image plane"),
+        "focus": Axis(FOCUS, "Noll coefficient c_4 added to the wavefront, in waves", "1"),
+        "shortcut": Axis(SHORTCUTS, "how the exposure is approximated"),
     }

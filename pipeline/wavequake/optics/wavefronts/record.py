@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +62,7 @@ class Wavefront:
     lost_segments: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
     device: Device = NUMPY
 
-    @property
+    @cached_property
     def rms(self) -> Array:
         """Root of the sum of squares from j = 4 on, waves, shape (T,) (Störkle 2018, Eq. 3.40)."""
         return np.asarray(np.sqrt(np.sum(self.zernike[:, 3:] ** 2, axis=1)), dtype=np.float64)

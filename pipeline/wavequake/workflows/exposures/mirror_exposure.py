@@ -12,15 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
+from wavequake.campaign.contract import ChunkResult, StudyKind, Template
+from wavequake.campaign.measures import Axis, Measure, stored, template_of
+from wavequake.campaign.one_by_one import one_by_one
 from wavequake.chain.images.coherent import LitObject, lit_by_cells, mean_image
-from wavequake.chain.images.extended import check_object, object_at_rest, object_image
+from wavequake.chain.images.extended import check_object, lit_object_words, object_image
 from wavequake.chain.images.shortcuts import (
     CANVAS,
     FOCUS,
     exposed,
-    exposure_variables,
-    frame_coordinates,
+    exposure_axes,
+    exposure_measures,
 )
 from wavequake.errors import UserError
 from wavequake.imaging.engines.matrix_fourier import matrix_fourier
@@ -55,22 +57,12 @@ _BLOCK = 32
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
     """Expose the images of the variants `cases`; one that does not suit the model is quarantined."""
-    study = study_of(study_text)
-    arrays = {
-        name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
-        for name, variable in template(study_text).per_case.items()
-    }
-    status, messages = np.full(len(cases), DONE, dtype=np.int8), [""] * len(cases)
-    with threadpool_limits(1):
-        for row, (name, variant) in enumerate(cases_of(study)[int(case)] for case in cases):
-            try:
-                found = exposed_variant(study_text, name, variant, choose_device(device_name))
-            except UserError as error:
-                status[row], messages[row] = RAISED, str(error)
-                continue
-            for key, value in found.items():
-                arrays[key][row] = value
-    return ChunkResult(arrays, status, tuple(messages))
+    variants, device = cases_of(study_of(study_text)), choose_device(device_name)
+    return one_by_one(
+        template(study_text).per_case,
+        cases,
+        lambda case: exposed_variant(study_text, *variants[case], device),
+    )
 
 
 def exposed_variant(study_text: str, model: str, variant: str, device: Device = NUMPY) -> dict[str, Any]:
@@ -232,49 +224,30 @@ def _wavefront_error(aberrations: Array) -> Array:
 def template(study_text: str) -> Template:
     """Return what a store of this study holds."""
     study = study_of(study_text)
-    excitations, instants, pixels = len(study.excitation), study.time.instants, study.imaging.pixels
-
-    def history(units: str, long_name: str) -> Variable:
-        shape = (excitations, instants)
-        return Variable(("excitation", "time"), shape, {"units": units, "long_name": long_name})
-
-    per_case = {
-        "wfe_rms": history("nm", "wavefront error rms of the fitted Zernikes j >= 4, not scaled"),
-        "wfe_error": history("nm", "rms of the difference of wavefronts from the reference's, j >= 4"),
-        "los_mm": Variable(
-            ("excitation", "time", "axis"),
-            (excitations, instants, 2),
-            {"units": "mm", "long_name": "line of sight in the image (Störkle 2018, Eq. 3.39), not scaled"},
-        ),
-        **exposure_variables("excitation", excitations, pixels, study.object),
-        "exposure_focus": Variable(
-            ("excitation", "focus", "y", "x"),
-            (excitations, len(FOCUS), pixels, pixels),
-            {"units": "1", "long_name": "exposure with defocus added; 1 = peak of the perfect image"},
-        ),
-        "exposure_static": Variable(
-            ("y", "x"),
-            (pixels, pixels),
-            {"units": "1", "long_name": "image at rest; 1 = its peak", "engine": "matrix"},
-        ),
-        **(object_at_rest(study.object, pixels) if study.object else {}),
-        "resolution_mm": Variable(
-            (),
-            (),
-            {
-                "units": "mm",
-                "long_name": "lambda/D in the image: wavelength times focal length over diameter",
-            },
-        ),
+    axes = {
+        "time": Axis(time_of(study), "time", "s"),
+        "excitation": Axis([excitation.name for excitation in study.excitation], "excitation"),
+        **exposure_axes(study.imaging.pixels, study.imaging.sampling),
     }
-    names = np.array([excitation.name for excitation in study.excitation], dtype=object)
-    fixed = {
-        "time": (("time",), time_of(study), {"units": "s", "long_name": "time"}),
-        "excitation": (("excitation",), names, {"long_name": "excitation"}),
-        **frame_coordinates(pixels, study.imaging.sampling),
-        **import_record(study_text),
-    }
-    return Template(per_case, fixed)
+    return template_of(_measures(study), axes, import_record(study_text))
+
+
+def _measures(study: MirrorExposureStudy) -> Iterator[Measure]:
+    history, frame = ("excitation", "time"), ("y", "x")
+    yield stored("wfe_rms", "nm", "wavefront error rms of the fitted Zernikes j >= 4, not scaled", history)
+    words = "rms of the difference of wavefronts from the reference's, j >= 4"
+    yield stored("wfe_error", "nm", words, history)
+    words = "line of sight in the image (Störkle 2018, Eq. 3.39), not scaled"
+    yield stored("los_mm", "mm", words, (*history, "axis"))
+    yield from exposure_measures("excitation", study.object)
+    words = "exposure with defocus added; 1 = peak of the perfect image"
+    yield stored("exposure_focus", "1", words, ("excitation", "focus", *frame))
+    words = "image at rest; 1 = its peak"
+    yield stored("exposure_static", "1", words, frame, attrs={"engine": "matrix"})
+    if study.object:
+        yield stored("object_static", "1", "image at rest of " + lit_object_words(study.object), frame)
+    words = "lambda/D in the image: wavelength times focal length over diameter"
+    yield stored("resolution_mm", "mm", words)
 
 
 def check(study_text: str) -> None:

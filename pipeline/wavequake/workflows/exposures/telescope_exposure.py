@@ -7,13 +7,13 @@ wavefront (M2 deforms), as in Störkle 2018, Section 4.6 and Fig. 4.45; M2's mot
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
+from wavequake.campaign.contract import ChunkResult, StudyKind, Template
+from wavequake.campaign.measures import Axis, Measure, stored, template_of
+from wavequake.campaign.one_by_one import one_by_one
 from wavequake.campaign.schema import study_from_identity
 from wavequake.chain.images.coherent import LitObject, lit_object, mean_image
 from wavequake.chain.images.extended import check_object
@@ -21,8 +21,8 @@ from wavequake.chain.images.shortcuts import (
     CANVAS,
     FOCUS,
     exposed,
-    exposure_variables,
-    frame_coordinates,
+    exposure_axes,
+    exposure_measures,
 )
 from wavequake.errors import UserError
 from wavequake.imaging.exposures.exposure_models import cut, full_exposure
@@ -65,24 +65,12 @@ _NM_PER_MM = 1e6
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
     """Expose the cases; one whose rays are lost is quarantined with the reason."""
-    device = choose_device(device_name)
-    control = control_bench_of(study_text)
-    arrays = {
-        name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
-        for name, variable in template(study_text).per_case.items()
-    }
-    status, messages = np.full(len(cases), DONE, dtype=np.int8), [""] * len(cases)
-    with threadpool_limits(1):
-        for row, case in enumerate(cases):
-            try:
-                found = exposed_case(control, scaled_draw(control, int(case)), device)
-            except UserError as error:
-                status[row], messages[row] = RAISED, str(error)
-                continue
-            for name, values in found.items():
-                place: tuple[Any, ...] = (row, *(slice(length) for length in values.shape))
-                arrays[name][place] = values  # NaN beyond
-    return ChunkResult(arrays, status, tuple(messages))
+    device, control = choose_device(device_name), control_bench_of(study_text)
+    return one_by_one(
+        template(study_text).per_case,
+        cases,
+        lambda case: exposed_case(control, scaled_draw(control, case), device),
+    )
 
 
 def scaled_draw(control: ControlBench, case: int) -> CaseDraw:
@@ -201,65 +189,36 @@ def motion_of_m2(control: ControlBench, drawn: CaseDraw, device: Device) -> dict
 def template(study_text: str) -> Template:
     """Return what a store of this study holds."""
     study = study_from_identity(TelescopeExposureStudy, study_text)
-    instants = max(population.instants for population in study.disturbance)
-    pixels, sampling, count = study.imaging.pixels, study.imaging.sampling, len(CONTROLLERS)
-
-    def variable(dims: tuple[str, ...], shape: tuple[int, ...], units: str, long_name: str) -> Variable:
-        return Variable(dims, shape, {"units": units, "long_name": long_name})
-
-    def history(units: str, long_name: str) -> Variable:
-        return variable(("controller", "time"), (count, instants), units, long_name)
-
-    stored = exposure_variables("controller", count, pixels, study.object)
-    time = {"units": "s", "long_name": "time of the instant; NaN beyond the population's instants"}
-    per_case = {
-        "time_s": Variable(("time",), (instants,), time, coordinate=True),
-        "wfe_rms": history("nm", "wavefront error rms of the fitted Zernikes j >= 4"),
-        "wfe_rms_flat": history("nm", "wavefront error rms over the rays on glass, piston and tilt removed"),
-        "strehl": history("1", "Strehl ratio in the direction of the best-fit plane"),
-        "los": variable(
-            ("controller", "time", "axis"),
-            (count, instants, 2),
-            "mas",
-            "line of sight of the best-fit plane relative to rest "
-            "(Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2))",
-        ),
-        "m2_tilt": variable(
-            ("time", "axis"),
-            (instants, 2),
-            "rad",
-            "target rotations of the rigid M2 about x and y (Eq. 4.25)",
-        ),
-        "m2_figure": variable(
-            ("time", "noll"),
-            (instants, study.figure_terms - 1),
-            "nm",
-            "target deformation of the elastic M2, Noll coefficients over the beam's footprint (Eq. 4.27)",
-        ),
-        "resolution_mas": variable((), (), "mas", "lambda/D on the sky"),
-        "static_focus": variable(
-            ("focus", "y", "x"),
-            (len(FOCUS), pixels, pixels),
-            "1",
-            "image at rest with defocus added; 1 = peak of the perfect one",
-        ),
-        **stored,
-        "exposure_fitted": replace(
-            stored["exposure"],
-            attrs={
-                "units": "1",
-                "long_name": "the same of the wavefronts that the fitted Zernike terms describe, without "
-                "what segments leave beside them",
-            },
-        ),
+    axes = {
+        "controller": Axis(CONTROLLERS, "what is done about the disturbance"),
+        "time": Axis(max(population.instants for population in study.disturbance)),
+        "noll": Axis(np.arange(2, study.figure_terms + 1), "Noll index"),
+        **exposure_axes(study.imaging.pixels, study.imaging.sampling),
     }
-    controllers = np.array(CONTROLLERS, dtype=object)
-    fixed = {
-        "controller": (("controller",), controllers, {"long_name": "what is done about the disturbance"}),
-        "noll": (("noll",), np.arange(2, study.figure_terms + 1), {"long_name": "Noll index"}),
-        **frame_coordinates(pixels, sampling),
-    }
-    return Template(per_case, fixed)
+    return template_of(_measures(study), axes)
+
+
+def _measures(study: TelescopeExposureStudy) -> Iterator[Measure]:
+    history, frame = ("controller", "time"), ("controller", "y", "x")
+    words = "time of the instant; NaN beyond the population's instants"
+    yield stored("time_s", "s", words, ("time",), coordinate=True)
+    yield stored("wfe_rms", "nm", "wavefront error rms of the fitted Zernikes j >= 4", history)
+    words = "wavefront error rms over the rays on glass, piston and tilt removed"
+    yield stored("wfe_rms_flat", "nm", words, history)
+    yield stored("strehl", "1", "Strehl ratio in the direction of the best-fit plane", history)
+    words = "line of sight of the best-fit plane relative to rest "
+    words += "(Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2))"
+    yield stored("los", "mas", words, (*history, "axis"))
+    words = "target rotations of the rigid M2 about x and y (Eq. 4.25)"
+    yield stored("m2_tilt", "rad", words, ("time", "axis"))
+    words = "target deformation of the elastic M2, Noll coefficients over the beam's footprint (Eq. 4.27)"
+    yield stored("m2_figure", "nm", words, ("time", "noll"))
+    yield stored("resolution_mas", "mas", "lambda/D on the sky")
+    words = "image at rest with defocus added; 1 = peak of the perfect one"
+    yield stored("static_focus", "1", words, ("focus", "y", "x"))
+    yield from exposure_measures("controller", study.object)
+    words = "the same of the wavefronts that the fitted Zernike terms describe, without what segments leave "
+    yield stored("exposure_fitted", "1", words + "beside them", frame)
 
 
 def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
+from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template
+from wavequake.campaign.measures import Axis, Measure, stored, template_of
+from wavequake.campaign.one_by_one import unknown_arrays
 from wavequake.control.bench import bench_modes
 from wavequake.control.camera import Camera, CameraError
 from wavequake.control.experiment import (
@@ -49,6 +51,7 @@ from wavequake.workflows.lens.lens_study import LensStudy
 Array = NDArray[np.float64]
 
 MODES = 11
+_VOLTAGE = "1.65 V + 0.1375 V/mm times the command"
 
 
 def controllers_of(study: LensStudy) -> tuple[str, ...]:
@@ -176,12 +179,7 @@ def regulator_of_record(study: LensStudy, springs: str, record: Record) -> Modal
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
     """Run the plants `cases` under all controllers, plants of one configuration beside each other."""
     study = study_of(study_text)
-    arrays = {
-        name: np.full(
-            (len(cases), *variable.shape), np.nan if "float" in variable.dtype else 0, dtype=variable.dtype
-        )
-        for name, variable in variables(study).items()
-    }
+    arrays = unknown_arrays(template(study_text).per_case, len(cases))
     status = np.full(len(cases), DONE, dtype=np.int8)
     messages = [""] * len(cases)
     for springs in study.bench.springs:
@@ -252,70 +250,46 @@ def _firmware(study: LensStudy, runs: Runs) -> dict[str, NDArray[np.generic]]:
     }
 
 
-def variables(study: LensStudy) -> dict[str, Variable]:
-    """Return what is stored per case."""
-    count = round(study.time.duration_s * 1e3 / study.time.step_ms) + 1
-    each = len(controllers_of(study))
-
-    def history(long_name: str, **more: str) -> Variable:
-        attrs = {"units": "mm", "long_name": long_name, **more}
-        return Variable(("controller", "time"), (each, count), attrs, "float32")
-
-    def number(units: str, long_name: str) -> Variable:
-        return Variable(("controller",), (each,), {"units": units, "long_name": long_name})
-
-    boards = (("firmware",), (len(study.firmware.arithmetic),))
-    digest = {
-        "units": "1",
-        "long_name": "hash of the gains in the image, a number of 16 hexadecimal digits",
-    }
-    off = {"units": "um", "long_name": "largest difference from the commands in double precision"}
-    rms = {"units": "um", "long_name": "rms difference from the commands in double precision"}
-
-    lens = {"units": "mm", "long_name": "position of lens 4"}
-    seen = {"units": "mm", "long_name": "position of lens 4 as the control unit reads it"}
-    rate = {"units": "rad/s", "long_name": "frequencies of the plant"}
-    found = {"units": "rad/s", "long_name": "frequencies that were identified"}
-    left = {"units": "um", "long_name": "rms that the identification leaves"}
-    always = {
-        "image": history("image displacement (Störkle 2018, Eq. 5.5)"),
-        "command": history("command to the stage, held", voltage="1.65 V + 0.1375 V/mm times the command"),
-        "stage_position": history("position of the stage with lens 5"),
-        "lens_position": Variable(("time",), (count,), lens, "float32"),
-        "sensor": Variable(("time",), (count,), seen, "float32"),
-        "peak_to_peak": number("%", "range of the image displacement, uncontrolled = 100"),
-        "deviation": number("%", "standard deviation of it after 1 s, uncontrolled = 100"),
-        "peak_to_peak_mm": number("mm", "range of the image displacement"),
-        "deviation_mm": number("mm", "standard deviation of the image displacement after 1 s"),
-        "true_frequency": Variable(("mode",), (MODES,), rate),
-        "identified_frequency": Variable(("mode",), (MODES,), found),
-        "identified_rms": Variable(("signal",), (2,), left),
-    }
-    firmware = {
-        "firmware_hash": Variable(*boards, digest, "uint64"),
-        "firmware_difference": Variable(*boards, off),
-        "firmware_rms": Variable(*boards, rms),
-    }
-    return always | (firmware if study.firmware.arithmetic else {})
-
-
 def template(study_text: str) -> Template:
     """Return what a store of this study holds."""
     study = study_of(study_text)
     count = round(study.time.duration_s * 1e3 / study.time.step_ms) + 1
     time = study.time.step_ms / 1e3 * np.arange(count)
-    names = {"controller": controllers_of(study), "firmware": study.firmware.arithmetic}
-    fixed = {
-        **{
-            name: ((name,), np.array(values, dtype=object), {"long_name": name})
-            for name, values in names.items()
-            if values
-        },
-        "time": (("time",), time, {"units": "s", "long_name": "time after the hammer's first touch"}),
-        "hammer_force": (("time",), hammer_force(HAMMER, time), {"units": "N", "long_name": "hammer force"}),
-        "signal": (("signal",), np.array(["lens 4", "image"], dtype=object), {"long_name": "signal"}),
+    axes = {
+        "controller": Axis(controllers_of(study), "controller"),
+        "time": Axis(time, "time after the hammer's first touch", "s"),
+        "signal": Axis(["lens 4", "image"], "signal"),
+        "mode": Axis(MODES),
     }
-    return Template(variables(study), fixed)
+    if boards := study.firmware.arithmetic:
+        axes["firmware"] = Axis(boards, "firmware")
+    force = (("time",), hammer_force(HAMMER, time), {"units": "N", "long_name": "hammer force"})
+    return template_of(_measures(bool(boards)), axes, {"hammer_force": force})
+
+
+def _measures(boards: bool) -> Iterator[Measure]:
+    for name, dims, words, attrs in (
+        ("image", ("controller",), "image displacement (Störkle 2018, Eq. 5.5)", {}),
+        ("command", ("controller",), "command to the stage, held", {"voltage": _VOLTAGE}),
+        ("stage_position", ("controller",), "position of the stage with lens 5", {}),
+        ("lens_position", (), "position of lens 4", {}),
+        ("sensor", (), "position of lens 4 as the control unit reads it", {}),
+    ):
+        yield stored(name, "mm", words, (*dims, "time"), dtype="float32", attrs=attrs)
+    each = ("controller",)
+    yield stored("peak_to_peak", "%", "range of the image displacement, uncontrolled = 100", each)
+    yield stored("deviation", "%", "standard deviation of it after 1 s, uncontrolled = 100", each)
+    yield stored("peak_to_peak_mm", "mm", "range of the image displacement", each)
+    yield stored("deviation_mm", "mm", "standard deviation of the image displacement after 1 s", each)
+    yield stored("true_frequency", "rad/s", "frequencies of the plant", ("mode",))
+    yield stored("identified_frequency", "rad/s", "frequencies that were identified", ("mode",))
+    yield stored("identified_rms", "um", "rms that the identification leaves", ("signal",))
+    if boards:
+        words = "hash of the gains in the image, a number of 16 hexadecimal digits"
+        yield stored("firmware_hash", "1", words, ("firmware",), dtype="uint64")
+        for name, what in (("difference", "largest"), ("rms", "rms")):
+            words = f"{what} difference from the commands in double precision"
+            yield stored(f"firmware_{name}", "um", words, ("firmware",))
 
 
 def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:

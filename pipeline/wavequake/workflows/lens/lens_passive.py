@@ -3,6 +3,7 @@
 A case is one start of the search, which has many local minima (Störkle 2018, Eq. 5.4).
 """
 
+from collections.abc import Iterator
 from typing import Self
 
 import numpy as np
@@ -10,7 +11,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, ChunkResult, StudyKind, Template, Variable
+from wavequake.campaign.contract import DONE, ChunkResult, StudyKind, Template
+from wavequake.campaign.measures import Axis, Measure, stored, template_of
 from wavequake.campaign.schema import CampaignSection, Section, StoreSection, Study, study_from_identity
 from wavequake.control.bench import LENSES, Bench, bench_modes, fitted_bench
 from wavequake.control.passive import modal_amplitudes, optimize
@@ -117,28 +119,24 @@ def _row(bench: Bench, present: Bench) -> dict[str, Array]:
 
 def template(study_text: str) -> Template:
     """Return what a store of this study holds."""
-
-    def values(
-        units: str, long_name: str, dims: tuple[str, ...] = (), shape: tuple[int, ...] = ()
-    ) -> Variable:
-        return Variable(dims, shape, {"units": units, "long_name": long_name})
-
-    lens, gap = ("lens",), ("gap",)
-    return Template(
-        {
-            "amplitude_sum": values("mm", "sum of the modes' amplitudes in the image: what is minimized"),
-            "peak_to_peak_mm": values("mm", "range of the image displacement after a blow"),
-            "peak_to_peak": values("%", "the same, present bench = 100"),
-            "frequency": values("rad/s", "frequencies of the modes", ("mode",), (MODES,)),
-            "mode_amplitude": values("mm", "amplitudes of the modes in the image", ("mode",), (MODES,)),
-            "lens_springs": values("N/m", "springs between lens and ring", lens, (LENSES,)),
-            "ring_springs": values("N/m", "springs between ring and housing", lens, (LENSES,)),
-            "couplings": values("N/m", "springs between neighboring rings", gap, (LENSES - 1,)),
-            "lens_kg": values("kg", "inertia of each lens over its squared pendulum length", lens, (LENSES,)),
-            "ring_kg": values("kg", "the same of each ring", lens, (LENSES,)),
-        },
-        {"lens": (lens, np.arange(1, LENSES + 1), {"long_name": "lens"})},
+    return template_of(
+        _measures(),
+        {"lens": Axis(np.arange(1, LENSES + 1), "lens"), "gap": Axis(LENSES - 1), "mode": Axis(MODES)},
     )
+
+
+def _measures() -> Iterator[Measure]:
+    lens = ("lens",)
+    yield stored("amplitude_sum", "mm", "sum of the modes' amplitudes in the image: what is minimized")
+    yield stored("peak_to_peak_mm", "mm", "range of the image displacement after a blow")
+    yield stored("peak_to_peak", "%", "the same, present bench = 100")
+    yield stored("frequency", "rad/s", "frequencies of the modes", ("mode",))
+    yield stored("mode_amplitude", "mm", "amplitudes of the modes in the image", ("mode",))
+    yield stored("lens_springs", "N/m", "springs between lens and ring", lens)
+    yield stored("ring_springs", "N/m", "springs between ring and housing", lens)
+    yield stored("couplings", "N/m", "springs between neighboring rings", ("gap",))
+    yield stored("lens_kg", "kg", "inertia of each lens over its squared pendulum length", lens)
+    yield stored("ring_kg", "kg", "the same of each ring", lens)
 
 
 def case_table(study_text: str, first: int, last: int) -> dict[str, NDArray[np.generic]]:

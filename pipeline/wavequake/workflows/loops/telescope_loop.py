@@ -16,9 +16,9 @@ from threadpoolctl import threadpool_limits
 from wavequake.campaign.measured import Block, CaseTable, study_kind
 from wavequake.campaign.measures import Axis, Measure
 from wavequake.campaign.stopwatch import Stopwatch
+from wavequake.chain.images.camera import frame_axes
 from wavequake.chain.images.coherent import mean_image
 from wavequake.chain.images.extended import lit_object_words, object_image
-from wavequake.chain.images.shortcuts import frame_coordinates
 from wavequake.chain.loops.answers import dynamics_of, put_all
 from wavequake.chain.loops.closing import readings
 from wavequake.chain.loops.designed import Designed, design_notices
@@ -299,9 +299,7 @@ def axes(bench: Bench) -> Mapping[str, Axis]:
     }
     if not study.look.traced:
         return found
-    frame = frame_coordinates(imaging.pixels, imaging.sampling)
-    sides = {dim: Axis(np.asarray(frame[dim][1]), f"image {dim}", "lambda/D") for dim in ("y", "x")}
-    return {**found, "traced": Axis(study.look.traced), **sides}
+    return {**found, "traced": Axis(study.look.traced), **frame_axes(imaging.pixels, imaging.sampling)}
 
 
 def fixed(bench: Bench) -> dict[str, Any]:

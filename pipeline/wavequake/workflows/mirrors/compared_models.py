@@ -1,11 +1,12 @@
 """Reduced models that stand beside the full one as cases, and how far they are from it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
+from wavequake.campaign.contract import Fixed
 from wavequake.campaign.schema import Section
 from wavequake.errors import UserError
 from wavequake.reduction.names import parse
@@ -93,3 +94,14 @@ def model_errors(
 def rms_of(values: Array) -> Array:
     """Return the rms over instants (first axis) of vectors (last axis)."""
     return np.asarray(np.sqrt(np.mean(np.sum(values**2, axis=-1), axis=0)))
+
+
+def checked_models(names: Sequence[str], checks: Sequence[tuple[Array, Array]]) -> dict[str, Fixed]:
+    """Return what stores hold of intermediate models: frequencies and errors of the check of each."""
+    words = {"units": "1", "long_name": "error of the intermediate model against the full one (Eq. 2.10)"}
+    at = {"units": "Hz", "long_name": "frequency of the check"}
+    return {
+        "checked_model": (("checked_model",), np.array(names, dtype=object), {"long_name": "model"}),
+        "spot_frequency": (("check",), checks[0][0], at),
+        "spot_error": (("checked_model", "check"), np.array([errors for _, errors in checks]), words),
+    }

@@ -4,12 +4,15 @@ A case is one variant of one model. Its frequency responses, mode shapes and tim
 those of the reference, mechanically and in what the mirror does to the light.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
-from wavequake.errors import UserError
+from wavequake.campaign.contract import ChunkResult, StudyKind, Template
+from wavequake.campaign.measures import Axis, Measure, stored, template_of
+from wavequake.campaign.one_by_one import one_by_one
+from wavequake.chain.images.camera import frame_axes
 from wavequake.imaging.engines.zernike_psf import zernike_sum
 from wavequake.kernels.device.devices import NUMPY, Device, choose_device
 from wavequake.mechanics.model import ReducedModel
@@ -22,6 +25,7 @@ from wavequake.reduction.metrics import (
     receptance,
     surface_modes,
 )
+from wavequake.workflows.mirrors.compared_models import checked_models
 from wavequake.workflows.mirrors.mirror_bench import (
     Answers,
     Bench,
@@ -61,28 +65,15 @@ _UM_PER_MM = 1e3
 
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
-    """Reduce and judge the variants `cases`; one that does not suit the model is quarantined with the reason.
+    """Reduce and judge the variants `cases`; one that does not suit the model is quarantined."""
+    study, device = study_of(study_text), choose_device(device_name)
+    variants = cases_of(study)
 
-    One BLAS thread, so that a case's bits do not depend on where it is computed.
-    """
-    study = study_of(study_text)
-    arrays = {
-        name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
-        for name, variable in variables(study).items()
-    }
-    status = np.full(len(cases), DONE, dtype=np.int8)
-    messages = [""] * len(cases)
-    with threadpool_limits(1):
-        for row, (name, variant) in enumerate(cases_of(study)[int(case)] for case in cases):
-            bench, answers = bench_of(study_text, name), answers_of(study_text, name)
-            try:
-                found = judged(study, bench, answers, variant, choose_device(device_name))
-            except UserError as error:
-                status[row], messages[row] = RAISED, str(error)
-                continue
-            for key, value in found.items():
-                arrays[key][row] = value
-    return ChunkResult(arrays, status, tuple(messages))
+    def of_case(case: int) -> dict[str, Array | float]:
+        name, variant = variants[case]
+        return judged(study, bench_of(study_text, name), answers_of(study_text, name), variant, device)
+
+    return one_by_one(template_of(_measures(), _axes(study)).per_case, cases, of_case)
 
 
 def judged(
@@ -208,125 +199,67 @@ def _image_error(images: Array, reference: Array) -> Array:
 def template(study_text: str) -> Template:
     """Return what a store of this study holds."""
     study = study_of(study_text)
-    return Template(variables(study), _fixed(study) | import_record(study_text))
-
-
-def variables(study: MirrorStudy) -> dict[str, Variable]:
-    """Return what is stored per case."""
-    excitations, instants, terms = len(study.excitation), study.time.instants, terms_of(study)
-    frequencies, pixels = study.reduction.frequencies, study.imaging.pixels
-    over_frequency, over_time = ("frequency",), ("excitation", "time")
-
-    def scalar(units: str, long_name: str) -> Variable:
-        return Variable((), (), {"units": units, "long_name": long_name})
-
-    def spectrum(units: str, long_name: str) -> Variable:
-        return Variable(over_frequency, (frequencies,), {"units": units, "long_name": long_name})
-
-    def history(units: str, long_name: str) -> Variable:
-        return Variable(over_time, (excitations, instants), {"units": units, "long_name": long_name})
-
-    return {
-        "order": scalar("1", "number of coordinates of the variant"),
-        "reduce_seconds": Variable(
-            (), (), {"units": "s", "long_name": "time of the reduction"}, measured=True
-        ),
-        "pseudo_frequency_max": scalar("Hz", "largest eigenfrequency of the reduced model"),
-        "frf_mech": spectrum("m/N", "Frobenius norm of the receptance at the interfaces"),
-        "eps_mech": spectrum("1", "relative error of the receptance (Störkle 2018, Eq. 2.10)"),
-        "frf_opt": spectrum(
-            "nm/N", "Frobenius norm of the mechanical-optical response, c_2 and on (Störkle 2018, Eq. 4.23)"
-        ),
-        "eps_opt": spectrum("1", "relative error of the mechanical-optical response"),
-        "frf_zernike": Variable(
-            ("frequency", "noll"),
-            (frequencies, SHOWN_TERMS - 1),
-            {"units": "nm/N", "long_name": "norm over the inputs of each coefficient's response"},
-        ),
-        "mac": Variable(
-            ("mode", "reference_mode"),
-            (MODES, MODES),
-            {"units": "1", "long_name": "modal assurance criterion at the optical surface"},
-        ),
-        "mode_frequency": Variable(
-            ("mode",), (MODES,), {"units": "Hz", "long_name": "eigenfrequencies of the variant"}
-        ),
-        "fit_residual": Variable(
-            ("own_mode",),
-            (FITTED_MODES,),
-            {"units": "1", "long_name": "share of each mode that the Zernikes miss (Störkle 2018, Eq. 4.11)"},
-        ),
-        "wfe_rms": history("nm", "wavefront error rms of the fitted Zernikes j >= 4"),
-        "wfe_error": history("nm", "rms of the difference of wavefronts from the reference's, j >= 4"),
-        "los_mm": Variable(
-            (*over_time, "axis"),
-            (excitations, instants, 2),
-            {"units": "mm", "long_name": "line of sight in the image (Störkle 2018, Eq. 3.39)"},
-        ),
-        "los_error": history("mm", "distance from the reference's line of sight"),
-        "exposure": Variable(
-            ("excitation", "y", "x"),
-            (excitations, pixels, pixels),
-            {"units": "1", "long_name": "mean of the instants' images; 1 = peak of the perfect one"},
-        ),
-        "resolution_mm": scalar("mm", "lambda/D in the image: wavelength times focal length over diameter"),
-        "image_error": Variable(
-            ("excitation",),
-            (excitations,),
-            {"units": "1", "long_name": "L2 norm of the difference of unit-energy exposures"},
-        ),
-        "obscuration": scalar("1", "inner over outer radius of the pupil"),
-        "mode_figure": Variable(
-            ("elastic_mode", "term"),
-            (SHOWN_MODES, terms),
-            {
-                "units": "1",
-                "long_name": "Noll coefficients of modes on the mirror, heights of rms 1",
-            },
-        ),
-        "mode_wavefront": Variable(
-            ("elastic_mode", "term"),
-            (SHOWN_MODES, terms),
-            {"units": "nm/um", "long_name": "Noll coefficients of the wavefronts of these modes at 1 um rms"},
-        ),
-        "peak_wavefront": Variable(
-            ("excitation", "term"),
-            (excitations, terms),
-            {
-                "units": "nm",
-                "long_name": "Noll coefficients of the wavefront when that of the reference is worst",
-            },
-        ),
-        "peak_figure": Variable(
-            ("excitation", "term"),
-            (excitations, terms),
-            {"units": "um", "long_name": "Noll coefficients of the mirror's figure, along the light, then"},
-        ),
-        "node_angle": scalar("deg", "where on the rim this node is, about the axis from x"),
-        "node_motion": history("m", "motion along z of a node on the rim, far from the mounts"),
-    }
-
-
-def _fixed(
-    study: MirrorStudy,
-) -> dict[str, tuple[tuple[str, ...], NDArray[np.generic], dict[str, str]]]:
-    pixels = (np.arange(study.imaging.pixels) - study.imaging.pixels // 2) * study.imaging.sampling
-    lambda_over_d = {"units": "lambda/D"}
-    names = [excitation.name for excitation in study.excitation]
     checks = [spot_check(study, name) for name in study.models]
-    checked = {"units": "1", "long_name": "error of the intermediate model against the full one (Eq. 2.10)"}
+    return template_of(
+        _measures(), _axes(study), checked_models(study.models, checks) | import_record(study_text)
+    )
+
+
+def _measures() -> Iterator[Measure]:
+    history, spectrum = ("excitation", "time"), ("frequency",)
+    yield stored("order", "1", "number of coordinates of the variant")
+    yield stored("reduce_seconds", "s", "time of the reduction", measured=True)
+    yield stored("pseudo_frequency_max", "Hz", "largest eigenfrequency of the reduced model")
+    yield stored("frf_mech", "m/N", "Frobenius norm of the receptance at the interfaces", spectrum)
+    yield stored("eps_mech", "1", "relative error of the receptance (Störkle 2018, Eq. 2.10)", spectrum)
+    words = "Frobenius norm of the mechanical-optical response, c_2 and on (Störkle 2018, Eq. 4.23)"
+    yield stored("frf_opt", "nm/N", words, spectrum)
+    yield stored("eps_opt", "1", "relative error of the mechanical-optical response", spectrum)
+    words = "norm over the inputs of each coefficient's response"
+    yield stored("frf_zernike", "nm/N", words, ("frequency", "noll"))
+    words = "modal assurance criterion at the optical surface"
+    yield stored("mac", "1", words, ("mode", "reference_mode"))
+    yield stored("mode_frequency", "Hz", "eigenfrequencies of the variant", ("mode",))
+    words = "share of each mode that the Zernikes miss (Störkle 2018, Eq. 4.11)"
+    yield stored("fit_residual", "1", words, ("own_mode",))
+    yield stored("wfe_rms", "nm", "wavefront error rms of the fitted Zernikes j >= 4", history)
+    words = "rms of the difference of wavefronts from the reference's, j >= 4"
+    yield stored("wfe_error", "nm", words, history)
+    words = "line of sight in the image (Störkle 2018, Eq. 3.39)"
+    yield stored("los_mm", "mm", words, (*history, "axis"))
+    yield stored("los_error", "mm", "distance from the reference's line of sight", history)
+    words = "mean of the instants' images; 1 = peak of the perfect one"
+    yield stored("exposure", "1", words, ("excitation", "y", "x"))
+    words = "lambda/D in the image: wavelength times focal length over diameter"
+    yield stored("resolution_mm", "mm", words)
+    yield stored("image_error", "1", "L2 norm of the difference of unit-energy exposures", ("excitation",))
+    yield stored("obscuration", "1", "inner over outer radius of the pupil")
+    shapes, peaks = ("elastic_mode", "term"), ("excitation", "term")
+    words = "Noll coefficients of modes on the mirror, heights of rms 1"
+    yield stored("mode_figure", "1", words, shapes)
+    words = "Noll coefficients of the wavefronts of these modes at 1 um rms"
+    yield stored("mode_wavefront", "nm/um", words, shapes)
+    words = "Noll coefficients of the wavefront when that of the reference is worst"
+    yield stored("peak_wavefront", "nm", words, peaks)
+    words = "Noll coefficients of the mirror's figure, along the light, then"
+    yield stored("peak_figure", "um", words, peaks)
+    yield stored("node_angle", "deg", "where on the rim this node is, about the axis from x")
+    words = "motion along z of a node on the rim, far from the mounts"
+    yield stored("node_motion", "m", words, history)
+
+
+def _axes(study: MirrorStudy) -> dict[str, Axis]:
     return {
-        "checked_model": (("checked_model",), np.array(study.models, dtype=object), {"long_name": "model"}),
-        "spot_frequency": (("check",), checks[0][0], {"units": "Hz", "long_name": "frequency of the check"}),
-        "spot_error": (("checked_model", "check"), np.array([errors for _, errors in checks]), checked),
-        "frequency": (("frequency",), frequencies_of(study), {"units": "Hz", "long_name": "frequency"}),
-        "time": (("time",), time_of(study), {"units": "s", "long_name": "time"}),
-        "excitation": (("excitation",), np.array(names, dtype=object), {"long_name": "excitation"}),
-        "term": (("term",), np.arange(1, terms_of(study) + 1), {"long_name": "Noll index of a shape"}),
-        "noll": (("noll",), np.arange(2, SHOWN_TERMS + 1), {"long_name": "Noll index"}),
-        "axis": (("axis",), np.array(["x", "y"], dtype=object), {"long_name": "axis of the image plane"}),
-        "y": (("y",), pixels, {**lambda_over_d, "long_name": "image y"}),
-        "x": (("x",), pixels, {**lambda_over_d, "long_name": "image x"}),
+        "frequency": Axis(frequencies_of(study), "frequency", "Hz"),
+        "time": Axis(time_of(study), "time", "s"),
+        "excitation": Axis([excitation.name for excitation in study.excitation], "excitation"),
+        "term": Axis(np.arange(1, terms_of(study) + 1), "Noll index of a shape"),
+        "noll": Axis(np.arange(2, SHOWN_TERMS + 1), "Noll index"),
+        "axis": Axis(["x", "y"], "axis of the image plane"),
+        **frame_axes(study.imaging.pixels, study.imaging.sampling),
+        **dict.fromkeys(("mode", "reference_mode"), Axis(MODES)),
+        "own_mode": Axis(FITTED_MODES),
+        "elastic_mode": Axis(SHOWN_MODES),
     }
 
 

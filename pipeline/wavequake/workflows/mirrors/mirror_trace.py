@@ -7,15 +7,16 @@ the two part: in the sag that is taken at the displaced x and y, or in the optic
 the fit miss much of the deformation, both methods add what they leave, as a grid (Eq. 4.11).
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind, Template, Variable
+from wavequake.campaign.contract import ChunkResult, StudyKind, Template
+from wavequake.campaign.measures import Axis, Measure, stored, template_of
+from wavequake.campaign.one_by_one import one_by_one
 from wavequake.campaign.stopwatch import Stopwatch
-from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.mechanics.vibration.excitations import drive_of
 from wavequake.mechanics.vibration.modal import modal_model
@@ -82,28 +83,15 @@ class Wavefronts:
 
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
-    """Compute the variants `cases` by both methods; one that does not suit the model is quarantined.
-
-    One BLAS thread, so that a case's bits do not depend on where it is computed.
-    """
+    """Compute the variants `cases` by both methods; one that does not suit the model is quarantined."""
     study, device = trace_study_of(study_text), choose_device(device_name)
-    arrays = {
-        name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
-        for name, variable in variables(study).items()
-    }
-    status = np.full(len(cases), DONE, dtype=np.int8)
-    messages = [""] * len(cases)
-    with threadpool_limits(1):
-        for row, (name, variant) in enumerate(cases_of(study)[int(case)] for case in cases):
-            bench = bench_of(study_text, name)
-            try:
-                found = judged(study, bench, variant, device)
-            except UserError as error:
-                status[row], messages[row] = RAISED, str(error)
-                continue
-            for key, value in found.items():
-                arrays[key][row] = value
-    return ChunkResult(arrays, status, tuple(messages))
+    variants = cases_of(study)
+
+    def of_case(case: int) -> dict[str, Array | float]:
+        name, variant = variants[case]
+        return judged(study, bench_of(study_text, name), variant, device)
+
+    return one_by_one(template_of(_measures(), _axes(study)).per_case, cases, of_case)
 
 
 def judged(study: TraceStudy, bench: Bench, variant: str, device: Device) -> dict[str, Array | float]:
@@ -273,75 +261,51 @@ def modal_method(
     return Wavefronts(aberrations, raw)
 
 
-def variables(study: TraceStudy) -> dict[str, Variable]:
-    """Return what is stored per case."""
-    excitations, instants = len(study.excitation), study.time.instants
+def _measures() -> Iterator[Measure]:
+    history = ("excitation", "time")
+    yield stored("order", "1", "number of coordinates of the variant")
+    yield stored("pseudo_frequency_max", "Hz", "largest eigenfrequency of the reduced model")
+    words = "lambda/D in the image: wavelength times focal length over diameter"
+    yield stored("resolution_mm", "mm", words)
+    words = "wavefront error rms of the fitted Zernikes j >= 4, every ray traced"
+    yield stored("wfe_rms_standard", "nm", words, history)
+    yield stored("wfe_rms_modal", "nm", "the same by sensitivities of modes", history)
+    words = "wavefront error rms over the traced rays, best-fit plane removed"
+    yield stored("wfe_rms_raw", "nm", words, history)
+    words = "the same by sensitivities of modes and of what their fit leaves"
+    yield stored("wfe_rms_raw_modal", "nm", words, history)
+    words = "rms of what the residual grid adds to the wavefront; 0 where none is traced"
+    yield stored("wfe_rms_residual", "nm", words, history)
+    words = "largest deformation that the Zernikes miss over the largest one (Störkle 2018, Eq. 4.11)"
+    yield stored("missed_share", "1", words, ("excitation",))
+    yield stored("wfe_difference", "nm", "rms of the difference of the two wavefronts, j >= 4", history)
+    yield stored("wfe_difference_sag", "nm", "its part from the sag at displaced x and y", history)
+    yield stored("wfe_difference_optics", "nm", "its part from the optics beyond first order", history)
+    words = "share of the deformation that the Zernikes miss (Störkle 2018, Eq. 4.11)"
+    yield stored("fit_residual", "1", words, history)
+    for name, way in (
+        ("standard", "in the image, every ray traced"),
+        ("modal", "by sensitivities of modes"),
+    ):
+        words = f"line of sight {way} (Störkle 2018, Eq. 3.39)"
+        yield stored(f"los_{name}", "mm", words, (*history, "axis"))
+    yield stored("los_difference", "mm", "distance of the two lines of sight", history)
+    words = "time that each stage took in one process"
+    yield stored("seconds", "s", words, ("excitation", "stage"), measured=True)
 
-    def scalar(units: str, long_name: str) -> Variable:
-        return Variable((), (), {"units": units, "long_name": long_name})
 
-    def history(units: str, long_name: str) -> Variable:
-        attributes = {"units": units, "long_name": long_name}
-        return Variable(("excitation", "time"), (excitations, instants), attributes)
-
-    def sight(long_name: str) -> Variable:
-        attributes = {"units": "mm", "long_name": f"{long_name} (Störkle 2018, Eq. 3.39)"}
-        return Variable(("excitation", "time", "axis"), (excitations, instants, 2), attributes)
-
+def _axes(study: TraceStudy) -> dict[str, Axis]:
     return {
-        "order": scalar("1", "number of coordinates of the variant"),
-        "pseudo_frequency_max": scalar("Hz", "largest eigenfrequency of the reduced model"),
-        "resolution_mm": scalar("mm", "lambda/D in the image: wavelength times focal length over diameter"),
-        "wfe_rms_standard": history(
-            "nm", "wavefront error rms of the fitted Zernikes j >= 4, every ray traced"
-        ),
-        "wfe_rms_modal": history("nm", "the same by sensitivities of modes"),
-        "wfe_rms_raw": history("nm", "wavefront error rms over the traced rays, best-fit plane removed"),
-        "wfe_rms_raw_modal": history("nm", "the same by sensitivities of modes and of what their fit leaves"),
-        "wfe_rms_residual": history(
-            "nm", "rms of what the residual grid adds to the wavefront; 0 where none is traced"
-        ),
-        "missed_share": Variable(
-            ("excitation",),
-            (excitations,),
-            {
-                "units": "1",
-                "long_name": "largest deformation that the Zernikes miss over the largest one (Störkle 2018, "
-                "Eq. 4.11)",
-            },
-        ),
-        "wfe_difference": history("nm", "rms of the difference of the two wavefronts, j >= 4"),
-        "wfe_difference_sag": history("nm", "its part from the sag at displaced x and y"),
-        "wfe_difference_optics": history("nm", "its part from the optics beyond first order"),
-        "fit_residual": history(
-            "1", "share of the deformation that the Zernikes miss (Störkle 2018, Eq. 4.11)"
-        ),
-        "los_standard": sight("line of sight in the image, every ray traced"),
-        "los_modal": sight("line of sight by sensitivities of modes"),
-        "los_difference": history("mm", "distance of the two lines of sight"),
-        "seconds": Variable(
-            ("excitation", "stage"),
-            (excitations, len(STAGES)),
-            {"units": "s", "long_name": "time that each stage took in one process"},
-            measured=True,
-        ),
+        "time": Axis(time_of(study), "time", "s"),
+        "excitation": Axis([excitation.name for excitation in study.excitation], "excitation"),
+        "axis": Axis(["x", "y"], "axis of the image plane"),
+        "stage": Axis(STAGES, "stage of the computation"),
     }
 
 
 def template(study_text: str) -> Template:
     """Return what a store of this study holds."""
-    study = trace_study_of(study_text)
-    names = [excitation.name for excitation in study.excitation]
-    return Template(
-        variables(study),
-        {
-            "time": (("time",), time_of(study), {"units": "s", "long_name": "time"}),
-            "excitation": (("excitation",), np.array(names, dtype=object), {"long_name": "excitation"}),
-            "axis": (("axis",), np.array(["x", "y"], dtype=object), {"long_name": "axis of the image plane"}),
-            "stage": (("stage",), np.array(STAGES, dtype=object), {"long_name": "stage of the computation"}),
-            **import_record(study_text),
-        },
-    )
+    return template_of(_measures(), _axes(trace_study_of(study_text)), import_record(study_text))
 
 
 def describe(study_text: str) -> dict[str, str]:

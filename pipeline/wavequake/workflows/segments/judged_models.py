@@ -1,10 +1,12 @@
 """Reduced models of elastic segments as cases: how far each is from the same draw with the full model."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from wavequake.campaign.contract import DONE, ChunkResult, Variable
+from wavequake.campaign.contract import DONE, ChunkResult
+from wavequake.campaign.measures import Measure, stored
 from wavequake.workflows.mirrors.compared_models import ERRORS, model_errors, rms_of
 from wavequake.workflows.mirrors.mirror_study import FULL
 from wavequake.workflows.segments.bench import Bench, benches_of, in_basis
@@ -12,20 +14,11 @@ from wavequake.workflows.segments.launches import CaseDraw
 from wavequake.workflows.segments.segment_study import SegmentStudy
 
 
-def error_variables(study: SegmentStudy, places: dict[str, int]) -> dict[str, Variable]:
-    """Describe the errors of a case, by place."""
-    return {
-        name: Variable(
-            tuple(places),
-            tuple(places.values()),
-            {
-                "units": unit or "mas",
-                "long_name": f"difference to the draw with the full model: {words}",
-            },
-        )
-        for name, (unit, words) in ERRORS.items()
-        if study.imaging.enabled or name != "model_error_image"
-    }
+def error_measures(study: SegmentStudy, places: tuple[str, ...]) -> Iterator[Measure]:
+    """Yield the errors of a case, by place."""
+    for name, (unit, words) in ERRORS.items():
+        if study.imaging.enabled or name != "model_error_image":
+            yield stored(name, unit or "mas", f"difference to the draw with the full model: {words}", places)
 
 
 def judged(bench: Bench, draws: list[CaseDraw], found: ChunkResult, count: int) -> ChunkResult:
@@ -40,8 +33,8 @@ def judged(bench: Bench, draws: list[CaseDraw], found: ChunkResult, count: int) 
     }
     rest = [in_basis(each, each.static.zernike[0]) * each.wavelength_nm for each in benches_of(bench.text)]
     still = np.reshape(rest, (*places, -1))
-    for name in error_variables(bench.study, {}):
-        arrays[name] = np.full((count, *places), np.nan)
+    for measure in error_measures(bench.study, ()):
+        arrays[measure.name] = np.full((count, *places), np.nan)
     for row, one in enumerate(draws[:count]):
         whole = fulls[one.population.name, one.realization]
         if found.status[row] != DONE or found.status[whole] != DONE:

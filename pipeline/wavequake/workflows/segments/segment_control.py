@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.campaign.contract import DONE, ChunkResult
+from wavequake.campaign.one_by_one import unknown_arrays
 from wavequake.errors import UserError
 from wavequake.workflows.segments.segment_modal import modal_cases
 from wavequake.workflows.segments.segment_study import SegmentStudy, without_images
@@ -59,10 +60,7 @@ def modal_numbers(study: SegmentStudy, cases: NDArray[np.int64], device: str) ->
 
 def _untraced(study_text: str, cases: NDArray[np.int64], device: str) -> ChunkResult:
     """Return cases without a number in the place of traces, which nobody needs here."""
-    arrays = {
-        name: np.full((len(cases), *variable.shape), np.nan)
-        for name, variable in computed(study_text).items()
-        if variable.dtype != "int8"
-    }
+    numbers = {name: one for name, one in computed(study_text).items() if one.dtype != "int8"}
+    arrays = unknown_arrays(numbers, len(cases))
     status = np.full(len(cases), DONE, dtype=np.int8)
     return ChunkResult(arrays, status, ("",) * len(cases))

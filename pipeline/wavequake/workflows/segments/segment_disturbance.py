@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind
+from wavequake.campaign.one_by_one import unknown_arrays
 from wavequake.campaign.schema import study_from_identity
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.chain.images.camera import require_pixels
@@ -174,10 +175,7 @@ def trace_draws(
 def _trace_place(bench: Bench, draws: list[CaseDraw], device_name: str, clock: Stopwatch) -> ChunkResult:
     """Trace motions that were drawn at the place of a bench; as :func:`trace_cases`."""
     device = choose_device(device_name)
-    arrays = {
-        name: np.full((len(draws), *variable.shape), np.nan, dtype=variable.dtype)
-        for name, variable in of_one_place(bench.text).items()
-    }
+    arrays = unknown_arrays(of_one_place(bench.text), len(draws))
     for name in ("rayleigh", "marechal", "vignetted"):  # gathered over a case's launches
         arrays[name][:] = 0.0
     messages, instants = [""] * len(draws), [traced_instants(drawn) for drawn in draws]

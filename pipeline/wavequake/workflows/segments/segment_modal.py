@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.campaign.contract import DONE, ChunkResult
+from wavequake.campaign.one_by_one import unknown_arrays
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.kernels.device.tiles import TILE, padded
 from wavequake.mechanics.disturbances.registry import Disturbance, Motion, instants_of, time_axis
@@ -63,11 +64,8 @@ def modal_cases(study_text: str, cases: Cases, device_name: str, trace: Trace) -
     bench, clock = bench_of(study_text), Stopwatch()
     study = bench.study
     model = model_of(study_text, device_name)
-    arrays = {
-        name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
-        for name, variable in computed(study_text).items()
-        if variable.dtype != "int8"
-    }
+    numbers = {name: one for name, one in computed(study_text).items() if one.dtype != "int8"}
+    arrays = unknown_arrays(numbers, len(cases))
     which, realizations = slots([entry.share for entry in study.disturbance], cases)
     for index, population in enumerate(study.disturbance):
         mine = np.flatnonzero(which == index)

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
-from wavequake.campaign.contract import DONE, RAISED, ChunkResult, StudyKind
+from wavequake.campaign.contract import ChunkResult, StudyKind
+from wavequake.campaign.one_by_one import one_by_one
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device, choose_device
@@ -57,27 +57,14 @@ def cases_of(study: SegmentMorStudy) -> list[tuple[str, str]]:
 
 
 def compute(study_text: str, cases: NDArray[np.int64], device_name: str) -> ChunkResult:
-    """Reduce, trace and judge the variants `cases`; one that fails is quarantined with the reason.
-
-    One BLAS thread, so that a case's bits do not depend on where it is computed.
-    """
-    study = study_of(study_text)
-    arrays = {
-        name: np.full((len(cases), *variable.shape), np.nan, dtype=variable.dtype)
-        for name, variable in template(study_text).per_case.items()
-    }
-    status, clock = np.full(len(cases), DONE, dtype=np.int8), Stopwatch()
-    messages = [""] * len(cases)
-    with threadpool_limits(1):
-        for row, case in enumerate(cases):
-            try:
-                found = judged(study_text, *cases_of(study)[int(case)], device_name, clock)
-            except UserError as error:
-                status[row], messages[row] = RAISED, str(error)
-                continue
-            for key, value in found.items():
-                arrays[key][row] = value
-    return ChunkResult(arrays, status, tuple(messages), clock.seconds)
+    """Reduce, trace and judge the variants `cases`; one that fails is quarantined with the reason."""
+    each, clock = cases_of(study_of(study_text)), Stopwatch()
+    return one_by_one(
+        template(study_text).per_case,
+        cases,
+        lambda case: judged(study_text, *each[case], device_name, clock),
+        clock,
+    )
 
 
 def judged(

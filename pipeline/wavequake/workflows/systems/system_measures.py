@@ -1,15 +1,13 @@
 """The measures of a system-disturbance study, one record each, and the dimensions that they have."""
 
 from collections.abc import Iterator, Mapping
-from operator import itemgetter
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavequake.campaign.contract import Fixed
-from wavequake.campaign.measures import Axis, Measure
-from wavequake.chain.images.camera import camera_axes, camera_measures
+from wavequake.campaign.measures import Axis, Measure, stored
+from wavequake.chain.images.camera import camera_axes, camera_measures, frame_axes
 from wavequake.chain.images.extended import lit_object_words
 from wavequake.chain.images.system import expose
 from wavequake.workflows.mirrors.compared_models import ERRORS
@@ -39,17 +37,17 @@ def measures(study: SystemStudy, over_annulus: Mapping[str, str]) -> Iterator[Me
 
 
 def _traced_measures(study: SystemStudy, over_annulus: Mapping[str, str]) -> Iterator[Measure]:
-    yield _stored(
+    yield stored(
         "time_s", "s", "time of the instant; NaN beyond the population's instants", ("time",), coordinate=True
     )
-    yield _stored("wfe_rms", "nm", "wavefront error rms of the fitted Zernikes j >= 4", _OVER)
+    yield stored("wfe_rms", "nm", "wavefront error rms of the fitted Zernikes j >= 4", _OVER)
     words = "rms of the wavefront's change from rest, of the fitted Zernikes j >= 4"
-    yield _stored("wfe_change", "nm", words, _OVER)
+    yield stored("wfe_change", "nm", words, _OVER)
     words = "wavefront error rms over the rays that arrive, piston removed, tilt about the image point of "
-    yield _stored("wfe_rms_raw", "nm", words + _SPHERES[study.wavefront.reference], _OVER)
-    yield _stored("wfe_pv", "nm", "peak to valley of the wavefront about its best-fit plane", _OVER)
+    yield stored("wfe_rms_raw", "nm", words + _SPHERES[study.wavefront.reference], _OVER)
+    yield stored("wfe_pv", "nm", "peak to valley of the wavefront about its best-fit plane", _OVER)
     source = wavefront_source(study.wavefront.method, study.wavefront.reference)
-    yield _stored(
+    yield stored(
         "zernike",
         "nm",
         f"{_BASES[study.wavefront.basis]}, total{source}",
@@ -61,20 +59,20 @@ def _traced_measures(study: SystemStudy, over_annulus: Mapping[str, str]) -> Ite
         "line of sight of the best-fit plane in the image, relative to rest "
         "(Störkle 2018, Eq. 3.39, annular tilt / sqrt(1 + eps^2))"
     )
-    yield _stored("los_mm", "mm", words, (*_OVER, "axis"))
+    yield stored("los_mm", "mm", words, (*_OVER, "axis"))
     words = "geometric centroid of the rays in the image, relative to rest"
-    yield _stored("centroid_mm", "mm", words, (*_OVER, "axis"))
-    yield _stored("spot_rms", "um", "rms distance of the rays' image points from their centroid", _OVER)
-    yield _stored("strehl", "1", "Strehl ratio in the direction of the best-fit plane", _OVER)
+    yield stored("centroid_mm", "mm", words, (*_OVER, "axis"))
+    yield stored("spot_rms", "um", "rms distance of the rays' image points from their centroid", _OVER)
+    yield stored("strehl", "1", "Strehl ratio in the direction of the best-fit plane", _OVER)
     words = "share of instants with a peak to valley of at most lambda/4 (Störkle 2018, Eq. 3.54)"
-    yield _stored("rayleigh", "1", words, _OVER[1:])
+    yield stored("rayleigh", "1", words, _OVER[1:])
     words = (
         "share of instants with an rms over the rays, piston and tilt removed, of at most lambda/14 "
         "(Störkle 2018, Eq. 3.55)"
     )
-    yield _stored("marechal", "1", words, _OVER[1:])
-    yield _stored("vignetted", "1", "largest number of rays at an instant that openings stop", _OVER[1:])
-    yield _stored("lost", "1", "largest number of rays at an instant that do not arrive", _OVER[1:])
+    yield stored("marechal", "1", words, _OVER[1:])
+    yield stored("vignetted", "1", "largest number of rays at an instant that openings stop", _OVER[1:])
+    yield stored("lost", "1", "largest number of rays at an instant that do not arrive", _OVER[1:])
     if study.imaging is not None:
         yield from _image_measures(study)
         yield from camera_measures(study.imaging.resolution, study.detector, ("field",))
@@ -83,29 +81,25 @@ def _traced_measures(study: SystemStudy, over_annulus: Mapping[str, str]) -> Ite
             dims = _OVER[1:] if name != "model_error_image" else ("field",)
             if name != "model_error_image" or study.imaging is not None:
                 said = f"difference to the same draw with full models: {words}"
-                yield _stored(name, unit or "mm", said, dims)
+                yield stored(name, unit or "mm", said, dims)
 
 
 def _image_measures(study: SystemStudy) -> Iterator[Measure]:
     words = (
         "mean of every instant's image at its line of sight, in all wavelengths; 1 = peak of the perfect one"
     )
-    yield _stored("exposure", "1", words, ("field", "y", "x"))
+    yield stored("exposure", "1", words, ("field", "y", "x"))
     words = "largest irradiance of the exposure; 1 = peak of the perfect image"
-    yield _stored("peak", "1", words, ("field",))
+    yield stored("peak", "1", words, ("field",))
     for share in (50, 80):
         words = f"radius of {share} % encircled energy of the exposure; inf beyond the frame"
-        yield _stored(f"ee{share}", "lambda/D", words, ("field",))
+        yield stored(f"ee{share}", "lambda/D", words, ("field",))
     if study.imaging is not None and study.imaging.focus_um:
         words = "exposure in planes behind the image; 1 = peak of the perfect image"
-        yield _stored("exposure_focus", "1", words, ("field", "focus", "y", "x"))
+        yield stored("exposure_focus", "1", words, ("field", "focus", "y", "x"))
     if study.object is not None:
         words = "exposed image of " + lit_object_words(study.object)
-        yield _stored("object_image", "1", words, ("field", "y", "x"))
-
-
-def _stored(name: str, units: str, long_name: str, dims: tuple[str, ...], **more: Any) -> Measure:
-    return Measure(name, units, long_name, dims, itemgetter(name), **more)
+        yield stored("object_image", "1", words, ("field", "y", "x"))
 
 
 def axes(bench: SystemBench) -> dict[str, Axis]:
@@ -121,8 +115,7 @@ def axes(bench: SystemBench) -> dict[str, Axis]:
     }
     if bench.imager is not None:
         section = bench.imager.section
-        along = (np.arange(section.pixels) - section.pixels // 2) * section.sampling
-        found |= {name: Axis(along, f"image {name}", "lambda/D") for name in ("y", "x")}
+        found |= frame_axes(section.pixels, section.sampling)
         if section.focus_um:
             found["focus"] = Axis(np.array(section.focus_um), "distance behind the image", "um")
         found |= camera_axes(bench.imager.camera)
