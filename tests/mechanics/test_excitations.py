@@ -44,6 +44,11 @@ def test_a_force_prescribes_nothing_and_a_displacement_may_leave_others_free():
     force = drive_of(Sinusoid(name="a", acts="force", direction="x", interfaces=(1,)), 3, TIME)
     assert not force.prescribed.any()
     assert (force.harmonics[0].sine != 0).nonzero()[0].tolist() == [3]
+    turned = drive_of(Sinusoid(name="a", direction="ry", interfaces=(1,)), 6, TIME, turns=3)
+    assert (turned.harmonics[0].sine != 0).nonzero()[0].tolist() == [13]
+    assert turned.prescribed.all()
+    with pytest.raises(UserError, match="pads with pad_dofs = 6 do"):
+        drive_of(Sinusoid(name="a", direction="ry"), 3, TIME)
     free = drive_of(Sinusoid(name="a", others="free", interfaces=(0, 1)), 3, TIME)
     assert free.prescribed.nonzero()[0].tolist() == [2, 5]
     with pytest.raises(UserError, match="without stiffness"):

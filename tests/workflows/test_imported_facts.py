@@ -69,7 +69,11 @@ def test_the_cost_of_large_models_is_said_in_the_same_words_everywhere(plate, mo
     assert said[0].endswith("billion operations")  # no seconds: a store keeps these words
 
 
-def test_pads_of_a_study_are_its_interface(plate, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("keys", "inputs"),
+    [({"model.pads": "average"}, ""), ({"model.pads": "rigid", "model.pad_dofs": 6}, ", 18 inputs")],
+)
+def test_pads_of_a_study_are_its_interface(keys, inputs, plate, tmp_path, monkeypatch):
     rear = np.setdiff1d(np.arange(len(plate.nodes)), plate.surface_nodes)
     sets = ""
     for number, mount in enumerate(plate.interfaces, 1):
@@ -80,9 +84,10 @@ def test_pads_of_a_study_are_its_interface(plate, tmp_path, monkeypatch):
     deck = (DATA / "plate.inp").read_text()
     (tmp_path / "plate.inp").write_text(deck.replace("*NSET, NSET=SURFACE", sets + "*NSET, NSET=SURFACE"))
     monkeypatch.chdir(tmp_path)
-    pads = {"model.interfaces": ["PAD1", "PAD2", "PAD3"], "model.pads": "average"}
+    pads = {"model.interfaces": ["PAD1", "PAD2", "PAD3"], **keys}
     study = load_study("mirror-trace", PLATE | pads)
-    assert "3 pads (average) of 12 nodes are the interface" in plan(study)["note"]
+    note = plan(study)["note"]
+    assert f"3 pads ({keys['model.pads']}) of 12 nodes are the interface{inputs}" in note.splitlines()[1]
 
 
 def test_the_frequencies_are_the_first_elastic_ones(plate):

@@ -112,7 +112,7 @@ def respond(
     if not (0.0 < step < duration < np.inf):
         raise UserError(f"{duration} s in steps of {step} s are no instants; the step must be the shorter.")
     time = np.arange(round(duration / step) + 1, dtype=np.float64) * step
-    drive = drive_of(wanted, len(model.interfaces), time)
+    drive = drive_of(wanted, len(model.interfaces), time, turns=len(model.turns))
     if _LONG < (order := model.mass.shape[0]) <= LARGEST:
         words = f"all {order} modes of {model.name} are computed, some {_FOR_ALL_S * order**3:.0f} s"
         print(f"Wavequake responds: {words}; wavequake.reduce makes smaller models.", file=sys.stderr)

@@ -15,7 +15,7 @@ from wavequake.drawing.solid import Scene, model_scene, stretched, system_scene
 from wavequake.drawing.still import still_figure
 from wavequake.drawing.style import Drawing
 from wavequake.errors import UserError
-from wavequake.mechanics.model import FiniteElementModel, Model, ReducedModel
+from wavequake.mechanics.model import FiniteElementModel, Model, ReducedModel, shifts
 from wavequake.optics.catalog.names import optical_system, system_names
 from wavequake.optics.lens_archive import LENS_FILES
 from wavequake.optics.segments.catalog import telescope
@@ -150,7 +150,7 @@ def _words_of(model: Model) -> str:
     size = " x ".join(f"{length:.4g}" for length in np.ptp(model.nodes, axis=0))
     return (
         f"{model.name}: {model.order} degrees of freedom of {len(model.nodes)} nodes, {size} m\n"
-        f"  optical surface of {len(model.surface_nodes)} nodes, {len(model.interfaces)} mounts"
+        f"  optical surface of {len(model.surface_nodes)} nodes, {len(shifts(model))} mounts"
     )
 
 

@@ -9,7 +9,7 @@ from wavequake.drawing.layout import Layout, layouts, stretching
 from wavequake.drawing.light import all_ways, beginnings
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.areas import mesh_points
-from wavequake.mechanics.model import Model
+from wavequake.mechanics.model import Model, shifts
 from wavequake.optics.segments.layout import is_monolithic
 from wavequake.optics.segments.parent import parent_system
 from wavequake.optics.segments.telescope import SegmentedTelescope
@@ -170,8 +170,11 @@ def model_scene(model: Model) -> Scene:
         "m",
         (skin,),
         (),
-        tuple((f"mount {number}", model.nodes[node]) for number, node in enumerate(model.interfaces, 1)),
-        model.nodes[model.interfaces],
+        tuple(
+            (f"mount {number}", model.nodes[node])
+            for number, node in enumerate(model.interfaces[shifts(model)], 1)
+        ),
+        model.nodes[model.interfaces[shifts(model)]],
         np.array([0.0, 0.0, 1.0]),
     )
 

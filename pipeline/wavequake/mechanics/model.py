@@ -1,8 +1,8 @@
 """Linear second-order models: a finite-element model and what reduction makes of it. SI units.
 
-Both have ``mass``, ``damping_matrix``, ``stiffness``, ``inputs`` (a force at interface node k in direction d
-acts through column 3 k + d) and ``surface`` (rows 3 k + d give the displacement of optical node k), so a
-response, a transfer matrix or a surface fit takes either: a reduced model is a model.
+Both have ``mass``, ``damping_matrix``, ``stiffness``, ``inputs`` (a force at interface k in direction d, or a
+moment about it, acts through column 3 k + d) and ``surface`` (rows 3 k + d give the displacement of optical
+node k), so a response, a transfer matrix or a surface fit takes either: a reduced model is a model.
 """
 
 import math
@@ -18,6 +18,8 @@ from wavequake.errors import UserError
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+
+NONE = np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class FiniteElementModel:
         Which node and which direction (0, 1, 2: displacements along x, y, z; 3, 4, 5: rotations about them)
         each degree of freedom moves; -1 where it is an inner coordinate of no node, e.g. of a mode.
     interfaces : ndarray of int, shape (k,)
-        Nodes that carry forces, springs, constraints or prescribed motion.
+        Nodes that carry forces, springs, constraints or prescribed motion, by their displacement.
     surface_nodes : ndarray of int, shape (p,)
         Nodes of the optical surface.
     node_sets : mapping of str to ndarray of int
@@ -59,6 +61,8 @@ class FiniteElementModel:
     surface_weights : ndarray, shape (p,)
         Positive shares of the optical surface's area, projected along z, for the fit of Störkle 2018,
         Eq. 4.10; sum 1.
+    turns : ndarray of int, shape (t,)
+        Which of the interfaces, from 0, are the rotation of their node, rad and N m, not its displacement.
     """
 
     name: str
@@ -72,6 +76,7 @@ class FiniteElementModel:
     surface_nodes: Integers
     surface_weights: Array
     node_sets: Mapping[str, Integers] = field(default_factory=dict)
+    turns: Integers = field(default_factory=lambda: NONE)
 
     def __repr__(self) -> str:
         return _described(self)
@@ -88,8 +93,8 @@ class FiniteElementModel:
 
     @property
     def inputs(self) -> csc_array:
-        """Input matrix B, shape (n, 3 k): unit forces at the interface nodes."""
-        return csc_array(selection(self, self.interfaces).T)
+        """Input matrix B, shape (n, 3 k): unit forces and moments at the interfaces."""
+        return csc_array(_picked(self, self.interfaces, interface_dofs(self)).T)
 
     @property
     def surface(self) -> csc_array:
@@ -111,7 +116,7 @@ class ReducedModel:
         V^T B.
     surface : ndarray, shape (3 p, r)
         Rows of V at the optical nodes.
-    nodes, interfaces, surface_nodes, surface_weights
+    nodes, interfaces, surface_nodes, surface_weights, turns
         As in the full model.
     seconds : float
         Time of the reduction.
@@ -129,6 +134,7 @@ class ReducedModel:
     surface_nodes: Integers
     surface_weights: Array
     seconds: float
+    turns: Integers = field(default_factory=lambda: NONE)
 
     def __repr__(self) -> str:
         return _described(self)
@@ -156,8 +162,25 @@ def _described(model: Model) -> str:
         type(model).__name__,
         ("coordinates" if isinstance(model, ReducedModel) else "degrees of freedom"),
     )
-    nodes = f"{len(model.interfaces)} interface and {len(model.surface_nodes)} optical nodes"
+    nodes = f"{len(shifts(model))} interface and {len(model.surface_nodes)} optical nodes"
     return f"<{kind} {model.name}: {model.order} {what}, {nodes}>"
+
+
+def shifts(model: Any) -> Integers:
+    """Return which of a model's interfaces, from 0, are the displacement of their node."""
+    return np.setdiff1d(np.arange(len(model.interfaces)), model.turns)
+
+
+def force_columns(model: Any) -> Integers:
+    """Return which of a model's inputs are forces, not moments."""
+    return np.asarray((3 * shifts(model)[:, None] + np.arange(3)).ravel())
+
+
+def interface_dofs(model: FiniteElementModel) -> Integers:
+    """Return which degrees of freedom the inputs of a model drive, shape (3 k,); -1: none."""
+    found = places(model)[model.interfaces]
+    turned = np.isin(np.arange(len(found)), model.turns)[:, None]
+    return np.asarray(np.where(turned, found[:, 3:], found[:, :3]).ravel())
 
 
 def selection(model: FiniteElementModel, nodes: Integers) -> csc_array:
@@ -168,7 +191,10 @@ def selection(model: FiniteElementModel, nodes: Integers) -> csc_array:
     UserError
         If a node has not all three displacements (it is constrained, or belongs to no element).
     """
-    columns = places(model)[nodes, :3].ravel()
+    return _picked(model, nodes, places(model)[nodes, :3].ravel())
+
+
+def _picked(model: FiniteElementModel, nodes: Integers, columns: Integers) -> csc_array:
     if (columns < 0).any():
         row = int(np.argmax(columns < 0))
         raise UserError(

@@ -102,6 +102,7 @@ def reduced(
         surface_nodes=model.surface_nodes,
         surface_weights=model.surface_weights,
         seconds=time.perf_counter() - start,
+        turns=model.turns,
     )
 
 

@@ -6,12 +6,12 @@ a dense `Structure` is made of it and every method works on it unchanged.
 """
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from wavequake.errors import UserError
-from wavequake.mechanics.model import Array, FiniteElementModel, Integers, RayleighDamping
+from wavequake.mechanics.model import NONE, Array, FiniteElementModel, Integers, RayleighDamping
 from wavequake.mechanics.vibration.factors import LARGE
 from wavequake.reduction.directions import orthonormalize
 from wavequake.reduction.methods.component_modes import constraint_modes
@@ -38,7 +38,7 @@ class Intermediate:
     rigid : ndarray, shape (r, 0..6)
         Rigid motions, mass-orthonormal.
     surface : ndarray, shape (3 p, r)
-    nodes, interfaces, surface_nodes, surface_weights
+    nodes, interfaces, surface_nodes, surface_weights, turns
         As in the full model.
     modes : int
         Fixed-interface modes, and as many free-interface modes, that the basis holds.
@@ -64,6 +64,7 @@ class Intermediate:
     highest: float
     full_order: int
     seconds: float
+    turns: Integers = field(default_factory=lambda: NONE)
 
     @property
     def order(self) -> int:
@@ -120,6 +121,7 @@ def intermediate(model: FiniteElementModel, modes: int = 108, highest: float = 1
         highest=highest,
         full_order=model.order,
         seconds=time.perf_counter() - start,
+        turns=model.turns,
     )
 
 

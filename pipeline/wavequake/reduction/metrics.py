@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csc_array
 
 from wavequake.errors import UserError
-from wavequake.mechanics.model import Array, FiniteElementModel, ReducedModel
+from wavequake.mechanics.model import Array, FiniteElementModel, ReducedModel, force_columns
 from wavequake.mechanics.vibration.factors import factorize
 
 Complex = NDArray[np.complex128]
@@ -31,6 +31,7 @@ class ModalForm:
     damping : ndarray, shape (r, r)
         1/s; diagonal if the damping is proportional.
     inputs : ndarray, shape (r, 3 k)
+        Forces; moments are left out, so that norms have one unit.
     modes : ndarray, shape (r, r)
         Mass-normalized modes in the coordinates of the model.
     """
@@ -52,14 +53,18 @@ def modal_form(model: ReducedModel) -> ModalForm:
     squared = np.diag(model.stiffness)
     unit = np.eye(model.order)
     if (np.diff(squared) >= 0).all() and (model.mass == unit).all() and _is_diagonal(model.stiffness):
-        return ModalForm(squared, model.damping_matrix, model.inputs, unit)
+        return ModalForm(squared, model.damping_matrix, _forces(model), unit)
     try:
         squared, modes = scipy.linalg.eigh(model.stiffness, model.mass)
     except scipy.linalg.LinAlgError:
         raise UserError(
             f"The mass matrix of {model.name} is singular; it must be positive definite."
         ) from None
-    return ModalForm(squared, modes.T @ model.damping_matrix @ modes, modes.T @ model.inputs, modes)
+    return ModalForm(squared, modes.T @ model.damping_matrix @ modes, modes.T @ _forces(model), modes)
+
+
+def _forces(model: ReducedModel) -> Array:
+    return model.inputs[:, force_columns(model)] if len(model.turns) else model.inputs
 
 
 def _is_diagonal(matrix: Array) -> bool:
@@ -161,7 +166,7 @@ def full_receptance(
         Called with the number of frequencies done.
     """
     omega = _angular(frequencies)
-    inputs = model.inputs.toarray()
+    inputs = model.inputs.toarray()[:, force_columns(model)]
     damping = model.damping_matrix
     result = np.zeros((len(omega), inputs.shape[1], inputs.shape[1]), dtype=complex)
     for place, value in enumerate(omega):

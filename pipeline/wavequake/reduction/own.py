@@ -94,6 +94,7 @@ def own_model(model: FiniteElementModel | Intermediate, given: Given, name: str)
         surface_nodes=model.surface_nodes,
         surface_weights=model.surface_weights,
         seconds=time.perf_counter() - start,
+        turns=model.turns,
     )
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
 from wavequake.errors import UserError
-from wavequake.mechanics.model import Array, FiniteElementModel, Integers, RayleighDamping, places
+from wavequake.mechanics.model import Array, FiniteElementModel, Integers, RayleighDamping, interface_dofs
 from wavequake.mechanics.vibration.eigen import dense_modes, mass_normalized_rigid_modes
 from wavequake.mechanics.vibration.factors import LARGE, factorize
 from wavequake.prepared import preparing
@@ -60,7 +60,7 @@ class Structure:
     mass, stiffness : csc_array or ndarray, shape (n, n)
     damping : RayleighDamping
     interface : ndarray of int, shape (3 k,)
-        Coordinates that are the interface displacements.
+        Coordinates that are the interface displacements (and rotations, where it has them).
     rigid : ndarray, shape (n, r)
         Rigid motions that the supports allow, mass-orthonormal.
     """
@@ -119,7 +119,7 @@ def structure(model: FiniteElementModel) -> Structure:
     for label, matrix in (("mass", model.mass), ("stiffness", model.stiffness)):
         if not np.isfinite(matrix.data).all():
             raise UserError(f"The {label} matrix of the model {model.name} has entries that are not finite.")
-    interface = places(model)[model.interfaces, :3].ravel()
+    interface = interface_dofs(model)
     if not len(interface) or (interface < 0).any():
         raise UserError(f"The model {model.name} needs interface nodes that can move in x, y and z.")
     mass, stiffness = model.mass, model.stiffness

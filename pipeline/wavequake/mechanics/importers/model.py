@@ -26,7 +26,7 @@ from wavequake.mechanics.importers.copies import averaged, real_part, refuse_rep
 from wavequake.mechanics.importers.entries import DIRECTIONS, Contents, Entries, Integers
 from wavequake.mechanics.importers.mass import check_mass
 from wavequake.mechanics.importers.mesh import MeshFile, chosen_nodes, positions, read_mesh
-from wavequake.mechanics.importers.pads import PadKind, with_pads
+from wavequake.mechanics.importers.pads import PadDofs, PadKind, with_pads
 from wavequake.mechanics.importers.units import si_factors
 from wavequake.mechanics.model import FiniteElementModel, RayleighDamping
 
@@ -44,6 +44,7 @@ MESHES = (".inp", ".msh", ".vtu", ".bdf", ".nas", ".fem", ".cdb", ".vtk", ".med"
 TRIANGLE = "'upper' or 'lower': half of the matrix is in the file, in a format that does not say so"
 ZERO_ROWS = "'drop': displacements whose rows are empty are fixed, and left out"
 PADS = "'average' or 'rigid': each node set of interfaces is one pad, moved by its mean or as a rigid body"
+PAD_DOFS = "3 or 6: whether each pad is three displacements, or these and three rotations about its center"
 NodeChoice = str | Sequence[int | str]
 Nodes = Annotated[tuple[int | str, ...], Field(strict=False)]  # a study file has lists
 
@@ -66,6 +67,7 @@ class ImportedModel(BaseModel):
     triangle: Triangle | None = Field(default=None, description=TRIANGLE)
     zero_rows: Literal["drop"] | None = Field(default=None, description=ZERO_ROWS)
     pads: PadKind | None = Field(default=None, description=PADS)
+    pad_dofs: PadDofs = Field(default=3, description=PAD_DOFS)
     damping_alpha: float = Field(default=0.0, ge=0, description="1/s, times the mass")
     damping_beta: float = Field(default=5e-6, ge=0, description="s, times the stiffness")
 
@@ -99,6 +101,7 @@ def load_model(section: ImportedModel, folder: Path) -> Imported:
         triangle=section.triangle,
         zero_rows=section.zero_rows,
         pads=section.pads,
+        pad_dofs=section.pad_dofs,
         damping=RayleighDamping(section.damping_alpha, section.damping_beta),
     )
 
@@ -115,6 +118,7 @@ def import_model(
     triangle: Triangle | None = None,
     zero_rows: Literal["drop"] | None = None,
     pads: PadKind | None = None,
+    pad_dofs: PadDofs = 3,
     damping: RayleighDamping | None = None,
 ) -> Imported:
     """Read matrices and mesh of a finite-element program into a model in SI units.
@@ -139,6 +143,8 @@ def import_model(
     pads : {"average", "rigid"}, optional
         Each node set of `interfaces` is one interface node, at the center of its area: the mean of its nodes
         moves, or all move as one rigid body. Node numbers stay nodes.
+    pad_dofs : {3, 6}, optional
+        Inputs of each pad: its displacement, or also its rotation about its center.
     damping : RayleighDamping, optional
         In SI units.
 
@@ -186,9 +192,12 @@ def import_model(
     if pads is not None:
         chosen = [interfaces] if isinstance(interfaces, str) else list(interfaces)
         areas = [chosen_nodes(grid, [part], "interfaces") for part in chosen]
-        model = with_pads(model, grid, areas, pads)
+        model = with_pads(model, grid, areas, pads, pad_dofs)
         if len(areas) < len(mounts):
-            notes.append(f"{len(areas)} pads ({pads}) of {len(mounts)} nodes are the interface")
+            inputs = f", {len(areas) * pad_dofs} inputs" if pad_dofs == 6 else ""
+            notes.append(f"{len(areas)} pads ({pads}) of {len(mounts)} nodes are the interface{inputs}")
+    elif pad_dofs == 6:
+        raise UserError("pad_dofs = 6 is of pads; add pads = 'rigid' or 'average'")
     return Imported(model, tuple(notes))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import scipy  # its parts load when first used
 
 from wavequake.errors import UserError
-from wavequake.mechanics.model import Array, FiniteElementModel, Model, rigid_modes
+from wavequake.mechanics.model import Array, FiniteElementModel, Model, force_columns, rigid_modes, shifts
 from wavequake.mechanics.vibration.eigen import rigid_motions
 from wavequake.mechanics.vibration.modal import modal_model
 
@@ -100,8 +100,8 @@ def _rigid_shapes(model: Model) -> Array:
             f"the body {model.name} has {free.shape[1]} motions without stiffness; a floating frame needs a "
             "free body, which has 6"
         )
-    points = model.nodes[model.interfaces]
-    wanted, moved = rigid_modes(points, np.zeros(3)), model.inputs.T @ free
+    points = model.nodes[model.interfaces[shifts(model)]]
+    wanted, moved = rigid_modes(points, np.zeros(3)), model.inputs.T[force_columns(model)] @ free
     if np.linalg.matrix_rank(rigid_modes(points, points.mean(axis=0) if len(points) else np.zeros(3))) < 6:
         raise UserError(
             f"the interface nodes of the body {model.name} do not tell its rotations; it needs three "

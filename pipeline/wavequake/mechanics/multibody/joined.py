@@ -167,6 +167,7 @@ def _assembled(
         damping += apart @ _square(link.damping) @ apart.T
     basis = _compatible(bodies, inputs, joints, name)
     node_offsets = np.cumsum([0, *(len(body.nodes) for body in bodies)])[:-1]
+    widths = np.cumsum([0, *(len(body.interfaces) for body in bodies)])
     assembly = ReducedModel(
         name=name,
         method="assembly",
@@ -180,6 +181,7 @@ def _assembled(
         surface_nodes=_joined(node_offsets, [body.surface_nodes for body in bodies]),
         surface_weights=np.concatenate([body.surface_weights for body in bodies]) / len(bodies),
         seconds=0.0,
+        turns=_joined(widths[:-1], [body.turns for body in bodies]),
     )
     return assembly, basis
 

@@ -43,7 +43,10 @@ class Excitation(BaseModel):
     acts: Literal["displacement", "force"] = Field(
         default="displacement", description="what is given at the interfaces: motion in m or force in N"
     )
-    direction: Literal["x", "y", "z"] = "z"
+    direction: Literal["x", "y", "z", "rx", "ry", "rz"] = Field(
+        default="z",
+        description="of the motion or force; rx, ry, rz: a rotation (rad) or moment (N m) of pads",
+    )
     interfaces: tuple[int, ...] | None = Field(
         default=None, strict=False, description="which interface nodes, from 0; all of them if left out"
     )
@@ -166,7 +169,12 @@ def vibration_spectrum(excitation: RandomVibration) -> Spectrum:
 
 
 def drive_of(
-    excitation: AnyExcitation, interfaces: int, time: Array, seed: int = 0, realization: int = 0
+    excitation: AnyExcitation,
+    interfaces: int,
+    time: Array,
+    seed: int = 0,
+    realization: int = 0,
+    turns: int = 0,
 ) -> Drive:
     """Return the inputs that an excitation is, for a body with so many interface nodes.
 
@@ -176,23 +184,33 @@ def drive_of(
     Parameters
     ----------
     interfaces : int
-        Number k of interface nodes of the model.
+        Number k of interfaces of the model.
     time : ndarray, shape (t,)
         Evenly spaced instants from 0, s.
+    turns : int
+        How many of the interfaces, the last ones, are rotations of the others' nodes.
 
     Raises
     ------
     UserError
-        If it names a node that the body has not, is faster than the instants resolve, or its record is too
-        short or has the wrong number of columns.
+        If it names a node that the body has not, or turns one that cannot, is faster than the instants
+        resolve, or its record is too short or has the wrong number of columns.
     """
-    nodes = list(range(interfaces)) if excitation.interfaces is None else list(excitation.interfaces)
-    if max(nodes, default=-1) >= interfaces or not nodes:
+    count = interfaces - turns
+    nodes = list(range(count)) if excitation.interfaces is None else list(excitation.interfaces)
+    if max(nodes, default=-1) >= count or not nodes:
         raise UserError(
             f"the excitation {excitation.name!r} acts at interface node {max(nodes, default=0)}, but the "
-            f"body has {interfaces}, counted from 0"
+            f"body has {count}, counted from 0"
         )
-    places = 3 * np.array(nodes) + "xyz".index(excitation.direction)
+    places = 3 * np.array(nodes) + "xyz".index(excitation.direction[-1])
+    if excitation.direction.startswith("r"):
+        if turns != count:
+            raise UserError(
+                f"the excitation {excitation.name!r} turns interfaces (direction = "
+                f"{excitation.direction!r}), but the body gives them no rotations; pads with pad_dofs = 6 do"
+            )
+        places += 3 * count
     pattern = np.zeros(3 * interfaces)
     pattern[places] = 1.0
     prescribed = _prescribed(excitation, pattern)

@@ -12,7 +12,6 @@ from wavequake.campaign.store.store import Manifest
 from wavequake.kernels.device.devices import choose_device
 from wavequake.mechanics.disturbances.registry import instants_of
 from wavequake.mechanics.vibration.drive import values
-from wavequake.mechanics.vibration.excitations import drive_of
 from wavequake.mechanics.vibration.modal import modal_model
 from wavequake.mechanics.vibration.response import respond
 from wavequake.optics.shapes.motion_fit import figures, motion_fit
@@ -24,7 +23,14 @@ from wavequake.workflows.lens import lens_experiment as lens
 from wavequake.workflows.lens.lens_bench import study_of
 from wavequake.workflows.mirrors import mirror_trace as mirror
 from wavequake.workflows.mirrors.mirror_base import driven
-from wavequake.workflows.mirrors.mirror_bench import bench_of, cases_of, time_of, trace_study_of, variant_of
+from wavequake.workflows.mirrors.mirror_bench import (
+    bench_of,
+    cases_of,
+    drive_at,
+    time_of,
+    trace_study_of,
+    variant_of,
+)
 from wavequake.workflows.mirrors.mirror_optics import displacements_mm
 from wavequake.workflows.mirrors.mirror_residual import coordinates_of, left_by, residual_of
 from wavequake.workflows.segments.bench import bench_of as segment_bench
@@ -240,7 +246,7 @@ def _of_mirror(text: str, case: int, device_name: str) -> xr.Dataset:
     motion = motion_fit(optics.surface, displacements_mm(reduced.surface.T))
     left, parts = left_by(optics, reduced), []
     for excitation in study.excitation:
-        drive = drive_of(excitation, reduced.inputs.shape[1] // 3, time, study.study.seed)
+        drive = drive_at(excitation, reduced, study)
         held, seen = driven(reduced, drive, excitation.name)
         response = respond(modal_model(held, seen.prescribed), [seen], time)
         coordinates = coordinates_of(response)

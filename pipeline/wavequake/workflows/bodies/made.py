@@ -13,7 +13,7 @@ from wavequake.mechanics.assembly.arrays import Given, from_matrices, from_modes
 from wavequake.mechanics.assembly.beams import Tube, beam_frame
 from wavequake.mechanics.assembly.bodies import Body, Output, placed, rigid_body
 from wavequake.mechanics.mirrors.models import AnnularMirror, annular_mirror, circular_mirror
-from wavequake.mechanics.model import FiniteElementModel, ReducedModel, places, rigid_modes
+from wavequake.mechanics.model import FiniteElementModel, ReducedModel, places, rigid_modes, shifts
 from wavequake.optics.shapes.fit import SurfaceFit, apply, separate_pose, surface_fit
 from wavequake.optics.shapes.shapes import Shape, ZernikeDeformation
 from wavequake.optics.systems.bodies import Body as OpticalBody
@@ -189,9 +189,10 @@ def behind(
 ) -> Body:
     """Return a reduced model of an elastic body at its place behind its first surface."""
     model = reference(elastic.stage) if variant == FULL else _variant(one.name, elastic, variant)
-    nodes = {str(number + 1): number for number in range(len(model.interfaces))}
+    nodes = {str(number + 1): int(place) for number, place in enumerate(shifts(model))}
+    turns = {str(number + 1): int(place) for number, place in enumerate(model.turns)}
     if optical is None:
-        return placed(one.name, model, nodes)
+        return placed(one.name, model, nodes, turns=turns)
     surface = system.surfaces[surface_index(system, one.surfaces[0])]
     rotation, vertex = np.asarray(surface.rotation), _m(surface.position)
     form = surface.deformation
@@ -201,7 +202,7 @@ def behind(
     fit, rows = _fit(one, model, elastic.flip, section.figure_terms, form, surface.shape)
     shapes = rows.T.reshape(model.order, -1, 3) @ elastic.flip.T
     outputs = _outputs(one, fit, shapes, (rotation, vertex), optical)
-    return placed(one.name, model, nodes, rotation @ elastic.flip, vertex, outputs)
+    return placed(one.name, model, nodes, rotation @ elastic.flip, vertex, outputs, turns)
 
 
 def _outputs(

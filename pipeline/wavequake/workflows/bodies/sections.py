@@ -7,8 +7,8 @@ from pydantic import Field, SerializerFunctionWrapHandler, field_validator, mode
 from wavequake.campaign.schema import Section
 from wavequake.chain.uncertain import UncertainModes
 from wavequake.mechanics.importers.checks import Triangle
-from wavequake.mechanics.importers.model import PADS, TRIANGLE, ZERO_ROWS, Nodes
-from wavequake.mechanics.importers.pads import PadKind
+from wavequake.mechanics.importers.model import PAD_DOFS, PADS, TRIANGLE, ZERO_ROWS, Nodes
+from wavequake.mechanics.importers.pads import PadDofs, PadKind
 from wavequake.mechanics.nodal.modes import FORMATS as MODE_FILES
 from wavequake.workflows.mirrors.compared_models import ComparedSection, canonical
 from wavequake.workflows.mirrors.mirror_study import FULL
@@ -90,6 +90,7 @@ class ImportedBodySection(Section):
     triangle: Triangle | None = Field(default=None, exclude=True, description=TRIANGLE)
     zero_rows: Literal["drop"] | None = Field(default=None, exclude=True, description=ZERO_ROWS)
     pads: PadKind | None = Field(default=None, exclude=True, description=PADS)
+    pad_dofs: PadDofs = Field(default=3, exclude=True, description=PAD_DOFS)
     damping_alpha: float = Field(default=0.0, ge=0, exclude=True, description="1/s, times the mass")
     damping_beta: float = Field(default=0.0, ge=0, exclude=True, description="s, times the stiffness")
     content: str | None = Field(

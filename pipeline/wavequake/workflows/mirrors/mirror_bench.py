@@ -17,7 +17,8 @@ from wavequake.kernels.device.devices import Device
 from wavequake.mechanics.mirrors.material import Material
 from wavequake.mechanics.mirrors.models import AnnularMirror, CircularMirror, annular_mirror, circular_mirror
 from wavequake.mechanics.model import FiniteElementModel, RayleighDamping, ReducedModel
-from wavequake.mechanics.vibration.excitations import drive_of
+from wavequake.mechanics.vibration.drive import Drive
+from wavequake.mechanics.vibration.excitations import AnyExcitation, drive_of
 from wavequake.mechanics.vibration.modal import ModalModel, modal_model
 from wavequake.mechanics.vibration.response import displacements, respond
 from wavequake.prepared import prepared
@@ -211,6 +212,12 @@ def time_of(study: AnyMirrorStudy) -> Array:
     return np.arange(study.time.instants, dtype=np.float64) * study.time.step_s
 
 
+def drive_at(excitation: AnyExcitation, model: ReducedModel | Intermediate, study: AnyMirrorStudy) -> Drive:
+    """Return the inputs that an excitation of a study is at the interfaces of a model."""
+    interfaces, turns = len(model.interfaces), len(model.turns)
+    return drive_of(excitation, interfaces, time_of(study), study.study.seed, turns=turns)
+
+
 def check_variants_of(study: AnyMirrorStudy, bench: Bench, variants: tuple[str, ...]) -> None:
     """Raise UserError for a variant that does not suit a model or an excitation of a study."""
     for name in study.reduction.own_files:
@@ -220,7 +227,7 @@ def check_variants_of(study: AnyMirrorStudy, bench: Bench, variants: tuple[str, 
     check_variants(bench.stage, variants)
     clamped = [name for name in variants if parse(name).method == CLAMPED]
     for excitation in study.excitation:
-        drive = drive_of(excitation, len(bench.stage.interfaces), time_of(study), study.study.seed)
+        drive = drive_at(excitation, bench.stage, study)
         for name in clamped:
             driven(variant_of(bench, name), drive, excitation.name)
         for variant in map(parse, variants):
@@ -314,11 +321,11 @@ def aberrations_over_time(study: MirrorStudy, model: ReducedModel, rows: Array) 
 
 def over_time(study: MirrorStudy, model: ReducedModel, *rows: Array) -> list[Array]:
     """Return what rows (m, r) give of a model's coordinates under every excitation, (excitation, time, m)."""
-    time, interfaces = time_of(study), model.inputs.shape[1] // 3
+    time = time_of(study)
     found: list[list[Array]] = [[] for _ in rows]
     forms: list[tuple[ReducedModel, ModalModel]] = []  # excitations mostly hold the model alike
     for excitation in study.excitation:
-        drive = drive_of(excitation, interfaces, time, study.study.seed)
+        drive = drive_at(excitation, model, study)
         held, drive = driven(model, drive, excitation.name)
         alike = (m for one, m in forms if one is held and np.array_equal(m.prescribed, drive.prescribed))
         if (modal := next(alike, None)) is None:

@@ -16,8 +16,8 @@ from pydantic import (
 from wavequake.campaign.schema import CampaignSection, Section, StoreSection, Study, text_of
 from wavequake.errors import UserError
 from wavequake.mechanics.importers.checks import Triangle
-from wavequake.mechanics.importers.model import PADS, TRIANGLE, ZERO_ROWS, ImportedModel, Nodes
-from wavequake.mechanics.importers.pads import PadKind
+from wavequake.mechanics.importers.model import PAD_DOFS, PADS, TRIANGLE, ZERO_ROWS, ImportedModel, Nodes
+from wavequake.mechanics.importers.pads import PadDofs, PadKind
 from wavequake.mechanics.vibration.excitations import AnyExcitation
 from wavequake.optics.polynomials.zernike import MOST_TERMS
 from wavequake.reduction.names import orders_of, parse
@@ -68,13 +68,15 @@ class ModelSection(Section):
         default=None, exclude=True, description=f"of a file: {ZERO_ROWS}"
     )
     pads: PadKind | None = Field(default=None, exclude=True, description=f"of a file: {PADS}")
+    pad_dofs: PadDofs | None = Field(default=None, exclude=True, description=f"of a file: {PAD_DOFS}")
     content: str | None = Field(
         default=None, description="SHA-256 of the imported model; filled in when the study is loaded"
     )
 
     @model_validator(mode="after")
     def _a_file_says_what_it_is(self) -> "ModelSection":
-        keys = ("mass", "dofs", "mesh", "units", "interfaces", "surface", "triangle", "zero_rows", "pads")
+        files = ("mass", "dofs", "mesh")
+        keys = (*files, "units", "interfaces", "surface", "triangle", "zero_rows", "pads", "pad_dofs")
         given = [key for key in keys if getattr(self, key) is not None]
         if self.content is None and given:
             raise ValueError(f"{given[0]} belongs to a model file; give file, too")

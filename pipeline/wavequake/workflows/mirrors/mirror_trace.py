@@ -18,7 +18,6 @@ from wavequake.campaign.measures import Axis, Measure, stored, template_of
 from wavequake.campaign.one_by_one import one_by_one
 from wavequake.campaign.stopwatch import Stopwatch
 from wavequake.kernels.device.devices import Device, choose_device
-from wavequake.mechanics.vibration.excitations import drive_of
 from wavequake.mechanics.vibration.modal import modal_model
 from wavequake.mechanics.vibration.response import Response, respond
 from wavequake.optics.shapes.fit import apply
@@ -35,6 +34,7 @@ from wavequake.workflows.mirrors.mirror_bench import (
     case_table,
     cases_of,
     check_variants_of,
+    drive_at,
     import_notices,
     import_record,
     time_of,
@@ -103,7 +103,7 @@ def judged(study: TraceStudy, bench: Bench, variant: str, device: Device) -> dic
     rows: dict[str, list[Array]] = {}
     for excitation in study.excitation:
         clock = Stopwatch()
-        drive = drive_of(excitation, reduced.inputs.shape[1] // 3, instants, study.study.seed)
+        drive = drive_at(excitation, reduced, study)
         held, drive = driven(reduced, drive, excitation.name)
         with clock("modal form"):
             modal = modal_model(held, drive.prescribed)

@@ -132,6 +132,8 @@ def _packed(model: FiniteElementModel | Intermediate) -> Arrays:
             arrays |= {f"{field.name}.{part}": np.asarray(getattr(value, part)) for part in _SPARSE}
         elif isinstance(value, RayleighDamping):
             arrays[field.name] = np.array([value.mass, value.stiffness])
+        elif field.name == "turns" and not len(value):
+            continue  # so that the hash of a model without stays what it was
         elif not isinstance(value, Mapping):  # node sets have done their work
             arrays[field.name] = np.asarray(value)
     return arrays
