@@ -27,6 +27,62 @@ GLASSES = (
     "NM OLD 1 0 1.6 50\nCD 2.5 -0.01 0.012 0.0002 0 0\nLD 0.4 0.7\n"
 )
 
+# Behind coordinates that turn: with and without a bend, back again, and for what follows alone.
+FOLDED = (
+    "RDM;LEN\nEPD 8\nDIM M\nWL 550\nYIM 0.0 2.0\nVUX 0.0 0.1\nSO 0.0 0.1e14\nS 0.0 20.0\n"
+    "S 90.0 4.0 1.517:64.2\n  STO\n  CIR OBS 0.5\nS 0.0 -30.0 REFL\n"
+    "  ADE 45.0; BEN\nS 0.0 -5.0\n  XDE 0.1; ZDE 0.2; CDE 10.0; BDE -2.0\n"
+    "S 0.0 -3.0\n  BDE 2.0; REV\nSI 0.0 0.0\nGO\n"
+)
+HEADER = "UNIT MM X W\nENPD 4\nWAVM 1 0.55 1\nFTYP 0 0 1 1 0 0 0\nYFLN 0\nGCAT SCHOTT\n"
+# The object is a slit that stands twice; surfaces are tilted by themselves, and openings of every form.
+SPECTROGRAPH = (
+    HEADER.replace("ENPD 4", "OBNA 0.02 0"),
+    "DISZ 0; SQAP 5 2",
+    "COMM slit; DISZ 80",
+    "CURV 0.01; GLAS N-BK7 0 0 1.5 40; CLAP 0 9 0; DISZ 4",
+    "CURV -0.01; SCBD 1 0 0 0.1 0.2 1 2 3; SCBD 2 1 2 -0.1 -0.2 -1 -2 -3; ELAP 8 7; OBDC 0.1 0.2; DISZ 20",
+    "TYPE COORDBRK; PARM 1 0.1; PARM 3 2.0; PARM 6 1; DISZ 1",
+    "STOP; SPID 0.2 3; DISZ 5",
+    "TYPE DGRATING; SCBD 1 0 0 0 0 5 0 0; SCBD 2 0 1 0 0 5 0 0; PARM 1 0.1; PARM 2 1; SQAP 8 8; DISZ 10",
+    "GLAS MIRROR 0 0; SCBD 1 0 0 0 0 45 0 0; SCBD 2 0 1 0 0 45 0 0; OBSC 0 0.1; DISZ -60",
+    "DISZ 0",
+)
+# A lens of three distances, saved in the second.
+ZOOM = (
+    HEADER,
+    "DISZ INFINITY",
+    "STOP; CURV 0.02; GLAS N-BK7 0 0 1.5 40; DISZ 4",
+    "CURV -0.02; DISZ 6; MAZH 0 0",
+    "DISZ 0\nMNUM 3 2\n"
+    "THIC 1 1 2\nTHIC 1 2 4\nTHIC 1 3 6\nCRVT 2 1 -0.01\nCRVT 2 2 -0.02\nCRVT 2 3 -0.03\n"
+    "YFIE 1 1 0\nYFIE 1 2 0\nYFIE 1 3 1",
+)
+SHAPES = (  # of a surface of each type
+    "TYPE XPOLYNOM; CURV 0.01; XDAT 1 5; XDAT 2 10; XDAT 5 1e-4; XDAT 7 2e-4",
+    "TYPE SZERNSAG; CURV 0.01; PARM 2 1e-7; XDAT 1 11; XDAT 2 10; XDAT 13 1e-4",
+    "TYPE FZERNSAG; CURV 0.01; XDAT 1 9; XDAT 2 10; XDAT 11 1e-4",
+    "TYPE BICONICX; CURV 0.01; CONI -0.5; PARM 1 120; PARM 2 0.1",
+    "TYPE ODDASPHE; CURV 0.01; PARM 1 1e-6; PARM 3 1e-5",
+    "TYPE BINARY_1; CURV 0.01; PARM 0 1; PARM 2 1e-7; XDAT 1 5; XDAT 2 10; XDAT 5 -20; XDAT 7 -20",
+    "TYPE BINARY_2; CURV 0.01; PARM 0 1; XDAT 1 2; XDAT 2 10; XDAT 3 -30; XDAT 4 1",
+    "TYPE GRINSUR1; PARM 1 0.5; PARM 2 1.6; PARM 3 -0.002",
+    "TYPE GRINSUR3; PARM 1 0.5; PARM 2 1.6; PARM 6 0.002; PARM 7 -1e-5",
+    "TYPE GRINSUR5; PARM 1 0.5; PARM 2 1.6; PARM 3 -0.001; PARM 4 1e-7",
+)
+
+
+def written(header: str, *rows: str) -> str:
+    """Return a lens file of rows whose lines are parted by semicolons."""
+    lines = (f"SURF {k}\n  " + row.replace("; ", "\n  ") for k, row in enumerate(rows))
+    return header + "\n".join(lines) + "\n"
+
+
+def of_shape(row: str) -> str:
+    """Return a lens whose first surface is of a type."""
+    glass = "" if "GRIN" in row else "; GLAS N-BK7 0 0 1.5 40"
+    return written(HEADER, "DISZ INFINITY", f"{row}; STOP; DIAM 4{glass}; DISZ 5", "DISZ 90", "DISZ 0")
+
 
 def grid() -> str:
     """A mirror whose surface is a grid of heights."""
@@ -46,6 +102,13 @@ def lens(path: Path) -> object:
     return described(str(path), [])
 
 
+def zoomed(path: Path) -> object:
+    """Read a lens file in a configuration other than that in which it was saved."""
+    from wavequake.workflows.systems.system_source import described
+
+    return described(str(path), ["configuration=3"])
+
+
 def glasses(path: Path) -> object:
     from wavequake.optics.media.agf import read_agf
 
@@ -53,9 +116,9 @@ def glasses(path: Path) -> object:
 
 
 def lens_files() -> tuple[Callable[[], bytes], ...]:
-    """Lenses, mirrors behind coordinate breaks, a varying index, a grid, heights and vignetting factors.
+    """Lenses, mirrors behind coordinate breaks, a spectrograph, heights and vignetting factors.
 
-    And a toroid, a grating, a perfect lens and an asphere of Forbes'.
+    And a surface of every type that can be read.
     """
     names = (
         "cooke_triplet",
@@ -68,7 +131,8 @@ def lens_files() -> tuple[Callable[[], bytes], ...]:
         "lenses/optiland_curved_transmission_grating",
         "lenses/deeplens_zemax_double_gaussian",
     )
-    return (*((DATA / f"{name}.zmx").read_bytes for name in names), ROD.encode, lambda: grid().encode())
+    made = (ROD, grid(), written(*SPECTROGRAPH), *(of_shape(row) for row in SHAPES))
+    return (*((DATA / f"{name}.zmx").read_bytes for name in names), *(one.encode for one in made))
 
 
 def archives() -> tuple[Callable[[], bytes], ...]:

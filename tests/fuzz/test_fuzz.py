@@ -13,6 +13,13 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from readers import READERS
 
+from wavequake.optics.shapes.shape import zemax_types
+from wavequake.optics.zemax.codev_tilts import TILTS
+from wavequake.optics.zemax.gradients import GRADIENTS
+from wavequake.optics.zemax.phases import PHASES
+from wavequake.optics.zemax.rows import OF_SURFACES, OPENINGS
+from wavequake.optics.zemax.surfaces import MAX_TERMS
+
 
 @pytest.fixture(scope="module")
 def outcome():
@@ -31,6 +38,15 @@ def test_a_damaged_file_is_read_or_refused_in_one_sentence(outcome, name):
     assert name in by_reader, f"the process died: {stderr}"
     assert by_reader[name]["wrong"] == []
     assert 0 < by_reader[name]["read"] < 50  # the damage leaves some files whole, and breaks others
+
+
+def test_lenses_that_are_damaged_have_all_that_a_surface_may_have():
+    def words(name):
+        return {word for make in READERS[name].valid for word in make().decode("latin-1").split()}
+
+    types = (*zemax_types(), *GRADIENTS, *PHASES, *MAX_TERMS, "EVENASPH", "GRID_SAG", "COORDBRK")
+    assert {*types, *OF_SURFACES, *OPENINGS, "SCBD"} - words("zmx") == set()
+    assert set(TILTS) - {word.strip(";") for word in words("seq")} == set()
 
 
 @pytest.mark.parametrize(

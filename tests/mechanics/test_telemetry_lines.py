@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from scipy.optimize import minimize
 from scipy.signal.windows import tukey
 from scipy.stats import binom
-from shaken import signals
+from shaken import oscillator_series, signals
 
 from wavequake.mechanics.disturbances.spectra import resonance
 from wavequake.mechanics.telemetry.floor import floor_of
@@ -265,6 +265,18 @@ def test_noise_has_no_lines_and_its_level_comes_back():
             "kc,kd,k->cd", floor.directions, floor.directions, floor.densities @ np.diff(floor.edges_hz)
         )
         np.testing.assert_allclose(power, mixing @ mixing.T, atol=0.06)
+
+
+def test_noise_that_a_line_drowns_is_the_same_in_any_unit_of_time():
+    """A line of 3 mas and none of its noise, over 0.3 mas of noise; samples 10 ms and 10 s apart."""
+    random = np.random.default_rng(1)
+    line = oscillator_series(random, 6000, 0.01, 12.0, 0.03)
+    values = np.stack([3.0 * line, 1.5 * line + 0.3 * random.standard_normal(6000)], axis=1)
+    for step in (0.01, 10.0):
+        lines, rest = find_lines(values, step)
+        floor = floor_of(rest, lines)
+        power = floor.directions.T**2 @ (floor.densities @ np.diff(floor.edges_hz))
+        assert power == pytest.approx([0.0, 0.09], abs=0.03)
 
 
 def test_averaged_spectra_hold_white_noise_as_often_as_they_say():

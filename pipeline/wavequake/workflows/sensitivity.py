@@ -18,7 +18,7 @@ from wavequake.campaign.store.store import (
     refuse_foreign,
     refuse_other,
 )
-from wavequake.campaign.store.whole import Labelled, labelled, read_dataset, write_dataset
+from wavequake.campaign.store.whole import Labelled, read_dataset, write_dataset
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.optics.checks import whole
@@ -213,6 +213,8 @@ def dataset(bench: Bench, found: Sensitivities, device: Device) -> "xr.Dataset":
         ``sensitivity_wfe_rms_raw_X`` in nm per m or rad, ``step_error_X``. A column of dx, dy, dz or of a
         figure is per m, one of rx, ry, rz per rad.
     """
+    import xarray as xr
+
     surfaces = found.all_surfaces
     matrices = {"surface": ("surface", surfaces), "segment": ("segment", found.segments)}
     if found.figures is not None:
@@ -262,7 +264,7 @@ def dataset(bench: Bench, found: Sensitivities, device: Device) -> "xr.Dataset":
         "device": f"{device.name} ({device.kind})",
         **collect(device),
     }
-    return labelled(variables, coordinates, attrs)
+    return xr.Dataset(variables, coordinates, attrs)
 
 
 def _variables(

@@ -34,7 +34,6 @@ from wavequake.campaign.store.manifest import Manifest as Manifest
 from wavequake.campaign.store.manifest import read_manifest as read_manifest
 from wavequake.campaign.store.manifest import refuse_other as refuse_other
 from wavequake.campaign.store.retention import stored_template
-from wavequake.campaign.store.spared import spare_dask
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import choose_device
 
@@ -181,11 +180,11 @@ def open_store(path: Path | str, unstack: bool | str | Sequence[str] = False) ->
 
 
 def open_for_report(path: Path | str) -> "xr.Dataset":
-    """Open a store as :func:`open_store`, but a small one without Dask, which starts longer than that reads.
+    """Open a store as :func:`open_store`, but a small one without arrays of Dask.
 
-    Its arrays are read when their values are asked for, each as a whole; raises as :func:`open_store`.
+    These take longer to start than that to read. Its arrays are read when their values are asked for, each
+    as a whole; raises as :func:`open_store`.
     """
-    spare_dask()
     manifest, dataset = _labelled(path)
     small = sum(dataset[name].nbytes for name in _numbers(manifest)) <= _SMALL
     return dataset if small else open_store(path)

@@ -3,16 +3,12 @@
 import os
 import shutil
 import uuid
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from wavequake.campaign.store import arrays
 from wavequake.campaign.store.folder import write_errors_explained
 from wavequake.campaign.store.journal import digest, flush
-from wavequake.campaign.store.spared import spare_dask
 from wavequake.errors import StoreDamageError, UserError
 
 if TYPE_CHECKING:
@@ -20,26 +16,6 @@ if TYPE_CHECKING:
 
 # Dimensions, values and attributes of an array.
 Labelled = tuple[tuple[str, ...], Any, dict[str, str]]
-
-
-def labelled(
-    variables: Mapping[str, Labelled], coordinates: Mapping[str, Labelled], attrs: Mapping[str, Any]
-) -> "xr.Dataset":
-    """Return a dataset of NumPy arrays.
-
-    xarray would ask whether each is one of Dask's, and load those to know them: a quarter of a second.
-    """
-    import xarray as xr
-
-    spare_dask()
-
-    def plain(given: Mapping[str, Labelled]) -> dict[str, xr.Variable]:
-        return {
-            name: xr.Variable(dims, np.asarray(values), about, fastpath=True)
-            for name, (dims, values, about) in given.items()
-        }
-
-    return xr.Dataset(plain(variables), plain(coordinates), attrs)
 
 
 def write_dataset(made: "xr.Dataset", target: Path) -> None:

@@ -113,7 +113,7 @@ def _rest(values: NDArray[np.complex128], shapes: Array, rms: Array, size: Array
             break
         before = own
         size = lines + np.maximum(own, np.finfo(float).tiny)
-    scale = np.sqrt(np.maximum(np.diag(found), np.finfo(float).tiny))
     known = np.diag(found) > _UNSURE * np.sum(lines / size**2, axis=0) / np.sum(1.0 / size**2, axis=0)
+    scale = np.sqrt(np.where(known, np.diag(found), 1.0))
     values_, vectors = np.linalg.eigh(np.where(np.outer(known, known), found / np.outer(scale, scale), 0.0))
     return np.asarray((vectors * np.maximum(values_, 0.0)) @ vectors.T * np.outer(scale, scale))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from wavequake.campaign.provenance import collect
-from wavequake.campaign.store.whole import Labelled, labelled
+from wavequake.campaign.store.whole import Labelled
 from wavequake.errors import UserError
 from wavequake.kernels.device.devices import Device, choose_device
 from wavequake.optics.derivatives.central import DOFS, SensitivityMatrix
@@ -76,6 +76,8 @@ def system_dataset(study: SystemStudy, device: Device, terms: int = 0) -> "xr.Da
         ``sensitivity_centroid_X`` (..., axis) in mm per m or rad, ``sensitivity_wfe_rms_raw_X`` in nm per m
         or rad, ``step_error_X``.
     """
+    import xarray as xr
+
     bench = system_bench(study.identity_text())
     primary = [bench.system.primary_wavelength]
     count = len(bench.system.surfaces)
@@ -131,7 +133,7 @@ def system_dataset(study: SystemStudy, device: Device, terms: int = 0) -> "xr.Da
         "device": f"{device.name} ({device.kind})",
         **collect(device),
     }
-    return labelled(variables, coordinates, attrs)
+    return xr.Dataset(variables, coordinates, attrs)
 
 
 def _vignetted(bench: SystemBench) -> dict[str, str]:
