@@ -110,7 +110,7 @@ def test_where_a_long_case_is_cut_depends_on_it_alone(monkeypatch):
     for row, count in enumerate(instants):
         alone = launches.launches(draws[row : row + 1], [count])
         bounds = [(piece.first, piece.last) for launch in alone for piece in launch]
-        assert bounds[0][0] == 0 and bounds[-1][1] == count
+        assert (bounds[0][0], bounds[-1][1]) == (0, count)
         assert [(one.first, one.last) for launch in cut for one in launch if one.row == row] == bounds
     last = [max(-(-piece.here.stop // 16) for piece in launch) for launch in cut]
     assert last == [3, 4, 4, 4, 3, 4, 4, 2]  # the two that stand still share a tile
