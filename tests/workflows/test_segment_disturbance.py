@@ -1,5 +1,7 @@
 """The workflow as a whole, on the 18-segment telescope: what is drawn must come out of the optics."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from small_telescope import STUDY
@@ -96,6 +98,22 @@ def test_cases_that_stand_still_are_traced_once_and_do_not_depend_on_each_other(
             np.testing.assert_array_equal(values[0], together[name][row], err_msg=name)
             if values.ndim > 1 and name not in ("time_s", "exposure"):  # the same at every instant
                 np.testing.assert_array_equal(values[0, :3], np.repeat(values[0, :1], 3, axis=0))
+
+
+def test_where_a_long_case_is_cut_depends_on_it_alone(monkeypatch):
+    """Exposures are sums over pieces, whose last bits are those of their order."""
+    monkeypatch.setattr(launches, "_LAUNCH_TILES", 4)
+    instants = [40, 1, 150, 17, 33, 1, 64, 65]
+    draws = [SimpleNamespace(realization=row) for row in range(len(instants))]
+    cut = list(launches.launches(draws, instants))
+    assert all(piece.here.stop <= 64 for launch in cut for piece in launch)
+    for row, count in enumerate(instants):
+        alone = launches.launches(draws[row : row + 1], [count])
+        bounds = [(piece.first, piece.last) for launch in alone for piece in launch]
+        assert (bounds[0][0], bounds[-1][1]) == (0, count)
+        assert [(one.first, one.last) for launch in cut for one in launch if one.row == row] == bounds
+    last = [max(-(-piece.here.stop // 16) for piece in launch) for launch in cut]
+    assert last == [3, 4, 4, 4, 3, 4, 4, 2]  # the two that stand still share a tile
 
 
 @pytest.mark.skipif(not OPENCL, reason="no OpenCL device here")

@@ -19,8 +19,9 @@ from wavequake.workflows.segments.bench import MM_PER_M, Bench
 
 Array = NDArray[np.float64]
 
-# Tiles per launch: about 40 MB per output array at 9000 rays, however many and long the cases are.
-_LAUNCH_TILES = 32
+# Tiles per launch: about 10 MB per output array at 9000 rays, however many and long the cases are. Memory of
+# more is the system's to find and to clear, launch by launch: a sixth of a campaign.
+_LAUNCH_TILES = 8
 
 Kind = TypeVar("Kind", bound=Population)
 
@@ -74,26 +75,31 @@ class Piece:
 def launches(draws: list[CaseDraw], instants: list[int]) -> Iterator[list[Piece]]:
     """Cut the cases, of each so many instants, into launches of at most _LAUNCH_TILES tiles.
 
-    A case takes whole tiles of its own. Those of a single instant share tiles, each at the place that its
-    realization gives it, whatever is beside it.
+    A case takes whole tiles of its own, and is cut only if it is longer than a launch, wherever it stands in
+    its chunk: sums over its pieces keep their bits. Cases of a single instant share tiles, each at the place
+    that its realization gives it, whatever is beside it; they come last, so that they fill them.
     """
     launch: list[Piece] = []
     tiles, shared = 0, dict[int, set[int]]()  # places that are taken of tiles that cases share
-    for row, (drawn, count) in enumerate(zip(draws, instants, strict=True)):
-        lane, first = drawn.realization % TILE, 0
-        while first < count:
-            free = next((tile for tile, taken in shared.items() if lane not in taken), tiles)
-            if tiles == _LAUNCH_TILES and (count > 1 or free == tiles):
+    for row in sorted(range(len(draws)), key=lambda row: instants[row] == 1):
+        lane, count = draws[row].realization % TILE, instants[row]
+        free = next((tile for tile, taken in shared.items() if lane not in taken), tiles)
+        needed = padded(count) // TILE if count > 1 else free + 1 - tiles
+        if launch and tiles + needed > _LAUNCH_TILES:
+            yield launch
+            launch, tiles, shared, free = [], 0, {}, 0
+        if count == 1:
+            launch.append(Piece(row, 0, 1, free * TILE + lane))
+            shared.setdefault(free, set()).add(lane)
+            tiles = max(tiles, free + 1)
+            continue
+        for first in range(0, count, _LAUNCH_TILES * TILE):
+            if first:
                 yield launch
-                launch, tiles, shared, free = [], 0, {}, 0
-            if count == 1:
-                launch.append(Piece(row, 0, 1, free * TILE + lane))
-                shared.setdefault(free, set()).add(lane)
-                tiles, first = max(tiles, free + 1), 1
-                continue
-            last = min(count, first + (_LAUNCH_TILES - tiles) * TILE)
+                launch, tiles, shared = [], 0, {}
+            last = min(count, first + _LAUNCH_TILES * TILE)
             launch.append(Piece(row, first, last, tiles * TILE))
-            tiles, first = tiles + padded(last - first) // TILE, last
+            tiles += padded(last - first) // TILE
     if launch:
         yield launch
 
